@@ -1,0 +1,157 @@
+// The C++ client: connect, create a scene, push positions every step.
+//
+//   auto client = rcb::client::Client::connect({});
+//   client->create_scene("jet", {.parts = 8, .replace = true});
+//   auto scene = client->open_scene("jet");
+//   auto result = scene->step(rcb::client::Positions::rows(xyz.data(), n, 3));
+//
+// Thread-safety: a Client and its Scenes belong to one thread at a time. No call waits without a deadline.
+// Faults come back as Status: code, message, hint.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+
+namespace rcb::client {
+
+struct ConnectOptions {
+  std::string endpoint;         // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
+  double deadline_seconds = 5;  // for connecting and saying hello
+  std::string name = "rcb client";
+  std::string token;            // TCP only; empty: found in the service's data directory
+};
+
+struct SceneOptions {
+  int parts = 1;
+  int dims = 3;
+  std::string method = "rcb";
+  double tolerance = 0.1;  // >= 0; infinity forbids automatic repartitions
+  double axis_hysteresis = 1.2;
+  std::vector<double> part_sizes;
+  bool replace = false;
+};
+
+// A view of n positions in the caller's memory; nothing is copied before the send.
+struct Positions {
+  std::array<const double*, 3> axis{};  // first element of each axis
+  std::size_t stride = 1;               // doubles from one particle to the next
+  std::size_t count = 0;
+  int dims = 3;
+
+  // xyz: [count][dims], C order.
+  static Positions rows(const double* xyz, std::size_t count, int dims);
+  // One contiguous array an axis, each [count].
+  static Positions axes(std::span<const double* const> axes, std::size_t count);
+};
+
+struct StepReport {
+  std::string scene;
+  std::int64_t step = 0;
+  std::uint64_t epoch = 0;
+  std::uint64_t n = 0;
+  std::optional<double> error_before;  // none at the first push
+  double error = 0;
+  double imbalance = 1;
+  bool repartitioned = false;
+  std::string reason;
+  int axes_flipped = 0;
+  std::uint64_t drifted = 0;
+  std::uint64_t moved = 0;
+  std::uint64_t migrated = 0;
+  std::vector<std::string> skipped;
+  std::uint64_t bytes = 0;
+  double seconds_receive = 0, seconds_exchange = 0, seconds_search = 0, seconds_migrate = 0, seconds_total = 0;
+  std::string json;  // the report as the service sent it
+};
+
+struct PartChange {
+  std::uint64_t row;  // index into the caller's arrays
+  std::int32_t part;
+};
+
+struct StepOptions {
+  std::optional<std::int64_t> step;    // default: the last step + 1, 0 at first
+  std::span<const std::int64_t> ids;   // [count], at the first push; empty: 0..count-1
+  std::span<const double> weights;     // [count]; empty: none, or unchanged
+  bool want_parts = false;             // fill StepResult::parts
+  bool want_changes = false;           // fill StepResult::changes
+  double deadline_seconds = 60;
+};
+
+struct StepResult {
+  StepReport report;
+  std::vector<std::int32_t> parts;  // by row
+  std::vector<PartChange> changes;  // ascending row; all rows at the first push
+};
+
+struct Array {
+  std::string name;
+  std::string dtype;                 // "<f8", "<i8", "<i4", "<u8"
+  std::vector<std::uint64_t> shape;
+  std::vector<std::byte> bytes;
+
+  std::span<const double> f8() const;
+  std::span<const std::int64_t> i8() const;
+  std::span<const std::int32_t> i4() const;
+};
+
+struct Reply {
+  std::string json;
+  std::vector<Array> arrays;
+  const Array* find(const std::string& name) const;  // null if absent
+};
+
+class Scene;
+
+class Client {
+ public:
+  static Result<Client> connect(const ConnectOptions& options);
+  Client(Client&&) noexcept;
+  Client& operator=(Client&&) noexcept;
+  ~Client();  // says goodbye
+
+  Status create_scene(const std::string& name, const SceneOptions& options);
+  // Holds the scene open until the Scene goes. It must not outlive the Client.
+  Result<Scene> open_scene(const std::string& name);
+  Status drop_scene(const std::string& name);
+  Status shutdown_service();
+
+  // Any command of PROTOCOL.md: arguments is a JSON object without "command" ("" or "{}" for none).
+  Result<Reply> call(const std::string& command, const std::string& arguments_json = "{}",
+                     double deadline_seconds = 60);
+  int ranks() const;
+  const std::string& endpoint() const;  // the one that answered
+
+ private:
+  friend class Scene;
+  struct State;
+  explicit Client(std::shared_ptr<State> state);
+  std::shared_ptr<State> state_;
+};
+
+class Scene {
+ public:
+  Scene(Scene&&) noexcept;
+  Scene& operator=(Scene&&) noexcept;
+  ~Scene();
+
+  // Pushes one step; returns when it is committed everywhere, or given up with the previous step standing.
+  // A stale plan and a lost connection are mended once before a failure is returned.
+  Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
+  std::optional<std::int64_t> last_step() const;
+
+ private:
+  friend class Client;
+  struct State;
+  explicit Scene(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace rcb::client

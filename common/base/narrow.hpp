@@ -1,0 +1,16 @@
+// Integers narrow only here: a value that does not fit is a bug and is caught, never wrapped.
+#pragma once
+
+#include <utility>
+
+#include "common/base/check.hpp"
+
+namespace rcb {
+
+template <typename To, typename From>
+constexpr To narrow(From value) {
+  CHECK(std::in_range<To>(value), "integer out of range");
+  return static_cast<To>(value);
+}
+
+}  // namespace rcb

@@ -1,0 +1,30 @@
+// Box: an axis-aligned box, empty by default, so that a reduction needs no special case.
+#pragma once
+
+#include <algorithm>
+#include <limits>
+
+#include "common/geometry/axes.hpp"
+
+namespace rcb::geometry {
+
+struct Box {
+  static constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  Point lo{kInfinity, kInfinity, kInfinity};     // lo > hi: no point
+  Point hi{-kInfinity, -kInfinity, -kInfinity};
+
+  static Box unbounded() { return {{-kInfinity, -kInfinity, -kInfinity}, {kInfinity, kInfinity, kInfinity}}; }
+  bool empty(int dims) const {
+    for (int a = 0; a < dims; ++a)
+      if (lo[static_cast<std::size_t>(a)] > hi[static_cast<std::size_t>(a)]) return true;
+    return false;
+  }
+  void extend(const Point& point, int dims) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
+      lo[a] = std::min(lo[a], point[a]);
+      hi[a] = std::max(hi[a], point[a]);
+    }
+  }
+};
+
+}  // namespace rcb::geometry

@@ -1,0 +1,54 @@
+// The particles of one rank: one plain array an axis, ids always held, weights only if the scene has them.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+
+#include "common/base/buffer.hpp"
+#include "common/geometry/axes.hpp"
+
+namespace rcb::particles {
+
+using Id = std::int64_t;  // 0 .. 2^63-1
+
+// A view of particles that live elsewhere. All arrays have `count` entries.
+struct ParticleView {
+  int dims = 3;
+  std::size_t count = 0;
+  std::array<const double*, geometry::kDimsMax> position{};  // axes >= dims are null
+  const Id* id = nullptr;
+  const double* weight = nullptr;  // null: every particle counts 1
+
+  geometry::Point point(std::size_t i) const {
+    geometry::Point p{};
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) p[a] = position[a][i];
+    return p;
+  }
+};
+
+struct ParticleSet {
+  int dims = 3;
+  bool has_weights = false;
+  std::array<Buffer<double>, geometry::kDimsMax> position;
+  Buffer<Id> id;
+  Buffer<double> weight;
+
+  std::size_t count() const { return id.size(); }
+  void resize(std::size_t count) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) position[a].resize(count);
+    id.resize(count);
+    if (has_weights) weight.resize(count);
+  }
+  ParticleView view() const {
+    ParticleView v;
+    v.dims = dims;
+    v.count = count();
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) v.position[a] = position[a].data();
+    v.id = id.data();
+    v.weight = has_weights ? weight.data() : nullptr;
+    return v;
+  }
+};
+
+}  // namespace rcb::particles

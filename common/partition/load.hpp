@@ -1,0 +1,59 @@
+// Loads, targets, quotas and the error, in exact integers: no floating-point sum decides anything.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/wide.hpp"
+#include "common/partition/comm.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::partition {
+
+// Turns non-negative finite doubles into integers by one power-of-two scale for all: value * 2^scale, rounded
+// down. The scale is chosen so that the sum of `count` values fits in 127 bits; what is lost of a value is less
+// than 2^-(125 - log2(count)) of the largest one, and nothing while largest / smallest spans fewer than
+// 73 - log2(count) binades (a double has 53 bits).
+class ExactScale {
+ public:
+  ExactScale() = default;
+  // largest: the greatest value, > 0; count: how many values are summed, >= 1.
+  ExactScale(double largest, std::uint64_t count);
+  u128 operator()(double value) const;
+  int exponent() const { return exponent_; }
+
+ private:
+  int exponent_ = 0;
+};
+
+// Part sizes as exact integers; all 1 if `sizes` is empty or all sizes are equal.
+std::vector<u128> exact_sizes(std::span<const double> sizes, int parts);
+
+// quotas[p]: the whole particles a partition of n gives part p: differences of floor(n * S_p / S).
+std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes, int parts);
+
+// Load per part and what follows from it. Weighted loads are exact integers in the scene's scale.
+struct LoadSummary {
+  std::vector<std::uint64_t> counts;  // particles per part
+  std::vector<u128> loads;            // exact; equal to counts where nothing is weighted
+  bool weighted = false;              // false where weights are absent, all equal or all zero
+  int scale_exponent = 0;             // a load in the user's unit is loads[p] * 2^-scale_exponent
+  double error = 0;                   // max |load*S - W*s| / (W*s), rounded once
+  double imbalance = 1;               // max load*S / (W*s), rounded once
+  std::vector<double> part_errors;    // the same quotient for each part
+  std::vector<double> targets;        // n/P, n*s_p/S or the share of the total weight, rounded once
+  std::vector<double> load_values;    // loads in the user's unit, rounded once
+};
+
+// Collective (one reduction without weights).
+//   part  [particles.count], each 0..parts-1
+LoadSummary summarise_loads(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
+                            std::span<const double> sizes, int parts);
+// Local: the summary of known counts, nothing weighted.
+LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes);
+
+// numerator / denominator rounded once to the nearest double (ties to even); denominator > 0.
+double quotient(u128 numerator, u128 denominator);
+
+}  // namespace rcb::partition

@@ -1,0 +1,43 @@
+// Partition a distributed particle set into P parts: exact RCB, and bands as a tree with one axis order.
+// Particles stay where they are; the result names each local particle's part. migration.hpp moves them.
+//
+// Source: Berger and Bokhari 1987, doi:10.1109/TC.1987.1676942 (recursive bisection).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/partition/comm.hpp"
+#include "common/partition/cut_tree.hpp"
+
+namespace rcb::partition {
+
+struct PartitionOptions {
+  Method method = Method::rcb;
+  int parts = 1;
+  std::vector<double> part_sizes;      // empty: equal; else `parts` finite numbers > 0
+  double axis_hysteresis = 1.0;        // finite, >= 1; 1: the pure rule
+  const CutTree* previous = nullptr;   // the tree in force, for hysteresis; null: none
+};
+
+struct PartitionResult {
+  CutTree tree;
+  Buffer<std::int32_t> part;           // [local count], the part of each local particle
+  std::uint64_t rounds = 0;            // search rounds (a round: one histogram reduction for a group of nodes)
+  std::uint64_t reductions = 0;        // all collectives used
+};
+
+// Collective. All ranks pass the same options; positions finite and ids unique (the caller has checked).
+//   particles  this rank's; any split over the ranks gives the same tree, bit for bit
+// Errors: invalid_argument (the same on every rank): parts < 1, bad sizes, dims against method.
+Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles,
+                                  const PartitionOptions& options);
+
+// The part of each particle for the methods without a search: equal_boxes also returns its tree
+// (cuts at the middle of each box; a coordinate equal to the middle goes right), file_order only `part`
+// (blocks in ascending id by the quotas). Collective.
+Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles,
+                                 const PartitionOptions& options);
+
+}  // namespace rcb::partition

@@ -1,0 +1,36 @@
+// Partition quality, computed only when asked: interface area, neighbours, ghosts.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "common/geometry/box.hpp"
+#include "common/partition/comm.hpp"
+#include "common/partition/cut_tree.hpp"
+
+namespace rcb::partition {
+
+struct Quality {
+  double ghost_width = 0;
+  geometry::Box bounds;                           // of all particles
+  std::vector<std::uint64_t> ghosts;              // per part: particles of other parts within ghost_width (max norm)
+                                                  // of the bounding box of the part's particles
+  std::vector<std::int32_t> neighbours;           // per part: how many parts own those ghosts
+  std::optional<double> interface_area;           // common faces of regions clipped to `bounds`; nullopt without
+                                                  // a cut tree. In 2-D a length, in 1-D a number of points
+  std::vector<double> part_interface_area;        // per part; empty without a cut tree
+};
+
+// 2 * (box volume / n)^(1/dims) over the axes of positive extent; 0 with no particles. Local.
+double default_ghost_width(const geometry::Box& bounds, std::uint64_t n, int dims);
+
+// Collective.
+//   part   [particles.count]
+//   tree   null for methods without regions
+//   ghost_width  >= 0; nullopt: the default
+Quality quality(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part, int parts,
+                const CutTree* tree, std::optional<double> ghost_width);
+
+}  // namespace rcb::partition
