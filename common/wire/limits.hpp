@@ -1,0 +1,21 @@
+// Every limit of protocol version 1 (PROTOCOL.md lists the same).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace rcb::wire {
+
+inline constexpr std::size_t kJsonBytesMax = 1U << 20U;
+inline constexpr std::size_t kBytesBeforeHelloMax = 4096;
+inline constexpr double kHelloSecondsMax = 5;
+inline constexpr double kFrameSecondsMax = 30;
+inline constexpr int kSessionsMax = 256;
+inline constexpr int kOrdersMax = 64;
+inline constexpr std::int64_t kPartsMax = 1 << 20;
+inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
+inline constexpr int kScenesMax = 1024;
+inline constexpr double kDeadlineSecondsDefault = 60;
+inline constexpr double kDeadlineSecondsMax = 3600;
+
+}  // namespace rcb::wire

@@ -1,0 +1,66 @@
+// Messages: the JSON of a frame and its arrays.
+#pragma once
+
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/base/status.hpp"
+
+namespace rcb::wire {
+
+using Json = nlohmann::json;
+
+// A raw array with its description; bytes are little-endian, C order.
+struct Array {
+  std::string name;
+  std::string dtype;  // "<f8", "<i8", "<i4", "<u8"
+  std::vector<std::uint64_t> shape;
+  Buffer<std::byte> bytes;
+};
+
+struct ArraySpec {
+  std::string name;
+  std::string dtype;
+  std::vector<std::uint64_t> shape;
+  std::uint64_t bytes = 0;
+};
+
+// Bytes of one element; 0 for an unknown dtype.
+std::size_t dtype_bytes(std::string_view dtype);
+
+// Parses a frame's JSON: an object, no duplicate keys trouble, depth and size bounded. Errors: protocol_error.
+Result<Json> parse_json(std::string_view text);
+// The "arrays" of a frame, checked against its bulk length (sizes may not overflow). Errors: protocol_error.
+Result<std::vector<ArraySpec>> array_specs(const Json& json, std::uint64_t bulk_bytes);
+// The "arrays" entry that describes these.
+Json describe(std::span<const Array> arrays);
+
+// {"failure":{"code","message","hint","exit"}}
+Json failure_json(const Status& status);
+Status status_from_failure(const Json& json);
+
+// Typed reading of one field with a clear error: "field 'parts': expected an integer of 1 to 1048576, got \"x\"".
+// Errors: invalid_argument.
+Result<std::int64_t> integer_field(const Json& json, const char* name, std::int64_t low, std::int64_t high);
+Result<std::int64_t> integer_field_or(const Json& json, const char* name, std::int64_t low, std::int64_t high,
+                                      std::int64_t otherwise);  // absent or null
+Result<double> number_field_or(const Json& json, const char* name, double low, double high, double otherwise,
+                               bool infinity_allowed = false);  // "inf" where allowed
+Result<std::string> string_field(const Json& json, const char* name, std::size_t length_max = 4096);
+Result<bool> bool_field_or(const Json& json, const char* name, bool otherwise);
+Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char* name, std::size_t count_max);
+// 1 to 64 of [A-Za-z0-9._-].
+Status check_scene_name(const std::string& name);
+
+// 64 bits as 16 hex digits, and back.
+std::string hex64(std::uint64_t value);
+Result<std::uint64_t> parse_hex64(std::string_view text);
+
+// A finite number, or "inf" / "-inf"; null for NaN (JSON has neither).
+Json number_json(double value);
+
+}  // namespace rcb::wire

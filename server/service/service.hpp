@@ -1,0 +1,75 @@
+// Service: the whole of rcbd without sockets and MPI. Runs alike on every rank: (Comm, state, order) -> response.
+//
+// Invariants
+// 1. Every rank executes the same orders in the same sequence; what an order changes is the same on all ranks.
+// 2. An order that fails changes nothing.
+// 3. The response is complete on rank 0 alone; elsewhere it is empty.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/base/clock.hpp"
+#include "common/base/status.hpp"
+#include "common/partition/comm.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::service {
+
+// The particles a client sent for one rank, arrays x y z (w) (id); on rank 0 alone.
+struct PushSlice {
+  int rank = 0;
+  std::uint64_t count = 0;
+  std::vector<wire::Array> arrays;
+};
+
+struct Response {
+  Status status;
+  wire::Json json = wire::Json::object();
+  std::vector<wire::Array> arrays;
+};
+
+// What the I/O thread may know of a scene while the engine is busy.
+struct SceneSummary {
+  std::string name;
+  std::uint64_t n = 0;
+  int dims = 3;
+  int parts = 1;
+  bool weights = false;
+  bool ids = false;
+  std::optional<std::int64_t> step;
+  std::string step_session;  // who pushed it
+  std::uint64_t epoch = 0;
+  std::uint64_t plan_version = 0;
+  std::uint64_t plan_checksum = 0;
+};
+
+struct Snapshot {
+  std::map<std::string, SceneSummary> scenes;
+  std::uint64_t steps = 0;  // committed, all scenes
+};
+
+class Service {
+ public:
+  Service(partition::Comm& comm, const Clock& clock);
+  ~Service();
+
+  // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.
+  // A push arrives as {"command":"push", ...the fields of push.begin} with its slices on rank 0.
+  // `received_seconds`: how long the push took to arrive (rank 0; for the report).
+  Response execute(const wire::Json& request, std::vector<PushSlice> slices = {}, double received_seconds = 0);
+
+  // Local; rank 0's is published to the I/O thread after each order, before its answer leaves.
+  Snapshot snapshot() const;
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace rcb::service
