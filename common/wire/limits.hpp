@@ -7,6 +7,10 @@
 namespace rcb::wire {
 
 inline constexpr std::size_t kJsonBytesMax = 1U << 20U;
+inline constexpr int kJsonDepthMax = 32;
+inline constexpr std::size_t kArraysMax = 16;          // in a frame
+inline constexpr std::size_t kArrayDimensionsMax = 8;  // of a shape
+inline constexpr std::size_t kArrayNameMax = 64;
 inline constexpr std::size_t kBytesBeforeHelloMax = 4096;
 inline constexpr double kHelloSecondsMax = 5;
 inline constexpr double kFrameSecondsMax = 30;

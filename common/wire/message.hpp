@@ -1,11 +1,18 @@
 // Messages: the JSON of a frame and its arrays.
+//
+// Invariants
+// 1. Whatever a peer sends is checked here before anyone believes it; nothing throws.
+// 2. A parsed message is an object without duplicate keys, at most kJsonDepthMax deep, all of it valid UTF-8.
+// 3. JSON leaves through dump_json alone: nlohmann's own dump() throws on text that isn't UTF-8 (file names).
 #pragma once
 
 #include <cstdint>
-#include <nlohmann/json.hpp>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
+
+#include <nlohmann/json.hpp>
 
 #include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
@@ -32,12 +39,18 @@ struct ArraySpec {
 // Bytes of one element; 0 for an unknown dtype.
 std::size_t dtype_bytes(std::string_view dtype);
 
-// Parses a frame's JSON: an object, no duplicate keys trouble, depth and size bounded. Errors: protocol_error.
+// Parses a frame's JSON: an object, no duplicate keys, depth and size (kJsonBytesMax) bounded.
+// Errors: protocol_error.
 Result<Json> parse_json(std::string_view text);
+// Compact JSON; bytes that aren't UTF-8 become U+FFFD.
+std::string dump_json(const Json& json);
 // The "arrays" of a frame, checked against its bulk length (sizes may not overflow). Errors: protocol_error.
 Result<std::vector<ArraySpec>> array_specs(const Json& json, std::uint64_t bulk_bytes);
 // The "arrays" entry that describes these.
 Json describe(std::span<const Array> arrays);
+
+// The array of that name; null if absent.
+const Array* find_array(std::span<const Array> arrays, std::string_view name);
 
 // {"failure":{"code","message","hint","exit"}}
 Json failure_json(const Status& status);
@@ -50,8 +63,10 @@ Result<std::int64_t> integer_field_or(const Json& json, const char* name, std::i
                                       std::int64_t otherwise);  // absent or null
 Result<double> number_field_or(const Json& json, const char* name, double low, double high, double otherwise,
                                bool infinity_allowed = false);  // "inf" where allowed
+// Without a null character inside (it would cut a path short).
 Result<std::string> string_field(const Json& json, const char* name, std::size_t length_max = 4096);
 Result<bool> bool_field_or(const Json& json, const char* name, bool otherwise);
+// Finite numbers; absent or null: none.
 Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char* name, std::size_t count_max);
 // 1 to 64 of [A-Za-z0-9._-].
 Status check_scene_name(const std::string& name);
