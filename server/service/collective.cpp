@@ -1,0 +1,57 @@
+#include "server/service/collective.hpp"
+
+#include <algorithm>
+#include <limits>
+
+#include "common/base/random.hpp"
+
+namespace rcb::service {
+namespace {
+
+constexpr std::uint64_t kNone = std::numeric_limits<std::uint64_t>::max();
+
+}  // namespace
+
+Status agree_status(partition::Comm& comm, const Status& here) {
+  const auto size = static_cast<std::uint64_t>(comm.size());
+  std::uint64_t first = here.ok() ? size : static_cast<std::uint64_t>(comm.rank());
+  comm.all_min({&first, 1});
+  if (first == size) return {};
+  const int root = static_cast<int>(first);
+  const bool mine = comm.rank() == root;
+  std::array<std::uint64_t, 3> header{};
+  if (mine) header = {static_cast<std::uint64_t>(here.code()), here.message().size(), here.hint().size()};
+  comm.broadcast(std::as_writable_bytes(std::span(header)), root);
+  std::string text = mine ? here.message() + here.hint() : std::string(header[1] + header[2], '\0');
+  comm.broadcast(std::as_writable_bytes(std::span(text)), root);
+  return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
+}
+
+std::optional<particles::Id> duplicate_id(partition::Comm& comm, std::span<const particles::Id> ids) {
+  const auto ranks = static_cast<std::uint64_t>(comm.size());
+  std::vector<Buffer<particles::Id>> to(ranks);
+  for (const particles::Id id : ids) to[mix64(static_cast<std::uint64_t>(id)) % ranks].push_back(id);
+  std::vector<std::uint64_t> to_counts(ranks), from_counts(ranks);
+  for (std::size_t r = 0; r < ranks; ++r) to_counts[r] = to[r].size();
+  partition::exchange_counts(comm, to_counts, from_counts);
+  std::uint64_t total = 0;
+  for (const std::uint64_t count : from_counts) total += count;
+  Buffer<particles::Id> mine(total);
+  std::vector<std::span<const std::byte>> send;
+  std::vector<std::span<std::byte>> receive;
+  std::uint64_t at = 0;
+  for (std::size_t r = 0; r < ranks; ++r) {
+    send.push_back(std::as_bytes(to[r].span()));
+    receive.push_back(std::as_writable_bytes(mine.span().subspan(at, from_counts[r])));
+    at += from_counts[r];
+  }
+  comm.exchange(send, receive);
+  std::sort(mine.begin(), mine.end());
+  const auto* twin = std::adjacent_find(mine.begin(), mine.end());
+  std::uint64_t least = twin == mine.end() ? kNone : static_cast<std::uint64_t>(*twin);
+  comm.all_min({&least, 1});
+  if (least == kNone) return std::nullopt;
+  return static_cast<particles::Id>(least);
+}
+
+}  // namespace rcb::service

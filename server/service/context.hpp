@@ -1,0 +1,63 @@
+// Context: what every command handler gets, and the table that names the handlers.
+#pragma once
+
+#include <map>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "common/base/clock.hpp"
+#include "common/partition/comm.hpp"
+#include "server/service/scene.hpp"
+#include "server/service/service.hpp"
+
+namespace rcb::service {
+
+struct Context {
+  partition::Comm& comm;
+  const Clock& clock;
+  std::map<std::string, Scene>& scenes;
+  // Of the push being executed; rank 0 alone.
+  std::vector<PushSlice> slices;
+  double received_seconds = 0;
+
+  bool root() const { return comm.rank() == 0; }
+};
+
+// Collective. Reads its arguments from the request, the same on all ranks; changes nothing if it fails.
+using Handler = Response (*)(Context&, const wire::Json& request);
+
+struct Command {
+  const char* name;
+  Handler run;
+};
+
+// One table a command family; service.cpp joins them.
+std::span<const Command> scene_commands();
+std::span<const Command> push_commands();
+std::span<const Command> query_commands();
+std::span<const Command> quality_commands();
+std::span<const Command> rebalance_commands();
+std::span<const Command> file_commands();
+
+// The scene that the request's field "scene" names. Errors: invalid_argument, not_found.
+Result<Scene*> find_scene(Context& context, const wire::Json& request);
+// The same, and it has positions. Errors also: not_found ("no positions yet").
+Result<Scene*> find_pushed_scene(Context& context, const wire::Json& request);
+
+// The field "method", or `otherwise` if absent; a scene method that `dims` allows. Errors: invalid_argument.
+Result<partition::Method> read_method(const wire::Json& request, int dims, partition::Method otherwise);
+
+inline Response failed(Status status) { return {std::move(status), wire::Json::object(), {}}; }
+inline Response done(wire::Json json) { return {{}, std::move(json), {}}; }
+
+wire::Array make_array(std::string name, std::string dtype, std::uint64_t count, Buffer<std::byte> bytes);
+
+template <typename T>
+wire::Array make_array(std::string name, std::string dtype, std::span<const T> values) {
+  Buffer<std::byte> bytes;
+  bytes.assign(std::as_bytes(values));
+  return make_array(std::move(name), std::move(dtype), values.size(), std::move(bytes));
+}
+
+}  // namespace rcb::service

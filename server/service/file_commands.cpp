@@ -1,0 +1,189 @@
+// Files that the ranks read and write themselves, all at the same time: as in the paper, where every rank loads its
+// own points and writes its own output.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <filesystem>
+#include <limits>
+#include <numeric>
+
+#include "common/io/points.hpp"
+#include "common/plan/plan.hpp"
+#include "common/wire/limits.hpp"
+#include "server/service/collective.hpp"
+#include "server/service/step.hpp"
+
+namespace rcb::service {
+namespace {
+
+struct LoadRequest {
+  std::string path;
+  io::ReadOptions options;
+  std::int64_t step = 0;
+};
+
+Result<LoadRequest> read_load(const wire::Json& request) {
+  LoadRequest load;
+  const auto path = wire::string_field(request, "path");
+  if (!path.ok()) return path.status();
+  load.path = path.value();
+  const auto dims = wire::integer_field_or(request, "dims", 1, 3, 0);
+  if (!dims.ok()) return dims.status();
+  load.options.dims = static_cast<int>(dims.value());
+  if (request.contains("weights") && !request["weights"].is_null()) {
+    const auto weights = wire::string_field(request, "weights");
+    if (!weights.ok()) return weights.status();
+    load.options.weights = weights.value();
+  }
+  const auto step = wire::integer_field_or(request, "step", 0, std::numeric_limits<std::int64_t>::max() - 1, 0);
+  if (!step.ok()) return step.status();
+  load.step = step.value();
+  return load;
+}
+
+// The slices of all ranks must make one set. Collective.
+struct Slices {
+  std::uint64_t total = 0;
+  std::uint64_t first_row = 0;  // of this rank
+  bool ids = false;
+  bool weights = false;
+  int dims = 0;
+};
+
+Slices join_slices(partition::Comm& comm, const io::Points& points) {
+  const std::array<std::uint64_t, 4> mine{points.count, points.id.empty() ? 0U : 1U, points.weight.empty() ? 0U : 1U,
+                                          points.count == 0 ? 0U : static_cast<std::uint64_t>(points.dims)};
+  std::vector<std::byte> all;
+  std::vector<std::size_t> sizes;
+  comm.all_gather(std::as_bytes(std::span(mine)), all, sizes);
+  Slices slices;
+  for (std::size_t r = 0; r < static_cast<std::size_t>(comm.size()); ++r) {
+    std::array<std::uint64_t, 4> theirs{};
+    std::memcpy(theirs.data(), all.data() + r * sizeof theirs, sizeof theirs);
+    if (r < static_cast<std::size_t>(comm.rank())) slices.first_row += theirs[0];
+    slices.total += theirs[0];
+    slices.ids = slices.ids || theirs[1] != 0;
+    slices.weights = slices.weights || theirs[2] != 0;
+    slices.dims = std::max(slices.dims, static_cast<int>(theirs[3]));
+  }
+  return slices;
+}
+
+particles::ParticleSet particles_of(io::Points points, const Slices& slices, int dims) {
+  particles::ParticleSet set;
+  set.dims = dims;
+  set.has_weights = slices.weights;
+  for (std::size_t a = 0; a < points.position.size() && a < static_cast<std::size_t>(dims); ++a)
+    set.position[a].assign(points.position[a]);
+  if (slices.weights) set.weight.assign(points.weight);
+  if (slices.ids) {
+    set.id.assign(points.id);
+  } else {
+    set.id.resize(points.count);
+    std::iota(set.id.begin(), set.id.end(), static_cast<particles::Id>(slices.first_row));
+  }
+  return set;
+}
+
+bool ids_are_rows(partition::Comm& comm, const particles::ParticleSet& set, std::uint64_t first_row) {
+  bool rows = true;
+  for (std::size_t i = 0; i < set.count() && rows; ++i) rows = set.id[i] == static_cast<particles::Id>(first_row + i);
+  return partition::agree(comm, rows);
+}
+
+Response load(Context& context, const wire::Json& request) {
+  const auto found = find_scene(context, request);
+  if (!found.ok()) return failed(found.status());
+  Scene& scene = *found.value();
+  auto load = read_load(request);
+  if (!load.ok()) return failed(load.status());
+  if (scene.pushed)
+    return failed({Code::invalid_argument, fmt::format("scene '{}' has positions already", scene.name),
+                   "load is for a scene's first positions; push the file instead"});
+  if (load->options.dims == 0) load->options.dims = scene.options.dims;
+  const double start = context.clock.seconds();
+  partition::Comm& comm = context.comm;
+  auto points = io::read_points_slice(load->path, load->options, comm.rank(), comm.size());
+  if (Status status = agree_status(comm, points.status()); !status.ok()) return failed(std::move(status));
+  const Slices slices = join_slices(comm, points.value());
+  if (slices.total > 0 && slices.dims != scene.options.dims)
+    return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
+                                                       slices.dims, scene.name, scene.options.dims)});
+  Staged staged;
+  staged.n = slices.total;
+  staged.arrays = particles_of(std::move(points).value(), slices, scene.options.dims);
+  if (Status status = check_values(comm, staged.arrays.view(), true, slices.first_row); !status.ok())
+    return failed(std::move(status));
+  if (slices.ids) {
+    if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
+      return failed({Code::invalid_argument, fmt::format("{}: id {} occurs more than once", load->path, *twin),
+                     "ids must be distinct"});
+    staged.ids = !ids_are_rows(comm, staged.arrays, slices.first_row);
+  }
+  comm.barrier();
+  staged.seconds = context.clock.seconds() - start;
+  PushRequest push;
+  push.session = "load";
+  push.step = load->step;
+  push.n = staged.n;
+  const StepReport report = commit(context, scene, std::move(staged), push, nullptr);
+  return done({{"report", to_json(report)},
+               {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+}
+
+// The local particles of one part as CSV.
+Status write_part(const Scene& scene, int part, const std::string& path) {
+  particles::ParticleSet chosen;
+  chosen.dims = scene.options.dims;
+  chosen.has_weights = scene.particles.has_weights;
+  for (std::size_t i = 0; i < scene.part.size(); ++i) {
+    if (scene.part[i] != part) continue;
+    for (std::size_t a = 0; a < static_cast<std::size_t>(chosen.dims); ++a)
+      chosen.position[a].push_back(scene.particles.position[a][i]);
+    chosen.id.push_back(scene.particles.id[i]);
+    if (chosen.has_weights) chosen.weight.push_back(scene.particles.weight[i]);
+  }
+  const auto view = chosen.view();
+  return io::write_csv(path, chosen.dims, std::span(view.position.data(), static_cast<std::size_t>(chosen.dims)),
+                       view.count, view.id, view.weight);
+}
+
+Response write_parts(Context& context, const wire::Json& request) {
+  const auto found = find_pushed_scene(context, request);
+  if (!found.ok()) return failed(found.status());
+  const Scene& scene = *found.value();
+  const auto directory = wire::string_field(request, "directory");
+  if (!directory.ok()) return failed(directory.status());
+  const auto prefix = request.contains("prefix") ? wire::string_field(request, "prefix", 128) : std::string("part");
+  if (!prefix.ok()) return failed(prefix.status());
+  if (prefix->find('/') != std::string::npos)
+    return failed({Code::invalid_argument, fmt::format("prefix '{}' contains a slash", prefix.value())});
+
+  const int parts = scene.options.parts;
+  const auto path_of = [&](std::int64_t part) {
+    return (std::filesystem::path(directory.value()) / fmt::format("{}-{:0{}}.csv", prefix.value(), part,
+                                                                   std::to_string(parts - 1).size()))
+        .string();
+  };
+  Status written;
+  std::error_code fault;
+  std::filesystem::create_directories(directory.value(), fault);
+  if (fault) written = {Code::io_error, fmt::format("{}: {}", directory.value(), fault.message())};
+  const std::int64_t end = plan::part_begin(context.comm.rank() + 1, parts, context.comm.size());
+  for (std::int64_t p = plan::part_begin(context.comm.rank(), parts, context.comm.size()); p < end && written.ok(); ++p)
+    written = write_part(scene, static_cast<int>(p), path_of(p));
+  if (Status status = agree_status(context.comm, written); !status.ok()) return failed(std::move(status));
+  wire::Json files = wire::Json::array();
+  for (int p = 0; p < parts; ++p) files.push_back(path_of(p));
+  return done({{"files", std::move(files)}});
+}
+
+constexpr Command kCommands[] = {{"load", load}, {"write_parts", write_parts}};
+
+}  // namespace
+
+std::span<const Command> file_commands() { return kCommands; }
+
+}  // namespace rcb::service

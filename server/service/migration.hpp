@@ -1,0 +1,16 @@
+// Migration: every particle straight to the rank that owns its part, once, and the plan kept in step with it.
+#pragma once
+
+#include <cstdint>
+
+#include "server/service/context.hpp"
+
+namespace rcb::service {
+
+// Moves each local particle whose part another rank owns, with its part, and brings scene.particles, scene.part and
+// the plan up to date. scene.part says the new parts, scene.options.parts how many.
+//   first  the scene's first partition: the plan becomes a full one whatever moved
+// Returns how many particles changed their rank, on every rank. Collective.
+std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first);
+
+}  // namespace rcb::service

@@ -1,0 +1,59 @@
+// The push: prepare on all ranks, then commit on all or give it up on all.
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "server/service/step.hpp"
+
+namespace rcb::service {
+namespace {
+
+wire::Json plan_json(const Scene& scene) {
+  return {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}};
+}
+
+// A session's step is applied once: its report, if this one is committed already. Same verdict on every rank.
+bool is_repeated(const Scene& scene, const PushRequest& push) {
+  const auto found = std::lower_bound(scene.recent_steps.begin(), scene.recent_steps.end(), push.step,
+                                      [](const auto& entry, std::int64_t step) { return entry.first < step; });
+  return found != scene.recent_steps.end() && found->first == push.step && found->second == push.session;
+}
+
+// The plan and the particles may have moved on since: a client that repeats fetches the plan if versions differ.
+Response repeated(const Context& context, const Scene& scene, const PushRequest& push) {
+  wire::Json json{{"plan", plan_json(scene)}, {"repeated", true}};
+  if (context.root())
+    for (const StepReport& report : scene.history)
+      if (report.step == push.step) json["report"] = to_json(report);
+  return done(std::move(json));
+}
+
+Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes) {
+  Response response = done({{"report", to_json(report)}, {"plan", plan_json(scene)}});
+  if (!push.changes) return response;
+  response.arrays.push_back(make_array<particles::Id>("changed_id", "<i8", changes.id.span()));
+  response.arrays.push_back(make_array<std::int32_t>("changed_part", "<i4", changes.part.span()));
+  return response;
+}
+
+Response push(Context& context, const wire::Json& request) {
+  const auto scene = find_scene(context, request);
+  if (!scene.ok()) return failed(scene.status());
+  const auto push = read_push(request);
+  if (!push.ok()) return failed(push.status());
+  if (is_repeated(*scene.value(), push.value())) return repeated(context, *scene.value(), push.value());
+  auto staged = prepare(context, *scene.value(), push.value());
+  if (!staged.ok()) return failed(staged.status());
+  PartChanges changes;
+  const StepReport report = commit(context, *scene.value(), std::move(staged).value(), push.value(),
+                                   push->changes ? &changes : nullptr);
+  return answer(*scene.value(), report, push.value(), std::move(changes));
+}
+
+constexpr Command kCommands[] = {{"push", push}};
+
+}  // namespace
+
+std::span<const Command> push_commands() { return kCommands; }
+
+}  // namespace rcb::service

@@ -1,0 +1,109 @@
+// Repartition now, by the pure rule; or tell what that would do.
+#include <fmt/format.h>
+
+#include <limits>
+
+#include "common/partition/partition.hpp"
+#include "common/partition/quality.hpp"
+#include "common/plan/plan.hpp"
+#include "common/wire/limits.hpp"
+#include "server/service/context.hpp"
+#include "server/service/migration.hpp"
+#include "server/service/quality_json.hpp"
+#include "server/service/step.hpp"
+
+namespace rcb::service {
+namespace {
+
+struct RebalanceRequest {
+  SceneOptions options;  // the scene's, with what the request changes
+  bool dry_run = false;
+};
+
+Result<RebalanceRequest> read_request(const wire::Json& request, const Scene& scene) {
+  RebalanceRequest wanted{scene.options, false};
+  const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, scene.options.parts);
+  if (!parts.ok()) return parts.status();
+  const auto tolerance = wire::number_field_or(request, "tolerance", 0, std::numeric_limits<double>::infinity(),
+                                               scene.options.tolerance, true);
+  if (!tolerance.ok()) return tolerance.status();
+  const auto method = read_method(request, scene.options.dims, scene.options.method);
+  if (!method.ok()) return method.status();
+  const auto dry_run = wire::bool_field_or(request, "dry_run", false);
+  if (!dry_run.ok()) return dry_run.status();
+  if (parts.value() != scene.options.parts && !scene.options.part_sizes.empty())
+    return Status(Code::invalid_argument,
+                  fmt::format("scene '{}' has sizes for {} parts", scene.name, scene.options.parts),
+                  "the number of parts can't change while part sizes are given");
+  wanted.options.parts = static_cast<int>(parts.value());
+  wanted.options.tolerance = tolerance.value();
+  wanted.options.method = method.value();
+  wanted.dry_run = dry_run.value();
+  return wanted;
+}
+
+// How many particles the new parts would put on another rank. Collective.
+std::uint64_t count_migrated(partition::Comm& comm, std::span<const std::int32_t> part, int parts) {
+  const std::int64_t begin = plan::part_begin(comm.rank(), parts, comm.size());
+  const std::int64_t end = plan::part_begin(comm.rank() + 1, parts, comm.size());
+  std::uint64_t leaving = 0;
+  for (const std::int32_t p : part) leaving += static_cast<std::uint64_t>(p < begin || p >= end);
+  comm.all_sum({&leaving, 1});
+  return leaving;
+}
+
+Response rebalance(Context& context, const wire::Json& request) {
+  const auto found_scene = find_pushed_scene(context, request);
+  if (!found_scene.ok()) return failed(found_scene.status());
+  Scene& scene = *found_scene.value();
+  const auto wanted = read_request(request, scene);
+  if (!wanted.ok()) return failed(wanted.status());
+  const SceneOptions& options = wanted->options;
+  const double start = context.clock.seconds();
+
+  partition::PartitionOptions search;
+  search.method = options.method;
+  search.parts = options.parts;
+  search.part_sizes = options.part_sizes;
+  auto found = partition::partition(context.comm, scene.particles.view(), search);
+  CHECK(found.ok(), found.status().message());
+  auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found->part.span(), options.part_sizes,
+                                          options.parts);
+  std::uint64_t moved = count_differences(scene.part.span(), found->part.span());
+  context.comm.all_sum({&moved, 1});
+  const std::uint64_t migrated = count_migrated(context.comm, found->part.span(), options.parts);
+
+  wire::Json json{{"scene", scene.name},
+                  {"method", partition::method_name(options.method)},
+                  {"parts", options.parts},
+                  {"error_before", scene.loads.error},
+                  {"error", loads.error},
+                  {"imbalance", loads.imbalance},
+                  {"moved", moved},
+                  {"migrated", migrated},
+                  {"axes_flipped", partition::axes_flipped(scene.tree, found->tree)},
+                  {"adopted", !wanted->dry_run},
+                  {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
+                  {"hash", wire::hex64(found->tree.hash())}};
+  if (wanted->dry_run) {
+    json["quality"] = quality_json(partition::quality(context.comm, scene.particles.view(), found->part.span(),
+                                                      options.parts, &found->tree, std::nullopt));
+  } else {
+    scene.options = options;
+    scene.search_rounds = found->rounds;
+    scene.search_reductions = found->reductions;
+    adopt(scene, std::move(found->tree), std::move(found->part), std::move(loads));
+    migrate(context.comm, scene, false);
+  }
+  json["epoch"] = scene.epoch;
+  json["seconds"] = context.clock.seconds() - start;
+  return done(std::move(json));
+}
+
+constexpr Command kCommands[] = {{"rebalance", rebalance}};
+
+}  // namespace
+
+std::span<const Command> rebalance_commands() { return kCommands; }
+
+}  // namespace rcb::service

@@ -1,0 +1,41 @@
+#include "server/service/report.hpp"
+
+namespace rcb::service {
+
+StepSeconds& StepSeconds::operator+=(const StepSeconds& other) {
+  receive += other.receive;
+  exchange += other.exchange;
+  search += other.search;
+  migrate += other.migrate;
+  total += other.total;
+  return *this;
+}
+
+wire::Json to_json(const StepSeconds& seconds) {
+  return {{"receive", seconds.receive},
+          {"exchange", seconds.exchange},
+          {"search", seconds.search},
+          {"migrate", seconds.migrate},
+          {"total", seconds.total}};
+}
+
+wire::Json to_json(const StepReport& report) {
+  return {{"scene", report.scene},
+          {"step", report.step},
+          {"epoch", report.epoch},
+          {"n", report.n},
+          {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
+          {"error", report.error},
+          {"imbalance", report.imbalance},
+          {"repartitioned", report.repartitioned},
+          {"reason", report.reason},
+          {"axes_flipped", report.axes_flipped},
+          {"drifted", report.drifted},
+          {"moved", report.moved},
+          {"migrated", report.migrated},
+          {"skipped", report.skipped},
+          {"bytes", report.bytes},
+          {"seconds", to_json(report.seconds)}};
+}
+
+}  // namespace rcb::service

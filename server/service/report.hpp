@@ -1,0 +1,45 @@
+// StepReport: what a committed step did, and its JSON form (the fields are promised to users).
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/wire/message.hpp"
+
+namespace rcb::service {
+
+struct StepSeconds {
+  double receive = 0;   // from the first byte to all ranks holding their slices
+  double exchange = 0;  // particles that drifted to another rank's parts
+  double search = 0;    // cuts
+  double migrate = 0;   // particles whose rank the new cuts changed
+  double total = 0;
+
+  StepSeconds& operator+=(const StepSeconds& other);
+};
+
+struct StepReport {
+  std::string scene;
+  std::int64_t step = 0;
+  std::uint64_t epoch = 0;
+  std::uint64_t n = 0;
+  std::optional<double> error_before;
+  double error = 0;
+  double imbalance = 1;
+  bool repartitioned = false;
+  std::string reason;
+  int axes_flipped = 0;
+  std::uint64_t drifted = 0;
+  std::uint64_t moved = 0;
+  std::uint64_t migrated = 0;
+  std::vector<std::string> skipped;
+  std::uint64_t bytes = 0;
+  StepSeconds seconds;
+};
+
+wire::Json to_json(const StepSeconds& seconds);
+wire::Json to_json(const StepReport& report);
+
+}  // namespace rcb::service

@@ -1,0 +1,76 @@
+// Scene: a named particle set with its options, partition and history, as one rank holds it.
+//
+// Invariants
+// 1. Everything but `particles`, `part` and the report history is the same on all ranks.
+// 2. After every order this rank holds exactly the particles of its parts, in the plan's order, and part[i] is the
+//    part of particle i under `tree`.
+// 3. Reports are kept on rank 0 alone; every rank remembers the last kRememberedSteps (step, session) pairs.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/particles/particle_set.hpp"
+#include "common/partition/cut_tree.hpp"
+#include "common/partition/load.hpp"
+#include "server/service/report.hpp"
+
+namespace rcb::service {
+
+struct SceneOptions {
+  int parts = 1;
+  int dims = 3;
+  partition::Method method = partition::Method::rcb;
+  double tolerance = 0.1;  // may be infinity
+  double axis_hysteresis = 1.2;
+  std::vector<double> part_sizes;
+};
+
+struct SceneTotals {
+  std::uint64_t steps = 0;
+  std::uint64_t repartitions = 0;  // the first partition counts
+  std::uint64_t bytes = 0;
+  std::uint64_t drifted = 0;
+  std::uint64_t moved = 0;
+  std::uint64_t migrated = 0;
+  std::map<std::string, std::uint64_t> skipped;
+  StepSeconds seconds;
+};
+
+struct Scene {
+  static constexpr std::size_t kRememberedSteps = 1024;
+
+  std::string name;
+  SceneOptions options;
+
+  bool pushed = false;  // a first push was committed
+  bool ids = false;     // ids aren't 0..n-1
+  std::uint64_t n = 0;
+  particles::ParticleSet particles;
+  Buffer<std::int32_t> part;
+
+  partition::CutTree tree;
+  std::uint64_t epoch = 0;
+  partition::LoadSummary loads;                  // after the last order that changed them
+  std::optional<double> error_when_not_adopted;  // error_before of the last attempt that was not adopted
+  std::uint64_t search_rounds = 0;               // of the partition in force
+  std::uint64_t search_reductions = 0;
+
+  std::uint64_t plan_version = 0;
+  std::uint64_t plan_checksum = 0;
+
+  std::optional<std::int64_t> step;
+  std::deque<std::pair<std::int64_t, std::string>> recent_steps;  // ascending
+  std::vector<StepReport> history;
+  SceneTotals totals;
+
+  // Empties each axis, sets dims; before the first push.
+  static Scene create(std::string name, SceneOptions options);
+};
+
+}  // namespace rcb::service

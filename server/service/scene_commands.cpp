@@ -1,0 +1,151 @@
+// Create, show, drop scenes. Who has a scene open is the coordinator's knowledge: it refuses before it orders.
+#include <fmt/format.h>
+
+#include <cmath>
+#include <limits>
+
+#include "common/wire/limits.hpp"
+#include "server/service/context.hpp"
+
+namespace rcb::service {
+
+Scene Scene::create(std::string name, SceneOptions options) {
+  Scene scene;
+  scene.name = std::move(name);
+  scene.particles.dims = options.dims;
+  scene.options = std::move(options);
+  return scene;
+}
+
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kLargest = std::numeric_limits<double>::max();
+
+Status read_part_sizes(const wire::Json& request, SceneOptions& options) {
+  auto sizes = wire::numbers_field_or_empty(request, "part_sizes", static_cast<std::size_t>(wire::kPartsMax));
+  if (!sizes.ok()) return sizes.status();
+  if (sizes->empty()) return {};
+  if (sizes->size() != static_cast<std::size_t>(options.parts))
+    return {Code::invalid_argument,
+            fmt::format("part_sizes has {} entries for {} parts", sizes->size(), options.parts), "give one size a part"};
+  for (std::size_t p = 0; p < sizes->size(); ++p)
+    if (!std::isfinite(sizes.value()[p]) || !(sizes.value()[p] > 0))
+      return {Code::invalid_argument, fmt::format("part_sizes[{}] is {}: must be finite and > 0", p, sizes.value()[p])};
+  options.part_sizes = std::move(sizes).value();
+  return {};
+}
+
+}  // namespace
+
+Result<partition::Method> read_method(const wire::Json& request, int dims, partition::Method otherwise) {
+  if (!request.contains("method") || request["method"].is_null()) return otherwise;
+  const auto name = wire::string_field(request, "method", 64);
+  if (!name.ok()) return name.status();
+  const auto method = partition::method_from_name(name.value());
+  if (!method || *method == partition::Method::equal_boxes || *method == partition::Method::file_order)
+    return Status(Code::invalid_argument, fmt::format("unknown method '{}'", name.value()),
+                  "methods: rcb, bands-x, bands-y, bands-z");
+  if ((*method == partition::Method::bands_y && dims < 2) || (*method == partition::Method::bands_z && dims < 3))
+    return Status(Code::invalid_argument, fmt::format("method {} needs an axis that {} dimension(s) don't have",
+                                                      name.value(), dims));
+  return *method;
+}
+
+namespace {
+
+Result<SceneOptions> read_options(const wire::Json& request) {
+  SceneOptions options;
+  const auto parts = wire::integer_field(request, "parts", 1, wire::kPartsMax);
+  if (!parts.ok()) return parts.status();
+  const auto dims = wire::integer_field_or(request, "dims", 1, 3, 3);
+  if (!dims.ok()) return dims.status();
+  const auto tolerance = wire::number_field_or(request, "tolerance", 0, kInfinity, 0.1, true);
+  if (!tolerance.ok()) return tolerance.status();
+  const auto hysteresis = wire::number_field_or(request, "axis_hysteresis", 1, kLargest, 1.2);
+  if (!hysteresis.ok()) return hysteresis.status();
+  options.parts = static_cast<int>(parts.value());
+  options.dims = static_cast<int>(dims.value());
+  options.tolerance = tolerance.value();
+  options.axis_hysteresis = hysteresis.value();
+  const auto method = read_method(request, options.dims, partition::Method::rcb);
+  if (!method.ok()) return method.status();
+  options.method = method.value();
+  if (const Status status = read_part_sizes(request, options); !status.ok()) return status;
+  return options;
+}
+
+wire::Json describe_scene(const Scene& scene) {
+  const SceneOptions& options = scene.options;
+  wire::Json json{{"scene", scene.name},
+                  {"n", scene.n},
+                  {"dims", options.dims},
+                  {"parts", options.parts},
+                  {"method", partition::method_name(options.method)},
+                  {"tolerance", wire::number_json(options.tolerance)},
+                  {"axis_hysteresis", options.axis_hysteresis},
+                  {"part_sizes", options.part_sizes.empty() ? wire::Json(nullptr) : wire::Json(options.part_sizes)},
+                  {"weights", scene.particles.has_weights},
+                  {"ids", scene.ids},
+                  {"step", scene.step ? wire::Json(*scene.step) : wire::Json(nullptr)},
+                  {"epoch", scene.epoch},
+                  {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}};
+  if (scene.pushed) {
+    json["error"] = scene.loads.error;
+    json["imbalance"] = scene.loads.imbalance;
+    json["counts"] = scene.loads.counts;
+    json["targets"] = scene.loads.targets;
+    if (scene.particles.has_weights) json["loads"] = scene.loads.load_values;
+    json["hash"] = wire::hex64(scene.tree.hash());
+    json["rounds"] = scene.search_rounds;
+    json["reductions"] = scene.search_reductions;
+  } else {
+    for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
+      json[name] = nullptr;
+  }
+  return json;
+}
+
+Response show(Context& context, const wire::Json& request) {
+  const auto scene = find_scene(context, request);
+  if (!scene.ok()) return failed(scene.status());
+  wire::Json json = describe_scene(*scene.value());
+  json["ranks"] = context.comm.size();
+  return done(std::move(json));
+}
+
+Response create(Context& context, const wire::Json& request) {
+  const auto name = wire::string_field(request, "scene", 256);
+  if (!name.ok()) return failed(name.status());
+  if (Status status = wire::check_scene_name(name.value()); !status.ok()) return failed(std::move(status));
+  const auto replace = wire::bool_field_or(request, "replace", false);
+  if (!replace.ok()) return failed(replace.status());
+  auto options = read_options(request);
+  if (!options.ok()) return failed(options.status());
+  const bool exists = context.scenes.contains(name.value());
+  if (exists && !replace.value())
+    return failed({Code::already_exists, fmt::format("scene '{}' exists already", name.value()),
+                   "drop it first, or create it with --replace"});
+  if (!exists && context.scenes.size() >= static_cast<std::size_t>(wire::kScenesMax))
+    return failed({Code::too_large, fmt::format("the service holds {} scenes, its limit", wire::kScenesMax),
+                   "drop one: rcbctl scene drop NAME"});
+  context.scenes.insert_or_assign(name.value(), Scene::create(name.value(), std::move(options).value()));
+  return show(context, request);
+}
+
+Response drop(Context& context, const wire::Json& request) {
+  const auto scene = find_scene(context, request);
+  if (!scene.ok()) return failed(scene.status());
+  const std::string name = scene.value()->name;
+  context.scenes.erase(name);
+  return done(wire::Json::object());
+}
+
+constexpr Command kCommands[] = {
+    {"scene.create", create}, {"scene.show", show}, {"scene.open", show}, {"scene.drop", drop}};
+
+}  // namespace
+
+std::span<const Command> scene_commands() { return kCommands; }
+
+}  // namespace rcb::service

@@ -1,0 +1,79 @@
+#include "server/service/service.hpp"
+
+#include <fmt/format.h>
+
+#include "server/service/context.hpp"
+
+namespace rcb::service {
+
+struct Service::State {
+  partition::Comm& comm;
+  const Clock& clock;
+  std::map<std::string, Scene> scenes;
+  std::map<std::string, Handler> handlers;
+};
+
+Service::Service(partition::Comm& comm, const Clock& clock) : state_(new State{comm, clock, {}, {}}) {
+  for (const auto table : {scene_commands(), push_commands(), query_commands(), quality_commands(),
+                           rebalance_commands(), file_commands()})
+    for (const Command& command : table) state_->handlers.emplace(command.name, command.run);
+}
+
+Service::~Service() = default;
+
+Response Service::execute(const wire::Json& request, std::vector<PushSlice> slices, double received_seconds) {
+  const auto name = wire::string_field(request, "command", 64);
+  if (!name.ok()) return failed(name.status());
+  const auto handler = state_->handlers.find(name.value());
+  if (handler == state_->handlers.end())
+    return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
+                   "the service may be older than the client: see 'status' for its version"});
+  Context context{state_->comm, state_->clock, state_->scenes, std::move(slices), received_seconds};
+  Response response = handler->second(context, request);
+  if (!context.root()) return {};
+  return response;
+}
+
+Snapshot Service::snapshot() const {
+  Snapshot snapshot;
+  for (const auto& [name, scene] : state_->scenes) {
+    SceneSummary& summary = snapshot.scenes[name];
+    summary = {.name = name,
+               .n = scene.n,
+               .dims = scene.options.dims,
+               .parts = scene.options.parts,
+               .weights = scene.particles.has_weights,
+               .ids = scene.ids,
+               .step = scene.step,
+               .step_session = scene.recent_steps.empty() ? "" : scene.recent_steps.back().second,
+               .epoch = scene.epoch,
+               .plan_version = scene.plan_version,
+               .plan_checksum = scene.plan_checksum};
+    snapshot.steps += scene.totals.steps;
+  }
+  return snapshot;
+}
+
+Result<Scene*> find_scene(Context& context, const wire::Json& request) {
+  const auto name = wire::string_field(request, "scene", 256);
+  if (!name.ok()) return name.status();
+  const auto found = context.scenes.find(name.value());
+  if (found == context.scenes.end())
+    return Status(Code::not_found, fmt::format("no scene '{}'", name.value()),
+                  "'rcbctl scene list' names those that are there");
+  return &found->second;
+}
+
+Result<Scene*> find_pushed_scene(Context& context, const wire::Json& request) {
+  auto scene = find_scene(context, request);
+  if (scene.ok() && !scene.value()->pushed)
+    return Status(Code::not_found, fmt::format("scene '{}' has no positions yet", scene.value()->name),
+                  "push a step first");
+  return scene;
+}
+
+wire::Array make_array(std::string name, std::string dtype, std::uint64_t count, Buffer<std::byte> bytes) {
+  return {std::move(name), std::move(dtype), {count}, std::move(bytes)};
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,312 @@
+#include "server/service/staging.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+
+#include "common/plan/plan.hpp"
+#include "common/wire/limits.hpp"
+#include "server/service/collective.hpp"
+
+namespace rcb::service {
+namespace {
+
+constexpr std::uint64_t kNone = std::numeric_limits<std::uint64_t>::max();
+constexpr const char* kAxisNames[] = {"x", "y", "z"};
+
+// Branch-free over the array: true if any value is NaN or infinite.
+bool any_not_finite(const double* values, std::size_t count) {
+  constexpr std::uint64_t kExponent = 0x7FF0000000000000U;
+  std::uint64_t bad = 0;
+  for (std::size_t i = 0; i < count; ++i)
+    bad |= static_cast<std::uint64_t>((std::bit_cast<std::uint64_t>(values[i]) & kExponent) == kExponent);
+  return bad != 0;
+}
+
+bool any_below_zero(const double* values, std::size_t count) {
+  bool bad = false;
+  for (std::size_t i = 0; i < count; ++i) bad |= values[i] < 0;
+  return bad;
+}
+
+// What is wrong with particle i; empty if nothing.
+std::string fault_of(const particles::ParticleView& view, std::size_t i) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
+    if (!std::isfinite(view.position[a][i])) return fmt::format("{} is {}", kAxisNames[a], view.position[a][i]);
+  if (view.weight != nullptr && !(view.weight[i] >= 0 && std::isfinite(view.weight[i])))
+    return fmt::format("weight is {}", view.weight[i]);
+  if (view.id != nullptr && view.id[i] < 0) return fmt::format("id is {}", view.id[i]);
+  return {};
+}
+
+bool suspicious(const particles::ParticleView& view) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
+    if (any_not_finite(view.position[a], view.count)) return true;
+  if (view.weight != nullptr && (any_not_finite(view.weight, view.count) || any_below_zero(view.weight, view.count)))
+    return true;
+  return view.id != nullptr && std::any_of(view.id, view.id + view.count, [](particles::Id id) { return id < 0; });
+}
+
+// The particles that rank r holds before the push: those of its parts, or its block of rows.
+std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) {
+  if (!scene.pushed) return plan::row_begin(rank + 1, n, ranks) - plan::row_begin(rank, n, ranks);
+  std::uint64_t held = 0;
+  const int parts = scene.options.parts;
+  for (std::int64_t p = plan::part_begin(rank, parts, ranks); p < plan::part_begin(rank + 1, parts, ranks); ++p)
+    held += scene.loads.counts[static_cast<std::size_t>(p)];
+  return held;
+}
+
+// The arrays that every slice has, in order.
+std::vector<std::string> array_names(const Scene& scene, const PushRequest& push) {
+  std::vector<std::string> names(kAxisNames, kAxisNames + scene.options.dims);
+  if (push.weights) names.emplace_back("w");
+  if (push.ids) names.emplace_back("id");
+  return names;
+}
+
+Status check_slice(const PushSlice& slice, const std::vector<std::string>& names) {
+  if (slice.arrays.size() != names.size())
+    return {Code::invalid_argument,
+            fmt::format("slice of rank {} has {} arrays, expected {}", slice.rank, slice.arrays.size(), names.size()),
+            "send x (y, z), then w and id where push.begin says so"};
+  for (std::size_t a = 0; a < names.size(); ++a) {
+    const wire::Array& array = slice.arrays[a];
+    const std::string dtype = names[a] == "id" ? "<i8" : "<f8";
+    if (array.name != names[a] || array.dtype != dtype || array.shape != std::vector<std::uint64_t>{slice.count} ||
+        array.bytes.size() != slice.count * 8)
+      return {Code::invalid_argument, fmt::format("slice of rank {}: array {} must be '{}' {} of shape [{}]", slice.rank,
+                                                  a, names[a], dtype, slice.count)};
+  }
+  return {};
+}
+
+// Rank 0: every rank that holds particles has exactly one slice of the right length.
+Status check_slices(const Context& context, const Scene& scene, const PushRequest& push) {
+  const int ranks = context.comm.size();
+  const auto names = array_names(scene, push);
+  std::vector<bool> seen(static_cast<std::size_t>(ranks), false);
+  for (const PushSlice& slice : context.slices) {
+    if (slice.rank < 0 || slice.rank >= ranks)
+      return {Code::invalid_argument, fmt::format("slice for rank {} of {}", slice.rank, ranks)};
+    if (seen[static_cast<std::size_t>(slice.rank)])
+      return {Code::invalid_argument, fmt::format("two slices for rank {}", slice.rank)};
+    seen[static_cast<std::size_t>(slice.rank)] = true;
+    const std::uint64_t expected = push.by_id ? (slice.rank == 0 ? push.n : 0) : held_by(scene, push.n, slice.rank, ranks);
+    if (slice.count != expected)
+      return {Code::stale_plan, fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank,
+                                            slice.count, expected),
+              "fetch the plan and push again"};
+    if (Status status = check_slice(slice, names); !status.ok()) return status;
+  }
+  for (int r = 0; r < ranks; ++r) {
+    const bool needed = push.by_id ? r == 0 && push.n > 0 : held_by(scene, push.n, r, ranks) > 0;
+    if (needed && !seen[static_cast<std::size_t>(r)])
+      return {Code::invalid_argument, fmt::format("the slice of rank {} is missing", r)};
+  }
+  return {};
+}
+
+// Where in an array in ascending id each particle of the plan stands, in plan order.
+Buffer<std::uint64_t> places_by_id(const Scene& scene, const Buffer<particles::Id>& plan_ids) {
+  Buffer<std::uint64_t> places(plan_ids.size());
+  if (!scene.ids) {
+    for (std::size_t k = 0; k < plan_ids.size(); ++k) places[k] = static_cast<std::uint64_t>(plan_ids[k]);
+    return places;
+  }
+  Buffer<particles::Id> sorted = plan_ids;
+  std::sort(sorted.begin(), sorted.end());
+  for (std::size_t k = 0; k < plan_ids.size(); ++k)
+    places[k] = static_cast<std::uint64_t>(std::lower_bound(sorted.begin(), sorted.end(), plan_ids[k]) - sorted.begin());
+  return places;
+}
+
+Buffer<std::byte> permuted(const Buffer<std::byte>& values, const Buffer<std::uint64_t>& places) {
+  Buffer<std::byte> out(values.size());
+  for (std::size_t k = 0; k < places.size(); ++k)
+    std::memcpy(out.data() + 8 * k, values.data() + 8 * places[k], 8);
+  return out;
+}
+
+// Array a of every slice to its rank. Collective.
+void scatter_array(Context& context, const Scene& scene, const PushRequest& push, std::size_t a,
+                   const Buffer<std::uint64_t>& places, std::span<std::byte> mine) {
+  const int ranks = context.comm.size();
+  std::vector<std::span<const std::byte>> pieces;
+  Buffer<std::byte> sorted;
+  if (context.root()) {
+    pieces.resize(static_cast<std::size_t>(ranks));
+    if (push.by_id && push.n > 0) {
+      Buffer<std::byte>& whole = context.slices.front().arrays[a].bytes;
+      if (scene.pushed) sorted = permuted(whole, places);
+      const std::span<const std::byte> all = scene.pushed ? sorted.span() : whole.span();
+      std::uint64_t at = 0;
+      for (int r = 0; r < ranks; ++r) {
+        const std::uint64_t count = held_by(scene, push.n, r, ranks);
+        pieces[static_cast<std::size_t>(r)] = all.subspan(8 * at, 8 * count);
+        at += count;
+      }
+    } else {
+      for (const PushSlice& slice : context.slices)
+        pieces[static_cast<std::size_t>(slice.rank)] = slice.arrays[a].bytes.span();
+    }
+  }
+  context.comm.scatter(pieces, 0, mine);
+  if (context.root())  // sent: the memory is free for what comes next
+    for (PushSlice& slice : context.slices)
+      if (a < slice.arrays.size()) slice.arrays[a].bytes.release();
+}
+
+Status check_header(const Context& context, const Scene& scene, const PushRequest& push) {
+  if (scene.step && push.step <= *scene.step)
+    return {Code::stale_step, fmt::format("step {} of scene '{}' is not above the last one, {}", push.step, scene.name,
+                                          *scene.step),
+            fmt::format("push step {} or a later one", *scene.step + 1)};
+  if (scene.pushed && push.n != scene.n)
+    return {Code::invalid_argument,
+            fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
+            "push all of the scene's particles, or create a scene anew with --replace"};
+  if (scene.pushed && push.ids)
+    return {Code::invalid_argument, "ids may come with a scene's first push alone"};
+  if (scene.pushed && push.weights && !scene.particles.has_weights)
+    return {Code::invalid_argument, fmt::format("scene '{}' has no weights", scene.name),
+            "weights must be there from the first push on"};
+  if (scene.pushed && !push.by_id &&
+      (push.plan_version != scene.plan_version || push.plan_checksum != scene.plan_checksum))
+    return {Code::stale_plan, fmt::format("push has plan version {}, scene '{}' is at {}", push.plan_version, scene.name,
+                                          scene.plan_version),
+            "fetch the plan and push again"};
+  if (!scene.pushed && !push.by_id && push.plan_version != 0)
+    return {Code::stale_plan, fmt::format("push has plan version {}, but scene '{}' has no positions yet",
+                                          push.plan_version, scene.name),
+            "the first push goes by blocks of rows, plan version 0"};
+  (void)context;
+  return {};
+}
+
+bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
+  bool fits = true;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(set.dims); ++a) fits = fits && set.position[a].try_reserve(count);
+  if (set.has_weights) fits = fits && set.weight.try_reserve(count);
+  return fits && (!ids || set.id.try_reserve(count));
+}
+
+}  // namespace
+
+Result<PushRequest> read_push(const wire::Json& request) {
+  PushRequest push;
+  const auto session = wire::string_field(request, "session", 64);
+  if (!session.ok()) return session.status();
+  push.session = session.value();
+  const auto step = wire::integer_field(request, "step", 0, std::numeric_limits<std::int64_t>::max() - 1);
+  if (!step.ok()) return step.status();
+  push.step = step.value();
+  const auto n = wire::integer_field(request, "n", 0, wire::kParticlesMax);
+  if (!n.ok()) return n.status();
+  push.n = static_cast<std::uint64_t>(n.value());
+  const auto order = request.contains("order") ? wire::string_field(request, "order", 16) : std::string("plan");
+  if (!order.ok()) return order.status();
+  if (order.value() != "plan" && order.value() != "id")
+    return Status(Code::invalid_argument, fmt::format("order '{}'", order.value()), "use 'plan' or 'id'");
+  push.by_id = order.value() == "id";
+  for (const auto& [name, flag] : {std::pair{"weights", &push.weights}, {"ids", &push.ids}, {"changes", &push.changes}}) {
+    const auto value = wire::bool_field_or(request, name, false);
+    if (!value.ok()) return value.status();
+    *flag = value.value();
+  }
+  if (request.contains("plan") && request["plan"].is_object()) {
+    const auto version =
+        wire::integer_field_or(request["plan"], "version", 0, std::numeric_limits<std::int64_t>::max(), 0);
+    if (!version.ok()) return version.status();
+    push.plan_version = static_cast<std::uint64_t>(version.value());
+    if (request["plan"].contains("checksum")) {
+      const auto text = wire::string_field(request["plan"], "checksum", 16);
+      if (!text.ok()) return text.status();
+      const auto checksum = wire::parse_hex64(text.value());
+      if (!checksum.ok()) return checksum.status();
+      push.plan_checksum = checksum.value();
+    }
+  }
+  if (request.contains("base_step") && !request["base_step"].is_null())
+    return Status(Code::unsupported, "base_step: partial pushes are not offered by this version", "push everything");
+  return push;
+}
+
+Status check_values(partition::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row) {
+  std::uint64_t least = kNone;
+  std::size_t least_at = 0;
+  if (suspicious(view))
+    for (std::size_t i = 0; i < view.count; ++i) {
+      if (fault_of(view, i).empty()) continue;
+      const std::uint64_t name = first ? first_row + i : static_cast<std::uint64_t>(view.id[i]);
+      if (name < least) least = name, least_at = i;
+    }
+  std::uint64_t global_least = least;
+  comm.all_min({&global_least, 1});
+  if (global_least == kNone) return {};
+  Status mine;
+  if (least == global_least) {
+    const std::string fault = fault_of(view, least_at);
+    const bool finite = fault.find("nan") == std::string::npos && fault.find("inf") == std::string::npos;
+    mine = {finite ? Code::invalid_argument : Code::not_finite,
+            first ? fmt::format("particle {} (index, from 0): {}", least, fault)
+                  : fmt::format("particle {}: {}", least, fault),
+            "positions must be finite, weights finite and >= 0, ids >= 0; the previous step stands"};
+  }
+  return agree_status(comm, mine);
+}
+
+Result<Staged> prepare(Context& context, const Scene& scene, const PushRequest& push) {
+  const double start = context.clock.seconds();
+  partition::Comm& comm = context.comm;
+  if (Status status = check_header(context, scene, push); !status.ok()) return status;
+
+  Staged staged;
+  staged.n = push.n;
+  staged.ids = scene.pushed ? scene.ids : push.ids;
+  staged.arrays.dims = scene.options.dims;
+  staged.arrays.has_weights = push.weights;
+  const std::uint64_t mine = held_by(scene, push.n, comm.rank(), comm.size());
+  Status ready;
+  if (context.root()) ready = check_slices(context, scene, push);
+  if (ready.ok() && !reserve(staged.arrays, mine, !scene.pushed))
+    ready = {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
+  if (Status status = agree_status(comm, ready); !status.ok()) return status;
+
+  Buffer<std::uint64_t> places;
+  if (push.by_id && scene.pushed) {
+    const auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
+    if (context.root()) places = places_by_id(scene, plan_ids);
+  }
+  std::size_t a = 0;
+  const auto receive = [&](auto& buffer) {
+    buffer.resize(mine);
+    scatter_array(context, scene, push, a++, places, std::as_writable_bytes(buffer.span()));
+  };
+  for (std::size_t axis = 0; axis < static_cast<std::size_t>(staged.arrays.dims); ++axis)
+    receive(staged.arrays.position[axis]);
+  if (push.weights) receive(staged.arrays.weight);
+  const std::uint64_t first_row = plan::row_begin(comm.rank(), push.n, comm.size());
+  if (push.ids) {
+    receive(staged.arrays.id);
+  } else if (!scene.pushed) {
+    staged.arrays.id.resize(mine);
+    for (std::uint64_t i = 0; i < mine; ++i) staged.arrays.id[i] = static_cast<particles::Id>(first_row + i);
+  }
+  staged.bytes = push.n * 8 * a;
+
+  particles::ParticleView view = staged.arrays.view();
+  view.count = mine;
+  if (scene.pushed) view.id = scene.particles.id.data();
+  if (Status status = check_values(comm, view, !scene.pushed, first_row); !status.ok()) return status;
+  if (push.ids)
+    if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
+      return Status(Code::invalid_argument, fmt::format("id {} occurs more than once", *twin), "ids must be distinct");
+  staged.seconds = context.received_seconds + context.clock.seconds() - start;
+  return staged;
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,208 @@
+#include "server/service/step.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+#include "common/partition/partition.hpp"
+#include "common/plan/plan.hpp"
+#include "server/service/collective.hpp"
+#include "server/service/migration.hpp"
+#include "server/service/policy.hpp"
+
+namespace rcb::service {
+namespace {
+
+partition::PartitionOptions options_of(const Scene& scene, bool first) {
+  partition::PartitionOptions options;
+  options.method = scene.options.method;
+  options.parts = scene.options.parts;
+  options.part_sizes = scene.options.part_sizes;
+  if (!first) {
+    options.axis_hysteresis = scene.options.axis_hysteresis;
+    options.previous = &scene.tree;
+  }
+  return options;
+}
+
+partition::PartitionResult search(Context& context, const Scene& scene, bool first) {
+  auto result = partition::partition(context.comm, scene.particles.view(), options_of(scene, first));
+  CHECK(result.ok(), result.status().message());  // the options were checked when the scene was made
+  return std::move(result).value();
+}
+
+// Ids and parts of local particles whose part isn't the old one; all of them if there was none.
+PartChanges local_changes(const Scene& scene, const Buffer<std::int32_t>& old_part, bool first) {
+  PartChanges changes;
+  for (std::size_t i = 0; i < scene.part.size(); ++i) {
+    if (!first && scene.part[i] == old_part[i]) continue;
+    changes.id.push_back(scene.particles.id[i]);
+    changes.part.push_back(scene.part[i]);
+  }
+  return changes;
+}
+
+// Collective. On rank 0: all ranks' changes in ascending id.
+void gather_changes(partition::Comm& comm, const PartChanges& local, PartChanges& all) {
+  const auto ids = gather_values<particles::Id>(comm, local.id.span());
+  const auto parts = gather_values<std::int32_t>(comm, local.part.span());
+  Buffer<std::uint64_t> order(ids.size());
+  std::iota(order.begin(), order.end(), std::uint64_t{0});
+  std::sort(order.begin(), order.end(), [&](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; });
+  all.id.resize(ids.size());
+  all.part.resize(ids.size());
+  for (std::size_t k = 0; k < order.size(); ++k) {
+    all.id[k] = ids[order[k]];
+    all.part[k] = parts[order[k]];
+  }
+}
+
+void note_skips(const Scene& scene, StepReport& report) {
+  if (scene.options.dims < 3) report.skipped.emplace_back("dimension");
+  if (!scene.particles.has_weights) report.skipped.emplace_back("weights");
+  if (!scene.ids) report.skipped.emplace_back("ids");
+  if (report.migrated == 0) report.skipped.emplace_back("exchange");
+  if (!report.repartitioned) report.skipped.emplace_back("search");
+}
+
+void take_positions(Scene& scene, Staged& staged) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
+    scene.particles.position[a].swap(staged.arrays.position[a]);
+  if (staged.arrays.has_weights) scene.particles.weight.swap(staged.arrays.weight);
+}
+
+void first_step(Context& context, Scene& scene, Staged& staged, StepReport& report) {
+  scene.particles = std::move(staged.arrays);
+  scene.n = staged.n;
+  scene.ids = staged.ids;
+  scene.pushed = true;
+  const double start = context.clock.seconds();
+  partition::PartitionResult found = search(context, scene, true);
+  auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
+                                          scene.options.part_sizes, scene.options.parts);
+  scene.search_rounds = found.rounds;
+  scene.search_reductions = found.reductions;
+  adopt(scene, std::move(found.tree), std::move(found.part), std::move(loads));
+  report.repartitioned = true;
+  report.reason = "first positions";
+  report.seconds.search = context.clock.seconds() - start;
+}
+
+// Looks for new cuts and adopts them if they help. Collective.
+void try_repartition(Context& context, Scene& scene, const Decision& decision, double error_before,
+                     StepReport& report) {
+  partition::PartitionResult found = search(context, scene, false);
+  auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
+                                          scene.options.part_sizes, scene.options.parts);
+  if (loads.weighted && !(loads.error < error_before)) {
+    scene.error_when_not_adopted = error_before;
+    report.reason = reason_not_adopted(error_before, scene.options.tolerance, loads.error);
+    return;
+  }
+  report.repartitioned = true;
+  report.reason = reason_adopted(decision, loads.error);
+  report.axes_flipped = partition::axes_flipped(scene.tree, found.tree);
+  std::uint64_t moved = count_differences(scene.part.span(), found.part.span());
+  context.comm.all_sum({&moved, 1});
+  report.moved = moved;
+  scene.search_rounds = found.rounds;
+  scene.search_reductions = found.reductions;
+  adopt(scene, std::move(found.tree), std::move(found.part), std::move(loads));
+}
+
+void later_step(Context& context, Scene& scene, Staged& staged, const Buffer<std::int32_t>& old_part,
+                StepReport& report) {
+  take_positions(scene, staged);
+  scene.part.resize(old_part.size());
+  scene.tree.classify(scene.particles.view(), scene.part.span());
+  std::uint64_t drifted = count_differences(old_part.span(), scene.part.span());
+  context.comm.all_sum({&drifted, 1});
+  report.drifted = drifted;
+  if (drifted > 0 || staged.arrays.has_weights)
+    scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
+                                             scene.options.part_sizes, scene.options.parts);
+  const double error_before = scene.loads.error;
+  report.error_before = error_before;
+
+  PolicyInput input{error_before, scene.options.tolerance, scene.loads.weighted, 0, scene.error_when_not_adopted};
+  if (error_before >= scene.options.tolerance && !scene.loads.weighted)
+    input.quota_error =
+        partition::summarise_counts(partition::quotas(scene.n, scene.options.part_sizes, scene.options.parts),
+                                    scene.options.part_sizes)
+            .error;
+  const Decision decision = decide(input);
+  report.reason = decision.reason;
+  const double start = context.clock.seconds();
+  if (decision.search) try_repartition(context, scene, decision, error_before, report);
+  report.seconds.search = context.clock.seconds() - start;
+}
+
+void remember(Scene& scene, const PushRequest& push, const StepReport& report, bool root) {
+  scene.step = push.step;
+  scene.recent_steps.emplace_back(push.step, push.session);
+  if (scene.recent_steps.size() > Scene::kRememberedSteps) scene.recent_steps.pop_front();
+  SceneTotals& totals = scene.totals;
+  ++totals.steps;
+  totals.repartitions += report.repartitioned ? 1 : 0;
+  totals.bytes += report.bytes;
+  totals.drifted += report.drifted;
+  totals.moved += report.moved;
+  totals.migrated += report.migrated;
+  totals.seconds += report.seconds;
+  for (const std::string& name : report.skipped) ++totals.skipped[name];
+  if (root) scene.history.push_back(report);
+}
+
+}  // namespace
+
+std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b) {
+  CHECK(a.size() == b.size(), "assignments of different length");
+  std::uint64_t count = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) count += static_cast<std::uint64_t>(a[i] != b[i]);
+  return count;
+}
+
+void adopt(Scene& scene, partition::CutTree tree, Buffer<std::int32_t> part, partition::LoadSummary loads) {
+  scene.tree = std::move(tree);
+  scene.part = std::move(part);
+  scene.loads = std::move(loads);
+  scene.error_when_not_adopted.reset();
+  ++scene.epoch;
+}
+
+StepReport commit(Context& context, Scene& scene, Staged staged, const PushRequest& push, PartChanges* changes) {
+  const double start = context.clock.seconds();
+  const bool first = !scene.pushed;
+  StepReport report;
+  report.scene = scene.name;
+  report.step = push.step;
+  report.bytes = staged.bytes;
+  report.seconds.receive = staged.seconds;
+
+  Buffer<std::int32_t> old_part;
+  old_part.swap(scene.part);
+  if (first) {
+    first_step(context, scene, staged, report);
+  } else {
+    later_step(context, scene, staged, old_part, report);
+  }
+  report.n = scene.n;
+  report.epoch = scene.epoch;
+  report.error = scene.loads.error;
+  report.imbalance = scene.loads.imbalance;
+
+  PartChanges mine;
+  if (changes != nullptr) mine = local_changes(scene, old_part, first);
+  const double migrating = context.clock.seconds();
+  const bool may_move = first || report.drifted > 0 || report.moved > 0;
+  const std::uint64_t changed_rank = may_move ? migrate(context.comm, scene, first) : 0;
+  (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
+  report.migrated = first ? 0 : changed_rank;
+  if (changes != nullptr) gather_changes(context.comm, mine, *changes);
+
+  note_skips(scene, report);
+  report.seconds.total = staged.seconds + context.clock.seconds() - start;
+  remember(scene, push, report, context.root());
+  return report;
+}
+
+}  // namespace rcb::service

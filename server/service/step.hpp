@@ -1,0 +1,25 @@
+// Commit: staged positions become the scene's; drift is judged, cuts are searched where the policy says so, and every
+// particle goes to the rank that owns it.
+#pragma once
+
+#include "server/service/staging.hpp"
+
+namespace rcb::service {
+
+// Particles whose part changed in this step, on rank 0, ascending id.
+struct PartChanges {
+  Buffer<particles::Id> id;
+  Buffer<std::int32_t> part;
+};
+
+// Collective. Can't fail: what could was checked by prepare(). `changes`: null where nobody asks.
+StepReport commit(Context& context, Scene& scene, Staged staged, const PushRequest& push, PartChanges* changes);
+
+// Replaces the partition by the pure rule or at a step: cuts, loads, epoch, statistics of the search.
+// part: what each local particle's part becomes; the caller migrates. Local.
+void adopt(Scene& scene, partition::CutTree tree, Buffer<std::int32_t> part, partition::LoadSummary loads);
+
+// Local particles that differ in two assignments.
+std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b);
+
+}  // namespace rcb::service
