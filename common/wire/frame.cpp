@@ -18,15 +18,15 @@ constexpr std::size_t kChecksumOffset = 32;
 
 template <std::unsigned_integral T>
 void put(std::byte* to, T value) {
-  for (std::size_t i = 0; i < sizeof(T); ++i) to[i] = static_cast<std::byte>((value >> (8U * i)) & 0xFFU);
+  for (std::size_t i = 0; i < sizeof(T); ++i)
+    to[i] = static_cast<std::byte>((std::uint64_t{value} >> (8U * i)) & std::uint64_t{0xFF});
 }
 
 template <std::unsigned_integral T>
 T get(const std::byte* from) {
-  T value = 0;
-  for (std::size_t i = 0; i < sizeof(T); ++i)
-    value = static_cast<T>(value | static_cast<T>(static_cast<T>(from[i]) << (8U * i)));
-  return value;
+  std::uint64_t value = 0;
+  for (std::size_t i = 0; i < sizeof(T); ++i) value |= std::to_integer<std::uint64_t>(from[i]) << (8U * i);
+  return static_cast<T>(value);
 }
 
 std::uint64_t checksum_of(const std::byte* header, std::string_view json) {

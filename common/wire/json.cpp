@@ -90,6 +90,8 @@ Result<Json> parse_json(std::string_view text) {
   if (text.size() > kJsonBytesMax)
     return Status(Code::protocol_error,
                   fmt::format("JSON: {} bytes, at most {} are taken", text.size(), kJsonBytesMax));
+  // The parser takes a zero byte for the end and would believe what stands before it.
+  if (text.find('\0') != std::string_view::npos) return Status(Code::protocol_error, "JSON: a zero byte inside");
   Builder builder;
   if (!Json::sax_parse(text.begin(), text.end(), &builder))
     return Status(Code::protocol_error, "JSON: " + builder.fault(), "a frame carries one JSON object in UTF-8");
