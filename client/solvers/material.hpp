@@ -1,0 +1,58 @@
+// Material laws, the seam between the material point method and what the points are made of.
+//
+// 1. A law sees deformation gradients only; it knows neither grid nor neighbours.
+// 2. `update` may replace a deformation gradient by its admissible elastic part (a plastic law's return mapping);
+//    an elastic law leaves it alone.
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <span>
+
+#include "client/solvers/mat3.hpp"
+#include "common/base/status.hpp"
+
+namespace rcb::solvers {
+
+struct StressPass {
+  static constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
+
+  double wave_speed_max = 0;   // m/s, in the deformed body: what the time step must respect
+  std::size_t broken = kNone;  // first point whose deformation can't be (turned inside out, or not finite)
+};
+
+class Material {
+ public:
+  virtual ~Material() = default;
+
+  virtual double density() const = 0;  // undeformed, kg/m^3
+  // Kirchhoff stress of each point, in Pa (Cauchy stress times the volume ratio).
+  //   deformation  [count], deformation gradients; a plastic law changes them
+  //   kirchhoff    [count], written; left unfinished from a broken point on
+  virtual StressPass update(std::span<Mat3> deformation, std::span<Mat3> kirchhoff) const = 0;
+  // Stored energy per undeformed volume, J/m^3.
+  virtual double energy_density(const Mat3& deformation) const = 0;
+};
+
+// Compressible neo-Hookean solid: psi = mu/2 (tr(F F^T) - 3) - mu ln J + lambda/2 (ln J)^2.
+// Source: Bonet and Wood 2008, section 6.4.3, doi:10.1017/CBO9780511755446.
+class NeoHookean final : public Material {
+ public:
+  // density > 0 kg/m^3, youngs_modulus > 0 Pa, -1 < poissons_ratio < 0.5 (small strains).
+  static Result<NeoHookean> create(double density, double youngs_modulus, double poissons_ratio);
+
+  double density() const override { return density_; }
+  StressPass update(std::span<Mat3> deformation, std::span<Mat3> kirchhoff) const override;
+  double energy_density(const Mat3& deformation) const override;
+  double mu() const { return mu_; }
+  double lambda() const { return lambda_; }
+
+ private:
+  NeoHookean(double density, double mu, double lambda) : density_(density), mu_(mu), lambda_(lambda) {}
+
+  double density_;
+  double mu_;
+  double lambda_;
+};
+
+}  // namespace rcb::solvers
