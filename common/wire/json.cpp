@@ -86,10 +86,9 @@ class Builder final : public nlohmann::json_sax<Json> {
 
 }  // namespace
 
-Result<Json> parse_json(std::string_view text) {
-  if (text.size() > kJsonBytesMax)
-    return Status(Code::protocol_error,
-                  fmt::format("JSON: {} bytes, at most {} are taken", text.size(), kJsonBytesMax));
+Result<Json> parse_json(std::string_view text, std::size_t bytes_max) {
+  if (text.size() > bytes_max)
+    return Status(Code::protocol_error, fmt::format("JSON: {} bytes, at most {} are taken", text.size(), bytes_max));
   // The parser takes a zero byte for the end and would believe what stands before it.
   if (text.find('\0') != std::string_view::npos) return Status(Code::protocol_error, "JSON: a zero byte inside");
   Builder builder;
