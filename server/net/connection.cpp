@@ -1,0 +1,217 @@
+#include "server/net/connection.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+#include <boost/asio/buffer.hpp>
+#include <fmt/format.h>
+
+namespace rcb::net {
+namespace {
+
+constexpr std::size_t kPieceBytes = std::size_t{4} << 20U;  // of one read or write call
+
+}  // namespace
+
+Connection::Connection(Socket socket, double frame_seconds)
+    : socket_(std::move(socket)), frame_time_(duration_of(frame_seconds)), watch_(socket_.get_executor()) {
+  error_code ignored;
+  socket_.non_blocking(true, ignored);
+}
+
+// One timer for all deadlines. It isn't moved when bytes arrive: when it fires too early it goes to sleep again.
+void Connection::arm() {
+  const TimePoint end = std::min({read_end_, limit_end_, write_end_});
+  if (broken_ || end >= watch_at_) return;
+  watch_at_ = end;
+  watch_.expires_at(end);
+  watch_.async_wait([weak = weak_from_this()](error_code error) {
+    const auto self = weak.lock();
+    if (error || !self) return;
+    self->watch_at_ = TimePoint::max();
+    const TimePoint time = now();
+    if (std::min(self->read_end_, self->limit_end_) <= time) {
+      self->read_late_ = true;
+      error_code ignored;
+      self->socket_.cancel(ignored);  // the reader wakes, and may still say why
+      self->read_end_ = self->limit_end_ = TimePoint::max();
+    }
+    if (self->write_end_ <= time) self->close();
+    self->arm();
+  });
+}
+
+void Connection::limit_reading(TimePoint end) {
+  limit_end_ = end;
+  arm();
+}
+
+Status Connection::read_failed(const error_code& error) const {
+  if (read_late_) return {Code::deadline_exceeded, "the rest of a frame didn't come in time"};
+  return {Code::unavailable, error ? error.message() : "the connection is closed"};
+}
+
+awaitable<Status> Connection::refill() {
+  inbox_begin_ = inbox_end_ = 0;
+  if (broken_ || read_late_) co_return read_failed({});
+  auto [error, bytes] = co_await socket_.async_read_some(asio::buffer(inbox_.data(), inbox_.size()), kAwait);
+  if (error) co_return read_failed(error);
+  inbox_end_ = bytes;
+  co_return Status();
+}
+
+awaitable<Status> Connection::read_exactly(std::span<std::byte> into) {
+  while (!into.empty()) {
+    if (inbox_begin_ < inbox_end_) {
+      const std::size_t bytes = std::min(into.size(), inbox_end_ - inbox_begin_);
+      std::memcpy(into.data(), inbox_.data() + inbox_begin_, bytes);
+      inbox_begin_ += bytes;
+      into = into.subspan(bytes);
+    } else if (into.size() < inbox_.size()) {
+      Status status = co_await refill();
+      if (!status.ok()) co_return status;
+    } else {
+      if (broken_ || read_late_) co_return read_failed({});
+      const std::size_t piece = std::min(into.size(), kPieceBytes);
+      auto [error, bytes] = co_await socket_.async_read_some(asio::buffer(into.data(), piece), kAwait);
+      if (error) co_return read_failed(error);
+      into = into.subspan(bytes);
+    }
+    touch_reading();
+  }
+  co_return Status();
+}
+
+awaitable<Result<Frame>> Connection::read_frame(std::uint64_t json_bytes_max, std::uint64_t bulk_bytes_max) {
+  read_end_ = TimePoint::max();
+  if (inbox_begin_ == inbox_end_) {
+    const Status status = co_await refill();
+    if (!status.ok() && status.code() == Code::unavailable) co_return Status(Code::unavailable, "");
+    if (!status.ok()) co_return status;
+  }
+  touch_reading();
+  arm();
+  wire::HeaderBytes bytes;
+  Status status = co_await read_exactly(bytes);
+  if (!status.ok()) co_return status;
+  Result<wire::FrameHeader> header = wire::decode_header(bytes);
+  if (!header.ok()) co_return header.status();
+  status = wire::check_lengths(*header, json_bytes_max, bulk_bytes_max);
+  if (!status.ok()) co_return status;
+  std::string text(header->json_bytes, '\0');
+  status = co_await read_exactly(std::as_writable_bytes(std::span(text.data(), text.size())));
+  if (!status.ok()) co_return status;
+  status = wire::verify_checksum(bytes, text);
+  if (!status.ok()) co_return status;
+  Result<wire::Json> json = wire::parse_json(text);
+  if (!json.ok()) co_return json.status();
+  if (header->bulk_bytes == 0) read_end_ = TimePoint::max();
+  co_return Frame{*header, std::move(*json)};
+}
+
+awaitable<Status> Connection::read_bulk(std::span<std::byte> into) {
+  touch_reading();
+  arm();
+  Status status = co_await read_exactly(into);
+  read_end_ = TimePoint::max();
+  co_return status;
+}
+
+awaitable<Status> Connection::skip_bulk(const Frame& frame, std::uint64_t bytes) {
+  if ((frame.header.flags & wire::kFlagBulkChecksum) != 0) bytes += 8;
+  Buffer<std::byte> waste(std::min<std::uint64_t>(bytes, std::uint64_t{256} << 10U));
+  while (bytes > 0) {
+    const std::size_t piece = std::min<std::uint64_t>(bytes, waste.size());
+    const Status status = co_await read_bulk(waste.span().first(piece));
+    if (!status.ok()) co_return status;
+    bytes -= piece;
+  }
+  co_return Status();
+}
+
+void Connection::send(wire::FrameType type, std::uint64_t request, wire::Json json, std::vector<wire::Array> arrays) {
+  if (broken_) return;
+  wire::FrameHeader header;
+  header.type = type;
+  header.request = request;
+  for (const wire::Array& array : arrays) header.bulk_bytes += array.bytes.size();
+  if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
+  enqueue({wire::encode_frame(header, wire::dump_json(json)), std::move(arrays)});
+}
+
+void Connection::send_text(wire::FrameType type, std::uint64_t request, const std::string& json) {
+  if (broken_) return;
+  wire::FrameHeader header;
+  header.type = type;
+  header.request = request;
+  enqueue({wire::encode_frame(header, json), {}});
+}
+
+void Connection::enqueue(Outgoing outgoing) {
+  queue_.push_back(std::move(outgoing));
+  if (writing_) return;
+  writing_ = true;
+  asio::co_spawn(
+      socket_.get_executor(), [self = shared_from_this()]() -> awaitable<void> { co_await self->write_all(); },
+      asio::detached);
+}
+
+awaitable<void> Connection::write_all() {
+  while (!queue_.empty() && !broken_) {
+    const Outgoing outgoing = std::move(queue_.front());
+    queue_.pop_front();
+    bool sent = co_await write_span(std::as_bytes(std::span(outgoing.head)));
+    for (std::size_t i = 0; sent && i < outgoing.arrays.size(); ++i)
+      sent = co_await write_span(outgoing.arrays[i].bytes.span());
+    if (!sent) close();
+  }
+  write_end_ = TimePoint::max();
+  writing_ = false;
+  for (Timer* timer : std::exchange(flushing_, {})) timer->cancel();
+}
+
+awaitable<bool> Connection::write_span(std::span<const std::byte> bytes) {
+  while (!bytes.empty()) {
+    if (broken_) co_return false;
+    write_end_ = now() + frame_time_;
+    arm();
+    const std::size_t piece = std::min(bytes.size(), kPieceBytes);
+    auto [error, count] = co_await socket_.async_write_some(asio::buffer(bytes.data(), piece), kAwait);
+    if (error == asio::error::operation_aborted && !broken_) continue;  // a late reader cancels both directions
+    if (error) co_return false;
+    bytes = bytes.subspan(count);
+  }
+  co_return true;
+}
+
+awaitable<void> Connection::flush() {
+  if (!writing_) co_return;
+  Timer done(socket_.get_executor(), TimePoint::max());
+  flushing_.push_back(&done);
+  co_await done.async_wait(kAwait);
+}
+
+awaitable<void> Connection::end_gently() {
+  co_await flush();
+  if (broken_) co_return;
+  error_code ignored;
+  socket_.shutdown(Socket::shutdown_send, ignored);
+  read_late_ = false;
+  limit_reading(now() + std::chrono::seconds(1));
+  while (true) {
+    inbox_begin_ = inbox_end_ = 0;
+    const Status status = co_await refill();
+    if (!status.ok() || inbox_end_ == 0) break;
+  }
+  close();
+}
+
+void Connection::close() {
+  if (std::exchange(broken_, true)) return;
+  error_code ignored;
+  socket_.close(ignored);
+  watch_.cancel();
+}
+
+}  // namespace rcb::net

@@ -1,0 +1,40 @@
+// DataDirectory: the directory of one service: lock, token, clean-shutdown marker.
+//
+// Invariants
+// 1. While this lives no other service has the directory: `lock` is flock'ed, and the kernel frees it with the process.
+// 2. The marker is absent from open() to leave_clean_marker().
+#pragma once
+
+#include <string>
+
+#include "common/base/status.hpp"
+
+namespace rcb::net {
+
+class DataDirectory {
+ public:
+  // Makes `path` where it isn't there, private unless `named_by_user`. `who` is written into the lock file for the
+  // one who is refused. Errors: busy (names the live service), io_error, not_authorised.
+  static Result<DataDirectory> open(const std::string& path, bool named_by_user, const std::string& who);
+  DataDirectory(DataDirectory&& other) noexcept;
+  DataDirectory& operator=(DataDirectory&& other) noexcept;
+  ~DataDirectory();
+
+  const std::string& path() const { return path_; }
+  // The token in it, made where there is none that is private and whole: a service that is started again keeps it.
+  Result<std::string> token() const;
+  // Says that the service ended as told; synced to disk. Errors: io_error.
+  Status leave_clean_marker() const;
+
+ private:
+  DataDirectory(std::string path, int lock) : path_(std::move(path)), lock_(lock) {}
+  std::string path_;
+  int lock_ = -1;
+};
+
+// `bytes` of the kernel's randomness as hex digits.
+std::string random_hex(std::size_t bytes);
+// In a time that doesn't depend on where they differ.
+bool same_secret(std::string_view a, std::string_view b);
+
+}  // namespace rcb::net

@@ -1,0 +1,68 @@
+// Engine: what the socket side needs of the ranks' engine threads, and no more. The real one orders the command on
+// all ranks; tests answer from a function.
+//
+// Invariants
+// 1. Orders are executed one after another, in the order of submit().
+// 2. Every submitted order is answered exactly once, with a snapshot that already shows its effect.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::net {
+
+// One rank's particles of a push, as the client sent them.
+struct Slice {
+  int rank = 0;
+  std::uint64_t count = 0;
+  std::vector<wire::Array> arrays;
+};
+
+struct SceneInfo {
+  std::uint64_t n = 0;
+  int dims = 3;
+  int parts = 1;
+  bool weights = false;
+  std::optional<std::int64_t> step;
+  std::string step_session;  // who pushed it
+  std::uint64_t epoch = 0;
+  std::uint64_t plan_version = 0;
+  std::uint64_t plan_checksum = 0;
+};
+
+// What may be told while the engine is busy.
+struct Snapshot {
+  std::map<std::string, SceneInfo> scenes;
+  std::uint64_t steps = 0;  // committed, all scenes
+};
+
+struct Order {
+  wire::Json request;  // "command" and its arguments
+  std::vector<Slice> slices;
+  double received_seconds = 0;
+  double deadline_seconds = 60;
+};
+
+struct Answer {
+  Status status;
+  wire::Json json = wire::Json::object();
+  std::vector<wire::Array> arrays;
+  std::shared_ptr<const Snapshot> snapshot;
+};
+
+class Engine {
+ public:
+  virtual ~Engine() = default;
+  // Called on the I/O thread. `done` may be called from any thread, after submit() has returned or before.
+  virtual void submit(Order order, std::function<void(Answer)> done) = 0;
+};
+
+}  // namespace rcb::net

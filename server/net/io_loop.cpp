@@ -1,0 +1,78 @@
+#include "server/net/io_loop.hpp"
+
+#include <csignal>
+#include <future>
+#include <list>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include <boost/asio/executor_work_guard.hpp>
+
+#include "server/net/asio.hpp"
+
+namespace rcb::net {
+
+struct IoLoop::State {
+  asio::io_context context{1};
+  std::optional<asio::executor_work_guard<asio::io_context::executor_type>> work{context.get_executor()};
+  std::list<Timer> tickers;
+  std::optional<asio::signal_set> signals;
+  std::thread thread;
+
+  void tick(Timer& timer, double seconds, const std::shared_ptr<std::function<void()>>& task) {
+    timer.expires_after(duration_of(seconds));
+    timer.async_wait([this, &timer, seconds, task](error_code error) {
+      if (error) return;
+      (*task)();
+      tick(timer, seconds, task);
+    });
+  }
+
+  void wait_signal(const std::shared_ptr<std::function<void(int)>>& task) {
+    signals->async_wait([this, task](error_code error, int number) {
+      if (error) return;
+      (*task)(number);
+      wait_signal(task);
+    });
+  }
+};
+
+IoLoop::IoLoop() : state_(std::make_unique<State>()) {}
+
+IoLoop::~IoLoop() { stop(); }
+
+void IoLoop::start() {
+  state_->thread = std::thread([this] { state_->context.run(); });
+}
+
+void IoLoop::post(std::function<void()> task) { asio::post(state_->context, std::move(task)); }
+
+void IoLoop::run(const std::function<void()>& task) {
+  std::promise<void> done;
+  post([&] {
+    task();
+    done.set_value();
+  });
+  done.get_future().wait();
+}
+
+void IoLoop::every(double seconds, std::function<void()> task) {
+  Timer& timer = state_->tickers.emplace_back(state_->context);
+  state_->tick(timer, seconds, std::make_shared<std::function<void()>>(std::move(task)));
+}
+
+void IoLoop::on_signals(std::function<void(int)> task) {
+  state_->signals.emplace(state_->context, SIGTERM, SIGINT, SIGUSR1);
+  state_->wait_signal(std::make_shared<std::function<void(int)>>(std::move(task)));
+}
+
+void IoLoop::stop() {
+  state_->work.reset();
+  state_->context.stop();
+  if (state_->thread.joinable()) state_->thread.join();
+}
+
+asio::io_context& IoLoop::context() { return state_->context; }
+
+}  // namespace rcb::net
