@@ -10,6 +10,7 @@
 // 3. hash() depends on the tree alone: the same bits on any machine, rank count and build.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -52,6 +53,8 @@ class CutTree {
   std::vector<Cut> cuts;           // parts - 1, in preorder
 
   NodeRange root() const { return {0, 0, parts}; }
+  // The cut of the inner node with exactly the parts [first, last); null if there is none. Local, O(depth).
+  const Cut* cut_of(int first, int last) const;
 
   // The part that owns this position and id. Local, O(depth).
   int part_of(const Point& position, Id id) const;
@@ -64,12 +67,13 @@ class CutTree {
   // Bounds by the cuts; infinite where unbounded; empty() for the right side of a cut without a key. Local.
   geometry::Box region(int part) const;
   std::vector<geometry::Box> regions() const;
-  // XXH3-64 of the canonical bytes (docs/hash.md states them). Local.
+  // XXH3-64 (seed 0) of encode(). Local.
   std::uint64_t hash() const;
-  // Shape, axis orders, finite keys, nesting. Call after decoding. Local.
+  // Shape, axis orders, finite keys, and that every key lies in its own node. Call after decoding. Local.
   Status validate() const;
 
-  // Flat little-endian bytes, to send or store. decode() validates.
+  // The canonical bytes (docs/hash.md states them), to hash, send or store: equal part sizes are left out, -0.0 is
+  // 0.0. decode() validates.
   std::vector<std::byte> encode() const;
   static Result<CutTree> decode(std::span<const std::byte> bytes);
 };

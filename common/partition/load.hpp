@@ -1,13 +1,15 @@
 // Loads, targets, quotas and the error, in exact integers: no floating-point sum decides anything.
 #pragma once
 
+#include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "common/base/wide.hpp"
-#include "common/partition/comm.hpp"
 #include "common/particles/particle_set.hpp"
+#include "common/partition/comm.hpp"
 
 namespace rcb::partition {
 
@@ -27,11 +29,26 @@ class ExactScale {
   int exponent_ = 0;
 };
 
-// Part sizes as exact integers; all 1 if `sizes` is empty or all sizes are equal.
+// Part sizes as exact integers, each at least 1; all 1 if `sizes` is empty or all sizes are equal.
 std::vector<u128> exact_sizes(std::span<const double> sizes, int parts);
 
 // quotas[p]: the whole particles a partition of n gives part p: differences of floor(n * S_p / S).
 std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes, int parts);
+
+// floor(n * part / whole), exactly; part <= whole, whole > 0.
+std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole);
+
+// The least and greatest weight of all particles.
+struct WeightRange {
+  double least = 0;
+  double largest = 0;
+};
+// This rank's share of that search: all_min of these two numbers gives all ranks'. Local.
+std::array<std::uint64_t, 2> weight_images(const particles::ParticleView& particles);
+// nullopt where weights count as none: absent on all ranks, all equal, or all zero. Local.
+std::optional<WeightRange> weight_range_of_images(std::span<const std::uint64_t, 2> reduced);
+// Both at once. Collective (one reduction).
+std::optional<WeightRange> weight_range(Comm& comm, const particles::ParticleView& particles);
 
 // Load per part and what follows from it. Weighted loads are exact integers in the scene's scale.
 struct LoadSummary {
@@ -46,7 +63,7 @@ struct LoadSummary {
   std::vector<double> load_values;    // loads in the user's unit, rounded once
 };
 
-// Collective (one reduction without weights).
+// Collective (one reduction without weights, three with).
 //   part  [particles.count], each 0..parts-1
 LoadSummary summarise_loads(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
                             std::span<const double> sizes, int parts);

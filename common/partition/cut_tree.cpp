@@ -1,0 +1,174 @@
+// CutTree: who owns what, asked of the tree alone. The bytes (encode, hash) are in cut_tree_codec.cpp.
+#include "common/partition/cut_tree.hpp"
+
+#include <limits>
+
+namespace rcb::partition {
+namespace {
+
+using geometry::Box;
+
+std::size_t at(int index) { return static_cast<std::size_t>(index); }
+
+// What the descent reads of a cut, compact. A child >= 0 is an inner node, else part -1 - child.
+struct Step {
+  double value;     // on the cut axis; infinite where nothing goes right
+  const double* x;  // the particles' coordinates on that axis
+  std::int32_t left;
+  std::int32_t right;
+};
+
+std::int32_t child_label(const NodeRange& range) { return range.leaf() ? -1 - range.first : range.node; }
+
+// Calls visit(range) for every inner node, in preorder.
+template <typename Visit>
+void for_each_inner(const NodeRange& range, const Visit& visit) {
+  if (range.leaf()) return;
+  visit(range);
+  for_each_inner(range.left(), visit);
+  for_each_inner(range.right(), visit);
+}
+
+bool goes_right(const Cut& cut, const Point& position, Id id, int dims) {
+  return !cut.right_empty && !(key_of(position, id, cut.axes, dims) < cut.key);
+}
+
+struct CandidateWalk {
+  const CutTree& tree;
+  const Point& position;
+  std::vector<int>& found;
+
+  // low..high: the ids that can still reach this node.
+  void visit(const NodeRange& range, Id low, Id high) {
+    if (range.leaf()) {
+      found.push_back(range.first);
+      return;
+    }
+    const Cut& cut = tree.cuts[at(range.node)];
+    if (cut.right_empty) return visit(range.left(), low, high);
+    const bool low_right = goes_right(cut, position, low, tree.dims);
+    const bool high_right = goes_right(cut, position, high, tree.dims);
+    if (low_right == high_right) return visit(low_right ? range.right() : range.left(), low, high);
+    // The coordinates are those of the cut's key: its id divides.
+    visit(range.left(), low, cut.key.id - 1);
+    visit(range.right(), cut.key.id, high);
+  }
+};
+
+struct TouchWalk {
+  const CutTree& tree;
+  const Box& box;
+  std::vector<int>& found;
+
+  void visit(const NodeRange& range) {
+    if (range.leaf()) {
+      found.push_back(range.first);
+      return;
+    }
+    const Cut& cut = tree.cuts[at(range.node)];
+    const std::size_t axis = at(cut.axes[0]);
+    // Ties: both sides' closed regions hold the cut's plane.
+    if (cut.right_empty || box.lo[axis] <= cut.key.at[0]) visit(range.left());
+    if (!cut.right_empty && box.hi[axis] >= cut.key.at[0]) visit(range.right());
+  }
+};
+
+struct RegionWalk {
+  const CutTree& tree;
+  std::vector<Box>& out;
+
+  void visit(const NodeRange& range, const Box& box, bool empty) {
+    if (range.leaf()) {
+      out[at(range.first)] = empty ? Box{} : box;
+      return;
+    }
+    const Cut& cut = tree.cuts[at(range.node)];
+    Box left = box;
+    Box right = box;
+    if (!cut.right_empty) left.hi[at(cut.axes[0])] = right.lo[at(cut.axes[0])] = cut.key.at[0];
+    visit(range.left(), left, empty);
+    visit(range.right(), right, empty || cut.right_empty);
+  }
+};
+
+}  // namespace
+
+const Cut* CutTree::cut_of(int first, int last) const {
+  for (NodeRange range = root(); !range.leaf();) {
+    if (range.first == first && range.last == last) return &cuts[at(range.node)];
+    if (first < range.middle() && last > range.middle()) return nullptr;
+    range = last <= range.middle() ? range.left() : range.right();
+  }
+  return nullptr;
+}
+
+int CutTree::part_of(const Point& position, Id id) const {
+  NodeRange range = root();
+  while (!range.leaf()) range = goes_right(cuts[at(range.node)], position, id, dims) ? range.right() : range.left();
+  return range.first;
+}
+
+void CutTree::classify(const particles::ParticleView& particles, std::span<std::int32_t> out) const {
+  CHECK(particles.dims == dims && out.size() == particles.count, "a part for each particle of the tree's dimensions");
+  std::vector<Step> steps(cuts.size());
+  for_each_inner(root(), [&](const NodeRange& range) {
+    const Cut& cut = cuts[at(range.node)];
+    steps[at(range.node)] = {cut.right_empty ? Box::kInfinity : cut.key.at[0], particles.position[at(cut.axes[0])],
+                             child_label(range.left()), child_label(range.right())};
+  });
+  const std::int32_t first = child_label(root());
+  for (std::size_t i = 0; i < particles.count; ++i) {
+    std::int32_t node = first;
+    while (node >= 0) {
+      const Step& step = steps[at(node)];
+      const double x = step.x[i];
+      bool right = x > step.value;
+      if (x == step.value) [[unlikely]]
+        right = goes_right(cuts[at(node)], particles.point(i), particles.id[i], dims);
+      node = right ? step.right : step.left;
+    }
+    out[i] = -1 - node;
+  }
+}
+
+std::vector<int> CutTree::candidates(const Point& position) const {
+  std::vector<int> found;
+  CandidateWalk{*this, position, found}.visit(root(), 0, std::numeric_limits<Id>::max());
+  return found;
+}
+
+std::vector<int> CutTree::parts_touching(const Box& box) const {
+  std::vector<int> found;
+  if (!box.empty(dims)) TouchWalk{*this, box, found}.visit(root());
+  return found;
+}
+
+Box CutTree::region(int part) const {
+  CHECK(part >= 0 && part < parts, "no such part");
+  Box box = Box::unbounded();
+  for (NodeRange range = root(); !range.leaf();) {
+    const Cut& cut = cuts[at(range.node)];
+    const bool right = part >= range.middle();
+    if (right && cut.right_empty) return Box{};
+    if (!cut.right_empty) (right ? box.lo : box.hi)[at(cut.axes[0])] = cut.key.at[0];
+    range = right ? range.right() : range.left();
+  }
+  return box;
+}
+
+std::vector<Box> CutTree::regions() const {
+  std::vector<Box> out(at(parts));
+  RegionWalk{*this, out}.visit(root(), Box::unbounded(), false);
+  return out;
+}
+
+int axes_flipped(const CutTree& old_tree, const CutTree& new_tree) {
+  int flipped = 0;
+  for_each_inner(new_tree.root(), [&](const NodeRange& range) {
+    const Cut* old_cut = old_tree.cut_of(range.first, range.last);
+    if (old_cut != nullptr && old_cut->axes[0] != new_tree.cuts[at(range.node)].axes[0]) ++flipped;
+  });
+  return flipped;
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,194 @@
+// Loads and what follows from them. Products of a load and a sum of part sizes have up to 254 bits.
+#include "common/partition/load.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <numeric>
+
+#include <boost/multiprecision/cpp_int.hpp>
+
+#include "common/geometry/axes.hpp"
+#include "common/partition/wide_sum.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using Wide = boost::multiprecision::uint512_t;
+
+// numerator / denominator * 2^exponent, rounded once (ties to even), subnormal results too. Both below 2^256.
+double rounded(Wide numerator, Wide denominator, int exponent) {
+  if (numerator == 0) return 0;
+  int magnitude =
+      static_cast<int>(msb(numerator)) - static_cast<int>(msb(denominator));  // of the quotient, or one more
+  if (magnitude >= 0 ? numerator < (denominator << magnitude) : (numerator << -magnitude) < denominator) --magnitude;
+  const int result = magnitude + exponent;
+  const int bits = result >= -1022 ? 53 : std::max(53 + 1022 + result, -1);  // significant ones
+  const int shift = bits - 1 - magnitude;
+  if (shift >= 0)
+    numerator <<= shift;
+  else
+    denominator <<= -shift;
+  Wide whole;
+  Wide rest;
+  divide_qr(numerator, denominator, whole, rest);
+  auto significand = static_cast<std::uint64_t>(whole);
+  rest <<= 1;
+  if (rest > denominator || (rest == denominator && (significand & 1U) != 0)) ++significand;
+  return std::ldexp(static_cast<double>(significand), exponent - shift);
+}
+
+bool small(u128 value) { return value < (u128{1} << 53U); }
+
+// a * b / (c * d) * 2^exponent, rounded once; c and d > 0.
+double quotient_of_products(u128 a, u128 b, u128 c, u128 d, int exponent) {
+  constexpr u128 half = u128{1} << 64U;
+  if (exponent == 0 && a < half && b < half && c < half && d < half && small(a * b) && small(c * d))
+    return static_cast<double>(a * b) / static_cast<double>(c * d);  // both exact: one rounding
+  return rounded(Wide(a) * b, Wide(c) * d, exponent);
+}
+
+// Fills in what follows from counts and loads: error, imbalance, targets.
+void finish(LoadSummary& summary, std::span<const double> sizes) {
+  const int parts = static_cast<int>(summary.loads.size());
+  const std::vector<u128> shares = exact_sizes(sizes, parts);
+  const u128 all = std::accumulate(shares.begin(), shares.end(), u128{0});
+  const u128 total = std::accumulate(summary.loads.begin(), summary.loads.end(), u128{0});
+  const auto count = shares.size();
+  summary.part_errors.assign(count, 0.0);
+  summary.targets.assign(count, 0.0);
+  summary.load_values.assign(count, 0.0);
+  summary.error = 0;
+  summary.imbalance = 1;
+  if (total == 0) return;
+  summary.imbalance = 0;
+  for (std::size_t p = 0; p < count; ++p) {
+    const Wide load = Wide(summary.loads[p]) * all;
+    const Wide share = Wide(total) * shares[p];
+    const bool plain = small(total) && small(all) && load <= Wide(u128{1} << 53U) && share < Wide(u128{1} << 53U);
+    const Wide off = load > share ? load - share : share - load;
+    if (plain) {
+      const auto below = static_cast<double>(static_cast<std::uint64_t>(share));
+      summary.part_errors[p] = static_cast<double>(static_cast<std::uint64_t>(off)) / below;
+      summary.imbalance = std::max(summary.imbalance, static_cast<double>(static_cast<std::uint64_t>(load)) / below);
+    } else {
+      summary.part_errors[p] = rounded(off, share, 0);
+      summary.imbalance = std::max(summary.imbalance, rounded(load, share, 0));
+    }
+    // Rounding keeps the order, so the greatest of the rounded is the greatest, rounded.
+    summary.error = std::max(summary.error, summary.part_errors[p]);
+    summary.targets[p] = quotient_of_products(total, shares[p], all, 1, -summary.scale_exponent);
+    summary.load_values[p] = quotient_of_products(summary.loads[p], 1, 1, 1, -summary.scale_exponent);
+  }
+}
+
+}  // namespace
+
+ExactScale::ExactScale(double largest, std::uint64_t count) {
+  CHECK(largest > 0 && std::isfinite(largest) && count >= 1, "a positive largest value");
+  int above = 0;
+  std::frexp(largest, &above);                                            // largest < 2^above
+  exponent_ = 127 - above - static_cast<int>(std::bit_width(count - 1));  // count <= 2^bit_width(count - 1)
+}
+
+u128 ExactScale::operator()(double value) const {
+  const auto bits = std::bit_cast<std::uint64_t>(value);
+  const auto biased = static_cast<int>((bits >> 52U) & 0x7FFU);
+  const std::uint64_t fraction = bits & 0xFFFFFFFFFFFFFU;
+  const std::uint64_t significand = biased == 0 ? fraction : fraction | (std::uint64_t{1} << 52U);
+  const int shift = std::max(biased, 1) - 1075 + exponent_;
+  if (shift <= -64) return 0;
+  if (shift < 0) return significand >> static_cast<unsigned>(-shift);
+  CHECK(significand == 0 || shift <= 75, "a value beyond the largest");
+  return shift > 127 ? u128{0} : u128{significand} << static_cast<unsigned>(shift);
+}
+
+std::vector<u128> exact_sizes(std::span<const double> sizes, int parts) {
+  std::vector<u128> exact(static_cast<std::size_t>(parts), u128{1});
+  if (sizes.empty() || std::ranges::all_of(sizes, [&](double size) { return size == sizes[0]; })) return exact;
+  CHECK(sizes.size() == exact.size(), "a size for each part");
+  const ExactScale scale(*std::ranges::max_element(sizes), sizes.size());
+  // A size lost in the range of the others is still no zero, so that every part has a target.
+  for (std::size_t p = 0; p < exact.size(); ++p) exact[p] = std::max(scale(sizes[p]), u128{1});
+  return exact;
+}
+
+std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes, int parts) {
+  const std::vector<u128> exact = exact_sizes(sizes, parts);
+  const u128 all = std::accumulate(exact.begin(), exact.end(), u128{0});
+  std::vector<std::uint64_t> result(exact.size());
+  u128 running = 0;
+  std::uint64_t before = 0;
+  for (std::size_t p = 0; p < exact.size(); ++p) {
+    running += exact[p];
+    const std::uint64_t upto = floor_share(n, running, all);
+    result[p] = upto - before;
+    before = upto;
+  }
+  return result;
+}
+
+std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole) {
+  if ((part >> 64U) == 0) return static_cast<std::uint64_t>(u128{n} * part / whole);
+  return static_cast<std::uint64_t>(Wide(n) * part / whole);
+}
+
+LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes) {
+  LoadSummary summary;
+  summary.loads.assign(counts.begin(), counts.end());
+  summary.counts = std::move(counts);
+  finish(summary, sizes);
+  return summary;
+}
+
+LoadSummary summarise_loads(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
+                            std::span<const double> sizes, int parts) {
+  CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
+  const auto count = static_cast<std::size_t>(parts);
+  // One more cell: the ranks that have weights (a rank without particles can't tell).
+  std::vector<std::uint64_t> counts(count + 1, 0);
+  for (const std::int32_t p : part) ++counts[static_cast<std::size_t>(p)];
+  counts[count] = particles.weight != nullptr && particles.count > 0 ? 1 : 0;
+  comm.all_sum(counts);
+  const bool any_weights = counts[count] > 0;
+  counts.pop_back();
+  if (!any_weights) return summarise_counts(std::move(counts), sizes);
+  const std::optional<WeightRange> range = weight_range(comm, particles);
+  if (!range) return summarise_counts(std::move(counts), sizes);
+  const ExactScale scale(range->largest, std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}));
+  LoadSummary summary;
+  summary.weighted = true;
+  summary.scale_exponent = scale.exponent();
+  summary.loads.assign(count, u128{0});
+  for (std::size_t i = 0; i < particles.count; ++i)
+    summary.loads[static_cast<std::size_t>(part[i])] += scale(particles.weight[i]);
+  all_sum_wide(comm, summary.loads);
+  summary.counts = std::move(counts);
+  finish(summary, sizes);
+  return summary;
+}
+
+std::array<std::uint64_t, 2> weight_images(const particles::ParticleView& particles) {
+  std::array<std::uint64_t, 2> images{~std::uint64_t{0}, ~std::uint64_t{0}};
+  if (particles.weight == nullptr || particles.count == 0) return images;
+  const auto [least, largest] = std::minmax_element(particles.weight, particles.weight + particles.count);
+  return {geometry::image(*least), ~geometry::image(*largest)};
+}
+
+std::optional<WeightRange> weight_range_of_images(std::span<const std::uint64_t, 2> reduced) {
+  if (reduced[0] == ~std::uint64_t{0} || reduced[0] == ~reduced[1]) return std::nullopt;
+  return WeightRange{geometry::value_of_image(reduced[0]), geometry::value_of_image(~reduced[1])};
+}
+
+std::optional<WeightRange> weight_range(Comm& comm, const particles::ParticleView& particles) {
+  std::array<std::uint64_t, 2> images = weight_images(particles);
+  comm.all_min(images);
+  return weight_range_of_images(images);
+}
+
+double quotient(u128 numerator, u128 denominator) {
+  CHECK(denominator > 0, "a quotient needs a denominator");
+  return quotient_of_products(numerator, 1, denominator, 1, 0);
+}
+
+}  // namespace rcb::partition
