@@ -1,0 +1,180 @@
+#include "server/ranks/mpi_comm.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <numeric>
+
+#include "common/base/check.hpp"
+#include "common/base/narrow.hpp"
+
+namespace rcb::ranks {
+namespace {
+
+constexpr int kTag = 1;  // messages between two ranks keep their order, so one tag is enough
+
+void copy(std::span<const std::byte> from, std::span<std::byte> to) {
+  CHECK(from.size() == to.size(), "both sides know the size");
+  if (!from.empty()) std::memmove(to.data(), from.data(), from.size());
+}
+
+}  // namespace
+
+MpiComm::MpiComm(MPI_Comm parent, std::size_t message_bytes_max) : message_bytes_max_(message_bytes_max) {
+  CHECK(message_bytes_max > 0 && message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
+  must(MPI_Comm_dup(parent, &comm_), "MPI_Comm_dup");
+  must(MPI_Comm_set_errhandler(comm_, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
+  must(MPI_Comm_rank(comm_, &rank_), "MPI_Comm_rank");
+  must(MPI_Comm_size(comm_, &size_), "MPI_Comm_size");
+}
+
+MpiComm::~MpiComm() {
+  int finalized = 0;
+  MPI_Finalized(&finalized);
+  if (finalized == 0) MPI_Comm_free(&comm_);
+}
+
+void MpiComm::must(int result, const char* name) const {
+  if (result == MPI_SUCCESS) [[likely]]
+    return;
+  std::array<char, MPI_MAX_ERROR_STRING> text{};
+  int length = 0;
+  MPI_Error_string(result, text.data(), &length);
+  std::fprintf(stderr, "rcbd: rank %d of %d: %s failed: %s; the job ends\n", rank_, size_, name, text.data());
+  std::fflush(stderr);
+  MPI_Abort(MPI_COMM_WORLD, 1);
+  std::abort();
+}
+
+void MpiComm::reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name) {
+  while (!values.empty()) {
+    const std::size_t count = std::min(values.size(), kReduceValuesMax);
+    must(MPI_Allreduce(MPI_IN_PLACE, values.data(), static_cast<int>(count), MPI_UINT64_T, operation, comm_), name);
+    values = values.subspan(count);
+  }
+}
+
+void MpiComm::all_sum(std::span<std::uint64_t> values) { reduce(values, MPI_SUM, "MPI_Allreduce (sum)"); }
+void MpiComm::all_min(std::span<std::uint64_t> values) { reduce(values, MPI_MIN, "MPI_Allreduce (min)"); }
+void MpiComm::all_max(std::span<std::uint64_t> values) { reduce(values, MPI_MAX, "MPI_Allreduce (max)"); }
+
+void MpiComm::start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests) {
+  while (!bytes.empty()) {
+    const std::size_t count = std::min(bytes.size(), message_bytes_max_);
+    must(MPI_Isend(bytes.data(), static_cast<int>(count), MPI_BYTE, to, kTag, comm_, &requests.emplace_back()),
+         "MPI_Isend");
+    bytes = bytes.subspan(count);
+  }
+}
+
+void MpiComm::start_receive(std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests) {
+  while (!bytes.empty()) {
+    const std::size_t count = std::min(bytes.size(), message_bytes_max_);
+    must(MPI_Irecv(bytes.data(), static_cast<int>(count), MPI_BYTE, from, kTag, comm_, &requests.emplace_back()),
+         "MPI_Irecv");
+    bytes = bytes.subspan(count);
+  }
+}
+
+void MpiComm::finish(std::vector<MPI_Request>& requests, const char* name) {
+  must(MPI_Waitall(narrow<int>(requests.size()), requests.data(), MPI_STATUSES_IGNORE), name);
+}
+
+void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+                         std::vector<std::size_t>& sizes) {
+  const auto ranks = static_cast<std::size_t>(size_);
+  sizes.assign(ranks, 0);
+  const std::uint64_t mine = local.size();
+  std::vector<std::uint64_t> shares(ranks);
+  must(MPI_Allgather(&mine, 1, MPI_UINT64_T, shares.data(), 1, MPI_UINT64_T, comm_), "MPI_Allgather");
+  std::ranges::copy(shares, sizes.begin());
+  const std::size_t total = std::accumulate(sizes.begin(), sizes.end(), std::size_t{0});
+  all.resize(total);
+  if (total == 0) return;
+  if (total <= message_bytes_max_) {
+    std::vector<int> counts(ranks);
+    std::vector<int> starts(ranks);
+    for (std::size_t r = 0, start = 0; r < ranks; start += sizes[r++]) {
+      counts[r] = static_cast<int>(sizes[r]);
+      starts[r] = static_cast<int>(start);
+    }
+    must(MPI_Allgatherv(local.data(), counts[static_cast<std::size_t>(rank_)], MPI_BYTE, all.data(), counts.data(),
+                        starts.data(), MPI_BYTE, comm_),
+         "MPI_Allgatherv");
+    return;
+  }
+  std::size_t start = 0;
+  for (int r = 0; r < size_; ++r) {
+    const std::span<std::byte> share(all.data() + start, sizes[static_cast<std::size_t>(r)]);
+    if (r == rank_) copy(local, share);
+    broadcast(share, r);
+    start += share.size();
+  }
+}
+
+void MpiComm::gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+                     std::vector<std::size_t>& sizes) {
+  const bool here = rank_ == root;
+  const auto ranks = static_cast<std::size_t>(size_);
+  const std::uint64_t mine = local.size();
+  std::vector<std::uint64_t> shares(here ? ranks : 0);
+  must(MPI_Gather(&mine, 1, MPI_UINT64_T, shares.data(), 1, MPI_UINT64_T, root, comm_), "MPI_Gather");
+  all.clear();
+  sizes.assign(shares.begin(), shares.end());
+  std::vector<MPI_Request> requests;
+  if (here) {
+    all.resize(std::accumulate(sizes.begin(), sizes.end(), std::size_t{0}));
+    std::size_t start = 0;
+    for (int r = 0; r < size_; ++r) {
+      const std::span<std::byte> share(all.data() + start, sizes[static_cast<std::size_t>(r)]);
+      if (r == rank_)
+        copy(local, share);
+      else
+        start_receive(share, r, requests);
+      start += share.size();
+    }
+  } else {
+    start_send(local, root, requests);
+  }
+  finish(requests, "MPI_Waitall (gather)");
+}
+
+void MpiComm::broadcast(std::span<std::byte> bytes, int root) {
+  while (!bytes.empty()) {
+    const std::size_t count = std::min(bytes.size(), message_bytes_max_);
+    must(MPI_Bcast(bytes.data(), static_cast<int>(count), MPI_BYTE, root, comm_), "MPI_Bcast");
+    bytes = bytes.subspan(count);
+  }
+}
+
+void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
+  CHECK(pieces.size() == (rank_ == root ? static_cast<std::size_t>(size_) : 0), "root alone brings pieces");
+  std::vector<MPI_Request> requests;
+  if (rank_ == root) {
+    for (int r = 0; r < size_; ++r)
+      if (r != rank_) start_send(pieces[static_cast<std::size_t>(r)], r, requests);
+    copy(pieces[static_cast<std::size_t>(rank_)], mine);
+  } else {
+    start_receive(mine, root, requests);
+  }
+  finish(requests, "MPI_Waitall (scatter)");
+}
+
+void MpiComm::exchange(std::span<const std::span<const std::byte>> send,
+                       std::span<const std::span<std::byte>> receive) {
+  const auto ranks = static_cast<std::size_t>(size_);
+  CHECK(send.size() == ranks && receive.size() == ranks, "one piece a rank");
+  std::vector<MPI_Request> requests;
+  for (int r = 0; r < size_; ++r)
+    if (r != rank_) start_receive(receive[static_cast<std::size_t>(r)], r, requests);
+  for (int r = 0; r < size_; ++r)
+    if (r != rank_) start_send(send[static_cast<std::size_t>(r)], r, requests);
+  copy(send[static_cast<std::size_t>(rank_)], receive[static_cast<std::size_t>(rank_)]);
+  finish(requests, "MPI_Waitall (exchange)");
+}
+
+void MpiComm::barrier() { must(MPI_Barrier(comm_), "MPI_Barrier"); }
+
+}  // namespace rcb::ranks

@@ -1,0 +1,59 @@
+// MpiComm: the Comm over MPI. A failed MPI call ends the job with MPI's own text.
+//
+// Invariants
+// 1. It works on its own duplicate of the communicator, freed with it (unless MPI has been finalised).
+// 2. No message is larger than kMessageBytesMax, and no reduction than kReduceValuesMax: larger ones are split.
+// 3. Only the engine thread (MPI_THREAD_FUNNELED) calls it.
+#pragma once
+
+#include <cstddef>
+
+#include <mpi.h>
+
+#include "common/partition/comm.hpp"
+
+namespace rcb::ranks {
+
+class MpiComm final : public partition::Comm {
+ public:
+  // MPI counts are ints; messages beyond 2^31 bytes go in pieces.
+  static constexpr std::size_t kMessageBytesMax = std::size_t{1} << 30U;
+  // Open MPI's reductions are steady up to 32 KiB and erratic beyond.
+  static constexpr std::size_t kReduceValuesMax = 4096;
+
+  // Collective over `parent`. MPI is initialised. message_bytes_max: smaller only in tests.
+  explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax);
+  ~MpiComm() override;
+  MpiComm(const MpiComm&) = delete;
+  MpiComm& operator=(const MpiComm&) = delete;
+
+  int rank() const override { return rank_; }
+  int size() const override { return size_; }
+  void all_sum(std::span<std::uint64_t> values) override;
+  void all_min(std::span<std::uint64_t> values) override;
+  void all_max(std::span<std::uint64_t> values) override;
+  void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+                  std::vector<std::size_t>& sizes) override;
+  void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+              std::vector<std::size_t>& sizes) override;
+  void broadcast(std::span<std::byte> bytes, int root) override;
+  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override;
+  void exchange(std::span<const std::span<const std::byte>> send,
+                std::span<const std::span<std::byte>> receive) override;
+  void barrier() override;
+
+ private:
+  void reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name);
+  void start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests);
+  void start_receive(std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests);
+  void finish(std::vector<MPI_Request>& requests, const char* name);
+  // Ends the job if `result` is a failure.
+  void must(int result, const char* name) const;
+
+  MPI_Comm comm_ = MPI_COMM_NULL;
+  int rank_ = 0;
+  int size_ = 1;
+  std::size_t message_bytes_max_;
+};
+
+}  // namespace rcb::ranks

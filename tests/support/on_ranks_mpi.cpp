@@ -1,0 +1,22 @@
+// on_ranks on the ranks that mpirun gave: once, whatever rank counts are asked.
+#include <mpi.h>
+
+#include "server/ranks/mpi_comm.hpp"
+#include "tests/support/on_ranks.hpp"
+
+namespace rcb::testing {
+
+void on_ranks(const std::function<void(partition::Comm&)>& body) {
+  ranks::MpiComm comm(MPI_COMM_WORLD);
+  body(comm);
+  // Once more in small pieces, as messages beyond 2^31 bytes would go.
+  ranks::MpiComm pieces(MPI_COMM_WORLD, 24);
+  body(pieces);
+}
+
+void on_ranks(const std::vector<int>&, const std::function<void(partition::Comm&)>& body) {
+  ranks::MpiComm comm(MPI_COMM_WORLD);
+  body(comm);
+}
+
+}  // namespace rcb::testing
