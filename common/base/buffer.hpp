@@ -23,8 +23,14 @@ class Buffer {
   explicit Buffer(std::size_t size) { resize(size); }
   Buffer(const Buffer& other) { assign(other.span()); }
   Buffer(Buffer&& other) noexcept { swap(other); }
-  Buffer& operator=(const Buffer& other) { if (this != &other) assign(other.span()); return *this; }
-  Buffer& operator=(Buffer&& other) noexcept { swap(other); return *this; }
+  Buffer& operator=(const Buffer& other) {
+    if (this != &other) assign(other.span());
+    return *this;
+  }
+  Buffer& operator=(Buffer&& other) noexcept {
+    swap(other);
+    return *this;
+  }
   ~Buffer() { std::free(data_); }
 
   std::size_t size() const { return size_; }
@@ -73,7 +79,10 @@ class Buffer {
     size_ = old + values.size();
   }
   void clear() { size_ = 0; }
-  void release() { std::free(std::exchange(data_, nullptr)); size_ = capacity_ = 0; }
+  void release() {
+    std::free(std::exchange(data_, nullptr));
+    size_ = capacity_ = 0;
+  }
   void swap(Buffer& other) noexcept {
     std::swap(data_, other.data_);
     std::swap(size_, other.size_);

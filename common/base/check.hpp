@@ -13,8 +13,8 @@ void set_check_context(std::string_view context);
 
 }  // namespace rcb
 
-#define CHECK(condition, message)                                                    \
-  do {                                                                               \
-    if (!(condition)) [[unlikely]]                                                   \
-      ::rcb::check_failed(__FILE__, __LINE__, #condition, (message));                \
+#define CHECK(condition, message)                                     \
+  do {                                                                \
+    if (!(condition)) [[unlikely]]                                    \
+      ::rcb::check_failed(__FILE__, __LINE__, #condition, (message)); \
   } while (false)

@@ -48,12 +48,18 @@ Code code_from_name(std::string_view name) {
 
 int exit_code(Code code) {
   switch (code) {
-    case Code::ok: return 0;
-    case Code::usage: return 2;
-    case Code::unavailable: return 3;
-    case Code::not_authorised: return 4;
-    case Code::deadline_exceeded: return 5;
-    default: return 1;
+    case Code::ok:
+      return 0;
+    case Code::usage:
+      return 2;
+    case Code::unavailable:
+      return 3;
+    case Code::not_authorised:
+      return 4;
+    case Code::deadline_exceeded:
+      return 5;
+    default:
+      return 1;
   }
 }
 

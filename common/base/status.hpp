@@ -14,24 +14,24 @@ namespace rcb {
 
 enum class Code : std::uint16_t {
   ok = 0,
-  invalid_argument = 1,   // a value, name or file content that can't be accepted
-  not_found = 2,          // no such scene, file, part, particle
-  already_exists = 3,     // scene create without --replace
-  busy = 4,               // another push is open, the queue is full, the scene is in use
-  stale_plan = 5,         // plan version or checksum differs from the service's
-  stale_step = 6,         // the step number goes back, or is taken by another session
-  base_lost = 7,          // a partial push names a base step that isn't the scene's
-  not_finite = 8,         // NaN or infinity in positions or weights
-  protocol_error = 9,     // a frame that breaks the protocol; the connection is closed
-  too_large = 10,         // over a stated limit
-  not_authorised = 11,    // no or wrong token, another user
-  unavailable = 12,       // nobody answers at the endpoint, or the connection was lost
-  deadline_exceeded = 13, // a wait ended without an answer
-  aborted = 14,           // the push was given up; the previous step stands
-  io_error = 15,          // a file can't be opened, read or written
-  unsupported = 16,       // understood, but not offered
-  internal = 17,          // a bug of ours that could be contained
-  usage = 18,             // wrong command line
+  invalid_argument = 1,    // a value, name or file content that can't be accepted
+  not_found = 2,           // no such scene, file, part, particle
+  already_exists = 3,      // scene create without --replace
+  busy = 4,                // another push is open, the queue is full, the scene is in use
+  stale_plan = 5,          // plan version or checksum differs from the service's
+  stale_step = 6,          // the step number goes back, or is taken by another session
+  base_lost = 7,           // a partial push names a base step that isn't the scene's
+  not_finite = 8,          // NaN or infinity in positions or weights
+  protocol_error = 9,      // a frame that breaks the protocol; the connection is closed
+  too_large = 10,          // over a stated limit
+  not_authorised = 11,     // no or wrong token, another user
+  unavailable = 12,        // nobody answers at the endpoint, or the connection was lost
+  deadline_exceeded = 13,  // a wait ended without an answer
+  aborted = 14,            // the push was given up; the previous step stands
+  io_error = 15,           // a file can't be opened, read or written
+  unsupported = 16,        // understood, but not offered
+  internal = 17,           // a bug of ours that could be contained
+  usage = 18,              // wrong command line
 };
 
 // "invalid_argument", as the wire and --json name it.
@@ -64,17 +64,26 @@ class [[nodiscard]] Status {
 template <typename T>
 class [[nodiscard]] Result {
  public:
-  Result(T value) : value_(std::in_place_index<0>, std::move(value)) {}             // NOLINT(google-explicit-constructor)
-  Result(Status status) : value_(std::in_place_index<1>, std::move(status)) {       // NOLINT(google-explicit-constructor)
+  Result(T value) : value_(std::in_place_index<0>, std::move(value)) {}        // NOLINT(google-explicit-constructor)
+  Result(Status status) : value_(std::in_place_index<1>, std::move(status)) {  // NOLINT(google-explicit-constructor)
     CHECK(!std::get<1>(value_).ok(), "a Result needs a value or a failure");
   }
 
   bool ok() const { return value_.index() == 0; }
   explicit operator bool() const { return ok(); }
   Status status() const { return ok() ? Status{} : std::get<1>(value_); }
-  T& value() & { CHECK(ok(), std::get<1>(value_).message()); return std::get<0>(value_); }
-  const T& value() const& { CHECK(ok(), std::get<1>(value_).message()); return std::get<0>(value_); }
-  T&& value() && { CHECK(ok(), std::get<1>(value_).message()); return std::get<0>(std::move(value_)); }
+  T& value() & {
+    CHECK(ok(), std::get<1>(value_).message());
+    return std::get<0>(value_);
+  }
+  const T& value() const& {
+    CHECK(ok(), std::get<1>(value_).message());
+    return std::get<0>(value_);
+  }
+  T&& value() && {
+    CHECK(ok(), std::get<1>(value_).message());
+    return std::get<0>(std::move(value_));
+  }
   T* operator->() { return &value(); }
   const T* operator->() const { return &value(); }
   T& operator*() & { return value(); }

@@ -1,13 +1,13 @@
 // Files that the ranks read and write themselves, all at the same time: as in the paper, where every rank loads its
 // own points and writes its own output.
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <array>
 #include <cstring>
 #include <filesystem>
 #include <limits>
 #include <numeric>
+
+#include <fmt/format.h>
 
 #include "common/io/points.hpp"
 #include "common/plan/plan.hpp"
@@ -163,8 +163,8 @@ Response write_parts(Context& context, const wire::Json& request) {
 
   const int parts = scene.options.parts;
   const auto path_of = [&](std::int64_t part) {
-    return (std::filesystem::path(directory.value()) / fmt::format("{}-{:0{}}.csv", prefix.value(), part,
-                                                                   std::to_string(parts - 1).size()))
+    return (std::filesystem::path(directory.value()) /
+            fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size()))
         .string();
   };
   Status written;

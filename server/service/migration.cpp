@@ -138,7 +138,8 @@ std::uint64_t fill_holes(Scene& scene, int rank, const Leavers& leavers, Arrival
   }
   for_each_array(scene, arrivals, [&](auto& mine, auto& theirs) {
     mine.resize(std::max<std::size_t>(mine.size(), edit.new_count));
-    for (const plan::SlotMove& move : edit.moves) mine[move.to] = move.arrival ? theirs[order[move.from]] : mine[move.from];
+    for (const plan::SlotMove& move : edit.moves)
+      mine[move.to] = move.arrival ? theirs[order[move.from]] : mine[move.from];
     mine.resize(edit.new_count);
   });
   return gain;

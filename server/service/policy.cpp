@@ -1,8 +1,8 @@
 #include "server/service/policy.hpp"
 
-#include <fmt/format.h>
-
 #include <cmath>
+
+#include <fmt/format.h>
 
 namespace rcb::service {
 

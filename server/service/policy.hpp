@@ -15,7 +15,7 @@ struct PolicyInput {
   double error_before = 0;
   double tolerance = 0.1;  // may be infinity
   bool weighted = false;
-  double quota_error = 0;  // without weights: the error that a partition ends with
+  double quota_error = 0;                        // without weights: the error that a partition ends with
   std::optional<double> error_when_not_adopted;  // with weights: error_before of the last vain attempt
 };
 

@@ -1,7 +1,7 @@
 // The push: prepare on all ranks, then commit on all or give it up on all.
-#include <fmt/format.h>
-
 #include <algorithm>
+
+#include <fmt/format.h>
 
 #include "server/service/step.hpp"
 
@@ -45,8 +45,8 @@ Response push(Context& context, const wire::Json& request) {
   auto staged = prepare(context, *scene.value(), push.value());
   if (!staged.ok()) return failed(staged.status());
   PartChanges changes;
-  const StepReport report = commit(context, *scene.value(), std::move(staged).value(), push.value(),
-                                   push->changes ? &changes : nullptr);
+  const StepReport report =
+      commit(context, *scene.value(), std::move(staged).value(), push.value(), push->changes ? &changes : nullptr);
   return answer(*scene.value(), report, push.value(), std::move(changes));
 }
 

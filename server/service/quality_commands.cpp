@@ -1,8 +1,8 @@
 // Quality and comparison of partitions: computed only when asked, and nothing is changed.
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <limits>
+
+#include <fmt/format.h>
 
 #include "common/partition/partition.hpp"
 #include "common/partition/quality.hpp"
@@ -28,8 +28,8 @@ Response quality(Context& context, const wire::Json& request) {
   const auto width = ghost_width(request);
   if (!width.ok()) return failed(width.status());
   const Scene& s = *scene.value();
-  const auto found = partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, &s.tree,
-                                        width.value());
+  const auto found =
+      partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, &s.tree, width.value());
   wire::Json json = quality_json(found);
   json["scene"] = s.name;
   json["epoch"] = s.epoch;
@@ -47,7 +47,8 @@ std::vector<Method> methods_for(int dims) {
 
 Result<std::vector<Method>> read_methods(const wire::Json& request, int dims) {
   if (!request.contains("methods") || request["methods"].is_null()) return methods_for(dims);
-  if (!request["methods"].is_array()) return Status(Code::invalid_argument, "field 'methods': expected a list of names");
+  if (!request["methods"].is_array())
+    return Status(Code::invalid_argument, "field 'methods': expected a list of names");
   std::vector<Method> methods;
   const auto allowed = methods_for(dims);
   for (const wire::Json& name : request["methods"]) {
@@ -71,11 +72,10 @@ wire::Json compare_one(Context& context, const Scene& scene, const partition::Pa
                    : partition::baseline(context.comm, view, options);
   CHECK(found.ok(), found.status().message());
   const double seconds = context.clock.seconds() - start;
-  const auto loads = partition::summarise_loads(context.comm, view, found->part.span(), options.part_sizes,
-                                                options.parts);
-  const auto metrics =
-      partition::quality(context.comm, view, found->part.span(), options.parts,
-                         partition::has_cut_tree(options.method) ? &found->tree : nullptr, width);
+  const auto loads =
+      partition::summarise_loads(context.comm, view, found->part.span(), options.part_sizes, options.parts);
+  const auto metrics = partition::quality(context.comm, view, found->part.span(), options.parts,
+                                          partition::has_cut_tree(options.method) ? &found->tree : nullptr, width);
   wire::Json json = quality_json(metrics);
   json["method"] = partition::method_name(options.method);
   json["error"] = loads.error;

@@ -1,10 +1,10 @@
 // Reads: nothing here changes a scene.
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
+
+#include <fmt/format.h>
 
 #include "common/base/random.hpp"
 #include "server/service/collective.hpp"
@@ -137,8 +137,8 @@ Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
 }
 
 template <typename T>
-void append_sorted(Context& context, Response& response, const char* name, const char* dtype,
-                   std::span<const T> values, const Buffer<std::uint64_t>& order) {
+void append_sorted(Context& context, Response& response, const char* name, const char* dtype, std::span<const T> values,
+                   const Buffer<std::uint64_t>& order) {
   const auto gathered = gather_values<T>(context.comm, values);
   Buffer<T> sorted(order.size());
   for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = gathered[order[k]];
@@ -203,8 +203,8 @@ Response plan(Context& context, const wire::Json& request) {
   return response;
 }
 
-constexpr Command kCommands[] = {{"error", error}, {"counts", counts}, {"cuts", cuts},     {"history", history},
-                                 {"stats", stats}, {"owner", owner},   {"box", box},       {"assign", assign},
+constexpr Command kCommands[] = {{"error", error}, {"counts", counts}, {"cuts", cuts}, {"history", history},
+                                 {"stats", stats}, {"owner", owner},   {"box", box},   {"assign", assign},
                                  {"fetch", fetch}, {"plan", plan}};
 
 }  // namespace

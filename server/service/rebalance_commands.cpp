@@ -1,7 +1,7 @@
 // Repartition now, by the pure rule; or tell what that would do.
-#include <fmt/format.h>
-
 #include <limits>
+
+#include <fmt/format.h>
 
 #include "common/partition/partition.hpp"
 #include "common/partition/quality.hpp"

@@ -1,8 +1,8 @@
 // Create, show, drop scenes. Who has a scene open is the coordinator's knowledge: it refuses before it orders.
-#include <fmt/format.h>
-
 #include <cmath>
 #include <limits>
+
+#include <fmt/format.h>
 
 #include "common/wire/limits.hpp"
 #include "server/service/context.hpp"
@@ -27,8 +27,8 @@ Status read_part_sizes(const wire::Json& request, SceneOptions& options) {
   if (!sizes.ok()) return sizes.status();
   if (sizes->empty()) return {};
   if (sizes->size() != static_cast<std::size_t>(options.parts))
-    return {Code::invalid_argument,
-            fmt::format("part_sizes has {} entries for {} parts", sizes->size(), options.parts), "give one size a part"};
+    return {Code::invalid_argument, fmt::format("part_sizes has {} entries for {} parts", sizes->size(), options.parts),
+            "give one size a part"};
   for (std::size_t p = 0; p < sizes->size(); ++p)
     if (!std::isfinite(sizes.value()[p]) || !(sizes.value()[p] > 0))
       return {Code::invalid_argument, fmt::format("part_sizes[{}] is {}: must be finite and > 0", p, sizes.value()[p])};
@@ -47,8 +47,8 @@ Result<partition::Method> read_method(const wire::Json& request, int dims, parti
     return Status(Code::invalid_argument, fmt::format("unknown method '{}'", name.value()),
                   "methods: rcb, bands-x, bands-y, bands-z");
   if ((*method == partition::Method::bands_y && dims < 2) || (*method == partition::Method::bands_z && dims < 3))
-    return Status(Code::invalid_argument, fmt::format("method {} needs an axis that {} dimension(s) don't have",
-                                                      name.value(), dims));
+    return Status(Code::invalid_argument,
+                  fmt::format("method {} needs an axis that {} dimension(s) don't have", name.value(), dims));
   return *method;
 }
 

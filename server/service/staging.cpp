@@ -1,11 +1,11 @@
 #include "server/service/staging.hpp"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <limits>
+
+#include <fmt/format.h>
 
 #include "common/plan/plan.hpp"
 #include "common/wire/limits.hpp"
@@ -78,8 +78,8 @@ Status check_slice(const PushSlice& slice, const std::vector<std::string>& names
     const std::string dtype = names[a] == "id" ? "<i8" : "<f8";
     if (array.name != names[a] || array.dtype != dtype || array.shape != std::vector<std::uint64_t>{slice.count} ||
         array.bytes.size() != slice.count * 8)
-      return {Code::invalid_argument, fmt::format("slice of rank {}: array {} must be '{}' {} of shape [{}]", slice.rank,
-                                                  a, names[a], dtype, slice.count)};
+      return {Code::invalid_argument, fmt::format("slice of rank {}: array {} must be '{}' {} of shape [{}]",
+                                                  slice.rank, a, names[a], dtype, slice.count)};
   }
   return {};
 }
@@ -95,10 +95,11 @@ Status check_slices(const Context& context, const Scene& scene, const PushReques
     if (seen[static_cast<std::size_t>(slice.rank)])
       return {Code::invalid_argument, fmt::format("two slices for rank {}", slice.rank)};
     seen[static_cast<std::size_t>(slice.rank)] = true;
-    const std::uint64_t expected = push.by_id ? (slice.rank == 0 ? push.n : 0) : held_by(scene, push.n, slice.rank, ranks);
+    const std::uint64_t expected =
+        push.by_id ? (slice.rank == 0 ? push.n : 0) : held_by(scene, push.n, slice.rank, ranks);
     if (slice.count != expected)
-      return {Code::stale_plan, fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank,
-                                            slice.count, expected),
+      return {Code::stale_plan,
+              fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank, slice.count, expected),
               "fetch the plan and push again"};
     if (Status status = check_slice(slice, names); !status.ok()) return status;
   }
@@ -120,14 +121,14 @@ Buffer<std::uint64_t> places_by_id(const Scene& scene, const Buffer<particles::I
   Buffer<particles::Id> sorted = plan_ids;
   std::sort(sorted.begin(), sorted.end());
   for (std::size_t k = 0; k < plan_ids.size(); ++k)
-    places[k] = static_cast<std::uint64_t>(std::lower_bound(sorted.begin(), sorted.end(), plan_ids[k]) - sorted.begin());
+    places[k] =
+        static_cast<std::uint64_t>(std::lower_bound(sorted.begin(), sorted.end(), plan_ids[k]) - sorted.begin());
   return places;
 }
 
 Buffer<std::byte> permuted(const Buffer<std::byte>& values, const Buffer<std::uint64_t>& places) {
   Buffer<std::byte> out(values.size());
-  for (std::size_t k = 0; k < places.size(); ++k)
-    std::memcpy(out.data() + 8 * k, values.data() + 8 * places[k], 8);
+  for (std::size_t k = 0; k < places.size(); ++k) std::memcpy(out.data() + 8 * k, values.data() + 8 * places[k], 8);
   return out;
 }
 
@@ -162,26 +163,25 @@ void scatter_array(Context& context, const Scene& scene, const PushRequest& push
 
 Status check_header(const Context& context, const Scene& scene, const PushRequest& push) {
   if (scene.step && push.step <= *scene.step)
-    return {Code::stale_step, fmt::format("step {} of scene '{}' is not above the last one, {}", push.step, scene.name,
-                                          *scene.step),
+    return {Code::stale_step,
+            fmt::format("step {} of scene '{}' is not above the last one, {}", push.step, scene.name, *scene.step),
             fmt::format("push step {} or a later one", *scene.step + 1)};
   if (scene.pushed && push.n != scene.n)
-    return {Code::invalid_argument,
-            fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
+    return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
             "push all of the scene's particles, or create a scene anew with --replace"};
-  if (scene.pushed && push.ids)
-    return {Code::invalid_argument, "ids may come with a scene's first push alone"};
+  if (scene.pushed && push.ids) return {Code::invalid_argument, "ids may come with a scene's first push alone"};
   if (scene.pushed && push.weights && !scene.particles.has_weights)
     return {Code::invalid_argument, fmt::format("scene '{}' has no weights", scene.name),
             "weights must be there from the first push on"};
   if (scene.pushed && !push.by_id &&
       (push.plan_version != scene.plan_version || push.plan_checksum != scene.plan_checksum))
-    return {Code::stale_plan, fmt::format("push has plan version {}, scene '{}' is at {}", push.plan_version, scene.name,
-                                          scene.plan_version),
-            "fetch the plan and push again"};
+    return {
+        Code::stale_plan,
+        fmt::format("push has plan version {}, scene '{}' is at {}", push.plan_version, scene.name, scene.plan_version),
+        "fetch the plan and push again"};
   if (!scene.pushed && !push.by_id && push.plan_version != 0)
-    return {Code::stale_plan, fmt::format("push has plan version {}, but scene '{}' has no positions yet",
-                                          push.plan_version, scene.name),
+    return {Code::stale_plan,
+            fmt::format("push has plan version {}, but scene '{}' has no positions yet", push.plan_version, scene.name),
             "the first push goes by blocks of rows, plan version 0"};
   (void)context;
   return {};
@@ -189,7 +189,8 @@ Status check_header(const Context& context, const Scene& scene, const PushReques
 
 bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
   bool fits = true;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(set.dims); ++a) fits = fits && set.position[a].try_reserve(count);
+  for (std::size_t a = 0; a < static_cast<std::size_t>(set.dims); ++a)
+    fits = fits && set.position[a].try_reserve(count);
   if (set.has_weights) fits = fits && set.weight.try_reserve(count);
   return fits && (!ids || set.id.try_reserve(count));
 }
@@ -212,7 +213,8 @@ Result<PushRequest> read_push(const wire::Json& request) {
   if (order.value() != "plan" && order.value() != "id")
     return Status(Code::invalid_argument, fmt::format("order '{}'", order.value()), "use 'plan' or 'id'");
   push.by_id = order.value() == "id";
-  for (const auto& [name, flag] : {std::pair{"weights", &push.weights}, {"ids", &push.ids}, {"changes", &push.changes}}) {
+  for (const auto& [name, flag] :
+       {std::pair{"weights", &push.weights}, {"ids", &push.ids}, {"changes", &push.changes}}) {
     const auto value = wire::bool_field_or(request, name, false);
     if (!value.ok()) return value.status();
     *flag = value.value();

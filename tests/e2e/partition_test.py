@@ -1,0 +1,129 @@
+"""rcbctl partition against the judge: every particle's part, counts, one hash for any number of ranks."""
+import judge
+from support import *
+
+
+class Partition(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.dir = tempfile.mkdtemp(prefix="rcb-partition-")
+        cls.hashes = {}
+        cls.scenes = hard_scenes()
+        for name, points in cls.scenes.items():
+            np.save(os.path.join(cls.dir, name + ".npy"), points)
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.dir)
+
+    def check(self, service, name, parts, method="rcb", extra=()):
+        points = self.scenes[name]
+        assign, cuts = os.path.join(self.dir, "a.npy"), os.path.join(self.dir, "c.json")
+        result = service.json("partition", os.path.join(self.dir, name + ".npy"), "--parts", parts, "--method", method,
+                              "--assign", assign, "--cuts", cuts, *extra)
+        where = f"{name}, {parts} parts, {method}, {service.ranks} ranks"
+        tree, expected = judge.partition(points, parts, method)
+        part = np.load(assign)
+        self.assertEqual(part.dtype, np.int32, where)
+        np.testing.assert_array_equal(part, expected, err_msg=where)
+        self.assertEqual(result["counts"], judge.quotas(len(points), parts), where)
+        self.assertEqual(result["error"], judge.error_of(result["counts"], len(points)), where)
+        self.assertEqual(result["n"], len(points))
+        self.assertEqual(result["dims"], points.shape[1])
+        self.assertEqual(self.hashes.setdefault((name, parts, method), result["hash"]), result["hash"], where)
+        self.check_cuts(json.load(open(cuts)), tree, result, where)
+
+    def check_cuts(self, document, tree, result, where):
+        self.assertEqual(document["hash"], result["hash"])
+        self.assertEqual(len(document["cuts"]), tree.parts - 1)
+        self.assertEqual(len(document["regions"]), tree.parts)
+        by_node = {cut["node"]: cut for cut in document["cuts"]}
+
+        def walk(node, a, b):
+            if b - a == 1:
+                return
+            m = a + (b - a + 1) // 2
+            axes, key = tree.cuts[(a, b)]
+            cut = by_node[node]
+            self.assertEqual(cut["axis"], axes[0], where)
+            if key is None:
+                self.assertIsNone(cut["at"])
+                self.assertIsNone(cut["ties"])
+            else:
+                self.assertEqual(cut["at"], key[0], where)
+                self.assertEqual(cut["ties"], {"axes": axes[1:], "at": key[1:-1], "id": key[-1]}, where)
+            for side, (lo, hi) in (("left", (a, m)), ("right", (m, b))):
+                child = cut[side]
+                self.assertEqual(child, {"part": lo} if hi - lo == 1 else {"node": child.get("node")}, where)
+                walk(child.get("node"), lo, hi)
+
+        walk(0, 0, tree.parts)
+
+    def test_every_scene_on_any_number_of_ranks(self):
+        for ranks in (1, 2, 3, 4, 8):
+            with Service(ranks) as service:
+                for name in self.scenes:
+                    for parts in (1, 7, 8):
+                        self.check(service, name, parts)
+                for parts in (13, 37, 64, 4096):
+                    self.check(service, "lattice", parts)
+                    self.check(service, "half_coincident", parts)
+                for method in ("bands-x", "bands-y", "bands-z"):
+                    self.check(service, "lattice", 8, method)
+                    self.check(service, "decades", 7, method)
+
+    def test_embedded_service_and_files_by_part(self):
+        points = self.scenes["uniform"]
+        csv = os.path.join(self.dir, "uniform.csv")
+        np.savetxt(csv, points, delimiter=",", header="x,y,z", comments="", fmt="%.17g")
+        out = os.path.join(self.dir, "out")
+        assign = os.path.join(self.dir, "embedded.npy")
+        done = run("partition", csv, "--parts", 5, "--ranks", 3, "--out", out, "--assign", assign, "--json",
+                   endpoint="unix:/nonexistent/socket")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        result = json.loads(done.stdout)
+        self.assertEqual(result["ranks"], 3)
+        _, expected = judge.partition(points, 5)
+        np.testing.assert_array_equal(np.load(assign), expected)
+        files = sorted(os.listdir(out))
+        self.assertEqual(len(files), 5)
+        for part, name in enumerate(files):
+            table = np.genfromtxt(os.path.join(out, name), delimiter=",", names=True)
+            ids = np.sort(table["id"].astype(int))
+            np.testing.assert_array_equal(ids, np.flatnonzero(expected == part))
+            order = np.argsort(table["id"])
+            np.testing.assert_array_equal(table["x"][order], points[ids, 0])
+
+    def test_no_point(self):
+        empty = os.path.join(self.dir, "empty.csv")
+        with open(empty, "w") as file:
+            file.write("x,y,z\n")
+        done = run("partition", empty, "--parts", 3, "--ranks", 2, "--json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        result = json.loads(done.stdout)
+        self.assertEqual((result["n"], result["counts"], result["error"], result["imbalance"]), (0, [0, 0, 0], 0, 1))
+        self.assertIn("no points", done.stderr)
+
+    def test_weights_and_part_sizes(self):
+        points = self.scenes["uniform"]
+        csv = os.path.join(self.dir, "weighted.csv")
+        weight = np.arange(len(points)) % 7
+        np.savetxt(csv, np.column_stack([points, weight]), delimiter=",", header="x,y,z,w", comments="", fmt="%.17g")
+        hashes = set()
+        for ranks in (1, 3):
+            done = run("partition", csv, "--parts", 6, "--ranks", ranks, "--weights", "w", "--json")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            result = json.loads(done.stdout)
+            self.assertAlmostEqual(sum(result["loads"]), weight.sum())
+            self.assertLess(result["error"], 6 * 7 / weight.sum() * 6)
+            hashes.add(result["hash"])
+        self.assertEqual(len(hashes), 1)
+        sizes = [1, 2, 0.5, 4]
+        done = run("partition", os.path.join(self.dir, "uniform.npy"), "--parts", 4, "--ranks", 2, "--part-sizes",
+                   ",".join(map(str, sizes)), "--json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(json.loads(done.stdout)["counts"], judge.quotas(len(points), 4, sizes))
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)

@@ -1,0 +1,109 @@
+"""What the scripted tests share: running the real programs, a service of one's own, scenes that are hard."""
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+
+BIN = os.environ.get("RCBD_BIN_DIR") or os.path.join(os.path.dirname(__file__), "..", "..", "build", "release", "bin")
+RCBCTL = os.path.join(BIN, "rcbctl")
+
+
+def run(*args, endpoint=None, timeout=120, program=RCBCTL, cwd=None, env=None):
+    """Runs a program to its end; a hang is a failure. Returns the finished process with text output."""
+    environment = dict(os.environ, **(env or {}))
+    environment.pop("RCBD_ENDPOINT", None)
+    if endpoint:
+        environment["RCBD_ENDPOINT"] = endpoint
+    return subprocess.run([program, *map(str, args)], capture_output=True, text=True, timeout=timeout,
+                          cwd=cwd, env=environment, stdin=subprocess.DEVNULL)
+
+
+class Service:
+    """A real rcbd under mpirun on a socket of its own."""
+
+    def __init__(self, ranks, tcp=None):
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.endpoint = tcp or "unix:" + os.path.join(self.dir, "s")
+        self.data = os.path.join(self.dir, "data")
+        self.ranks = ranks
+        up = run("up", "-n", ranks, "--data-dir", self.data, endpoint=self.endpoint)
+        if up.returncode != 0:
+            raise RuntimeError(f"rcbctl up: {up.stdout}{up.stderr}")
+
+    def ctl(self, *args, **kwargs):
+        return run(*args, endpoint=self.endpoint, **kwargs)
+
+    def json(self, *args, **kwargs):
+        done = self.ctl(*args, "--json", **kwargs)
+        if done.returncode != 0:
+            raise RuntimeError(f"rcbctl {args}: exit {done.returncode}: {done.stdout}{done.stderr}")
+        return json.loads(done.stdout)
+
+    def failure(self, *args, **kwargs):
+        """The failure document of a command that must fail, with its exit code checked against the document."""
+        done = self.ctl(*args, "--json", **kwargs)
+        if done.returncode == 0:
+            raise AssertionError(f"rcbctl {args} should have failed: {done.stdout}")
+        failure = json.loads(done.stdout)["failure"]
+        if failure["exit"] != done.returncode:
+            raise AssertionError(f"exit {done.returncode}, document says {failure}")
+        if not failure["message"] or failure["message"] not in done.stderr:
+            raise AssertionError(f"stderr doesn't say {failure['message']!r}: {done.stderr!r}")
+        return failure
+
+    def stop(self):
+        down = self.ctl("down")
+        shutil.rmtree(self.dir, ignore_errors=True)
+        return down
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+
+def hard_scenes(seed=1):
+    """Small point sets that break partitioners, by name; shape (n, dims)."""
+    rng = np.random.default_rng(seed)
+    lattice = np.stack(np.meshgrid(*[np.arange(10.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    scenes = {
+        "uniform": rng.random((1000, 3)),
+        "lattice": rng.permutation(lattice),
+        "coincident": np.full((500, 3), 0.25),
+        "half_coincident": np.concatenate([np.full((400, 3), 0.5), rng.random((401, 3))]),
+        "decades": 10.0 ** rng.uniform(-6, 6, (900, 3)) * rng.choice([-1.0, 1.0], (900, 3)),
+        "offset": 1e12 + 1e-3 * rng.random((777, 3)),
+        "denormals": rng.integers(0, 50, (600, 3)) * 5e-324,
+        "huge": rng.choice([-1.0, 1.0], (500, 3)) * rng.uniform(1.5e308, 1.7e308, (500, 3)),
+        "signed_zeros": rng.choice([-0.0, 0.0, 1.0], (400, 3)),
+        "line": rng.random((500, 1)),
+        "plane": rng.integers(0, 9, (501, 2)).astype(float),
+        "few": rng.random((5, 3)),
+        "one": rng.random((1, 3)),
+    }
+    return scenes
+
+
+def processes_of(text):
+    """Command lines of running processes that contain the text, this one excepted."""
+    found = []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{pid}/cmdline", "rb") as file:
+                line = file.read().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if text in line and int(pid) != os.getpid():
+            found.append((int(pid), line))
+    return found
+
+
+__all__ = ["BIN", "RCBCTL", "Service", "hard_scenes", "json", "np", "os", "processes_of", "run", "shutil", "signal",
+           "subprocess", "sys", "tempfile", "unittest"]

@@ -1,0 +1,182 @@
+// A client of the service without sockets: holds the plan as a solver's library would, and pushes by it.
+#pragma once
+
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "common/base/random.hpp"
+#include "common/plan/plan.hpp"
+#include "server/service/service.hpp"
+
+namespace rcb::testing {
+
+using service::PushSlice;
+using service::Response;
+using wire::Json;
+
+struct Particles {
+  int dims = 3;
+  std::vector<std::vector<double>> position;  // [dims][n]
+  std::vector<std::int64_t> ids;              // empty: row numbers
+  std::vector<double> weights;                // empty: none
+
+  std::size_t count() const { return position.empty() ? 0 : position[0].size(); }
+};
+
+inline Particles random_particles(std::uint64_t seed, std::size_t n, int dims) {
+  Random random(seed);
+  Particles particles;
+  particles.dims = dims;
+  particles.position.assign(static_cast<std::size_t>(dims), std::vector<double>(n));
+  for (auto& axis : particles.position)
+    for (double& value : axis) value = random.uniform();
+  return particles;
+}
+
+inline void drift(Particles& particles, std::uint64_t seed, double width) {
+  Random random(seed);
+  for (auto& axis : particles.position)
+    for (double& value : axis) value += random.uniform(-width, width);
+}
+
+// Every rank makes one over its own Service; all do the same.
+class Driver {
+ public:
+  Driver(partition::Comm& comm, service::Service& service, std::string scene)
+      : comm_(comm), service_(service), scene_(std::move(scene)) {}
+
+  Response create(Json options) {
+    options["command"] = "scene.create";
+    options["scene"] = scene_;
+    return service_.execute(options);
+  }
+
+  Response ask(const std::string& command, Json arguments = Json::object()) {
+    arguments["command"] = command;
+    arguments["scene"] = scene_;
+    return service_.execute(arguments);
+  }
+
+  // In the plan's order; the plan follows from the answer's changes (which all ranks are told, for the test's sake).
+  Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
+    if (first_) plan_ = plan::Plan::blocks(particles.count(), comm_.size(), particles.ids);
+    std::vector<PushSlice> slices;
+    if (comm_.rank() == 0)
+      for (int r = 0; r < comm_.size(); ++r) slices.push_back(slice_of(particles, r));
+    Json request = begin(particles, step, session, "plan");
+    request["plan"] = {{"version", plan_.version()}, {"checksum", wire::hex64(plan_.checksum())}};
+    Response response = service_.execute(request, std::move(slices));
+    follow(particles, response);
+    return response;
+  }
+
+  // As a simple client does: one slice in ascending id.
+  Response push_by_id(const Particles& particles, std::int64_t step, const std::string& session = "s") {
+    std::vector<PushSlice> slices;
+    if (comm_.rank() == 0) {
+      const plan::Plan whole = plan::Plan::blocks(particles.count(), 1, particles.ids);
+      slices.push_back(slice_by_rows(particles, 0, whole.rows(0)));
+    }
+    Response response = service_.execute(begin(particles, step, session, "id"), std::move(slices));
+    return response;
+  }
+
+  const plan::Plan& plan() const { return plan_; }
+
+ private:
+  Json begin(const Particles& particles, std::int64_t step, const std::string& session, const char* order) const {
+    return {{"command", "push"},
+            {"scene", scene_},
+            {"session", session},
+            {"step", step},
+            {"attempt", 0},
+            {"n", particles.count()},
+            {"order", order},
+            {"weights", !particles.weights.empty()},
+            {"ids", first_ && !particles.ids.empty()},
+            {"changes", true}};
+  }
+
+  PushSlice slice_of(const Particles& particles, int rank) const {
+    return slice_by_rows(particles, rank, plan_.rows(rank));
+  }
+
+  PushSlice slice_by_rows(const Particles& particles, int rank, std::span<const std::uint64_t> rows) const {
+    PushSlice slice{rank, rows.size(), {}};
+    const auto add = [&](const char* name, const char* dtype, const auto& values) {
+      wire::Array array{name, dtype, {rows.size()}, Buffer<std::byte>(rows.size() * 8)};
+      for (std::size_t k = 0; k < rows.size(); ++k) std::memcpy(array.bytes.data() + 8 * k, &values[rows[k]], 8);
+      slice.arrays.push_back(std::move(array));
+    };
+    constexpr const char* kNames[] = {"x", "y", "z"};
+    for (std::size_t a = 0; a < particles.position.size(); ++a) add(kNames[a], "<f8", particles.position[a]);
+    if (!particles.weights.empty()) add("w", "<f8", particles.weights);
+    if (first_ && !particles.ids.empty()) add("id", "<i8", particles.ids);
+    return slice;
+  }
+
+  template <typename T>
+  std::vector<T> everywhere(const Response& response, std::size_t array) {
+    std::uint64_t bytes = comm_.rank() == 0 && response.arrays.size() > array ? response.arrays[array].bytes.size() : 0;
+    comm_.all_max({&bytes, 1});
+    std::vector<T> values(bytes / sizeof(T));
+    if (comm_.rank() == 0 && bytes > 0) std::memcpy(values.data(), response.arrays[array].bytes.data(), bytes);
+    comm_.broadcast(std::as_writable_bytes(std::span(values)), 0);
+    return values;
+  }
+
+  void follow(const Particles& particles, const Response& response) {
+    std::uint64_t committed = comm_.rank() == 0 && response.status.ok() && !response.json.contains("repeated") ? 1 : 0;
+    comm_.all_max({&committed, 1});
+    if (committed == 0) return;
+    const auto ids = everywhere<std::int64_t>(response, 0);
+    const auto parts = everywhere<std::int32_t>(response, 1);
+    std::uint64_t part_count = 0;
+    const Response shown = ask("counts");
+    if (comm_.rank() == 0) part_count = shown.json["counts"].size();
+    comm_.all_max({&part_count, 1});
+    if (first_) rank_of_row_ = block_ranks(particles.count());
+    std::vector<std::uint64_t> rows;
+    std::vector<std::int32_t> ranks;
+    for (std::size_t k = 0; k < ids.size(); ++k) {
+      const std::uint64_t row = row_of(particles, ids[k]);
+      const int rank = plan::rank_of_part(parts[k], static_cast<int>(part_count), comm_.size());
+      if (rank_of_row_[row] == rank) continue;
+      rank_of_row_[row] = rank;
+      rows.push_back(row);
+      ranks.push_back(rank);
+    }
+    plan_.apply(rows, ranks, first_);
+    first_ = false;
+    if (comm_.rank() == 0) {
+      EXPECT_EQ(response.json["plan"]["version"].get<std::uint64_t>(), plan_.version());
+      EXPECT_EQ(response.json["plan"]["checksum"].get<std::string>(), wire::hex64(plan_.checksum()));
+    }
+  }
+
+  std::vector<int> block_ranks(std::uint64_t n) const {
+    std::vector<int> ranks(n);
+    for (int r = 0; r < comm_.size(); ++r)
+      for (std::uint64_t i = plan::row_begin(r, n, comm_.size()); i < plan::row_begin(r + 1, n, comm_.size()); ++i)
+        ranks[i] = r;
+    return ranks;
+  }
+
+  static std::uint64_t row_of(const Particles& particles, std::int64_t id) {
+    if (particles.ids.empty()) return static_cast<std::uint64_t>(id);
+    for (std::size_t row = 0; row < particles.ids.size(); ++row)
+      if (particles.ids[row] == id) return row;
+    ADD_FAILURE() << "unknown id " << id;
+    return 0;
+  }
+
+  partition::Comm& comm_;
+  service::Service& service_;
+  std::string scene_;
+  plan::Plan plan_;
+  std::vector<int> rank_of_row_;
+  bool first_ = true;
+};
+
+}  // namespace rcb::testing
