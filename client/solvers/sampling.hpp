@@ -1,4 +1,4 @@
-// Fills a shape with exactly as many points as asked, evenly but without a lattice's coincidences.
+// Fills a shape with exactly as many points as asked, evenly but with no two on a common coordinate plane.
 #pragma once
 
 #include <array>
@@ -24,9 +24,9 @@ struct Shape {
   std::function<bool(const Vec3&)> inside;
 };
 
-// Exactly `count` points inside the shape: a cubic lattice, each point shaken by a tenth of the spacing at most, just
-// fine enough to hold that many; the few too many are left out, chosen by hash. The order is that of the lattice,
-// first axis slowest. The same arguments give the same bits.
+// Exactly `count` points inside the shape: a cubic lattice oblique to the axes, each point shaken by a tenth of the
+// spacing at most, just fine enough to hold that many; the few too many are left out, chosen by hash. The order is that
+// of the lattice. The same arguments give the same bits.
 Cloud fill(const Shape& shape, std::size_t count, std::uint64_t seed);
 
 }  // namespace rcb::solvers

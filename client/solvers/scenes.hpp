@@ -20,13 +20,13 @@ struct Simulation {
 struct TwoSpheresOptions {
   std::uint64_t points = 1500;  // 2 .. kPointsMax, shared out evenly; the first ball has the odd one
   double radius = 0.1;          // m
-  double gap = 0.12;            // m, between the surfaces at the start
+  double gap = 0.1;             // m, between the surfaces at the start
   double offset = 0.03;         // m, between the lines of flight; 0 is head on
   double speed = 4;             // m/s, of each ball, at the other
   double youngs_modulus = 1e6;  // Pa
   double poissons_ratio = 0.3;
   double density = 1000;   // kg/m^3
-  double interval = 5e-4;  // s, a step
+  double interval = 3e-4;  // s, a step
 };
 Result<Simulation> make_two_spheres(const TwoSpheresOptions& options);
 

@@ -1,0 +1,86 @@
+// What a run says at its end: the JSON document, or a few lines for people.
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "client/solvers/drive.hpp"
+
+namespace rcb::solvers {
+namespace {
+
+using nlohmann::json;
+
+std::string text_of(const json& document) { return document.dump(-1, ' ', false, json::error_handler_t::replace); }
+
+json momentum_json(const PhysicsCheck& physics) {
+  return {{"start", physics.start.momentum},
+          {"end", physics.end.momentum},
+          {"impulse", physics.impulse},
+          {"drift", physics.momentum_drift}};
+}
+
+json energy_json(const PhysicsCheck& physics) {
+  return {{"start", physics.start.energy()},   {"end", physics.end.energy()},    {"largest", physics.energy_largest},
+          {"growth", physics.energy_growth},   {"kinetic", physics.end.kinetic}, {"elastic", physics.end.elastic},
+          {"potential", physics.end.potential}};
+}
+
+}  // namespace
+
+std::string failure_document(const Status& status) {
+  return text_of({{"failure",
+                   {{"code", code_name(status.code())},
+                    {"message", status.message()},
+                    {"hint", status.hint()},
+                    {"exit", exit_code(status.code())}}}});
+}
+
+std::string json_document(const Program& program, const RunOptions& options, const RunRecord& record) {
+  json reports = json::array();
+  for (const client::StepReport& report : record.reports) {
+    json parsed = json::parse(report.json, nullptr, false);
+    reports.push_back(parsed.is_discarded() ? json() : std::move(parsed));
+  }
+  const auto largest = record.largest_error();
+  json document{
+      {"scene", options.scene},
+      {"solver", program.name},
+      {"points", options.points},
+      {"steps", options.steps},
+      {"parts", options.parts},
+      {"tolerance", std::isinf(options.tolerance) ? json("inf") : json(options.tolerance)},
+      {"repartitions", options.no_service ? json() : json(record.repartitions())},
+      {"error_max", largest ? json(largest->error) : json()},
+      {"error_max_step", largest ? json(largest->step) : json()},
+      {"reports", std::move(reports)},
+      {"momentum", momentum_json(record.physics)},
+      {"energy", energy_json(record.physics)},
+      {"substeps", record.substeps},
+      {"seconds", {{"physics", record.seconds_physics}, {"service", record.seconds_service}}},
+  };
+  return text_of(document);
+}
+
+std::string summary(const Program& program, const RunOptions& options, double interval, const RunRecord& record) {
+  const double frames = static_cast<double>(record.steps_done + 1);
+  std::string text = fmt::format("{}: {} points, {} steps of {:g} s in {} substeps", program.name, options.points,
+                                 options.steps, interval, record.substeps);
+  if (!options.no_service)
+    text += fmt::format(", scene {} in {} parts, tolerance {:g}", options.scene, options.parts, options.tolerance);
+  text += '\n';
+  if (const auto largest = record.largest_error()) {
+    text += fmt::format("  repartitions   {} (the first partition included)\n", record.repartitions());
+    text += fmt::format("  largest error  {:.4g} at step {}\n", largest->error, largest->step);
+    text += fmt::format("  in service     {:.3g} ms a step on average\n", 1e3 * record.seconds_service / frames);
+  }
+  const PhysicsCheck& physics = record.physics;
+  text += fmt::format("  in physics     {:.3g} ms a step on average\n", 1e3 * record.seconds_physics / frames);
+  text += fmt::format("  momentum       conserved to {:.1e} of the sum of mass times speed\n", physics.momentum_drift);
+  text += fmt::format("  energy         {:.6g} J at the start, {:.6g} J at the end, never more than {:.6g} J",
+                      physics.start.energy(), physics.end.energy(), physics.energy_largest);
+  if (!options.trajectory.empty()) text += fmt::format("\n  trajectory     {}", options.trajectory);
+  return text;
+}
+
+}  // namespace rcb::solvers
