@@ -1,0 +1,109 @@
+"""A client written from PROTOCOL.md alone, so that the page is proved complete enough. Needs libxxhash."""
+import ctypes
+import ctypes.util
+import json
+import os
+import socket
+import struct
+
+_xxh = ctypes.CDLL(ctypes.util.find_library("xxhash") or "libxxhash.so.0")
+_xxh.XXH3_64bits.restype = ctypes.c_uint64
+_xxh.XXH3_64bits.argtypes = [ctypes.c_char_p, ctypes.c_size_t]
+
+WELCOME, HELLO, REQUEST, REPLY, FAILURE, NOTICE, GOODBYE = range(1, 8)
+
+
+def xxh3(data):
+    return _xxh.XXH3_64bits(data, len(data))
+
+
+def frame(kind, request, document, bulk=b"", flags=0):
+    text = json.dumps(document).encode()
+    head = struct.pack("<4sHHIIQQ", b"RCBD", 1, kind, flags, len(text), request, len(bulk))
+    tail = struct.pack("<Q", xxh3(bulk)) if flags & 1 else b""
+    return head + struct.pack("<Q", xxh3(head + text)) + text + bulk + tail
+
+
+class Refused(Exception):
+    pass
+
+
+class Client:
+    def __init__(self, path, session=None, hello=True, timeout=30):
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.settimeout(timeout)
+        self.socket.connect(path)
+        self.number = 0
+        self.session = session or os.urandom(8).hex()
+        kind, _, self.welcome, _ = self.receive()
+        assert kind == WELCOME
+        if hello:
+            self.number += 1
+            self.socket.sendall(frame(HELLO, self.number, {"protocol": 1, "client": "e2e", "session": self.session}))
+            self.hello = self.answer()[0]
+
+    def exactly(self, count):
+        data = b""
+        while len(data) < count:
+            chunk = self.socket.recv(count - len(data))
+            if not chunk:
+                raise EOFError
+            data += chunk
+        return data
+
+    def receive(self):
+        head = self.exactly(40)
+        magic, version, kind, flags, json_bytes, request, bulk_bytes, checksum = struct.unpack("<4sHHIIQQQ", head)
+        assert (magic, version) == (b"RCBD", 1)
+        text = self.exactly(json_bytes)
+        assert checksum == xxh3(head[:32] + text)
+        bulk = self.exactly(bulk_bytes)
+        if flags & 1:
+            assert self.exactly(8) == struct.pack("<Q", xxh3(bulk))
+        return kind, request, json.loads(text), bulk
+
+    def answer(self):
+        while True:
+            kind, request, document, bulk = self.receive()
+            if kind == NOTICE:
+                continue
+            if kind == FAILURE:
+                raise Refused(document["failure"]["code"], document["failure"]["message"])
+            assert kind == REPLY and request == self.number, (kind, request, document)
+            return document, bulk
+
+    def send(self, document, bulk=b"", flags=0):
+        self.number += 1
+        self.socket.sendall(frame(REQUEST, self.number, document, bulk, flags))
+
+    def ask(self, command, **arguments):
+        self.send({"command": command, **arguments})
+        return self.answer()
+
+    def push_frames(self, scene, step, columns, n, attempt=0):
+        """The two frames of a push in order `id`: (begin, slice)."""
+        push = {"scene": scene, "session": self.session, "step": step, "attempt": attempt}
+        begin = {"command": "push.begin", **push, "n": n, "slices": 1, "order": "id", "changes": True}
+        arrays = [{"name": name, "dtype": "<f8", "shape": [n]} for name in columns]
+        part = {"command": "push.slice", **push, "rank": 0, "count": n, "arrays": arrays}
+        return begin, part, b"".join(column.astype("<f8").tobytes() for column in columns.values())
+
+    def push(self, scene, step, points, attempt=0, flags=0):
+        columns = {name: points[:, k] for k, name in enumerate("xyz"[: points.shape[1]])}
+        begin, part, bulk = self.push_frames(scene, step, columns, len(points), attempt)
+        self.send(begin)
+        number = self.number
+        self.send(part, bulk, flags)
+        self.number = number
+        answer = self.answer()
+        self.number = number + 1
+        return answer
+
+    def close(self):
+        self.socket.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()

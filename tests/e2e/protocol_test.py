@@ -1,0 +1,187 @@
+"""The wire protocol from its page alone: a foreign client pushes steps, breaks rules, vanishes."""
+import struct
+import time
+
+import judge
+from protocol_client import GOODBYE, REQUEST, Client, Refused, frame
+from support import *
+
+
+class Protocol(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.service = Service(3)
+        cls.path = cls.service.endpoint[5:]
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.service.stop()
+
+    def client(self, **kwargs):
+        return Client(self.path, **kwargs)
+
+    def refused(self, code, call, *args, **kwargs):
+        with self.assertRaises(Refused) as caught:
+            call(*args, **kwargs)
+        self.assertEqual(caught.exception.args[0], code, caught.exception.args)
+        return caught.exception.args[1]
+
+    def alive(self):
+        self.assertEqual(self.service.ctl("status").returncode, 0)
+
+    def test_push_and_ask(self):
+        rng = np.random.default_rng(2)
+        walk = rng.random((6, 200, 3)).cumsum(axis=0)
+        expected = judge.reports(walk, 5, 3, 0.1)
+        with self.client() as client:
+            self.assertEqual(client.welcome["protocol"], 1)
+            self.assertEqual(client.hello["ranks"], 3)
+            client.ask("scene.create", scene="p", parts=5)
+            for step, points in enumerate(walk):
+                answer, bulk = client.push("p", step, points, flags=step % 2)
+                for field in ("error", "error_before", "moved", "drifted", "migrated", "epoch", "repartitioned"):
+                    self.assertEqual(answer["report"][field], expected[step][field], (step, field))
+                count = answer["arrays"][0]["shape"][0]
+                ids = np.frombuffer(bulk[: 8 * count], "<i8")
+                self.assertTrue((np.diff(ids) > 0).all())
+                if step == 0:
+                    self.assertEqual(count, 200)
+            answer, bulk = client.ask("assign", scene="p")
+            part = np.frombuffer(bulk[8 * 200:], "<i4")
+            tree, first = judge.partition(walk[0], 5)
+            self.assertEqual(len(part), 200)
+
+    def test_a_step_is_applied_once(self):
+        points = np.random.default_rng(1).random((50, 3))
+        session = "00000000000000aa"
+        with self.client(session=session) as client:
+            client.ask("scene.create", scene="once", parts=2)
+            first, _ = client.push("once", 3, points)
+        with self.client(session=session) as client:
+            again, _ = client.push("once", 3, points + 1, attempt=1)
+            self.assertTrue(again["repeated"])
+            self.assertEqual(again["report"], first["report"])
+        with self.client() as other:
+            self.assertIn("3", self.refused("stale_step", other.push, "once", 3, points))
+            self.refused("stale_step", other.push, "once", 2, points)
+            other.push("once", 10, points)
+
+    def test_a_client_that_vanishes_in_mid_push(self):
+        points = np.random.default_rng(1).random((5000, 3))
+        with self.client() as client:
+            client.ask("scene.create", scene="gone", parts=4)
+            client.push("gone", 0, points)
+        before = self.service.json("scene", "show", "gone")
+        columns = {name: points[:, k] + 1 for k, name in enumerate("xyz")}
+        for cut in (0, 1, 39, 40, 500, 60_000, 119_000):
+            client = self.client()
+            begin, part, bulk = client.push_frames("gone", 1, columns, 5000)
+            client.send(begin)
+            client.socket.sendall(frame(REQUEST, 99, part, bulk)[:cut])
+            client.close()
+        self.assertEqual(self.service.json("scene", "show", "gone"), before)
+        with self.client() as client:
+            client.push("gone", 1, points)
+
+    def test_a_second_pusher_hears_who_holds_it(self):
+        points = np.random.default_rng(1).random((50, 3))
+        with self.client() as holder, self.client() as second:
+            holder.ask("scene.create", scene="held", parts=2)
+            columns = {name: points[:, k] for k, name in enumerate("xyz")}
+            begin, part, bulk = holder.push_frames("held", 0, columns, 50)
+            holder.send(begin)
+            number = holder.number
+            time.sleep(0.3)
+            self.assertIn("e2e", self.refused("busy", second.push, "held", 0, points))
+            holder.send(part, bulk)
+            holder.number = number
+            answer, _ = holder.answer()
+            self.assertEqual(answer["report"]["step"], 0)
+            self.assertEqual(self.service.ctl("status").returncode, 0)
+
+    def test_broken_rules(self):
+        good = frame(REQUEST, 1, {"command": "status"})
+        broken = {
+            "magic": b"XXXX" + good[4:],
+            "version": good[:4] + struct.pack("<H", 9) + good[6:],
+            "type": good[:6] + struct.pack("<H", 77) + good[8:],
+            "checksum": good[:32] + b"\0" * 8 + good[40:],
+            "huge json": good[:12] + struct.pack("<I", 2**32 - 1) + good[16:],
+            "huge bulk": good[:24] + struct.pack("<Q", 2**63) + good[32:],
+            "no object": frame(REQUEST, 1, [1, 2]),
+            "bulk without arrays": frame(REQUEST, 1, {"command": "status"}, b"12345678"),
+            "array overflow": frame(REQUEST, 1, {"command": "status", "arrays": [
+                {"name": "x", "dtype": "<f8", "shape": [2**61, 2**61]}]}, b"12345678"),
+        }
+        for name, data in broken.items():
+            with self.subTest(name), self.client() as client:
+                client.number = 1
+                client.socket.sendall(data)
+                try:
+                    self.refused("protocol_error", client.answer)
+                    self.assertEqual(client.socket.recv(1), b"")
+                except (EOFError, ConnectionResetError):
+                    pass
+            self.alive()
+
+    def test_requests_before_hello(self):
+        with self.client(hello=False) as client:
+            client.socket.sendall(frame(REQUEST, 1, {"command": "status"}))
+            client.number = 1
+            with self.assertRaises((Refused, EOFError, ConnectionResetError)):
+                client.answer()
+        with self.client(hello=False) as client:
+            client.socket.sendall(frame(REQUEST, 1, {"command": "x" * 8000}))
+            client.number = 1
+            with self.assertRaises((Refused, EOFError, ConnectionResetError)):
+                client.answer()
+        self.alive()
+
+    def test_slices_that_lie(self):
+        points = np.random.default_rng(1).random((40, 3))
+        columns = {name: points[:, k] for k, name in enumerate("xyz")}
+        with self.client() as client:
+            client.ask("scene.create", scene="lies", parts=2)
+            client.push("lies", 0, points)
+        before = self.service.json("scene", "show", "lies")
+
+        def attempt(change_begin, change_slice, cut=None):
+            with self.client() as client:
+                begin, part, bulk = client.push_frames("lies", 1, columns, 40)
+                begin.update(change_begin)
+                part.update(change_slice)
+                client.send(begin)
+                number = client.number
+                client.send(part, bulk)
+                client.number = number
+                with self.assertRaises((Refused, EOFError)) as caught:
+                    client.answer()
+                return caught.exception
+
+        attempt({"n": 41}, {})
+        attempt({"n": -1}, {})
+        attempt({"n": 2**60}, {})
+        attempt({"step": -1}, {})
+        attempt({"scene": "nobody"}, {})
+        attempt({"weights": True}, {})
+        attempt({"order": "chaos"}, {})
+        attempt({"order": "plan", "plan": {"version": 77, "checksum": "0" * 16}}, {})
+        attempt({}, {"arrays": [{"name": "x", "dtype": "<f8", "shape": [120]}]})
+        attempt({}, {"arrays": [{"name": n, "dtype": "<f8", "shape": [40]} for n in "xyy"]})
+        attempt({}, {"rank": 7})
+        attempt({}, {"count": 39})
+        self.assertEqual(self.service.json("scene", "show", "lies"), before)
+        with self.client() as client:
+            client.push("lies", 1, points)
+
+    def test_goodbye(self):
+        client = self.client()
+        client.socket.sendall(frame(GOODBYE, 0, {}))
+        rest = client.socket.recv(4096)
+        self.assertTrue(rest == b"" or rest[:4] == b"RCBD")
+        client.close()
+        self.alive()
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)

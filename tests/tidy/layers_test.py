@@ -1,0 +1,92 @@
+"""The layers hold: a folder includes only what CONTRIBUTING.md's arrows allow, and heavy headers stay in their rooms."""
+import os
+import re
+import unittest
+
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
+
+# folder: the folders it may include besides itself (what those include is allowed too).
+ARROWS = {
+    "common/base": [],
+    "common/geometry": ["common/base"],
+    "common/particles": ["common/geometry"],
+    "common/partition": ["common/particles"],
+    "common/wire": ["common/base"],
+    "common/plan": ["common/particles"],
+    "common/io": ["common/base"],
+    "server/service": ["common/partition", "common/plan", "common/wire", "common/io"],
+    "server/ranks": ["server/service"],
+    "server/net": ["common/wire", "server/service"],
+    "server": ["server/ranks", "server/net"],
+    "client/lib": ["common/wire", "common/plan"],
+    "client/launch": ["client/lib"],
+    "client/cli": ["client/launch", "common/io"],
+    "client/solvers": ["client/lib", "common/io"],
+}
+
+# header: the folders where it may be included.
+ROOMS = {
+    r"<mpi\.h>": ["server/ranks", "tests/support", "tests/bench"],
+    r"<boost/asio": ["server/net", "client/lib"],
+    r"<hdf5\.h>": ["common/io"],
+}
+
+
+def reachable(folder):
+    seen, queue = {folder}, [folder]
+    while queue:
+        for other in ARROWS[queue.pop()]:
+            if other not in seen:
+                seen.add(other)
+                queue.append(other)
+    return seen
+
+
+def sources():
+    for top in ("common", "server", "client", "tests"):
+        for folder, _, names in os.walk(os.path.join(ROOT, top)):
+            for name in names:
+                if name.endswith((".hpp", ".cpp")):
+                    path = os.path.join(folder, name)
+                    with open(path) as file:
+                        yield os.path.relpath(path, ROOT), file.read()
+
+
+class Layers(unittest.TestCase):
+    def test_includes_follow_the_arrows(self):
+        wrong = []
+        for path, text in sources():
+            folder = os.path.dirname(path)
+            if path.startswith("tests/"):
+                continue
+            self.assertIn(folder, ARROWS, f"{path}: a folder without arrows; add it to CONTRIBUTING.md and here")
+            allowed = reachable(folder)
+            for include in re.findall(r'#include "([^"]+)"', text):
+                if os.path.dirname(include) not in allowed:
+                    wrong.append(f"{path} includes {include}")
+        self.assertEqual(wrong, [])
+
+    def test_heavy_headers_stay_in_their_rooms(self):
+        wrong = []
+        for path, text in sources():
+            for pattern, rooms in ROOMS.items():
+                if re.search("#include " + pattern, text) and os.path.dirname(path) not in rooms:
+                    wrong.append(f"{path} includes {pattern}")
+        self.assertEqual(wrong, [])
+
+    def test_every_file_says_its_purpose(self):
+        silent = [path for path, text in sources()
+                  if path.endswith(".hpp") and not text.startswith("//")]
+        self.assertEqual(silent, [])
+
+    def test_no_unsafe_floating_point(self):
+        for name in ("CMakeLists.txt", "cmake/RcbBuild.cmake", "tests/CMakeLists.txt"):
+            with open(os.path.join(ROOT, name)) as file:
+                text = file.read()
+            self.assertNotIn("-ffast-math", text)
+        with open(os.path.join(ROOT, "cmake/RcbBuild.cmake")) as file:
+            self.assertIn("-ffp-contract=off", file.read())
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
