@@ -22,10 +22,10 @@
 namespace rcb::client {
 
 struct ConnectOptions {
-  std::string endpoint;         // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
+  std::string endpoint;  // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
   double deadline_seconds = 5;  // for connecting and saying hello
   std::string name = "rcb client";
-  std::string token;            // TCP only; empty: found in the service's data directory
+  std::string token;  // TCP only; empty: found in the service's data directory
 };
 
 struct SceneOptions {
@@ -77,11 +77,11 @@ struct PartChange {
 };
 
 struct StepOptions {
-  std::optional<std::int64_t> step;    // default: the last step + 1, 0 at first
-  std::span<const std::int64_t> ids;   // [count], at the first push; empty: 0..count-1
-  std::span<const double> weights;     // [count]; empty: none, or unchanged
-  bool want_parts = false;             // fill StepResult::parts
-  bool want_changes = false;           // fill StepResult::changes
+  std::optional<std::int64_t> step;   // default: the last step + 1, 0 at first
+  std::span<const std::int64_t> ids;  // [count], at the first push; empty: 0..count-1
+  std::span<const double> weights;    // [count]; empty: none, or unchanged
+  bool want_parts = false;            // fill StepResult::parts
+  bool want_changes = false;          // fill StepResult::changes
   double deadline_seconds = 60;
 };
 
@@ -93,7 +93,7 @@ struct StepResult {
 
 struct Array {
   std::string name;
-  std::string dtype;                 // "<f8", "<i8", "<i4", "<u8"
+  std::string dtype;  // "<f8", "<i8", "<i4", "<u8"
   std::vector<std::uint64_t> shape;
   std::vector<std::byte> bytes;
 

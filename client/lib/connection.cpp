@@ -1,0 +1,350 @@
+#include "client/lib/connection.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <exception>
+#include <mutex>
+#include <optional>
+#include <thread>
+
+#include <boost/asio/as_tuple.hpp>
+#include <boost/asio/awaitable.hpp>
+#include <boost/asio/co_spawn.hpp>
+#include <boost/asio/generic/stream_protocol.hpp>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/local/stream_protocol.hpp>
+#include <boost/asio/read.hpp>
+#include <boost/asio/use_awaitable.hpp>
+#include <boost/asio/write.hpp>
+#include <fmt/format.h>
+#include <netdb.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+namespace asio = boost::asio;
+using boost::system::error_code;
+using Socket = asio::generic::stream_protocol::socket;
+using Address = asio::generic::stream_protocol::endpoint;
+
+constexpr auto kAwait = asio::as_tuple(asio::use_awaitable);
+constexpr std::size_t kTransferMax = 4U << 20U;        // bytes asked of the kernel in one call (Asio's own: 64 KiB)
+constexpr std::uint64_t kGrowthBytesMax = 64U << 20U;  // memory made before the bytes for it are there
+constexpr std::size_t kInboxMax = 64;                  // answers that nobody asked for
+constexpr int kNewsRoundsMax = 64;
+
+// As asio::transfer_all, in larger pieces.
+std::size_t transfer_large(const error_code& error, std::size_t) { return error ? 0 : kTransferMax; }
+
+// The addresses of a name, looked up in a thread of its own, since getaddrinfo knows no deadline. A look-up that
+// outlasts the deadline is left to end by itself; it touches nothing but its own shared state.
+Result<std::vector<Address>> resolve(const Endpoint& endpoint, const Deadline& deadline) {
+  struct LookUp {
+    std::mutex mutex;
+    std::condition_variable done;
+    bool finished = false;
+    int error = 0;
+    std::vector<Address> found;
+  };
+  const auto look_up = std::make_shared<LookUp>();
+  const auto work = [look_up, host = endpoint.host, port = fmt::format("{}", endpoint.port)] {
+    addrinfo hints{};
+    hints.ai_socktype = SOCK_STREAM;
+    hints.ai_flags = AI_NUMERICSERV;
+    addrinfo* list = nullptr;
+    const int error = ::getaddrinfo(host.c_str(), port.c_str(), &hints, &list);
+    const std::lock_guard lock(look_up->mutex);
+    look_up->error = error;
+    for (const addrinfo* entry = list; entry != nullptr; entry = entry->ai_next)
+      look_up->found.emplace_back(entry->ai_addr, entry->ai_addrlen, IPPROTO_TCP);
+    if (list != nullptr) ::freeaddrinfo(list);
+    look_up->finished = true;
+    look_up->done.notify_all();
+  };
+  error_code not_numeric;
+  asio::ip::make_address(endpoint.host, not_numeric);
+  if (!not_numeric)
+    work();
+  else
+    std::thread(work).detach();
+  std::unique_lock lock(look_up->mutex);
+  if (!look_up->done.wait_until(lock, deadline.at(), [&] { return look_up->finished; }))
+    return Status(Code::deadline_exceeded, fmt::format("the name '{}' could not be looked up in time", endpoint.host));
+  if (look_up->found.empty())
+    return Status(Code::unavailable,
+                  fmt::format("the name '{}' has no address: {}", endpoint.host, ::gai_strerror(look_up->error)));
+  return look_up->found;
+}
+
+std::optional<asio::ip::tcp::endpoint> as_tcp(const Address& address) {
+  asio::ip::tcp::endpoint tcp;
+  if (address.size() > tcp.capacity()) return std::nullopt;
+  std::memcpy(static_cast<void*>(tcp.data()), address.data(), address.size());
+  return tcp;
+}
+
+// Any user can make a socket in a shared directory; only one served by this user or by root is believed.
+Status check_peer(int handle, const Endpoint& endpoint) {
+  ucred peer{};
+  socklen_t size = sizeof peer;
+  if (::getsockopt(handle, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) return {};
+  if (peer.uid == ::geteuid() || peer.uid == 0 || ::geteuid() == 0) return {};
+  return {Code::not_authorised,
+          fmt::format("{} is served by user {}, not by this one ({})", endpoint.text(), peer.uid, ::geteuid()),
+          "name the endpoint of a service of your own"};
+}
+
+}  // namespace
+
+Deadline::Deadline(double seconds) {
+  constexpr double kDay = 86400;
+  const double bounded = std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kDay);
+  at_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(bounded));
+}
+
+Deadline Deadline::within(double seconds) const { return Deadline(std::min(seconds, left_seconds())); }
+
+struct Connection::State {
+  asio::io_context io{1};
+  Socket socket{io};
+  Endpoint endpoint;
+  NoticeHandler on_notice;
+  std::deque<Frame> inbox;
+  Status lost;
+  bool this_machine = false;
+
+  void lose(Code code, const std::string& why) {
+    if (lost.ok()) lost = Status(code, fmt::format("the connection to {} was lost: {}", endpoint.text(), why));
+    error_code ignored;
+    socket.close(ignored);
+  }
+
+  // Runs handlers until `done`, the deadline, or nothing is left to run. False: not done.
+  template <typename Done>
+  bool run(const Done& done, const Deadline& deadline) {
+    while (!done()) {
+      if (io.stopped()) io.restart();
+      const bool late = deadline.left_seconds() <= 0;
+      const std::size_t handlers = late ? io.poll_one() : io.run_one_until(deadline.at());
+      if (handlers == 0 && (late || io.stopped())) return done();
+      if (late) return done();
+    }
+    return true;
+  }
+
+  Result<bool> connect(const Address& address, const Deadline& deadline);
+  Status open(const Deadline& deadline);
+  void start_reading();
+  asio::awaitable<bool> fill(void* data, std::size_t size);
+  asio::awaitable<bool> read_arrays(Frame& frame, const wire::FrameHeader& header);
+  asio::awaitable<bool> read_frame();
+  asio::awaitable<void> read_frames();
+};
+
+// True if it stands, false if nobody answers there.
+Result<bool> Connection::State::connect(const Address& address, const Deadline& deadline) {
+  error_code ignored;
+  socket.close(ignored);
+  std::optional<error_code> outcome;
+  socket.async_connect(address, [&outcome](const error_code& error) { outcome = error; });
+  if (!run([&] { return outcome.has_value(); }, deadline)) {
+    socket.close(ignored);
+    run([&] { return outcome.has_value(); }, Deadline(1));  // the cancelled handler names a local variable
+    CHECK(outcome.has_value(), "a closed socket still connects");
+    return Status(Code::deadline_exceeded, fmt::format("{} did not take the connection in time", endpoint.text()));
+  }
+  return !*outcome;
+}
+
+Status Connection::State::open(const Deadline& deadline) {
+  std::vector<Address> addresses;
+  if (endpoint.is_unix) {
+    addresses.emplace_back(asio::local::stream_protocol::endpoint(endpoint.path));
+  } else {
+    auto found = resolve(endpoint, deadline);
+    if (!found) return found.status();
+    addresses = std::move(*found);
+  }
+  for (const Address& address : addresses) {
+    const auto connected = connect(address, deadline);
+    if (!connected) return connected.status();
+    if (!connected.value()) continue;
+    error_code ignored;
+    if (endpoint.is_unix) {
+      this_machine = true;
+      if (Status status = check_peer(socket.native_handle(), endpoint); !status) return status;
+    } else {
+      socket.set_option(asio::ip::tcp::no_delay(true), ignored);
+      socket.set_option(asio::socket_base::keep_alive(true), ignored);
+      const auto peer = as_tcp(socket.remote_endpoint(ignored));
+      const auto own = as_tcp(socket.local_endpoint(ignored));
+      this_machine = peer && own && (peer->address() == own->address() || peer->address().is_loopback());
+    }
+    return {};
+  }
+  return {Code::unavailable, fmt::format("no service answers at {}", endpoint.text()), "start one: rcbctl up"};
+}
+
+asio::awaitable<bool> Connection::State::fill(void* data, std::size_t size) {
+  const auto [error, got] = co_await asio::async_read(socket, asio::buffer(data, size), transfer_large, kAwait);
+  if (!error) co_return true;
+  lose(Code::unavailable, error == asio::error::eof ? std::string("the service closed it") : error.message());
+  co_return false;
+}
+
+asio::awaitable<bool> Connection::State::read_arrays(Frame& frame, const wire::FrameHeader& header) {
+  const auto json = frame.json();
+  if (!json) {
+    lose(json.status().code(), json.status().message());
+    co_return false;
+  }
+  const auto specs = wire::array_specs(*json, header.bulk_bytes);
+  if (!specs) {
+    lose(specs.status().code(), specs.status().message());
+    co_return false;
+  }
+  wire::BulkChecksum sum;
+  const bool summed = (header.flags & wire::kFlagBulkChecksum) != 0;
+  for (const wire::ArraySpec& spec : *specs) {
+    wire::Array array{spec.name, spec.dtype, spec.shape, {}};
+    while (array.bytes.size() < spec.bytes) {
+      const std::size_t at = array.bytes.size();
+      const std::size_t size = std::min(spec.bytes - at, kGrowthBytesMax);
+      if (!array.bytes.try_reserve(at + size)) {
+        lose(Code::too_large, fmt::format("no memory for an array of {} bytes", spec.bytes));
+        co_return false;
+      }
+      array.bytes.resize(at + size);
+      if (!co_await fill(array.bytes.data() + at, size)) co_return false;
+    }
+    if (summed) sum.add(array.bytes.span());
+    frame.arrays.push_back(std::move(array));
+  }
+  if (!summed) co_return true;
+  std::array<std::byte, 8> tail{};
+  if (!co_await fill(tail.data(), tail.size())) co_return false;
+  if (wire::BulkChecksum::decode(tail) == sum.value()) co_return true;
+  lose(Code::protocol_error, "the checksum of an answer's arrays is wrong");
+  co_return false;
+}
+
+asio::awaitable<bool> Connection::State::read_frame() {
+  wire::HeaderBytes bytes{};
+  if (!co_await fill(bytes.data(), bytes.size())) co_return false;
+  const auto header = wire::decode_header(bytes);
+  Status status = header.status();
+  if (status) status = wire::check_lengths(*header, wire::kReplyJsonBytesMax, ~std::uint64_t{0});
+  if (!status) {
+    lose(status.code(), status.message());
+    co_return false;
+  }
+  Frame frame;
+  frame.type = header->type;
+  frame.request = header->request;
+  while (frame.text.size() < header->json_bytes) {
+    const std::size_t at = frame.text.size();
+    frame.text.resize(at + std::min<std::size_t>(header->json_bytes - at, 1U << 20U));
+    if (!co_await fill(frame.text.data() + at, frame.text.size() - at)) co_return false;
+  }
+  status = wire::verify_checksum(bytes, frame.text);
+  if (!status) {
+    lose(status.code(), status.message());
+    co_return false;
+  }
+  if (header->bulk_bytes > 0 || (header->flags & wire::kFlagBulkChecksum) != 0)
+    if (!co_await read_arrays(frame, *header)) co_return false;
+  if (frame.type == wire::FrameType::goodbye) {
+    lose(Code::unavailable, "the service said goodbye");
+    co_return false;
+  }
+  if (frame.type == wire::FrameType::notice) {
+    const auto json = frame.json();
+    if (json && on_notice) on_notice(json->contains("notice") ? wire::dump_json((*json)["notice"]) : frame.text);
+    co_return true;
+  }
+  if (inbox.size() >= kInboxMax) {
+    lose(Code::protocol_error, "answers to requests that were not made");
+    co_return false;
+  }
+  inbox.push_back(std::move(frame));
+  co_return true;
+}
+
+asio::awaitable<void> Connection::State::read_frames() {
+  while (co_await read_frame()) {
+  }
+}
+
+void Connection::State::start_reading() {
+  asio::co_spawn(io, read_frames(), [this](const std::exception_ptr& thrown) {
+    if (thrown) lose(Code::internal, "reading failed, perhaps for lack of memory");
+  });
+}
+
+Connection::Connection(std::unique_ptr<State> state) : state_(std::move(state)) {}
+Connection::~Connection() = default;
+
+Result<std::unique_ptr<Connection>> Connection::open(const Endpoint& endpoint, const Deadline& deadline,
+                                                     NoticeHandler on_notice) {
+  auto state = std::make_unique<State>();
+  state->endpoint = endpoint;
+  state->on_notice = std::move(on_notice);
+  if (Status status = state->open(deadline); !status) return status;
+  state->start_reading();
+  return std::unique_ptr<Connection>(new Connection(std::move(state)));
+}
+
+Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline) {
+  State& s = *state_;
+  if (!s.lost) return s.lost;
+  std::vector<asio::const_buffer> buffers;
+  buffers.reserve(pieces.size());
+  for (const Bytes& piece : pieces) buffers.emplace_back(piece.data(), piece.size());
+  std::optional<error_code> outcome;
+  asio::async_write(s.socket, buffers, transfer_large,
+                    [&outcome](const error_code& error, std::size_t) { outcome = error; });
+  const auto written = [&] { return outcome.has_value(); };
+  if (!s.run(written, deadline)) {
+    s.lose(Code::deadline_exceeded, "it did not take what was sent in time");
+    s.run(written, Deadline(1));
+    CHECK(outcome.has_value(), "a closed socket still writes");
+  } else if (*outcome) {
+    // What the service said before it closed may still be in the socket, so the reader ends the connection.
+    if (!s.run([&] { return !s.lost || !s.inbox.empty(); }, deadline.within(1)))
+      s.lose(Code::unavailable, outcome->message());
+    return s.lost ? Status(Code::unavailable, outcome->message()) : s.lost;
+  }
+  return s.lost;
+}
+
+Result<Frame> Connection::read(const Deadline& deadline) {
+  State& s = *state_;
+  if (!s.run([&] { return !s.inbox.empty() || !s.lost; }, deadline))
+    s.lose(Code::deadline_exceeded, "no answer in time");
+  if (s.inbox.empty()) return s.lost;
+  Frame frame = std::move(s.inbox.front());
+  s.inbox.pop_front();
+  return frame;
+}
+
+bool Connection::has_news() {
+  State& s = *state_;
+  if (s.io.stopped()) s.io.restart();
+  for (int round = 0; round < kNewsRoundsMax && s.inbox.empty() && s.lost; ++round)
+    if (s.io.poll_one() == 0) break;
+  return !s.inbox.empty() || !s.lost;
+}
+
+Status Connection::lost() const { return state_->lost; }
+bool Connection::this_machine() const { return state_->this_machine; }
+
+}  // namespace rcb::client

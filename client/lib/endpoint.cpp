@@ -1,0 +1,127 @@
+#include "client/lib/endpoint.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include "common/base/paths.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::size_t kTokenBytesMax = 1024;
+
+std::string variable(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? std::string{} : value;
+}
+
+Status bad_endpoint(std::string_view text, std::string_view why) {
+  return {Code::invalid_argument, fmt::format("endpoint '{}': {}", text, why),
+          "an endpoint is unix:PATH or HOST:PORT, such as unix:/tmp/rcbd.sock or 127.0.0.1:7470"};
+}
+
+Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
+  if (path.empty()) return bad_endpoint(text, "no path");
+  if (path.find('\0') != std::string_view::npos) return bad_endpoint(text, "a null character inside");
+  std::error_code error;
+  const auto absolute = std::filesystem::absolute(std::filesystem::path(path), error);
+  if (error) return bad_endpoint(text, error.message());
+  Endpoint endpoint;
+  endpoint.path = absolute.lexically_normal().string();
+  if (endpoint.path.size() > kSocketPathMax)
+    return bad_endpoint(
+        text, fmt::format("the path has {} bytes, a socket's has at most {}", endpoint.path.size(), kSocketPathMax));
+  return endpoint;
+}
+
+// The first line of a file; nothing if it can't be read, or is empty or too long for a token.
+std::optional<std::string> first_line(const std::string& path) {
+  std::ifstream file(path);
+  std::string text(kTokenBytesMax + 1, '\0');
+  file.read(text.data(), static_cast<std::streamsize>(text.size()));
+  text.resize(static_cast<std::size_t>(std::max<std::streamsize>(file.gcount(), 0)));
+  text = text.substr(0, text.find_first_of("\r\n"));
+  if (text.empty() || text.size() > kTokenBytesMax) return std::nullopt;
+  return text;
+}
+
+}  // namespace
+
+std::string Endpoint::text() const {
+  if (is_unix) return "unix:" + path;
+  return host.find(':') == std::string::npos ? fmt::format("{}:{}", host, port) : fmt::format("[{}]:{}", host, port);
+}
+
+Result<Endpoint> parse_endpoint(std::string_view text) {
+  if (text.starts_with("unix:")) return unix_endpoint(text, text.substr(5));
+  if (text.find('/') != std::string_view::npos) return unix_endpoint(text, text);
+  const std::size_t colon = text.rfind(':');
+  if (colon == std::string_view::npos) return bad_endpoint(text, "no port");
+  std::string_view host = text.substr(0, colon);
+  const std::string_view port = text.substr(colon + 1);
+  if (host.starts_with('[') && host.ends_with(']'))
+    host = host.substr(1, host.size() - 2);
+  else if (host.find_first_of(":[]") != std::string_view::npos)
+    return bad_endpoint(text, "an IPv6 address stands in brackets, as in [::1]:7470");
+  if (host.empty() || host.size() > 253) return bad_endpoint(text, "no host");
+  for (const char c : host)
+    if (static_cast<unsigned char>(c) <= ' ' || c == '\x7f') return bad_endpoint(text, "a space in the host's name");
+  Endpoint endpoint;
+  endpoint.is_unix = false;
+  unsigned number = 0;
+  const auto [end, error] = std::from_chars(port.data(), port.data() + port.size(), number);
+  if (error != std::errc{} || end != port.data() + port.size() || number == 0 || number > 65535)
+    return bad_endpoint(text, "the port is a number of 1 to 65535");
+  endpoint.port = static_cast<std::uint16_t>(number);
+  endpoint.host = host;
+  for (char& c : endpoint.host)  // names don't tell upper from lower case
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+  return endpoint;
+}
+
+Result<std::vector<Endpoint>> endpoints_to_try(const std::string& given) {
+  const std::string told = given.empty() ? variable("RCBD_ENDPOINT") : given;
+  std::vector<Endpoint> endpoints;
+  auto first = parse_endpoint(told.empty() ? "unix:" + default_socket_path() : told);
+  if (!first && !told.empty()) return first.status();
+  if (first) endpoints.push_back(*first);
+  if (told.empty()) endpoints.push_back({false, {}, "127.0.0.1", kDefaultPort});
+  return endpoints;
+}
+
+Result<Endpoint> endpoint_to_serve(const std::string& given) {
+  const std::string told = given.empty() ? variable("RCBD_ENDPOINT") : given;
+  return parse_endpoint(told.empty() ? "unix:" + default_socket_path() : told);
+}
+
+std::string data_directory(const Endpoint& endpoint) { return data_directory_for(endpoint.text()); }
+std::string log_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kLogFile); }
+std::string token_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kTokenFile); }
+std::string marker_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kCleanShutdownFile); }
+
+Result<std::vector<std::string>> tokens_for(const Endpoint& endpoint, const std::string& given, bool this_machine) {
+  if (!given.empty()) return std::vector{given};
+  if (const std::string token = variable("RCBD_TOKEN"); !token.empty()) return std::vector{token};
+  if (const std::string path = variable("RCBD_TOKEN_FILE"); !path.empty()) {
+    if (const auto token = first_line(path)) return std::vector{*token};
+    return Status(Code::invalid_argument, fmt::format("no token can be read from '{}'", path),
+                  "RCBD_TOKEN_FILE names the file 'token' of the service's data directory");
+  }
+  std::vector<std::string> tokens;
+  if (!this_machine) return tokens;
+  // A service that listens everywhere is reached by several names; its directory has the one it was started with.
+  for (const std::string& host : {endpoint.host, std::string("127.0.0.1"), std::string("localhost"),
+                                  std::string("0.0.0.0"), std::string("::1"), std::string("::")}) {
+    const auto token = first_line(token_path({false, {}, host, endpoint.port}));
+    if (token && std::find(tokens.begin(), tokens.end(), *token) == tokens.end()) tokens.push_back(*token);
+  }
+  return tokens;
+}
+
+}  // namespace rcb::client
