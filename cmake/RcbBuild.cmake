@@ -23,8 +23,8 @@ target_include_directories(rcb_flags INTERFACE "${CMAKE_SOURCE_DIR}")
 target_compile_options(rcb_flags INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wold-style-cast -Wnon-virtual-dtor
   -Woverloaded-virtual -Werror -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math)
-# GCC 12 at -O3 sees these three in the standard library, fmt and nlohmann-json where there is nothing (GCC bugs 105329,
-# 105562, 105616 and kin); Clang does not know the names.
+# GCC 12 at -O3 sees these three in the standard library, fmt and nlohmann-json where there is nothing;
+# Clang does not know the names.
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
   target_compile_options(rcb_flags INTERFACE -Wno-restrict -Wno-maybe-uninitialized -Wno-stringop-overflow)
 endif()
