@@ -7,6 +7,8 @@
 #include <boost/asio/buffer.hpp>
 #include <fmt/format.h>
 
+#include "common/wire/limits.hpp"
+
 namespace rcb::net {
 namespace {
 
@@ -130,14 +132,25 @@ awaitable<Status> Connection::skip_bulk(const Frame& frame, std::uint64_t bytes)
   co_return Status();
 }
 
-void Connection::send(wire::FrameType type, std::uint64_t request, wire::Json json, std::vector<wire::Array> arrays) {
-  if (broken_) return;
+Status Connection::send_message(wire::FrameType type, std::uint64_t request, wire::Json json,
+                                std::vector<wire::Array> arrays) {
+  if (broken_) return {};
   wire::FrameHeader header;
   header.type = type;
   header.request = request;
   for (const wire::Array& array : arrays) header.bulk_bytes += array.bytes.size();
   if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
-  enqueue({wire::encode_frame(header, wire::dump_json(json)), std::move(arrays)});
+  const std::string text = wire::dump_json(json);
+  if (text.size() > wire::kJsonBytesMax)
+    return {Code::too_large,
+            fmt::format("the answer has {} bytes of JSON, a frame takes {}", text.size(), wire::kJsonBytesMax),
+            "ask for less of it"};
+  enqueue({wire::encode_frame(header, text), std::move(arrays)});
+  return {};
+}
+
+void Connection::send(wire::FrameType type, std::uint64_t request, const wire::Json& json) {
+  send_text(type, request, wire::dump_json(json));
 }
 
 void Connection::send_text(wire::FrameType type, std::uint64_t request, const std::string& json) {

@@ -42,7 +42,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
   // Until this moment all reading must be done; TimePoint::max() ends the rule.
   void limit_reading(TimePoint end);
 
-  void send(wire::FrameType type, std::uint64_t request, wire::Json json, std::vector<wire::Array> arrays = {});
+  // Errors: too_large (nothing is sent).
+  Status send_message(wire::FrameType type, std::uint64_t request, wire::Json json, std::vector<wire::Array> arrays);
+  // For messages of ours that are short.
+  void send(wire::FrameType type, std::uint64_t request, const wire::Json& json);
   void send_text(wire::FrameType type, std::uint64_t request, const std::string& json);
   // Waits until everything is sent or the connection is broken.
   awaitable<void> flush();

@@ -1,0 +1,48 @@
+#include "server/bridge.hpp"
+
+#include <memory>
+#include <utility>
+
+namespace rcb::server {
+namespace {
+
+std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
+  auto to = std::make_shared<net::Snapshot>();
+  to->steps = from.steps;
+  for (const auto& [name, scene] : from.scenes)
+    to->scenes[name] = {.n = scene.n,
+                        .dims = scene.dims,
+                        .parts = scene.parts,
+                        .weights = scene.weights,
+                        .step = scene.step,
+                        .step_session = scene.step_session,
+                        .epoch = scene.epoch,
+                        .plan_version = scene.plan_version,
+                        .plan_checksum = scene.plan_checksum};
+  return to;
+}
+
+}  // namespace
+
+void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
+  ranks::EngineOrder out;
+  out.number = ++number_;
+  doorbells_.ring(out.number, wire::dump_json(order.request));
+  out.request = std::move(order.request);
+  out.received_seconds = order.received_seconds;
+  out.deadline_seconds = order.deadline_seconds;
+  for (net::Slice& slice : order.slices) out.slices.push_back({slice.rank, slice.count, std::move(slice.arrays)});
+  out.done = [done = std::move(done)](service::Response response, const service::Snapshot& snapshot) {
+    done({std::move(response.status), std::move(response.json), std::move(response.arrays), convert(snapshot)});
+  };
+  CHECK(engine_.push(std::move(out)), "the engine's queue is full");
+}
+
+bool Watchdog::tick() {
+  const std::uint64_t running = engine_.number_running();
+  ticks_ = running != 0 && running == number_ ? ticks_ + 1 : 0;
+  number_ = running;
+  return running != 0 && seconds() > engine_.deadline_running_seconds() + stall_seconds_;
+}
+
+}  // namespace rcb::server

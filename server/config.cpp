@@ -1,0 +1,82 @@
+#include "server/config.hpp"
+
+#include <limits>
+#include <sstream>
+
+#include <CLI/CLI.hpp>
+
+#include "common/base/paths.hpp"
+
+namespace rcb::server {
+
+std::string Config::endpoint() const { return socket.empty() ? listen.front() : "unix:" + socket; }
+
+namespace {
+
+void add_options(CLI::App& app, Config& config) {
+  app.set_version_flag("--version", "rcbd " RCB_VERSION);
+  app.set_config("--config", "", "configuration file: the options below without dashes, as name = value")
+      ->envname("RCBD_CONFIG");
+  app.add_option("--socket", config.socket,
+                 "Unix socket to listen on [default without --listen: " + default_socket_path() + "]")
+      ->envname("RCBD_SOCKET")
+      ->type_name("PATH");
+  app.add_option("--listen", config.listen,
+                 "TCP address to listen on, HOST:PORT; clients must show the token in the data directory. May be given "
+                 "more than once; port 0 takes a free one")
+      ->envname("RCBD_LISTEN")
+      ->type_name("HOST:PORT");
+  app.add_option("--data-dir", config.data_dir,
+                 "directory for lock, token and clean-shutdown marker [default: one for each endpoint, below "
+                 "$XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
+      ->envname("RCBD_DATA_DIR")
+      ->type_name("DIR");
+  app.add_option("--log-level", config.log_level, "how much is logged to standard error")
+      ->envname("RCBD_LOG_LEVEL")
+      ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
+      ->capture_default_str();
+  app.add_option("--bulk-bytes", config.bulk_bytes,
+                 "most bytes of arrays that all pushes together may hold in memory before they are taken over; units "
+                 "such as 4gb are understood [default: half of the memory]")
+      ->envname("RCBD_BULK_BYTES")
+      ->transform(CLI::AsSizeValue(false));
+  app.add_option("--silence-seconds", config.silence_seconds,
+                 "a rank that says nothing for so long is given up as dead")
+      ->envname("RCBD_SILENCE_SECONDS")
+      ->check(CLI::Range(4.0, 3600.0))
+      ->capture_default_str();
+  app.add_option("--stall-seconds", config.stall_seconds,
+                 "a command that is so far past its deadline ends the service (the launcher starts it again)")
+      ->envname("RCBD_STALL_SECONDS")
+      ->check(CLI::Range(1.0, 86400.0))
+      ->capture_default_str();
+  app.add_flag("--restarted", config.restarted, "says in the status that scenes of an earlier run may have been lost")
+      ->envname("RCBD_RESTARTED");
+}
+
+}  // namespace
+
+ParsedConfig parse_config(int argc, const char* const* argv) {
+  ParsedConfig parsed;
+  CLI::App app("rcbd, a partitioning service for particle codes", "rcbd");
+  app.footer(
+      "Start it with mpirun, one process a rank: mpirun --bind-to none --oversubscribe -n 8 rcbd\n"
+      "'rcbctl up' does this and looks after it. Flags win over the environment, the environment over the file.");
+  add_options(app, parsed.config);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& fault) {
+    std::ostringstream out;
+    std::ostringstream error;
+    const int code = app.exit(fault, out, error);
+    parsed.out = out.str();
+    parsed.error = error.str();
+    parsed.exit_code = code == 0 ? 0 : 2;
+    return parsed;
+  }
+  if (parsed.config.socket.empty() && parsed.config.listen.empty()) parsed.config.socket = default_socket_path();
+  parsed.run = true;
+  return parsed;
+}
+
+}  // namespace rcb::server

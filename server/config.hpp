@@ -1,0 +1,35 @@
+// Config: rcbd's command line, environment (RCBD_*) and configuration file, in this order of precedence.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace rcb::server {
+
+struct Config {
+  std::vector<std::string> listen;  // HOST:PORT
+  std::string socket;               // with neither: the default socket
+  std::string data_dir;             // empty: the endpoint's own
+  std::string log_level = "info";
+  std::uint64_t bulk_bytes = 0;  // 0: half of the memory
+  double silence_seconds = 15;
+  double stall_seconds = 120;
+  bool restarted = false;
+
+  // How clients name the service: the socket, else the first TCP address.
+  std::string endpoint() const;
+};
+
+// What the command line asked for besides running.
+struct ParsedConfig {
+  Config config;
+  bool run = false;
+  int exit_code = 0;
+  std::string out;    // for stdout
+  std::string error;  // for stderr
+};
+
+ParsedConfig parse_config(int argc, const char* const* argv);
+
+}  // namespace rcb::server

@@ -1,0 +1,195 @@
+// rcbd: wiring only. Rank 0 opens the sockets, tells the others through MPI where its doorbell is, and all ranks
+// execute orders until one says shutdown.
+#include <algorithm>
+#include <csignal>
+#include <cstdio>
+#include <memory>
+#include <optional>
+
+#include <fmt/format.h>
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include "common/base/clock.hpp"
+#include "common/base/paths.hpp"
+#include "server/bridge.hpp"
+#include "server/config.hpp"
+#include "server/net/control.hpp"
+#include "server/net/data_directory.hpp"
+#include "server/net/doorbell.hpp"
+#include "server/net/io_loop.hpp"
+#include "server/ranks/engine_loop.hpp"
+#include "server/ranks/mpi_session.hpp"
+
+namespace rcb::server {
+namespace {
+
+constexpr double kStartSeconds = 30;
+constexpr double kGoodbyeSeconds = 5;
+constexpr unsigned kFinalizeSeconds = 30;
+constexpr std::size_t kQueueOrders = wire::kOrdersMax + 1;  // and the shutdown
+
+// The other ranks can't be told any more; mpirun takes the job down when one rank ends like this.
+[[noreturn]] void die(const std::string& why) {
+  spdlog::critical("{}; this rank ends", why);
+  spdlog::shutdown();
+  ::_exit(1);
+}
+
+void set_up_log(const Config& config, int rank) {
+  auto log = std::make_shared<spdlog::logger>("rcbd", std::make_shared<spdlog::sinks::stderr_sink_mt>());
+  spdlog::set_default_logger(log);
+  spdlog::set_level(spdlog::level::from_str(config.log_level));
+  spdlog::set_pattern(fmt::format("%Y-%m-%dT%H:%M:%S.%e%z rank {} %l: %v", rank));
+  spdlog::flush_on(spdlog::level::trace);
+}
+
+// Signals reach all ranks at once; only rank 0 acts on them, through its I/O thread.
+void set_up_signals(int rank) {
+  std::signal(SIGPIPE, SIG_IGN);
+  if (ranks::started_by_mpirun()) ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (rank == 0) return;
+  for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
+}
+
+// What rank 0 has and the others don't.
+struct Root {
+  std::optional<net::DataDirectory> data;
+  std::unique_ptr<net::DoorbellHub> doorbells;
+  std::unique_ptr<Bridge> bridge;
+  std::unique_ptr<net::Control> control;
+};
+
+Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop, ranks::EngineLoop& engine) {
+  const std::string directory = config.data_dir.empty() ? data_directory_for(config.endpoint()) : config.data_dir;
+  auto data = net::DataDirectory::open(directory, !config.data_dir.empty(), "rcbd at " + config.endpoint());
+  if (!data.ok()) return data.status();
+  root.data.emplace(std::move(*data));
+  net::ControlOptions options;
+  options.version = RCB_VERSION;
+  options.ranks = ranks;
+  options.restarted = config.restarted;
+  options.bulk_bytes_max = config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
+  if (!config.listen.empty()) {
+    auto token = root.data->token();
+    if (!token.ok()) return token.status();
+    options.token = std::move(*token);
+  }
+  auto doorbells = net::DoorbellHub::open(loop, ranks, config.silence_seconds, die);
+  if (!doorbells.ok()) return doorbells.status();
+  root.doorbells = std::move(*doorbells);
+  root.bridge = std::make_unique<Bridge>(engine, *root.doorbells);
+  root.control = std::make_unique<net::Control>(loop, options, *root.bridge);
+  if (!config.socket.empty()) {
+    const Status status = root.control->listen_unix(config.socket);
+    if (!status.ok()) return status;
+    spdlog::info("listening on unix:{}", config.socket);
+  }
+  for (const std::string& where : config.listen) {
+    const auto bound = root.control->listen_tcp(where);
+    if (!bound.ok()) return bound.status();
+    spdlog::info("listening on {}, token in {}", *bound, join_path(root.data->path(), kTokenFile));
+  }
+  loop.on_signals([control = root.control.get()](int number) { control->shut_down(fmt::format("signal {}", number)); });
+  return {};
+}
+
+void say_failure(const Status& status) {
+  std::fprintf(stderr, "rcbd: %s%s%s\n", status.message().c_str(), status.hint().empty() ? "" : "; ",
+               status.hint().c_str());
+}
+
+void watch(net::IoLoop& loop, const ranks::EngineLoop& engine, const Config& config, std::function<void()> beat) {
+  loop.every(net::kTickSeconds, [beat = std::move(beat), dog = Watchdog(engine, config.stall_seconds)]() mutable {
+    beat();
+    if (dog.tick()) die(fmt::format("a command has run for {} s, far past its deadline", dog.seconds()));
+  });
+}
+
+int run_root(const Config& config, ranks::MpiSession& mpi) {
+  ranks::EngineLoop engine(kQueueOrders);
+  net::IoLoop loop;
+  Root root;
+  const Status opened = open_root(root, config, mpi.size(), loop, engine);
+  if (!opened.ok()) say_failure(opened);
+  mpi.share(opened.ok() ? root.doorbells->address().path : "refused");
+  if (!opened.ok()) return 1;
+  mpi.share(root.doorbells->address().secret);
+  watch(loop, engine, config, [hub = root.doorbells.get()] { hub->tick(); });
+  loop.start();
+  const Status connected = root.doorbells->wait_connected(kStartSeconds);
+  if (!connected.ok()) die(connected.message());
+  loop.run([&] { root.control->start(); });
+  spdlog::info("rcbd {} is up: {} ranks, pid {}{}", RCB_VERSION, mpi.size(), ::getpid(),
+               config.restarted ? ", restarted and empty" : "");
+  const SteadyClock clock;
+  {
+    service::Service service(mpi.comm(), clock);
+    engine.run(service);
+  }
+  root.control->finish(kGoodbyeSeconds);
+  root.doorbells->finish(kGoodbyeSeconds);
+  loop.stop();
+  mpi.finish(kFinalizeSeconds);
+  const Status marked = root.data->leave_clean_marker();
+  if (!marked.ok()) say_failure(marked);
+  spdlog::info("ended cleanly");
+  return marked.ok() ? 0 : 1;
+}
+
+int run_other(const Config& config, ranks::MpiSession& mpi) {
+  net::DoorbellAddress address;
+  address.path = mpi.share({});
+  if (address.path == "refused") return 1;
+  address.secret = mpi.share({});
+  ranks::EngineLoop engine(kQueueOrders);
+  net::IoLoop loop;
+  auto ordered = [&engine](std::uint64_t number, wire::Json request) {
+    ranks::EngineOrder order;
+    order.number = number;
+    const auto deadline =
+        wire::number_field_or(request, "deadline_seconds", 0, wire::kDeadlineSecondsMax, wire::kDeadlineSecondsDefault);
+    order.deadline_seconds = deadline.ok() ? *deadline : wire::kDeadlineSecondsMax;
+    order.request = std::move(request);
+    CHECK(engine.push(std::move(order)), "the engine's queue is full");
+  };
+  auto doorbell = net::Doorbell::connect(loop, mpi.rank(), address, config.silence_seconds, ordered, die);
+  if (!doorbell.ok()) die(doorbell.status().message());
+  watch(loop, engine, config, [bell = doorbell->get()] { bell->tick(); });
+  loop.start();
+  const SteadyClock clock;
+  {
+    service::Service service(mpi.comm(), clock);
+    engine.run(service);
+  }
+  (*doorbell)->finish(2 * kGoodbyeSeconds);
+  loop.stop();
+  mpi.finish(kFinalizeSeconds);
+  return 0;
+}
+
+int run(int argc, char** argv) {
+  const ParsedConfig parsed = parse_config(argc, argv);
+  if (!parsed.run) {
+    if (ranks::rank_from_environment() != 0) return parsed.exit_code;
+    std::fputs(parsed.out.c_str(), stdout);
+    std::fputs(parsed.error.c_str(), stderr);
+    return parsed.exit_code;
+  }
+  set_up_signals(ranks::rank_from_environment());
+  auto mpi = ranks::MpiSession::start(&argc, &argv);
+  if (!mpi.ok()) {
+    if (ranks::rank_from_environment() == 0) say_failure(mpi.status());
+    return 1;
+  }
+  set_up_log(parsed.config, mpi->rank());
+  set_check_context(fmt::format("rank {} of {}", mpi->rank(), mpi->size()));
+  return mpi->rank() == 0 ? run_root(parsed.config, *mpi) : run_other(parsed.config, *mpi);
+}
+
+}  // namespace
+}  // namespace rcb::server
+
+int main(int argc, char** argv) { return rcb::server::run(argc, argv); }

@@ -1,0 +1,151 @@
+#include "server/net/control.hpp"
+
+#include <list>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include "common/base/paths.hpp"
+#include "server/net/coordinator.hpp"
+#include "server/net/listen.hpp"
+#include "server/net/session.hpp"
+
+namespace rcb::net {
+
+struct Control::State : std::enable_shared_from_this<State> {
+  State(IoLoop& io, ControlOptions options, Engine& engine)
+      : loop(io), coordinator(std::make_shared<Coordinator>(io.context(), std::move(options), engine)) {}
+
+  template <typename Acceptor>
+  awaitable<void> accept(Acceptor& acceptor, bool with_token) {
+    while (true) {
+      typename Acceptor::protocol_type::socket socket(loop.context());
+      auto [error] = co_await acceptor.async_accept(socket, kAwait);
+      if (error == asio::error::operation_aborted || !acceptor.is_open()) co_return;
+      if (error) {  // out of file descriptors, most likely: the clients that are here must not suffer
+        spdlog::warn("a connection couldn't be taken: {}", error.message());
+        Timer pause(loop.context(), std::chrono::milliseconds(200));
+        co_await pause.async_wait(kAwait);
+        continue;
+      }
+      if constexpr (std::is_same_v<Acceptor, TcpAcceptor>) {
+        error_code ignored;
+        socket.set_option(asio::ip::tcp::no_delay(true), ignored);
+        socket.set_option(asio::socket_base::keep_alive(true), ignored);
+      }
+      Status peer;
+      if constexpr (std::is_same_v<Acceptor, UnixAcceptor>) peer = check_peer_user(socket.native_handle());
+      welcome(Socket(std::move(socket)), with_token, peer);
+    }
+  }
+
+  void welcome(Socket socket, bool with_token, Status refused) {
+    const std::size_t taken = coordinator->session_count();
+    if (refused.ok() && taken >= static_cast<std::size_t>(coordinator->options().sessions_max))
+      refused = Status(Code::busy, fmt::format("{} sessions are open, which is the most", taken), "try again later");
+    if (!refused.ok() && refusing >= kRefusingMax) return;  // closes the socket without a word
+    auto session = std::make_shared<Session>(coordinator, std::move(socket), with_token);
+    if (!refused.ok()) {
+      ++refusing;
+      spdlog::info("connection refused: {}", refused.message());
+    }
+    asio::co_spawn(
+        loop.context(),
+        [session, refused]() -> awaitable<void> {
+          if (refused.ok())
+            co_await session->run();
+          else
+            co_await session->refuse(refused);
+        },
+        [self = shared_from_this(), session, was_refused = !refused.ok()](const std::exception_ptr& fault) {
+          if (was_refused) --self->refusing;
+          if (fault) self->contain(*session, fault);
+        });
+  }
+
+  // An exception here is a bug, or the end of memory: this client loses its connection, the others go on.
+  void contain(Session& session, const std::exception_ptr& fault) {
+    coordinator->leave(&session);
+    session.connection()->close();
+    try {
+      std::rethrow_exception(fault);
+    } catch (const std::exception& what) {
+      spdlog::error("session of {} ended by an internal fault: {}", session.client(), what.what());
+    }
+  }
+
+  void stop_listening() {
+    error_code ignored;
+    if (unix_acceptor) unix_acceptor->close(ignored);
+    for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
+  }
+
+  static constexpr int kRefusingMax = 64;
+  IoLoop& loop;
+  std::shared_ptr<Coordinator> coordinator;
+  std::optional<UnixAcceptor> unix_acceptor;
+  std::string unix_path;
+  std::list<TcpAcceptor> tcp_acceptors;
+  int refusing = 0;
+};
+
+Control::Control(IoLoop& loop, ControlOptions options, Engine& engine)
+    : state_(std::make_shared<State>(loop, std::move(options), engine)) {}
+
+Control::~Control() {
+  state_->stop_listening();
+  if (!state_->unix_path.empty()) ::unlink(state_->unix_path.c_str());
+}
+
+Status Control::listen_unix(const std::string& path) {
+  Result<UnixAcceptor> acceptor = net::listen_unix(state_->loop.context(), path);
+  if (!acceptor.ok()) return acceptor.status();
+  state_->unix_acceptor.emplace(std::move(*acceptor));
+  state_->unix_path = path;
+  state_->coordinator->add_endpoint("unix:" + path);
+  return {};
+}
+
+Result<std::string> Control::listen_tcp(const std::string& where) {
+  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->loop.context(), where);
+  if (!acceptor.ok()) return acceptor.status();
+  std::string bound = bound_address(*acceptor);
+  state_->tcp_acceptors.push_back(std::move(*acceptor));
+  state_->coordinator->add_endpoint(bound);
+  return bound;
+}
+
+void Control::start() {
+  asio::io_context& context = state_->loop.context();
+  if (state_->unix_acceptor)
+    asio::co_spawn(
+        context, [state = state_] { return state->accept(*state->unix_acceptor, false); }, asio::detached);
+  for (TcpAcceptor& acceptor : state_->tcp_acceptors)
+    asio::co_spawn(
+        context, [state = state_, &acceptor] { return state->accept(acceptor, true); }, asio::detached);
+}
+
+void Control::shut_down(const std::string& why) {
+  state_->loop.post([state = state_, why] { state->coordinator->shut_down(why, [] {}); });
+}
+
+void Control::finish(double seconds) {
+  state_->loop.run([this] { state_->stop_listening(); });
+  const TimePoint end = now() + duration_of(seconds);
+  bool empty = false;
+  while (!empty && now() < end) {
+    state_->loop.run([&] { empty = state_->coordinator->session_count() == 0; });
+    if (!empty) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+}
+
+std::uint64_t bulk_bytes_default() {
+  const auto pages = static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES));
+  return pages * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)) / 2;
+}
+
+}  // namespace rcb::net

@@ -1,0 +1,53 @@
+// Control: rank 0's listening sockets and the sessions behind them.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "common/wire/limits.hpp"
+#include "server/net/engine.hpp"
+#include "server/net/io_loop.hpp"
+
+namespace rcb::net {
+
+struct ControlOptions {
+  std::string version;
+  int ranks = 1;
+  bool restarted = false;  // after a crash, so that scenes may have been lost
+  std::string token;       // asked for over TCP
+  std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
+  double hello_seconds = wire::kHelloSecondsMax;
+  double frame_seconds = wire::kFrameSecondsMax;
+  double notice_seconds = 5;  // how often a waiting client is told what it waits for
+  int sessions_max = wire::kSessionsMax;
+  int orders_max = wire::kOrdersMax;
+};
+
+class Control {
+ public:
+  Control(IoLoop& loop, ControlOptions options, Engine& engine);
+  ~Control();  // the loop must have stopped
+
+  // Before the loop starts. Errors: those of listen_unix and listen_tcp.
+  Status listen_unix(const std::string& path);
+  // Gives the address as it was bound. Errors: as above.
+  Result<std::string> listen_tcp(const std::string& where);
+  void start();
+
+  // Any thread: orders the end, as the command `shutdown` does.
+  void shut_down(const std::string& why);
+  // Not on the I/O thread, when the engines have ended: waits for the sessions to be told, then closes what is left.
+  void finish(double seconds);
+
+ private:
+  struct State;
+  std::shared_ptr<State> state_;
+};
+
+// Half of the machine's memory: what a push may have unless told otherwise.
+std::uint64_t bulk_bytes_default();
+
+}  // namespace rcb::net

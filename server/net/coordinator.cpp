@@ -1,0 +1,204 @@
+#include "server/net/coordinator.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include "server/net/session.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engine& engine)
+    : context_(context), options_(std::move(options)), engine_(engine) {}
+
+void Coordinator::leave(Session* session) {
+  sessions_.erase(session);
+  std::vector<std::shared_ptr<OpenPush>> lost;
+  for (const auto& [name, gate] : gates_)
+    if (gate.push && gate.push->connection == session->connection()) lost.push_back(gate.push);
+  for (const auto& push : lost) give_up(push, {Code::aborted, "the client's connection was lost"});
+}
+
+Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions order) {
+  if (shutting_down_) {
+    staged_bytes_ -= order.staged_bytes;
+    return Status(Code::unavailable, "the service is shutting down");
+  }
+  if (orders_unfinished_ >= options_.orders_max) {
+    staged_bytes_ -= order.staged_bytes;
+    return Status(Code::busy, fmt::format("{} commands are unfinished", orders_unfinished_), "try again in a moment");
+  }
+  ++orders_unfinished_;
+  if (!order.changes.empty()) ++gate(order.changes).changes_unfinished;
+  auto pending = std::make_shared<Pending>(context_);
+  Order out{std::move(request), std::move(order.slices), order.received_seconds, order.deadline_seconds};
+  order.slices.clear();
+  auto done = [self = shared_from_this(), order = std::move(order), pending](Answer answer) mutable {
+    // A function object must be copyable, and moved work must not be: hence the shared answer.
+    auto shared = std::make_shared<Answer>(std::move(answer));
+    asio::post(self->context_, [self, order, pending, shared] { self->complete(std::move(*shared), order, pending); });
+  };
+  engine_.submit(std::move(out), std::move(done));
+  return pending;
+}
+
+void Coordinator::complete(Answer answer, const OrderOptions& order, const std::shared_ptr<Pending>& pending) {
+  --orders_unfinished_;
+  staged_bytes_ -= order.staged_bytes;
+  if (answer.snapshot) snapshot_ = answer.snapshot;
+  if (!order.changes.empty()) {
+    --gate(order.changes).changes_unfinished;
+    gate(order.changes).wake();
+    tidy(order.changes);
+  }
+  pending->answer = std::move(answer);
+  pending->signal.cancel();
+}
+
+void Coordinator::tidy(const std::string& scene) {
+  const auto found = gates_.find(scene);
+  if (found == gates_.end()) return;
+  const SceneGate& gate = found->second;
+  if (!gate.push && gate.changes_unfinished == 0 && gate.queue.empty()) gates_.erase(found);
+}
+
+Result<std::shared_ptr<OpenPush>> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
+                                                         std::string client, double deadline_seconds) {
+  const std::uint64_t bytes = terms.bytes();
+  if (bytes > options_.bulk_bytes_max - std::min(staged_bytes_, options_.bulk_bytes_max))
+    return Status(Code::busy,
+                  fmt::format("other pushes take {} of {} bytes, and this one has {}", staged_bytes_,
+                              options_.bulk_bytes_max, bytes),
+                  "try again when they are done");
+  auto push = std::make_shared<OpenPush>(context_, std::move(terms));
+  staged_bytes_ += bytes;
+  push->connection = std::move(connection);
+  push->client = std::move(client);
+  push->end = push->started + duration_of(deadline_seconds);
+  push->deadline.expires_at(push->end);
+  push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
+    const auto late = weak.lock();
+    if (error || !late) return;
+    self->give_up(late, {Code::deadline_exceeded,
+                         fmt::format("the push wasn't whole at its deadline: {}", late->slices.progress()),
+                         "the previous step stands; push again"});
+  });
+  gate(push->slices.terms().id.scene).push = push;
+  return push;
+}
+
+std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connection* connection) {
+  const auto found = gates_.find(id.scene);
+  if (found == gates_.end() || !found->second.push) return nullptr;
+  const auto& push = found->second.push;
+  return push->slices.terms().id == id && push->connection.get() == connection ? push : nullptr;
+}
+
+void Coordinator::close_push(const std::shared_ptr<OpenPush>& push) {
+  push->deadline.cancel();
+  SceneGate& of = gate(push->slices.terms().id.scene);
+  CHECK(of.push == push, "the push isn't the open one");
+  of.push.reset();
+  of.wake();
+}
+
+void Coordinator::give_up(const std::shared_ptr<OpenPush>& push, const Status& why) {
+  if (std::exchange(push->given_up, true)) return;
+  const PushId id = push->slices.terms().id;
+  spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());
+  close_push(push);
+  staged_bytes_ -= push->slices.terms().bytes();
+  tidy(id.scene);
+  push->connection->send(FrameType::failure, push->request, wire::failure_json(why));
+}
+
+std::vector<std::string> Coordinator::members(const std::string& scene, const std::string& except) const {
+  std::vector<std::string> names;
+  for (const Session* session : sessions_)
+    if (session->has_open(scene) && (except.empty() || session->number() != except)) names.push_back(session->client());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+std::string Coordinator::restart_hint() const {
+  if (!options_.restarted) return "";
+  return snapshot_->scenes.empty()
+             ? "the service was restarted and is empty: create the scene again and push everything"
+             : "the service was restarted and lost its scenes: create the scene again and push everything";
+}
+
+Status Coordinator::unknown_scene(const std::string& scene) const {
+  const std::string hint = restart_hint();
+  return {Code::not_found, fmt::format("no scene '{}'", scene), hint.empty() ? "create it first" : hint};
+}
+
+Json Coordinator::scenes_json() const {
+  Json scenes = Json::array();
+  for (const auto& [name, scene] : snapshot_->scenes)
+    scenes.push_back({{"scene", name},
+                      {"n", scene.n},
+                      {"dims", scene.dims},
+                      {"parts", scene.parts},
+                      {"step", scene.step ? Json(*scene.step) : Json()},
+                      {"epoch", scene.epoch}});
+  return scenes;
+}
+
+Json Coordinator::status_json() const {
+  return {{"version", options_.version},
+          {"ranks", options_.ranks},
+          {"pid", ::getpid()},
+          {"uptime_seconds", seconds_since(started_)},
+          {"endpoints", endpoints_},
+          {"empty", snapshot_->scenes.empty()},
+          {"restarted", options_.restarted},
+          {"sessions", sessions_.size()},
+          {"scenes", scenes_json()},
+          {"steps", snapshot_->steps}};
+}
+
+Json Coordinator::welcome_json(bool with_token) const {
+  return {{"server", "rcbd"},
+          {"version", options_.version},
+          {"protocol", wire::kProtocolVersion},
+          {"authentication", with_token ? "token" : "none"},
+          {"limits",
+           {{"json_bytes", wire::kJsonBytesMax},
+            {"bulk_bytes", options_.bulk_bytes_max},
+            {"hello_seconds", options_.hello_seconds},
+            {"frame_seconds", options_.frame_seconds},
+            {"sessions", options_.sessions_max}}}};
+}
+
+void Coordinator::shut_down(const std::string& why, std::function<void()> told) {
+  if (ended_) return told();
+  told_.push_back(std::move(told));
+  if (std::exchange(shutting_down_, true)) return;
+  spdlog::info("shutting down: {}", why);
+  std::vector<std::shared_ptr<OpenPush>> open;
+  for (auto& [name, gate] : gates_) {
+    if (gate.push) open.push_back(gate.push);
+    gate.wake();
+  }
+  for (const auto& push : open) give_up(push, {Code::aborted, "the service is shutting down"});
+  Order order;
+  order.request = {{"command", "shutdown"}};
+  engine_.submit(std::move(order), [self = shared_from_this()](const Answer&) {
+    asio::post(self->context_, [self] { self->say_goodbye(); });
+  });
+}
+
+void Coordinator::say_goodbye() {
+  ended_ = true;
+  for (auto& told : std::exchange(told_, {})) told();
+  for (Session* session : sessions_) session->say_goodbye();
+}
+
+}  // namespace rcb::net

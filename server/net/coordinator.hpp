@@ -1,0 +1,137 @@
+// Coordinator: what all sessions share. It puts commands into one order and says who may have which scene.
+//
+// Invariants
+// 1. At most `orders_max` orders are unfinished; busy is said before ordering, never after.
+// 2. A scene has one open push at most. Commands that change a scene wait for its end; what comes later waits behind
+//    them, first come, first served (SceneGate::queue).
+// 3. The snapshot is the one of the last order that was answered, and is in place before that answer leaves.
+// 4. All arrays of open and unfinished pushes together have at most `bulk_bytes_max` bytes.
+// Everything runs on the I/O thread.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "server/net/asio.hpp"
+#include "server/net/connection.hpp"
+#include "server/net/control.hpp"
+#include "server/net/engine.hpp"
+#include "server/net/push.hpp"
+
+namespace rcb::net {
+
+class Session;
+
+// A push that is being received.
+struct OpenPush {
+  OpenPush(asio::io_context& context, PushTerms terms) : slices(std::move(terms)), deadline(context) {}
+  PushSlices slices;
+  std::shared_ptr<Connection> connection;  // whose it is
+  std::string client;
+  std::uint64_t request = 0;  // of its push.begin
+  wire::Json begin;
+  TimePoint started = now();
+  TimePoint end;
+  Timer deadline;
+  bool given_up = false;
+};
+
+struct SceneGate {
+  std::shared_ptr<OpenPush> push;
+  int changes_unfinished = 0;  // ordered commands that change the scene
+  std::deque<Timer*> queue;    // who waits for a turn
+  void wake() {
+    for (Timer* timer : queue) timer->cancel();
+  }
+};
+
+// An order's answer, once it is there.
+struct Pending {
+  explicit Pending(asio::io_context& context) : signal(context, TimePoint::max()) {}
+  std::optional<Answer> answer;
+  Timer signal;  // cancelled when it is
+};
+
+struct OrderOptions {
+  std::vector<Slice> slices;
+  double received_seconds = 0;
+  double deadline_seconds = 60;
+  std::string changes;             // the scene it changes; empty: none
+  std::uint64_t staged_bytes = 0;  // given back when it is answered
+};
+
+class Coordinator : public std::enable_shared_from_this<Coordinator> {
+ public:
+  Coordinator(asio::io_context& context, ControlOptions options, Engine& engine);
+
+  const ControlOptions& options() const { return options_; }
+  asio::io_context& context() { return context_; }
+  const Snapshot& snapshot() const { return *snapshot_; }
+  bool shutting_down() const { return shutting_down_; }
+  std::size_t session_count() const { return sessions_.size(); }
+  void add_endpoint(std::string endpoint) { endpoints_.push_back(std::move(endpoint)); }
+
+  void join(Session* session) { sessions_.insert(session); }
+  // Gives up the session's pushes.
+  void leave(Session* session);
+
+  // Errors: busy.
+  Result<std::shared_ptr<Pending>> order(wire::Json request, OrderOptions order);
+
+  // Gates stay where they are while anyone waits in them.
+  SceneGate& gate(const std::string& scene) { return gates_[scene]; }
+  void tidy(const std::string& scene);
+
+  // Takes the push's bytes from the budget and starts its deadline. The gate must be free.
+  // Errors: busy (budget).
+  Result<std::shared_ptr<OpenPush>> open_push(PushTerms terms, std::shared_ptr<Connection> connection,
+                                              std::string client, double deadline_seconds);
+  // The open push with this id, if this connection opened it.
+  std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
+  // Ends the push and tells its client why. Nothing was ordered, so nothing has changed.
+  void give_up(const std::shared_ptr<OpenPush>& push, const Status& why);
+  // Ends the receiving: the push's bytes are now the order's.
+  void close_push(const std::shared_ptr<OpenPush>& push);
+
+  // Clients with the scene open, by name; `except`: sessions of this number are left out.
+  std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
+  Status unknown_scene(const std::string& scene) const;
+  // "the service was restarted ..."; empty where it wasn't.
+  std::string restart_hint() const;
+
+  wire::Json status_json() const;
+  wire::Json scenes_json() const;
+  wire::Json welcome_json(bool with_token) const;
+
+  // Orders the end: open pushes are given up, what is ordered is still done. `told` runs when all ranks have agreed,
+  // before every session gets its goodbye.
+  void shut_down(const std::string& why, std::function<void()> told);
+
+ private:
+  void complete(Answer answer, const OrderOptions& order, const std::shared_ptr<Pending>& pending);
+  void say_goodbye();
+
+  asio::io_context& context_;
+  ControlOptions options_;
+  Engine& engine_;
+  std::shared_ptr<const Snapshot> snapshot_ = std::make_shared<Snapshot>();
+  std::set<Session*> sessions_;
+  std::map<std::string, SceneGate> gates_;
+  std::vector<std::string> endpoints_;
+  std::vector<std::function<void()>> told_;
+  std::uint64_t staged_bytes_ = 0;
+  int orders_unfinished_ = 0;
+  bool shutting_down_ = false;
+  bool ended_ = false;
+  TimePoint started_ = now();
+};
+
+}  // namespace rcb::net

@@ -1,0 +1,74 @@
+// Push: what a push.begin announces, and the slices that must follow it.
+//
+// Invariants
+// 1. Every size is bounded by what was announced and checked before memory is made for it, and memory grows with
+//    what arrives: an announcement alone costs nothing.
+// 2. A push is whole when its announced slices are there and their counts add up to n.
+#pragma once
+
+#include <cstdint>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "common/wire/frame.hpp"
+#include "common/wire/message.hpp"
+#include "server/net/engine.hpp"
+
+namespace rcb::net {
+
+// Names one attempt at one step.
+struct PushId {
+  std::string scene;
+  std::string session;
+  std::int64_t step = 0;
+  std::int64_t attempt = 0;
+  bool operator==(const PushId&) const = default;
+};
+
+// `session` where the message names none. Errors: invalid_argument.
+Result<PushId> read_push_id(const wire::Json& request, const std::string& session);
+
+struct PushTerms {
+  PushId id;
+  std::uint64_t n = 0;
+  std::uint64_t slices = 0;
+  int ranks = 1;
+  int dims = 3;
+  bool by_id = false;
+  bool weights = false;
+  bool ids = false;
+
+  std::uint64_t bytes() const;  // of all arrays; at most 2^54
+};
+
+// Reads a push.begin and holds it against what is known of its scene. A step that isn't above the scene's last is let
+// through: it may be one that is committed already, and only the service knows its report.
+// Errors: invalid_argument, stale_plan, too_large.
+Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
+                                  std::uint64_t bytes_max);
+
+// What has come of a push.
+class PushSlices {
+ public:
+  explicit PushSlices(PushTerms terms) : terms_(std::move(terms)) {}
+  const PushTerms& terms() const { return terms_; }
+
+  // The slice that this push.slice announces, its arrays without bytes. Errors: invalid_argument, protocol_error (the
+  // connection must end). Nothing is changed.
+  Result<Slice> begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const;
+  // Takes a slice whose arrays are filled. Errors: invalid_argument (the counts don't add up).
+  Status add(Slice slice);
+  bool whole() const { return slices_.size() == terms_.slices; }
+  std::string progress() const;  // "2 of 4 slices"
+  std::vector<Slice> take() { return std::move(slices_); }
+
+ private:
+  PushTerms terms_;
+  std::vector<Slice> slices_;
+  std::set<int> ranks_;
+  std::uint64_t count_ = 0;
+};
+
+}  // namespace rcb::net

@@ -1,0 +1,339 @@
+// Session, part 1: hello, the commands that aren't pushes, waiting and answering.
+#include "server/net/session.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spdlog/spdlog.h>
+
+#include "server/net/data_directory.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+namespace {
+
+// Commands of the inside, which no client may send.
+bool is_internal(const std::string& command) { return command == "push" || command == "push.repeat"; }
+
+bool flag(const Json& request, const char* name) {
+  const auto value = wire::bool_field_or(request, name, false);
+  return value.ok() && *value;  // a wrong type is refused by the service
+}
+
+bool changes_scene(const std::string& command, const Json& request) {
+  return command == "scene.create" || command == "scene.drop" || command == "load" ||
+         (command == "rebalance" && !flag(request, "dry_run"));
+}
+
+// A place in a scene's queue, given back whatever happens.
+class Place {
+ public:
+  Place(SceneGate& gate, asio::io_context& context) : gate_(gate), timer_(context) { gate_.queue.push_back(&timer_); }
+  Place(const Place&) = delete;
+  Place& operator=(const Place&) = delete;
+  ~Place() { gate_.queue.erase(std::find(gate_.queue.begin(), gate_.queue.end(), &timer_)); }
+  bool first() const { return gate_.queue.front() == &timer_; }
+  Timer& timer() { return timer_; }
+
+ private:
+  SceneGate& gate_;
+  Timer timer_;
+};
+
+}  // namespace
+
+Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, bool with_token)
+    : coordinator_(std::move(coordinator)),
+      connection_(std::make_shared<Connection>(std::move(socket), coordinator_->options().frame_seconds)),
+      with_token_(with_token) {}
+
+Session::~Session() = default;
+
+void Session::fail(std::uint64_t request, const Status& why) {
+  connection_->send(FrameType::failure, request, wire::failure_json(why));
+}
+
+awaitable<void> Session::refuse(Status why) {
+  fail(0, why);
+  co_await connection_->end_gently();
+}
+
+awaitable<void> Session::run() {
+  coordinator_->join(this);
+  Status end = co_await hello();
+  while (end.ok()) {
+    co_await connection_->flush();
+    Result<Frame> frame = co_await connection_->read_frame(wire::kJsonBytesMax, coordinator_->options().bulk_bytes_max);
+    if (frame.ok())
+      end = co_await serve(std::move(*frame));
+    else
+      end = frame.status();
+  }
+  coordinator_->leave(this);
+  if (end.code() == Code::unavailable) {  // the peer is gone, or said goodbye
+    if (!end.message().empty()) spdlog::info("connection of {} lost: {}", client_, end.message());
+    co_await connection_->flush();
+    connection_->close();
+    co_return;
+  }
+  spdlog::info("connection of {} ended: {}: {}", client_, code_name(end.code()), end.message());
+  fail(0, end);
+  co_await connection_->end_gently();
+}
+
+awaitable<Status> Session::hello() {
+  connection_->send(FrameType::welcome, 0, coordinator_->welcome_json(with_token_));
+  connection_->limit_reading(now() + duration_of(coordinator_->options().hello_seconds));
+  Result<Frame> frame = co_await connection_->read_frame(wire::kBytesBeforeHelloMax - wire::kHeaderBytes, 0);
+  connection_->limit_reading(TimePoint::max());
+  if (!frame.ok() && frame.status().code() == Code::deadline_exceeded)
+    co_return Status(Code::protocol_error, "no hello came in time");
+  if (!frame.ok()) co_return frame.status();
+  co_return check_hello(*frame);
+}
+
+Status Session::check_hello(const Frame& frame) {
+  if (frame.header.type == FrameType::goodbye) return {Code::unavailable, ""};
+  if (frame.header.type != FrameType::hello) return {Code::protocol_error, "the first frame must be hello"};
+  const auto protocol = wire::integer_field(frame.json, "protocol", 1, 1 << 16);
+  if (!protocol.ok()) return {Code::protocol_error, "hello: " + protocol.status().message()};
+  if (*protocol != wire::kProtocolVersion)
+    return {Code::protocol_error,
+            fmt::format("hello: protocol {} isn't spoken here, {} is", *protocol, wire::kProtocolVersion)};
+  const auto client = wire::string_field(frame.json, "client", 256);
+  if (!client.ok()) return {Code::protocol_error, "hello: " + client.status().message()};
+  const auto text = wire::string_field(frame.json, "session", 16);
+  if (!text.ok()) return {Code::protocol_error, "hello: " + text.status().message()};
+  const auto session = wire::parse_hex64(*text);
+  if (!session.ok()) return {Code::protocol_error, "hello: " + session.status().message()};
+  if (with_token_) {
+    const auto token = wire::string_field(frame.json, "token", 256);
+    if (!token.ok() || !same_secret(*token, coordinator_->options().token))
+      return {Code::not_authorised, token.ok() ? "the token is wrong" : "a token is needed over TCP",
+              "it is the content of the file 'token' in the service's data directory"};
+  }
+  client_ = *client;
+  number_ = wire::hex64(*session);
+  connection_->send(FrameType::reply, frame.header.request,
+                    {{"session", number_}, {"ranks", coordinator_->options().ranks}});
+  return {};
+}
+
+awaitable<Status> Session::serve(Frame frame) {
+  if (frame.header.type == FrameType::goodbye) co_return Status(Code::unavailable, "");
+  if (frame.header.type != FrameType::request)
+    co_return Status(Code::protocol_error,
+                     fmt::format("a client doesn't send frames of type {}", static_cast<int>(frame.header.type)));
+  auto command = wire::string_field(frame.json, "command", 64);
+  if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
+  if (frame.header.bulk_bytes > 0) {
+    Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
+    if (!status.ok()) co_return status;
+  }
+  const auto deadline = wire::number_field_or(frame.json, "deadline_seconds", 0, wire::kDeadlineSecondsMax,
+                                              wire::kDeadlineSecondsDefault);
+  if (!command.ok() || !deadline.ok()) {
+    fail(frame.header.request, !command.ok() ? command.status() : deadline.status());
+    co_return Status();
+  }
+  Request request{frame.header.request, std::move(*command), std::move(frame.json), *deadline,
+                  now() + duration_of(*deadline)};
+  co_await dispatch(request);
+  co_return Status();
+}
+
+awaitable<void> Session::dispatch(Request& request) {
+  if (answer_here(request)) co_return;
+  if (request.command == "shutdown") co_return co_await shut_down(request);
+  if (coordinator_->shutting_down()) {
+    fail(request.number, {Code::unavailable, "the service is shutting down"});
+    co_return;
+  }
+  if (request.command == "push.begin") co_return co_await push_begin(request);
+  if (request.command == "scene.open") co_return co_await open_scene(request);
+  if (is_internal(request.command)) {
+    fail(request.number, {Code::unsupported, fmt::format("unknown command '{}'", request.command)});
+    co_return;
+  }
+  if (changes_scene(request.command, request.json)) co_return co_await scene_change(request);
+  OrderOptions plain;
+  plain.deadline_seconds = request.deadline_seconds;
+  co_await order_and_reply(request, std::move(plain));
+}
+
+// What needs no engine: true if it was answered.
+bool Session::answer_here(const Request& request) {
+  if (request.command == "status") {
+    connection_->send(FrameType::reply, request.number, coordinator_->status_json());
+  } else if (request.command == "scene.list") {
+    connection_->send(FrameType::reply, request.number, {{"scenes", coordinator_->scenes_json()}});
+  } else if (request.command == "scene.close") {
+    const auto scene = wire::string_field(request.json, "scene", 256);
+    if (!scene.ok())
+      fail(request.number, scene.status());
+    else if (open_.erase(*scene) == 0)
+      fail(request.number, {Code::not_found, fmt::format("this connection doesn't have scene '{}' open", *scene)});
+    else
+      connection_->send(FrameType::reply, request.number, Json::object());
+  } else {
+    return false;
+  }
+  return true;
+}
+
+awaitable<void> Session::shut_down(Request& request) {
+  coordinator_->shut_down("asked by " + client_, [connection = connection_, number = request.number] {
+    connection->send(FrameType::reply, number, Json::object());
+  });
+  co_return;
+}
+
+awaitable<void> Session::scene_change(Request& request) {
+  const auto scene = wire::string_field(request.json, "scene", 256);
+  const Status named = scene.ok() ? wire::check_scene_name(*scene) : scene.status();
+  if (!named.ok()) {
+    fail(request.number, named);
+    co_return;
+  }
+  SceneGate& gate = coordinator_->gate(*scene);
+  const bool drops = request.command == "scene.drop" || flag(request.json, "replace");
+  const bool waits = request.command != "scene.create" || drops;
+  Status turn;
+  if (gate.push && gate.push->connection == connection_)
+    turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
+  else
+    turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
+  if (turn.ok() && drops) {
+    const auto holders = coordinator_->members(*scene, number_);
+    if (!holders.empty())
+      turn = Status(Code::busy, fmt::format("scene '{}' is held open by {}", *scene, fmt::join(holders, ", ")),
+                    "try again when it is closed");
+  }
+  if (!turn.ok()) {
+    fail(request.number, turn);
+    coordinator_->gate(*scene).wake();
+    coordinator_->tidy(*scene);
+    co_return;
+  }
+  if (request.command == "load" && !request.json.contains("session")) request.json["session"] = number_;
+  OrderOptions order;
+  order.deadline_seconds = request.deadline_seconds;
+  order.changes = *scene;
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
+  coordinator_->gate(*scene).wake();
+  coordinator_->tidy(*scene);
+  if (!pending.ok()) {
+    fail(request.number, pending.status());
+    co_return;
+  }
+  co_await reply_when_done(request, *pending);
+}
+
+// The name is held from the moment of ordering: a drop that another client orders a moment later is refused.
+awaitable<void> Session::open_scene(Request& request) {
+  const auto scene = wire::string_field(request.json, "scene", 256);
+  if (!scene.ok()) {
+    fail(request.number, scene.status());
+    co_return;
+  }
+  const bool fresh = open_.insert(*scene).second;
+  Json show = request.json;
+  show["command"] = "scene.show";
+  OrderOptions order;
+  order.deadline_seconds = request.deadline_seconds;
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(std::move(show), std::move(order));
+  if (pending.ok()) co_await reply_when_done(request, *pending);
+  if (!pending.ok()) fail(request.number, pending.status());
+  const bool opened = pending.ok() && (*pending)->answer && (*pending)->answer->status.ok();
+  if (fresh && !opened) open_.erase(*scene);
+}
+
+awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
+  if (!pending.ok()) {
+    fail(request.number, pending.status());
+    co_return;
+  }
+  co_await reply_when_done(request, *pending);
+}
+
+awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pending> pending) {
+  TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  while (!pending->answer && now() < request.end) co_await nap(pending->signal, request, notice_at, "the engine");
+  if (pending->answer) {
+    Answer answer = std::move(*pending->answer);
+    pending->answer.emplace();
+    pending->answer->status = answer.status;
+    reply(request, std::move(answer));
+  } else {
+    fail(request.number,
+         {Code::deadline_exceeded,
+          fmt::format("'{}' wasn't done within {} s; it goes on", request.command, request.deadline_seconds),
+          "ask again later, or give it a longer deadline"});
+  }
+}
+
+void Session::reply(const Request& request, Answer answer) {
+  if (!answer.status.ok()) {
+    Status why = answer.status;
+    const auto scene = wire::string_field(request.json, "scene", 256);
+    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().scenes.contains(*scene) &&
+        !coordinator_->restart_hint().empty())
+      why = Status(why.code(), why.message(), coordinator_->restart_hint());
+    spdlog::info("{} of {}: {}: {}", request.command, client_, code_name(why.code()), why.message());
+    fail(request.number, why);
+    return;
+  }
+  if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create")
+    answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
+  const Status sent =
+      connection_->send_message(FrameType::reply, request.number, std::move(answer.json), std::move(answer.arrays));
+  if (!sent.ok()) fail(request.number, sent);
+}
+
+awaitable<Status> Session::wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready) {
+  SceneGate& gate = coordinator_->gate(scene);
+  if (gate.queue.empty() && ready()) co_return Status();
+  Place place(gate, coordinator_->context());  // from here on the gate stays where it is
+  TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  Status status;
+  while (!(place.first() && ready())) {
+    if (coordinator_->shutting_down())
+      status = Status(Code::unavailable, "the service is shutting down");
+    else if (now() >= request.end)
+      status = Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for its turn at scene '{}'",
+                                                           request.command, request.deadline_seconds, scene));
+    if (!status.ok()) break;
+    co_await nap(place.timer(), request, notice_at, gate.push ? "a push of the scene to end" : "its turn at the scene");
+  }
+  co_return status;
+}
+
+awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& notice_at, const char* what) {
+  timer.expires_at(std::min(request.end, notice_at));
+  co_await timer.async_wait(kAwait);
+  if (now() < notice_at) co_return;
+  const auto waited =
+      static_cast<std::int64_t>(request.deadline_seconds - std::chrono::duration<double>(request.end - now()).count());
+  connection_->send(FrameType::notice, request.number,
+                    {{"notice", fmt::format("'{}' has waited {} s for {}", request.command, waited, what)}});
+  notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+}
+
+void Session::say_goodbye() {
+  connection_->send(FrameType::goodbye, 0, Json::object());
+  asio::co_spawn(
+      coordinator_->context(),
+      [connection = connection_]() -> awaitable<void> {
+        co_await connection->flush();
+        connection->close();
+      },
+      asio::detached);
+}
+
+}  // namespace rcb::net

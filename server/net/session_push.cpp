@@ -1,0 +1,144 @@
+// Session, part 2: pushes. Begin is held against the snapshot, slices go straight into arrays, the last one makes the
+// order; until then nothing has happened to the scene.
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include "server/net/session.hpp"
+
+namespace rcb::net {
+
+using wire::Json;
+
+namespace {
+
+// Room made at once; beyond it, room is made as bytes come.
+constexpr std::size_t kRoomAtOnce = std::size_t{64} << 20U;
+
+}  // namespace
+
+Status Session::push_conflict(const SceneGate& gate, const PushId& id) {
+  if (!gate.push || gate.push->slices.terms().id.session == id.session) return {};
+  return {Code::busy,
+          fmt::format("'{}' has had a push of scene '{}' open for {:.1f} s ({})", gate.push->client, id.scene,
+                      seconds_since(gate.push->started), gate.push->slices.progress()),
+          "try again when it is done"};
+}
+
+awaitable<void> Session::push_begin(Request& request) {
+  const Result<PushId> id = read_push_id(request.json, number_);
+  if (!id.ok()) {
+    fail(request.number, id.status());
+    co_return;
+  }
+  SceneGate& gate = coordinator_->gate(id->scene);
+  Status status = push_conflict(gate, *id);
+  if (status.ok() && gate.push)
+    coordinator_->give_up(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
+  if (status.ok()) {
+    SceneGate& now_at = coordinator_->gate(id->scene);  // giving up may have tidied it away
+    status = co_await wait_turn(request, id->scene, [&now_at] { return now_at.changes_unfinished == 0; });
+  }
+  std::shared_ptr<OpenPush> push;
+  if (status.ok()) {
+    Result<std::shared_ptr<OpenPush>> admitted = admit_push(request, *id);
+    if (admitted.ok()) push = std::move(*admitted);
+    status = admitted.status();
+  }
+  coordinator_->gate(id->scene).wake();
+  coordinator_->tidy(id->scene);
+  if (!status.ok()) fail(request.number, status);
+  if (push && push->slices.whole()) co_await order_push(push);
+}
+
+Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, const PushId& id) {
+  const SceneGate& gate = coordinator_->gate(id.scene);
+  const Status conflict = push_conflict(gate, id);
+  if (!conflict.ok()) return conflict;
+  if (gate.push) coordinator_->give_up(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
+  const auto scene = coordinator_->snapshot().scenes.find(id.scene);
+  if (scene == coordinator_->snapshot().scenes.end()) return coordinator_->unknown_scene(id.scene);
+  Result<PushTerms> terms = read_push_terms(request.json, id, scene->second, coordinator_->options().ranks,
+                                            coordinator_->options().bulk_bytes_max);
+  if (!terms.ok()) return terms.status();
+  const double left = std::chrono::duration<double>(request.end - now()).count();
+  auto push = coordinator_->open_push(std::move(*terms), connection_, client_, left);
+  if (!push.ok()) return push.status();
+  (*push)->request = request.number;
+  (*push)->begin = request.json;
+  return push;
+}
+
+awaitable<Status> Session::push_slice(Frame frame) {
+  const Result<PushId> id = read_push_id(frame.json, number_);
+  const auto push = id.ok() ? coordinator_->find_push(*id, connection_.get()) : nullptr;
+  if (!push) co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
+  Result<Slice> slice = push->slices.begin_slice(frame.json, frame.header.bulk_bytes);
+  if (!slice.ok()) {
+    coordinator_->give_up(push, slice.status());
+    if (slice.status().code() == Code::protocol_error) co_return slice.status();
+    co_return co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
+  }
+  Status status = co_await receive(frame, push, *slice);
+  if (!status.ok() || push->given_up) co_return status;
+  status = push->slices.add(std::move(*slice));
+  if (!status.ok()) {
+    coordinator_->give_up(push, status);
+    co_return Status();
+  }
+  if (push->slices.whole()) co_await order_push(push);
+  co_return Status();
+}
+
+awaitable<Status> Session::receive(const Frame& frame, const std::shared_ptr<OpenPush>& push, Slice& slice) {
+  const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
+  wire::BulkChecksum checksum;
+  std::uint64_t left = frame.header.bulk_bytes;
+  for (wire::Array& array : slice.arrays) {
+    const std::uint64_t bytes = slice.count * wire::dtype_bytes(array.dtype);
+    while (array.bytes.size() < bytes) {
+      const std::size_t old = array.bytes.size();
+      const std::size_t room = std::min<std::uint64_t>(bytes, std::max(kRoomAtOnce, 2 * old));
+      if (!push->given_up && !array.bytes.try_reserve(room))
+        coordinator_->give_up(
+            push, {Code::too_large, fmt::format("no memory for the {} bytes of array '{}'", bytes, array.name)});
+      if (push->given_up) {
+        slice.arrays.clear();  // `array` is gone with it
+        co_return co_await connection_->skip_bulk(frame, left);
+      }
+      array.bytes.resize(room);
+      const std::span<std::byte> piece = array.bytes.span().subspan(old);
+      const Status status = co_await connection_->read_bulk(piece);
+      if (!status.ok()) co_return status;
+      if (checked) checksum.add(piece);
+      left -= piece.size();
+    }
+  }
+  if (!checked) co_return Status();
+  std::array<std::byte, 8> sent{};
+  const Status status = co_await connection_->read_bulk(sent);
+  if (!status.ok()) co_return status;
+  if (wire::BulkChecksum::decode(sent) != checksum.value())
+    co_return Status(Code::protocol_error, "the checksum of a slice's arrays doesn't match");
+  co_return Status();
+}
+
+awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
+  const PushTerms& terms = push->slices.terms();
+  Request request{push->request, "push", std::move(push->begin), 0, push->end};
+  request.deadline_seconds = std::chrono::duration<double>(push->end - push->started).count();
+  request.json["command"] = "push";
+  request.json["session"] = terms.id.session;
+  OrderOptions order;
+  order.slices = push->slices.take();
+  order.received_seconds = seconds_since(push->started);
+  order.deadline_seconds = request.deadline_seconds;
+  order.staged_bytes = terms.bytes();
+  coordinator_->close_push(push);
+  coordinator_->tidy(terms.id.scene);
+  co_await order_and_reply(request, std::move(order));
+}
+
+}  // namespace rcb::net

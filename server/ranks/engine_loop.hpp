@@ -1,0 +1,55 @@
+// EngineLoop: a rank's engine thread. It sleeps on a bounded queue and executes one order after another; it alone
+// calls MPI and never touches a socket.
+//
+// Invariants
+// 1. Orders are executed in the order of push(); every rank's queue holds the same orders.
+// 2. The order {"command":"shutdown"} ends run() on every rank; nothing is executed after it.
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <vector>
+
+#include "server/service/service.hpp"
+
+namespace rcb::ranks {
+
+struct EngineOrder {
+  std::uint64_t number = 0;  // 1, 2, ...
+  wire::Json request;
+  std::vector<service::PushSlice> slices;
+  double received_seconds = 0;
+  double deadline_seconds = 60;
+  // Called on the engine thread when it is done, with the state after it; may be empty.
+  std::function<void(service::Response, service::Snapshot)> done;
+};
+
+class EngineLoop {
+ public:
+  explicit EngineLoop(std::size_t capacity) : capacity_(capacity) {}
+
+  // Any thread. False if the queue is full, which the coordinator must have prevented.
+  [[nodiscard]] bool push(EngineOrder order);
+  // Engine thread. Returns after the order `shutdown`.
+  void run(service::Service& service);
+
+  // What is being executed now; 0 if nothing.
+  std::uint64_t number_running() const { return number_running_.load(std::memory_order_relaxed); }
+  double deadline_running_seconds() const { return deadline_running_.load(std::memory_order_relaxed); }
+
+ private:
+  EngineOrder next();
+
+  const std::size_t capacity_;
+  std::mutex mutex_;
+  std::condition_variable filled_;
+  std::deque<EngineOrder> queue_;
+  std::atomic<std::uint64_t> number_running_ = 0;
+  std::atomic<double> deadline_running_ = 0;
+};
+
+}  // namespace rcb::ranks

@@ -1,0 +1,65 @@
+#include "server/ranks/mpi_session.hpp"
+
+#include <cstdlib>
+#include <span>
+#include <utility>
+
+#include <mpi.h>
+#include <unistd.h>
+
+#include "server/ranks/mpi_comm.hpp"
+
+namespace rcb::ranks {
+
+struct MpiSession::State {
+  State() : comm(MPI_COMM_WORLD) {}
+  MpiComm comm;
+};
+
+MpiSession::MpiSession(std::unique_ptr<State> state) : state_(std::move(state)) {}
+MpiSession::MpiSession(MpiSession&&) noexcept = default;
+MpiSession& MpiSession::operator=(MpiSession&&) noexcept = default;
+
+MpiSession::~MpiSession() {
+  constexpr unsigned kSeconds = 30;
+  if (state_) finish(kSeconds);
+}
+
+Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
+  int provided = MPI_THREAD_SINGLE;
+  MPI_Init_thread(argc, argv, MPI_THREAD_FUNNELED, &provided);
+  if (provided < MPI_THREAD_FUNNELED) {
+    MPI_Finalize();
+    return Status(Code::unsupported, "this MPI has no thread support", "rcbd needs MPI_THREAD_FUNNELED");
+  }
+  return MpiSession(std::make_unique<State>());
+}
+
+int MpiSession::rank() const { return state_->comm.rank(); }
+int MpiSession::size() const { return state_->comm.size(); }
+partition::Comm& MpiSession::comm() { return state_->comm; }
+
+std::string MpiSession::share(const std::string& text) {
+  std::uint64_t bytes = text.size();
+  state_->comm.broadcast(std::as_writable_bytes(std::span(&bytes, 1)), 0);
+  std::string shared = text;
+  shared.resize(bytes);
+  state_->comm.broadcast(std::as_writable_bytes(std::span(shared.data(), shared.size())), 0);
+  return shared;
+}
+
+void MpiSession::finish(unsigned seconds) {
+  ::alarm(seconds);  // MPI_Finalize waits for all ranks and has no deadline of its own
+  state_.reset();
+  MPI_Finalize();
+  ::alarm(0);
+}
+
+bool started_by_mpirun() { return std::getenv("OMPI_COMM_WORLD_RANK") != nullptr; }
+
+int rank_from_environment() {
+  const char* text = std::getenv("OMPI_COMM_WORLD_RANK");
+  return text == nullptr ? 0 : std::atoi(text);
+}
+
+}  // namespace rcb::ranks
