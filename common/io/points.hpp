@@ -13,9 +13,9 @@
 namespace rcb::io {
 
 struct ReadOptions {
-  int dims = 0;              // 1..3; 0: columns named x, y, z, else all columns but the weights one (more than 3: refused,
-                             // with the advice --dims)
-  std::string weights;       // a column's name, or its number from 0; empty: none
+  int dims = 0;         // 1..3; 0: columns named x, y, z, else all columns but the weights one (more than 3: refused,
+                        // with the advice --dims)
+  std::string weights;  // a column's name, or its number from 0; empty: none
 };
 
 struct Points {
@@ -34,7 +34,8 @@ Result<Points> read_points(const std::string& path, const ReadOptions& options);
 // Ids by row are NOT filled in (the caller knows the rows before); duplicates across slices are the caller's to find.
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of);
 
-// Writes "x,y,z,id,weight" columns (those that are there; ids given) with 17 significant digits, or shortest round-trip.
+// Writes "x,y,z,id,weight" columns (those that are there; ids given) with 17 significant digits, or shortest
+// round-trip.
 Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
                  const std::int64_t* id, const double* weight);
 

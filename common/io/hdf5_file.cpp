@@ -1,0 +1,200 @@
+#include "common/io/hdf5_file.hpp"
+
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <vector>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <hdf5.h>
+
+#include "common/base/buffer.hpp"
+#include "common/base/wide.hpp"
+#include "common/io/columns.hpp"
+#include "common/io/input_file.hpp"
+
+namespace rcb::io {
+namespace {
+
+constexpr std::size_t kBlockBytes = std::size_t{1} << 20U;
+// Deflate can't shrink more than about 1030 times, so a file supports no claim beyond this.
+constexpr u128 kShrinkMax = 1100;
+
+class Handle {
+ public:
+  Handle(hid_t id, herr_t (*close)(hid_t)) : id_(id), close_(close) {}
+  Handle(const Handle&) = delete;
+  Handle& operator=(const Handle&) = delete;
+  ~Handle() {
+    if (id_ >= 0) close_(id_);
+  }
+  bool ok() const { return id_ >= 0; }
+  hid_t id() const { return id_; }
+
+ private:
+  hid_t id_;
+  herr_t (*close_)(hid_t);
+};
+
+// The library prints each error on stderr by itself unless told not to (for each thread).
+void silence() { H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr); }
+
+herr_t note_link(hid_t, const char* name, const H5L_info_t*, void* names) {
+  constexpr std::size_t kNamesMax = 12;
+  auto& list = *static_cast<std::vector<std::string>*>(names);
+  list.push_back("/" + shown(name));
+  return list.size() < kNamesMax ? 0 : 1;
+}
+
+std::string what_it_has(hid_t file) {
+  std::vector<std::string> names;
+  H5Literate(file, H5_INDEX_NAME, H5_ITER_INC, nullptr, note_link, &names);
+  return names.empty() ? "it is empty" : fmt::format("it has {}", fmt::join(names, ", "));
+}
+
+struct Shape {
+  std::uint64_t rows = 0;
+  std::uint64_t width = 1;
+  int axes = 1;
+};
+
+Status refused(const std::string& where, std::string what, std::string hint) {
+  return Status(Code::invalid_argument, where + ": " + std::move(what), std::move(hint));
+}
+
+Status broken(const std::string& where) {
+  return Status(Code::io_error, where + ": can't be read; the HDF5 file is damaged", "write it again");
+}
+
+Result<Shape> shape_of(const std::string& where, hid_t dataset) {
+  const Handle space(H5Dget_space(dataset), H5Sclose);
+  const int axes = space.ok() ? H5Sget_simple_extent_ndims(space.id()) : -1;
+  if (axes < 0) return broken(where);
+  if (axes != 1 && axes != 2) {
+    return refused(where, fmt::format("has {} axes, not (n, dims) or (n,)", axes), "name a dataset of points");
+  }
+  std::array<hsize_t, 2> length{0, 1};
+  if (H5Sget_simple_extent_dims(space.id(), length.data(), nullptr) != axes) return broken(where);
+  return Shape{length[0], axes == 2 ? length[1] : 1, axes};
+}
+
+// That the file's own bytes bear out what its headers claim.
+Status check_storage(const std::string& where, hid_t dataset, const Shape& shape, std::size_t type_bytes,
+                     std::uint64_t file_bytes) {
+  const Handle plist(H5Dget_create_plist(dataset), H5Pclose);
+  if (!plist.ok()) return broken(where);
+  const H5D_layout_t layout = H5Pget_layout(plist.id());
+  if (layout == H5D_VIRTUAL || H5Pget_external_count(plist.id()) != 0) {
+    return refused(where, "its data lie in other files", "copy it into one file with h5repack");
+  }
+  const u128 claimed = static_cast<u128>(shape.rows) * shape.width;
+  const u128 stored = std::min<std::uint64_t>(H5Dget_storage_size(dataset), file_bytes);
+  const int filters = H5Pget_nfilters(plist.id());
+  if (filters < 0) return broken(where);
+  const u128 supported = filters > 0 ? stored * kShrinkMax : stored;
+  // Compared as quotients: the product of a hostile shape and a number's size would wrap.
+  if (claimed > supported / type_bytes) {
+    return refused(where,
+                   fmt::format("its shape ({}, {}) needs more bytes than the {} that are stored", shape.rows,
+                               shape.width, static_cast<std::uint64_t>(stored)),
+                   "the dataset was never fully written, or the file is damaged");
+  }
+  if (layout == H5D_CHUNKED) {
+    std::array<hsize_t, 2> chunk{1, 1};
+    if (H5Pget_chunk(plist.id(), 2, chunk.data()) != shape.axes) return broken(where);
+    const u128 chunk_numbers = static_cast<u128>(chunk[0]) * (shape.axes == 2 ? chunk[1] : 1);
+    if (chunk_numbers > (static_cast<u128>(file_bytes) * kShrinkMax + (1U << 20U)) / type_bytes) {
+      return refused(where, "its chunks are larger than the file supports", "write it again with smaller chunks");
+    }
+  }
+  return {};
+}
+
+Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, const Columns& columns,
+                 std::uint64_t begin, Points& points) {
+  const auto width = static_cast<std::size_t>(shape.width);
+  const std::size_t step = std::max<std::size_t>(1, kBlockBytes / (width * sizeof(double)));
+  Buffer<double> block;
+  for (std::size_t done = 0; done < points.count; done += step) {
+    const std::size_t rows = std::min(step, points.count - done);
+    if (!block.try_reserve(rows * width)) return Status(Code::too_large, where + ": no memory for one of its rows");
+    block.resize(rows * width);
+    const std::array<hsize_t, 2> start{begin + done, 0}, count{rows, shape.width};
+    const Handle from(H5Dget_space(dataset), H5Sclose);
+    const Handle to(H5Screate_simple(shape.axes, count.data(), nullptr), H5Sclose);
+    if (!from.ok() || !to.ok() ||
+        H5Sselect_hyperslab(from.id(), H5S_SELECT_SET, start.data(), nullptr, count.data(), nullptr) < 0 ||
+        H5Dread(dataset, H5T_NATIVE_DOUBLE, to.id(), from.id(), H5P_DEFAULT, block.data()) < 0) {
+      return broken(where);
+    }
+    const auto* bytes = reinterpret_cast<const std::byte*>(block.data());
+    const auto bad =
+        store_rows({bytes, width * sizeof(double), sizeof(double), NumberType{}}, rows, columns, done, points);
+    if (!bad) continue;
+    const std::uint64_t row = begin + done + bad->row;
+    const std::string index = shape.axes == 1 ? fmt::format("({},)", row) : fmt::format("({}, {})", row, bad->column);
+    const bool negative = bad->value < 0 && describe(bad->value).find("infinity") == std::string::npos;
+    return Status(
+        negative ? Code::invalid_argument : Code::not_finite,
+        fmt::format("{}: {} at index {}", where, describe(bad->value), index),
+        negative ? "weights are 0 or more" : "positions and weights must be finite: correct or drop that row");
+  }
+  return {};
+}
+
+}  // namespace
+
+std::optional<std::pair<std::string, std::string>> split_hdf5_path(const std::string& path) {
+  std::error_code ignored;
+  const std::size_t colon = path.find(":/");
+  if (colon == std::string::npos || std::filesystem::exists(path, ignored)) return std::nullopt;
+  return std::pair(path.substr(0, colon), path.substr(colon + 1));
+}
+
+Status hdf5_needs_path(const std::string& file) {
+  silence();
+  const Handle handle(H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+  if (!handle.ok()) return broken(file);
+  return Status(Code::invalid_argument, file + ": is an HDF5 file, and no dataset is named",
+                fmt::format("write {}:/PATH; {}", file, what_it_has(handle.id())));
+}
+
+Result<Points> read_hdf5(const std::string& file, const std::string& dataset, const ReadOptions& options, int k,
+                         int of) {
+  silence();
+  const std::string where = file + ":" + dataset;
+  // For its words about missing files and directories, and its length.
+  const auto plain = InputFile::open(file);
+  if (!plain.ok()) return plain.status();
+  if (!plain->starts_with(kHdf5Magic)) return refused(file, "is not an HDF5 file", "give FILE.h5:/PATH");
+  const Handle handle(H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+  if (!handle.ok()) return broken(file);
+  const Handle object(H5Oopen(handle.id(), dataset.c_str(), H5P_DEFAULT), H5Oclose);
+  if (!object.ok()) {
+    return Status(Code::not_found, where + ": no such dataset in the file", what_it_has(handle.id()));
+  }
+  if (H5Iget_type(object.id()) != H5I_DATASET) return refused(where, "is not a dataset", what_it_has(handle.id()));
+
+  const Handle type(H5Dget_type(object.id()), H5Tclose);
+  const std::size_t type_bytes = type.ok() ? H5Tget_size(type.id()) : 0;
+  if (!type.ok() || H5Tget_class(type.id()) != H5T_FLOAT || (type_bytes != 4 && type_bytes != 8)) {
+    return refused(where, "its type is not float32 or float64", "write it as float64");
+  }
+  const auto shape = shape_of(where, object.id());
+  if (!shape.ok()) return shape.status();
+  if (const Status storage = check_storage(where, object.id(), *shape, type_bytes, plain->size()); !storage.ok()) {
+    return storage;
+  }
+  // An empty dataset may claim any width.
+  const std::size_t width = static_cast<std::size_t>(std::min<std::uint64_t>(shape->width, plain->size()));
+  const auto columns = choose_columns(where, options, {}, width);
+  if (!columns.ok()) return columns.status();
+  const std::uint64_t begin = share_begin(shape->rows, k, of);
+  Points points = make_points(*columns, static_cast<std::size_t>(share_begin(shape->rows, k + 1, of) - begin));
+  const Status read = read_rows(where, object.id(), *shape, *columns, begin, points);
+  if (!read.ok()) return read;
+  return points;
+}
+
+}  // namespace rcb::io

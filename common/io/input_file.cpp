@@ -1,0 +1,97 @@
+#include "common/io/input_file.hpp"
+
+#include <cerrno>
+#include <cstring>
+#include <utility>
+#include <vector>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+namespace rcb::io {
+
+Result<InputFile> InputFile::open(const std::string& path) {
+  if (path.find('\0') != std::string::npos) return Status(Code::invalid_argument, "a file name holds a NUL byte");
+  // Without O_NONBLOCK the open of a FIFO would wait for its writer for ever.
+  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (descriptor < 0) {
+    const int error = errno;
+    if (error == ENOENT || error == ENOTDIR) {
+      return Status(Code::not_found, path + ": no such file",
+                    "check the path; it is relative to where the reader runs");
+    }
+    return Status(Code::io_error, fmt::format("{}: can't be opened: {}", path, std::strerror(error)),
+                  "check its permissions");
+  }
+  struct stat about {};
+  if (::fstat(descriptor, &about) != 0 || !S_ISREG(about.st_mode)) {
+    const bool directory = S_ISDIR(about.st_mode);
+    ::close(descriptor);
+    return Status(Code::io_error, path + (directory ? ": is a directory" : ": is not a regular file"),
+                  directory ? "name a file in it" : "write the points to a file first");
+  }
+  return InputFile(path, descriptor, static_cast<std::uint64_t>(about.st_size));
+}
+
+InputFile::InputFile(std::string path, int descriptor, std::uint64_t size)
+    : path_(std::move(path)), descriptor_(descriptor), size_(size) {}
+
+InputFile::InputFile(InputFile&& other) noexcept
+    : path_(std::move(other.path_)), descriptor_(std::exchange(other.descriptor_, -1)), size_(other.size_) {}
+
+InputFile& InputFile::operator=(InputFile&& other) noexcept {
+  std::swap(path_, other.path_);
+  std::swap(descriptor_, other.descriptor_);
+  std::swap(size_, other.size_);
+  return *this;
+}
+
+InputFile::~InputFile() {
+  if (descriptor_ >= 0) ::close(descriptor_);
+}
+
+Status InputFile::read_at(std::uint64_t offset, void* to, std::size_t bytes) const {
+  char* next = static_cast<char*>(to);
+  while (bytes > 0) {
+    const ssize_t got = ::pread(descriptor_, next, bytes, static_cast<off_t>(offset));
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) {
+      return Status(Code::io_error,
+                    fmt::format("{}: can't be read at byte {}: {}", path_, offset, std::strerror(errno)));
+    }
+    if (got == 0) {
+      return Status(Code::io_error,
+                    fmt::format("{}: ends at byte {}; it had {} bytes when opened", path_, offset, size_),
+                    "wait until it is written, then try again");
+    }
+    next += got;
+    offset += static_cast<std::uint64_t>(got);
+    bytes -= static_cast<std::size_t>(got);
+  }
+  return {};
+}
+
+bool InputFile::starts_with(std::string_view magic) const {
+  if (size_ < magic.size()) return false;
+  std::vector<char> head(magic.size());
+  return read_at(0, head.data(), head.size()).ok() && std::string_view(head.data(), head.size()) == magic;
+}
+
+std::string shown(std::string_view text) {
+  constexpr std::size_t kShownMax = 40;
+  std::string out;
+  for (const char c : text.substr(0, kShownMax)) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (byte < 0x20 || byte >= 0x7F) {
+      out += fmt::format("\\x{:02x}", byte);
+    } else {
+      out += c;
+    }
+  }
+  if (text.size() > kShownMax) out += "...";
+  return out;
+}
+
+}  // namespace rcb::io

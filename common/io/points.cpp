@@ -1,0 +1,130 @@
+// Which reader a file goes to; nothing thrown below leaves here.
+#include "common/io/points.hpp"
+
+#include <new>
+
+#include <fmt/format.h>
+
+#include "common/io/hdf5_file.hpp"
+#include "common/io/npy.hpp"
+#include "common/io/text.hpp"
+
+namespace rcb::io {
+namespace {
+
+bool ends_with_npy(const std::string& path) {
+  if (path.size() < 4) return false;
+  std::string ending = path.substr(path.size() - 4);
+  for (char& c : ending) c = static_cast<char>(c | 0x20);
+  return ending == ".npy";
+}
+
+Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int of) {
+  const auto header = read_npy_header(file);
+  if (!header.ok()) return header.status();
+  if (header->shape.size() == 3) {
+    return Status(Code::invalid_argument, file.path() + ": is a trajectory of shape (steps, n, dims)",
+                  "use replay for it, or save one step of it");
+  }
+  const auto rows = NpyRows::open(std::move(file), *header, options);
+  if (!rows.ok()) return rows.status();
+  const std::uint64_t begin = share_begin(rows->rows(), k, of);
+  Points points;
+  const Status read = rows->read(begin, static_cast<std::size_t>(share_begin(rows->rows(), k + 1, of) - begin), points);
+  if (!read.ok()) return read;
+  return points;
+}
+
+Result<Points> read_any(const std::string& path, const ReadOptions& options, int k, int of) {
+  if (const auto hdf5 = split_hdf5_path(path)) return read_hdf5(hdf5->first, hdf5->second, options, k, of);
+  auto file = InputFile::open(path);
+  if (!file.ok()) return file.status();
+  if (file->starts_with(kHdf5Magic)) return hdf5_needs_path(path);
+  if (file->starts_with(kNpyMagic) || ends_with_npy(path)) return read_npy(std::move(*file), options, k, of);
+  return read_text(*file, options, k, of);
+}
+
+template <typename Read>
+auto without_throwing(const std::string& path, const Read& read) -> decltype(read()) {
+  try {
+    return read();
+  } catch (const std::bad_alloc&) {
+    return Status(Code::too_large, path + ": no memory for its points", "give it to more ranks or a larger machine");
+  } catch (const std::exception& error) {
+    return Status(Code::internal, fmt::format("{}: {}", path, error.what()));
+  }
+}
+
+class NpyTrajectory final : public TrajectoryReader {
+ public:
+  NpyTrajectory(NpyRows rows, const NpyHeader& header)
+      : rows_(std::move(rows)), steps_(header.shape[0]), n_(header.shape[1]) {}
+  int dims() const override { return rows_.columns().dims; }
+  std::uint64_t frames() const override { return steps_; }
+  Result<Points> frame(std::uint64_t k) override {
+    return without_throwing("a frame", [&]() -> Result<Points> {
+      if (k >= steps_) return Status(Code::not_found, fmt::format("frame {} of {}", k, steps_));
+      Points points;
+      const Status read = rows_.read(k * n_, static_cast<std::size_t>(n_), points);
+      if (!read.ok()) return read;
+      return points;
+    });
+  }
+
+ private:
+  NpyRows rows_;
+  std::uint64_t steps_;
+  std::uint64_t n_;
+};
+
+class OneFrame final : public TrajectoryReader {
+ public:
+  explicit OneFrame(Points points) : points_(std::move(points)) {}
+  int dims() const override { return points_.dims; }
+  std::uint64_t frames() const override { return 1; }
+  Result<Points> frame(std::uint64_t k) override {
+    if (k > 0) return Status(Code::not_found, fmt::format("frame {} of 1", k));
+    return without_throwing("a frame", [&]() -> Result<Points> { return points_; });
+  }
+
+ private:
+  Points points_;
+};
+
+Result<std::unique_ptr<TrajectoryReader>> open_any(const std::string& path, const ReadOptions& options) {
+  auto file = InputFile::open(path);
+  if (file.ok() && (file->starts_with(kNpyMagic) || ends_with_npy(path))) {
+    const auto header = read_npy_header(*file);
+    if (!header.ok()) return header.status();
+    if (header->shape.size() == 3) {
+      constexpr std::uint64_t kEmptyFramesMax = 1U << 20U;  // no bytes bear out the number of frames without particles
+      if (header->shape[1] == 0 && header->shape[0] > kEmptyFramesMax) {
+        return Status(Code::invalid_argument, fmt::format("{}: {} frames without particles", path, header->shape[0]));
+      }
+      auto rows = NpyRows::open(std::move(*file), *header, options);
+      if (!rows.ok()) return rows.status();
+      if (const Status checked = rows->check(); !checked.ok()) return checked;
+      return std::unique_ptr<TrajectoryReader>(std::make_unique<NpyTrajectory>(std::move(*rows), *header));
+    }
+  }
+  auto points = read_any(path, options, 0, 1);
+  if (!points.ok()) return points.status();
+  return std::unique_ptr<TrajectoryReader>(std::make_unique<OneFrame>(std::move(*points)));
+}
+
+}  // namespace
+
+Result<Points> read_points(const std::string& path, const ReadOptions& options) {
+  return read_points_slice(path, options, 0, 1);
+}
+
+Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of) {
+  CHECK(of >= 1 && k >= 0 && k < of, "share k of `of`");
+  return without_throwing(path, [&]() { return read_any(path, options, k, of); });
+}
+
+Result<std::unique_ptr<TrajectoryReader>> open_trajectory(const std::string& path, const ReadOptions& options) {
+  return without_throwing(path, [&]() { return open_any(path, options); });
+}
+
+}  // namespace rcb::io

@@ -1,0 +1,146 @@
+// Writers: CSV, .npy, and trajectories.
+#include <charconv>
+#include <cstring>
+#include <memory>
+#include <string>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "common/base/check.hpp"
+#include "common/io/output_file.hpp"
+#include "common/io/points.hpp"
+
+namespace rcb::io {
+namespace {
+
+constexpr std::size_t kWriteBytes = std::size_t{1} << 20U;
+constexpr std::size_t kNumberChars = 32;  // more than any shortest double or integer needs
+
+template <typename Number>
+void append_number(std::string& text, Number value) {
+  char digits[kNumberChars];
+  text.append(digits, std::to_chars(digits, digits + kNumberChars, value).ptr);
+}
+
+// Version 1.0, as numpy.lib.format states it; `bytes` long, a multiple of 64.
+std::string npy_head(std::string_view descr, const std::vector<std::uint64_t>& shape, std::size_t bytes = 0) {
+  std::string dictionary = fmt::format("{{'descr': '{}', 'fortran_order': False, 'shape': ({}{}), }}", descr,
+                                       fmt::join(shape, ", "), shape.size() == 1 ? "," : "");
+  constexpr std::size_t kPreamble = 10;
+  if (bytes == 0) bytes = (kPreamble + dictionary.size() + 1 + 63) / 64 * 64;
+  CHECK(bytes % 64 == 0 && bytes > kPreamble + dictionary.size() && bytes < 65536, "room for the .npy header");
+  dictionary.resize(bytes - kPreamble - 1, ' ');
+  const auto length = static_cast<unsigned>(dictionary.size() + 1);
+  std::string head("\x93NUMPY\x01\x00", 8);
+  head += static_cast<char>(length & 0xFFU);
+  head += static_cast<char>(length >> 8U);
+  return head + dictionary + "\n";
+}
+
+template <typename Number>
+std::string_view bytes_of(std::span<const Number> values) {
+  return {reinterpret_cast<const char*>(values.data()), values.size_bytes()};
+}
+
+Status write_array(const std::string& path, std::string_view descr, const std::vector<std::uint64_t>& shape,
+                   std::string_view bytes) {
+  auto file = OutputFile::create(path);
+  if (!file.ok()) return file.status();
+  if (Status head = file->write(npy_head(descr, shape)); !head.ok()) return head;
+  if (Status body = file->write(bytes); !body.ok()) return body;
+  return file->commit();
+}
+
+class NpyTrajectoryWriter final : public TrajectoryWriter {
+ public:
+  static constexpr std::size_t kHeadBytes = 128;
+
+  NpyTrajectoryWriter(OutputFile file, std::uint64_t count, int dims)
+      : file_(std::move(file)), count_(count), dims_(static_cast<std::uint64_t>(dims)) {}
+
+  std::string head() const { return npy_head("<f8", {steps_, count_, dims_}, kHeadBytes); }
+  Status reserve_head() { return file_.write(head()); }
+
+  Status append(std::span<const double> positions) override {
+    CHECK(!closed_ && positions.size() == count_ * dims_, "a frame has count * dims numbers");
+    Status written = file_.write(bytes_of(positions));
+    // Half a frame would shift all that follow.
+    if (written.ok()) ++steps_;
+    failed_ = failed_ || !written.ok();
+    return written;
+  }
+  Status close() override {
+    CHECK(!closed_, "a trajectory is closed once");
+    closed_ = true;
+    if (failed_) return Status(Code::io_error, "the trajectory is not kept, since one of its frames was not written");
+    if (Status done = file_.write_at_begin(head()); !done.ok()) return done;
+    return file_.commit();
+  }
+
+ private:
+  OutputFile file_;
+  std::uint64_t count_;
+  std::uint64_t dims_;
+  std::uint64_t steps_ = 0;
+  bool closed_ = false;
+  bool failed_ = false;
+};
+
+}  // namespace
+
+Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
+                 const std::int64_t* id, const double* weight) {
+  CHECK(dims >= 1 && dims <= 3 && position.size() >= static_cast<std::size_t>(dims), "an array for each axis");
+  auto file = OutputFile::create(path);
+  if (!file.ok()) return file.status();
+  std::string text = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
+  if (id != nullptr) text += ",id";
+  if (weight != nullptr) text += ",weight";
+  text += '\n';
+  text.reserve(kWriteBytes + 8 * kNumberChars);
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
+      if (a > 0) text += ',';
+      append_number(text, position[a][i]);
+    }
+    if (id != nullptr) append_number(text += ',', id[i]);
+    if (weight != nullptr) append_number(text += ',', weight[i]);
+    text += '\n';
+    if (text.size() < kWriteBytes) continue;
+    if (Status written = file->write(text); !written.ok()) return written;
+    text.clear();
+  }
+  if (Status written = file->write(text); !written.ok()) return written;
+  return file->commit();
+}
+
+Status write_npy(const std::string& path, std::span<const std::int32_t> values) {
+  return write_array(path, "<i4", {values.size()}, bytes_of(values));
+}
+
+Status write_npy(const std::string& path, std::span<const std::int64_t> values) {
+  return write_array(path, "<i8", {values.size()}, bytes_of(values));
+}
+
+Status write_npy(const std::string& path, std::span<const double> values, std::vector<std::uint64_t> shape) {
+  std::uint64_t count = 1;
+  for (const std::uint64_t length : shape) count *= length;
+  CHECK(count == values.size(), "the shape of the values");
+  return write_array(path, "<f8", shape, bytes_of(values));
+}
+
+Result<std::unique_ptr<TrajectoryWriter>> TrajectoryWriter::create(const std::string& path, std::uint64_t count,
+                                                                   int dims) {
+  auto file = OutputFile::create(path);
+  if (!file.ok()) return file.status();
+  if (!file->regular()) {
+    return Status(Code::io_error, path + ": is no regular file, and a trajectory's header is completed at its end",
+                  "name a file");
+  }
+  auto writer = std::make_unique<NpyTrajectoryWriter>(std::move(*file), count, dims);
+  if (Status head = writer->reserve_head(); !head.ok()) return head;
+  return std::unique_ptr<TrajectoryWriter>(std::move(writer));
+}
+
+}  // namespace rcb::io
