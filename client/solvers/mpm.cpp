@@ -268,11 +268,15 @@ Balance Mpm::balance() const {
   for (const Body& body : bodies_)
     for (std::size_t p = body.first; p < body.first + body.count; ++p) {
       const Vec3 v{velocity_[0][p], velocity_[1][p], velocity_[2][p]};
-      for (std::size_t a = 0; a < 3; ++a) sum.momentum[a] += body.mass * v[a];
+      const Vec3 x{position_[0][p], position_[1][p], position_[2][p]};
+      const Mat3& c = affine_[p];
+      const Vec3 spin{c(2, 1) - c(1, 2), c(0, 2) - c(2, 0), c(1, 0) - c(0, 1)};
+      sum.momentum = sum.momentum + body.mass * v;
+      sum.angular = sum.angular + body.mass * (cross(x, v) + affine_scale * spin);
       sum.speed_sum += body.mass * norm(v);
-      sum.kinetic += 0.5 * body.mass * (dot(v, v) + affine_scale * sum_of_squares(affine_[p]));
+      sum.kinetic += 0.5 * body.mass * (dot(v, v) + affine_scale * sum_of_squares(c));
       sum.elastic += body.volume * body.material->energy_density(deformation_[p]);
-      sum.potential += potential_of(body.gravity, body.mass, {position_[0][p], position_[1][p], position_[2][p]});
+      sum.potential += potential_of(body.gravity, body.mass, x);
     }
   sum.potential -= potential_start_;
   return sum;

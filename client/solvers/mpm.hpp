@@ -52,6 +52,7 @@ inline std::array<double, 3> spline_weights(double offset) {
 // Sums over all points. `potential` is 0 where the points were put.
 struct Balance {
   Vec3 momentum{};
+  Vec3 angular{};        // momentum about the origin, the affine part included
   double speed_sum = 0;  // sum of mass times speed: what a drift of momentum is measured against
   double kinetic = 0;    // the affine part included
   double elastic = 0;

@@ -46,13 +46,16 @@ TEST(TwoSpheres, ConservesCollidesAndRebounds) {
   const Balance start = mpm.balance();
   const Pair before = look(mpm, 750);
   EXPECT_LT(dot(before.apart, before.closing), 0) << "they approach";
+  EXPECT_GT(norm(start.angular), 1e-3 * start.speed_sum) << "off-centre";
   double nearest = norm(before.apart);
   double elastic_most = 0;
   for (int step = 0; step < 200; ++step) {
     advance(simulation);
     const Balance now = mpm.balance();
-    for (std::size_t a = 0; a < 3; ++a)
+    for (std::size_t a = 0; a < 3; ++a) {
       ASSERT_NEAR(now.momentum[a], start.momentum[a], 1e-12 * start.speed_sum) << "step " << step;
+      ASSERT_NEAR(now.angular[a], start.angular[a], 1e-12 * start.speed_sum) << "step " << step;
+    }
     ASSERT_LE(now.energy(), start.energy() * (1 + 1e-6)) << "step " << step;
     nearest = std::min(nearest, norm(look(mpm, 750).apart));
     elastic_most = std::max(elastic_most, now.elastic);
