@@ -1,5 +1,5 @@
 // Partition a distributed particle set into P parts: exact RCB, and bands as a tree with one axis order.
-// Particles stay where they are; the result names each local particle's part. migration.hpp moves them.
+// Particles stay where they are; the result names each local particle's part.
 //
 // Source: Berger and Bokhari 1987, doi:10.1109/TC.1987.1676942 (recursive bisection).
 #pragma once
@@ -16,17 +16,20 @@ namespace rcb::partition {
 struct PartitionOptions {
   Method method = Method::rcb;
   int parts = 1;
-  std::vector<double> part_sizes;      // empty: equal; else `parts` finite numbers > 0
-  double axis_hysteresis = 1.0;        // finite, >= 1; 1: the pure rule
-  const CutTree* previous = nullptr;   // the tree in force, for hysteresis; null: none
+  std::vector<double> part_sizes;     // empty: equal; else `parts` finite numbers > 0
+  double axis_hysteresis = 1.0;       // finite, >= 1; 1: the pure rule
+  const CutTree* previous = nullptr;  // the tree in force, for hysteresis; null: none
 };
 
 struct PartitionResult {
   CutTree tree;
-  Buffer<std::int32_t> part;           // [local count], the part of each local particle
-  std::uint64_t rounds = 0;            // search rounds (a round: one histogram reduction for a group of nodes)
-  std::uint64_t reductions = 0;        // all collectives used
+  Buffer<std::int32_t> part;     // [local count], the part of each local particle
+  std::uint64_t rounds = 0;      // search rounds (a round: one histogram reduction for a group of nodes)
+  std::uint64_t reductions = 0;  // all collectives used
 };
+
+// The box of all ranks' particles; empty without any. Collective (one reduction).
+geometry::Box bounding_box(Comm& comm, const particles::ParticleView& particles);
 
 // Collective. All ranks pass the same options; positions finite and ids unique (the caller has checked).
 //   particles  this rank's; any split over the ranks gives the same tree, bit for bit
@@ -36,8 +39,7 @@ Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& par
 
 // The part of each particle for the methods without a search: equal_boxes also returns its tree
 // (cuts at the middle of each box; a coordinate equal to the middle goes right), file_order only `part`
-// (blocks in ascending id by the quotas). Collective.
-Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles,
-                                 const PartitionOptions& options);
+// (blocks in ascending id by the quotas, weights or not; its tree is a default one). Collective.
+Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options);
 
 }  // namespace rcb::partition

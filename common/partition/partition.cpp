@@ -1,0 +1,117 @@
+// The entry points: what is asked is checked here; the levels are in build_tree.cpp.
+#include "common/partition/partition.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include "common/partition/build_tree.hpp"
+
+namespace rcb::partition {
+namespace {
+
+Status check(const PartitionOptions& options, int dims) {
+  const auto bad = [](std::string message, std::string hint) {
+    return Status(Code::invalid_argument, std::move(message), std::move(hint));
+  };
+  if (dims < 1 || dims > geometry::kDimsMax)
+    return bad("dims is " + std::to_string(dims), "positions have 1, 2 or 3 dimensions");
+  if (options.parts < 1) return bad("parts is " + std::to_string(options.parts), "give 1 or more");
+  const auto& sizes = options.part_sizes;
+  if (!sizes.empty() && sizes.size() != static_cast<std::size_t>(options.parts))
+    return bad(std::to_string(sizes.size()) + " part sizes for " + std::to_string(options.parts) + " parts",
+               "give one size for each part");
+  for (std::size_t p = 0; p < sizes.size(); ++p)
+    if (!std::isfinite(sizes[p]) || !(sizes[p] > 0))
+      return bad("the size of part " + std::to_string(p) + " is not a finite number > 0", "sizes are relative shares");
+  if (!std::isfinite(options.axis_hysteresis) || !(options.axis_hysteresis >= 1))
+    return bad("axis_hysteresis is not a finite number >= 1", "1 follows the extents alone");
+  if ((options.method == Method::bands_y && dims < 2) || (options.method == Method::bands_z && dims < 3))
+    return bad(std::string(method_name(options.method)) + " needs an axis that " + std::to_string(dims) +
+                   "-dimensional positions lack",
+               "choose rcb or bands-x");
+  return {};
+}
+
+// The tree of equal boxes: every box is halved at lo/2 + hi/2 across its longest side.
+void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& hi) {
+  if (range.leaf()) return;
+  Point extents{};
+  for (std::size_t a = 0; a < static_cast<std::size_t>(tree.dims); ++a) extents[a] = geometry::extent(lo[a], hi[a]);
+  Cut& cut = tree.cuts[static_cast<std::size_t>(range.node)];
+  cut.axes = geometry::order_by_extent(extents, tree.dims);
+  const auto axis = static_cast<std::size_t>(cut.axes[0]);
+  const double middle = lo[axis] * 0.5 + hi[axis] * 0.5 + 0.0;
+  // The least key with that coordinate, so that all equal to the middle go right.
+  for (std::size_t i = 1; i < static_cast<std::size_t>(tree.dims); ++i)
+    cut.key.at[i] = std::numeric_limits<double>::lowest();
+  cut.key.at[0] = middle;
+  Point left_hi = hi;
+  Point right_lo = lo;
+  left_hi[axis] = right_lo[axis] = middle;
+  halve(tree, range.left(), lo, left_hi);
+  halve(tree, range.right(), right_lo, hi);
+}
+
+PartitionResult equal_boxes(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options) {
+  PartitionResult result;
+  result.tree.dims = particles.dims;
+  result.tree.method = options.method;
+  result.tree.parts = options.parts;
+  result.tree.cuts.resize(static_cast<std::size_t>(options.parts) - 1);
+  const geometry::Box box = bounding_box(comm, particles);
+  ++result.reductions;
+  if (box.empty(particles.dims)) {
+    for (Cut& cut : result.tree.cuts) cut.right_empty = true;
+  } else {
+    halve(result.tree, result.tree.root(), box.lo, box.hi);
+  }
+  result.part.resize(particles.count);
+  result.tree.classify(particles, result.part.span());
+  return result;
+}
+
+}  // namespace
+
+geometry::Box bounding_box(Comm& comm, const particles::ParticleView& particles) {
+  std::array<std::uint64_t, 2 * geometry::kDimsMax> least{};
+  least.fill(~std::uint64_t{0});
+  const auto dims = static_cast<std::size_t>(particles.dims);
+  for (std::size_t a = 0; a < dims && particles.count > 0; ++a) {
+    const double* x = particles.position[a];
+    const auto [lo, hi] = std::minmax_element(x, x + particles.count);
+    least[a] = geometry::image(*lo);
+    least[geometry::kDimsMax + a] = ~geometry::image(*hi);
+  }
+  comm.all_min(least);
+  geometry::Box box;
+  for (std::size_t a = 0; a < dims && least[0] != ~std::uint64_t{0}; ++a) {
+    box.lo[a] = geometry::value_of_image(least[a]);
+    box.hi[a] = geometry::value_of_image(~least[geometry::kDimsMax + a]);
+  }
+  return box;
+}
+
+Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles,
+                                  const PartitionOptions& options) {
+  if (Status status = check(options, particles.dims); !status.ok()) return status;
+  if (options.method == Method::equal_boxes || options.method == Method::file_order)
+    return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
+                  "choose rcb, bands-x, bands-y or bands-z");
+  return TreeBuilder(comm, particles, options, particles.dims).build();
+}
+
+Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles,
+                                 const PartitionOptions& options) {
+  if (Status status = check(options, particles.dims); !status.ok()) return status;
+  if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
+  if (options.method != Method::file_order)
+    return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is no baseline",
+                  "choose equal-boxes or file-order");
+  PartitionResult result = TreeBuilder(comm, particles, options, 0).build();
+  result.tree = CutTree{};
+  return result;
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,197 @@
+// The end of a search: the few candidates of each node are gathered with their whole keys and selected at once. With
+// weights the key wanted may lie just outside the bracket; then it is looked for among all of the node's particles.
+#include <algorithm>
+#include <cstring>
+
+#include <boost/multiprecision/cpp_int.hpp>
+
+#include "common/partition/select.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using Wide = boost::multiprecision::uint512_t;
+
+std::vector<std::uint64_t> gather_words(Comm& comm, std::span<const std::uint64_t> mine) {
+  std::vector<std::byte> bytes;
+  std::vector<std::size_t> sizes;
+  comm.all_gather(std::as_bytes(mine), bytes, sizes);
+  std::vector<std::uint64_t> words(bytes.size() / sizeof(std::uint64_t));
+  if (!bytes.empty()) std::memcpy(words.data(), bytes.data(), bytes.size());
+  return words;
+}
+
+}  // namespace
+
+void Selector::gather_candidates() {
+  std::vector<std::size_t> gathering;
+  std::vector<std::size_t> starts(states_.size() + 1, 0);
+  for (std::size_t n = 0; n < states_.size(); ++n)
+    if (states_[n].phase == Phase::gather) gathering.push_back(n);
+  if (gathering.empty()) return;
+  // The stash's entries by node (a counting sort).
+  const auto wanted = [this](std::size_t i) {
+    const State& state = states_[static_cast<std::size_t>(stash_node_[i])];
+    return state.phase == Phase::gather &&
+           stash_word_[i] - state.lo[state.word] <= state.hi[state.word] - state.lo[state.word];
+  };
+  for (std::size_t i = 0; i < stash_word_.size(); ++i)
+    if (wanted(i)) ++starts[static_cast<std::size_t>(stash_node_[i]) + 1];
+  for (std::size_t n = 0; n < states_.size(); ++n) starts[n + 1] += starts[n];
+  std::vector<std::size_t> order(starts.back());
+  std::vector<std::size_t> next(starts.begin(), starts.end() - 1);
+  for (std::size_t i = 0; i < stash_word_.size(); ++i)
+    if (wanted(i)) order[next[static_cast<std::size_t>(stash_node_[i])]++] = stash_index_[i];
+
+  const std::size_t limit = kMessageWordsMax / record_words();
+  for (std::size_t first = 0; first < gathering.size();) {
+    std::size_t last = first;
+    std::uint64_t total = 0;
+    while (last < gathering.size() && (last == first || total + states_[gathering[last]].inside <= limit))
+      total += states_[gathering[last++]].inside;
+    gather_group(std::span(gathering).subspan(first, last - first), starts, order);
+    first = last;
+  }
+}
+
+void Selector::gather_group(std::span<const std::size_t> group, std::span<const std::size_t> starts,
+                            std::span<const std::size_t> order) {
+  std::vector<std::uint64_t> mine;
+  for (const std::size_t node : group)
+    for (std::size_t i = starts[node]; i < starts[node + 1]; ++i) {
+      const KeyWords key = key_words(node, order[i]);
+      mine.push_back(node);
+      mine.insert(mine.end(), key.begin(), key.begin() + static_cast<std::ptrdiff_t>(words_));
+      if (!weighted()) continue;
+      const u128 weight = (*scale_)(particles_.weight[order[i]]);
+      mine.push_back(static_cast<std::uint64_t>(weight));
+      mine.push_back(static_cast<std::uint64_t>(weight >> 64U));
+    }
+  const std::vector<std::uint64_t> all = gather_words(comm_, mine);
+  ++reductions_;
+  std::vector<Candidate> candidates;
+  candidates.reserve(all.size() / record_words());
+  for (std::size_t at = 0; at < all.size(); at += record_words()) {
+    Candidate candidate{all[at], {}, 0};
+    for (std::size_t w = 0; w < words_; ++w) candidate.key[w] = all[at + 1 + w];
+    if (weighted()) candidate.weight = all[at + 1 + words_] | (u128{all[at + 2 + words_]} << 64U);
+    candidates.push_back(candidate);
+  }
+  std::ranges::sort(candidates, [](const Candidate& a, const Candidate& b) {
+    return a.node != b.node ? a.node < b.node : a.key < b.key;
+  });
+  for (std::size_t first = 0; first < candidates.size();) {
+    std::size_t last = first;
+    while (last < candidates.size() && candidates[last].node == candidates[first].node) ++last;
+    const std::span<const Candidate> own = std::span(candidates).subspan(first, last - first);
+    CHECK(own.size() == states_[own[0].node].inside, "the candidates are those counted");
+    states_[own[0].node].phase = Phase::done;
+    if (weighted())
+      pick_weighted(own);
+    else
+      pick(own);
+    first = last;
+  }
+}
+
+void Selector::pick(std::span<const Candidate> candidates) {
+  SelectNode& node = nodes_[candidates[0].node];
+  node.key = candidates[node.rank - states_[candidates[0].node].below].key;
+}
+
+// Left takes the prefix whose weight is nearest to the wanted one; on a tie, and among prefixes of the same weight,
+// the shortest.
+void Selector::pick_weighted(std::span<const Candidate> candidates) {
+  const std::size_t index = candidates[0].node;
+  SelectNode& node = nodes_[index];
+  const State& state = states_[index];
+  u128 before = state.weight_below;
+  std::size_t crossing = 0;
+  while (crossing < candidates.size() && before + candidates[crossing].weight < state.threshold)
+    before += candidates[crossing++].weight;
+  CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
+  const u128 after = before + candidates[crossing].weight;
+  const Wide wanted = Wide(node.weight) * node.left_size;
+  if (Wide(after) * node.size - wanted < wanted - Wide(before) * node.size) {
+    node.left_weight = after;
+    if (crossing + 1 < candidates.size())
+      node.key = candidates[crossing + 1].key;
+    else
+      neighbours_.push_back(
+          {.node = index, .heavy_before = false, .from_start = false, .bound = candidates[crossing].key});
+    return;
+  }
+  node.left_weight = before;
+  while (crossing > 0 && candidates[crossing - 1].weight == 0) --crossing;
+  if (crossing > 0 || state.below == 0)
+    node.key = candidates[crossing].key;
+  else if (state.weight_below == 0)
+    neighbours_.push_back({.node = index, .heavy_before = false, .from_start = true, .bound = {}});
+  else
+    neighbours_.push_back({.node = index, .heavy_before = true, .from_start = false, .bound = candidates[0].key});
+}
+
+void Selector::find_neighbours(std::span<const std::int32_t> label) {
+  if (neighbours_.empty()) return;
+  std::vector<KeyWords> keys;
+  std::vector<Neighbour> backward;
+  std::ranges::copy_if(neighbours_, std::back_inserter(backward), &Neighbour::heavy_before);
+  if (!backward.empty()) {
+    const std::vector<std::uint8_t> found = nearest(backward, true, label, keys);
+    std::size_t b = 0;
+    for (Neighbour& neighbour : neighbours_) {
+      if (!neighbour.heavy_before) continue;
+      CHECK(found[b] != 0, "weight lies below the bracket");
+      neighbour.bound = keys[b++];
+    }
+  }
+  const std::vector<std::uint8_t> found = nearest(neighbours_, false, label, keys);
+  for (std::size_t n = 0; n < neighbours_.size(); ++n) {
+    nodes_[neighbours_[n].node].right_empty = found[n] == 0;
+    nodes_[neighbours_[n].node].key = keys[n];
+    states_[neighbours_[n].node].phase = Phase::done;
+  }
+}
+
+std::vector<std::uint8_t> Selector::nearest(std::span<const Neighbour> wanted, bool backward,
+                                            std::span<const std::int32_t> label, std::vector<KeyWords>& keys) {
+  std::vector<std::int32_t> place(states_.size(), -1);
+  for (std::size_t n = 0; n < wanted.size(); ++n) place[wanted[n].node] = static_cast<std::int32_t>(n);
+  std::vector<std::uint8_t> found(wanted.size(), 0);
+  keys.assign(wanted.size(), KeyWords{});
+  const auto offer = [&](std::size_t n, const KeyWords& key) {
+    if (found[n] == 0 || (backward ? keys[n] < key : key < keys[n])) keys[n] = key;
+    found[n] = 1;
+  };
+  for (std::size_t i = 0; i < label.size(); ++i) {
+    const auto node = static_cast<std::uint32_t>(label[i] - first_label_);
+    if (node >= states_.size() || place[node] < 0) continue;
+    const auto n = static_cast<std::size_t>(place[node]);
+    const KeyWords key = key_words(node, i);
+    if (backward ? key < wanted[n].bound && (*scale_)(particles_.weight[i]) > 0
+                 : wanted[n].from_start || wanted[n].bound < key)
+      offer(n, key);
+  }
+  const std::size_t record = words_ + 1;
+  const std::size_t group =
+      std::max<std::size_t>(kMessageWordsMax / (record * static_cast<std::size_t>(comm_.size())), 1);
+  const std::vector<std::uint8_t> found_here = found;
+  for (std::size_t first = 0; first < wanted.size(); first += group) {
+    std::vector<std::uint64_t> mine;
+    for (std::size_t n = first; n < std::min(first + group, wanted.size()); ++n) {
+      if (found_here[n] == 0) continue;
+      mine.push_back(n);
+      mine.insert(mine.end(), keys[n].begin(), keys[n].begin() + static_cast<std::ptrdiff_t>(words_));
+    }
+    const std::vector<std::uint64_t> all = gather_words(comm_, mine);
+    ++reductions_;
+    for (std::size_t at = 0; at < all.size(); at += record) {
+      KeyWords key{};
+      for (std::size_t w = 0; w < words_; ++w) key[w] = all[at + 1 + w];
+      offer(all[at], key);
+    }
+  }
+  return found;
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,249 @@
+// partition() against the judge of full sorts, on nasty scenes, dealt to ranks in any way.
+#include "common/partition/partition.hpp"
+
+#include <cmath>
+#include <map>
+#include <mutex>
+
+#include <gtest/gtest.h>
+
+#include "tests/support/judge.hpp"
+#include "tests/support/on_ranks.hpp"
+#include "tests/support/scenes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using testing::deal;
+using testing::judge;
+using testing::JudgeCut;
+using testing::Judgement;
+using testing::JudgeOptions;
+using testing::make_scene;
+using testing::on_ranks;
+using testing::Scene;
+using testing::Shape;
+using testing::Share;
+using testing::Weights;
+
+constexpr std::uint64_t kSeed = 20240611;
+
+PartitionOptions options_of(const JudgeOptions& asked) {
+  PartitionOptions options;
+  options.parts = asked.parts;
+  options.part_sizes = asked.part_sizes;
+  options.axis_hysteresis = asked.hysteresis;
+  if (asked.band_axis >= 0) options.method = static_cast<Method>(static_cast<int>(Method::bands_x) + asked.band_axis);
+  return options;
+}
+
+void expect_same_cuts(const CutTree& tree, const Judgement& judged) {
+  ASSERT_EQ(tree.cuts.size(), judged.cuts.size());
+  for (std::size_t n = 0; n < tree.cuts.size(); ++n) {
+    const Cut& cut = tree.cuts[n];
+    const JudgeCut& right = judged.cuts[n];
+    ASSERT_EQ(cut.right_empty, right.right_empty) << "node " << n;
+    for (std::size_t i = 0; i < right.axes.size(); ++i) ASSERT_EQ(cut.axes[i], right.axes[i]) << "node " << n;
+    if (cut.right_empty) continue;
+    for (std::size_t i = 0; i < right.at.size(); ++i) {
+      ASSERT_EQ(cut.key.at[i], right.at[i]) << "node " << n;
+      ASSERT_FALSE(cut.key.at[i] == 0 && std::signbit(cut.key.at[i])) << "node " << n;
+    }
+    ASSERT_EQ(cut.key.id, right.id) << "node " << n;
+  }
+}
+
+// All that one rank can check of its share.
+void check_share(Comm& comm, const Scene& scene, const PartitionOptions& options, const Judgement& judged,
+                 std::uint64_t deal_seed) {
+  const Share share = deal(scene, comm.rank(), comm.size(), deal_seed);
+  const particles::ParticleView view = share.particles.view();
+  const Result<PartitionResult> got = partition(comm, view, options);
+  ASSERT_TRUE(got.ok()) << got.status().message();
+  expect_same_cuts(got->tree, judged);
+  ASSERT_EQ(got->part.size(), view.count);
+  std::vector<std::int32_t> classified(view.count);
+  got->tree.classify(view, classified);
+  for (std::size_t i = 0; i < view.count; ++i) {
+    ASSERT_EQ(got->part[i], judged.part[share.row[i]]) << "row " << share.row[i];
+    ASSERT_EQ(got->tree.part_of(view.point(i), view.id[i]), got->part[i]);
+    ASSERT_EQ(classified[i], got->part[i]);
+  }
+  const Status valid = got->tree.validate();
+  ASSERT_TRUE(valid.ok()) << valid.message();
+  const Result<CutTree> again = CutTree::decode(got->tree.encode());
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  ASSERT_EQ(again->cuts, got->tree.cuts);
+  ASSERT_EQ(again->hash(), got->tree.hash());
+}
+
+void check(const Scene& scene, const JudgeOptions& asked, const CutTree* previous = nullptr) {
+  SCOPED_TRACE(scene.name + ", parts " + std::to_string(asked.parts) + ", band axis " +
+               std::to_string(asked.band_axis));
+  const Judgement judged = judge(scene, asked);
+  std::vector<std::uint64_t> counts(static_cast<std::size_t>(asked.parts), 0);
+  for (const std::int32_t part : judged.part) ++counts[static_cast<std::size_t>(part)];
+  PartitionOptions options = options_of(asked);
+  options.previous = previous;
+  on_ranks([&](Comm& comm) { check_share(comm, scene, options, judged, kSeed + scene.count()); });
+}
+
+TEST(Partition, AgreesWithTheJudgeOnEveryShape) {
+  std::uint64_t seed = kSeed;
+  for (int shape = 0; shape < testing::kShapes; ++shape)
+    for (const int dims : {1, 2, 3})
+      for (const int parts : {1, 2, 3, 5, 7, 8, 13, 37, 64}) {
+        ++seed;
+        JudgeOptions asked;
+        asked.parts = parts;
+        check(make_scene(static_cast<Shape>(shape), Weights::none, dims, 1 + mix64(seed) % 700, seed % 2 == 0, seed),
+              asked);
+        if (HasFatalFailure()) return;
+      }
+}
+
+TEST(Partition, AgreesWithTheJudgeOnEveryWeighting) {
+  std::uint64_t seed = 2 * kSeed;
+  for (int shape = 0; shape < testing::kShapes; ++shape)
+    for (int weights = 1; weights < testing::kWeights; ++weights)
+      for (const int parts : {2, 5, 8, 37}) {
+        ++seed;
+        JudgeOptions asked;
+        asked.parts = parts;
+        check(make_scene(static_cast<Shape>(shape), static_cast<Weights>(weights), 1 + static_cast<int>(seed % 3),
+                         1 + mix64(seed) % 400, seed % 2 == 0, seed),
+              asked);
+        if (HasFatalFailure()) return;
+      }
+}
+
+// Too many particles to gather at once, so that every node is searched by histograms.
+TEST(Partition, AgreesWithTheJudgeOnLargerScenes) {
+  std::uint64_t seed = 5 * kSeed;
+  for (int shape = 0; shape < testing::kShapes; ++shape)
+    for (const Weights weights : {Weights::none, Weights::none, Weights::zeros, Weights::giant, Weights::wide}) {
+      ++seed;
+      JudgeOptions asked;
+      asked.parts = seed % 2 == 0 ? 3 : 40;
+      check(make_scene(static_cast<Shape>(shape), weights, 1 + static_cast<int>(seed % 3), 4000 + mix64(seed) % 8000,
+                       mix64(seed) % 2 == 0, seed),
+            asked);
+      if (HasFatalFailure()) return;
+    }
+}
+
+TEST(Partition, BandsHaveOneOrder) {
+  std::uint64_t seed = 3 * kSeed;
+  for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::planes, Shape::coincident})
+    for (int axis = 0; axis < 3; ++axis)
+      for (const Weights weights : {Weights::none, Weights::small_integers}) {
+        ++seed;
+        JudgeOptions asked;
+        asked.parts = 7;
+        asked.band_axis = axis;
+        check(make_scene(shape, weights, 3, 300, false, seed), asked);
+        if (HasFatalFailure()) return;
+      }
+}
+
+TEST(Partition, PartSizes) {
+  std::uint64_t seed = 4 * kSeed;
+  for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::coincident})
+    for (const Weights weights : {Weights::none, Weights::uniform, Weights::zeros}) {
+      ++seed;
+      JudgeOptions asked;
+      asked.parts = 6;
+      asked.part_sizes = {1, 2.5, 0.001, 1e6, 3, 0.1};
+      check(make_scene(shape, weights, 2, 333, true, seed), asked);
+      if (HasFatalFailure()) return;
+    }
+}
+
+TEST(Partition, KeepsAxesWithHysteresis) {
+  JudgeOptions first;
+  first.parts = 16;
+  const Scene before = make_scene(Shape::uniform, Weights::none, 3, 500, false, kSeed);
+  const Judgement old_cuts = judge(before, first);
+  CutTree previous;
+  on_ranks({1}, [&](Comm& comm) {
+    const Share share = deal(before, comm.rank(), comm.size(), 1);
+    CutTree tree = partition(comm, share.particles.view(), options_of(first)).value().tree;
+    if (comm.rank() == 0) previous = tree;
+  });
+  for (const double hysteresis : {1.0, 1.0001, 1.2, 2.0, 1e300}) {
+    for (const Shape shape : {Shape::uniform, Shape::decades, Shape::huge, Shape::coincident}) {
+      const Scene after = make_scene(shape, Weights::none, 3, shape == Shape::coincident ? 5 : 400, false, kSeed + 1);
+      JudgeOptions asked = first;
+      asked.hysteresis = hysteresis;
+      for (const JudgeCut& cut : old_cuts.cuts) asked.old_axis.push_back(cut.axes[0]);
+      CutTree everywhere = previous;
+      if (everywhere.cuts.empty()) {  // on MPI rank 0 alone has it
+        everywhere.parts = first.parts;
+        for (const JudgeCut& cut : old_cuts.cuts) {
+          Cut copy;
+          for (std::size_t i = 0; i < 3; ++i) copy.axes[i] = static_cast<std::int8_t>(cut.axes[i]);
+          everywhere.cuts.push_back(copy);
+        }
+      }
+      check(after, asked, &everywhere);
+      if (HasFatalFailure()) return;
+    }
+  }
+}
+
+TEST(Partition, ManyPartsFewParticles) {
+  for (const std::size_t count : {0U, 1U, 5U, 100U, 5000U}) {
+    JudgeOptions asked;
+    asked.parts = 4096;
+    check(make_scene(Shape::lattice, Weights::none, 3, count, false, kSeed + count), asked);
+    check(make_scene(Shape::uniform, Weights::uniform, 2, count, true, kSeed + count), asked);
+    if (HasFatalFailure()) return;
+  }
+}
+
+TEST(Partition, FivePointsInEightParts) {
+  const Judgement judged = judge(make_scene(Shape::uniform, Weights::none, 2, 5, false, 1), {.parts = 8});
+  EXPECT_EQ(judged.quota, (std::vector<std::int64_t>{0, 1, 0, 1, 1, 0, 1, 1}));
+}
+
+TEST(Partition, RoundsAreBounded) {
+  // Large enough for the histogram search on every level; at most 8 rounds a level for each key word.
+  for (int shape = 0; shape < testing::kShapes; ++shape)
+    for (const Weights weights : {Weights::none, Weights::zeros}) {
+      const Scene scene = make_scene(static_cast<Shape>(shape), weights, 3, 20000, true, kSeed);
+      SCOPED_TRACE(scene.name);
+      PartitionOptions options;
+      options.parts = 8;
+      std::mutex mutex;
+      std::map<std::uint64_t, int> hashes;
+      on_ranks({1, 3}, [&](Comm& comm) {
+        const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+        const PartitionResult got = partition(comm, share.particles.view(), options).value();
+        EXPECT_LE(got.rounds, static_cast<Shape>(shape) == Shape::coincident ? 3U * 8U : 3U * 8U * 4U);
+        const std::lock_guard lock(mutex);
+        ++hashes[got.tree.hash()];
+      });
+      EXPECT_EQ(hashes.size(), 1U);
+    }
+}
+
+TEST(Partition, RefusesBadOptions) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 2, 10, false, 1);
+  on_ranks([&](Comm& comm) {
+    const Share share = deal(scene, comm.rank(), comm.size(), 1);
+    const auto refused = [&](const PartitionOptions& options) {
+      const Result<PartitionResult> got = partition(comm, share.particles.view(), options);
+      return !got.ok() && got.status().code() == Code::invalid_argument;
+    };
+    EXPECT_TRUE(refused({.parts = 0}));
+    EXPECT_TRUE(refused({.parts = 2, .part_sizes = {1}}));
+    EXPECT_TRUE(refused({.parts = 2, .part_sizes = {1, 0}}));
+    EXPECT_TRUE(refused({.parts = 2, .part_sizes = {1, std::nan("")}}));
+    EXPECT_TRUE(refused({.parts = 2, .axis_hysteresis = 0.5}));
+    EXPECT_TRUE(refused({.method = Method::bands_z, .parts = 2}));
+    EXPECT_TRUE(refused({.method = Method::equal_boxes, .parts = 2}));
+  });
+}
+
+}  // namespace
+}  // namespace rcb::partition
