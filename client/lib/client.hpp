@@ -5,18 +5,22 @@
 //   auto scene = client->open_scene("jet");
 //   auto result = scene->step(rcb::client::Positions::rows(xyz.data(), n, 3));
 //
+// A lost connection is opened again by the next call; reads are repeated by themselves, and so is a step, which the
+// service applies once. Other commands fail with `unavailable`: whether they took effect is for the caller to ask.
 // Thread-safety: a Client and its Scenes belong to one thread at a time. No call waits without a deadline.
 // Faults come back as Status: code, message, hint.
 #pragma once
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
 
 namespace rcb::client {
@@ -25,7 +29,11 @@ struct ConnectOptions {
   std::string endpoint;  // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
   double deadline_seconds = 5;  // for connecting and saying hello
   std::string name = "rcb client";
-  std::string token;  // TCP only; empty: found in the service's data directory
+  // TCP only; empty: RCBD_TOKEN, else the file RCBD_TOKEN_FILE, else, on this machine, found in the service's data
+  // directory.
+  std::string token;
+  // Told what a service says while a call waits; may be empty.
+  std::function<void(const std::string&)> on_notice;
 };
 
 struct SceneOptions {
@@ -77,26 +85,29 @@ struct PartChange {
 };
 
 struct StepOptions {
-  std::optional<std::int64_t> step;   // default: the last step + 1, 0 at first
-  std::span<const std::int64_t> ids;  // [count], at the first push; empty: 0..count-1
-  std::span<const double> weights;    // [count]; empty: none, or unchanged
-  bool want_parts = false;            // fill StepResult::parts
-  bool want_changes = false;          // fill StepResult::changes
+  std::optional<std::int64_t> step;  // default: the last step + 1, 0 at first
+  // [count], distinct, >= 0; empty: 0..count-1. At the scene's first push, and at the first step of a Scene that was
+  // opened when it had ids of its own; later they may be left out.
+  std::span<const std::int64_t> ids;
+  std::span<const double> weights;  // [count]; empty: none, or unchanged
+  bool want_parts = false;          // fill StepResult::parts
+  bool want_changes = false;        // fill StepResult::changes
   double deadline_seconds = 60;
 };
 
 struct StepResult {
   StepReport report;
   std::vector<std::int32_t> parts;  // by row
-  std::vector<PartChange> changes;  // ascending row; all rows at the first push
+  std::vector<PartChange> changes;  // ascending row; all rows at the first step of this Scene
 };
 
 struct Array {
   std::string name;
   std::string dtype;  // "<f8", "<i8", "<i4", "<u8"
   std::vector<std::uint64_t> shape;
-  std::vector<std::byte> bytes;
+  Buffer<std::byte> bytes;
 
+  // The elements. Asked for as another type they are none: an empty span.
   std::span<const double> f8() const;
   std::span<const std::int64_t> i8() const;
   std::span<const std::int32_t> i4() const;
@@ -123,7 +134,7 @@ class Client {
   Status drop_scene(const std::string& name);
   Status shutdown_service();
 
-  // Any command of PROTOCOL.md: arguments is a JSON object without "command" ("" or "{}" for none).
+  // Any command of PROTOCOL.md but pushes: arguments is a JSON object without "command" ("" or "{}" for none).
   Result<Reply> call(const std::string& command, const std::string& arguments_json = "{}",
                      double deadline_seconds = 60);
   int ranks() const;

@@ -268,7 +268,8 @@ asio::awaitable<bool> Connection::State::read_frame() {
   }
   if (frame.type == wire::FrameType::notice) {
     const auto json = frame.json();
-    if (json && on_notice) on_notice(json->contains("notice") ? wire::dump_json((*json)["notice"]) : frame.text);
+    const auto text = json ? wire::string_field(*json, "notice") : Result<std::string>(json.status());
+    if (text && on_notice) on_notice(*text);
     co_return true;
   }
   if (inbox.size() >= kInboxMax) {

@@ -1,0 +1,112 @@
+#include "client/lib/push_source.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "common/wire/frame.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::size_t kElementBytes = 8;
+constexpr std::size_t kBatchBytes = 1U << 20U;
+constexpr std::size_t kPiecesMax = 48;  // one system call takes a bounded number
+
+bool consecutive(std::span<const std::uint64_t> rows) {
+  for (std::size_t i = 1; i < rows.size(); ++i)
+    if (rows[i] != rows[i - 1] + 1) return false;
+  return true;
+}
+
+Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text)); }
+
+}  // namespace
+
+PushSource::PushSource(const wire::Json& begin, std::uint64_t request, const plan::Plan& plan,
+                       std::vector<Column> columns)
+    : plan_(plan), columns_(std::move(columns)), request_(request) {
+  wire::Json json = begin;
+  json["command"] = "push.begin";
+  int slices = 0;
+  for (int rank = 0; rank < plan.ranks(); ++rank) slices += plan.rows(rank).empty() ? 0 : 1;
+  json["slices"] = slices;
+  wire::FrameHeader header;
+  header.request = request;
+  begin_frame_ = wire::encode_frame(header, wire::dump_json(json));
+  for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice_json_[name] = begin.at(name);
+  slice_json_["command"] = "push.slice";
+}
+
+// The head of rank_'s slice.
+void PushSource::begin_slice() {
+  const std::uint64_t count = plan_.rows(rank_).size();
+  wire::Json json = slice_json_;
+  json["rank"] = rank_;
+  json["count"] = count;
+  json["arrays"] = wire::Json::array();
+  for (const Column& column : columns_)
+    json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
+  wire::FrameHeader header;
+  header.request = request_;
+  header.bulk_bytes = count * columns_.size() * kElementBytes;
+  heads_.push_back(wire::encode_frame(header, wire::dump_json(json)));
+  batch_.push_back(bytes_of(heads_.back()));
+  batch_bytes_ += heads_.back().size();
+  in_slice_ = true;
+  column_ = 0;
+  slot_ = 0;
+}
+
+// As much of the current column as the batch takes.
+void PushSource::add_stretch() {
+  const Column& column = columns_[column_];
+  const auto all = plan_.rows(rank_);
+  const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - kElementBytes)) / kElementBytes;
+  const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
+  const auto* first = static_cast<const std::byte*>(column.first);
+  const std::size_t bytes = rows.size() * kElementBytes;
+  if (column.stride == 1 && consecutive(rows)) {
+    batch_.emplace_back(first + rows.front() * kElementBytes, bytes);
+  } else {
+    if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytes);
+    std::byte* to = gathered_.data() + gathered_bytes_;
+    const std::size_t step = column.stride * kElementBytes;
+    for (std::size_t i = 0; i < rows.size(); ++i)
+      std::memcpy(to + i * kElementBytes, first + rows[i] * step, kElementBytes);
+    batch_.emplace_back(to, bytes);
+    gathered_bytes_ += bytes;
+  }
+  batch_bytes_ += bytes;
+  slot_ += rows.size();
+  if (slot_ < all.size()) return;
+  slot_ = 0;
+  if (++column_ < columns_.size()) return;
+  in_slice_ = false;
+  ++rank_;
+}
+
+std::span<const Bytes> PushSource::next(bool answered) {
+  batch_.clear();
+  heads_.clear();
+  heads_.reserve(kPiecesMax);  // batch_ points into its strings
+  batch_bytes_ = 0;
+  gathered_bytes_ = 0;
+  if (!begin_frame_.empty()) {
+    heads_.push_back(std::move(begin_frame_));
+    begin_frame_.clear();
+    batch_.push_back(bytes_of(heads_.back()));
+    batch_bytes_ = heads_.back().size();
+  }
+  while (batch_bytes_ < kBatchBytes && batch_.size() < kPiecesMax) {
+    if (!in_slice_) {
+      while (rank_ < plan_.ranks() && plan_.rows(rank_).empty()) ++rank_;
+      if (rank_ >= plan_.ranks() || answered) break;
+      begin_slice();
+      continue;
+    }
+    add_stretch();
+  }
+  return batch_;
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,56 @@
+// PushSource: the frames of one push, made while they are sent: push.begin, then a push.slice for each rank that holds
+// particles, its columns in plan order.
+//
+// Invariants
+// 1. A stretch of a column that lies in the caller's memory as it is to be sent is sent from there; only the others
+//    are gathered, through one buffer of 1 MiB.
+// 2. Frames are always whole; when the service has answered early, the frames not yet begun are left out.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "client/lib/session.hpp"
+#include "common/base/buffer.hpp"
+#include "common/plan/plan.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::client {
+
+// One array of every slice: elements of 8 bytes, `stride` elements apart, by the caller's row.
+struct Column {
+  std::string name;
+  std::string dtype;
+  const void* first = nullptr;
+  std::size_t stride = 1;
+};
+
+class PushSource final : public FrameSource {
+ public:
+  // begin: the arguments of push.begin without "slices". The plan and the columns outlive the source.
+  PushSource(const wire::Json& begin, std::uint64_t request, const plan::Plan& plan, std::vector<Column> columns);
+  std::span<const Bytes> next(bool answered) override;
+
+ private:
+  void begin_slice();
+  void add_stretch();
+
+  const plan::Plan& plan_;
+  std::vector<Column> columns_;
+  std::uint64_t request_;
+  wire::Json slice_json_;           // what all slices have in common
+  std::vector<std::string> heads_;  // of the frames in this batch
+  std::vector<Bytes> batch_;
+  std::size_t batch_bytes_ = 0;
+  Buffer<std::byte> gathered_;
+  std::size_t gathered_bytes_ = 0;
+  bool in_slice_ = false;
+  int rank_ = 0;
+  std::size_t column_ = 0;
+  std::uint64_t slot_ = 0;
+  std::string begin_frame_;
+};
+
+}  // namespace rcb::client

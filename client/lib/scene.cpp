@@ -1,0 +1,138 @@
+// Opening a scene, fetching its plan, and what a Scene tells of itself; the push is in step.cpp.
+#include "client/lib/scene.hpp"
+
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr double kCloseSeconds = 2;
+constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
+
+Status odd_answer(const std::string& what, const std::string& why) {
+  return {Code::protocol_error, fmt::format("answer to '{}': {}", what, why),
+          "use a client and a service of the same version"};
+}
+
+}  // namespace
+
+Scene::Scene(std::unique_ptr<State> state) : state_(std::move(state)) {}
+Scene::Scene(Scene&&) noexcept = default;
+Scene& Scene::operator=(Scene&&) noexcept = default;
+Scene::~Scene() = default;
+std::optional<std::int64_t> Scene::last_step() const { return state_->last_step(); }
+Result<StepResult> Scene::step(const Positions& positions, const StepOptions& options) {
+  return state_->step(positions, options);
+}
+
+Result<Scene> Client::open_scene(const std::string& name) {
+  if (Status status = wire::check_scene_name(name); !status) return status;
+  auto state = std::make_unique<Scene::State>(state_, name);
+  if (Status status = state->open(wire::kDeadlineSecondsDefault); !status) return status;
+  return Scene(std::move(state));
+}
+
+Scene::State::~State() {
+  // A connection that is gone holds nothing open.
+  if (session().connected() && generation_ == session().generation())
+    static_cast<void>(session().call({{"command", "scene.close"}, {"scene", name_}}, kCloseSeconds));
+}
+
+Status Scene::State::open(double deadline_seconds) {
+  const auto json = session().call_json({{"command", "scene.open"}, {"scene", name_}}, deadline_seconds);
+  if (!json) return json.status();
+  generation_ = session().generation();
+  return take_description(*json);
+}
+
+Status Scene::State::take_description(const wire::Json& json) {
+  const auto dims = wire::integer_field(json, "dims", 1, 3);
+  const auto parts = wire::integer_field(json, "parts", 1, wire::kPartsMax);
+  const auto count = wire::integer_field_or(json, "n", 0, wire::kParticlesMax, 0);
+  const auto epoch = wire::integer_field_or(json, "epoch", 0, kLarge, 0);
+  const auto step = wire::integer_field_or(json, "step", 0, kLarge, -1);
+  const auto ids = wire::bool_field_or(json, "ids", false);
+  const auto weights = wire::bool_field_or(json, "weights", false);
+  for (const Status& status :
+       {dims.status(), parts.status(), count.status(), epoch.status(), step.status(), ids.status(), weights.status()})
+    if (!status) return odd_answer("scene.open", status.message());
+  dims_ = static_cast<int>(*dims);
+  parts_count_ = static_cast<int>(*parts);
+  count_ = static_cast<std::uint64_t>(*count);
+  epoch_ = static_cast<std::uint64_t>(*epoch);
+  pushed_ = *step >= 0;
+  last_step_ = pushed_ ? std::optional(*step) : std::nullopt;
+  has_ids_ = *ids;
+  has_weights_ = *weights;
+  return {};
+}
+
+// After a new connection: the scene must still be the one that was pushed to.
+Status Scene::State::open_again(const Deadline& deadline) {
+  const bool had_positions = pushed_;
+  const std::uint64_t had_count = count_;
+  const Status opened = open(deadline.left_seconds());
+  const std::string lost = fmt::format("the connection to {} was lost, and now", session().endpoint());
+  const std::string advice = "create the scene and push it from its first step";
+  if (opened.code() == Code::not_found)
+    return {Code::not_found, fmt::format("{} it has no scene '{}'", lost, name_), advice};
+  if (!opened) return opened;
+  if (!had_positions || (pushed_ && count_ == had_count)) return {};
+  const Status status(Code::not_found,
+                      pushed_ ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, count_, had_count)
+                              : fmt::format("{} scene '{}' is empty", lost, name_),
+                      advice);
+  generation_ = 0;  // asked again at the next step
+  pushed_ = true;
+  count_ = had_count;
+  return status;
+}
+
+Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Deadline& deadline) {
+  const auto frame = session().call({{"command", "plan"}, {"scene", name_}}, deadline.left_seconds());
+  if (!frame) return frame.status();
+  const auto json = frame->json();
+  if (!json) return json.status();
+  const wire::Array* slot_id = wire::find_array(frame->arrays, "id");
+  const wire::Array* slot_part = wire::find_array(frame->arrays, "part");
+  const auto parts = wire::integer_field_or(*json, "parts", 1, wire::kPartsMax, parts_count_);
+  if (slot_id == nullptr || slot_id->dtype != "<i8" || slot_part == nullptr || slot_part->dtype != "<i4" ||
+      slot_id->bytes.size() / 8 != slot_part->bytes.size() / 4 || !parts)
+    return odd_answer("plan", "its arrays or parts are not as the protocol says");
+  const auto counts = wire::numbers_field_or_empty(*json, "counts", 1U << 20U);
+  const auto named = json->find("plan");
+  if (!counts || counts->size() != static_cast<std::size_t>(session().ranks()) || named == json->end())
+    return odd_answer("plan", fmt::format("'counts' must have {} entries", session().ranks()));
+  std::vector<std::uint64_t> rank_counts;
+  for (const double count : *counts) {
+    if (!(count >= 0 && count <= static_cast<double>(wire::kParticlesMax)))
+      return odd_answer("plan", "a negative count");
+    rank_counts.push_back(static_cast<std::uint64_t>(count));
+  }
+  const auto version = wire::integer_field(*named, "version", 0, kLarge);
+  const auto checksum_text = wire::string_field(*named, "checksum", 16);
+  if (!version || !checksum_text) return odd_answer("plan", "no version or checksum");
+  const std::span slot_ids(reinterpret_cast<const std::int64_t*>(slot_id->bytes.data()), slot_id->bytes.size() / 8);
+  auto plan = plan::Plan::full(rank_counts, slot_ids, ids, static_cast<std::uint64_t>(*version));
+  if (!plan) return plan.status();
+  if (wire::hex64(plan->checksum()) != *checksum_text)
+    return odd_answer(
+        "plan", fmt::format("its checksum is {}, its ids give {}", *checksum_text, wire::hex64(plan->checksum())));
+  const std::span part(reinterpret_cast<const std::int32_t*>(slot_part->bytes.data()), slot_ids.size());
+  std::vector<std::int32_t> by_row(slot_ids.size());
+  std::size_t next = 0;
+  for (int rank = 0; rank < plan->ranks(); ++rank)
+    for (const std::uint64_t row : plan->rows(rank)) by_row[row] = part[next++];
+  if (known_.empty()) known_ = std::move(parts_);
+  parts_ = std::move(by_row);
+  parts_count_ = static_cast<int>(*parts);
+  plan_ = std::move(*plan);
+  if (ids.data() != ids_.data()) ids_.assign(ids.begin(), ids.end());
+  return {};
+}
+
+}  // namespace rcb::client

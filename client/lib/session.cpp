@@ -1,0 +1,234 @@
+#include "client/lib/session.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <random>
+#include <string_view>
+
+#include <fmt/format.h>
+#include <sys/random.h>
+
+#include "common/wire/frame.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr double kGoodbyeSeconds = 0.2;
+constexpr double kMarginSeconds = 2;
+constexpr double kMarginShare = 0.05;
+
+// Commands that change nothing, or nothing more at a second time.
+bool repeatable(std::string_view command) {
+  constexpr std::array<std::string_view, 16> kRepeatable{
+      "status", "scene.open", "scene.close", "scene.list", "scene.show", "plan",   "error", "counts",
+      "cuts",   "history",    "stats",       "owner",      "box",        "assign", "fetch", "quality"};
+  return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
+}
+
+// Not seeded from the clock: two clients that start together must differ.
+std::string random_session() {
+  std::uint64_t value = 0;
+  if (::getrandom(&value, sizeof value, 0) != static_cast<ssize_t>(sizeof value)) {
+    std::random_device device;
+    value = std::uint64_t{device()} << 32U | device();
+  }
+  return wire::hex64(value);
+}
+
+// A frame without arrays.
+class OneFrame final : public FrameSource {
+ public:
+  OneFrame(wire::FrameType type, std::uint64_t request, const wire::Json& json) {
+    wire::FrameHeader header;
+    header.type = type;
+    header.request = request;
+    frame_ = wire::encode_frame(header, wire::dump_json(json));
+    bytes_[0] = std::as_bytes(std::span(frame_));
+  }
+  std::span<const Bytes> next(bool) override {
+    if (sent_) return {};
+    sent_ = true;
+    return bytes_;
+  }
+
+ private:
+  std::string frame_;
+  std::array<Bytes, 1> bytes_;
+  bool sent_ = false;
+};
+
+std::string joined(const std::vector<Endpoint>& endpoints) {
+  std::string text;
+  for (const Endpoint& endpoint : endpoints) text += (text.empty() ? "" : " nor ") + endpoint.text();
+  return text;
+}
+
+}  // namespace
+
+double with_margin(double deadline_seconds) {
+  return deadline_seconds + std::max(kMarginSeconds, kMarginShare * deadline_seconds);
+}
+
+Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {}
+
+Session::~Session() {
+  if (!connection_) return;
+  OneFrame goodbye(wire::FrameType::goodbye, 0, wire::Json::object());
+  static_cast<void>(connection_->write(goodbye.next(false), Deadline(kGoodbyeSeconds)));
+}
+
+Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
+  if (!(options.deadline_seconds > 0))
+    return Status(Code::invalid_argument, fmt::format("a connection deadline of {} seconds", options.deadline_seconds),
+                  "give a number above 0");
+  std::unique_ptr<Session> session(new Session(options));
+  auto endpoints = endpoints_to_try(options.endpoint);
+  if (!endpoints) return endpoints.status();
+  session->endpoints_ = std::move(*endpoints);
+  if (Status status = session->connect(Deadline(options.deadline_seconds)); !status) return status;
+  return session;
+}
+
+Status Session::ensure(const Deadline& deadline) {
+  // Frames that nobody waits for are left over, or the service's goodbye: either way a fresh connection is due.
+  if (connection_ && connection_->has_news()) connection_.reset();
+  return connection_ ? Status{} : connect(deadline.within(options_.deadline_seconds));
+}
+
+Status Session::connect(const Deadline& deadline) {
+  for (const Endpoint& endpoint : endpoints_) {
+    const Status status = connect_to(endpoint, deadline);
+    if (status) {
+      endpoints_ = {Endpoint(endpoint)};
+      ++generation_;
+      return {};
+    }
+    connection_.reset();
+    if (status.code() != Code::unavailable) return status;
+  }
+  if (generation_ > 0)
+    return {Code::unavailable, fmt::format("the service at {} no longer answers", endpoint_text_),
+            "see its log; start it again: rcbctl up"};
+  return {Code::unavailable, fmt::format("no service answers at {}", joined(endpoints_)), "start one: rcbctl up"};
+}
+
+Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
+  auto connection = Connection::open(endpoint, deadline, options_.on_notice);
+  if (!connection) return connection.status();
+  connection_ = std::move(*connection);
+  endpoint_text_ = endpoint.text();
+  return greet(endpoint, deadline);
+}
+
+// Reads the welcome and says hello, with each token that may be the right one.
+Status Session::greet(const Endpoint& endpoint, const Deadline& deadline) {
+  std::vector<std::string> tokens;
+  for (std::size_t attempt = 0;; ++attempt) {
+    const auto frame = connection_->read(deadline);
+    if (!frame) {
+      if (frame.status().code() == Code::deadline_exceeded)
+        return {Code::deadline_exceeded, fmt::format("{} takes connections but does not greet", endpoint.text()),
+                "the service may be stopped or busy; see its log"};
+      return frame.status();
+    }
+    const auto json = frame->json();
+    if (!json) return json.status();
+    if (frame->type == wire::FrameType::failure) return wire::status_from_failure(*json);
+    if (frame->type != wire::FrameType::welcome)
+      return {Code::protocol_error, fmt::format("{} does not begin with a welcome", endpoint.text())};
+    if (auto protocol = wire::integer_field(*json, "protocol", wire::kProtocolVersion, wire::kProtocolVersion);
+        !protocol)
+      return {Code::protocol_error, fmt::format("{}: welcome: {}", endpoint.text(), protocol.status().message())};
+    const auto authentication = wire::string_field(*json, "authentication", 64);
+    if (!authentication || *authentication == "none") return say_hello({}, deadline);
+    if (attempt == 0) {
+      auto found = tokens_for(endpoint, options_.token, connection_->this_machine());
+      if (!found) return found.status();
+      tokens = std::move(*found);
+    }
+    if (tokens.empty())
+      return {Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
+              "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory"};
+    const Status status = say_hello(tokens[attempt], deadline);
+    if (status.code() != Code::not_authorised || attempt + 1 == tokens.size()) return status;
+    auto connection = Connection::open(endpoint, deadline, options_.on_notice);
+    if (!connection) return connection.status();
+    connection_ = std::move(*connection);
+  }
+}
+
+Status Session::say_hello(const std::string& token, const Deadline& deadline) {
+  wire::Json hello{{"protocol", wire::kProtocolVersion}, {"client", options_.name}, {"session", number_}};
+  if (!token.empty()) hello["token"] = token;
+  const std::uint64_t request = next_request();
+  OneFrame frame(wire::FrameType::hello, request, hello);
+  static_cast<void>(connection_->write(frame.next(false), deadline));  // what the service says of it is read below
+  const auto answer = await_answer(request, deadline);
+  if (!answer) return answer.status();
+  const auto json = answer->json();
+  if (!json) return json.status();
+  const auto ranks = wire::integer_field(*json, "ranks", 1, 1 << 20);
+  if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
+  ranks_ = static_cast<int>(*ranks);
+  return {};
+}
+
+// The answer to `request`; a failure without a number is meant for whoever waits.
+Result<Frame> Session::await_answer(std::uint64_t request, const Deadline& deadline) {
+  for (;;) {
+    auto frame = connection_->read(deadline);
+    if (!frame) return frame.status();
+    const bool failure = frame->type == wire::FrameType::failure;
+    if (frame->request != request && !(failure && frame->request == 0)) continue;
+    if (!failure && frame->type != wire::FrameType::reply) continue;
+    if (!failure) return frame;
+    const auto json = frame->json();
+    return json ? wire::status_from_failure(*json) : json.status();
+  }
+}
+
+Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, const std::string& what,
+                                const Deadline& deadline) {
+  CHECK(connection_ != nullptr, "a request without a connection");
+  for (;;) {
+    const auto bytes = source.next(connection_->has_news());
+    if (bytes.empty() || !connection_->write(bytes, deadline)) break;
+  }
+  auto answer = await_answer(request, deadline);
+  if (!connection_->lost()) connection_.reset();
+  if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
+    return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),
+                  "the service may be stopped or overloaded; see its log, or wait longer");
+  return answer;
+}
+
+Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
+  const auto command = wire::string_field(request, "command", 64);
+  if (!command) return command.status();
+  const double seconds = std::clamp(deadline_seconds, 0.001, wire::kDeadlineSecondsMax);
+  const Deadline deadline(with_margin(seconds));
+  if (!request.contains("deadline_seconds")) request["deadline_seconds"] = seconds;
+  for (int attempt = 0;; ++attempt) {
+    if (Status status = ensure(deadline); !status) return status;
+    const std::uint64_t number = next_request();
+    OneFrame frame(wire::FrameType::request, number, request);
+    auto answer = exchange(number, frame, *command, deadline);
+    const bool lost = !answer && answer.status().code() == Code::unavailable && !connected();
+    if (!lost) return answer;
+    if (!repeatable(*command))
+      return Status(Code::unavailable,
+                    fmt::format("{}; whether '{}' was done is not known", answer.status().message(), *command),
+                    "ask the service, then repeat it if need be");
+    if (attempt > 0) return answer;
+  }
+}
+
+Result<wire::Json> Session::call_json(wire::Json request, double deadline_seconds) {
+  const auto answer = call(std::move(request), deadline_seconds);
+  if (!answer) return answer.status();
+  return answer->json();
+}
+
+}  // namespace rcb::client

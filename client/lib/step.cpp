@@ -1,0 +1,233 @@
+// Scene::step: check, push, mend what can be mended, and bring plan and parts up to date.
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/lib/push_source.hpp"
+#include "client/lib/scene.hpp"
+#include "client/lib/step_report.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr const char* kAxisNames[] = {"x", "y", "z"};
+
+wire::Json plan_json(const plan::Plan& plan) {
+  return {{"version", plan.version()}, {"checksum", wire::hex64(plan.checksum())}};
+}
+
+}  // namespace
+
+Status Scene::State::check(const Positions& positions, const StepOptions& options) const {
+  const auto wrong = [this](std::string message, std::string hint) {
+    return Status(Code::invalid_argument, fmt::format("push to scene '{}': {}", name_, message), std::move(hint));
+  };
+  if (positions.dims != dims_)
+    return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims_),
+                 "create the scene with the positions' dims");
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
+    if (positions.count > 0 && positions.axis[a] == nullptr)
+      return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
+  if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
+  if (positions.count > static_cast<std::uint64_t>(wire::kParticlesMax))
+    return wrong(fmt::format("{} particles", positions.count),
+                 fmt::format("at most {} are taken", wire::kParticlesMax));
+  if (pushed_ && positions.count != count_)
+    return wrong(fmt::format("{} particles, the scene has {}", positions.count, count_),
+                 "push all particles of the scene, or create it anew with replace");
+  if (!options.ids.empty() && options.ids.size() != positions.count)
+    return wrong(fmt::format("{} ids for {} particles", options.ids.size(), positions.count), "give one id a particle");
+  if (!options.weights.empty() && options.weights.size() != positions.count)
+    return wrong(fmt::format("{} weights for {} particles", options.weights.size(), positions.count),
+                 "give one weight a particle, or none");
+  if (pushed_ && !options.weights.empty() && !has_weights_)
+    return wrong("weights, and the scene has none", "weights must be there from the first push on");
+  if (told_ && !options.ids.empty())
+    for (std::size_t row = 0; row < options.ids.size(); ++row)
+      if (const std::int64_t known = ids_.empty() ? static_cast<std::int64_t>(row) : ids_[row];
+          options.ids[row] != known)
+        return wrong(fmt::format("row {} has id {}, at first it had {}", row, options.ids[row], known),
+                     "ids belong to rows once and for all; leave them out after the first push");
+  if (pushed_ && has_ids_ && ids_.empty() && options.ids.empty() && positions.count > 0)
+    return wrong("the scene has ids of its own, and the push gives none", "give StepOptions::ids at the first step");
+  if (options.step && *options.step < 0)
+    return wrong(fmt::format("step {}", *options.step), "steps are numbered from 0");
+  if (!(options.deadline_seconds > 0))
+    return wrong(fmt::format("a deadline of {} seconds", options.deadline_seconds), "give a number above 0");
+  return {};
+}
+
+Status Scene::State::prepare(const Positions& positions, const StepOptions& options, const Deadline& deadline) {
+  if (Status status = session().ensure(deadline); !status) return status;
+  if (generation_ != session().generation())
+    if (Status status = open_again(deadline); !status) return status;
+  if (!pushed_) {
+    plan_ = plan::Plan::blocks(positions.count, session().ranks(), options.ids);
+    return {};
+  }
+  if (plan_ && plan_->ranks() != session().ranks()) plan_.reset();  // started again on other ranks
+  return plan_ ? Status{} : fetch_plan(ids_by_row(options), deadline);
+}
+
+std::span<const std::int64_t> Scene::State::ids_by_row(const StepOptions& options) const {
+  return ids_.empty() ? options.ids : std::span<const std::int64_t>(ids_);
+}
+
+Result<Frame> Scene::State::push(const Positions& positions, const StepOptions& options, std::int64_t step,
+                                 const Deadline& deadline) {
+  const bool send_ids = !pushed_ && !options.ids.empty();
+  wire::Json begin{{"scene", name_},
+                   {"session", session().number()},
+                   {"step", step},
+                   {"attempt", ++attempt_},
+                   {"n", positions.count},
+                   {"order", "plan"},
+                   {"plan", plan_json(*plan_)},
+                   {"base_step", nullptr},
+                   {"weights", !options.weights.empty()},
+                   {"ids", send_ids},
+                   {"changes", true},
+                   {"deadline_seconds", std::clamp(options.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
+  std::vector<Column> columns;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
+    columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});
+  if (!options.weights.empty()) columns.push_back({"w", "<f8", options.weights.data(), 1});
+  if (send_ids) columns.push_back({"id", "<i8", options.ids.data(), 1});
+  const std::uint64_t request = session().next_request();
+  PushSource source(begin, request, *plan_, std::move(columns));
+  return session().exchange(request, source, fmt::format("push of step {} to scene '{}'", step, name_), deadline);
+}
+
+Result<StepResult> Scene::State::step(const Positions& positions, const StepOptions& options) {
+  if (Status status = check(positions, options); !status) return status;
+  if (!options.step && last_step_ && *last_step_ == std::numeric_limits<std::int64_t>::max())
+    return Status(Code::invalid_argument, "there is no step number left");
+  const std::int64_t step = options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
+  const Deadline deadline(with_margin(std::min(options.deadline_seconds, wire::kDeadlineSecondsMax)));
+  bool plan_mended = false;
+  bool connection_mended = false;
+  for (;;) {
+    Status status = prepare(positions, options, deadline);
+    if (status) {
+      const auto answer = push(positions, options, step, deadline);
+      if (answer) return finish(*answer, step, positions, options, deadline);
+      status = answer.status();
+    }
+    const bool lost = status.code() == Code::unavailable && !session().connected();
+    if (status.code() == Code::stale_plan && !plan_mended) {
+      plan_mended = true;
+      plan_.reset();
+      if (pushed_) continue;
+      // Another client pushed first.
+      if (Status opened = open(deadline.left_seconds()); !opened) return opened;
+      if (Status fits = check(positions, options); !fits) return fits;
+      continue;
+    }
+    if (!lost || connection_mended) return status;
+    connection_mended = true;
+  }
+}
+
+// The step is committed: whatever happens here, it stands.
+Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, const Positions& positions,
+                                        const StepOptions& options, const Deadline& deadline) {
+  const auto json = answer.json();
+  if (!json) return json.status();
+  const auto found = json->find("report");
+  if (found == json->end()) return Status(Code::protocol_error, "answer to a push: no 'report'");
+  auto report = read_report(*found);
+  if (!report) return report.status();
+  const bool first = !pushed_;
+  if (first) {
+    has_weights_ = !options.weights.empty();
+    has_ids_ = !options.ids.empty();
+    ids_.assign(options.ids.begin(), options.ids.end());
+    count_ = positions.count;
+    pushed_ = true;
+  }
+  last_step_ = std::max(step, last_step_.value_or(step));
+
+  const auto repeated = wire::bool_field_or(*json, "repeated", false);
+  const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
+  epoch_ = report->epoch;
+  StepResult result;
+  Status current;
+  if ((repeated && *repeated) || !epoch_follows || !apply(answer, *json, first, result.changes))
+    current = fetch_plan(ids_by_row(options), deadline);
+  if (!current) {
+    // Fetched again before the next push.
+    plan_.reset();
+    if (options.want_parts || options.want_changes)
+      return Status(current.code(),
+                    fmt::format("step {} is committed, but its parts are not known: {}", step, current.message()),
+                    current.hint());
+  }
+  if (!current || !options.want_changes)
+    result.changes.clear();
+  else if (!told_)
+    result.changes = all_parts();
+  else if (!known_.empty())
+    result.changes = changes_since_known();
+  if (current) {
+    told_ = true;
+    known_.clear();
+    if (options.want_parts) result.parts = parts_;
+  }
+  result.report = std::move(*report);
+  return result;
+}
+
+// Brings plan_ and parts_ up to date from the answer alone. A failure leaves parts_ as it was, and plan_ unusable.
+Status Scene::State::apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes) {
+  const Status odd(Code::protocol_error, "answer to a push: its changes don't lead to its plan");
+  const wire::Array* id = wire::find_array(answer.arrays, "changed_id");
+  const wire::Array* part = wire::find_array(answer.arrays, "changed_part");
+  if (id == nullptr || part == nullptr || id->dtype != "<i8" || part->dtype != "<i4") return odd;
+  const std::size_t count = id->bytes.size() / 8;
+  if (part->bytes.size() / 4 != count || count > count_ || (first && count != count_)) return odd;
+  const auto* ids = reinterpret_cast<const std::int64_t*>(id->bytes.data());
+  const auto* new_parts = reinterpret_cast<const std::int32_t*>(part->bytes.data());
+  std::vector<std::uint64_t> rows(count);
+  std::vector<std::int32_t> ranks(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto row = plan_->row_of_id(ids[i]);
+    if (i > 0 && ids[i] <= ids[i - 1]) return odd;
+    if (!row || new_parts[i] < 0 || new_parts[i] >= parts_count_) return odd;
+    rows[i] = *row;
+    ranks[i] = plan::rank_of_part(new_parts[i], parts_count_, plan_->ranks());
+  }
+  if (Status status = plan_->apply(rows, ranks, first); !status) return status;
+  const auto named = json.find("plan");
+  if (named == json.end()) return odd;
+  const auto version = wire::integer_field(*named, "version", 0, std::numeric_limits<std::int64_t>::max());
+  const auto checksum = wire::string_field(*named, "checksum", 16);
+  if (!version || static_cast<std::uint64_t>(*version) != plan_->version() || !checksum ||
+      *checksum != wire::hex64(plan_->checksum()))
+    return odd;
+  if (first) parts_.assign(count_, -1);
+  changes.resize(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    parts_[rows[i]] = new_parts[i];
+    changes[i] = {rows[i], new_parts[i]};
+  }
+  const auto by_row = [](const PartChange& a, const PartChange& b) { return a.row < b.row; };
+  if (!std::is_sorted(changes.begin(), changes.end(), by_row)) std::sort(changes.begin(), changes.end(), by_row);
+  return {};
+}
+
+std::vector<PartChange> Scene::State::all_parts() const {
+  std::vector<PartChange> changes(parts_.size());
+  for (std::size_t row = 0; row < parts_.size(); ++row) changes[row] = {row, parts_[row]};
+  return changes;
+}
+
+std::vector<PartChange> Scene::State::changes_since_known() const {
+  std::vector<PartChange> changes;
+  for (std::size_t row = 0; row < parts_.size(); ++row)
+    if (row >= known_.size() || known_[row] != parts_[row]) changes.push_back({row, parts_[row]});
+  return changes;
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,82 @@
+#include "client/lib/step_report.hpp"
+
+#include <limits>
+
+namespace rcb::client {
+namespace {
+
+constexpr double kHuge = std::numeric_limits<double>::max();
+constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
+
+// Reads fields one after another and keeps the first fault.
+class Reader {
+ public:
+  explicit Reader(const wire::Json& json) : json_(json) {}
+
+  template <typename T>
+  void count(const char* name, T& out) {
+    if (const auto value = keep(wire::integer_field_or(
+            json_, name, 0, std::numeric_limits<T>::digits < 63 ? std::numeric_limits<T>::max() : kLarge, 0)))
+      out = static_cast<T>(*value);
+  }
+  void number(const char* name, double& out) {
+    if (const auto value = keep(wire::number_field_or(json_, name, -kHuge, kHuge, out))) out = *value;
+  }
+  void text(const char* name, std::string& out) {
+    if (auto value = keep(wire::string_field(json_, name, 1U << 16U))) out = std::move(*value);
+  }
+  void flag(const char* name, bool& out) {
+    if (const auto value = keep(wire::bool_field_or(json_, name, out))) out = *value;
+  }
+  const Status& status() const { return status_; }
+
+ private:
+  template <typename T>
+  std::optional<T> keep(Result<T> value) {
+    if (value) return std::move(value).value();
+    if (status_) status_ = Status(Code::protocol_error, "step report: " + value.status().message());
+    return std::nullopt;
+  }
+
+  const wire::Json& json_;
+  Status status_;
+};
+
+}  // namespace
+
+Result<StepReport> read_report(const wire::Json& json) {
+  StepReport report;
+  Reader reader(json);
+  reader.text("scene", report.scene);
+  reader.count("step", report.step);
+  reader.count("epoch", report.epoch);
+  reader.count("n", report.n);
+  if (json.contains("error_before") && !json["error_before"].is_null())
+    reader.number("error_before", report.error_before.emplace(0));
+  reader.number("error", report.error);
+  reader.number("imbalance", report.imbalance);
+  reader.flag("repartitioned", report.repartitioned);
+  reader.text("reason", report.reason);
+  reader.count("axes_flipped", report.axes_flipped);
+  reader.count("drifted", report.drifted);
+  reader.count("moved", report.moved);
+  reader.count("migrated", report.migrated);
+  reader.count("bytes", report.bytes);
+  if (const auto skipped = json.find("skipped"); skipped != json.end() && skipped->is_array())
+    for (const wire::Json& entry : *skipped)
+      if (entry.is_string()) report.skipped.push_back(entry.get<std::string>());
+  if (const auto seconds = json.find("seconds"); seconds != json.end() && seconds->is_object()) {
+    Reader parts(*seconds);
+    parts.number("receive", report.seconds_receive);
+    parts.number("exchange", report.seconds_exchange);
+    parts.number("search", report.seconds_search);
+    parts.number("migrate", report.seconds_migrate);
+    parts.number("total", report.seconds_total);
+    if (!parts.status()) return parts.status();
+  }
+  if (!reader.status()) return reader.status();
+  report.json = wire::dump_json(json);
+  return report;
+}
+
+}  // namespace rcb::client
