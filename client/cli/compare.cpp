@@ -1,0 +1,99 @@
+// compare: the paper's Table 1 on a file: what each way of dividing costs.
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/output.hpp"
+#include "client/cli/point_file.hpp"
+
+namespace rcb::cli {
+namespace {
+
+constexpr double kLongSeconds = 3600;
+constexpr std::size_t kPartsShownMax = 64;
+
+struct Options {
+  FileOptions file;
+  double parts = 0;
+  int ranks = 0;
+  std::optional<double> ghost_width;
+};
+
+// A method a column, a part a row, as the paper prints it; then what sums it up.
+void print(const Options& options, const Json& result) {
+  const Json& methods = result.at("methods");
+  print_line(fmt::format("{}: {} points, {} parts; error of each part", options.file.path, text_of(result, "n"),
+                         text_of(result, "parts")));
+  print_line("");
+  std::vector<Table::Column> columns{{"part", Table::Align::left}};
+  for (const Json& method : methods) columns.push_back({text_of(method, "method")});
+  Table table(std::move(columns));
+  const auto parts = result.at("parts").get<std::size_t>();
+  const auto add_row = [&](const std::string& title, auto&& cell) {
+    std::vector<std::string> cells{title};
+    for (const Json& method : methods) cells.push_back(cell(method));
+    table.row(std::move(cells));
+  };
+  for (std::size_t p = 0; p < parts && parts <= kPartsShownMax; ++p)
+    add_row(std::to_string(p),
+            [p](const Json& m) { return fmt::format("{:.3g}", m.at("errors").at(p).get<double>()); });
+  add_row("largest", [](const Json& m) { return fmt::format("{:.3g}", m.at("error").get<double>()); });
+  add_row("interface", [](const Json& m) { return text_of(m, "interface_area"); });
+  add_row("ghosts", [](const Json& m) {
+    const auto ghosts = m.at("ghosts").get<std::vector<std::uint64_t>>();
+    return std::to_string(std::accumulate(ghosts.begin(), ghosts.end(), std::uint64_t{0}));
+  });
+  add_row("neighbours", [](const Json& m) {
+    const auto list = m.at("neighbours").get<std::vector<std::int64_t>>();
+    const double sum = static_cast<double>(std::accumulate(list.begin(), list.end(), std::int64_t{0}));
+    return list.empty() ? std::string("-") : fmt::format("{:.3g}", sum / static_cast<double>(list.size()));
+  });
+  add_row("milliseconds", [](const Json& m) { return milliseconds(m.at("seconds").get<double>()); });
+  table.print();
+  print_line("");
+  print_line(
+      fmt::format("interface: common faces of the regions; ghosts: points of other parts within {} of a part's "
+                  "box, all parts together; neighbours: mean over the parts; {} rank(s)",
+                  text_of(result, "ghost_width"), text_of(result, "ranks")));
+  if (parts > kPartsShownMax) print_line("--json has the error of each part");
+}
+
+Status compare(const Options& options, const Context& context) {
+  auto session = Session::open(context, options.ranks);
+  if (!session) return session.status();
+  auto loaded =
+      load_scene(*session, options.file, {{"parts", static_cast<std::int64_t>(options.parts)}, {"tolerance", "inf"}});
+  if (!loaded) return loaded.status();
+  Json arguments{{"scene", loaded->scene.name()}};
+  if (options.ghost_width) arguments["ghost_width"] = *options.ghost_width;
+  auto reply = ask(*session->client, "compare", arguments, kLongSeconds);
+  if (!reply) return session->explain(reply.status());
+  Json result{{"file", options.file.path}, {"ranks", session->client->ranks()}};
+  for (const char* field : {"n", "parts", "ghost_width", "methods"}) result[field] = reply->at(field);
+  if (context.json)
+    print_json(result);
+  else
+    print(options, result);
+  return {};
+}
+
+}  // namespace
+
+void add_compare_command(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = add_command(app, context,
+                                  {"compare", "Each way of dividing a file of points, side by side",
+                                   "  rcbctl compare points.csv --parts 8\n"
+                                   "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json"},
+                                  [options, &context] { return compare(*options, context); });
+  add_file_options(*command, options->file);
+  command->add_option("--parts", options->parts, "number of parts")->required()->check(part_count());
+  command->add_option("--ranks", options->ranks, "an embedded service of so many MPI ranks (default: the running one)")
+      ->check(CLI::Range(1, 4096));
+  command->add_option("--ghost-width", options->ghost_width, "default: 2 (box volume / points)^(1/dims)")
+      ->check(number_from_zero());
+}
+
+}  // namespace rcb::cli

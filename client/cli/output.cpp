@@ -1,0 +1,147 @@
+#include "client/cli/output.hpp"
+
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "common/base/clock.hpp"
+
+namespace rcb::cli {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr double kProgressSeconds = 0.1;
+constexpr std::uint64_t kBarCells = 24;
+
+bool colours() {
+  const char* off = std::getenv("NO_COLOR");
+  return isatty(STDOUT_FILENO) != 0 && (off == nullptr || *off == '\0');
+}
+
+void put(std::FILE* stream, const std::string& text) { std::fwrite(text.data(), 1, text.size(), stream); }
+
+std::string padded(const std::string& text, std::size_t width, Table::Align align) {
+  const std::string space(width > text.size() ? width - text.size() : 0, ' ');
+  return align == Table::Align::right ? space + text : text + space;
+}
+
+std::string trimmed(std::string line) {
+  line.erase(line.find_last_not_of(' ') + 1);
+  return line;
+}
+
+}  // namespace
+
+void Table::row(std::vector<std::string> cells) {
+  cells.resize(columns_.size());
+  rows_.push_back(std::move(cells));
+}
+
+void Table::print() const {
+  std::vector<std::size_t> width;
+  for (std::size_t c = 0; c < columns_.size(); ++c) {
+    width.push_back(columns_[c].title.size());
+    for (const auto& cells : rows_) width[c] = std::max(width[c], cells[c].size());
+  }
+  std::string header;
+  for (std::size_t c = 0; c < columns_.size(); ++c)
+    header += (c == 0 ? "" : "  ") + padded(columns_[c].title, width[c], columns_[c].align);
+  print_line(colours() ? "\033[1m" + trimmed(header) + "\033[0m" : trimmed(header));
+  for (const auto& cells : rows_) {
+    std::string line;
+    for (std::size_t c = 0; c < columns_.size(); ++c)
+      line += (c == 0 ? "" : "  ") + padded(cells[c], width[c], columns_[c].align);
+    print_line(trimmed(line));
+  }
+}
+
+void Facts::print() const {
+  std::size_t width = 0;
+  for (const auto& [name, value] : lines_) width = std::max(width, name.size());
+  for (const auto& [name, value] : lines_) print_line(padded(name, width, Table::Align::left) + "  " + value);
+}
+
+std::string number(double value) { return fmt::format("{:.6g}", value); }
+std::string milliseconds(double seconds) { return fmt::format("{:.3g}", seconds * 1000); }
+std::string percent(double share) { return fmt::format("{:.3g} %", share * 100); }
+
+std::string duration(double seconds) {
+  const auto whole = static_cast<std::int64_t>(seconds);
+  const std::string clock = fmt::format("{:02}:{:02}:{:02}", whole / 3600 % 24, whole / 60 % 60, whole % 60);
+  return whole < 86400 ? clock : fmt::format("{} d {}", whole / 86400, clock);
+}
+
+std::string text_of(const Json& value) {
+  if (value.is_null()) return "-";
+  if (value.is_string()) return value.get<std::string>();
+  if (value.is_boolean()) return value.get<bool>() ? "yes" : "no";
+  if (value.is_number_float()) return number(value.get<double>());
+  if (value.is_array()) {
+    std::string text;
+    for (const Json& item : value) text += (text.empty() ? "" : " ") + text_of(item);
+    return text.empty() ? "-" : text;
+  }
+  return value.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+std::string text_of(const Json& object, const char* field) {
+  const auto found = object.find(field);
+  return found == object.end() ? "-" : text_of(*found);
+}
+
+void print_line(const std::string& line) { put(stdout, line + "\n"); }
+
+void print_json(const Json& document) {
+  put(stdout, document.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+void note(const std::string& text) { put(stderr, "rcbctl: " + text + "\n"); }
+
+int print_failure(const Status& status, bool json) {
+  const int code = exit_code(status.code());
+  note(status.message());
+  if (!status.hint().empty()) note("hint: " + status.hint());
+  if (json)
+    print_json({{"failure",
+                 {{"code", code_name(status.code())},
+                  {"message", status.message()},
+                  {"hint", status.hint()},
+                  {"exit", code}}}});
+  return code;
+}
+
+Status flush_output() {
+  if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return {};
+  return {Code::io_error, "standard output can't be written"};
+}
+
+Progress::Progress(std::string title) : title_(std::move(title)), terminal_(isatty(STDERR_FILENO) != 0) {}
+
+void Progress::show(const std::string& text) {
+  if (!terminal_) return;
+  const double now = SteadyClock().seconds();
+  if (shown_ && now - last_ < kProgressSeconds) return;
+  last_ = now;
+  shown_ = true;
+  put(stderr, "\r\033[K" + text);
+  std::fflush(stderr);
+}
+
+void Progress::seconds(double waited) { show(fmt::format("{} ... {:.0f} s", title_, waited)); }
+
+void Progress::at(std::uint64_t done, std::uint64_t total, const std::string& remark) {
+  const std::uint64_t full = total == 0 ? kBarCells : std::min(kBarCells, done * kBarCells / total);
+  show(fmt::format("{} [{}{}] {}/{} {}", title_, std::string(full, '#'), std::string(kBarCells - full, '.'), done,
+                   total, remark));
+}
+
+void Progress::clear() {
+  if (shown_) put(stderr, "\r\033[K");
+  shown_ = false;
+}
+
+}  // namespace rcb::cli

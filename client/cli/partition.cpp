@@ -1,0 +1,187 @@
+// partition: one file, once.
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/fetched.hpp"
+#include "client/cli/output.hpp"
+#include "client/cli/point_file.hpp"
+#include "client/cli/report_csv.hpp"
+#include "common/base/clock.hpp"
+#include "common/base/paths.hpp"
+
+namespace rcb::cli {
+namespace {
+
+constexpr double kLongSeconds = 3600;
+constexpr std::size_t kPartsShownMax = 64;
+
+struct Options {
+  FileOptions file;
+  double parts = 0;
+  std::string method = "rcb";
+  int ranks = 0;
+  std::vector<double> part_sizes;
+  double cut_tolerance = 0;
+  std::string out;
+  std::string assign;
+  std::string cuts;
+};
+
+Status check(const Options& options) {
+  if (options.cut_tolerance != 0)
+    return {Code::unsupported, fmt::format("--cut-tolerance {}: only exact cuts are offered", options.cut_tolerance),
+            "leave it out, or give 0"};
+  if (!options.part_sizes.empty() && static_cast<double>(options.part_sizes.size()) != options.parts)
+    return {Code::usage,
+            fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
+            "give one size a part, such as --parts 3 --part-sizes 1,2,3"};
+  return {};
+}
+
+// The parts in the order of the file's rows; the service has them in id order.
+Status write_assignment(const Options& options, Session& session, const std::string& scene) {
+  auto answer = ask_arrays(*session.client, "assign", {{"scene", scene}}, kLongSeconds);
+  if (!answer) return answer.status();
+  const client::Array* array = answer->reply.find("part");
+  if (array == nullptr) return {Code::protocol_error, "the answer to assign lacks its parts"};
+  const auto part = array->i4();
+  // Only an .npy has never ids of its own.
+  auto points = options.file.path.ends_with(".npy") ? Result<io::Points>(io::Points{}) : read_single(options.file);
+  if (!points) return points.status();
+  if (points->id.empty()) return io::write_npy(options.assign, part);
+  if (points->id.size() != part.size())
+    return {Code::aborted, options.file.path + " changed while it was partitioned", "run it again"};
+  std::vector<std::size_t> row(part.size());
+  std::iota(row.begin(), row.end(), std::size_t{0});
+  std::sort(row.begin(), row.end(), [&](std::size_t a, std::size_t b) { return points->id[a] < points->id[b]; });
+  std::vector<std::int32_t> by_row(part.size());
+  for (std::size_t k = 0; k < row.size(); ++k) by_row[row[k]] = part[k];
+  return io::write_npy(options.assign, by_row);
+}
+
+Status write_parts(const Options& options, Session& session, const std::string& scene) {
+  if (session.embedded)
+    return ask(*session.client, "write_parts", {{"scene", scene}, {"directory", absolute_path(options.out)}},
+               kLongSeconds)
+        .status();
+  auto answer = ask_arrays(*session.client, "fetch", {{"scene", scene}}, kLongSeconds);
+  if (!answer) return answer.status();
+  auto set = fetched(answer->reply);
+  if (!set) return set.status();
+  if (Status status = make_directory(options.out); !status) return status;
+  Json files = Json::array();
+  return write_part_files(*set, static_cast<int>(options.parts), options.out, files);
+}
+
+Status write_outputs(const Options& options, Session& session, const std::string& scene) {
+  if (!options.out.empty())
+    if (Status status = write_parts(options, session, scene); !status) return status;
+  if (!options.assign.empty())
+    if (Status status = write_assignment(options, session, scene); !status) return status;
+  if (options.cuts.empty()) return {};
+  auto cuts = ask(*session.client, "cuts", {{"scene", scene}});
+  if (!cuts) return cuts.status();
+  return write_file(options.cuts, cuts->dump() + "\n");
+}
+
+void print(const Options& options, const Json& result) {
+  Facts facts;
+  facts.add("file",
+            fmt::format("{}, {} points in {}-D", options.file.path, text_of(result, "n"), text_of(result, "dims")));
+  facts.add("partition", fmt::format("{} parts by {} on {} rank(s)", text_of(result, "parts"),
+                                     text_of(result, "method"), text_of(result, "ranks")));
+  facts.add("error", fmt::format("{}, imbalance {}", text_of(result, "error"), text_of(result, "imbalance")));
+  const auto counts = result.at("counts").get<std::vector<std::uint64_t>>();
+  const auto [least, most] = std::minmax_element(counts.begin(), counts.end());
+  facts.add("points a part",
+            counts.size() <= kPartsShownMax ? text_of(result, "counts") : fmt::format("{} to {}", *least, *most));
+  if (result.contains("loads") && counts.size() <= kPartsShownMax) facts.add("load a part", text_of(result, "loads"));
+  facts.add("hash", text_of(result, "hash"));
+  const Json& seconds = result.at("seconds");
+  std::string times;
+  for (const auto& [name, value] : seconds.items())
+    times += fmt::format("{}{} {}", times.empty() ? "" : ", ", name, milliseconds(value.get<double>()));
+  facts.add("milliseconds", times);
+  facts.print();
+}
+
+Json result_of(const Options& options, const Session& session, const LoadedScene& loaded, const Json& shown) {
+  const Json& report = loaded.report;
+  Json result{{"n", shown.at("n")},
+              {"dims", shown.at("dims")},
+              {"parts", static_cast<std::int64_t>(options.parts)},
+              {"ranks", session.client->ranks()},
+              {"method", options.method},
+              {"error", shown.at("error")},
+              {"imbalance", shown.at("imbalance")},
+              {"counts", shown.at("counts")}};
+  if (shown.contains("loads") && shown["loads"].is_array()) result["loads"] = shown["loads"];
+  result["targets"] = shown.at("targets");
+  result["hash"] = shown.at("hash");
+  result["rounds"] = shown.at("rounds");
+  result["reductions"] = shown.at("reductions");
+  result["moved"] = report.at("moved");
+  result["migrated"] = report.at("migrated");
+  result["seconds"] = {{"read", loaded.read_seconds},
+                       {"partition", report.at("seconds").at("search")},
+                       {"migrate", report.at("seconds").at("migrate")}};
+  return result;
+}
+
+Status partition(const Options& options, const Context& context) {
+  if (Status status = check(options); !status) return status;
+  auto session = Session::open(context, options.ranks);
+  if (!session) return session.status();
+  const SteadyClock clock;
+  const double start = clock.seconds();
+  Json arguments{{"parts", static_cast<std::int64_t>(options.parts)}, {"method", options.method}, {"tolerance", "inf"}};
+  if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
+  auto loaded = load_scene(*session, options.file, std::move(arguments));
+  if (!loaded) return loaded.status();
+  auto shown = ask(*session->client, "scene.show", {{"scene", loaded->scene.name()}});
+  if (!shown) return session->explain(shown.status());
+  const double before_write = clock.seconds();
+  if (Status status = write_outputs(options, *session, loaded->scene.name()); !status) return session->explain(status);
+  Json result = result_of(options, *session, *loaded, *shown);
+  result["seconds"]["write"] = clock.seconds() - before_write;
+  result["seconds"]["total"] = clock.seconds() - start;
+  if (result["n"] == 0) note(options.file.path + ": holds no points");
+  if (context.json)
+    print_json(result);
+  else
+    print(options, result);
+  return {};
+}
+
+}  // namespace
+
+void add_partition_command(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = add_command(app, context,
+                                  {"partition", "Partitions a file of points, once",
+                                   "  rcbctl partition points.csv --parts 8 --out parts\n"
+                                   "  rcbctl partition points.npy --parts 6 --ranks 4 --assign part.npy --json\n"
+                                   "  rcbctl partition cloud.csv --parts 3 --part-sizes 1,2,3 --weights mass"},
+                                  [options, &context] { return partition(*options, context); });
+  add_file_options(*command, options->file);
+  command->add_option("--parts", options->parts, "number of parts")->required()->check(part_count());
+  command->add_option("--method", options->method, "rcb, bands-x, bands-y or bands-z")
+      ->capture_default_str()
+      ->check(scene_method());
+  command->add_option("--ranks", options->ranks, "an embedded service of so many MPI ranks (default: the running one)")
+      ->check(CLI::Range(1, 4096));
+  command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
+      ->delimiter(',')
+      ->check(positive_number());
+  command->add_option("--cut-tolerance", options->cut_tolerance, "0: exact cuts, the only ones offered")
+      ->capture_default_str()
+      ->check(number_from_zero());
+  command->add_option("--out", options->out, "a folder for one CSV a part");
+  command->add_option("--assign", options->assign, "an .npy of each point's part, int32, in input order");
+  command->add_option("--cuts", options->cuts, "a JSON file of the cuts and regions");
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,176 @@
+#include "client/cli/plot.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <set>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "common/base/clock.hpp"
+
+extern char** environ;
+
+namespace rcb::cli {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr double kPlotSeconds = 60;
+constexpr std::array kColours{"#1f5f99", "#e08214", "#3a8f5c", "#7b5ea7", "#666666"};
+
+// A file without a name, for gnuplot's standard streams.
+class MemoryFile {
+ public:
+  explicit MemoryFile(const char* name) : fd_(memfd_create(name, MFD_CLOEXEC)) {}
+  ~MemoryFile() {
+    if (fd_ >= 0) close(fd_);
+  }
+  MemoryFile(const MemoryFile&) = delete;
+  MemoryFile& operator=(const MemoryFile&) = delete;
+  int fd() const { return fd_; }
+
+  bool fill(const std::string& text) const {
+    std::size_t done = 0;
+    while (done < text.size()) {
+      const ssize_t wrote = write(fd_, text.data() + done, text.size() - done);
+      if (wrote <= 0) return false;
+      done += static_cast<std::size_t>(wrote);
+    }
+    return lseek(fd_, 0, SEEK_SET) == 0;
+  }
+
+  std::string first_line() const {
+    char bytes[2048];
+    const ssize_t got = pread(fd_, bytes, sizeof bytes, 0);
+    std::string text(bytes, got > 0 ? static_cast<std::size_t>(got) : 0);
+    text.erase(0, std::min(text.find_first_not_of(" \n\t"), text.size()));
+    return text.substr(0, text.find('\n'));
+  }
+
+ private:
+  int fd_;
+};
+
+// The error as it arose, then as a repartition left it: a sawtooth.
+std::string line_data(const Json& reports) {
+  std::string data;
+  for (const Json& report : reports) {
+    const auto step = report.at("step").get<std::int64_t>();
+    const double error = report.at("error").get<double>();
+    const Json& before = report.at("error_before");
+    if (before.is_number() && before.get<double>() != error) data += fmt::format("{} {}\n", step, before.get<double>());
+    data += fmt::format("{} {}\n", step, error);
+  }
+  return data;
+}
+
+std::string dot_data(const Json& reports) {
+  std::string data;
+  for (const Json& report : reports)
+    if (report.at("repartitioned").get<bool>() && report.at("error_before").is_number())
+      data += fmt::format("{} {}\n", report.at("step").get<std::int64_t>(), report["error_before"].get<double>());
+  return data;
+}
+
+std::string script(const std::vector<Curve>& curves) {
+  std::string text =
+      "set terminal svg size 900,480 noenhanced font 'sans-serif,14' background '#ffffff'\n"
+      "set border 3 linecolor '#444444'\n"
+      "set tics nomirror textcolor '#222222'\n"
+      "set grid ytics linecolor '#dddddd' linetype 1 linewidth 0.5\n"
+      "set key outside top left horizontal samplen 2.5 width 1\n"
+      "set xlabel 'step'\n"
+      "set ylabel 'largest error of a part'\n"
+      "set yrange [0:*]\n"
+      "set offsets graph 0, graph 0.02, graph 0.05, 0\n";
+  std::string plots;
+  std::set<double> tolerances;
+  bool dots = false;
+  for (std::size_t c = 0; c < curves.size(); ++c) {
+    const Curve& curve = curves[c];
+    text += fmt::format("$line{} << EOD\n{}EOD\n", c, line_data(curve.reports));
+    const std::string meaning =
+        curve.tolerance ? fmt::format("tolerance {:g}", *curve.tolerance) : "never repartitioned";
+    plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}: {}'",
+                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], curve.name, meaning);
+    if (curve.tolerance) tolerances.insert(*curve.tolerance);
+  }
+  for (const double tolerance : tolerances)
+    plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' notitle", tolerance);
+  for (std::size_t c = 0; c < curves.size(); ++c) {
+    const std::string data = dot_data(curves[c].reports);
+    if (data.empty()) continue;
+    text += fmt::format("$dots{} << EOD\n{}EOD\n", c, data);
+    plots += fmt::format(", $dots{} using 1:2 with points pointtype 7 pointsize 0.6 linecolor '#d62728' {}", c,
+                         dots ? "notitle" : "title 'repartition'");
+    dots = true;
+  }
+  return text + plots + "\n";
+}
+
+// gnuplot's exit status, or none after the deadline.
+std::optional<int> await(pid_t pid) {
+  const SteadyClock clock;
+  const double deadline = clock.seconds() + kPlotSeconds;
+  int status = 0;
+  while (waitpid(pid, &status, WNOHANG) == 0) {
+    if (clock.seconds() > deadline) {
+      kill(pid, SIGKILL);
+      waitpid(pid, &status, 0);
+      return std::nullopt;
+    }
+    usleep(5'000);
+  }
+  return status;
+}
+
+Status run_gnuplot(const std::string& commands, int out_fd) {
+  const MemoryFile input("gnuplot-input");
+  const MemoryFile errors("gnuplot-errors");
+  if (input.fd() < 0 || errors.fd() < 0 || !input.fill(commands))
+    return {Code::io_error, fmt::format("no memory file for gnuplot: {}", std::strerror(errno))};
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  posix_spawn_file_actions_adddup2(&actions, input.fd(), STDIN_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, out_fd, STDOUT_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, errors.fd(), STDERR_FILENO);
+  std::string program = "gnuplot";
+  std::array<char*, 2> argv{program.data(), nullptr};
+  pid_t pid = -1;
+  const int fault = posix_spawnp(&pid, program.c_str(), &actions, nullptr, argv.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  if (fault != 0)
+    return {Code::not_found, fmt::format("gnuplot can't be started: {}", std::strerror(fault)),
+            "install it (Debian: apt install gnuplot-nox), or plot the table of --csv yourself"};
+  const auto status = await(pid);
+  if (!status) return {Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds)};
+  if (*status != 0) return {Code::internal, "gnuplot failed: " + errors.first_line()};
+  return {};
+}
+
+}  // namespace
+
+Status plot_history(const std::string& path, const std::vector<Curve>& curves) {
+  if (std::all_of(curves.begin(), curves.end(), [](const Curve& curve) { return curve.reports.empty(); }))
+    return {Code::invalid_argument, "there are no steps to plot yet", "push positions first"};
+  const std::string beside = fmt::format("{}.{}.part", path, getpid());
+  const int fd = open(beside.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
+  if (fd < 0) return {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
+  Status status = run_gnuplot(script(curves), fd);
+  if (close(fd) != 0 && status) status = {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
+  if (status && std::rename(beside.c_str(), path.c_str()) != 0)
+    status = {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
+  if (!status) std::remove(beside.c_str());
+  return status;
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,58 @@
+// A point file as a scene: read here and pushed, or read by the ranks of an embedded service themselves.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "client/cli/app.hpp"
+#include "common/io/points.hpp"
+
+namespace rcb::cli {
+
+struct FileOptions {
+  std::string path;
+  int dims = 0;         // 0: as the file says
+  std::string weights;  // a column; empty: none
+};
+
+void add_file_options(CLI::App& command, FileOptions& options);
+
+// The one frame of a point file or of a trajectory of one. Errors: those of io; invalid_argument for more frames.
+Result<io::Points> read_single(const FileOptions& options);
+client::Positions positions_of(const io::Points& points);
+// "FILE" or "FILE.h5:/path", absolute.
+std::string absolute_path(const std::string& path);
+
+// A scene of a name that nobody else has, which is dropped with this object, or when this program dies.
+class TemporaryScene {
+ public:
+  // arguments: those of scene.create but the name. The session must outlive this object.
+  static Result<TemporaryScene> create(Session& session, Json arguments);
+  TemporaryScene(TemporaryScene&& other) noexcept;
+  TemporaryScene& operator=(TemporaryScene&&) = delete;
+  ~TemporaryScene();
+  const std::string& name() const { return name_; }
+
+ private:
+  TemporaryScene() = default;
+
+  client::Client* client_ = nullptr;
+  std::string name_;
+  int lifeline_fd_ = -1;  // of the process that drops the scene should this one die; -1: none
+  int janitor_ = -1;
+};
+
+struct LoadedScene {
+  TemporaryScene scene;
+  Json report;              // of its first step
+  double read_seconds = 0;  // until the points were in memory, in the ranks or here
+};
+
+// The file as a scene of `session`. scene_arguments: those of scene.create but name and dims.
+Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Json scene_arguments);
+
+}  // namespace rcb::cli

@@ -1,0 +1,217 @@
+// push, replay: steps from files.
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/output.hpp"
+#include "client/cli/point_file.hpp"
+#include "client/cli/report_csv.hpp"
+#include "common/base/clock.hpp"
+
+namespace rcb::cli {
+namespace {
+
+struct PushOptions {
+  std::string name;
+  FileOptions file;
+  std::optional<std::int64_t> step;
+};
+
+struct ReplayOptions {
+  std::string name;
+  std::vector<std::string> files;
+  FileOptions file;  // dims and weights of each
+  std::optional<double> parts;
+  double tolerance = 0.1;
+  double axis_hysteresis = 1.2;
+  std::string history;
+};
+
+void print_report(const Json& report) {
+  Facts facts;
+  facts.add("step", fmt::format("{}, epoch {}", text_of(report, "step"), text_of(report, "epoch")));
+  facts.add("error", fmt::format("{} -> {}, imbalance {}", text_of(report, "error_before"), text_of(report, "error"),
+                                 text_of(report, "imbalance")));
+  facts.add("repartition", fmt::format("{}: {}", text_of(report, "repartitioned"), text_of(report, "reason")));
+  facts.add("points", fmt::format("{} drifted, {} moved, {} migrated", text_of(report, "drifted"),
+                                  text_of(report, "moved"), text_of(report, "migrated")));
+  facts.add("skipped", text_of(report, "skipped"));
+  facts.add("time", milliseconds(report.at("seconds").at("total").get<double>()) + " ms");
+  facts.print();
+}
+
+Status push(const PushOptions& options, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  auto shown = ask(*client, "scene.show", {{"scene", options.name}});
+  if (!shown) return shown.status();
+  FileOptions file = options.file;
+  if (file.dims == 0) file.dims = shown->at("dims").get<int>();
+  auto points = read_single(file);
+  if (!points) return points.status();
+  auto scene = client->open_scene(options.name);
+  if (!scene) return scene.status();
+  client::StepOptions step;
+  step.step = options.step;
+  step.weights = points->weight;
+  step.ids = points->id;
+  auto result = scene->step(positions_of(*points), step);
+  if (!result) return result.status();
+  const Json report = Json::parse(result->report.json);
+  if (context.json)
+    print_json(report);
+  else
+    print_report(report);
+  return {};
+}
+
+// What a replay has done so far.
+struct Tally {
+  Json reports = Json::array();
+  std::uint64_t repartitions = 0;
+  double error_sum = 0;
+  double error_max = 0;
+};
+
+void add(Tally& tally, const client::StepReport& report) {
+  tally.reports.push_back(Json::parse(report.json));
+  if (report.repartitioned && report.error_before) ++tally.repartitions;
+  const double error = report.error_before.value_or(report.error);
+  tally.error_sum += error;
+  tally.error_max = std::max(tally.error_max, error);
+}
+
+class Replay {
+ public:
+  Replay(const ReplayOptions& options, const Context& context)
+      : options_(options), context_(context), progress_("replay " + options.name) {}
+
+  Status run() {
+    auto client = connect(context_);
+    if (!client) return client.status();
+    const double start = clock_.seconds();
+    Status status;
+    for (const std::string& file : options_.files)
+      if (status = replay_file(*client, file); !status) break;
+    progress_.clear();
+    // The steps before a bad frame stand, and so does their history.
+    if (!options_.history.empty() && !tally_.reports.empty())
+      if (Status written = write_reports_csv(options_.history, tally_.reports); !written) return written;
+    if (!status) return status;
+    print(clock_.seconds() - start);
+    return {};
+  }
+
+ private:
+  Status replay_file(client::Client& client, const std::string& path) {
+    auto reader = io::open_trajectory(path, {options_.file.dims, options_.file.weights});
+    if (!reader) return reader.status();
+    const std::uint64_t frames = (*reader)->frames();
+    for (std::uint64_t k = 0; k < frames; ++k) {
+      auto points = (*reader)->frame(k);
+      if (!points) return points.status();
+      if (!scene_)
+        if (Status status = open(client, *points); !status) return status;
+      client::StepOptions step;
+      step.step = static_cast<std::int64_t>(tally_.reports.size());
+      step.weights = points->weight;
+      auto result = scene_->step(positions_of(*points), step);
+      if (!result)
+        return {result.status().code(),
+                fmt::format("{}, frame {} (step {}): {}", path, k, tally_.reports.size(), result.status().message()),
+                result.status().hint()};
+      add(tally_, result->report);
+      const std::uint64_t total = options_.files.size() == 1 ? frames : options_.files.size();
+      progress_.at(tally_.reports.size(), total, "error " + number(result->report.error));
+    }
+    return {};
+  }
+
+  Status open(client::Client& client, const io::Points& points) {
+    parts_ = options_.parts ? static_cast<int>(*options_.parts) : client.ranks();
+    client::SceneOptions scene;
+    scene.parts = parts_;
+    scene.dims = points.dims;
+    scene.tolerance = options_.tolerance;
+    scene.axis_hysteresis = options_.axis_hysteresis;
+    scene.replace = true;
+    if (Status status = client.create_scene(options_.name, scene); !status) return status;
+    auto opened = client.open_scene(options_.name);
+    if (!opened) return opened.status();
+    scene_.emplace(std::move(*opened));
+    return {};
+  }
+
+  void print(double seconds) const {
+    const double mean = tally_.reports.empty() ? 0 : tally_.error_sum / static_cast<double>(tally_.reports.size());
+    if (context_.json) {
+      print_json({{"scene", options_.name},
+                  {"steps", tally_.reports.size()},
+                  {"parts", parts_},
+                  {"tolerance", tolerance_json(options_.tolerance)},
+                  {"repartitions", tally_.repartitions},
+                  {"error_mean", mean},
+                  {"error_max", tally_.error_max},
+                  {"seconds", seconds},
+                  {"last", tally_.reports.empty() ? Json() : tally_.reports.back()}});
+      return;
+    }
+    Facts facts;
+    facts.add("scene", fmt::format("{}, {} parts, tolerance {}", options_.name, parts_, options_.tolerance));
+    facts.add("steps", std::to_string(tally_.reports.size()));
+    facts.add("repartitions", fmt::format("{} after the first partition", tally_.repartitions));
+    facts.add("error", fmt::format("mean {}, largest {} (as found when a step arrived)", number(mean),
+                                   number(tally_.error_max)));
+    facts.add("time", fmt::format("{:.3g} s", seconds));
+    facts.print();
+  }
+
+  const ReplayOptions& options_;
+  const Context& context_;
+  SteadyClock clock_;
+  Progress progress_;
+  Tally tally_;
+  int parts_ = 0;
+  std::optional<client::Scene> scene_;
+};
+
+}  // namespace
+
+void add_push_commands(CLI::App& app, Context& context) {
+  auto push_options = std::make_shared<PushOptions>();
+  CLI::App* command =
+      add_command(app, context,
+                  {"push", "One step from a file", "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7"},
+                  [push_options, &context] { return push(*push_options, context); });
+  command->add_option("NAME", push_options->name, "the scene")->required();
+  add_file_options(*command, push_options->file);
+  command->add_option("--step", push_options->step, "its number (default: the last + 1, 0 at first)")
+      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max() - 1));
+
+  auto replay_options = std::make_shared<ReplayOptions>();
+  command = add_command(app, context,
+                        {"replay", "Makes the scene anew and pushes a trajectory, numbered from 0",
+                         "  rcbctl replay jet run.npy --parts 8 --tolerance 0.1\n"
+                         "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv"},
+                        [replay_options, &context] { return Replay(*replay_options, context).run(); });
+  command->add_option("NAME", replay_options->name, "the scene")->required();
+  command->add_option("FILES", replay_options->files, "a file a step, or .npy of shape (steps, n, dims)")
+      ->required()
+      ->expected(-1);
+  command->add_option("--parts", replay_options->parts, "number of parts (default: one a rank)")->check(part_count());
+  command->add_option("--tolerance", replay_options->tolerance, "repartition at this error; inf: never")
+      ->capture_default_str()
+      ->check(tolerance_number());
+  command
+      ->add_option("--axis-hysteresis", replay_options->axis_hysteresis, "how much longer another axis must be; 1: any",
+                   true)
+      ->check(CLI::Range(1.0, 1e300));
+  command->add_option("--dims", replay_options->file.dims, "1, 2 or 3 (default: as the file says)")
+      ->check(CLI::Range(1, 3));
+  command->add_option("--weights", replay_options->file.weights, "the column of weights, by name or number from 0");
+  command->add_option("--history", replay_options->history, "a CSV file of the step reports");
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,72 @@
+// rebalance: repartition now, or tell what that would do.
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/output.hpp"
+
+namespace rcb::cli {
+namespace {
+
+struct Options {
+  std::string name;
+  std::optional<std::string> method;
+  std::optional<double> parts;
+  std::optional<double> tolerance;
+  bool dry_run = false;
+};
+
+void print(const Json& reply, bool dry_run) {
+  Facts facts;
+  facts.add("scene", text_of(reply, "scene"));
+  facts.add("partition", fmt::format("{}, {} parts", text_of(reply, "method"), text_of(reply, "parts")));
+  facts.add("error", fmt::format("{} -> {}", text_of(reply, "error_before"), text_of(reply, "error")));
+  facts.add(dry_run ? "would move" : "moved", fmt::format("{} points to another part, {} to another rank",
+                                                          text_of(reply, "moved"), text_of(reply, "migrated")));
+  facts.add("axes flipped", text_of(reply, "axes_flipped"));
+  if (const auto quality = reply.find("quality"); quality != reply.end() && quality->is_object()) {
+    std::uint64_t ghosts = 0;
+    for (const Json& count : quality->at("ghosts")) ghosts += count.get<std::uint64_t>();
+    facts.add("interface", text_of(*quality, "interface_area"));
+    facts.add("ghosts", fmt::format("{} within {}", ghosts, text_of(*quality, "ghost_width")));
+  }
+  facts.add("epoch", text_of(reply, "epoch"));
+  facts.add("result", text_of(reply, "reason"));
+  facts.add("time", milliseconds(reply.value("seconds", 0.0)) + " ms");
+  facts.print();
+}
+
+Status rebalance(const Options& options, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  Json arguments{{"scene", options.name}, {"dry_run", options.dry_run}};
+  if (options.method) arguments["method"] = *options.method;
+  if (options.parts) arguments["parts"] = static_cast<std::int64_t>(*options.parts);
+  if (options.tolerance) arguments["tolerance"] = tolerance_json(*options.tolerance);
+  auto reply = ask(*client, "rebalance", arguments);
+  if (!reply) return reply.status();
+  if (context.json)
+    print_json(*reply);
+  else
+    print(*reply, options.dry_run);
+  return {};
+}
+
+}  // namespace
+
+void add_rebalance_command(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = add_command(app, context,
+                                  {"rebalance", "Repartitions now; what is changed here holds from then on",
+                                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12"},
+                                  [options, &context] { return rebalance(*options, context); });
+  command->add_option("NAME", options->name, "the scene")->required();
+  command->add_option("--method", options->method, "rcb, bands-x, bands-y or bands-z")->check(scene_method());
+  command->add_option("--parts", options->parts, "number of parts")->check(part_count());
+  command->add_option("--tolerance", options->tolerance, "repartition at this error; inf: never")
+      ->check(tolerance_number());
+  command->add_flag("--dry-run", options->dry_run, "tell error, points to move and quality; change nothing");
+}
+
+}  // namespace rcb::cli

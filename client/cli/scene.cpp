@@ -1,0 +1,148 @@
+// scene create, list, show, drop.
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/output.hpp"
+
+namespace rcb::cli {
+namespace {
+
+struct CreateOptions {
+  std::string name;
+  double parts = 0;
+  int dims = 3;
+  std::string method = "rcb";
+  double tolerance = 0.1;
+  double axis_hysteresis = 1.2;
+  std::vector<double> part_sizes;
+  bool replace = false;
+};
+
+void print_scene(const Json& scene) {
+  Facts facts;
+  for (const auto& [field, title] :
+       std::initializer_list<std::pair<const char*, const char*>>{{"scene", "scene"},
+                                                                  {"n", "points"},
+                                                                  {"dims", "dims"},
+                                                                  {"parts", "parts"},
+                                                                  {"ranks", "ranks"},
+                                                                  {"method", "method"},
+                                                                  {"tolerance", "tolerance"},
+                                                                  {"axis_hysteresis", "axis hysteresis"},
+                                                                  {"part_sizes", "part sizes"},
+                                                                  {"weights", "weights"},
+                                                                  {"ids", "own ids"},
+                                                                  {"step", "step"},
+                                                                  {"epoch", "epoch"},
+                                                                  {"error", "error"},
+                                                                  {"imbalance", "imbalance"},
+                                                                  {"hash", "hash"},
+                                                                  {"members", "open by"}})
+    if (scene.contains(field)) facts.add(title, text_of(scene, field));
+  facts.print();
+}
+
+Status create(const CreateOptions& options, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  Json arguments{{"scene", options.name},
+                 {"parts", static_cast<std::int64_t>(options.parts)},
+                 {"dims", options.dims},
+                 {"method", options.method},
+                 {"tolerance", tolerance_json(options.tolerance)},
+                 {"axis_hysteresis", options.axis_hysteresis},
+                 {"replace", options.replace}};
+  if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
+  auto reply = ask(*client, "scene.create", arguments);
+  if (!reply) return reply.status();
+  if (context.json)
+    print_json(*reply);
+  else
+    print_line(fmt::format("created {}: {} parts, {} dims", options.name, options.parts, options.dims));
+  return {};
+}
+
+Status list(const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  auto reply = ask(*client, "scene.list", Json::object());
+  if (!reply) return reply.status();
+  if (context.json) {
+    print_json(*reply);
+    return {};
+  }
+  Table table({{"scene", Table::Align::left}, {"points"}, {"dims"}, {"parts"}, {"step"}, {"epoch"}});
+  for (const Json& scene : reply->at("scenes"))
+    table.row({text_of(scene, "scene"), text_of(scene, "n"), text_of(scene, "dims"), text_of(scene, "parts"),
+               text_of(scene, "step"), text_of(scene, "epoch")});
+  table.print();
+  return {};
+}
+
+Status show(const std::string& name, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  auto reply = ask(*client, "scene.show", {{"scene", name}});
+  if (!reply) return reply.status();
+  if (context.json)
+    print_json(*reply);
+  else
+    print_scene(*reply);
+  return {};
+}
+
+Status drop(const std::string& name, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  if (Status status = client->drop_scene(name); !status) return status;
+  if (context.json)
+    print_json({{"scene", name}, {"dropped", true}});
+  else
+    print_line("dropped " + name);
+  return {};
+}
+
+}  // namespace
+
+void add_scene_commands(CLI::App& app, Context& context) {
+  CLI::App* scene = app.add_subcommand("scene", "Named particle sets: create, list, show, drop");
+  scene->fallthrough();
+  scene->require_subcommand(1);
+  scene->footer("Examples:\n  rcbctl scene create jet --parts 8\n  rcbctl scene list\n");
+
+  auto options = std::make_shared<CreateOptions>();
+  CLI::App* command = add_command(*scene, context,
+                                  {"create", "Makes a scene",
+                                   "  rcbctl scene create jet --parts 8\n"
+                                   "  rcbctl scene create jet --parts 3 --part-sizes 1,2,3 --tolerance inf --replace"},
+                                  [options, &context] { return create(*options, context); });
+  command->add_option("NAME", options->name, "1 to 64 of letters, digits, . _ -")->required();
+  command->add_option("--parts", options->parts, "number of parts")->required()->check(part_count());
+  command->add_option("--dims", options->dims, "1, 2 or 3")->capture_default_str()->check(CLI::Range(1, 3));
+  command->add_option("--method", options->method, "rcb, bands-x, bands-y or bands-z")
+      ->capture_default_str()
+      ->check(scene_method());
+  command->add_option("--tolerance", options->tolerance, "repartition at this error; inf: never")
+      ->capture_default_str()
+      ->check(tolerance_number());
+  command->add_option("--axis-hysteresis", options->axis_hysteresis, "how much longer another axis must be; 1: any")
+      ->capture_default_str()
+      ->check(CLI::Range(1.0, 1e300));
+  command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
+      ->delimiter(',')
+      ->check(positive_number());
+  command->add_flag("--replace", options->replace, "drop a scene of that name first");
+
+  add_command(*scene, context, {"list", "All scenes", "  rcbctl scene list --json"},
+              [&context] { return list(context); });
+
+  auto name = std::make_shared<std::string>();
+  command = add_command(*scene, context, {"show", "One scene", "  rcbctl scene show jet"},
+                        [name, &context] { return show(*name, context); });
+  command->add_option("NAME", *name, "the scene")->required();
+  command = add_command(*scene, context, {"drop", "Forgets a scene", "  rcbctl scene drop jet"},
+                        [name, &context] { return drop(*name, context); });
+  command->add_option("NAME", *name, "the scene")->required();
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,140 @@
+// up, down, status.
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/output.hpp"
+#include "client/lib/endpoint.hpp"
+#include "common/base/paths.hpp"
+
+namespace rcb::cli {
+namespace {
+
+constexpr int kRanksMax = 4096;
+
+struct UpOptions {
+  int ranks = 0;
+  std::string data_dir;
+  bool foreground = false;
+  double deadline = 60;
+};
+
+Status up(const UpOptions& options, const Context& context) {
+  launch::SuperviseOptions service;
+  const auto endpoint = client::endpoint_to_serve(context.endpoint);
+  if (!endpoint) return endpoint.status();
+  service.endpoint = endpoint->text();
+  service.ranks = options.ranks > 0 ? options.ranks : launch::default_ranks();
+  service.ready_seconds = options.deadline;
+  auto running = launch::reach(service.endpoint, "rcbctl up");
+  if (running || running.status().code() == Code::not_authorised)
+    return {Code::already_exists, "a service already answers at " + service.endpoint,
+            "use it, or stop it first: rcbctl down"};
+  if (options.data_dir.empty()) {
+    service.data_dir = client::data_directory(*endpoint);
+    if (Status status = make_private_directory(service.data_dir); !status) return status;
+  } else {
+    service.data_dir = std::filesystem::absolute(options.data_dir).lexically_normal().string();
+    if (Status status = make_directory(service.data_dir); !status) return status;
+  }
+  if (options.foreground) {
+    note(fmt::format("{} ranks on {}; log: {}", service.ranks, service.endpoint, launch::log_path(service.data_dir)));
+    return launch::supervise(service);
+  }
+  {
+    Progress progress(fmt::format("starting {} ranks on {}", service.ranks, service.endpoint));
+    Status status = launch::start_detached(service, [&progress](double seconds) { progress.seconds(seconds); });
+    if (!status) return status;
+  }
+  const std::string log = launch::log_path(service.data_dir);
+  if (context.json) {
+    print_json(
+        {{"endpoint", service.endpoint}, {"ranks", service.ranks}, {"data_dir", service.data_dir}, {"log", log}});
+    return {};
+  }
+  Facts facts;
+  facts.add("endpoint", service.endpoint);
+  facts.add("ranks", std::to_string(service.ranks));
+  facts.add("log", log);
+  facts.print();
+  return {};
+}
+
+Status down(double deadline, const Context& context) {
+  std::string endpoint;
+  {
+    auto running = connect(context);
+    if (!running) return running.status();
+    endpoint = running->endpoint();
+  }
+  if (Status status = launch::stop_service(endpoint, deadline); !status) return status;
+  if (context.json)
+    print_json({{"endpoint", endpoint}, {"stopped", true}});
+  else
+    print_line("stopped " + endpoint);
+  return {};
+}
+
+Status status(const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  auto reply = ask(*client, "status", Json::object());
+  if (!reply) return reply.status();
+  if (context.json) {
+    print_json(*reply);
+    return {};
+  }
+  Facts facts;
+  facts.add("version", text_of(*reply, "version"));
+  facts.add("endpoint", text_of(*reply, "endpoints"));
+  facts.add("ranks", text_of(*reply, "ranks"));
+  facts.add("uptime", duration(reply->value("uptime_seconds", 0.0)));
+  facts.add("sessions", text_of(*reply, "sessions"));
+  facts.add("steps", text_of(*reply, "steps"));
+  if (reply->value("restarted", false)) facts.add("restarted", "yes, after it had died");
+  facts.print();
+  const Json scenes = reply->value("scenes", Json::array());
+  if (scenes.empty()) {
+    print_line("no scenes");
+    return {};
+  }
+  print_line("");
+  Table table({{"scene", Table::Align::left}, {"points"}, {"dims"}, {"parts"}, {"step"}, {"epoch"}});
+  for (const Json& scene : scenes)
+    table.row({text_of(scene, "scene"), text_of(scene, "n"), text_of(scene, "dims"), text_of(scene, "parts"),
+               text_of(scene, "step"), text_of(scene, "epoch")});
+  table.print();
+  return {};
+}
+
+}  // namespace
+
+void add_service_commands(CLI::App& app, Context& context) {
+  auto up_options = std::make_shared<UpOptions>();
+  CLI::App* command = add_command(app, context,
+                                  {"up", "Starts a local service on the endpoint and waits until it answers",
+                                   "  rcbctl up -n 8\n  rcbctl up --endpoint unix:/tmp/mine.sock --data-dir /tmp/mine"},
+                                  [up_options, &context] { return up(*up_options, context); });
+  command->add_option("-n,--ranks", up_options->ranks, "MPI ranks (default: one a core, at most 8)")
+      ->check(CLI::Range(1, kRanksMax));
+  command->add_option("--data-dir", up_options->data_dir, "for log, token and what lasts (default: one an endpoint)");
+  command->add_option("--deadline", up_options->deadline, "seconds to wait for its first answer")
+      ->capture_default_str()
+      ->check(positive_number());
+  command->add_flag("--foreground", up_options->foreground,
+                    "stay and supervise it here until SIGTERM or SIGINT, as a systemd unit wants it");
+
+  auto deadline = std::make_shared<double>(30);
+  command = add_command(app, context,
+                        {"down", "Stops the service cleanly and waits until it is gone",
+                         "  rcbctl down\n  rcbctl down --endpoint unix:/tmp/mine.sock"},
+                        [deadline, &context] { return down(*deadline, context); });
+  command->add_option("--deadline", *deadline, "seconds to wait before it is ended by force")
+      ->capture_default_str()
+      ->check(positive_number());
+
+  add_command(app, context,
+              {"status", "What runs: version, ranks, scenes, steps, uptime", "  rcbctl status\n  rcbctl status --json"},
+              [&context] { return status(context); });
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,111 @@
+// watch: a line a step, as the steps come.
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/output.hpp"
+#include "common/base/clock.hpp"
+
+namespace rcb::cli {
+namespace {
+
+constexpr useconds_t kPollMicroseconds = 200'000;
+constexpr std::uint64_t kReportsMax = 1000;  // asked for at once; older ones of a burst are not shown
+
+volatile sig_atomic_t g_interrupted = 0;
+
+struct Options {
+  std::string name;
+  std::uint64_t steps = 0;
+  double seconds = 0;
+};
+
+std::string line(const Json& report) {
+  const Json& before = report.at("error_before");
+  return fmt::format("step {}  epoch {}  error {}{}  drifted {}  moved {}  migrated {}  {} ms{}",
+                     text_of(report, "step"), text_of(report, "epoch"),
+                     before.is_null() ? "" : text_of(before) + " -> ", text_of(report, "error"),
+                     text_of(report, "drifted"), text_of(report, "moved"), text_of(report, "migrated"),
+                     milliseconds(report.at("seconds").at("total").get<double>()),
+                     report.at("repartitioned").get<bool>() ? "  repartitioned: " + text_of(report, "reason") : "");
+}
+
+// Prints what is new; with --json as the items of one array, which is closed at the end.
+class Watcher {
+ public:
+  Watcher(const Options& options, const Context& context) : options_(options), context_(context) {}
+
+  Status run() {
+    auto client = connect(context_);
+    if (!client) return client.status();
+    const SteadyClock clock;
+    const double end = clock.seconds() + options_.seconds;
+    for (bool first = true; g_interrupted == 0 && !enough(); first = false) {
+      if (options_.seconds > 0 && clock.seconds() > end) break;
+      if (!first) usleep(kPollMicroseconds);
+      auto steps = ask(*client, "stats", {{"scene", options_.name}});
+      if (!steps) return closed(steps.status());
+      const auto total = steps->at("steps").get<std::uint64_t>();
+      // A scene made anew counts from 0 again.
+      const std::uint64_t fresh = first ? 0 : (total >= seen_ ? total - seen_ : total);
+      seen_ = total;
+      if (fresh == 0) continue;
+      if (Status status = show(*client, std::min(fresh, kReportsMax)); !status) return closed(status);
+    }
+    return closed({});
+  }
+
+ private:
+  bool enough() const { return options_.steps > 0 && shown_ >= options_.steps; }
+
+  Status show(client::Client& client, std::uint64_t count) {
+    auto reply = ask(client, "history", {{"scene", options_.name}, {"last", count}});
+    if (!reply) return reply.status();
+    for (const Json& report : reply->at("history")) {
+      if (enough()) break;
+      if (context_.json)
+        print_line((shown_ == 0 ? "[" : ",") + report.dump());
+      else
+        print_line(line(report));
+      context_.document_begun = true;
+      ++shown_;
+    }
+    return flush_output();
+  }
+
+  // Ends the array. After a first item a failure is told on stderr alone, since stdout has its document.
+  Status closed(Status status) const {
+    if (!context_.json) return status;
+    if (shown_ == 0 && !status) return status;
+    print_line(shown_ == 0 ? "[]" : "]");
+    return status;
+  }
+
+  const Options& options_;
+  const Context& context_;
+  std::uint64_t seen_ = 0;
+  std::uint64_t shown_ = 0;
+};
+
+}  // namespace
+
+void add_watch_command(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = add_command(app, context,
+                                  {"watch", "A line a step, as the steps come, until interrupted",
+                                   "  rcbctl watch jet\n  rcbctl watch jet --steps 10 --json"},
+                                  [options, &context] {
+                                    struct sigaction action {};
+                                    action.sa_handler = [](int) { g_interrupted = 1; };
+                                    sigaction(SIGINT, &action, nullptr);
+                                    return Watcher(*options, context).run();
+                                  });
+  command->add_option("NAME", options->name, "the scene")->required();
+  command->add_option("--steps", options->steps, "end after so many steps");
+  command->add_option("--for", options->seconds, "end after so many seconds")->check(positive_number());
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,138 @@
+#include "client/launch/job.hpp"
+
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <string_view>
+#include <vector>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+extern char** environ;
+
+namespace rcb::launch {
+namespace {
+
+constexpr int kKillRoundsMax = 500;  // of 10 ms
+
+// What an outer MPI job left in the environment would make mpirun believe that it is one of its ranks.
+bool of_outer_job(std::string_view entry) {
+  for (const std::string_view prefix :
+       {"PMIX_", "OMPI_COMM_WORLD_", "OMPI_MCA_ess", "OMPI_MCA_orte_", "OMPI_MCA_pmix", "OMPI_UNIVERSE", "OMPI_APP_CTX",
+        "OMPI_FIRST_RANKS", "OMPI_NUM_APP", "ORTE_", "RCBD_ENDPOINT=", "RCBD_RESTARTED=", "TMPDIR="})
+    if (entry.starts_with(prefix)) return true;
+  return false;
+}
+
+std::vector<std::string> job_environment(const std::string& tmp_dir, bool restarted) {
+  std::vector<std::string> environment;
+  for (char** entry = environ; *entry != nullptr; ++entry)
+    if (!of_outer_job(*entry)) environment.emplace_back(*entry);
+  environment.push_back("TMPDIR=" + tmp_dir);
+  if (restarted) environment.emplace_back("RCBD_RESTARTED=1");
+  return environment;
+}
+
+std::vector<char*> pointers(std::vector<std::string>& strings) {
+  std::vector<char*> list;
+  for (std::string& text : strings) list.push_back(text.data());
+  list.push_back(nullptr);
+  return list;
+}
+
+// The children of this process by /proc, orphaned ranks included, since it is their reaper.
+std::vector<pid_t> children() {
+  std::vector<pid_t> list;
+  std::ifstream in(fmt::format("/proc/self/task/{}/children", getpid()));
+  for (pid_t pid = 0; in >> pid;) list.push_back(pid);
+  return list;
+}
+
+std::string ending(int status) {
+  if (WIFSIGNALED(status)) return fmt::format("signal {}", WTERMSIG(status));
+  return fmt::format("exit code {}", WEXITSTATUS(status));
+}
+
+}  // namespace
+
+Job::Job(JobSpec spec, std::string tmp_dir, int log_fd)
+    : spec_(std::move(spec)), tmp_dir_(std::move(tmp_dir)), log_fd_(log_fd) {}
+
+Job::~Job() { kill(); }
+
+void Job::clean() const {
+  std::error_code ignored;
+  std::filesystem::remove_all(tmp_dir_, ignored);
+  if (!spec_.shm_dir.empty()) std::filesystem::remove_all(spec_.shm_dir, ignored);
+}
+
+Status Job::start(bool restarted) {
+  clean();
+  if (mkdir(tmp_dir_.c_str(), 0700) != 0)
+    return {Code::io_error, fmt::format("{}: can't be made: {}", tmp_dir_, std::strerror(errno))};
+  // Without room of its own in shared memory the job uses Open MPI's default place.
+  if (!spec_.shm_dir.empty() && mkdir(spec_.shm_dir.c_str(), 0700) != 0) spec_.shm_dir.clear();
+  auto arguments = mpirun_arguments(spec_);
+  if (!arguments) return arguments.status();
+  std::vector<std::string> environment = job_environment(tmp_dir_, restarted);
+  const std::vector<char*> argv = pointers(*arguments);
+  const std::vector<char*> envp = pointers(environment);
+  const pid_t parent = getpid();
+  pid_ = fork();
+  if (pid_ < 0) return {Code::io_error, fmt::format("mpirun can't be started: {}", std::strerror(errno))};
+  if (pid_ == 0) {
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    if (getppid() != parent) _exit(127);
+    setpgid(0, 0);
+    const int null_fd = open("/dev/null", O_RDONLY);
+    if (dup2(null_fd, STDIN_FILENO) < 0 || dup2(log_fd_, STDOUT_FILENO) < 0 || dup2(log_fd_, STDERR_FILENO) < 0)
+      _exit(127);
+    close_range(3, ~0U, 0);
+    sigset_t none;
+    sigemptyset(&none);
+    sigprocmask(SIG_SETMASK, &none, nullptr);
+    for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGCHLD}) signal(number, SIG_DFL);
+    execve(argv[0], argv.data(), envp.data());
+    _exit(127);
+  }
+  return {};
+}
+
+std::optional<std::string> Job::poll() {
+  if (pid_ <= 0) return std::nullopt;
+  int status = 0;
+  for (;;) {
+    const pid_t ended = waitpid(-1, &status, WNOHANG);
+    if (ended < 0 && errno == EINTR) continue;
+    if (ended <= 0) return std::nullopt;
+    if (ended != pid_) continue;  // an orphaned rank
+    pid_ = -1;
+    return ending(status);
+  }
+}
+
+void Job::kill() {
+  if (pid_ > 0) ::kill(-pid_, SIGKILL);
+  if (pid_ > 0) ::kill(pid_, SIGKILL);
+  pid_ = -1;
+  // mpirun gives each rank a process group of its own, so they are found as orphans. Bounded: a process that hangs in
+  // the kernel is not waited for.
+  for (int round = 0; round < kKillRoundsMax; ++round) {
+    for (const pid_t child : children()) ::kill(child, SIGKILL);
+    pid_t ended = 0;
+    while ((ended = waitpid(-1, nullptr, WNOHANG)) > 0) continue;
+    if (ended < 0 && errno == ECHILD) break;
+    usleep(10'000);
+  }
+  clean();
+}
+
+}  // namespace rcb::launch

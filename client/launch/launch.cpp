@@ -1,0 +1,247 @@
+#include "client/launch/launch.hpp"
+
+#include <atomic>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <utility>
+#include <vector>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "client/launch/log_tail.hpp"
+#include "common/base/clock.hpp"
+#include "common/base/paths.hpp"
+
+namespace rcb::launch {
+namespace {
+
+constexpr double kProgressSeconds = 0.5;
+constexpr double kGraceSeconds = 15;  // beyond the supervisor's own deadline
+constexpr double kEndSeconds = 30;
+constexpr std::size_t kTemporaryPathMax = 60;
+
+// The supervisor's process and both pipes to it. What a signal handler may touch is atomic.
+struct Bond {
+  std::atomic<int> lifeline_fd{-1};
+  std::atomic<int> notify_fd{-1};
+};
+Bond g_bond;
+
+// Waits for the end of the supervisor: end of file on the pipe that it alone holds open. Safe in a signal handler.
+void await_end(int notify_fd, int timeout_ms) {
+  char bytes[256];
+  pollfd fd{notify_fd, POLLIN, 0};
+  while (poll(&fd, 1, timeout_ms) > 0 && read(notify_fd, bytes, sizeof bytes) > 0) continue;
+}
+
+// An interrupted program takes its service with it before it goes.
+void on_signal(int number) {
+  const int lifeline_fd = g_bond.lifeline_fd.exchange(-1);
+  const int notify_fd = g_bond.notify_fd.exchange(-1);
+  if (lifeline_fd >= 0) {
+    close(lifeline_fd);
+    await_end(notify_fd, static_cast<int>(kEndSeconds * 1000));
+  }
+  signal(number, SIG_DFL);
+  raise(number);
+}
+
+void guard_by_signals(int lifeline_fd, int notify_fd) {
+  g_bond.notify_fd = notify_fd;
+  g_bond.lifeline_fd = lifeline_fd;
+  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT}) {
+    struct sigaction action {};
+    action.sa_handler = on_signal;
+    sigfillset(&action.sa_mask);
+    sigaction(number, &action, nullptr);
+  }
+}
+
+void unguard() {
+  g_bond.lifeline_fd = -1;
+  g_bond.notify_fd = -1;
+}
+
+struct Started {
+  pid_t supervisor = -1;
+  int lifeline_fd = -1;
+  int notify_fd = -1;
+};
+
+// The child's half: detached from session, standard streams and every file of the starter.
+[[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd) {
+  setsid();
+  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT}) signal(number, SIG_DFL);
+  signal(SIGPIPE, SIG_IGN);
+  const int null_fd = open("/dev/null", O_RDWR);
+  for (int fd = 0; fd < 3; ++fd) dup2(null_fd, fd);
+  // The pipes may have any numbers, even the ones they are moved to.
+  const int high_notify = fcntl(notify_fd, F_DUPFD, 16);
+  const int high_lifeline = fcntl(lifeline_fd, F_DUPFD, 16);
+  options.notify_fd = dup2(high_notify, 3);
+  options.lifeline_fd = dup2(high_lifeline, 4);
+  close_range(5, ~0U, 0);
+  // The pipe closes with the process, so its end tells that everything is done.
+  for (const int fd : {3, 4}) fcntl(fd, F_SETFD, FD_CLOEXEC);
+  if (chdir("/") != 0) _exit(1);
+  const Status status = supervise(options);
+  if (options.embedded) {
+    std::error_code ignored;
+    std::filesystem::remove_all(options.data_dir, ignored);
+  }
+  _exit(status ? 0 : 1);
+}
+
+Result<Started> fork_supervisor(const SuperviseOptions& options) {
+  int notify[2];
+  int lifeline[2];
+  if (pipe2(notify, O_CLOEXEC) != 0) return Status(Code::io_error, fmt::format("pipe: {}", std::strerror(errno)));
+  if (pipe2(lifeline, O_CLOEXEC) != 0) {
+    const int reason = errno;
+    close(notify[0]);
+    close(notify[1]);
+    return Status(Code::io_error, fmt::format("pipe: {}", std::strerror(reason)));
+  }
+  std::fflush(nullptr);
+  // From here on an interruption goes through the handler, which ends the child, if there is one yet.
+  guard_by_signals(lifeline[1], notify[0]);
+  const pid_t child = fork();
+  if (child == 0) {
+    close(lifeline[1]);
+    close(notify[0]);
+    run_supervisor(options, notify[1], lifeline[0]);
+  }
+  const int reason = errno;
+  close(notify[1]);
+  close(lifeline[0]);
+  if (child < 0) {
+    unguard();
+    close(notify[0]);
+    close(lifeline[1]);
+    return Status(Code::io_error, fmt::format("fork: {}", std::strerror(reason)));
+  }
+  return Started{child, lifeline[1], notify[0]};
+}
+
+// Ends the supervisor and waits for it.
+void end(const Started& started) {
+  unguard();
+  close(started.lifeline_fd);
+  await_end(started.notify_fd, static_cast<int>(kEndSeconds * 1000));
+  close(started.notify_fd);
+  waitpid(started.supervisor, nullptr, WNOHANG);
+}
+
+Status failure_from(const std::string& text) {
+  std::vector<std::string> fields;
+  for (std::size_t begin = 1; begin < text.size();) {
+    const std::size_t stop = std::min(text.find('\0', begin), text.size());
+    fields.push_back(text.substr(begin, stop - begin));
+    begin = stop + 1;
+  }
+  fields.resize(3);
+  const Code code = code_from_name(fields[0]);
+  return {code == Code::ok ? Code::internal : code, fields[1], fields[2]};
+}
+
+// The supervisor's verdict: ok when the service answers.
+Status await_verdict(const Started& started, double deadline_seconds, const Progress& progress) {
+  const SteadyClock clock;
+  const double begin = clock.seconds();
+  std::string text;
+  for (;;) {
+    const double waited = clock.seconds() - begin;
+    if (waited > deadline_seconds) return {Code::deadline_exceeded, "the launcher did not say how the start went"};
+    pollfd fd{started.notify_fd, POLLIN, 0};
+    const int ready = poll(&fd, 1, static_cast<int>(kProgressSeconds * 1000));
+    if (ready == 0 && progress) progress(waited);
+    if (ready <= 0) continue;
+    char bytes[4096];
+    const ssize_t got = read(started.notify_fd, bytes, sizeof bytes);
+    if (got > 0) text.append(bytes, static_cast<std::size_t>(got));
+    if (!text.empty() && text[0] == kReady) return {};
+    if (got > 0) continue;
+    if (text.empty()) return {Code::internal, "the launcher died while it started the service"};
+    return failure_from(text);
+  }
+}
+
+// A folder short enough for a socket in it.
+Result<std::string> temporary_directory() {
+  const char* named = std::getenv("TMPDIR");
+  std::string parent = named != nullptr && *named == '/' ? named : "/tmp";
+  if (parent.size() > kTemporaryPathMax) parent = "/tmp";
+  std::string pattern = join_path(parent, "rcb-XXXXXX");
+  if (mkdtemp(pattern.data()) == nullptr)
+    return Status(Code::io_error, fmt::format("{}: no folder can be made: {}", parent, std::strerror(errno)),
+                  "set TMPDIR to a folder that may be written");
+  return pattern;
+}
+
+}  // namespace
+
+Status start_detached(SuperviseOptions options, const Progress& progress) {
+  options.embedded = false;
+  auto started = fork_supervisor(options);
+  if (!started) return started.status();
+  const Status status = await_verdict(*started, options.ready_seconds + kGraceSeconds, progress);
+  if (!status) {
+    end(*started);
+    return status;
+  }
+  unguard();
+  const char bye = 'd';
+  const bool told = write(started->lifeline_fd, &bye, 1) == 1;
+  close(started->lifeline_fd);
+  close(started->notify_fd);
+  if (!told) return {Code::unavailable, "the service ended as soon as it had started", log_path(options.data_dir)};
+  return {};
+}
+
+Result<Embedded> Embedded::start(int ranks, const Progress& progress) {
+  Embedded service;
+  auto directory = temporary_directory();
+  if (!directory) return directory.status();
+  service.directory_ = *directory;
+  service.endpoint_ = "unix:" + join_path(*directory, "s");
+  SuperviseOptions options{.endpoint = service.endpoint_, .data_dir = *directory, .ranks = ranks, .embedded = true};
+  auto started = fork_supervisor(options);
+  if (!started) {
+    rmdir(directory->c_str());
+    return started.status();
+  }
+  service.lifeline_fd_ = started->lifeline_fd;
+  service.notify_fd_ = started->notify_fd;
+  service.supervisor_ = started->supervisor;
+  if (Status status = await_verdict(*started, options.ready_seconds + kGraceSeconds, progress); !status) return status;
+  return service;
+}
+
+Embedded::Embedded(Embedded&& other) noexcept
+    : directory_(std::move(other.directory_)),
+      endpoint_(std::move(other.endpoint_)),
+      lifeline_fd_(std::exchange(other.lifeline_fd_, -1)),
+      notify_fd_(std::exchange(other.notify_fd_, -1)),
+      supervisor_(std::exchange(other.supervisor_, -1)) {}
+
+Embedded::~Embedded() {
+  if (supervisor_ > 0) end({supervisor_, lifeline_fd_, notify_fd_});
+}
+
+Status Embedded::explain(Status status) const {
+  if (status.code() != Code::unavailable) return status;
+  const std::string tail = log_tail(log_path(directory_), 0);
+  if (tail.empty()) return status;
+  return {Code::internal, fmt::format("{}; the embedded service's log ends:\n{}", status.message(), tail),
+          status.hint()};
+}
+
+}  // namespace rcb::launch

@@ -1,0 +1,56 @@
+#include "client/launch/log_tail.hpp"
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <string_view>
+#include <vector>
+
+namespace rcb::launch {
+namespace {
+
+constexpr std::uint64_t kReadBytesMax = 64 * 1024;
+constexpr std::size_t kLinesMax = 5;
+
+// mpirun frames its remarks with lines of dashes.
+bool is_rule(std::string_view line) {
+  return line.size() >= 20 && std::all_of(line.begin(), line.end(), [](char c) { return c == '-'; });
+}
+
+std::string joined(const std::vector<std::string>& lines) {
+  std::string text;
+  const std::size_t first = lines.size() > kLinesMax ? lines.size() - kLinesMax : 0;
+  for (std::size_t i = first; i < lines.size(); ++i) text += (text.empty() ? "" : "\n") + lines[i];
+  return text;
+}
+
+}  // namespace
+
+std::uint64_t file_bytes(const std::string& path) {
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(path, error);
+  return error ? 0 : bytes;
+}
+
+std::string log_tail(const std::string& path, std::uint64_t from) {
+  const std::uint64_t bytes = file_bytes(path);
+  std::ifstream in(path, std::ios::binary);
+  in.seekg(static_cast<std::streamoff>(std::max(from, bytes - std::min(bytes, kReadBytesMax))));
+  std::vector<std::string> own;
+  std::vector<std::string> of_mpirun;
+  bool in_frame = false;
+  for (std::string line; std::getline(in, line);) {
+    if (is_rule(line)) {
+      in_frame = !in_frame;
+      continue;
+    }
+    std::vector<std::string>& lines = in_frame ? of_mpirun : own;
+    // All ranks tend to say the same.
+    if (line.find_first_not_of(" \t\r") != std::string::npos &&
+        std::find(lines.begin(), lines.end(), line) == lines.end())
+      lines.push_back(line);
+  }
+  return joined(own.empty() ? of_mpirun : own);
+}
+
+}  // namespace rcb::launch
