@@ -108,6 +108,13 @@ std::optional<Result<std::optional<TextLayout>>> xyz_layout(const std::string& f
   return Result(std::optional(std::move(layout)));
 }
 
+// A field meant as a number, if only a broken one: a row with it must not pass for a header and be lost.
+bool begins_as_number(std::string_view field) {
+  const auto digit = [&](std::size_t at) { return at < field.size() && field[at] >= '0' && field[at] <= '9'; };
+  return number_in(field) || digit(0) ||
+         (!field.empty() && std::string_view("+-.").find(field[0]) != std::string_view::npos && digit(1));
+}
+
 bool is_named(std::string_view field) {
   if (field.size() == 2) return (field[0] | 0x20) == 'i' && (field[1] | 0x20) == 'd';
   return field.size() == 1 && (field[0] | 0x20) >= 'x' && (field[0] | 0x20) <= 'z';
@@ -140,7 +147,7 @@ std::optional<Result<TextLayout>> text_layout(const std::string& file, std::stri
   layout.column_count = fields.size();
   const auto is_number = [](std::string_view field) { return number_in(field).has_value(); };
   const bool header =
-      std::none_of(fields.begin(), fields.end(), is_number) ||
+      std::none_of(fields.begin(), fields.end(), begins_as_number) ||
       (std::any_of(fields.begin(), fields.end(), is_named) && !std::all_of(fields.begin(), fields.end(), is_number));
   if (header) {
     layout.names.assign(fields.begin(), fields.end());

@@ -1,0 +1,122 @@
+// HDF5 datasets, made here with the same library: layouts, types, and what is refused.
+#include <limits>
+
+#include <gtest/gtest.h>
+#include <hdf5.h>
+
+#include "tests/common/io/files.hpp"
+
+namespace rcb::io {
+namespace {
+
+using testing::Directory;
+using testing::expect_same;
+using testing::has;
+using testing::joined;
+using testing::refusal;
+using Column = std::vector<double>;
+
+struct Kind {
+  hid_t type = H5T_IEEE_F64LE;
+  bool chunked = false;
+  bool deflated = false;
+};
+
+// Writes values (C order) as the dataset of that name; unwritten: creates it only.
+void add_dataset(hid_t file, const char* name, std::vector<hsize_t> shape, const std::vector<double>& values,
+                 const Kind& kind, bool unwritten = false) {
+  const hid_t space = H5Screate_simple(static_cast<int>(shape.size()), shape.data(), nullptr);
+  const hid_t plist = H5Pcreate(H5P_DATASET_CREATE);
+  const hid_t links = H5Pcreate(H5P_LINK_CREATE);
+  H5Pset_create_intermediate_group(links, 1);
+  if (kind.chunked) {
+    std::vector<hsize_t> chunk = shape;
+    chunk[0] = std::clamp<hsize_t>(chunk[0] / 3, 1, 65536);
+    H5Pset_chunk(plist, static_cast<int>(chunk.size()), chunk.data());
+  }
+  if (kind.deflated) H5Pset_deflate(plist, 6);
+  const hid_t dataset = H5Dcreate2(file, name, kind.type, space, links, plist, H5P_DEFAULT);
+  if (!unwritten) {
+    EXPECT_GE(H5Dwrite(dataset, H5T_NATIVE_DOUBLE, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()), 0);
+  }
+  H5Dclose(dataset);
+  H5Pclose(links);
+  H5Pclose(plist);
+  H5Sclose(space);
+}
+
+class Hdf5 : public ::testing::Test {
+ protected:
+  std::string make(std::vector<hsize_t> shape, const std::vector<double>& values, const Kind& kind,
+                   bool unwritten = false) {
+    const std::string path = directory_ / "a.h5";
+    const hid_t file = H5Fcreate(path.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
+    add_dataset(file, "/run/points", std::move(shape), values, kind, unwritten);
+    H5Fclose(file);
+    return path + ":/run/points";
+  }
+  Directory directory_;
+};
+
+TEST_F(Hdf5, EveryKind) {
+  for (const hid_t type : {H5T_IEEE_F64LE, H5T_IEEE_F64BE, H5T_IEEE_F32LE, H5T_IEEE_F32BE}) {
+    for (const int layout : {0, 1, 2}) {
+      const std::string path = make({4, 2}, {1, 2, 3, 4, 5, 6, 7, .5}, {type, layout > 0, layout > 1});
+      const auto points = read_points(path, {});
+      ASSERT_TRUE(points.ok()) << refusal(points);
+      EXPECT_EQ(points->position, (std::vector<Column>{{1, 3, 5, 7}, {2, 4, 6, .5}}));
+      for (const int of : {2, 3, 7}) expect_same(joined(path, {}, of), *points);
+      const auto weighted = read_points(path, {0, "0"});
+      EXPECT_EQ(weighted->position, (std::vector<Column>{{2, 4, 6, .5}}));
+      EXPECT_EQ(weighted->weight, (Column{1, 3, 5, 7}));
+    }
+  }
+  const auto line = read_points(make({3}, {1, 2, 3}, {}), {});
+  ASSERT_TRUE(line.ok()) << refusal(line);
+  EXPECT_EQ(line->position, (std::vector<Column>{{1, 2, 3}}));
+  EXPECT_EQ(read_points(make({0, 3}, {}, {}), {})->count, 0U);
+  EXPECT_EQ(open_trajectory(make({3}, {1, 2, 3}, {}), {}).value()->frames(), 1U);
+}
+
+TEST_F(Hdf5, ManyRows) {
+  std::vector<double> values(3 * 200000);
+  for (std::size_t i = 0; i < values.size(); ++i) values[i] = static_cast<double>(i % 1000);
+  const std::string path = make({200000, 3}, values, {H5T_IEEE_F64LE, true, true});
+  const auto points = read_points(path, {});
+  ASSERT_TRUE(points.ok()) << refusal(points);
+  for (std::size_t i = 0; i < 200000; ++i) ASSERT_EQ(points->position[2][i], values[3 * i + 2]);
+  expect_same(joined(path, {}, 3), *points);
+}
+
+TEST_F(Hdf5, Refusals) {
+  const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
+  const auto bad = read_points(make({3, 2}, {1, 2, 3, -inf, nan, 6}, {}), {});
+  EXPECT_TRUE(has(refusal(bad), "a.h5:/run/points: -infinity at index (1, 1)")) << refusal(bad);
+  EXPECT_EQ(bad.status().code(), Code::not_finite);
+  EXPECT_TRUE(has(refusal(read_points(make({2, 2}, {1, 2, 3, -4}, {}), {0, "1"})), "weight -4"));
+  EXPECT_TRUE(has(refusal(read_points(make({1, 4}, {1, 2, 3, 4}, {}), {})), "--dims"));
+  EXPECT_TRUE(has(refusal(read_points(make({1, 1, 1}, {1}, {}), {})), "has 3 axes"));
+  EXPECT_TRUE(has(refusal(read_points(make({2, 2}, {1, 2, 3, 4}, {H5T_STD_I32LE, false, false}), {})), "not float32"));
+
+  const std::string path = make({2, 2}, {1, 2, 3, 4}, {});
+  const auto missing = read_points(directory_ / "a.h5:/run/none", {});
+  EXPECT_EQ(missing.status().code(), Code::not_found);
+  EXPECT_TRUE(has(refusal(missing), "it has /run")) << refusal(missing);
+  EXPECT_TRUE(has(refusal(read_points(directory_ / "a.h5:/run", {})), "is not a dataset"));
+  EXPECT_TRUE(has(refusal(read_points(directory_ / "a.h5", {})), "no dataset is named"));
+  EXPECT_EQ(read_points(directory_ / "none.h5:/run", {}).status().code(), Code::not_found);
+  directory_.write("text.h5", "1,2\n");
+  EXPECT_TRUE(has(refusal(read_points(directory_ / "text.h5:/run", {})), "is not an HDF5 file"));
+  EXPECT_TRUE(has(refusal(read_points(directory_ / ":/run", {})), "is a directory"));
+}
+
+TEST_F(Hdf5, ClaimsWithoutBytesAreRefused) {
+  for (const bool chunked : {false, true}) {
+    const std::string path = make({hsize_t{1} << 50U, 3}, {}, {H5T_IEEE_F64LE, chunked, chunked}, true);
+    EXPECT_TRUE(has(refusal(read_points(path, {})), "needs more bytes than the 0")) << chunked;
+  }
+  EXPECT_FALSE(read_points(make({hsize_t{1} << 62U, 4}, {}, {H5T_IEEE_F32LE, false, false}, true), {2, ""}).ok());
+}
+
+}  // namespace
+}  // namespace rcb::io

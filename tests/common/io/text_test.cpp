@@ -1,0 +1,216 @@
+// CSV, other text and XYZ: what is taken, and what each refusal says.
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include "tests/common/io/files.hpp"
+
+namespace rcb::io {
+namespace {
+
+using testing::Directory;
+using testing::expect_same;
+using testing::has;
+using testing::joined;
+using testing::refusal;
+using Column = std::vector<double>;
+
+class Text : public ::testing::Test {
+ protected:
+  Result<Points> read(std::string_view text, const ReadOptions& options = {}, std::string_view name = "points.csv") {
+    path_ = directory_.write(name, text);
+    auto points = read_points(path_, options);
+    // Any number of readers have the same rows.
+    if (points.ok()) {
+      for (const int of : {2, 3, 7, 40}) expect_same(joined(path_, options, of), *points);
+    }
+    return points;
+  }
+  Points good(std::string_view text, const ReadOptions& options = {}, std::string_view name = "points.csv") {
+    auto points = read(text, options, name);
+    EXPECT_TRUE(points.ok()) << refusal(points) << "\n" << text;
+    return points.ok() ? *points : Points{};
+  }
+  std::string bad(std::string_view text, const ReadOptions& options = {}, std::string_view name = "points.csv") {
+    const auto points = read(text, options, name);
+    EXPECT_FALSE(points.ok()) << text;
+    EXPECT_TRUE(has(refusal(points), name)) << refusal(points);
+    if (!points.ok()) {
+      EXPECT_FALSE(points.status().hint().empty()) << refusal(points);
+    }
+    return refusal(points);
+  }
+
+  Directory directory_;
+  std::string path_;
+};
+
+TEST_F(Text, EverySeparator) {
+  for (const char* text : {"1,2\n3,4\n", "1;2\n3;4\n", "1 2\n3 4\n", "1\t2\n3\t4\n", " 1 ,\t2 \n3,4",
+                           "  1   2  \n3 \t 4\n", "1,2,\n3,4,\n", "\"1\",\"2\"\n\"3\",\"4\"\n"}) {
+    const Points points = good(text);
+    ASSERT_EQ(points.dims, 2) << text;
+    EXPECT_EQ(points.position[0], (Column{1, 3})) << text;
+    EXPECT_EQ(points.position[1], (Column{2, 4})) << text;
+    EXPECT_TRUE(points.id.empty());
+  }
+}
+
+TEST_F(Text, EveryNumberSyntax) {
+  const Points points = good("-.5\n1e3\n+2\n5.\n.25\n-0\n1E-2\n1.5D+02\n1d1\n007\n1e-400\n4.9e-324\n0.1\n");
+  EXPECT_EQ(points.position[0], (Column{-.5, 1000, 2, 5, .25, 0, .01, 150, 10, 7, 0, 4.9e-324, 0.1}));
+}
+
+TEST_F(Text, ColumnsByName) {
+  Points points = good("ID,z,mass,Y,x\n7,3,9,2,1\n5,6,9,5,4\n");
+  EXPECT_EQ(points.dims, 3);
+  EXPECT_EQ(points.position, (std::vector<Column>{{1, 4}, {2, 5}, {3, 6}}));
+  EXPECT_EQ(points.id, (std::vector<std::int64_t>{7, 5}));
+  EXPECT_TRUE(points.weight.empty());
+  points = good("x,y,id\n1,2,3\n");
+  EXPECT_EQ(points.dims, 2);
+  points = good("x y name z\n1 2 abc 3\n", {2, ""});
+  EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}}));
+  points = good("x,y,comment\n1,2,\"a, b\"\n3,4,\n");
+  EXPECT_EQ(points.position, (std::vector<Column>{{1, 3}, {2, 4}}));
+  // Names, but none of an axis: the columns beside id and weights.
+  points = good("id;a;b;w\n4;1;2;3\n", {0, "W"});
+  EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_EQ(points.weight, Column{3});
+  EXPECT_EQ(points.id, std::vector<std::int64_t>{4});
+}
+
+TEST_F(Text, WeightsByNumberAndName) {
+  EXPECT_EQ(good("5,1,2\n", {0, "0"}).position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_EQ(good("5,1,2\n", {0, "0"}).weight, Column{5});
+  EXPECT_EQ(good("x,y,mass\n1,2,5\n", {0, "mass"}).weight, Column{5});
+  EXPECT_EQ(good("1,2,3,4,5\n", {2, "0"}).position, (std::vector<Column>{{2}, {3}}));
+  EXPECT_TRUE(has(bad("1,2\n", {0, "2"}), "no column '2'"));
+  EXPECT_TRUE(has(bad("x,y\n1,2\n", {0, "mass"}), "the columns are x, y"));
+  const std::string negative = bad("x,w\n1,2\n1,-2\n", {0, "w"});
+  EXPECT_TRUE(has(negative, "points.csv:3: column 2 (w): the weight -2 is negative")) << negative;
+}
+
+TEST_F(Text, CommentsBlankLinesAndForeignEnds) {
+  const Points points =
+      good("\xEF\xBB\xBF# made by hand\r\n\r\nx,y\r\n# more\r\n1,2\r\n   \r\n  # last\r\n3,4\r\n\r\n");
+  EXPECT_EQ(points.position, (std::vector<Column>{{1, 3}, {2, 4}}));
+}
+
+TEST_F(Text, NoPoints) {
+  EXPECT_EQ(good("").count, 0U);
+  EXPECT_EQ(good("").dims, 3);
+  EXPECT_EQ(good("# nothing\n\n", {2, ""}).dims, 2);
+  EXPECT_EQ(good("x,y\n").count, 0U);
+  EXPECT_EQ(good("x,y").dims, 2);
+}
+
+TEST_F(Text, DimsRule) {
+  EXPECT_EQ(good("1\n2\n").dims, 1);
+  EXPECT_EQ(good("1 2 3\n").dims, 3);
+  EXPECT_EQ(good("1 2 3 4\n", {2, ""}).position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_EQ(good("1 2 3 4\n", {0, "3"}).dims, 3);
+  EXPECT_TRUE(has(bad("1 2 3 4\n"), "--dims"));
+  EXPECT_TRUE(has(bad("1,2\n", {3, ""}), "has 2 columns of positions, 3 are asked for"));
+  EXPECT_TRUE(has(bad("x,y,z,x\n1,2,3,4\n"), "two columns are named 'x'"));
+  EXPECT_FALSE(read("1,2\n", {4, ""}).ok());
+}
+
+TEST_F(Text, RaggedRowsAreNamedByLine) {
+  EXPECT_TRUE(has(bad("x,y\n1,2\n\n# c\n3\n"), "points.csv:5: 1 column, but the file's first line has 2"));
+  EXPECT_TRUE(has(bad("1,2\n3,4,5\n"), "points.csv:2: 3 columns"));
+  EXPECT_TRUE(has(bad("1 2\n3 4 5\n"), "points.csv:2: 3 columns"));
+  EXPECT_TRUE(has(bad("1 2\n3\n"), "points.csv:2: 1 column"));
+  EXPECT_TRUE(has(bad("1,2,3\n1,2,\n"), "points.csv:2: 2 columns"));
+  EXPECT_TRUE(has(bad("1,2,3\n1,,3\n"), "points.csv:2: column 2: '' is not a number"));
+}
+
+TEST_F(Text, WhatIsNoFiniteNumberIsNamed) {
+  EXPECT_TRUE(has(bad("x,y\n1,2\n1,nan\n"), "points.csv:3: column 2 (y): 'nan' is not a finite number"));
+  EXPECT_EQ(read("1\ninf\n").status().code(), Code::not_finite);
+  EXPECT_EQ(read("1\n-Infinity\n").status().code(), Code::not_finite);
+  EXPECT_EQ(read("1\n1e999\n").status().code(), Code::not_finite);
+  EXPECT_EQ(read("nan\n1\n").status().code(), Code::not_finite);
+  EXPECT_TRUE(has(bad("1.0,2.0\n1.0,2.o\n"), "points.csv:2: column 2: '2.o' is not a number"));
+  EXPECT_TRUE(has(bad("1.0,2.o\n1.0,2.0\n"), "points.csv:1: column 2: '2.o' is not a number"));
+  EXPECT_TRUE(has(bad("1,5;2,5\n1;2\n"), "points.csv:1: column 1: '1,5' is not a number"));
+  for (const char* text : {"1\n0x10\n", "1\n1e\n", "1\n+-5\n", "1\n--5\n", "1\n.\n", "1\n-\n", "1\n1.2.3\n"}) bad(text);
+  EXPECT_TRUE(has(bad(std::string_view("1\n\x01\0\xFF\n", 6)), "\\x01\\x00\\xff"));
+}
+
+TEST_F(Text, Ids) {
+  EXPECT_EQ(good("x,id\n1,9223372036854775807\n2,0\n3,+4\n4,5.0\n5,1e3\n").id,
+            (std::vector<std::int64_t>{9223372036854775807, 0, 4, 5, 1000}));
+  EXPECT_TRUE(has(bad("x,id\n1,2\n1,-3\n"), "points.csv:3: column 2 (id): '-3' is not an id"));
+  for (const char* text :
+       {"x,id\n1,9223372036854775808\n", "x,id\n1,1.5\n", "x,id\n1,a\n", "x,id\n1,nan\n", "x,id\n1,1e18\n"}) {
+    EXPECT_TRUE(has(bad(text), "is not an id")) << text;
+  }
+  // Slices leave duplicates to the caller, so only the whole is asked here.
+  const auto twice = read_points(directory_.write("p.csv", "x,id\n1,5\n# c\n2,6\n3,5\n4,6\n"), {});
+  EXPECT_TRUE(has(refusal(twice), "p.csv:5: id 5 stands in line 2 already")) << refusal(twice);
+}
+
+TEST_F(Text, SlicesHaveTheirLineNumbersFromTheWholeFile) {
+  std::string text = "x,y\n";
+  for (int i = 0; i < 5000; ++i) text += i == 4321 ? "7,oops\n" : "1.25,2\n";
+  const std::string path = directory_.write("p.csv", text);
+  const std::string whole = refusal(read_points(path, {}));
+  EXPECT_TRUE(has(whole, "p.csv:4323: column 2 (y): 'oops'")) << whole;
+  int failures = 0;
+  for (int k = 0; k < 8; ++k) {
+    const auto slice = read_points_slice(path, {}, k, 8);
+    if (slice.ok()) continue;
+    ++failures;
+    EXPECT_EQ(refusal(slice), whole);
+  }
+  EXPECT_EQ(failures, 1);
+}
+
+TEST_F(Text, HeadAndLinesLongerThanABlock) {
+  std::string text;
+  for (int i = 0; i < 4000; ++i) text += "# a comment that makes the head of this file long, line after line\n";
+  text += "x,name\n1," + std::string(300000, 'a') + "\n2,b\n3,c\n";
+  EXPECT_EQ(good(text).position[0], (Column{1, 2, 3}));
+}
+
+TEST_F(Text, Xyz) {
+  const char* atoms = "3\na comment\nAr 1 2 3\nAr 4 5 6\nHe 7 8 9\n";
+  for (const char* name : {"a.xyz", "a.txt", "a"}) {
+    const Points points = good(atoms, {}, name);
+    EXPECT_EQ(points.position, (std::vector<Column>{{1, 4, 7}, {2, 5, 8}, {3, 6, 9}}));
+  }
+  EXPECT_EQ(good("2\n\n18 1 2 3\n18 4 5 6", {2, ""}, "a.xyz").position, (std::vector<Column>{{1, 4}, {2, 5}}));
+  EXPECT_EQ(good("1\n\n1 2 3\n", {}, "a.xyz").position, (std::vector<Column>{{1}, {2}, {3}}));
+  EXPECT_EQ(good("1\n\nH 1 2 3 0.5 0.5 0.5\n", {}, "a.xyz").dims, 3);
+  EXPECT_EQ(good("0\n\n", {}, "a.xyz").count, 0U);
+  EXPECT_EQ(good("0", {}, "a.xyz").count, 0U);
+  const Points extended = good(
+      "2\nLattice=\"1 0 0\" Properties=id:I:1:species:S:1:vel:R:3:pos:R:3:q:R:1 t=0\n"
+      "8 H 9 9 9 1 2 3 0.5\n6 H 9 9 9 4 5 6 0.25\n",
+      {0, "q"}, "a.xyz");
+  EXPECT_EQ(extended.position, (std::vector<Column>{{1, 4}, {2, 5}, {3, 6}}));
+  EXPECT_EQ(extended.id, (std::vector<std::int64_t>{8, 6}));
+  EXPECT_EQ(extended.weight, (Column{.5, .25}));
+  // A cloud of points that is only named so, and one column of numbers that begins with a whole one.
+  EXPECT_EQ(good("1 2 3\n4 5 6\n", {}, "cloud.xyz").count, 2U);
+  EXPECT_EQ(good("2\n3\n4\n", {}, "column.txt").position, (std::vector<Column>{{2, 3, 4}}));
+}
+
+TEST_F(Text, XyzThatIsCutOrHasSeveralFrames) {
+  EXPECT_TRUE(has(bad("3\nc\nAr 1 2 3\nAr 4 5 6\n", {}, "a.xyz"), "says 3 rows, it has 2"));
+  EXPECT_TRUE(has(bad("1\nc\nAr 1 2 3\n1\nc\nAr 4 5 6\n", {}, "a.xyz"), "a.xyz:4: more rows than the 1"));
+  EXPECT_TRUE(has(bad("99999999999999\nc\nAr 1 2 3\n", {}, "a.xyz"), "it has 1"));
+  EXPECT_TRUE(has(bad("2\nc\nAr 1 2 3\nAr 1 x 3\n", {}, "a.xyz"), "a.xyz:4: column 3 (y): 'x' is not a number"));
+}
+
+TEST_F(Text, FilesThatAreNoFiles) {
+  EXPECT_EQ(read_points(directory_ / "none.csv", {}).status().code(), Code::not_found);
+  const auto directory = read_points(directory_ / "", {});
+  EXPECT_TRUE(has(refusal(directory), "is a directory"));
+  const std::string fifo = directory_ / "fifo.csv";
+  ASSERT_EQ(::mkfifo(fifo.c_str(), 0600), 0);
+  EXPECT_TRUE(has(refusal(read_points(fifo, {})), "is not a regular file"));
+}
+
+}  // namespace
+}  // namespace rcb::io

@@ -1,0 +1,109 @@
+// What is written is read back bit for bit; a file appears whole or not at all.
+#include <array>
+#include <limits>
+
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include "common/base/random.hpp"
+#include "tests/common/io/files.hpp"
+
+namespace rcb::io {
+namespace {
+
+using testing::contents;
+using testing::Directory;
+using testing::has;
+using testing::refusal;
+using Column = std::vector<double>;
+
+TEST(Write, CsvComesBackBitForBit) {
+  const Directory directory;
+  Random random(11);
+  Column x, y, z, weight;
+  std::vector<std::int64_t> id;
+  for (int i = 0; i < 40000; ++i) {
+    // Doubles of every exponent.
+    double value = 0;
+    do {
+      const std::uint64_t bits = random.next();
+      std::memcpy(&value, &bits, sizeof value);
+    } while (!(value - value == 0));
+    x.push_back(value);
+    y.push_back(random.uniform(-1, 1));
+    z.push_back(static_cast<double>(i));
+    weight.push_back(random.uniform());
+    id.push_back(std::numeric_limits<std::int64_t>::max() - i);
+  }
+  const std::array<const double*, 3> axes{x.data(), y.data(), z.data()};
+  const std::string path = directory / "p.csv";
+  ASSERT_TRUE(write_csv(path, 3, axes, x.size(), id.data(), weight.data()).ok());
+  EXPECT_EQ(contents(path).substr(0, 16), "x,y,z,id,weight\n");
+  const auto points = read_points(path, {0, "weight"});
+  ASSERT_TRUE(points.ok()) << refusal(points);
+  EXPECT_EQ(points->position, (std::vector<Column>{x, y, z}));
+  EXPECT_EQ(points->id, id);
+  EXPECT_EQ(points->weight, weight);
+  EXPECT_EQ(directory.file_count(), 1U);
+
+  ASSERT_TRUE(write_csv(path, 1, axes, 2, nullptr, nullptr).ok());
+  EXPECT_EQ(contents(path).substr(0, 2), "x\n");
+  EXPECT_EQ(read_points(path, {})->count, 2U);
+  ASSERT_TRUE(write_csv(path, 2, axes, 0, id.data(), nullptr).ok());
+  EXPECT_EQ(contents(path), "x,y,id\n");
+}
+
+TEST(Write, NpyIsTheBytesNumpyWrites) {
+  const Directory directory;
+  const std::vector<std::int32_t> part{1, -1};
+  ASSERT_TRUE(write_npy(directory / "p.npy", part).ok());
+  std::string expected = std::string("\x93NUMPY\x01\x00\x76\x00", 10);
+  expected += "{'descr': '<i4', 'fortran_order': False, 'shape': (2,), }";
+  expected += std::string(128 - expected.size() - 1, ' ') + "\n" + std::string("\x01\0\0\0\xFF\xFF\xFF\xFF", 8);
+  EXPECT_EQ(contents(directory / "p.npy"), expected);
+  const std::vector<std::int64_t> id{7};
+  ASSERT_TRUE(write_npy(directory / "i.npy", id).ok());
+  EXPECT_TRUE(has(contents(directory / "i.npy"), "'<i8'"));
+  const std::vector<double> values{1, 2, 3, 4, 5, 6};
+  ASSERT_TRUE(write_npy(directory / "d.npy", values, {3, 2}).ok());
+  EXPECT_EQ(read_points(directory / "d.npy", {})->position, (std::vector<Column>{{1, 3, 5}, {2, 4, 6}}));
+}
+
+TEST(Write, TrajectoryAppearsAtItsEnd) {
+  const Directory directory;
+  const std::string path = directory / "t.npy";
+  auto writer = TrajectoryWriter::create(path, 2, 2);
+  ASSERT_TRUE(writer.ok());
+  for (int step = 0; step < 3; ++step) {
+    const double s = step;
+    ASSERT_TRUE(writer.value()->append(std::vector<double>{s, s + 1, s + 2, s + 3}).ok());
+  }
+  EXPECT_FALSE(std::filesystem::exists(path));
+  ASSERT_TRUE(writer.value()->close().ok());
+  const auto reader = open_trajectory(path, {});
+  ASSERT_TRUE(reader.ok()) << refusal(reader);
+  EXPECT_EQ(reader.value()->frames(), 3U);
+  EXPECT_EQ(reader.value()->frame(2)->position, (std::vector<Column>{{2, 4}, {3, 5}}));
+  EXPECT_EQ(directory.file_count(), 1U);
+  { auto given_up = TrajectoryWriter::create(directory / "u.npy", 2, 2); }
+  EXPECT_EQ(directory.file_count(), 1U);
+}
+
+TEST(Write, Refusals) {
+  const Directory directory;
+  const std::vector<double> values{1};
+  EXPECT_TRUE(has(refusal(write_npy(directory / "none/p.npy", values, {1})), "can't be written"));
+  EXPECT_TRUE(has(refusal(write_npy(directory / "", values, {1})), "is a directory"));
+  EXPECT_TRUE(has(refusal(write_npy("/dev/full", values, {1})), "No space left"));
+  EXPECT_FALSE(TrajectoryWriter::create("/dev/full", 1, 1).ok());
+  // A name that is a link is written through, and what was no regular file stays what it was.
+  std::filesystem::create_symlink(directory.write("real.npy", "old"), directory / "link.npy");
+  ASSERT_TRUE(write_npy(directory / "link.npy", values, {1}).ok());
+  EXPECT_TRUE(std::filesystem::is_symlink(directory / "link.npy"));
+  EXPECT_EQ(read_points(directory / "real.npy", {})->count, 1U);
+  ASSERT_TRUE(write_npy("/dev/null", values, {1}).ok());
+  EXPECT_FALSE(std::filesystem::is_regular_file("/dev/null"));
+}
+
+}  // namespace
+}  // namespace rcb::io
