@@ -8,6 +8,7 @@ find_package(CLI11 REQUIRED)
 find_package(fmt REQUIRED)
 find_package(spdlog REQUIRED)
 find_package(HDF5 REQUIRED COMPONENTS C)
+find_package(ZLIB REQUIRED)  # comes with HDF5, whose deflated chunks are checked with it
 
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
 find_library(RCB_XXHASH_LIBRARY xxhash REQUIRED)
@@ -25,4 +26,4 @@ target_compile_definitions(rcb_boost INTERFACE BOOST_ASIO_NO_DEPRECATED)
 
 add_library(rcb_hdf5 INTERFACE)
 target_include_directories(rcb_hdf5 SYSTEM INTERFACE ${HDF5_C_INCLUDE_DIRS})
-target_link_libraries(rcb_hdf5 INTERFACE ${HDF5_C_LIBRARIES})
+target_link_libraries(rcb_hdf5 INTERFACE ${HDF5_C_LIBRARIES} ZLIB::ZLIB)

@@ -12,6 +12,7 @@
 #include "common/base/buffer.hpp"
 #include "common/base/wide.hpp"
 #include "common/io/columns.hpp"
+#include "common/io/hdf5_chunks.hpp"
 #include "common/io/input_file.hpp"
 
 namespace rcb::io {
@@ -65,6 +66,7 @@ struct Shape {
   std::uint64_t rows = 0;
   std::uint64_t width = 1;
   int axes = 1;
+  std::uint64_t begin = 0, end = 0;  // the share's rows
 };
 
 Status refused(const std::string& where, std::string what, std::string hint) {
@@ -75,7 +77,7 @@ Status broken(const std::string& where) {
   return Status(Code::io_error, where + ": can't be read; the HDF5 file is damaged", "write it again");
 }
 
-Result<Shape> shape_of(const std::string& where, hid_t dataset) {
+Result<Shape> shape_of(const std::string& where, hid_t dataset, int k, int of) {
   const Handle space(H5Dget_space(dataset), H5Sclose);
   const int axes = space.ok() ? H5Sget_simple_extent_ndims(space.id()) : -1;
   if (axes < 0) return broken(where);
@@ -84,7 +86,8 @@ Result<Shape> shape_of(const std::string& where, hid_t dataset) {
   }
   std::array<hsize_t, 2> length{0, 1};
   if (H5Sget_simple_extent_dims(space.id(), length.data(), nullptr) != axes) return broken(where);
-  return Shape{length[0], axes == 2 ? length[1] : 1, axes};
+  return Shape{length[0], axes == 2 ? length[1] : 1, axes, share_begin(length[0], k, of),
+               share_begin(length[0], k + 1, of)};
 }
 
 // That the file's own bytes bear out what its headers claim.
@@ -108,19 +111,17 @@ Status check_storage(const std::string& where, hid_t dataset, const Shape& shape
                                shape.width, static_cast<std::uint64_t>(stored)),
                    "the dataset was never fully written, or the file is damaged");
   }
-  if (layout == H5D_CHUNKED) {
-    std::array<hsize_t, 2> chunk{1, 1};
-    if (H5Pget_chunk(plist.id(), 2, chunk.data()) != shape.axes) return broken(where);
-    const u128 chunk_numbers = static_cast<u128>(chunk[0]) * (shape.axes == 2 ? chunk[1] : 1);
-    if (chunk_numbers > (static_cast<u128>(file_bytes) * kShrinkMax + (1U << 20U)) / type_bytes) {
-      return refused(where, "its chunks are larger than the file supports", "write it again with smaller chunks");
-    }
+  if (layout != H5D_CHUNKED || shape.rows == 0) return {};
+  ChunkGrid grid{shape.axes, {shape.rows, shape.width}, {1, 1}, type_bytes, file_bytes};
+  if (H5Pget_chunk(plist.id(), 2, grid.chunk.data()) != shape.axes) return broken(where);
+  const u128 chunk_numbers = static_cast<u128>(grid.chunk[0]) * grid.chunk[1];
+  if (chunk_numbers == 0 || chunk_numbers > (static_cast<u128>(file_bytes) * kShrinkMax + (1U << 20U)) / type_bytes) {
+    return refused(where, "its chunks are larger than the file supports", "write it again with smaller chunks");
   }
-  return {};
+  return check_chunks(where, dataset, plist.id(), grid, shape.begin, shape.end);
 }
 
-Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, const Columns& columns,
-                 std::uint64_t begin, Points& points) {
+Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, const Columns& columns, Points& points) {
   const auto width = static_cast<std::size_t>(shape.width);
   const std::size_t step = std::max<std::size_t>(1, kBlockBytes / (width * sizeof(double)));
   Buffer<double> block;
@@ -128,7 +129,7 @@ Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, co
     const std::size_t rows = std::min(step, points.count - done);
     if (!block.try_reserve(rows * width)) return Status(Code::too_large, where + ": no memory for one of its rows");
     block.resize(rows * width);
-    const std::array<hsize_t, 2> start{begin + done, 0}, count{rows, shape.width};
+    const std::array<hsize_t, 2> start{shape.begin + done, 0}, count{rows, shape.width};
     const Handle from(H5Dget_space(dataset), H5Sclose);
     const Handle to(H5Screate_simple(shape.axes, count.data(), nullptr), H5Sclose);
     if (!from.ok() || !to.ok() ||
@@ -140,7 +141,7 @@ Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, co
     const auto bad =
         store_rows({bytes, width * sizeof(double), sizeof(double), NumberType{}}, rows, columns, done, points);
     if (!bad) continue;
-    const std::uint64_t row = begin + done + bad->row;
+    const std::uint64_t row = shape.begin + done + bad->row;
     const std::string index = shape.axes == 1 ? fmt::format("({},)", row) : fmt::format("({}, {})", row, bad->column);
     const bool negative = bad->value < 0 && describe(bad->value).find("infinity") == std::string::npos;
     return Status(
@@ -187,7 +188,7 @@ Result<Points> read_hdf5(const std::string& file, const std::string& dataset, co
   const Handle type(H5Dget_type(object.id()), H5Tclose);
   const std::size_t type_bytes = type.ok() ? ieee_bytes(type.id()) : 0;
   if (type_bytes == 0) return refused(where, "its type is not float32 or float64", "write it as float64");
-  const auto shape = shape_of(where, object.id());
+  const auto shape = shape_of(where, object.id(), k, of);
   if (!shape.ok()) return shape.status();
   if (const Status storage = check_storage(where, object.id(), *shape, type_bytes, plain->size()); !storage.ok()) {
     return storage;
@@ -196,9 +197,8 @@ Result<Points> read_hdf5(const std::string& file, const std::string& dataset, co
   const std::size_t width = static_cast<std::size_t>(std::min<std::uint64_t>(shape->width, plain->size()));
   const auto columns = choose_columns(where, options, {}, width);
   if (!columns.ok()) return columns.status();
-  const std::uint64_t begin = share_begin(shape->rows, k, of);
-  Points points = make_points(*columns, static_cast<std::size_t>(share_begin(shape->rows, k + 1, of) - begin));
-  const Status read = read_rows(where, object.id(), *shape, *columns, begin, points);
+  Points points = make_points(*columns, static_cast<std::size_t>(shape->end - shape->begin));
+  const Status read = read_rows(where, object.id(), *shape, *columns, points);
   if (!read.ok()) return read;
   return points;
 }

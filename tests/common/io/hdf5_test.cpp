@@ -118,5 +118,30 @@ TEST_F(Hdf5, ClaimsWithoutBytesAreRefused) {
   EXPECT_FALSE(read_points(make({hsize_t{1} << 62U, 4}, {}, {H5T_IEEE_F32LE, false, false}, true), {2, ""}).ok());
 }
 
+TEST_F(Hdf5, ChunksThatUnpackToTooLittleAreRefused) {
+  // A chunk stored as is, though its shape needs more bytes: as a damaged index makes it.
+  const std::string path = directory_ / "a.h5";
+  for (const bool good : {true, false}) {
+    const hid_t file = H5Fcreate(path.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
+    const hsize_t shape[2] = {4, 2}, offset[2] = {0, 0};
+    const hid_t space = H5Screate_simple(2, shape, nullptr), plist = H5Pcreate(H5P_DATASET_CREATE);
+    H5Pset_chunk(plist, 2, shape);
+    H5Pset_shuffle(plist);
+    H5Pset_deflate(plist, 6);
+    H5Pset_fletcher32(plist);
+    const hid_t dataset = H5Dcreate2(file, "p", H5T_IEEE_F64LE, space, H5P_DEFAULT, plist, H5P_DEFAULT);
+    const std::vector<double> values(8, 1.5);
+    H5Dwrite(dataset, H5T_NATIVE_DOUBLE, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data());
+    EXPECT_TRUE(good || H5Dwrite_chunk(dataset, H5P_DEFAULT, 7, offset, 24, values.data()) >= 0);
+    H5Dclose(dataset);
+    H5Pclose(plist);
+    H5Sclose(space);
+    H5Fclose(file);
+    const auto points = read_points(path + ":/p", {});
+    EXPECT_EQ(points.ok(), good) << refusal(points);
+    EXPECT_EQ(has(refusal(points), "one of its chunks is damaged"), !good) << refusal(points);
+  }
+}
+
 }  // namespace
 }  // namespace rcb::io
