@@ -27,7 +27,7 @@ std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   ranks::EngineOrder out;
   out.number = ++number_;
-  doorbells_.ring(out.number, wire::dump_json(order.request));
+  doorbells_.ring(out.number, order.text);
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;
   out.deadline_seconds = order.deadline_seconds;

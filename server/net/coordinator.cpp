@@ -27,18 +27,24 @@ void Coordinator::leave(Session* session) {
 }
 
 Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions order) {
-  if (shutting_down_) {
+  std::string text = wire::dump_json(request);
+  Status refused;
+  if (shutting_down_)
+    refused = Status(Code::unavailable, "the service is shutting down");
+  else if (orders_unfinished_ >= options_.orders_max)
+    refused =
+        Status(Code::busy, fmt::format("{} commands are unfinished", orders_unfinished_), "try again in a moment");
+  else if (text.size() > wire::kJsonBytesMax)  // 1e9 grows to 1000000000.0
+    refused = Status(Code::too_large, fmt::format("the command has {} bytes, written out in full", text.size()));
+  if (!refused.ok()) {
     staged_bytes_ -= order.staged_bytes;
-    return Status(Code::unavailable, "the service is shutting down");
-  }
-  if (orders_unfinished_ >= options_.orders_max) {
-    staged_bytes_ -= order.staged_bytes;
-    return Status(Code::busy, fmt::format("{} commands are unfinished", orders_unfinished_), "try again in a moment");
+    return refused;
   }
   ++orders_unfinished_;
   if (!order.changes.empty()) ++gate(order.changes).changes_unfinished;
   auto pending = std::make_shared<Pending>(context_);
-  Order out{std::move(request), std::move(order.slices), order.received_seconds, order.deadline_seconds};
+  Order out{std::move(request), std::move(text), std::move(order.slices), order.received_seconds,
+            order.deadline_seconds};
   order.slices.clear();
   auto done = [self = shared_from_this(), order = std::move(order), pending](Answer answer) mutable {
     // A function object must be copyable, and moved work must not be: hence the shared answer.
@@ -190,6 +196,7 @@ void Coordinator::shut_down(const std::string& why, std::function<void()> told) 
   for (const auto& push : open) give_up(push, {Code::aborted, "the service is shutting down"});
   Order order;
   order.request = {{"command", "shutdown"}};
+  order.text = wire::dump_json(order.request);
   engine_.submit(std::move(order), [self = shared_from_this()](const Answer&) {
     asio::post(self->context_, [self] { self->say_goodbye(); });
   });

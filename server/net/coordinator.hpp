@@ -83,7 +83,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Gives up the session's pushes.
   void leave(Session* session);
 
-  // Errors: busy.
+  // Errors: busy, too_large, unavailable.
   Result<std::shared_ptr<Pending>> order(wire::Json request, OrderOptions order);
 
   // Gates stay where they are while anyone waits in them.

@@ -46,6 +46,7 @@ struct Snapshot {
 
 struct Order {
   wire::Json request;  // "command" and its arguments
+  std::string text;    // the same, at most kJsonBytesMax bytes
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;

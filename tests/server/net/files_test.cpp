@@ -1,0 +1,138 @@
+// What lies in the file system: socket, lock, token, marker.
+#include <filesystem>
+#include <fstream>
+
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include "common/base/paths.hpp"
+#include "server/net/data_directory.hpp"
+#include "tests/server/net/harness.hpp"
+
+namespace rcb::net::testing {
+namespace {
+
+namespace fs = std::filesystem;
+
+unsigned mode_of(const std::string& path) {
+  struct stat info {};
+  EXPECT_EQ(::lstat(path.c_str(), &info), 0) << path;
+  return info.st_mode & 0777U;
+}
+
+struct Listener {
+  FakeEngine engine;
+  IoLoop loop;
+  Control control{loop, TestService::defaults(), engine};
+};
+
+TEST(Socket, IsPrivateAndGoesWithItsService) {
+  const Directory directory;
+  {
+    Listener one;
+    ASSERT_TRUE(one.control.listen_unix(directory.file("s")).ok());
+    EXPECT_EQ(mode_of(directory.file("s")), 0600U);
+  }
+  EXPECT_FALSE(fs::exists(directory.file("s")));
+}
+
+TEST(Socket, ALiveOneIsRefusedAStaleOneReplaced) {
+  const Directory directory;
+  const std::string path = directory.file("s");
+  {
+    Listener one;
+    ASSERT_TRUE(one.control.listen_unix(path).ok());
+    Listener two;
+    const Status refused = two.control.listen_unix(path);
+    EXPECT_EQ(refused.code(), Code::busy);
+    EXPECT_NE(refused.message().find(path), std::string::npos);
+    fs::create_hard_link(path, directory.file("stale"));  // outlives its listener
+  }
+  Listener three;
+  EXPECT_TRUE(three.control.listen_unix(directory.file("stale")).ok());
+}
+
+TEST(Socket, WhatIsNoSocketStays) {
+  const Directory directory;
+  std::ofstream(directory.file("s")) << "precious";
+  Listener one;
+  EXPECT_EQ(one.control.listen_unix(directory.file("s")).code(), Code::io_error);
+  EXPECT_EQ(fs::file_size(directory.file("s")), 8U);
+  EXPECT_EQ(one.control.listen_unix(directory.file("no/s")).code(), Code::io_error);
+}
+
+TEST(Socket, ALongPathIsRefusedWithItsLimit) {
+  Listener one;
+  const Status refused = one.control.listen_unix("/tmp/" + std::string(kSocketPathMax, 'x'));
+  EXPECT_EQ(refused.code(), Code::invalid_argument);
+  EXPECT_NE(refused.message().find("107"), std::string::npos);
+}
+
+TEST(Socket, TcpAddressesAreChecked) {
+  Listener one;
+  for (const char* wrong : {"", "7470", "host", "127.0.0.1:", "127.0.0.1:70000", "127.0.0.1:7x", ":7470"})
+    EXPECT_EQ(one.control.listen_tcp(wrong).status().code(), Code::invalid_argument) << wrong;
+  const auto bound = one.control.listen_tcp("127.0.0.1:0");
+  ASSERT_TRUE(bound.ok());
+  Listener two;
+  EXPECT_EQ(two.control.listen_tcp(*bound).status().code(), Code::busy);
+}
+
+TEST(DataDirectory, HasOneServiceAtATime) {
+  const Directory directory;
+  auto first = DataDirectory::open(directory.path(), true, "rcbd at unix:/somewhere");
+  ASSERT_TRUE(first.ok());
+  const auto second = DataDirectory::open(directory.path(), true, "rcbd at elsewhere");
+  EXPECT_EQ(second.status().code(), Code::busy);
+  EXPECT_NE(second.status().message().find("unix:/somewhere"), std::string::npos) << second.status().message();
+  { const DataDirectory gone = std::move(*first); }
+  EXPECT_TRUE(DataDirectory::open(directory.path(), true, "rcbd").ok());
+}
+
+TEST(DataDirectory, MarkerStandsOnlyAfterACleanEnd) {
+  const Directory directory;
+  const std::string marker = directory.file(std::string(kCleanShutdownFile));
+  {
+    const auto data = DataDirectory::open(directory.path(), true, "rcbd");
+    ASSERT_TRUE(data.ok());
+    EXPECT_TRUE(data->leave_clean_marker().ok());
+    EXPECT_TRUE(fs::exists(marker));
+  }
+  const auto data = DataDirectory::open(directory.path(), true, "rcbd");
+  EXPECT_FALSE(fs::exists(marker));
+}
+
+TEST(DataDirectory, TokenIsPrivateAndLasts) {
+  const Directory directory;
+  const auto data = DataDirectory::open(directory.path(), true, "rcbd");
+  ASSERT_TRUE(data.ok());
+  const auto token = data->token();
+  ASSERT_TRUE(token.ok());
+  EXPECT_EQ(token->size(), 64U);
+  const std::string file = directory.file(std::string(kTokenFile));
+  EXPECT_EQ(mode_of(file), 0600U);
+  EXPECT_EQ(*data->token(), *token);
+  ASSERT_EQ(::chmod(file.c_str(), 0644), 0);  // others may have read it
+  const auto fresh = data->token();
+  ASSERT_TRUE(fresh.ok());
+  EXPECT_NE(*fresh, *token);
+  EXPECT_EQ(mode_of(file), 0600U);
+}
+
+TEST(DataDirectory, IsMadePrivateUnlessTheUserNamedIt) {
+  const Directory directory;
+  ASSERT_TRUE(DataDirectory::open(directory.file("a/b"), false, "rcbd").ok());
+  EXPECT_EQ(mode_of(directory.file("a/b")), 0700U);
+  fs::create_symlink(directory.path(), directory.file("link"));
+  EXPECT_FALSE(DataDirectory::open(directory.file("link"), false, "rcbd").ok());
+  EXPECT_TRUE(DataDirectory::open(directory.file("link"), true, "rcbd").ok());
+}
+
+TEST(Secrets, AreComparedWhole) {
+  EXPECT_TRUE(same_secret("abc", "abc"));
+  for (const char* other : {"", "ab", "abd", "xbc", "abcd"}) EXPECT_FALSE(same_secret("abc", other)) << other;
+  EXPECT_NE(random_hex(32), random_hex(32));
+}
+
+}  // namespace
+}  // namespace rcb::net::testing

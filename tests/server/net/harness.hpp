@@ -1,0 +1,121 @@
+// A service without MPI: the real sockets, sessions and coordinator over an engine that is a function, and a client
+// that is written against PROTOCOL.md with bare system calls.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/wire/frame.hpp"
+#include "common/wire/message.hpp"
+#include "server/net/control.hpp"
+
+namespace rcb::net::testing {
+
+// Executes orders one by one on its own thread. Knows scene.create, scene.drop, push and "numbers" (an answer with
+// `count` doubles); anything else is answered with {"echo": command}.
+class FakeEngine final : public Engine {
+ public:
+  FakeEngine();
+  ~FakeEngine() override;
+  void submit(Order order, std::function<void(Answer)> done) override;
+
+  // While held, orders pile up.
+  void hold();
+  void release();
+  // Commands executed so far, "push step 3" with its step.
+  std::vector<std::string> executed() const;
+  // The slices of the last push.
+  std::vector<Slice> slices() const;
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+struct Received {
+  wire::FrameType type = wire::FrameType::goodbye;
+  std::uint64_t request = 0;
+  wire::Json json;
+  std::string bulk;
+  bool ended = false;  // the connection ended instead
+
+  std::string code() const;  // of a failure, else ""
+  std::string message() const;
+  std::string hint() const;
+};
+
+class Client {
+ public:
+  Client() = default;
+  Client(Client&& other) noexcept;
+  Client& operator=(Client&& other) noexcept;
+  ~Client();
+  static Client on_unix(const std::string& path);
+  static Client on_tcp(const std::string& address);
+
+  void send_bytes(const std::string& bytes);  // a connection that is gone is no fault
+  std::uint64_t send(wire::FrameType type, wire::Json json, const std::string& bulk = {}, bool checked = false);
+  std::uint64_t request(const std::string& command, wire::Json arguments = wire::Json::object());
+  // The next frame; the test fails where none comes within 20 s.
+  Received receive();
+  Received receive_but_notices();
+  Received call(const std::string& command, wire::Json arguments = wire::Json::object());
+  // Reads the welcome and says hello; gives the answer.
+  Received hello(const std::string& name, const std::string& session, const std::string& token = {});
+  void begin(const std::string& session, std::int64_t step, std::uint64_t n, wire::Json more = wire::Json::object());
+  // Axis values are rank + i, of `dims` axes; the bulk as it was sent.
+  std::string slice(const std::string& session, std::int64_t step, std::uint64_t count, int rank = 0,
+                    wire::Json more = wire::Json::object(), bool checked = false);
+  void close();
+
+ private:
+  explicit Client(int socket) : socket_(socket) {}
+  bool read(char* into, std::size_t bytes);
+  int socket_ = -1;
+  std::uint64_t next_ = 1;
+};
+
+// A frame as bytes.
+std::string frame(wire::FrameType type, std::uint64_t request, const std::string& json, const std::string& bulk = {},
+                  bool checked = false);
+
+// A new private directory, removed at the end.
+class Directory {
+ public:
+  Directory();
+  ~Directory();
+  Directory(const Directory&) = delete;
+  Directory& operator=(const Directory&) = delete;
+  std::string file(const std::string& name) const { return path_ + "/" + name; }
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+class TestService {
+ public:
+  explicit TestService(ControlOptions options = defaults());
+  ~TestService();
+  static ControlOptions defaults();
+
+  Client connect() { return Client::on_unix(path()); }
+  // Said hello.
+  Client client(const std::string& name, const std::string& session = "00000000000000aa");
+  std::string path() const { return directory_.file("s"); }
+  const std::string& tcp() const { return tcp_; }
+  FakeEngine& engine() { return engine_; }
+  Control& control() { return *control_; }
+
+ private:
+  Directory directory_;
+  FakeEngine engine_;
+  IoLoop loop_;
+  std::unique_ptr<Control> control_;
+  std::string tcp_;
+};
+
+}  // namespace rcb::net::testing

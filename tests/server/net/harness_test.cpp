@@ -1,0 +1,323 @@
+// The harness's own code (a part of this program, since programs are built from *_test.cpp).
+#include "tests/server/net/harness.hpp"
+
+#include <condition_variable>
+#include <cstdlib>
+#include <cstring>
+#include <deque>
+#include <filesystem>
+#include <mutex>
+#include <thread>
+#include <utility>
+
+#include <arpa/inet.h>
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+namespace rcb::net::testing {
+
+using wire::FrameType;
+using wire::Json;
+
+struct FakeEngine::State {
+  struct Work {
+    Order order;
+    std::function<void(Answer)> done;
+  };
+  mutable std::mutex mutex;
+  std::condition_variable changed;
+  std::deque<Work> queue;
+  bool held = false;
+  bool ended = false;
+  std::vector<std::string> executed;
+  std::vector<Slice> slices;
+  Snapshot snapshot;
+  std::thread thread;
+
+  Answer execute(Order& order) {
+    const std::string command = order.request.value("command", "");
+    const std::string scene = order.request.value("scene", "");
+    Answer answer;
+    answer.json = {{"echo", command}};
+    executed.push_back(command);
+    if (command == "scene.create") {
+      snapshot.scenes[scene] = {.dims = order.request.value("dims", 3)};
+    } else if (command == "scene.drop" || command == "scene.show") {
+      if (!snapshot.scenes.contains(scene)) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
+      if (command == "scene.drop") snapshot.scenes.erase(scene);
+    } else if (command == "push") {
+      const auto step = order.request.value("step", std::int64_t{-1});
+      executed.back() += fmt::format(" step {}", step);
+      SceneInfo& info = snapshot.scenes[scene];
+      info.n = order.request.value("n", std::uint64_t{0});
+      info.step = step;
+      info.step_session = order.request.value("session", "");
+      info.plan_version = 1;
+      ++snapshot.steps;
+      slices = std::move(order.slices);
+      answer.json = {{"report", {{"step", step}}}};
+    } else if (command == "numbers") {
+      const auto count = order.request.value("count", std::uint64_t{0});
+      Buffer<std::byte> bytes(count * 8);
+      std::memset(bytes.data(), 0, bytes.size());
+      answer.arrays.push_back({"x", "<f8", {count}, std::move(bytes)});
+    }
+    answer.snapshot = std::make_shared<Snapshot>(snapshot);
+    return answer;
+  }
+
+  void run() {
+    std::unique_lock lock(mutex);
+    while (true) {
+      changed.wait(lock, [&] { return ended || (!queue.empty() && !held); });
+      if (ended) return;
+      Work work = std::move(queue.front());
+      queue.pop_front();
+      Answer answer = execute(work.order);
+      lock.unlock();
+      work.done(std::move(answer));
+      lock.lock();
+    }
+  }
+};
+
+FakeEngine::FakeEngine() : state_(std::make_unique<State>()) {
+  state_->thread = std::thread([this] { state_->run(); });
+}
+
+FakeEngine::~FakeEngine() {
+  {
+    const std::lock_guard lock(state_->mutex);
+    state_->ended = true;
+  }
+  state_->changed.notify_all();
+  state_->thread.join();
+}
+
+void FakeEngine::submit(Order order, std::function<void(Answer)> done) {
+  const std::lock_guard lock(state_->mutex);
+  state_->queue.push_back({std::move(order), std::move(done)});
+  state_->changed.notify_all();
+}
+
+void FakeEngine::hold() {
+  const std::lock_guard lock(state_->mutex);
+  state_->held = true;
+}
+
+void FakeEngine::release() {
+  const std::lock_guard lock(state_->mutex);
+  state_->held = false;
+  state_->changed.notify_all();
+}
+
+std::vector<std::string> FakeEngine::executed() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->executed;
+}
+
+std::vector<Slice> FakeEngine::slices() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->slices;
+}
+
+namespace {
+std::string in_failure(const Json& json, const char* name) {
+  return json.contains("failure") ? json["failure"].value(name, "") : "";
+}
+}  // namespace
+
+std::string Received::code() const { return in_failure(json, "code"); }
+std::string Received::message() const { return in_failure(json, "message"); }
+std::string Received::hint() const { return in_failure(json, "hint"); }
+
+Client::Client(Client&& other) noexcept : socket_(std::exchange(other.socket_, -1)), next_(other.next_) {}
+
+Client& Client::operator=(Client&& other) noexcept {
+  std::swap(socket_, other.socket_);
+  std::swap(next_, other.next_);
+  return *this;
+}
+
+Client::~Client() { close(); }
+
+void Client::close() {
+  if (socket_ >= 0) ::close(std::exchange(socket_, -1));
+}
+
+Client Client::on_unix(const std::string& path) {
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::strncpy(address.sun_path, path.c_str(), sizeof(address.sun_path) - 1);
+  Client client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  EXPECT_EQ(::connect(client.socket_, reinterpret_cast<sockaddr*>(&address), sizeof(address)), 0) << path;
+  return client;
+}
+
+Client Client::on_tcp(const std::string& where) {
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(where.substr(where.rfind(':') + 1))));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  Client client(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  EXPECT_EQ(::connect(client.socket_, reinterpret_cast<sockaddr*>(&address), sizeof(address)), 0) << where;
+  return client;
+}
+
+void Client::send_bytes(const std::string& bytes) {
+  std::size_t sent = 0;
+  while (sent < bytes.size()) {
+    const ssize_t count = ::send(socket_, bytes.data() + sent, bytes.size() - sent, MSG_NOSIGNAL);
+    if (count <= 0) return;
+    sent += static_cast<std::size_t>(count);
+  }
+}
+
+std::string frame(FrameType type, std::uint64_t request, const std::string& json, const std::string& bulk,
+                  bool checked) {
+  wire::FrameHeader header;
+  header.type = type;
+  header.request = request;
+  header.bulk_bytes = bulk.size();
+  header.flags = checked ? wire::kFlagBulkChecksum : 0;
+  std::string bytes = wire::encode_frame(header, json) + bulk;
+  if (!checked) return bytes;
+  wire::BulkChecksum sum;
+  sum.add(std::as_bytes(std::span(bulk)));
+  const auto tail = wire::BulkChecksum::encode(sum.value());
+  bytes.append(reinterpret_cast<const char*>(tail.data()), tail.size());
+  return bytes;
+}
+
+std::uint64_t Client::send(FrameType type, Json json, const std::string& bulk, bool checked) {
+  send_bytes(frame(type, next_, json.dump(), bulk, checked));
+  return next_++;
+}
+
+std::uint64_t Client::request(const std::string& command, Json arguments) {
+  arguments["command"] = command;
+  return send(FrameType::request, std::move(arguments));
+}
+
+bool Client::read(char* into, std::size_t bytes) {
+  while (bytes > 0) {
+    pollfd waiting{socket_, POLLIN, 0};
+    if (::poll(&waiting, 1, 20000) == 0) {
+      ADD_FAILURE() << "nothing came within 20 s";
+      return false;
+    }
+    const ssize_t count = ::recv(socket_, into, bytes, 0);
+    if (count <= 0) return false;
+    into += count;
+    bytes -= static_cast<std::size_t>(count);
+  }
+  return true;
+}
+
+Received Client::receive() {
+  Received received;
+  received.ended = true;
+  wire::HeaderBytes bytes;
+  if (!read(reinterpret_cast<char*>(bytes.data()), bytes.size())) return received;
+  const auto header = wire::decode_header(bytes);
+  EXPECT_TRUE(header.ok());
+  if (!header.ok()) return received;
+  std::string text(header->json_bytes, '\0');
+  received.bulk.resize(header->bulk_bytes);
+  if (!read(text.data(), text.size()) || !read(received.bulk.data(), received.bulk.size())) return received;
+  EXPECT_TRUE(wire::verify_checksum(bytes, text).ok());
+  received.ended = false;
+  received.type = header->type;
+  received.request = header->request;
+  received.json = Json::parse(text);
+  return received;
+}
+
+Received Client::receive_but_notices() {
+  while (true) {
+    Received received = receive();
+    if (received.ended || received.type != FrameType::notice) return received;
+  }
+}
+
+Received Client::call(const std::string& command, Json arguments) {
+  request(command, std::move(arguments));
+  return receive_but_notices();
+}
+
+Received Client::hello(const std::string& name, const std::string& session, const std::string& token) {
+  EXPECT_EQ(receive().type, FrameType::welcome);
+  Json json{{"protocol", 1}, {"client", name}, {"session", session}};
+  if (!token.empty()) json["token"] = token;
+  send(FrameType::hello, std::move(json));
+  return receive();
+}
+
+void Client::begin(const std::string& session, std::int64_t step, std::uint64_t n, Json more) {
+  Json json{{"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1},
+            {"n", n},       {"slices", 1},        {"order", "id"}};
+  json.update(more);
+  request("push.begin", std::move(json));
+}
+
+std::string Client::slice(const std::string& session, std::int64_t step, std::uint64_t count, int rank, Json more,
+                          bool checked) {
+  Json json{
+      {"command", "push.slice"}, {"scene", "s"}, {"session", session}, {"step", step}, {"attempt", 1}, {"rank", rank},
+      {"count", count}};
+  std::string bulk;
+  for (const char* axis : {"x", "y"}) {
+    json["arrays"].push_back({{"name", axis}, {"dtype", "<f8"}, {"shape", {count}}});
+    for (std::uint64_t i = 0; i < count; ++i) {
+      const double value = rank + static_cast<double>(i);
+      bulk.append(reinterpret_cast<const char*>(&value), sizeof(value));
+    }
+  }
+  json.update(more);
+  send(FrameType::request, std::move(json), bulk, checked);
+  return bulk;
+}
+
+Directory::Directory() : path_("/tmp/rcb-net-test-XXXXXX") { EXPECT_NE(::mkdtemp(path_.data()), nullptr); }
+
+Directory::~Directory() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path_, ignored);
+}
+
+ControlOptions TestService::defaults() {
+  ControlOptions options;
+  options.version = "test";
+  options.ranks = 4;
+  options.token = std::string(64, 'a');
+  options.bulk_bytes_max = std::uint64_t{64} << 20U;
+  return options;
+}
+
+TestService::TestService(ControlOptions options)
+    : control_(std::make_unique<Control>(loop_, std::move(options), engine_)) {
+  EXPECT_TRUE(control_->listen_unix(path()).ok());
+  const auto bound = control_->listen_tcp("127.0.0.1:0");
+  EXPECT_TRUE(bound.ok());
+  if (bound.ok()) tcp_ = *bound;
+  control_->start();
+  loop_.start();
+}
+
+TestService::~TestService() {
+  engine_.release();
+  loop_.stop();
+}
+
+Client TestService::client(const std::string& name, const std::string& session) {
+  Client client = connect();
+  EXPECT_EQ(client.hello(name, session).type, FrameType::reply);
+  return client;
+}
+
+}  // namespace rcb::net::testing
