@@ -99,8 +99,9 @@ u128 ExactScale::operator()(double value) const {
   const int shift = std::max(biased, 1) - 1075 + exponent_;
   if (shift <= -64) return 0;
   if (shift < 0) return significand >> static_cast<unsigned>(-shift);
-  CHECK(significand == 0 || shift <= 75, "a value beyond the largest");
-  return shift > 127 ? u128{0} : u128{significand} << static_cast<unsigned>(shift);
+  if (significand == 0) return 0;
+  CHECK(static_cast<int>(std::bit_width(significand)) + shift <= 127, "a value beyond the largest");
+  return u128{significand} << static_cast<unsigned>(shift);
 }
 
 std::vector<u128> exact_sizes(std::span<const double> sizes, int parts) {

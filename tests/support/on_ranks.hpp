@@ -15,4 +15,7 @@ void on_ranks(const std::function<void(partition::Comm&)>& body);
 // With threads: these rank counts. On MPI: what mpirun gave, whatever is asked.
 void on_ranks(const std::vector<int>& rank_counts, const std::function<void(partition::Comm&)>& body);
 
+// As the first, and on MPI once more with a Comm that sends in small pieces, as messages beyond 2^31 bytes go.
+void on_every_comm(const std::function<void(partition::Comm&)>& body);
+
 }  // namespace rcb::testing

@@ -21,4 +21,6 @@ void on_ranks(const std::vector<int>& rank_counts, const std::function<void(part
   }
 }
 
+void on_every_comm(const std::function<void(partition::Comm&)>& body) { on_ranks(body); }
+
 }  // namespace rcb::testing
