@@ -7,6 +7,7 @@
 #include "client/cli/app.hpp"
 #include "client/cli/output.hpp"
 #include "client/cli/point_file.hpp"
+#include "client/cli/report_csv.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -19,6 +20,7 @@ struct Options {
   double parts = 0;
   int ranks = 0;
   std::optional<double> ghost_width;
+  std::string save;
 };
 
 // A method a column, a part a row, as the paper prints it; then what sums it up.
@@ -72,6 +74,8 @@ Status compare(const Options& options, const Context& context) {
   if (!reply) return session->explain(reply.status());
   Json result{{"file", options.file.path}, {"ranks", session->client->ranks()}};
   for (const char* field : {"n", "parts", "ghost_width", "methods"}) result[field] = reply->at(field);
+  if (!options.save.empty())
+    if (Status status = write_file(options.save, result.dump() + "\n"); !status) return status;
   if (context.json)
     print_json(result);
   else
@@ -94,6 +98,7 @@ void add_compare_command(CLI::App& app, Context& context) {
       ->check(CLI::Range(1, 4096));
   command->add_option("--ghost-width", options->ghost_width, "default: 2 (box volume / points)^(1/dims)")
       ->check(number_from_zero());
+  command->add_option("--save", options->save, "also write what --json prints to this file");
 }
 
 }  // namespace rcb::cli

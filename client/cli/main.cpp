@@ -70,6 +70,19 @@ Status run(const std::function<Status()>& action) {
   }
 }
 
+Status usage_failure(const CLI::App& app, const CLI::ParseError& error, const std::vector<std::string>& arguments) {
+  std::string name;
+  const CLI::App* chosen = &app;
+  while (!chosen->get_subcommands().empty()) {
+    chosen = chosen->get_subcommands().front();
+    name += " " + chosen->get_name();
+  }
+  std::string message = error.what();
+  const auto word = std::find_if(arguments.begin(), arguments.end(), [](const auto& a) { return !a.starts_with('-'); });
+  if (chosen == &app && word != arguments.end()) message = fmt::format("there is no command {}", *word);
+  return {Code::usage, message, fmt::format("rcbctl{} --help", name)};
+}
+
 int main_in(const std::vector<std::string>& arguments, bool json_asked) {
   CLI::App app("Asks and commands rcbd, the partitioning service for particle simulations.", "rcbctl");
   Context context;
@@ -91,9 +104,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
       app.exit(help);
     return 0;
   } catch (const CLI::ParseError& error) {
-    std::string name;
-    for (const CLI::App* chosen : app.get_subcommands()) name = " " + chosen->get_name();
-    return print_failure({Code::usage, error.what(), fmt::format("rcbctl{} --help", name)}, json_asked);
+    return print_failure(usage_failure(app, error, arguments), json_asked);
   }
   Status status = run(context.action);
   if (status) status = flush_output();

@@ -205,8 +205,8 @@ void add_push_commands(CLI::App& app, Context& context) {
       ->capture_default_str()
       ->check(tolerance_number());
   command
-      ->add_option("--axis-hysteresis", replay_options->axis_hysteresis, "how much longer another axis must be; 1: any",
-                   true)
+      ->add_option("--axis-hysteresis", replay_options->axis_hysteresis, "how much longer another axis must be; 1: any")
+      ->capture_default_str()
       ->check(CLI::Range(1.0, 1e300));
   command->add_option("--dims", replay_options->file.dims, "1, 2 or 3 (default: as the file says)")
       ->check(CLI::Range(1, 3));
