@@ -66,7 +66,7 @@ class BadInput(unittest.TestCase):
             file.write(content[:-40])
         self.refuse("push", "a", truncated, code="invalid_argument", says=["truncated.npy"])
         self.refuse("push", "a", self.save("flat.npy", self.points[:, :2]), code="invalid_argument", says=["2"])
-        self.refuse("partition", os.path.join(self.dir, "missing.csv"), "--parts", 2, code="io_error",
+        self.refuse("partition", os.path.join(self.dir, "missing.csv"), "--parts", 2, code="not_found",
                     says=["missing.csv"])
         self.refuse("partition", self.text("twins.csv", "id,x,y\n7,1,1\n8,2,2\n7,3,3\n"), "--parts", 2,
                     code="invalid_argument", says=["7"])

@@ -31,7 +31,8 @@ class Partition(unittest.TestCase):
         self.assertEqual(result["n"], len(points))
         self.assertEqual(result["dims"], points.shape[1])
         self.assertEqual(self.hashes.setdefault((name, parts, method), result["hash"]), result["hash"], where)
-        self.check_cuts(json.load(open(cuts)), tree, result, where)
+        with open(cuts) as file:
+            self.check_cuts(json.load(file), tree, result, where)
 
     def check_cuts(self, document, tree, result, where):
         self.assertEqual(document["hash"], result["hash"])

@@ -118,7 +118,7 @@ class Protocol(unittest.TestCase):
                 client.number = 1
                 client.socket.sendall(data)
                 try:
-                    self.refused("protocol_error", client.answer)
+                    self.refused("too_large" if name.startswith("huge") else "protocol_error", client.answer)
                     self.assertEqual(client.socket.recv(1), b"")
                 except (EOFError, ConnectionResetError):
                     pass
