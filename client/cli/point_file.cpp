@@ -48,12 +48,26 @@ std::string unique_name() {
   _exit(0);
 }
 
-// The file's dims without reading all of it.
-Result<int> dims_of(const FileOptions& options) {
-  if (options.dims > 0) return options.dims;
-  auto slice = io::read_points_slice(options.path, {0, options.weights}, 0, kProbeSlices);
+// The dims of a file that ranks can read in slices, without reading all of it.
+Result<int> sliceable_dims(const FileOptions& options) {
+  auto slice = io::read_points_slice(options.path, {options.dims, options.weights}, 0, kProbeSlices);
   if (!slice) return slice.status();
   return slice->dims > 0 ? slice->dims : kDimsDefault;
+}
+
+// Every rank of the service reads its own share.
+Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, int dims, Json scene_arguments) {
+  scene_arguments["dims"] = dims;
+  auto scene = TemporaryScene::create(session, std::move(scene_arguments));
+  if (!scene) return scene.status();
+  Json arguments{{"scene", scene->name()}, {"path", absolute_path(options.path)}};
+  if (options.dims > 0) arguments["dims"] = options.dims;
+  if (!options.weights.empty()) arguments["weights"] = options.weights;
+  auto reply = ask(*session.client, "load", arguments, kLongSeconds);
+  if (!reply) return session.explain(reply.status());
+  Json report = reply->at("report");
+  const double read_seconds = report.at("seconds").at("receive").get<double>();
+  return LoadedScene{std::move(*scene), std::move(report), read_seconds};
 }
 
 }  // namespace
@@ -131,19 +145,9 @@ Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Jso
   const SteadyClock clock;
   const double start = clock.seconds();
   if (session.embedded) {
-    auto dims = dims_of(options);
-    if (!dims) return dims.status();
-    scene_arguments["dims"] = *dims;
-    auto scene = TemporaryScene::create(session, std::move(scene_arguments));
-    if (!scene) return scene.status();
-    Json arguments{{"scene", scene->name()}, {"path", absolute_path(options.path)}, {"dims", *dims}};
-    if (options.dims == 0) arguments.erase("dims");
-    if (!options.weights.empty()) arguments["weights"] = options.weights;
-    auto reply = ask(*session.client, "load", arguments, kLongSeconds);
-    if (!reply) return session.explain(reply.status());
-    Json report = reply->at("report");
-    const double read_seconds = report.at("seconds").at("receive").get<double>();
-    return LoadedScene{std::move(*scene), std::move(report), read_seconds};
+    // What can't be sliced, such as a trajectory of one frame, or can't be read at all, is for this program to read.
+    const auto dims = sliceable_dims(options);
+    if (dims) return load_in_ranks(session, options, *dims, std::move(scene_arguments));
   }
   auto points = read_single(options);
   if (!points) return points.status();

@@ -91,10 +91,8 @@ void print_stats(const Json& reply) {
   Facts facts;
   for (const char* field : {"scene", "steps", "repartitions", "bytes", "drifted", "moved", "migrated"})
     facts.add(field, text_of(reply, field));
-  for (const auto& [name, times] : reply.value("skipped", Json::object()).items())
-    facts.add("skipped: " + name, text_of(times));
-  for (const auto& [name, seconds] : reply.value("seconds", Json::object()).items())
-    facts.add("seconds: " + name, text_of(seconds));
+  for (const auto& [name, times] : reply.at("skipped").items()) facts.add("skipped: " + name, text_of(times));
+  for (const auto& [name, seconds] : reply.at("seconds").items()) facts.add("seconds: " + name, text_of(seconds));
   facts.print();
 }
 
