@@ -85,27 +85,27 @@ std::string script(const std::vector<Curve>& curves) {
   std::string text =
       "set terminal svg size 900,480 noenhanced font 'sans-serif,14' background '#ffffff'\n"
       "set border 3 linecolor '#444444'\n"
-      "set tics nomirror textcolor '#222222'\n"
+      "set tics out nomirror textcolor '#222222'\n"
       "set grid ytics linecolor '#dddddd' linetype 1 linewidth 0.5\n"
-      "set key outside top left horizontal samplen 2.5 width 1\n"
+      "set key outside top center horizontal reverse Left samplen 2 spacing 1.2\n"
       "set xlabel 'step'\n"
       "set ylabel 'largest error of a part'\n"
       "set yrange [0:*]\n"
-      "set offsets graph 0, graph 0.02, graph 0.05, 0\n";
+      "set autoscale xfix\n"
+      "set offsets 0, graph 0.01, graph 0.05, 0\n";
   std::string plots;
   std::set<double> tolerances;
   bool dots = false;
   for (std::size_t c = 0; c < curves.size(); ++c) {
     const Curve& curve = curves[c];
     text += fmt::format("$line{} << EOD\n{}EOD\n", c, line_data(curve.reports));
-    const std::string meaning =
-        curve.tolerance ? fmt::format("tolerance {:g}", *curve.tolerance) : "never repartitioned";
-    plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}: {}'",
-                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], curve.name, meaning);
+    plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}'",
+                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], curve.name);
     if (curve.tolerance) tolerances.insert(*curve.tolerance);
   }
   for (const double tolerance : tolerances)
-    plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' notitle", tolerance);
+    plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' title 'tolerance {:g}'", tolerance,
+                         tolerance);
   for (std::size_t c = 0; c < curves.size(); ++c) {
     const std::string data = dot_data(curves[c].reports);
     if (data.empty()) continue;
