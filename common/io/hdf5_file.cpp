@@ -103,7 +103,7 @@ Status check_storage(const std::string& where, hid_t dataset, const Shape& shape
   const u128 stored = std::min<std::uint64_t>(H5Dget_storage_size(dataset), file_bytes);
   const int filters = H5Pget_nfilters(plist.id());
   if (filters < 0) return broken(where);
-  const u128 supported = filters > 0 ? stored * kShrinkMax : stored;
+  const u128 supported = filters > 0 && layout == H5D_CHUNKED ? stored * kShrinkMax : stored;
   // Compared as quotients: the product of a hostile shape and a number's size would wrap.
   if (claimed > supported / type_bytes) {
     return refused(where,
