@@ -1,0 +1,173 @@
+// The launcher against programs named rcbd that fail, hang or boast: what is told, and that nothing is left.
+#include "client/launch/launch.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "client/launch/log_tail.hpp"
+#include "client/launch/programs.hpp"
+
+namespace rcb::launch {
+namespace {
+
+namespace fs = std::filesystem;
+
+// A folder with a script named rcbd, which the launcher takes, and a TMPDIR to be left empty.
+class Launch : public testing::Test {
+ protected:
+  void SetUp() override {
+    std::string pattern = "/tmp/rcbl-XXXXXX";
+    ASSERT_NE(mkdtemp(pattern.data()), nullptr);
+    folder_ = pattern;
+    fs::create_directories(folder_ / "tmp");
+    fs::create_directories(folder_ / "bin");
+    setenv("RCBD_BIN_DIR", (folder_ / "bin").c_str(), 1);
+    setenv("TMPDIR", (folder_ / "tmp").c_str(), 1);
+  }
+  void TearDown() override {
+    fs::remove_all(folder_);
+    unsetenv("RCBD_BIN_DIR");
+    unsetenv("TMPDIR");
+  }
+
+  void program(const std::string& body) const {
+    const fs::path path = folder_ / "bin" / "rcbd";
+    std::ofstream(path) << "#!/bin/sh\n" << body << "\n";
+    fs::permissions(path, fs::perms::owner_all);
+  }
+  SuperviseOptions options() const {
+    SuperviseOptions o;
+    o.endpoint = "unix:" + (folder_ / "s").string();
+    o.data_dir = (folder_ / "data").string();
+    o.ranks = 2;
+    o.ready_seconds = 2;
+    return o;
+  }
+  // The script's processes are gone: each wrote its number there.
+  bool all_gone() const {
+    for (const auto& entry : fs::directory_iterator(folder_))
+      if (const std::string name = entry.path().filename(); name.starts_with("pid."))
+        if (kill(std::stoi(name.substr(4)), 0) == 0) return false;
+    return true;
+  }
+  std::string hanging() const { return "touch " + (folder_ / "pid.").string() + "$$; exec sleep 1000"; }
+  long started() const {
+    return std::count_if(fs::directory_iterator(folder_), fs::directory_iterator(),
+                         [](const auto& entry) { return entry.path().filename().string().starts_with("pid."); });
+  }
+  // Waits for a condition; the time is a limit, not a claim.
+  template <typename Condition>
+  static bool eventually(const Condition& condition) {
+    for (int i = 0; i < 3000; ++i) {
+      if (condition()) return true;
+      usleep(10'000);
+    }
+    return false;
+  }
+
+  fs::path folder_;
+};
+
+TEST_F(Launch, TellsTheReasonOfAFailedStart) {
+  program("echo 'error: the moon is in the wrong phase' >&2; exit 3");
+  SuperviseOptions o = options();
+  o.ready_seconds = 1000;  // the test's own limit tells if this is waited for
+  const Status status = start_detached(o, {});
+  EXPECT_EQ(status.code(), Code::unavailable);
+  EXPECT_NE(status.message().find("the moon is in the wrong phase"), std::string::npos) << status.message();
+  EXPECT_NE(status.hint().find("rcbd.log"), std::string::npos) << status.hint();
+  EXPECT_FALSE(fs::exists(o.data_dir + "/tmp"));
+}
+
+TEST_F(Launch, GivesUpOnAServiceThatNeverAnswersAndLeavesNothing) {
+  program(hanging());
+  const Status status = start_detached(options(), {});
+  EXPECT_EQ(status.code(), Code::deadline_exceeded) << status.message();
+  EXPECT_TRUE(all_gone());
+  EXPECT_FALSE(fs::exists(options().data_dir + "/tmp"));
+}
+
+TEST_F(Launch, TakesNoDataDirectoryTwice) {
+  program(hanging());
+  const SuperviseOptions o = options();
+  fs::create_directories(o.data_dir);
+  const std::string lock = o.data_dir + "/" + std::string(kLaunchLockFile);
+  const int fd = open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+  ASSERT_EQ(flock(fd, LOCK_EX | LOCK_NB), 0);
+  const Status status = start_detached(o, {});
+  close(fd);
+  EXPECT_EQ(status.code(), Code::already_exists);
+  EXPECT_NE(status.message().find(o.data_dir), std::string::npos) << status.message();
+  EXPECT_EQ(started(), 0);
+}
+
+TEST_F(Launch, AFailedEmbeddedServiceLeavesNoFolder) {
+  program("exit 1");
+  const auto service = Embedded::start(1, {});
+  EXPECT_EQ(service.status().code(), Code::unavailable);
+  EXPECT_TRUE(eventually([&] { return fs::is_empty(folder_ / "tmp"); }));
+}
+
+TEST_F(Launch, AnEmbeddedServiceDiesWithItsProgramHoweverThatEnds) {
+  for (const int number : {SIGKILL, SIGINT, SIGTERM}) {
+    program(hanging());
+    const pid_t child = fork();
+    if (child == 0) {
+      (void)Embedded::start(2, {});
+      _exit(0);
+    }
+    ASSERT_TRUE(eventually([&] { return started() == 2; }));
+    kill(child, number);
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFSIGNALED(status) && WTERMSIG(status) == number) << status;
+    // Killed outright, the program can't wait for its service's end; otherwise it does.
+    EXPECT_TRUE(number == SIGKILL ? eventually([&] { return all_gone(); }) : all_gone()) << "signal " << number;
+    EXPECT_TRUE(eventually([&] { return fs::is_empty(folder_ / "tmp"); })) << "signal " << number;
+    for (const auto& entry : fs::directory_iterator(folder_))
+      if (entry.path().filename().string().starts_with("pid.")) fs::remove(entry.path());
+  }
+}
+
+TEST_F(Launch, MpirunIsCalledAsOneNodeNeedsIt) {
+  program("exit 0");
+  EXPECT_EQ(find_rcbd().value(), (folder_ / "bin" / "rcbd").string());
+  const auto line = mpirun_arguments({"127.0.0.1:7470", "/data", 3, ""});
+  ASSERT_TRUE(line.ok());
+  const auto follows = [&](const std::string& first, const std::string& second) {
+    const auto at = std::find(line->begin(), line->end(), first);
+    return at != line->end() && at + 1 != line->end() && *(at + 1) == second;
+  };
+  EXPECT_TRUE(follows("--bind-to", "none"));
+  EXPECT_TRUE(follows("btl", "vader,self"));
+  EXPECT_TRUE(follows("-n", "3"));
+  EXPECT_TRUE(follows("--listen", "127.0.0.1:7470"));
+  EXPECT_TRUE(follows("--data-dir", "/data"));
+  EXPECT_NE(std::find(line->begin(), line->end(), "--oversubscribe"), line->end());
+  EXPECT_EQ(std::find(line->begin(), line->end(), "--allow-run-as-root") != line->end(), geteuid() == 0);
+}
+
+TEST_F(Launch, TheLogsTailIsWhatTheProgramSaidSinceItsStart) {
+  const std::string path = folder_ / "log";
+  std::ofstream(path) << "an earlier run\n";
+  const auto from = file_bytes(path);
+  std::ofstream(path, std::ios::app) << "error: port taken\nerror: port taken\n"
+                                     << std::string(70, '-') << "\nmpirun noticed something\n"
+                                     << std::string(70, '-') << "\n";
+  EXPECT_EQ(log_tail(path, from), "error: port taken");
+  EXPECT_EQ(log_tail(path + ".none", 0), "");
+}
+
+}  // namespace
+}  // namespace rcb::launch
