@@ -109,8 +109,8 @@ void watch(net::IoLoop& loop, const ranks::EngineLoop& engine, const Config& con
 }
 
 int run_root(const Config& config, ranks::MpiSession& mpi) {
-  ranks::EngineLoop engine(kQueueOrders);
   net::IoLoop loop;
+  ranks::EngineLoop engine(kQueueOrders);  // its orders hold timers of the loop
   Root root;
   const Status opened = open_root(root, config, mpi.size(), loop, engine);
   if (!opened.ok()) say_failure(opened);
@@ -144,8 +144,8 @@ int run_other(const Config& config, ranks::MpiSession& mpi) {
   address.path = mpi.share({});
   if (address.path == "refused") return 1;
   address.secret = mpi.share({});
-  ranks::EngineLoop engine(kQueueOrders);
   net::IoLoop loop;
+  ranks::EngineLoop engine(kQueueOrders);  // its orders hold timers of the loop
   auto ordered = [&engine](std::uint64_t number, wire::Json request) {
     ranks::EngineOrder order;
     order.number = number;

@@ -107,7 +107,7 @@ std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connect
   return push->slices.terms().id == id && push->connection.get() == connection ? push : nullptr;
 }
 
-void Coordinator::close_push(const std::shared_ptr<OpenPush>& push) {
+void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
   push->deadline.cancel();
   SceneGate& of = gate(push->slices.terms().id.scene);
   CHECK(of.push == push, "the push isn't the open one");
@@ -115,7 +115,7 @@ void Coordinator::close_push(const std::shared_ptr<OpenPush>& push) {
   of.wake();
 }
 
-void Coordinator::give_up(const std::shared_ptr<OpenPush>& push, const Status& why) {
+void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
   if (std::exchange(push->given_up, true)) return;
   const PushId id = push->slices.terms().id;
   spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());

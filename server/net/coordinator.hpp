@@ -97,9 +97,9 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // The open push with this id, if this connection opened it.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
   // Ends the push and tells its client why. Nothing was ordered, so nothing has changed.
-  void give_up(const std::shared_ptr<OpenPush>& push, const Status& why);
+  void give_up(std::shared_ptr<OpenPush> push, const Status& why);  // by value: the gate's own is let go
   // Ends the receiving: the push's bytes are now the order's.
-  void close_push(const std::shared_ptr<OpenPush>& push);
+  void close_push(std::shared_ptr<OpenPush> push);
 
   // Clients with the scene open, by name; `except`: sessions of this number are left out.
   std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;

@@ -85,11 +85,9 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
     const auto index = static_cast<std::size_t>(*rank);
     Peer& peer = peers[index];
     if (peer.connection) co_return connection->close();
-    gathering.change([&] {
-      peer.connection = connection;
-      ++connected;
-    });
-    if (connected + 1 == peers.size()) remove_files();
+    peer.connection = connection;
+    if (connected + 2 == peers.size()) remove_files();  // the last one
+    gathering.change([&] { ++connected; });
     while (true) {
       Result<Frame> frame = co_await connection->read_frame(wire::kBytesBeforeHelloMax, 0);
       if (!frame.ok()) {

@@ -264,6 +264,7 @@ awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
 
 awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pending> pending) {
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  answering_ = true;
   while (!pending->answer && now() < request.end) co_await nap(pending->signal, request, notice_at, "the engine");
   if (pending->answer) {
     Answer answer = std::move(*pending->answer);
@@ -326,6 +327,8 @@ awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& no
 }
 
 void Session::say_goodbye() {
+  goodbye_due_ = answering_;
+  if (goodbye_due_) return;
   connection_->send(FrameType::goodbye, 0, Json::object());
   asio::co_spawn(
       coordinator_->context(),

@@ -30,7 +30,7 @@ class Session : public std::enable_shared_from_this<Session> {
   const std::string& client() const { return client_; }
   const std::string& number() const { return number_; }
   bool has_open(const std::string& scene) const { return open_.contains(scene); }
-  // Tells the client and closes when it is sent.
+  // Tells the client, after the answer it waits for, and closes when it is sent.
   void say_goodbye();
 
  private:
@@ -76,6 +76,8 @@ class Session : public std::enable_shared_from_this<Session> {
   std::string client_ = "a client that hasn't said hello";
   std::string number_;  // the client's session, 16 hex digits
   std::set<std::string> open_;
+  bool answering_ = false;    // an order of this session is on its way
+  bool goodbye_due_ = false;  // to be said after its answer
 };
 
 }  // namespace rcb::net

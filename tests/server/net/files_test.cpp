@@ -21,8 +21,8 @@ unsigned mode_of(const std::string& path) {
 }
 
 struct Listener {
-  FakeEngine engine;
   IoLoop loop;
+  FakeEngine engine;
   Control control{loop, TestService::defaults(), engine};
 };
 

@@ -25,6 +25,8 @@ class FakeEngine final : public Engine {
   // While held, orders pile up.
   void hold();
   void release();
+  // Until so many orders wait; the test fails where they don't come within 20 s.
+  void wait_for_orders(std::size_t count);
   // Commands executed so far, "push step 3" with its step.
   std::vector<std::string> executed() const;
   // The slices of the last push.
@@ -112,8 +114,8 @@ class TestService {
 
  private:
   Directory directory_;
-  FakeEngine engine_;
   IoLoop loop_;
+  FakeEngine engine_;  // ends before the loop it answers to
   std::unique_ptr<Control> control_;
   std::string tcp_;
 };

@@ -116,6 +116,11 @@ void FakeEngine::release() {
   state_->changed.notify_all();
 }
 
+void FakeEngine::wait_for_orders(std::size_t count) {
+  std::unique_lock lock(state_->mutex);
+  EXPECT_TRUE(state_->changed.wait_for(lock, std::chrono::seconds(20), [&] { return state_->queue.size() >= count; }));
+}
+
 std::vector<std::string> FakeEngine::executed() const {
   const std::lock_guard lock(state_->mutex);
   return state_->executed;

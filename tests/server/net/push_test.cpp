@@ -68,6 +68,7 @@ TEST_F(Push, ALargeSliceArrivesWhole) {
 TEST_F(Push, AClientThatVanishesLeavesNothing) {
   anna_.begin(kAnna, 0, 4, {{"slices", 2}, {"order", "plan"}});
   anna_.slice(kAnna, 0, 2, 0);
+  anna_.call("status");
   bert_.begin(kBert, 0, 4);
   EXPECT_EQ(bert_.receive().code(), "busy");
   bert_.slice(kBert, 0, 4);  // dropped without a word
@@ -138,15 +139,17 @@ TEST_F(Push, ANewerAttemptReplacesTheOlder) {
 }
 
 TEST_F(Push, SlicesThatContradictTheBeginningGiveItUp) {
-  const auto shape = [](std::uint64_t n) { return Json{{"name", "x"}, {"dtype", "<f8"}, {"shape", {n}}}; };
+  const auto shape = [](const char* name, std::uint64_t n) {
+    return Json{{"name", name}, {"dtype", "<f8"}, {"shape", {n}}};
+  };
   const std::vector<std::pair<std::uint64_t, Json>> wrong{
-      {3, Json::object()},                                    // too few particles
-      {5, Json::object()},                                    // too many
-      {4, {{"rank", 2}}},                                     // order "id" has one slice, for rank 0
-      {4, {{"rank", 77}}},                                    // no such rank
-      {4, {{"count", 2}}},                                    // not what the arrays have
-      {8, {{"count", 4}, {"arrays", {shape(8), shape(8)}}}},  // twice x
-      {4, {{"arrays", {shape(8)}}}},                          // no y
+      {3, Json::object()},                                              // too few particles
+      {5, Json::object()},                                              // too many
+      {4, {{"rank", 2}}},                                               // order "id" has one slice, for rank 0
+      {4, {{"rank", 77}}},                                              // no such rank
+      {4, {{"count", 2}}},                                              // not what the arrays have
+      {8, {{"count", 4}, {"arrays", {shape("x", 8), shape("z", 8)}}}},  // z for y
+      {4, {{"arrays", {shape("x", 8)}}}},                               // no y
   };
   std::int64_t step = 0;
   for (const auto& [count, more] : wrong) {
@@ -212,8 +215,8 @@ TEST_F(Push, TooLargeIsAnErrorAndSoIsTooMuchAtOnce) {
   anna_.begin(kAnna, 0, std::uint64_t{1} << 47U);
   EXPECT_EQ(anna_.receive().code(), "too_large");
   anna_.begin(kAnna, 0, 3000000);  // 48 of 64 MiB, announced
-  bert_.call("scene.create", {{"scene", "t"}, {"dims", 2}});
   anna_.call("status");
+  bert_.call("scene.create", {{"scene", "t"}, {"dims", 2}});
   bert_.begin(kBert, 0, 3000000, {{"scene", "t"}});
   EXPECT_EQ(bert_.receive().code(), "busy");
   anna_.close();
@@ -244,9 +247,7 @@ TEST_F(Push, APushBehindAChangeSeesItsEffect) {
   commit(anna_, kAnna, 5, 4);
   service_.engine().hold();
   anna_.request("scene.create", {{"scene", "s"}, {"dims", 2}, {"replace", true}});
-  Client carl = service_.client("carl", "00000000000000cc");
-  while (carl.call("status").json["sessions"] != 3) {
-  }
+  service_.engine().wait_for_orders(1);
   bert_.begin(kBert, 0, 9);  // another n: refused, were it held against the old scene
   bert_.slice(kBert, 0, 9);
   service_.engine().release();

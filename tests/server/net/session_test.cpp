@@ -203,8 +203,8 @@ TEST(Session, TooManyOrdersAreBusyBeforeOrdering) {
   for (int i = 0; i < 3; ++i) clients.push_back(service.client("c"));
   for (Client& client : clients) client.request("error");
   Client late = service.client("late");
-  while (late.call("error", {{"deadline_seconds", 0.05}}).code() != "busy") {
-  }  // until the three have arrived
+  service.engine().wait_for_orders(3);
+  EXPECT_EQ(late.call("error").code(), "busy");
   service.engine().release();
   for (Client& client : clients) EXPECT_EQ(client.receive_but_notices().json["echo"], "error");
   EXPECT_EQ(late.call("error").json["echo"], "error");
@@ -302,14 +302,10 @@ TEST(Session, WhatWasOrderedIsAnsweredBeforeTheEnd) {
   Client bert = service.client("bert", kBert);
   service.engine().hold();
   anna.request("error");
-  while (bert.call("status").json["sessions"] != 2) {
-  }
+  service.engine().wait_for_orders(1);
   service.control().shut_down("test");
-  while (bert.call("error").code() != "unavailable") {
-    service.engine().release();
-    service.engine().hold();
-    break;
-  }
+  service.engine().wait_for_orders(2);
+  EXPECT_EQ(bert.call("error").code(), "unavailable");
   service.engine().release();
   EXPECT_EQ(anna.receive_but_notices().json["echo"], "error");
   EXPECT_EQ(anna.receive().type, FrameType::goodbye);
