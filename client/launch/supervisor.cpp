@@ -5,6 +5,7 @@
 #include <cstring>
 #include <ctime>
 #include <filesystem>
+#include <fstream>
 #include <functional>
 
 #include <fcntl.h>
@@ -33,6 +34,13 @@ constexpr double kBackoffFirstSeconds = 0.5;
 constexpr double kBackoffMaxSeconds = 30;
 constexpr double kStopSeconds = 20;
 constexpr std::uint64_t kLogBytesMax = 16 << 20;
+
+// The endpoint that a supervisor left in its lock.
+std::string lock_holder(const std::string& path) {
+  std::string endpoint;
+  std::ifstream(path) >> endpoint;
+  return endpoint;
+}
 
 class Supervisor {
  public:
@@ -85,9 +93,10 @@ Status Supervisor::open() {
   lock_fd_ = ::open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
   if (lock_fd_ < 0) return {Code::io_error, fmt::format("{}: {}", lock, std::strerror(errno))};
   if (flock(lock_fd_, LOCK_EX | LOCK_NB) != 0)
-    return {Code::already_exists, fmt::format("the data directory {} is in use by another service", options_.data_dir),
+    return {Code::already_exists,
+            fmt::format("the data directory {} is in use by the service {}", options_.data_dir, lock_holder(lock)),
             "stop that one (rcbctl down), or name another --data-dir"};
-  if (ftruncate(lock_fd_, 0) != 0 || dprintf(lock_fd_, "%d\n", getpid()) < 0)
+  if (ftruncate(lock_fd_, 0) != 0 || dprintf(lock_fd_, "%s %d\n", options_.endpoint.c_str(), getpid()) < 0)
     return {Code::io_error, fmt::format("{}: {}", lock, std::strerror(errno))};
   std::error_code error;
   if (file_bytes(log_path_) > kLogBytesMax) std::filesystem::rename(log_path_, log_path_ + ".1", error);
@@ -133,9 +142,9 @@ Status Supervisor::run() {
 Status Supervisor::start(Job& job, bool restarted) {
   std::error_code ignored;
   std::filesystem::remove(marker_, ignored);
+  note(fmt::format("{} {} ranks on {}", restarted ? "starting again" : "starting", options_.ranks, options_.endpoint));
   log_from_ = file_bytes(log_path_);
   started_ = clock_.seconds();
-  note(fmt::format("{} {} ranks on {}", restarted ? "starting again" : "starting", options_.ranks, options_.endpoint));
   return job.start(restarted);
 }
 
@@ -147,7 +156,7 @@ Status Supervisor::await_first_answer(Job& job) {
       stopping_ = true;
       return {};
     }
-    if (const auto end = job.poll()) return {Code::unavailable, reason(*end), "the whole log: " + log_path_};
+    if (const auto end = job.poll()) return {Code::aborted, reason(*end), "the whole log: " + log_path_};
     if (auto client = reach(options_.endpoint, "rcbctl up", 1);
         client || client.status().code() == Code::not_authorised)
       return {};
@@ -179,7 +188,7 @@ Status Supervisor::keep(Job& job) {
 Status Supervisor::restart(Job& job, const std::string& end) {
   quick_failures_ = clock_.seconds() - started_ < kQuickSeconds ? quick_failures_ + 1 : 1;
   if (quick_failures_ > kQuickFailuresMax)
-    return {Code::unavailable, fmt::format("{} failures in a row; {}", quick_failures_, reason(end)),
+    return {Code::aborted, fmt::format("{} failures in a row; {}", quick_failures_, reason(end)),
             "the whole log: " + log_path_};
   double backoff = kBackoffFirstSeconds;
   for (int i = 1; i < quick_failures_; ++i) backoff = std::min(backoff * 2, kBackoffMaxSeconds);

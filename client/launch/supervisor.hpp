@@ -30,7 +30,7 @@ struct SuperviseOptions {
 inline constexpr char kReady = 'R';
 inline constexpr char kFailed = 'F';
 
-// In the data directory; locked by the supervisor, and holds its pid.
+// In the data directory; locked by the supervisor, and holds the endpoint and its pid.
 inline constexpr std::string_view kLaunchLockFile = "launch.lock";
 
 // The name of the supervisor's process.

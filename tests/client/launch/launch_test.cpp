@@ -84,7 +84,7 @@ TEST_F(Launch, TellsTheReasonOfAFailedStart) {
   SuperviseOptions o = options();
   o.ready_seconds = 1000;  // the test's own limit tells if this is waited for
   const Status status = start_detached(o, {});
-  EXPECT_EQ(status.code(), Code::unavailable);
+  EXPECT_EQ(status.code(), Code::aborted);
   EXPECT_NE(status.message().find("the moon is in the wrong phase"), std::string::npos) << status.message();
   EXPECT_NE(status.hint().find("rcbd.log"), std::string::npos) << status.hint();
   EXPECT_FALSE(fs::exists(o.data_dir + "/tmp"));
@@ -115,7 +115,7 @@ TEST_F(Launch, TakesNoDataDirectoryTwice) {
 TEST_F(Launch, AFailedEmbeddedServiceLeavesNoFolder) {
   program("exit 1");
   const auto service = Embedded::start(1, {});
-  EXPECT_EQ(service.status().code(), Code::unavailable);
+  EXPECT_EQ(service.status().code(), Code::aborted);
   EXPECT_TRUE(eventually([&] { return fs::is_empty(folder_ / "tmp"); }));
 }
 
