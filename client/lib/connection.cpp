@@ -18,7 +18,6 @@
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/local/stream_protocol.hpp>
-#include <boost/asio/read.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/asio/write.hpp>
 #include <fmt/format.h>
@@ -43,7 +42,9 @@ constexpr std::size_t kInboxMax = 64;                  // answers that nobody as
 constexpr int kNewsRoundsMax = 64;
 
 // As asio::transfer_all, in larger pieces.
-std::size_t transfer_large(const error_code& error, std::size_t) { return error ? 0 : kTransferMax; }
+struct TransferLarge {
+  std::size_t operator()(const error_code& error, std::size_t) const { return error ? 0 : kTransferMax; }
+};
 
 // The addresses of a name, looked up in a thread of its own, since getaddrinfo knows no deadline. A look-up that
 // outlasts the deadline is left to end by itself; it touches nothing but its own shared state.
@@ -194,11 +195,20 @@ Status Connection::State::open(const Deadline& deadline) {
   return {Code::unavailable, fmt::format("no service answers at {}", endpoint.text()), "start one: rcbctl up"};
 }
 
+// Takes what the kernel has, however much; Asio's composed read asks for 64 KiB at a time.
 asio::awaitable<bool> Connection::State::fill(void* data, std::size_t size) {
-  const auto [error, got] = co_await asio::async_read(socket, asio::buffer(data, size), transfer_large, kAwait);
-  if (!error) co_return true;
-  lose(Code::unavailable, error == asio::error::eof ? std::string("the service closed it") : error.message());
-  co_return false;
+  auto* to = static_cast<char*>(data);
+  while (size > 0) {
+    const auto buffer = asio::buffer(to, size);
+    const auto [error, got] = co_await socket.async_read_some(buffer, kAwait);
+    if (error) {
+      lose(Code::unavailable, error == asio::error::eof ? std::string("the service closed it") : error.message());
+      co_return false;
+    }
+    to += got;
+    size -= got;
+  }
+  co_return true;
 }
 
 asio::awaitable<bool> Connection::State::read_arrays(Frame& frame, const wire::FrameHeader& header) {
@@ -281,8 +291,8 @@ asio::awaitable<bool> Connection::State::read_frame() {
 }
 
 asio::awaitable<void> Connection::State::read_frames() {
-  while (co_await read_frame()) {
-  }
+  // Not `while (co_await ...) {}`: GCC 12 turns the empty body into a trap.
+  for (bool more = true; more;) more = co_await read_frame();
 }
 
 void Connection::State::start_reading() {
@@ -311,7 +321,7 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
   buffers.reserve(pieces.size());
   for (const Bytes& piece : pieces) buffers.emplace_back(piece.data(), piece.size());
   std::optional<error_code> outcome;
-  asio::async_write(s.socket, buffers, transfer_large,
+  asio::async_write(s.socket, buffers, TransferLarge{},
                     [&outcome](const error_code& error, std::size_t) { outcome = error; });
   const auto written = [&] { return outcome.has_value(); };
   if (!s.run(written, deadline)) {

@@ -1,0 +1,205 @@
+// A scripted service in a thread: it takes connections on a Unix socket or on TCP and does with each what the test
+// says. No wait of it is longer than 20 seconds, so a broken client fails a test instead of hanging it.
+#pragma once
+
+#include <atomic>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <arpa/inet.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include "common/wire/frame.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::client {
+
+class TemporaryDirectory {
+ public:
+  TemporaryDirectory() {
+    char name[] = "/tmp/rcb-client-test-XXXXXX";
+    EXPECT_NE(::mkdtemp(name), nullptr);
+    path_ = name;
+  }
+  ~TemporaryDirectory() { std::filesystem::remove_all(path_); }
+  TemporaryDirectory(const TemporaryDirectory&) = delete;
+  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+struct Received {
+  wire::FrameHeader header;
+  wire::Json json;
+  std::vector<std::byte> bulk;
+};
+
+// One connection, seen from the service.
+class Peer {
+ public:
+  explicit Peer(int handle) : handle_(handle) {
+    const timeval limit{20, 0};
+    ::setsockopt(handle_, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+    ::setsockopt(handle_, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);
+  }
+  ~Peer() { ::close(handle_); }
+  Peer(const Peer&) = delete;
+  Peer& operator=(const Peer&) = delete;
+
+  bool send_bytes(std::string_view bytes) {
+    while (!bytes.empty()) {
+      const ssize_t sent = ::send(handle_, bytes.data(), bytes.size(), MSG_NOSIGNAL);
+      if (sent <= 0) return false;
+      bytes.remove_prefix(static_cast<std::size_t>(sent));
+    }
+    return true;
+  }
+  static std::string frame(wire::FrameType type, std::uint64_t request, wire::Json json,
+                           const std::vector<wire::Array>& arrays = {}, bool summed = false) {
+    if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
+    wire::FrameHeader header;
+    header.type = type;
+    header.request = request;
+    header.flags = summed ? wire::kFlagBulkChecksum : 0;
+    wire::BulkChecksum sum;
+    std::string bulk;
+    for (const wire::Array& array : arrays) {
+      bulk.append(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size());
+      sum.add(array.bytes.span());
+    }
+    header.bulk_bytes = bulk.size();
+    const auto tail = wire::BulkChecksum::encode(sum.value());
+    if (summed) bulk.append(reinterpret_cast<const char*>(tail.data()), tail.size());
+    return wire::encode_frame(header, wire::dump_json(json)) + bulk;
+  }
+  bool send(wire::FrameType type, std::uint64_t request, wire::Json json, const std::vector<wire::Array>& arrays = {},
+            bool summed = false) {
+    return send_bytes(frame(type, request, std::move(json), arrays, summed));
+  }
+  bool reply(const Received& to, wire::Json json, const std::vector<wire::Array>& arrays = {}, bool summed = false) {
+    return send(wire::FrameType::reply, to.header.request, std::move(json), arrays, summed);
+  }
+  bool fail(const Received& to, const Status& status) {
+    return send(wire::FrameType::failure, to.header.request, wire::failure_json(status));
+  }
+
+  bool read(void* data, std::size_t size) {
+    auto* to = static_cast<char*>(data);
+    while (size > 0) {
+      const ssize_t got = ::recv(handle_, to, size, 0);
+      if (got <= 0) return false;
+      to += got;
+      size -= static_cast<std::size_t>(got);
+    }
+    return true;
+  }
+  // The next frame, checked as a service checks it; none at the end of the connection.
+  std::optional<Received> receive() {
+    wire::HeaderBytes bytes{};
+    if (!read(bytes.data(), bytes.size())) return std::nullopt;
+    const auto header = wire::decode_header(bytes);
+    EXPECT_TRUE(header.ok());
+    if (!header.ok()) return std::nullopt;
+    Received received{*header, {}, std::vector<std::byte>(header->bulk_bytes)};
+    std::string text(header->json_bytes, '\0');
+    if (!read(text.data(), text.size()) || !read(received.bulk.data(), received.bulk.size())) return std::nullopt;
+    EXPECT_TRUE(wire::verify_checksum(bytes, text).ok());
+    auto json = wire::parse_json(text);
+    EXPECT_TRUE(json.ok()) << json.status().message();
+    if (!json.ok()) return std::nullopt;
+    EXPECT_TRUE(wire::array_specs(*json, header->bulk_bytes).ok());
+    received.json = std::move(*json);
+    return received;
+  }
+
+  static wire::Json welcome(const char* authentication = "none") {
+    return {{"server", "rcbd"},
+            {"version", "0"},
+            {"protocol", 1},
+            {"authentication", authentication},
+            {"limits", wire::Json::object()}};
+  }
+  // Welcome and hello as they should be; the hello, or none.
+  std::optional<Received> greet(int ranks) {
+    if (!send(wire::FrameType::welcome, 0, welcome())) return std::nullopt;
+    auto hello = receive();
+    if (hello) reply(*hello, {{"session", hello->json["session"]}, {"ranks", ranks}});
+    return hello;
+  }
+
+ private:
+  int handle_;
+};
+
+class FakeService {
+ public:
+  // number: of the connection, from 0. When it returns, the connection is closed.
+  using Script = std::function<void(Peer& peer, int number)>;
+
+  explicit FakeService(Script script, bool tcp = false) : script_(std::move(script)) {
+    handle_ = ::socket(tcp ? AF_INET : AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    if (tcp) {
+      sockaddr_in address{};
+      address.sin_family = AF_INET;
+      address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+      socklen_t size = sizeof address;
+      EXPECT_EQ(::bind(handle_, reinterpret_cast<sockaddr*>(&address), size), 0);
+      EXPECT_EQ(::getsockname(handle_, reinterpret_cast<sockaddr*>(&address), &size), 0);
+      endpoint_ = "127.0.0.1:" + std::to_string(ntohs(address.sin_port));
+    } else {
+      const std::string path = directory_.path() + "/socket";
+      sockaddr_un address{};
+      address.sun_family = AF_UNIX;
+      std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
+      EXPECT_EQ(::bind(handle_, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
+      endpoint_ = "unix:" + path;
+    }
+    EXPECT_EQ(::listen(handle_, 8), 0);
+    thread_ = std::thread([this] { serve(); });
+  }
+  ~FakeService() { stop(); }
+  FakeService(const FakeService&) = delete;
+  FakeService& operator=(const FakeService&) = delete;
+
+  // Takes no further connection and waits for the script to end; call it before looking at what the script wrote.
+  void stop() {
+    if (!thread_.joinable()) return;
+    stopped_ = true;
+    ::shutdown(handle_, SHUT_RDWR);
+    thread_.join();
+    ::close(handle_);
+  }
+  const std::string& endpoint() const { return endpoint_; }
+
+ private:
+  void serve() {
+    for (int number = 0; !stopped_; ++number) {
+      const int connection = ::accept4(handle_, nullptr, nullptr, SOCK_CLOEXEC);
+      if (connection < 0) return;
+      Peer peer(connection);
+      if (!stopped_) script_(peer, number);
+    }
+  }
+
+  TemporaryDirectory directory_;
+  Script script_;
+  std::string endpoint_;
+  int handle_ = -1;
+  std::atomic<bool> stopped_{false};
+  std::thread thread_;
+};
+
+}  // namespace rcb::client

@@ -1,0 +1,396 @@
+#include <algorithm>
+#include <numeric>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include "client/lib/client.hpp"
+#include "common/base/random.hpp"
+#include "tests/client/lib/fake_scene.hpp"
+
+namespace rcb::client {
+namespace {
+
+double value_of(std::int64_t id, std::size_t axis, std::int64_t step) {
+  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
+}
+
+// Parts that change for one particle in `rarity` each step.
+std::int32_t wandering(std::int64_t id, std::int64_t step, std::uint64_t rarity, std::int32_t parts) {
+  const std::uint64_t mixed = mix64(static_cast<std::uint64_t>(id));
+  const std::uint64_t moves = (mixed + static_cast<std::uint64_t>(step)) / rarity;
+  return static_cast<std::int32_t>((mixed / 7 + moves) % static_cast<std::uint64_t>(parts));
+}
+
+// The caller's arrays for a step, as rows (n, dims) or one array an axis.
+struct Caller {
+  std::size_t n;
+  int dims;
+  std::vector<std::int64_t> ids;  // empty: rows
+  std::vector<double> values;
+  std::vector<const double*> axes;
+
+  Positions at(std::int64_t step, bool rows) {
+    const auto d = static_cast<std::size_t>(dims);
+    values.resize(n * d + 1);
+    axes.clear();
+    for (std::size_t a = 0; a < d; ++a) {
+      axes.push_back(values.data() + a * n);
+      for (std::size_t i = 0; i < n; ++i)
+        values[rows ? i * d + a : a * n + i] = value_of(ids.empty() ? static_cast<std::int64_t>(i) : ids[i], a, step);
+    }
+    return rows ? Positions::rows(values.data(), n, dims) : Positions::axes(axes, n);
+  }
+};
+
+struct Session {
+  std::unique_ptr<FakeService> service;
+  std::optional<Client> client;
+  std::optional<Scene> scene;
+
+  explicit Session(FakeScene& fake) {
+    service = std::make_unique<FakeService>([&fake](Peer& peer, int) { fake.serve(peer); });
+    auto connected = Client::connect({.endpoint = service->endpoint()});
+    EXPECT_TRUE(connected.ok()) << connected.status().message();
+    client.emplace(std::move(*connected));
+    open();
+  }
+  void open() {
+    scene.reset();
+    auto opened = client->open_scene("s");
+    EXPECT_TRUE(opened.ok()) << opened.status().message();
+    scene.emplace(std::move(*opened));
+  }
+  // What the script wrote may be read after this.
+  void end() {
+    scene.reset();
+    client.reset();
+    service->stop();
+  }
+};
+
+FakeScene scene_of(int dims, int parts, int ranks, std::uint64_t rarity) {
+  FakeScene fake(dims, parts, ranks);
+  fake.position = value_of;
+  fake.part_of = [=](std::int64_t id, std::int64_t step) { return wandering(id, step, rarity, parts); };
+  return fake;
+}
+
+StepOptions wanting(std::span<const std::int64_t> ids = {}) {
+  StepOptions options;
+  options.ids = ids;
+  options.want_parts = true;
+  options.want_changes = true;
+  return options;
+}
+
+// Parts and changes of a step against the formula.
+void expect_parts(const StepResult& result, const Caller& caller, std::int64_t step, std::uint64_t rarity,
+                  std::int32_t parts, bool all_rows) {
+  ASSERT_EQ(result.parts.size(), caller.n);
+  std::vector<PartChange> expected;
+  for (std::size_t row = 0; row < caller.n; ++row) {
+    const std::int64_t id = caller.ids.empty() ? static_cast<std::int64_t>(row) : caller.ids[row];
+    const std::int32_t part = wandering(id, step, rarity, parts);
+    ASSERT_EQ(result.parts[row], part) << "row " << row << " step " << step;
+    if (all_rows || part != wandering(id, step - 1, rarity, parts)) expected.push_back({row, part});
+  }
+  ASSERT_EQ(result.changes.size(), expected.size()) << "step " << step;
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_EQ(result.changes[i].row, expected[i].row);
+    EXPECT_EQ(result.changes[i].part, expected[i].part);
+  }
+}
+
+// Any rank count, few or many movers, ids of the solver's own, either layout: the slices arrive in plan order (the
+// fake scene checks each value) and the parts are right, without the plan ever being fetched.
+TEST(Step, SlicesFollowThePlan) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  Random random(seed);
+  for (const int ranks : {1, 2, 3, 7})
+    for (const std::uint64_t rarity : {std::uint64_t{2}, std::uint64_t{100}}) {
+      const int dims = 1 + static_cast<int>(random.below(3));
+      const std::int32_t parts = 5;
+      Caller caller{random.below(3000), dims, {}, {}, {}};
+      if (random.below(2) == 0) {
+        for (std::size_t i = 0; i < caller.n; ++i)
+          caller.ids.push_back(static_cast<std::int64_t>(7 * i + random.below(7)));
+        for (std::size_t i = caller.n; i > 1; --i) std::swap(caller.ids[i - 1], caller.ids[random.below(i)]);
+      }
+      FakeScene fake = scene_of(dims, parts, ranks, rarity);
+      Session session(fake);
+      for (std::int64_t step = 0; step < 6; ++step) {
+        const auto result = session.scene->step(caller.at(step, random.below(2) == 0), wanting(caller.ids));
+        ASSERT_TRUE(result.ok()) << result.status().message();
+        EXPECT_EQ(result->report.step, step);
+        expect_parts(*result, caller, step, rarity, parts, step == 0);
+      }
+      EXPECT_EQ(session.scene->last_step(), 5);
+      session.end();
+      EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 0);
+      EXPECT_EQ(fake.commits, 6);
+    }
+}
+
+TEST(Step, ReportIsRead) {
+  FakeScene fake = scene_of(3, 4, 2, 10);
+  Session session(fake);
+  Caller caller{100, 3, {}, {}, {}};
+  const auto result = session.scene->step(caller.at(0, true));
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  const StepReport& report = result->report;
+  EXPECT_EQ(report.scene, "s");
+  EXPECT_EQ(report.epoch, 1U);
+  EXPECT_EQ(report.n, 100U);
+  EXPECT_FALSE(report.error_before.has_value());
+  EXPECT_EQ(report.error, 0.25);
+  EXPECT_EQ(report.imbalance, 1.5);
+  EXPECT_TRUE(report.repartitioned);
+  EXPECT_EQ(report.reason, "because");
+  EXPECT_EQ(report.axes_flipped, 2);
+  EXPECT_EQ(report.moved, 3U);
+  EXPECT_EQ(report.migrated, 4U);
+  EXPECT_EQ(report.skipped, (std::vector<std::string>{"search"}));
+  EXPECT_EQ(report.seconds_receive, 0.5);
+  EXPECT_EQ(report.seconds_total, 2);
+  EXPECT_TRUE(result->parts.empty());
+  EXPECT_TRUE(result->changes.empty());
+  EXPECT_EQ(wire::parse_json(report.json)->at("bytes"), 5);
+}
+
+TEST(Step, LargeSlicesGoThroughManyWrites) {
+  for (const bool rows : {true, false}) {
+    FakeScene fake = scene_of(3, 4, 3, 50);
+    Session session(fake);
+    Caller caller{400000, 3, {}, {}, {}};
+    for (std::int64_t step = 0; step < 3; ++step) {
+      const auto result = session.scene->step(caller.at(step, rows), wanting());
+      ASSERT_TRUE(result.ok()) << result.status().message();
+      expect_parts(*result, caller, step, 50, 4, step == 0);
+    }
+  }
+}
+
+TEST(Step, NoParticles) {
+  FakeScene fake = scene_of(3, 4, 3, 2);
+  Session session(fake);
+  const auto result = session.scene->step(Positions::rows(nullptr, 0, 3), wanting());
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  EXPECT_TRUE(result->parts.empty());
+}
+
+TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  fake.fault = [](int push) { return push == 1 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
+  Session session(fake);
+  Caller caller{1000, 3, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  const auto result = session.scene->step(caller.at(1, true), wanting());
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  expect_parts(*result, caller, 1, 20, 5, false);
+  ASSERT_TRUE(session.scene->step(caller.at(2, true)).ok());
+  session.end();
+  EXPECT_EQ(fake.attempts, (std::vector<std::int64_t>{1, 2, 3, 4}));
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 1);
+}
+
+TEST(Step, StaleTwiceIsToldAndTheNextStepGoesOn) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  fake.fault = [](int push) { return push == 1 || push == 2 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
+  Session session(fake);
+  Caller caller{1000, 3, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  EXPECT_EQ(session.scene->step(caller.at(1, true)).status().code(), Code::stale_plan);
+  EXPECT_EQ(session.scene->last_step(), 0);
+  EXPECT_TRUE(session.scene->step(caller.at(1, true)).ok());
+}
+
+TEST(Step, LostConnectionIsMendedAndTheStepAppliedOnce) {
+  using Fault = FakeScene::Fault;
+  for (const Fault fault : {Fault::close_before_commit, Fault::close_after_commit, Fault::close_in_answer})
+    for (const int when : {0, 2}) {
+      SCOPED_TRACE("fault " + std::to_string(static_cast<int>(fault)) + " at push " + std::to_string(when));
+      FakeScene fake = scene_of(2, 5, 3, 20);
+      fake.fault = [=](int push) { return push == when ? fault : Fault::none; };
+      Session session(fake);
+      Caller caller{1000, 2, {}, {}, {}};
+      for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(5000 - 3 * i));
+      for (std::int64_t step = 0; step < 5; ++step) {
+        const auto result = session.scene->step(caller.at(step, false), wanting(caller.ids));
+        ASSERT_TRUE(result.ok()) << result.status().message();
+        expect_parts(*result, caller, step, 20, 5, step == 0);
+      }
+      session.end();
+      EXPECT_EQ(fake.commits, 5);
+      ASSERT_EQ(fake.sessions.size(), 2U);
+      EXPECT_EQ(fake.sessions[0], fake.sessions[1]) << "the same session on the new connection";
+    }
+}
+
+TEST(Step, ServiceThatLostTheSceneIsAClearError) {
+  FakeScene fake = scene_of(3, 4, 2, 10);
+  std::atomic<bool> gone{false};
+  fake.fault = [&](int push) {
+    if (push != 1) return FakeScene::Fault::none;
+    fake.empty_now = true;
+    return FakeScene::Fault::close_before_commit;
+  };
+  Session session(fake);
+  Caller caller{100, 3, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  for (int again = 0; again < 2; ++again) {
+    const Status status = session.scene->step(caller.at(1, true)).status();
+    EXPECT_EQ(status.code(), Code::not_found);
+    EXPECT_NE(status.message().find("no scene 's'"), std::string::npos) << status.message();
+  }
+}
+
+TEST(Step, AnswerThatContradictsThePlanIsMendedByFetching) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  fake.fault = [](int push) { return push <= 1 ? FakeScene::Fault::wrong_checksum : FakeScene::Fault::none; };
+  Session session(fake);
+  Caller caller{1000, 3, {}, {}, {}};
+  for (std::int64_t step = 0; step < 4; ++step) {
+    const auto result = session.scene->step(caller.at(step, true), wanting());
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    expect_parts(*result, caller, step, 20, 5, step == 0);
+  }
+  session.end();
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 2);
+  EXPECT_EQ(fake.attempts.size(), 4U);
+}
+
+// The parts may change without the plan: only the epoch tells.
+TEST(Step, ARebalanceInBetweenIsNoticedByItsEpoch) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  fake.fault = [&](int push) {
+    if (push == 1) fake.epoch = 7;
+    return FakeScene::Fault::none;
+  };
+  Session session(fake);
+  Caller caller{1000, 3, {}, {}, {}};
+  for (std::int64_t step = 0; step < 3; ++step) {
+    const auto result = session.scene->step(caller.at(step, true), wanting());
+    ASSERT_TRUE(result.ok());
+    expect_parts(*result, caller, step, 20, 5, step == 0);
+  }
+  session.end();
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 1);
+}
+
+TEST(Step, AnotherSceneObjectGoesOnWhereTheFirstEnded) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  Session session(fake);
+  Caller caller{1000, 3, {}, {}, {}};
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * i + 1));
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
+  session.open();
+  EXPECT_EQ(session.scene->last_step(), 0);
+  EXPECT_NE(session.scene->step(caller.at(1, true)).status().message().find("ids of its own"), std::string::npos);
+  auto result = session.scene->step(caller.at(1, true), wanting(caller.ids));
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  expect_parts(*result, caller, 1, 20, 5, true);
+  result = session.scene->step(caller.at(2, true), wanting());
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  expect_parts(*result, caller, 2, 20, 5, false);
+}
+
+// The service answers at push.begin and reads on: the client must neither hang nor lose its place in the stream.
+TEST(Step, EarlyRefusalOfALargePush) {
+  FakeScene fake = scene_of(3, 7, 7, 20);
+  fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::busy_early : FakeScene::Fault::none; };
+  Session session(fake);
+  Caller caller{500000, 3, {}, {}, {}};
+  const Status status = session.scene->step(caller.at(0, true)).status();
+  EXPECT_EQ(status.code(), Code::busy);
+  EXPECT_EQ(status.message(), "held by another");
+  EXPECT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  session.end();
+  EXPECT_EQ(fake.sessions.size(), 1U) << "on the same connection";
+  EXPECT_LE(fake.slices_read, 14);
+}
+
+// A service that refuses and closes without reading the slices: the reason still reaches the caller.
+TEST(Step, RefusalAndCloseWhileTheClientSends) {
+  for (const bool tcp : {false, true}) {
+    FakeService service(
+        [](Peer& peer, int) {
+          if (!peer.greet(1)) return;
+          auto open = peer.receive();
+          if (!open) return;
+          peer.reply(*open, {{"dims", 3}, {"parts", 1}});
+          const auto begin = peer.receive();
+          if (!begin) return;
+          peer.fail(*begin, {Code::too_large, "too much", "send less"});
+          std::vector<char> some(1U << 20U);  // so that the client is in the middle of its slice
+          peer.read(some.data(), some.size());
+          ::usleep(20000);
+        },
+        tcp);
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok());
+    auto scene = client->open_scene("s");
+    ASSERT_TRUE(scene.ok());
+    Caller caller{1000000, 3, {}, {}, {}};
+    const Status status = scene->step(caller.at(0, true)).status();
+    EXPECT_EQ(status.code(), Code::too_large) << status.message();
+  }
+}
+
+TEST(Step, AServiceThatStopsReadingMeetsTheDeadline) {
+  FakeService service([](Peer& peer, int) {
+    if (!peer.greet(1)) return;
+    auto open = peer.receive();
+    if (!open) return;
+    peer.reply(*open, {{"dims", 3}, {"parts", 1}});
+    peer.receive();
+    ::sleep(4);
+  });
+  auto client = Client::connect({.endpoint = service.endpoint()});
+  ASSERT_TRUE(client.ok());
+  auto scene = client->open_scene("s");
+  ASSERT_TRUE(scene.ok());
+  Caller caller{1000000, 3, {}, {}, {}};
+  StepOptions options;
+  options.deadline_seconds = 0.1;
+  EXPECT_EQ(scene->step(caller.at(0, true), options).status().code(), Code::deadline_exceeded);
+}
+
+TEST(Step, WhatCannotFitIsRefusedBeforeItIsSent) {
+  FakeScene fake = scene_of(3, 4, 2, 10);
+  Session session(fake);
+  Caller caller{100, 3, {}, {}, {}};
+  const auto refused = [&](const Positions& positions, const StepOptions& options, const std::string& words) {
+    const Status status = session.scene->step(positions, options).status();
+    EXPECT_EQ(status.code(), Code::invalid_argument);
+    EXPECT_NE(status.message().find(words), std::string::npos) << status.message();
+    EXPECT_FALSE(status.hint().empty());
+  };
+  const Positions good = caller.at(0, true);
+  Positions bad = good;
+  bad.dims = 2;
+  refused(bad, {}, "2 dimensions, the scene has 3");
+  bad = good;
+  bad.axis[1] = nullptr;
+  refused(bad, {}, "axis y");
+  bad = good;
+  bad.stride = 0;
+  refused(bad, {}, "stride");
+  const std::vector<std::int64_t> ids(99);
+  refused(good, {.ids = ids}, "99 ids for 100");
+  const std::vector<double> weights(101);
+  refused(good, {.weights = weights}, "101 weights for 100");
+  refused(good, {.step = -1}, "step -1");
+  refused(good, {.deadline_seconds = 0}, "deadline");
+  ASSERT_TRUE(session.scene->step(good).ok());
+  refused(Positions::rows(caller.values.data(), 99, 3), {}, "99 particles, the scene has 100");
+  refused(good, {.weights = std::span(weights).first(100)}, "the scene has none");
+  const std::vector<std::int64_t> others(100, 5);
+  refused(good, {.ids = others}, "row 0 has id 5, at first it had 0");
+  session.end();
+  EXPECT_EQ(fake.attempts.size(), 1U);
+}
+
+}  // namespace
+}  // namespace rcb::client
