@@ -277,6 +277,8 @@ awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pendi
           fmt::format("'{}' wasn't done within {} s; it goes on", request.command, request.deadline_seconds),
           "ask again later, or give it a longer deadline"});
   }
+  answering_ = false;
+  if (goodbye_due_) say_goodbye();
 }
 
 void Session::reply(const Request& request, Answer answer) {
