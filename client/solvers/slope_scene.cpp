@@ -1,4 +1,4 @@
-// The submarine slope: a long wedge of sediment, thin at the head, tapering to a toe.
+// The submarine slope: a wide sheet of sediment, thin at the head, tapering to a toe.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -14,7 +14,7 @@ namespace {
 // Metres. The bed falls by kFall over kLength and is level from there.
 constexpr double kLength = 400;
 constexpr double kFall = 100;
-constexpr double kWidth = 80;
+constexpr double kWidth = 320;
 constexpr double kThickness = 40;  // at its thickest, upright
 constexpr double kHead = 40;       // over which the thickness grows from 0
 constexpr double kToe = 200;       // over which it goes back to 0
