@@ -26,8 +26,10 @@ struct Points {
   std::vector<double> weight;                 // [count] or empty
 };
 
-// The whole file. path: *.npy, *.xyz (or recognised by its count line), FILE.h5:/dataset, anything else is text.
-// NaN, infinity, duplicate or negative ids, ragged rows are refused: "points.csv:17: ...".
+// The whole file. path: an .npy file (by its name or first bytes), FILE.h5:/dataset, else text, which is taken for XYZ
+// by its count line. Columns named x, y, z, id (any case) are taken by name; without x, y, z the first `dims` columns
+// beside id and weights. An empty text file has no points, in `dims` dimensions or 3. Only regular files. NaN,
+// infinity, duplicate or negative ids, ragged rows are refused: "points.csv:17: ...".
 Result<Points> read_points(const std::string& path, const ReadOptions& options);
 
 // Share k of `of` of the same rows, in order: rows of the file for .npy and HDF5, whole lines by byte range for text.
