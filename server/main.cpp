@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include <fmt/format.h>
 #include <spdlog/sinks/stdout_sinks.h>
@@ -57,6 +58,7 @@ void set_up_signals(int rank) {
 // What rank 0 has and the others don't.
 struct Root {
   std::optional<net::DataDirectory> data;
+  std::vector<net::OfferedToken> offered;
   std::unique_ptr<net::DoorbellHub> doorbells;
   std::unique_ptr<Bridge> bridge;
   std::unique_ptr<net::Control> control;
@@ -90,6 +92,11 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
   for (const std::string& where : config.listen) {
     const auto bound = root.control->listen_tcp(where);
     if (!bound.ok()) return bound.status();
+    if (const std::string usual = data_directory_for(*bound); usual != root.data->path()) {
+      auto offered = net::OfferedToken::offer(usual, options.token);
+      if (!offered.ok()) return offered.status();
+      root.offered.push_back(std::move(*offered));
+    }
     spdlog::info("listening on {}, token in {}", *bound, join_path(root.data->path(), kTokenFile));
   }
   loop.on_signals([control = root.control.get()](int number) { control->shut_down(fmt::format("signal {}", number)); });

@@ -133,6 +133,20 @@ Result<std::string> DataDirectory::token() const {
   return token;
 }
 
+Result<OfferedToken> OfferedToken::offer(const std::string& directory, std::string token) {
+  if (Status made = make_private_directory(directory); !made.ok()) return made;
+  const std::string path = join_path(directory, kTokenFile);
+  if (Status written = write_private(path, token + "\n"); !written.ok()) return written;
+  return OfferedToken(path, std::move(token));
+}
+
+OfferedToken::OfferedToken(OfferedToken&& other) noexcept
+    : path_(std::exchange(other.path_, "")), token_(std::move(other.token_)) {}
+
+OfferedToken::~OfferedToken() {
+  if (!path_.empty() && private_token(path_) == token_) ::unlink(path_.c_str());
+}
+
 Status DataDirectory::leave_clean_marker() const {
   const Status written = write_private(join_path(path_, kCleanShutdownFile), "");
   if (!written.ok()) return written;

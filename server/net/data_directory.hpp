@@ -32,6 +32,22 @@ class DataDirectory {
   int lock_ = -1;
 };
 
+// A copy of a service's token where clients on this machine look for it: in its endpoint's default data directory, for
+// services whose own lies elsewhere. It goes with this, unless another service has put its own there.
+class OfferedToken {
+ public:
+  // Errors: io_error, not_authorised.
+  static Result<OfferedToken> offer(const std::string& directory, std::string token);
+  OfferedToken(OfferedToken&& other) noexcept;
+  OfferedToken& operator=(OfferedToken&&) = delete;
+  ~OfferedToken();
+
+ private:
+  OfferedToken(std::string path, std::string token) : path_(std::move(path)), token_(std::move(token)) {}
+  std::string path_;
+  std::string token_;
+};
+
 // `bytes` of the kernel's randomness as hex digits.
 std::string random_hex(std::size_t bytes);
 // In a time that doesn't depend on where they differ.
