@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <limits>
 
+#include "common/partition/refine.hpp"
 #include "common/partition/wide_sum.hpp"
 
 namespace rcb::partition {
 namespace {
 
-constexpr std::uint64_t kNone = ~std::uint64_t{0};
 constexpr std::uint64_t kIdMax = static_cast<std::uint64_t>(std::numeric_limits<Id>::max());
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
@@ -34,24 +34,11 @@ void measure(std::span<const double> values, double& lo, double& hi) {
   hi = *std::ranges::max_element(most);
 }
 
-std::optional<int> band_axis(Method method) {
-  switch (method) {
-    case Method::bands_x:
-      return 0;
-    case Method::bands_y:
-      return 1;
-    case Method::bands_z:
-      return 2;
-    default:
-      return std::nullopt;
-  }
-}
-
 }  // namespace
 
 TreeBuilder::TreeBuilder(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
                          int axes)
-    : comm_(comm), particles_(particles), options_(options), axes_(axes) {
+    : comm_(comm), particles_(particles), options_(options), axes_(axes), rule_(options, axes) {
   CutTree& tree = result_.tree;
   tree.dims = particles.dims;
   tree.method = options.method;
@@ -66,6 +53,10 @@ PartitionResult TreeBuilder::build() {
   std::fill(result_.part.begin(), result_.part.end(), 0);
   if (options_.parts == 1) return std::move(result_);
   measure_all();
+  if (refinable()) {
+    refine();
+    return std::move(result_);
+  }
   Selector selector(comm_, particles_, axes_, scale_ ? &*scale_ : nullptr);
   std::vector<SelectNode> asked;
   while (!level_.empty()) {
@@ -82,9 +73,24 @@ PartitionResult TreeBuilder::build() {
   return std::move(result_);
 }
 
+bool TreeBuilder::refinable() const {
+  constexpr std::size_t kLocalMax = std::size_t{1} << 31U;
+  return !scale_ && axes_ > 0 && local_count_max_ < kLocalMax &&
+         rule_.quota(0, options_.parts) >= std::max<std::uint64_t>(options_.refinement.points_min, 1);
+}
+
+void TreeBuilder::refine() {
+  Refiner refiner(comm_, particles_, rule_, options_);
+  refiner.run(bounds_[0], result_.tree, result_.part.span());
+  result_.rounds += refiner.rounds();
+  result_.reductions += refiner.reductions();
+  result_.refined = refiner.counts();
+}
+
 // The root: number of particles, extents, weights.
 void TreeBuilder::measure_all() {
-  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNone);
+  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 3, kNoImage);
+  least[2 * geometry::kDimsMax] = ~std::uint64_t{particles_.count};
   for (int a = 0; a < axes_ && particles_.count > 0; ++a) {
     double lo = particles_.position[at(a)][0];
     double hi = lo;
@@ -100,6 +106,8 @@ void TreeBuilder::measure_all() {
   bounds_.resize(1);
   std::copy_n(least.begin(), geometry::kDimsMax, bounds_[0].lo.begin());
   std::copy_n(least.begin() + geometry::kDimsMax, geometry::kDimsMax, bounds_[0].not_hi.begin());
+  local_count_max_ = ~least[2 * geometry::kDimsMax];
+  rule_.set_all(count, bounds_[0]);
 
   Node root{NodeRange{0, 0, options_.parts}, count, 0};
   if (const auto range = weight_range_of_images(std::span<const std::uint64_t>(least).last<2>())) {
@@ -109,52 +117,28 @@ void TreeBuilder::measure_all() {
     ++result_.reductions;
   }
   level_.assign(1, root);
-
-  const std::vector<u128> sizes = exact_sizes(options_.part_sizes, options_.parts);
-  size_upto_.assign(1, 0);
-  for (const u128 size : sizes) size_upto_.push_back(size_upto_.back() + size);
-  quota_upto_.clear();
-  for (const u128 upto : size_upto_) quota_upto_.push_back(floor_share(count, upto, size_upto_.back()));
-  fixed_axes_ = axes_of(root.range, bounds_[0]);
-}
-
-AxisOrder TreeBuilder::axes_of(const NodeRange& range, const Bounds& bounds) const {
-  Point extents{};
-  for (std::size_t a = 0; a < at(axes_); ++a)
-    if (bounds.lo[a] <= ~bounds.not_hi[a])
-      extents[a] =
-          geometry::extent(geometry::value_of_image(bounds.lo[a]), geometry::value_of_image(~bounds.not_hi[a]));
-  const AxisOrder order = geometry::order_by_extent(extents, axes_);
-  if (const auto axis = band_axis(options_.method)) return geometry::with_first(order, *axis, axes_);
-  if (options_.axis_hysteresis > 1 && options_.previous != nullptr && axes_ > 0) {
-    const Cut* old_cut = options_.previous->cut_of(range.first, range.last);
-    if (old_cut != nullptr && old_cut->axes[0] < axes_ &&
-        extents[at(old_cut->axes[0])] * options_.axis_hysteresis >= extents[at(order[0])])
-      return geometry::with_first(order, old_cut->axes[0], axes_);
-  }
-  return order;
 }
 
 void TreeBuilder::ask(const Node& node, const Bounds& bounds, SelectNode& out) const {
-  out.axes = band_axis(options_.method) ? fixed_axes_ : axes_of(node.range, bounds);
+  out.axes = rule_.axes_of(node.range, bounds);
   for (std::size_t w = 0; w < at(axes_); ++w) {
     const auto axis = static_cast<std::size_t>(out.axes[w]);
     out.lo[w] = bounds.lo[axis];
     out.hi[w] = ~bounds.not_hi[axis];
-    out.empty = out.empty || bounds.lo[axis] == kNone;
+    out.empty = out.empty || bounds.lo[axis] == kNoImage;
   }
   out.lo[at(axes_)] = 0;
   out.hi[at(axes_)] = kIdMax;
-  const auto first = at(node.range.first);
-  const auto middle = at(node.range.middle());
+  const auto [index, first, last] = node.range;
+  const int middle = node.range.middle();
   if (scale_) {
     out.weight = node.weight;
-    out.left_size = size_upto_[middle] - size_upto_[first];
-    out.size = size_upto_[at(node.range.last)] - size_upto_[first];
+    out.left_size = rule_.size(first, middle);
+    out.size = rule_.size(first, last);
   } else {
     out.count = node.count;
     out.empty = node.count == 0;
-    out.rank = quota_upto_[middle] - quota_upto_[first];
+    out.rank = rule_.quota(first, middle);
   }
 }
 
@@ -252,8 +236,8 @@ void TreeBuilder::label_and_measure() {
   bounds_.resize(next_.size());
   for (std::size_t n = 0; n < next_.size(); ++n) {
     const Range& range = ranges[n + 1];
-    bounds_[n].lo.fill(kNone);
-    bounds_[n].not_hi.fill(kNone);
+    bounds_[n].lo.fill(kNoImage);
+    bounds_[n].not_hi.fill(kNoImage);
     for (std::size_t a = 0; a < kCount && range.lo[0] <= range.hi[0]; ++a) {
       bounds_[n].lo[a] = geometry::image(range.lo[a]);
       bounds_[n].not_hi[a] = ~geometry::image(range.hi[a]);

@@ -13,6 +13,7 @@
 #include "common/partition/load.hpp"
 #include "common/partition/partition.hpp"
 #include "common/partition/select.hpp"
+#include "common/partition/split_rule.hpp"
 
 namespace rcb::partition {
 
@@ -30,11 +31,6 @@ class TreeBuilder {
     std::uint64_t count = 0;  // without weights
     u128 weight = 0;          // with weights
   };
-  // Least image and complement of the greatest image on each axis: one minimum over ranks gives both.
-  struct Bounds {
-    std::array<std::uint64_t, geometry::kDimsMax> lo;
-    std::array<std::uint64_t, geometry::kDimsMax> not_hi;
-  };
   // What the labelling pass reads of a node.
   struct Branch {
     double at = 0;  // infinite where nothing goes right
@@ -45,7 +41,9 @@ class TreeBuilder {
   };
 
   void measure_all();
-  AxisOrder axes_of(const NodeRange& range, const Bounds& bounds) const;
+  // Whether the tree is refined from a guess; else it is searched level by level.
+  bool refinable() const;
+  void refine();
   void ask(const Node& node, const Bounds& bounds, SelectNode& out) const;
   // Makes the level's cuts from the answers, and the next level's nodes.
   void split(std::span<const SelectNode> answers);
@@ -60,16 +58,15 @@ class TreeBuilder {
   const particles::ParticleView& particles_;
   const PartitionOptions& options_;
   int axes_;
+  SplitRule rule_;
   std::optional<ExactScale> scale_;  // of the weights, if they count
-  std::vector<u128> size_upto_;      // sum of the sizes of the parts before
-  std::vector<std::uint64_t> quota_upto_;
+  std::size_t local_count_max_ = 0;  // of any rank
 
   PartitionResult result_;
   std::vector<Node> level_;
   std::vector<Node> next_;
   std::vector<Branch> branches_;
-  std::vector<Bounds> bounds_;     // of level_, later of next_
-  AxisOrder fixed_axes_{0, 1, 2};  // of bands
+  std::vector<Bounds> bounds_;  // of level_, later of next_
 };
 
 }  // namespace rcb::partition

@@ -13,12 +13,30 @@
 
 namespace rcb::partition {
 
+// How cuts are searched; no answer depends on it.
+struct Refinement {
+  std::uint64_t points_min = 50'000;  // with fewer particles each level is searched from its bounds, without a guess
+  std::uint64_t sample = 32'768;      // points in the sample, at most twice as many
+  double sigmas = 3;                  // half a bracket's width, in standard deviations of the sample's guess
+};
+
 struct PartitionOptions {
   Method method = Method::rcb;
   int parts = 1;
   std::vector<double> part_sizes;     // empty: equal; else `parts` finite numbers > 0
   double axis_hysteresis = 1.0;       // finite, >= 1; 1: the pure rule
   const CutTree* previous = nullptr;  // the tree in force, for hysteresis; null: none
+  Refinement refinement;
+};
+
+// What the refinement of a guess cost, all ranks together but for `scanned`; all 0 where none was made.
+struct RefineCounts {
+  std::uint64_t passes = 0;   // over all particles
+  std::uint64_t scanned = 0;  // particles looked at in them, on this rank
+  std::uint64_t sampled = 0;
+  std::uint64_t stashed = 0;     // found in a bracket
+  std::uint64_t missed = 0;      // brackets that did not hold their cut, and
+  std::uint64_t wrong_axes = 0;  // nodes whose longest axis was guessed wrong: mended by another pass
 };
 
 struct PartitionResult {
@@ -26,6 +44,7 @@ struct PartitionResult {
   Buffer<std::int32_t> part;     // [local count], the part of each local particle
   std::uint64_t rounds = 0;      // search rounds (a round: one histogram reduction for a group of nodes)
   std::uint64_t reductions = 0;  // all collectives used
+  RefineCounts refined;
 };
 
 // The box of all ranks' particles; empty without any. Collective (one reduction).

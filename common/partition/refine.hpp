@@ -1,0 +1,85 @@
+// Refiner: finds the exact cut tree from a guessed one (guess.hpp). A pass sends all particles down the guess
+// (descent.hpp); then, level by level from the top, the few inside brackets are counted and the cuts selected among
+// them (select.hpp), exactly. Where the guess was wrong (another axis is the longest, a bracket does not hold the cut)
+// the node begins the next pass, with what was learnt; so do the nodes that the guess did not reach.
+//
+// Invariants
+// 1. The tree does not depend on the sample: a cut is taken from a guess only if exact bounds gave the same axis order
+//    (as far as it matters) and exact counts showed that the bracket holds the cut.
+// 2. A node begins at most two passes: in the second its bracket holds the cut for certain. So there are at most
+//    two passes a level, and every search in a pass is bounded as the Selector's are.
+// 3. Between passes label[i] >= 0 is a place of the last pass, and next_[place] says what became of it: -1 - p is
+//    part p, else a node of the frontier.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/partition/descent.hpp"
+#include "common/partition/guess.hpp"
+#include "common/partition/select.hpp"
+
+namespace rcb::partition {
+
+class Refiner {
+ public:
+  // Without weights. Every rank has fewer than 2^31 particles.
+  Refiner(Comm& comm, const particles::ParticleView& particles, const SplitRule& rule, const PartitionOptions& options);
+
+  // Collective. Fills the tree's cuts and gives every particle its part.
+  //   all  bounds of all ranks' particles
+  void run(const Bounds& all, CutTree& tree, std::span<std::int32_t> part);
+
+  const RefineCounts& counts() const { return counts_; }
+  std::uint64_t rounds() const { return selector_.rounds(); }
+  std::uint64_t reductions() const { return reductions_ + selector_.reductions(); }
+
+ private:
+  void pass(std::span<std::int32_t> label);
+  // The particles in brackets whose keys say more than their first coordinate go on; the rest wait by level.
+  void sort_stopped(std::span<std::int32_t> label);
+  void wait(std::size_t particle, std::int32_t place);
+  // One level of the guess: bounds, counts, cuts, and its waiting particles go on.
+  void settle_level(int depth, std::span<std::int32_t> label);
+  void measure_level(std::span<const int> level);
+  void count_level(std::span<const int> level);
+  // Whether the guess holds for an inner node; if not, it begins the next pass.
+  bool holds(int node);
+  SelectNode question(int node) const;
+  void select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label);
+  // The node begins the next pass; what rests below it belongs to it.
+  void postpone(int node, double side_lo, double side_hi);
+  void deal_sample();
+
+  Comm& comm_;
+  const particles::ParticleView& particles_;
+  const SplitRule& rule_;
+  const Refinement& refinement_;
+  Guess guess_;
+  Descent descent_;
+  particles::ParticleSet waiting_;  // a level's waiting particles, copied out
+  particles::ParticleView waiting_view_;
+  Selector selector_;
+  CutTree* tree_ = nullptr;
+
+  std::vector<SamplePoint> sample_;
+  std::vector<FrontierNode> frontier_;
+  std::vector<FrontierNode> next_frontier_;
+  std::vector<std::int32_t> start_;  // by place of the last pass: where this pass begins, or -1 - part
+  std::vector<std::int32_t> next_;   // by place of this pass
+  Buffer<std::uint32_t> stopped_;
+  std::vector<Buffer<std::uint32_t>> levels_;  // those of stopped_ that wait, by depth
+  // By node of the guess.
+  std::vector<Bounds> bounds_;
+  std::vector<std::uint64_t> below_;
+  std::vector<std::uint64_t> inside_;
+  std::vector<std::uint8_t> settled_;  // the cut is known, or it is a part
+  std::vector<std::uint8_t> dead_;     // below a node that begins the next pass
+
+  RefineCounts counts_;
+  std::uint64_t reductions_ = 0;
+};
+
+}  // namespace rcb::partition
