@@ -123,8 +123,9 @@ TEST(Npy, HostileHeaders) {
   const std::string type = "{'descr': '<f8', 'fortran_order': False, 'shape': ";
   refuse(type + "(9223372036854775807, 3), }", "needs more than any file can have");
   refuse(type + "(4294967296, 4294967296), }", "more than any file");
-  refuse(type + "(2305843009213693952, 2), }", "more than any file");  // 2^64 bytes: wraps to 0
-  refuse(type + "(2305843009213693953, 1), }", "more than any file");  // wraps to 8
+  refuse(type + "(2305843009213693952, 2), }", "more than any file");                       // 2^64 bytes: wraps to 0
+  refuse(type + "(2305843009213693953, 1), }", "more than any file");                       // wraps to 8
+  refuse(type + "(4611686018427387904, 9223372036854775808, 1), }", "more than any file");  // 2^128
   refuse(type + "(18446744073709551616,), }", "can't be read");
   refuse(type + "(-1,), }", "can't be read");
   refuse(type + "(), }", "is not (n,)");
