@@ -270,7 +270,9 @@ asio::awaitable<bool> Connection::State::read_frame() {
     lose(status.code(), status.message());
     co_return false;
   }
-  if (header->bulk_bytes > 0 || (header->flags & wire::kFlagBulkChecksum) != 0)
+  // Arrays without elements are described too, and have no bulk.
+  if (header->bulk_bytes > 0 || (header->flags & wire::kFlagBulkChecksum) != 0 ||
+      frame.text.find("\"arrays\"") != std::string::npos)
     if (!co_await read_arrays(frame, *header)) co_return false;
   if (frame.type == wire::FrameType::goodbye) {
     lose(Code::unavailable, "the service said goodbye");

@@ -204,9 +204,9 @@ class FakeScene {
     if (now == Fault::close_after_commit) return false;
     wire::Json plan = plan_json();
     if (now == Fault::wrong_checksum) plan["checksum"] = "0123456789abcdef";
-    std::string bytes = Peer::frame(wire::FrameType::reply, begin.header.request,
-                                    {{"report", report(number, ids.size())}, {"plan", plan}},
-                                    {array("changed_id", "<i8", ids), array("changed_part", "<i4", parts)}, true);
+    std::string bytes = Peer::frame(
+        wire::FrameType::reply, begin.header.request, {{"report", report(number, ids.size())}, {"plan", plan}},
+        {array("changed_id", "<i8", ids), array("changed_part", "<i4", parts)}, number % 2 == 0);
     if (now == Fault::close_in_answer) bytes.resize(bytes.size() / 2);
     peer.send(wire::FrameType::notice, begin.header.request, {{"notice", "nearly done"}});
     peer.send_bytes(bytes);

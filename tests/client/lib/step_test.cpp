@@ -172,6 +172,20 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
   }
 }
 
+// Arrays without elements have no bytes, and are there all the same.
+TEST(Step, NothingChangedNothingFetched) {
+  FakeScene fake = scene_of(3, 4, 3, 1U << 30U);
+  Session session(fake);
+  Caller caller{500, 3, {}, {}, {}};
+  for (std::int64_t step = 0; step < 3; ++step) {
+    const auto result = session.scene->step(caller.at(step, true), wanting());
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(result->changes.size(), step == 0 ? 500U : 0U);
+  }
+  session.end();
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 0);
+}
+
 TEST(Step, NoParticles) {
   FakeScene fake = scene_of(3, 4, 3, 2);
   Session session(fake);
