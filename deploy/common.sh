@@ -38,6 +38,11 @@ configure_and_build() {
   run cmake --build "$folder" -j "$(build_jobs)" ${targets[@]:+--target "${targets[@]}"} >&2
 }
 
+# install_dependencies [OPTION]: not to be killed half-way, so an interruption takes effect after it.
+install_dependencies() {
+  env -u RCBD_WORK -u TMPDIR "$ROOT/deploy/dependencies" "$@"
+}
+
 # begin_work NAME: a folder ($WORK) for sockets, data and temporary files of everything started from here on, and a
 # mark in the environment ($RCBD_WORK) by which all of that is found again. It is ended, whatever happens, by end_work.
 begin_work() {
