@@ -37,6 +37,7 @@ class Log {
 };
 
 struct Rank {
+  ~Rank() { loop.stop(); }  // its handlers write to what follows
   IoLoop loop;
   Log orders;
   Log lost;
@@ -66,6 +67,7 @@ class Bells : public ::testing::Test {
     ASSERT_TRUE(hub_->wait_connected(20).ok());
   }
 
+  ~Bells() override { loop_.stop(); }
   IoLoop loop_;
   Log lost_;
   std::unique_ptr<DoorbellHub> hub_;
