@@ -72,13 +72,18 @@ Result<std::string> find_rcbd() {
 Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
   auto mpirun = find_in_path("mpirun");
   if (!mpirun) return mpirun.status();
-  auto rcbd = find_rcbd();
-  if (!rcbd) return rcbd.status();
   std::vector<std::string> arguments{*mpirun, "--bind-to", "none", "--oversubscribe"};
   if (geteuid() == 0) arguments.emplace_back("--allow-run-as-root");
   arguments.insert(arguments.end(), {"--mca", "btl", "vader,self"});
   if (!spec.shm_dir.empty()) arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.shm_dir});
-  arguments.insert(arguments.end(), {"-n", std::to_string(spec.ranks), *rcbd});
+  arguments.insert(arguments.end(), {"-n", std::to_string(spec.ranks)});
+  if (!spec.command.empty()) {
+    arguments.insert(arguments.end(), spec.command.begin(), spec.command.end());
+    return arguments;
+  }
+  auto rcbd = find_rcbd();
+  if (!rcbd) return rcbd.status();
+  arguments.push_back(*rcbd);
   if (spec.endpoint.starts_with("unix:"))
     arguments.insert(arguments.end(), {"--socket", spec.endpoint.substr(5)});
   else

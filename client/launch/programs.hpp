@@ -22,6 +22,8 @@ struct JobSpec {
   std::string data_dir;
   int ranks = 1;
   std::string shm_dir;  // for the ranks' shared memory; empty: Open MPI's default place
+  // Another MPI program with its arguments; empty: rcbd on `endpoint` with `data_dir`.
+  std::vector<std::string> command;
 };
 
 // mpirun and everything after it. --bind-to none, since a rank bound to one core would put its two threads there;

@@ -1,0 +1,158 @@
+#include "tests/bench/driver.hpp"
+
+#include <atomic>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <sys/prctl.h>
+#include <sys/utsname.h>
+#include <unistd.h>
+
+#include "client/launch/job.hpp"
+#include "common/base/clock.hpp"
+#include "tests/bench/worker.hpp"
+
+namespace rcb::bench {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+constexpr unsigned kPollMicroseconds = 20'000;
+
+std::atomic<bool> g_interrupted{false};
+void on_signal(int) { g_interrupted = true; }
+
+// A folder that goes with this object.
+class TemporaryFolder {
+ public:
+  TemporaryFolder() {
+    std::error_code error;
+    std::string name = (fs::temp_directory_path(error) / "rcb_bench.XXXXXX").string();
+    if (!error && mkdtemp(name.data()) != nullptr) path_ = name;
+  }
+  ~TemporaryFolder() {
+    std::error_code ignored;
+    if (!path_.empty()) fs::remove_all(path_, ignored);
+  }
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+// Until the job has ended. `rows` grows with every cell that was measured.
+Status await(launch::Job& job, const std::string& rows) {
+  const SteadyClock clock;
+  double last_growth = clock.seconds();
+  std::uintmax_t size = 0;
+  for (;;) {
+    if (const auto ending = job.poll()) {
+      if (*ending == "exit code 0") return {};
+      return {Code::internal, "the MPI job ended with " + *ending, "its last words are above"};
+    }
+    if (g_interrupted) return {Code::aborted, "interrupted"};
+    std::error_code error;
+    const std::uintmax_t now = fs::file_size(rows, error);
+    if (!error && now != size) {
+      size = now;
+      last_growth = clock.seconds();
+    }
+    if (clock.seconds() - last_growth > kStallSeconds)
+      return {Code::deadline_exceeded, fmt::format("the MPI job measured nothing for {} s", kStallSeconds),
+              "the cell it hung in is named above; leave it out with --scenes, --parts or --methods"};
+    usleep(kPollMicroseconds);
+  }
+}
+
+Status run_job(const std::string& folder, int ranks, Json& rows) {
+  const std::string rows_path = folder + "/rows";
+  std::error_code ignored;
+  fs::remove(rows_path, ignored);
+  launch::JobSpec spec;
+  spec.ranks = ranks;
+  spec.command = {fs::read_symlink("/proc/self/exe", ignored).string(), kWorkerWord, folder + "/plan", rows_path};
+  Status status;
+  {
+    launch::Job job(spec, folder + "/mpi", STDERR_FILENO);
+    status = job.start(false);
+    if (status.ok()) status = await(job, rows_path);
+  }
+  std::ifstream in(rows_path);
+  for (std::string line; std::getline(in, line);) {
+    Json row = Json::parse(line, nullptr, false);
+    if (!row.is_discarded()) rows.push_back(std::move(row));  // a killed job's last line may be half a one
+  }
+  return status;
+}
+
+std::string first_line_with(const char* path, const std::string& key) {
+  std::ifstream in(path);
+  for (std::string line; std::getline(in, line);)
+    if (line.starts_with(key)) {
+      const auto value = line.find_first_not_of(" \t", line.find_first_of(":=") + 1);
+      return value == std::string::npos ? std::string() : line.substr(value);
+    }
+  return "unknown";
+}
+
+}  // namespace
+
+Rows run_jobs(const Plan& plan, const std::vector<int>& ranks) {
+  Rows result;
+  const TemporaryFolder folder;
+  if (folder.path().empty()) {
+    result.status = {Code::io_error, "no temporary folder can be made", "see TMPDIR"};
+    return result;
+  }
+  result.status = save(plan, folder.path() + "/plan");
+  prctl(PR_SET_CHILD_SUBREAPER, 1);  // ranks whose mpirun was killed are found and ended
+  struct sigaction action {};
+  action.sa_handler = on_signal;
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
+  setenv("OMP_NUM_THREADS", "1", 1);  // the ranks are the parallelism, for everyone
+  for (const int r : ranks) {
+    if (!result.status.ok()) break;
+    result.status = run_job(folder.path(), r, result.rows);
+  }
+  return result;
+}
+
+Json describe_machine() {
+  double load[1] = {-1};
+  utsname system{};
+  uname(&system);
+  std::string name = first_line_with("/etc/os-release", "PRETTY_NAME=");
+  std::erase(name, '"');
+  Json machine{{"cpu", first_line_with("/proc/cpuinfo", "model name")},
+               {"cores", sysconf(_SC_NPROCESSORS_ONLN)},
+               {"memory_gib",
+                static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGE_SIZE)) / 0x1p30},
+               {"system", name},
+               {"kernel", system.release},
+               {"compiler", RCB_COMPILER}};
+  machine["load_before"] = getloadavg(load, 1) == 1 ? Json(load[0]) : Json();
+  return machine;
+}
+
+std::string describe_peers() {
+  std::string names;
+#ifdef RCB_BENCH_ZOLTAN
+  names += "Zoltan RCB, RIB, HSFC";
+#else
+  names += "no Zoltan";
+#endif
+#ifdef RCB_BENCH_ZOLTAN2
+  names += ", Zoltan2 MJ";
+#else
+  names += ", no Zoltan2";
+#endif
+  return names;
+}
+
+}  // namespace rcb::bench

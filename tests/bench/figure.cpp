@@ -1,0 +1,148 @@
+#include "tests/bench/figure.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <map>
+#include <vector>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "common/base/clock.hpp"
+#include "tests/bench/contender.hpp"
+#include "tests/bench/report.hpp"
+
+extern char** environ;
+
+namespace rcb::bench {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr double kFloor = 1e-8;  // where an error of 0 is drawn on the logarithmic axis
+constexpr double kPlotSeconds = 60;
+constexpr int kRanksPreferred = 2;
+constexpr int kPanelWidth = 420;
+
+// Filled circles are ours, open shapes the peers.
+struct Look {
+  const char* tool;
+  const char* method;
+  const char* colour;
+  int point;
+};
+constexpr std::array kLooks{Look{"rcbd", "rcb", "#c1272d", 7},     Look{"rcbd", "bands-x", "#e08214", 7},
+                            Look{"rcbd", "bands-y", "#e8b04a", 7}, Look{"rcbd", "bands-z", "#b8860b", 7},
+                            Look{"Zoltan", "RCB", "#1f5f99", 4},   Look{"Zoltan", "RIB", "#3a8f5c", 8},
+                            Look{"Zoltan", "HSFC", "#7b5ea7", 12}, Look{"Zoltan2", "MJ", "#444444", 6}};
+
+int ranks_drawn(const Json& rows) {
+  int most = 0;
+  for (const Json& row : rows) {
+    const int ranks = row["ranks"];
+    if (ranks == kRanksPreferred) return ranks;
+    most = std::max(most, ranks);
+  }
+  return most;
+}
+
+// "milliseconds error" a line. A point with a tolerance is drawn smaller, so that the exact runs stand out.
+std::string points_of(const Json& rows, int ranks, int parts, const Look& look) {
+  std::string data;
+  for (const Json& row : rows) {
+    if (row["ranks"] != ranks || row["parts"] != parts || row["work"] != kPartition || !row["seconds"].is_number())
+      continue;
+    if (row["tool"] != look.tool || row["method"] != look.method) continue;
+    const double error = std::max(row["error"].get<double>(), kFloor);
+    const double size = row["cut_tolerance"] == 0 ? 0.7 : 0.4;
+    data += fmt::format("{} {} {}  # {}, tolerance {}\n", 1e3 * row["seconds"].get<double>(), error, size,
+                        row["scene"].get<std::string>(), row["cut_tolerance"].dump());
+  }
+  return data;
+}
+
+std::string script(const Json& rows, int ranks, const std::vector<int>& parts, const std::string& output) {
+  std::string text = fmt::format(
+      "set terminal svg size {},520 noenhanced font 'sans-serif,13' background '#ffffff'\n"
+      "set output '{}'\n"
+      "set border 3 linecolor '#444444'\n"
+      "set tics nomirror textcolor '#222222'\n"
+      "set grid linecolor '#dddddd' linetype 1 linewidth 0.5\n"
+      "set logscale xy\n"
+      "set format x '%g'\n"
+      "set format y '%.0e'\n"
+      "set yrange [{}:100]\n"
+      "set ytics 100 add ('0' {})\n"
+      "set xlabel 'milliseconds of one partition'\n",
+      std::max<std::size_t>(1, parts.size()) * kPanelWidth + 160, output, kFloor / 3, kFloor);
+  text += fmt::format(
+      "set multiplot layout 1,{} title 'run time against largest relative error of a part, {} rank(s); "
+      "a point: one scene at one tolerance (small: above 0)'\n",
+      parts.size(), ranks);
+  for (std::size_t panel = 0; panel < parts.size(); ++panel) {
+    std::string plots;
+    for (std::size_t l = 0; l < kLooks.size(); ++l) {
+      const std::string data = points_of(rows, ranks, parts[panel], kLooks[l]);
+      if (data.empty()) continue;
+      const std::string name = fmt::format("$p{}_{}", panel, l);
+      text += fmt::format("{} << EOD\n{}EOD\n", name, data);
+      plots += fmt::format("{}{} using 1:2:3 with points pointtype {} pointsize variable linecolor '{}' title '{} {}'",
+                           plots.empty() ? "plot " : ", ", name, kLooks[l].point, kLooks[l].colour, kLooks[l].tool,
+                           kLooks[l].method);
+    }
+    const bool last = panel + 1 == parts.size();
+    text += fmt::format("set title '{} parts'\n", parts[panel]);
+    text += panel == 0 ? "set ylabel 'largest abs(load - target) / target'\n" : "unset ylabel\n";
+    text += last ? "set key outside right top\n" : "unset key\n";
+    text += plots + "\n";
+  }
+  return text + "unset multiplot\n";
+}
+
+Status run_gnuplot(const std::string& script_path) {
+  std::string program = "gnuplot";
+  std::string argument = script_path;
+  std::array<char*, 3> argv{program.data(), argument.data(), nullptr};
+  pid_t pid = -1;
+  const int fault = posix_spawnp(&pid, program.c_str(), nullptr, nullptr, argv.data(), environ);
+  if (fault != 0)
+    return {Code::not_found, fmt::format("gnuplot can't be started: {}", std::strerror(fault)),
+            fmt::format("install it (Debian: apt install gnuplot-nox), then: gnuplot {}", script_path)};
+  const SteadyClock clock;
+  const double deadline = clock.seconds() + kPlotSeconds;
+  int status = 0;
+  while (waitpid(pid, &status, WNOHANG) == 0) {
+    if (clock.seconds() > deadline) {
+      kill(pid, SIGKILL);
+      waitpid(pid, &status, 0);
+      return {Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds)};
+    }
+    usleep(5'000);
+  }
+  if (status != 0) return {Code::internal, "gnuplot failed on " + script_path};
+  return {};
+}
+
+}  // namespace
+
+Status draw(const Json& document, const std::string& path) {
+  if (path.find_first_of("'\n\\") != std::string::npos)
+    return {Code::invalid_argument, path + ": a quote, backslash or line break in the figure's name"};
+  const Json& rows = document["rows"];
+  const int ranks = ranks_drawn(rows);
+  std::vector<int> parts;
+  for (const Json& row : rows)
+    if (row["ranks"] == ranks && std::find(parts.begin(), parts.end(), row["parts"]) == parts.end())
+      parts.push_back(row["parts"]);
+  if (parts.empty()) return {Code::invalid_argument, "there is nothing to draw"};
+  const std::string script_path = (path.ends_with(".svg") ? path.substr(0, path.size() - 4) : path) + ".gp";
+  if (Status status = write_file(script_path, script(rows, ranks, parts, path)); !status.ok()) return status;
+  return run_gnuplot(script_path);
+}
+
+}  // namespace rcb::bench

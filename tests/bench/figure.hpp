@@ -1,0 +1,16 @@
+// The figure: run time against largest relative error, every scene, method and tolerance a point.
+#pragma once
+
+#include <string>
+
+#include <nlohmann/json.hpp>
+
+#include "common/base/status.hpp"
+
+namespace rcb::bench {
+
+// Draws a `static` document: one panel a number of parts, at 2 ranks if they were run, else at the most. Writes `path`
+// (SVG) and, beside it with .gp for its ending, what gnuplot was told. Errors: not_found without gnuplot, io_error.
+Status draw(const nlohmann::ordered_json& document, const std::string& path);
+
+}  // namespace rcb::bench

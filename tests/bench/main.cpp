@@ -1,0 +1,194 @@
+// rcb_bench: times the engine beside its peers. Also the MPI program that it starts for that (worker.hpp).
+#include <cmath>
+#include <cstdio>
+#include <functional>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "rcb_bench_commit.hpp"
+#include "tests/bench/driver.hpp"
+#include "tests/bench/figure.hpp"
+#include "tests/bench/report.hpp"
+#include "tests/bench/scenes.hpp"
+#include "tests/bench/worker.hpp"
+
+namespace rcb::bench {
+namespace {
+
+constexpr int kPartsMax = 1 << 20;
+constexpr int kRanksMax = 256;
+constexpr int kRepeatsMax = 1000;
+constexpr double kPointsMax = 2e9;  // a rank's count is an int for the peers
+
+const std::vector<std::string> kMethods{"rcb", "bands-x", "bands-y", "bands-z", "RCB", "RIB", "HSFC", "MJ"};
+
+struct Options {
+  std::vector<int> parts;
+  std::vector<int> ranks{1, 2, 4, 8};
+  std::vector<std::string> scenes;
+  std::vector<std::string> methods;
+  std::vector<double> cut_tolerances{0, 0.01, 0.1};
+  std::vector<double> points;
+  int repeats = 5;
+  std::string json;
+  std::string figure;
+};
+
+Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench --help"}; }
+
+Status check(Options& options) {
+  for (const int parts : options.parts)
+    if (parts < 1 || parts > kPartsMax) return usage(fmt::format("--parts {}: give 1 to {}", parts, kPartsMax));
+  for (const int ranks : options.ranks)
+    if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
+  if (options.repeats < 1 || options.repeats > kRepeatsMax)
+    return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
+  for (const double points : options.points)
+    if (!(points >= 1 && points <= kPointsMax) || points != std::floor(points))
+      return usage(fmt::format("--points {}: give whole numbers from 1 to {}", points, kPointsMax));
+  for (const double tolerance : options.cut_tolerances)
+    if (!(tolerance >= 0 && tolerance <= 1)) return usage(fmt::format("--cut-tolerances {}: give 0 to 1", tolerance));
+  for (const std::string& scene : options.scenes)
+    if (find_scene_kind(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
+  for (const std::string& method : options.methods)
+    if (std::find(kMethods.begin(), kMethods.end(), method) == kMethods.end())
+      return usage(fmt::format("--methods {}: there is no such method", method));
+  // The exact run is never left out.
+  std::sort(options.cut_tolerances.begin(), options.cut_tolerances.end());
+  auto& tolerances = options.cut_tolerances;
+  tolerances.erase(std::unique(tolerances.begin(), tolerances.end()), tolerances.end());
+  if (tolerances.empty() || tolerances.front() != 0) tolerances.insert(tolerances.begin(), 0.0);
+  return {};
+}
+
+Plan static_plan(const Options& options) {
+  Plan plan;
+  for (const SceneKind& kind : scene_kinds()) {
+    const auto& asked = options.scenes;
+    if (!asked.empty() && std::find(asked.begin(), asked.end(), kind.name) == asked.end()) continue;
+    const auto n = options.points.empty() ? kind.points : static_cast<std::uint64_t>(options.points.front());
+    for (const int parts : options.parts) plan.cells.push_back({kind.name, n, parts});
+  }
+  plan.wish = {options.methods, options.cut_tolerances, true};
+  plan.repeats = options.repeats;
+  return plan;
+}
+
+// From the first number of points on: all part counts at that size, all sizes at the first part count.
+Plan scaling_plan(const Options& options) {
+  Plan plan;
+  const std::vector<std::string> scenes = options.scenes.empty() ? std::vector<std::string>{"uniform"} : options.scenes;
+  for (const std::string& scene : scenes)
+    for (std::size_t s = 0; s < options.points.size(); ++s)
+      for (std::size_t p = 0; p < (s == 0 ? options.parts.size() : 1); ++p)
+        plan.cells.push_back({scene, static_cast<std::uint64_t>(options.points[s]), options.parts[p]});
+  plan.wish = {options.methods, {0.0}, false};
+  plan.repeats = options.repeats;
+  plan.memory = true;
+  return plan;
+}
+
+// Writes and prints what there is, also of a run that failed half-way.
+Status tell(const std::string& bench, const Options& options, nlohmann::ordered_json document, const Rows& result) {
+  document["rows"] = result.rows;
+  document["summary"] = bench == "static" ? summarise_static(result.rows) : summarise_scaling(result.rows);
+  print(bench == "static" ? static_tables(document) : scaling_tables(document));
+  if (!options.json.empty())
+    if (Status status = write_file(options.json, document.dump(1) + "\n"); !status.ok()) return status;
+  if (!result.status.ok()) return result.status;
+  if (!options.figure.empty())
+    if (Status status = draw(document, options.figure); !status.ok()) return status;
+  return verdict(document);
+}
+
+Status run(const std::string& bench, Options& options) {
+  if (Status status = check(options); !status.ok()) return status;
+  nlohmann::ordered_json document{{"bench", bench},
+                                  {"commit", RCB_COMMIT},
+                                  {"version", RCB_VERSION},
+                                  {"machine", describe_machine()},
+                                  {"peers", describe_peers()},
+                                  {"repeats", options.repeats}};
+  fmt::print(stderr, "rcb_bench {}: commit {}, {}\n", bench, RCB_COMMIT, describe_peers());
+  const Plan plan = bench == "static" ? static_plan(options) : scaling_plan(options);
+  return tell(bench, options, std::move(document), run_jobs(plan, options.ranks));
+}
+
+void add_options(CLI::App& command, Options& options) {
+  const auto list = [](CLI::Option* option) { return option->delimiter(',')->capture_default_str(); };
+  list(command.add_option("--parts", options.parts, "numbers of parts"));
+  list(command.add_option("--ranks", options.ranks, "numbers of MPI ranks, one job each"));
+  list(command.add_option("--scenes", options.scenes, "scenes (default: all of this bench)"));
+  list(command.add_option("--methods", options.methods, "ours: rcb, bands-x, -y, -z; peers: RCB, RIB, HSFC, MJ"));
+  command.add_option("--repeats", options.repeats, "timed runs of each contender")->capture_default_str();
+  command.add_option("--json", options.json, "write the result to this file");
+}
+
+std::string footer() {
+  std::string text = "Scenes:\n";
+  for (const SceneKind& kind : scene_kinds())
+    text += fmt::format("  {:<16} {}; {} points\n", kind.name, kind.what, kind.points);
+  return text +
+         "\nExamples:\n"
+         "  rcb_bench static --json static.json --figure static.svg\n"
+         "  rcb_bench static --scenes uniform,offset --parts 8 --ranks 2\n"
+         "  rcb_bench scaling --json scaling.json\n";
+}
+
+int fail(const Status& status) {
+  fmt::print(stderr, "rcb_bench: {}\n", status.message());
+  if (!status.hint().empty()) fmt::print(stderr, "  {}\n", status.hint());
+  return exit_code(status.code());
+}
+
+int run_program(int argc, char** argv) {
+  CLI::App app("Times the partitioner beside its peers: starts mpirun itself, runs the contenders in turn.",
+               "rcb_bench");
+  app.set_version_flag("--version", std::string("rcb_bench " RCB_VERSION " (" RCB_COMMIT "), " + describe_peers()));
+  app.require_subcommand(1);
+  app.footer(footer());
+  Options of_static, of_scaling;
+  of_static.parts = {8, 64, 1024};
+  of_static.methods = kMethods;
+  auto* statics = app.add_subcommand("static", "time of one partition against its error, for every method and peer");
+  add_options(*statics, of_static);
+  statics->add_option("--cut-tolerances", of_static.cut_tolerances, "cut tolerances; 0, the exact run, is always there")
+      ->delimiter(',')
+      ->capture_default_str();
+  of_static.points = {};
+  statics->add_option("--points", of_static.points, "points of every scene, instead of its own number")->expected(1);
+  statics->add_option("--figure", of_static.figure,
+                      "draw run time against error as SVG (its gnuplot source beside it)");
+  of_scaling.parts = {8, 64, 512, 4096};
+  of_scaling.methods = {"rcb", "RCB", "MJ"};
+  of_scaling.points = {1e6, 2e6, 4e6, 8e6, 16e6};
+  of_scaling.repeats = 3;
+  auto* scaling = app.add_subcommand("scaling", "time and memory per particle for more particles, parts and ranks");
+  add_options(*scaling, of_scaling);
+  scaling->add_option("--points", of_scaling.points, "numbers of points; all parts are run with the first")
+      ->delimiter(',')
+      ->capture_default_str();
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& done) {
+    return app.exit(done);
+  } catch (const CLI::ParseError& error) {
+    return fail(usage(error.what()));
+  }
+  const Status status = statics->parsed() ? run("static", of_static) : run("scaling", of_scaling);
+  return status.ok() ? 0 : fail(status);
+}
+
+}  // namespace
+}  // namespace rcb::bench
+
+int main(int argc, char** argv) {
+  try {
+    if (argc > 1 && std::string(argv[1]) == rcb::bench::kWorkerWord) return rcb::bench::run_worker(argc, argv);
+    return rcb::bench::run_program(argc, argv);
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "rcb_bench: {}\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,49 @@
+// Measuring one cell: all contenders in turn, repeat after repeat, each from barrier to barrier.
+//
+// Invariants
+// 1. Every contender runs once before anything is timed. In each repeat another one begins, so that none always
+//    follows the same neighbour.
+// 2. What is told of an answer is counted from the parts that the contender itself gave, in every repeat; the worst
+//    repeat is told.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/partition/comm.hpp"
+#include "tests/bench/contender.hpp"
+
+namespace rcb::bench {
+
+struct Measurement {
+  Setting setting;
+  std::vector<double> seconds;  // by repeat; the slowest rank's
+  double error = 0;
+  double imbalance = 1;
+  std::uint64_t empty_parts = 0;
+  std::optional<std::uint64_t> hash;
+  std::optional<std::uint64_t> rounds;
+  std::optional<std::uint64_t> reductions;
+  std::optional<double> bytes_per_particle;  // growth of the resident memory at its peak, all ranks together, over n
+  std::string failure;                       // not empty: nothing above counts
+};
+
+struct MeasureOptions {
+  int repeats = 1;
+  bool memory = false;
+};
+
+// Keeps memory that is freed, for all contenders alike: giving it back and fetching it again took a third of Zoltan's
+// time. Local, before anything is allocated in earnest.
+void keep_freed_memory();
+
+// Collective. The same on every rank. Contenders that don't fit the problem (Code::unsupported) are left out.
+std::vector<Measurement> measure(partition::Comm& comm, const Problem& problem, const Contenders& contenders,
+                                 const MeasureOptions& options);
+
+// The middle value, of an even number the mean of the middle two; values not empty.
+double median(std::vector<double> values);
+
+}  // namespace rcb::bench

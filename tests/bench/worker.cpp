@@ -1,0 +1,92 @@
+#include "tests/bench/worker.hpp"
+
+#include <csignal>
+#include <cstdio>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <sys/prctl.h>
+
+#include "server/ranks/mpi_session.hpp"
+#include "tests/bench/measure.hpp"
+#include "tests/bench/plan.hpp"
+#include "tests/bench/rows.hpp"
+#include "tests/bench/scenes.hpp"
+#ifdef RCB_BENCH_ZOLTAN2
+#include "tests/bench/multijagged.hpp"
+#endif
+
+namespace rcb::bench {
+namespace {
+
+constexpr unsigned kFinishSeconds = 30;
+
+Contenders make_contenders(partition::Comm& comm, const Wish& wish) {
+  Contenders all;
+  add_rcbd(comm, wish, all);
+#ifdef RCB_BENCH_ZOLTAN
+  add_zoltan(wish, all);
+#endif
+#ifdef RCB_BENCH_ZOLTAN2
+  add_zoltan2(wish, all);
+#endif
+  return all;
+}
+
+// Collective.
+Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& rows_path) {
+  std::ofstream rows;
+  if (comm.rank() == 0) rows.open(rows_path);
+  if (!partition::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
+  particles::ParticleSet points;
+  const Cell* made = nullptr;
+  const auto rank = static_cast<std::uint64_t>(comm.rank());
+  const auto ranks = static_cast<std::uint64_t>(comm.size());
+  for (const Cell& cell : plan.cells) {
+    const SceneKind* kind = find_scene_kind(cell.scene);
+    if (kind == nullptr) return {Code::not_found, "no scene " + cell.scene};
+    if (comm.rank() == 0)
+      fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, cell.scene, cell.n, cell.parts);
+    if (made == nullptr || made->scene != cell.scene || made->n != cell.n) {
+      points = {};
+      points = make_rows(*kind, cell.n, cell.n * rank / ranks, cell.n * (rank + 1) / ranks);
+      made = &cell;
+    }
+    // Made anew for each cell, so that none keeps memory of another's.
+    const Contenders contenders = make_contenders(comm, plan.wish);
+    const auto measured =
+        measure(comm, Problem{points.view(), cell.n, cell.parts}, contenders, {plan.repeats, plan.memory});
+    if (comm.rank() != 0) continue;
+    for (const auto& row : make_rows_json(cell, kind->dims, comm.size(), measured, !plan.memory)) rows << row << "\n";
+    rows.flush();
+  }
+  rows.close();
+  if (!partition::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
+  return {};
+}
+
+}  // namespace
+
+int run_worker(int argc, char** argv) {
+  prctl(PR_SET_PDEATHSIG, SIGKILL);  // a rank doesn't outlive its mpirun
+  keep_freed_memory();
+  auto session = ranks::MpiSession::start(&argc, &argv);
+  if (!session || argc != 4) {
+    fmt::print(stderr, "rcb_bench: {}\n", session ? "a rank's arguments are PLAN ROWS" : session.status().message());
+    return 1;
+  }
+#ifdef RCB_BENCH_ZOLTAN2
+  start_zoltan2(&argc, &argv);
+#endif
+  auto plan = load(argv[2]);
+  Status status = plan.status();
+  if (partition::agree(session->comm(), status.ok())) status = run_cells(session->comm(), *plan, argv[3]);
+#ifdef RCB_BENCH_ZOLTAN2
+  finish_zoltan2();
+#endif
+  if (!status.ok()) fmt::print(stderr, "rcb_bench: rank {}: {}\n", session->rank(), status.message());
+  session->finish(kFinishSeconds);
+  return status.ok() ? 0 : 1;
+}
+
+}  // namespace rcb::bench
