@@ -22,7 +22,7 @@ bool ends_with_npy(const std::string& path) {
 Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int of) {
   const auto header = read_npy_header(file);
   if (!header.ok()) return header.status();
-  if (header->shape.size() == 3) {
+  if (header->shape.size() == 3 && header->shape[0] != 1) {
     return Status(Code::invalid_argument, file.path() + ": is a trajectory of shape (steps, n, dims)",
                   "use replay for it, or save one step of it");
   }

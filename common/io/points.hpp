@@ -26,8 +26,8 @@ struct Points {
   std::vector<double> weight;                 // [count] or empty
 };
 
-// The whole file. path: an .npy file (by its name or first bytes), FILE.h5:/dataset, else text, which is taken for XYZ
-// by its count line. Columns named x, y, z, id (any case) are taken by name; without x, y, z the first `dims` columns
+// The whole file. path: an .npy file (by its name or first bytes; a trajectory of one step too), FILE.h5:/dataset,
+// else text, which is taken for XYZ by its count line. Columns named x, y, z, id (any case) are taken by name; without x, y, z the first `dims` columns
 // beside id and weights. An empty text file has no points, in `dims` dimensions or 3. Only regular files. NaN,
 // infinity, duplicate or negative ids, ragged rows are refused: "points.csv:17: ...".
 Result<Points> read_points(const std::string& path, const ReadOptions& options);

@@ -167,6 +167,15 @@ TEST(Npy, OlderSpellings) {
   EXPECT_EQ(points->position, (std::vector<Column>{{7, 8}}));
 }
 
+TEST(Npy, ATrajectoryOfOneStepIsAPointFile) {
+  const Directory directory;
+  const std::string path = directory.write("t.npy", npy({1, 2, 3}, {1, 2, 3, 4, 5, 6}, {}));
+  const auto points = read_points(path, {});
+  ASSERT_TRUE(points.ok()) << refusal(points);
+  EXPECT_EQ(points->position, (std::vector<Column>{{1, 4}, {2, 5}, {3, 6}}));
+  for (const int of : {2, 3}) expect_same(joined(path, {}, of), *points);
+}
+
 TEST(Trajectory, FramesOfEveryKind) {
   const Directory directory;
   std::vector<double> values(5 * 4 * 3);
