@@ -36,8 +36,8 @@ class Descent {
   // has come to its part: it keeps that as its label. An empty start: all begin at node 0. The label becomes
   // the place; those in brackets are listed.
   void run(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
-  // One particle that goes on from a node: its new place, tallied.
-  std::int32_t go_on(std::size_t particle, std::int32_t node);
+  // These particles go on: place[k], a node, becomes the place of particle index[k], tallied.
+  void go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place);
   // One particle in the bracket of a node with whole keys: where it goes (left, right), or -1 if it stays.
   std::int32_t decide(std::size_t particle, const GuessNode& node) const;
   // Takes a particle out of the count of a bracket that it leaves.
@@ -54,10 +54,18 @@ class Descent {
     std::int32_t axis;
   };
 
-  template <int kAxes, bool kMeasure, bool kFirst>
-  void pass(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
   template <int kAxes>
-  void pass_of(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
+  void pass_first(std::span<std::int32_t> label, Buffer<std::uint32_t>& stopped);
+  template <int kAxes>
+  void pass_next(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
+  template <typename Index>
+  void descend(const Index& index, std::size_t count, std::int32_t* place) const;
+  template <int kAxes, typename Index>
+  void add(const Index& index, std::size_t count, const std::int32_t* place);
+  template <int kAxes, bool kMeasure, typename Index>
+  void add_measured(const Index& index, std::size_t count, const std::int32_t* place);
+  void add_any(std::span<const std::uint32_t> index, const std::int32_t* place);
+  void merge_spare();
 
   const particles::ParticleView& particles_;
   bool measure_;
@@ -66,6 +74,7 @@ class Descent {
   const Guess* guess_ = nullptr;
   std::vector<Step> steps_;
   std::vector<Tally> tallies_;
+  std::vector<Tally> spare_;  // of every second particle: neighbours often share a place, and would wait for each other
 };
 
 }  // namespace rcb::partition

@@ -1,6 +1,8 @@
 #include "common/partition/refine.hpp"
 
 #include <algorithm>
+#include <bit>
+#include <cmath>
 
 #include "common/base/check.hpp"
 
@@ -9,6 +11,8 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr std::uint64_t kIdMax = static_cast<std::uint64_t>(std::numeric_limits<Id>::max());
+
+constexpr std::uint64_t kGatherAtOnce = 24;  // so few of a node's particles are gathered without a histogram
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
@@ -77,14 +81,28 @@ void Refiner::wait(std::size_t particle, std::int32_t place) {
 void Refiner::sort_stopped(std::span<std::int32_t> label) {
   levels_.resize(std::max(levels_.size(), at(guess_.depth_max()) + 1));
   for (Buffer<std::uint32_t>& level : levels_) level.clear();
+  moving_.clear();
+  moving_place_.clear();
   for (const std::uint32_t i : stopped_) {
     const GuessNode& node = guess_.nodes()[at(label[i] - descent_.nodes())];
     const std::int32_t next = node.whole ? descent_.decide(i, node) : -1;
-    if (next >= 0) {
-      descent_.leave(label[i]);
-      label[i] = descent_.go_on(i, next);
+    if (next < 0) {
+      wait(i, label[i]);
+      continue;
     }
-    wait(i, label[i]);
+    descent_.leave(label[i]);
+    moving_.push_back(i);
+    moving_place_.push_back(next);
+  }
+  move_on(label);
+}
+
+// The particles of moving_ go on.
+void Refiner::move_on(std::span<std::int32_t> label) {
+  descent_.go_on(moving_.span(), moving_place_.span());
+  for (std::size_t k = 0; k < moving_.size(); ++k) {
+    label[moving_[k]] = moving_place_[k];
+    wait(moving_[k], moving_place_[k]);
   }
 }
 
@@ -240,46 +258,123 @@ SelectNode Refiner::question(int index) const {
 
 void Refiner::select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label) {
   const std::span<const GuessNode> nodes = guess_.nodes();
-  const auto brackets = descent_.nodes();
-  Buffer<std::uint32_t>& level = levels_[at(depth)];
   std::vector<std::int32_t> slot(nodes.size(), -1);
   std::vector<SelectNode> questions;
   for (const int g : asked) {
     slot[at(g)] = static_cast<std::int32_t>(questions.size());
     questions.push_back(question(g));
   }
-  waiting_.resize(level.size());
-  Buffer<std::int32_t> node_of(level.size());
+  // From here on the level's waiting particles are moving_, and moving_place_ their slot; later, where they go on.
+  const Buffer<std::uint32_t>& level = levels_[at(depth)];
+  moving_.resize(level.size());
+  moving_place_.resize(level.size());
+  moving_word_.resize(level.size());
   std::size_t kept = 0;
   for (const std::uint32_t i : level) {
-    const std::int32_t place = slot[at(label[i] - brackets)];
-    if (place < 0) continue;
-    for (std::size_t a = 0; a < at(particles_.dims); ++a) waiting_.position[a][kept] = particles_.position[a][i];
-    waiting_.id[kept] = particles_.id[i];
-    node_of[kept] = place;
-    level[kept++] = i;
+    const std::int32_t own = slot[at(label[i] - descent_.nodes())];
+    if (own < 0) continue;
+    moving_[kept] = i;
+    moving_place_[kept] = own;
+    moving_word_[kept++] =
+        geometry::image(particles_.position[static_cast<std::size_t>(questions[at(own)].axes[0])][i]);
   }
-  waiting_.resize(kept);
-  node_of.resize(kept);
-  waiting_view_ = waiting_.view();
-  selector_.select(questions, node_of.span());
+  moving_.resize(kept);
+  moving_place_.resize(kept);
+  moving_word_.resize(kept);
+  narrow(questions);
 
+  // Those left in the brackets are selected by their whole keys.
+  candidates_.clear();
+  candidate_node_.clear();
+  for (std::size_t k = 0; k < kept; ++k) {
+    const std::int32_t own = moving_place_[k];
+    const SelectNode& ask = questions[at(own)];
+    const GuessNode& node = nodes[at(asked[at(own)])];
+    moving_place_[k] = moving_word_[k] < ask.lo[0] ? node.left : node.right;
+    if (moving_word_[k] - ask.lo[0] > ask.hi[0] - ask.lo[0]) continue;
+    candidates_.push_back(static_cast<std::uint32_t>(k));
+    candidate_node_.push_back(own);
+  }
+  waiting_.resize(candidates_.size());
+  for (std::size_t c = 0; c < candidates_.size(); ++c) {
+    const std::size_t i = moving_[candidates_[c]];
+    for (std::size_t a = 0; a < at(particles_.dims); ++a) waiting_.position[a][c] = particles_.position[a][i];
+    waiting_.id[c] = particles_.id[i];
+  }
+  waiting_view_ = waiting_.view();
+  selector_.select(questions, candidate_node_.span());
   for (std::size_t n = 0; n < questions.size(); ++n) {
     CHECK(!questions[n].right_empty, "the bracket holds the cut");
     Cut& cut = tree_->cuts[at(nodes[at(asked[n])].range.node)];
     for (std::size_t w = 0; w < at(rule_.axes()); ++w) cut.key.at[w] = geometry::value_of_image(questions[n].key[w]);
     cut.key.id = static_cast<Id>(questions[n].key[at(rule_.axes())]);
   }
-  for (std::size_t k = 0; k < kept; ++k) {
-    const std::size_t i = level[k];
-    const GuessNode& node = nodes[at(asked[at(node_of[k])])];
+  for (std::size_t c = 0; c < candidates_.size(); ++c) {
+    const GuessNode& node = nodes[at(asked[at(candidate_node_[c])])];
     const Cut& cut = tree_->cuts[at(node.range.node)];
-    const double value = waiting_.position[at(cut.axes[0])][k];
-    bool right = value > cut.key.at[0];
-    if (value == cut.key.at[0]) [[unlikely]]
-      right = !(key_of(waiting_view_.point(k), waiting_view_.id[k], cut.axes, particles_.dims) < cut.key);
-    label[i] = descent_.go_on(i, right ? node.right : node.left);
-    wait(i, label[i]);
+    const Key key = key_of(waiting_view_.point(c), waiting_view_.id[c], cut.axes, particles_.dims);
+    moving_place_[candidates_[c]] = key < cut.key ? node.left : node.right;
+  }
+  move_on(label);
+}
+
+// One histogram of the first words, for all nodes of a level together: each bracket becomes the bin that holds the
+// cut. A bracket of few particles, or of one word, stays.
+void Refiner::narrow(std::span<SelectNode> questions) {
+  struct Probe {
+    std::uint64_t lo = kNoImage;
+    std::uint64_t span = 0;
+    unsigned shift = 63;
+    std::size_t cells = 0;
+  };
+  std::uint64_t inside_max = 0;
+  std::size_t count = 0;
+  const auto worthwhile = [](const SelectNode& ask) { return ask.lo[0] < ask.hi[0] && ask.count > kGatherAtOnce; };
+  for (const SelectNode& ask : questions)
+    if (worthwhile(ask)) {
+      inside_max = std::max(inside_max, ask.count);
+      ++count;
+    }
+  if (count == 0) return;
+  // As many bins as one message holds; with many nodes about as many as balance the histogram and what is gathered.
+  const auto balanced = static_cast<std::size_t>(std::sqrt(5 * static_cast<double>(inside_max)));
+  const std::size_t bins = std::max(std::bit_ceil(std::clamp<std::size_t>(balanced, 16, 256)),
+                                    std::bit_floor(kMessageWordsMax / std::min(count, kMessageWordsMax)));
+  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
+  std::vector<Probe> probes(questions.size());
+  std::size_t cells = bins;  // the first are for particles of nodes that stay as they are
+  for (std::size_t n = 0; n < questions.size(); ++n) {
+    if (!worthwhile(questions[n])) continue;
+    const std::uint64_t span = questions[n].hi[0] - questions[n].lo[0];
+    const auto width = static_cast<unsigned>(std::bit_width(span));
+    probes[n] = {questions[n].lo[0], span, width > bin_bits ? width - bin_bits : 0, cells};
+    cells += bins;
+  }
+  histogram_.resize(cells);
+  std::fill(histogram_.begin(), histogram_.end(), 0);
+  for (std::size_t k = 0; k < moving_.size(); ++k) {
+    const Probe& probe = probes[at(moving_place_[k])];
+    ++histogram_[probe.cells + (std::min(moving_word_[k] - probe.lo, probe.span) >> probe.shift)];
+  }
+  const std::span<std::uint64_t> sums = histogram_.span().subspan(bins);
+  for (std::size_t first = 0; first < sums.size(); first += kMessageWordsMax) {
+    comm_.all_sum(sums.subspan(first, std::min(kMessageWordsMax, sums.size() - first)));
+    ++rounds_;
+    ++reductions_;
+  }
+  for (std::size_t n = 0; n < questions.size(); ++n) {
+    const Probe& probe = probes[n];
+    SelectNode& ask = questions[n];
+    if (probe.cells == 0) continue;
+    std::uint64_t bin = 0;
+    while (ask.rank >= histogram_[probe.cells + bin]) {
+      ask.rank -= histogram_[probe.cells + bin];
+      ++bin;
+      CHECK(bin < bins, "the bracket holds the cut");
+    }
+    ask.count = histogram_[probe.cells + bin];
+    ask.lo[0] += bin << probe.shift;
+    ask.hi[0] = std::min(ask.hi[0] - ask.lo[0], (std::uint64_t{1} << probe.shift) - 1) + ask.lo[0];
   }
 }
 

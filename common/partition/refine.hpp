@@ -33,13 +33,14 @@ class Refiner {
   void run(const Bounds& all, CutTree& tree, std::span<std::int32_t> part);
 
   const RefineCounts& counts() const { return counts_; }
-  std::uint64_t rounds() const { return selector_.rounds(); }
+  std::uint64_t rounds() const { return rounds_ + selector_.rounds(); }
   std::uint64_t reductions() const { return reductions_ + selector_.reductions(); }
 
  private:
   void pass(std::span<std::int32_t> label);
   // The particles in brackets whose keys say more than their first coordinate go on; the rest wait by level.
   void sort_stopped(std::span<std::int32_t> label);
+  void move_on(std::span<std::int32_t> label);
   void wait(std::size_t particle, std::int32_t place);
   // One level of the guess: bounds, counts, cuts, and its waiting particles go on.
   void settle_level(int depth, std::span<std::int32_t> label);
@@ -49,6 +50,7 @@ class Refiner {
   bool holds(int node);
   SelectNode question(int node) const;
   void select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label);
+  void narrow(std::span<SelectNode> questions);
   // The node begins the next pass; what rests below it belongs to it.
   void postpone(int node, double side_lo, double side_hi);
   void deal_sample();
@@ -59,7 +61,7 @@ class Refiner {
   const Refinement& refinement_;
   Guess guess_;
   Descent descent_;
-  particles::ParticleSet waiting_;  // a level's waiting particles, copied out
+  particles::ParticleSet waiting_;  // the candidates of a level, copied out
   particles::ParticleView waiting_view_;
   Selector selector_;
   CutTree* tree_ = nullptr;
@@ -70,6 +72,12 @@ class Refiner {
   std::vector<std::int32_t> start_;  // by place of the last pass: where this pass begins, or -1 - part
   std::vector<std::int32_t> next_;   // by place of this pass
   Buffer<std::uint32_t> stopped_;
+  Buffer<std::uint32_t> moving_;
+  Buffer<std::int32_t> moving_place_;  // where each goes on
+  Buffer<std::uint64_t> moving_word_;  // image of each on its node's cut axis
+  Buffer<std::uint32_t> candidates_;   // those of moving_ whose side the histogram left open
+  Buffer<std::int32_t> candidate_node_;
+  Buffer<std::uint64_t> histogram_;
   std::vector<Buffer<std::uint32_t>> levels_;  // those of stopped_ that wait, by depth
   // By node of the guess.
   std::vector<Bounds> bounds_;
@@ -79,6 +87,7 @@ class Refiner {
   std::vector<std::uint8_t> dead_;     // below a node that begins the next pass
 
   RefineCounts counts_;
+  std::uint64_t rounds_ = 0;
   std::uint64_t reductions_ = 0;
 };
 
