@@ -46,14 +46,11 @@ class Watcher {
     for (bool first = true; g_interrupted == 0 && !enough(); first = false) {
       if (options_.seconds > 0 && clock.seconds() > end) break;
       if (!first) usleep(kPollMicroseconds);
-      auto steps = ask(*client, "stats", {{"scene", options_.name}});
-      if (!steps) return closed(steps.status());
-      const auto total = steps->at("steps").get<std::uint64_t>();
-      // A scene made anew counts from 0 again.
-      const std::uint64_t fresh = first ? 0 : (total >= seen_ ? total - seen_ : total);
-      seen_ = total;
-      if (fresh == 0) continue;
-      if (Status status = show(*client, std::min(fresh, kReportsMax)); !status) return closed(status);
+      auto newest = reports(*client, 1);
+      if (!newest) return closed(newest.status());
+      if (first) newest_ = *newest;
+      if (*newest == newest_) continue;
+      if (Status status = show(*client); !status) return closed(status);
     }
     return closed({});
   }
@@ -61,18 +58,29 @@ class Watcher {
  private:
   bool enough() const { return options_.steps > 0 && shown_ >= options_.steps; }
 
-  Status show(client::Client& client, std::uint64_t count) {
-    auto reply = ask(client, "history", {{"scene", options_.name}, {"last", count}});
+  Result<Json> reports(client::Client& client, std::uint64_t last) const {
+    auto reply = ask(client, "history", {{"scene", options_.name}, {"last", last}});
     if (!reply) return reply.status();
-    for (const Json& report : reply->at("history")) {
-      if (enough()) break;
+    return reply->at("history");
+  }
+
+  // What came after the report shown last; all of it where that one is gone, with a scene that was made anew.
+  Status show(client::Client& client) {
+    auto found = reports(client, kReportsMax);
+    if (!found) return found.status();
+    auto next = found->begin();
+    if (!newest_.empty())
+      if (const auto known = std::find(found->begin(), found->end(), newest_.back()); known != found->end())
+        next = known + 1;
+    for (; next != found->end() && !enough(); ++next) {
       if (context_.json)
-        print_line((shown_ == 0 ? "[" : ",") + report.dump());
+        print_line((shown_ == 0 ? "[" : ",") + next->dump());
       else
-        print_line(line(report));
+        print_line(line(*next));
       context_.document_begun = true;
       ++shown_;
     }
+    newest_ = found->empty() ? Json::array() : Json::array({found->back()});
     return flush_output();
   }
 
@@ -86,7 +94,7 @@ class Watcher {
 
   const Options& options_;
   const Context& context_;
-  std::uint64_t seen_ = 0;
+  Json newest_ = Json::array();  // of one report, or none
   std::uint64_t shown_ = 0;
 };
 
