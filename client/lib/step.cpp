@@ -12,6 +12,8 @@
 namespace rcb::client {
 namespace {
 
+constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max();
+
 constexpr const char* kAxisNames[] = {"x", "y", "z"};
 
 wire::Json plan_json(const plan::Plan& plan) {
@@ -147,6 +149,9 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
     count_ = positions.count;
     pushed_ = true;
   }
+  // Another session's step in between may have changed parts without changing the plan.
+  const auto before = wire::integer_field_or(*json, "previous_step", 0, kStepMax, last_step_.value_or(-1));
+  const bool step_follows = first || (before && *before == last_step_.value_or(-1));
   last_step_ = std::max(step, last_step_.value_or(step));
 
   const auto repeated = wire::bool_field_or(*json, "repeated", false);
@@ -154,7 +159,7 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   epoch_ = report->epoch;
   StepResult result;
   Status current;
-  if ((repeated && *repeated) || !epoch_follows || !apply(answer, *json, first, result.changes))
+  if ((repeated && *repeated) || !epoch_follows || !step_follows || !apply(answer, *json, first, result.changes))
     current = fetch_plan(ids_by_row(options), deadline);
   if (!current) {
     // Fetched again before the next push.

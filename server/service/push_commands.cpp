@@ -28,8 +28,11 @@ Response repeated(const Context& context, const Scene& scene, const PushRequest&
   return done(std::move(json));
 }
 
-Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes) {
-  Response response = done({{"report", to_json(report)}, {"plan", plan_json(scene)}});
+Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, const PartChanges& changes,
+                std::optional<std::int64_t> previous_step) {
+  Response response = done({{"report", to_json(report)},
+                            {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
+                            {"plan", plan_json(scene)}});
   if (!push.changes) return response;
   response.arrays.push_back(make_array<particles::Id>("changed_id", "<i8", changes.id.span()));
   response.arrays.push_back(make_array<std::int32_t>("changed_part", "<i4", changes.part.span()));
@@ -45,9 +48,10 @@ Response push(Context& context, const wire::Json& request) {
   auto staged = prepare(context, *scene.value(), push.value());
   if (!staged.ok()) return failed(staged.status());
   PartChanges changes;
+  const std::optional<std::int64_t> previous_step = scene.value()->step;
   const StepReport report =
       commit(context, *scene.value(), std::move(staged).value(), push.value(), push->changes ? &changes : nullptr);
-  return answer(*scene.value(), report, push.value(), std::move(changes));
+  return answer(*scene.value(), report, push.value(), changes, previous_step);
 }
 
 constexpr Command kCommands[] = {{"push", push}};

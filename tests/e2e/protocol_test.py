@@ -39,6 +39,7 @@ class Protocol(unittest.TestCase):
             client.ask("scene.create", scene="p", parts=5)
             for step, points in enumerate(walk):
                 answer, bulk = client.push("p", step, points, flags=step % 2)
+                self.assertEqual(answer["previous_step"], step - 1 if step else None)
                 for field in ("error", "error_before", "moved", "drifted", "migrated", "epoch", "repartitioned"):
                     self.assertEqual(answer["report"][field], expected[step][field], (step, field))
                 count = answer["arrays"][0]["shape"][0]

@@ -147,7 +147,8 @@ class Driver {
       rows.push_back(row);
       ranks.push_back(rank);
     }
-    plan_.apply(rows, ranks, first_);
+    const Status applied = plan_.apply(rows, ranks, first_);
+    EXPECT_TRUE(applied.ok()) << applied.message();
     first_ = false;
     if (comm_.rank() == 0) {
       EXPECT_EQ(response.json["plan"]["version"].get<std::uint64_t>(), plan_.version());
@@ -174,7 +175,7 @@ class Driver {
   partition::Comm& comm_;
   service::Service& service_;
   std::string scene_;
-  plan::Plan plan_;
+  plan::Plan plan_ = plan::Plan::blocks(0, 1, {});
   std::vector<int> rank_of_row_;
   bool first_ = true;
 };
