@@ -27,7 +27,7 @@ struct Setting {
   std::string tool;    // rcbd, Zoltan, Zoltan2
   std::string method;  // rcb, bands-x ...; RCB, RIB, HSFC, MJ
   std::string work;
-  double cut_tolerance = 0;  // 0: exact, or as near as the tool can be told to come
+  double cut_tolerance = 0;  // 0: exact, or as near as the tool comes
 };
 
 // This rank's share; it outlives the contenders that were given it.
@@ -72,8 +72,8 @@ using Contenders = std::vector<std::unique_ptr<Contender>>;
 // Those of the methods asked for (by `method` names) that each tool has; tolerances: the cut tolerances to run, 0
 // first. A tool or method that knows no tolerance runs once, with 0.
 struct Wish {
-  std::vector<std::string> methods;
-  std::vector<double> cut_tolerances;
+  std::vector<std::string> methods;    // `method` names
+  std::vector<double> cut_tolerances;  // 0 first
   bool migrate = false;
 
   bool has(const std::string& method) const;

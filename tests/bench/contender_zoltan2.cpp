@@ -14,8 +14,7 @@ class MultiJaggedContender final : public Contender {
   Status prepare(const Problem& problem) override {
     count_ = problem.particles.count;
     const auto& particles = problem.particles;
-    return status(jagged_.prepare(particles.dims, count_, particles.position, particles.id, problem.parts,
-                                  1.0 + setting().cut_tolerance));
+    return status(jagged_.prepare(particles.dims, count_, particles.position, particles.id, problem.parts));
   }
   void reset() override {}
   Status run() override { return status(jagged_.solve()); }
@@ -38,8 +37,7 @@ class MultiJaggedContender final : public Contender {
 
 void add_zoltan2(const Wish& wish, Contenders& out) {
   if (!wish.has("MJ")) return;
-  for (const double tolerance : wish.cut_tolerances)
-    out.push_back(std::make_unique<MultiJaggedContender>(Setting{"Zoltan2", "MJ", kPartition, tolerance}));
+  out.push_back(std::make_unique<MultiJaggedContender>(Setting{"Zoltan2", "MJ", kPartition, 0}));
 }
 
 }  // namespace rcb::bench

@@ -40,7 +40,7 @@ MultiJagged::MultiJagged() = default;
 MultiJagged::~MultiJagged() = default;
 
 std::string MultiJagged::prepare(int dims, std::size_t count, const std::array<const double*, 3>& position,
-                                 const std::int64_t* id, int parts, double imbalance_tolerance) {
+                                 const std::int64_t* id, int parts) {
   return guarded([&] {
     state_ = std::make_unique<State>();
     state_->ids.assign(id, id + count);
@@ -52,7 +52,6 @@ std::string MultiJagged::prepare(int dims, std::size_t count, const std::array<c
         std::make_unique<Adapter>(static_cast<int>(count), state_->ids.data(), axes, strides, no_weights, no_strides);
     state_->parameters.set("algorithm", "multijagged");
     state_->parameters.set("num_global_parts", parts);
-    state_->parameters.set("imbalance_tolerance", imbalance_tolerance);
     const Teuchos::RCP<const Teuchos::Comm<int>> comm = Teuchos::rcp(new Teuchos::MpiComm<int>(MPI_COMM_WORLD));
     state_->problem = std::make_unique<PartitioningProblem>(state_->adapter.get(), &state_->parameters, comm);
   });

@@ -23,9 +23,8 @@ class MultiJagged {
   MultiJagged& operator=(const MultiJagged&) = delete;
 
   // Collective. The arrays outlive the calls below.
-  //   imbalance_tolerance  1 + the tolerance; the algorithm takes 1 for 1.001
   std::string prepare(int dims, std::size_t count, const std::array<const double*, 3>& position, const std::int64_t* id,
-                      int parts, double imbalance_tolerance);
+                      int parts);
   // Collective.
   std::string solve();
   // [count], of the last solve(). Local.

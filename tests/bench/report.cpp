@@ -54,11 +54,11 @@ std::vector<T> values_of(const Json& rows, const char* field) {
   return values;
 }
 
-// The row that stands for a contender in a table: ours at tolerance 0, a peer's fastest.
+// The row that stands for a contender in a table: the exact one; of several the fastest.
 const Json* representative(const std::vector<const Json*>& rows, const std::string& name) {
   const Json* best = nullptr;
   for (const Json* row : rows) {
-    if (name_of(*row) != name || (ours(*row) && (*row)["cut_tolerance"] != 0)) continue;
+    if (name_of(*row) != name || (*row)["cut_tolerance"] != 0) continue;
     if (best == nullptr || !measured(*best) || (measured(*row) && (*row)["seconds"] < (*best)["seconds"])) best = row;
   }
   return best;
@@ -208,8 +208,7 @@ std::string static_tables(const Json& document) {
   std::stable_partition(names.begin(), names.end(), [](const auto& name) { return !name.ends_with("+migrate"); });
   std::string text;
   for (const int ranks : values_of<int>(rows, "ranks")) {
-    text += fmt::format("\n{} rank(s): milliseconds, median of {}; peers at their fastest setting\n\n", ranks,
-                        document["repeats"].get<int>());
+    text += fmt::format("\n{} rank(s): milliseconds, median of {}\n\n", ranks, document["repeats"].get<int>());
     text += wide_table(rows, ranks, names, milliseconds, true);
     text += fmt::format("\n{} rank(s): largest relative error of a part\n\n", ranks);
     text += wide_table(rows, ranks, names, error_text, false);

@@ -60,7 +60,7 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
     for (const auto& row : make_rows_json(cell, kind->dims, comm.size(), measured, !plan.memory)) rows << row << "\n";
     rows.flush();
   }
-  rows.close();
+  if (comm.rank() == 0) rows.close();
   if (!partition::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
   return {};
 }

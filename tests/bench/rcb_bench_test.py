@@ -1,0 +1,171 @@
+"""rcb_bench measures what it says: small runs of both benches, judged from their JSON. No time is asserted."""
+import json
+import math
+import os
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+import xml.dom.minidom
+
+BENCH = os.path.join(os.environ["RCBD_BIN_DIR"], "rcb_bench")
+FIELDS = {"scene", "n", "dims", "parts", "ranks", "tool", "method", "work", "cut_tolerance", "seconds", "seconds_min",
+          "seconds_max", "error", "empty_parts", "ratio"}
+PEERS = {"Zoltan RCB", "Zoltan RIB", "Zoltan HSFC", "Zoltan2 MJ"}
+
+
+def bench(*arguments, timeout=120):
+    return subprocess.run([BENCH, *arguments], capture_output=True, text=True, timeout=timeout)
+
+
+def measure(*arguments):
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "result.json")
+        done = bench(*arguments, "--json", path)
+        assert done.returncode == 0, done.stderr
+        with open(path) as file:
+            return json.load(file), done.stdout
+
+
+def quota_error(n, parts):
+    counts = [(p + 1) * n // parts - p * n // parts for p in range(parts)]
+    return max(abs(c * parts - n) / n for c in counts)
+
+
+class Static(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.document, cls.text = measure("static", "--points", "20001", "--parts", "7,8", "--ranks", "1,3", "--repeats",
+                                         "2", "--scenes", "uniform,half-coincident,plane")
+
+    def ours(self):
+        return [row for row in self.document["rows"] if row["tool"] == "rcbd"]
+
+    def test_every_row_has_its_fields(self):
+        self.assertLessEqual({"bench", "commit", "machine", "rows"}, set(self.document))
+        for row in self.document["rows"]:
+            self.assertLessEqual(FIELDS, set(row), row)
+            self.assertNotIn("failure", row)
+            self.assertLessEqual(row["seconds_min"], row["seconds"])
+            self.assertLessEqual(row["seconds"], row["seconds_max"])
+            self.assertGreater(row["seconds_min"], 0)
+
+    def test_every_cell_has_our_methods(self):
+        for scene, dims in (("uniform", 3), ("half-coincident", 3), ("plane", 2)):
+            for parts in (7, 8):
+                for ranks in (1, 3):
+                    methods = sorted((row["method"], row["work"]) for row in self.ours() if row["cut_tolerance"] == 0 and
+                                     (row["scene"], row["parts"], row["ranks"]) == (scene, parts, ranks))
+                    bands = [("bands-" + axis, "partition") for axis in "xyz"[:dims]]
+                    self.assertEqual(methods, bands + [("rcb", "partition"), ("rcb", "partition+migrate")])
+
+    def test_our_error_is_that_of_the_quotas(self):
+        for row in self.ours():
+            if row["cut_tolerance"] == 0:
+                self.assertTrue(math.isclose(row["error"], quota_error(row["n"], row["parts"]), rel_tol=1e-12), row)
+                self.assertEqual(row["empty_parts"], 0)
+
+    def test_one_hash_on_any_number_of_ranks(self):
+        hashes = {}
+        for row in self.ours():
+            key = (row["scene"], row["parts"], row["method"], row["cut_tolerance"])
+            hashes.setdefault(key, set()).add(row["hash"])
+        self.assertEqual({key: found for key, found in hashes.items() if len(found) != 1}, {})
+
+    def test_ratios_stand_where_they_belong(self):
+        present = {row["tool"] + " " + row["method"] for row in self.document["rows"] if row["tool"] != "rcbd"}
+        self.assertLessEqual(present, PEERS)
+        for row in self.document["rows"]:
+            due = row["tool"] == "rcbd" and row["work"] == "partition" and row["cut_tolerance"] == 0
+            self.assertEqual(set(row["ratio"]), present if due else set(), row)
+            for name, ratio in row["ratio"].items():
+                peer = next(r for r in self.document["rows"] if (r["tool"] + " " + r["method"]) == name and
+                            r["work"] == "partition" and all(r[f] == row[f] for f in ("scene", "parts", "ranks")))
+                self.assertLessEqual(ratio, row["seconds_max"] / peer["seconds_min"])
+                self.assertGreaterEqual(ratio, row["seconds_min"] / peer["seconds_max"])
+
+    def test_peers_are_judged_by_their_answers(self):
+        bisections = [row for row in self.document["rows"] if row["tool"] == "Zoltan" and row["method"] == "RCB"]
+        for row in bisections:  # with and without the hand-over
+            self.assertLess(row["error"], 2 * row["parts"] / row["n"], row)
+
+    def test_tables_name_what_was_run(self):
+        for word in ("uniform", "half-coincident", "plane", "1 rank(s)", "3 rank(s)", "rcb +migrate"):
+            self.assertIn(word, self.text)
+
+
+class Scaling(unittest.TestCase):
+    def test_memory_and_growth(self):
+        document, _ = measure("scaling", "--points", "200000,400000", "--parts", "8,16", "--ranks", "2", "--repeats", "2",
+                              "--methods", "rcb")
+        cells = [(row["n"], row["parts"]) for row in document["rows"]]
+        self.assertEqual(cells, [(200000, 8), (200000, 16), (400000, 8)])
+        for row in document["rows"]:
+            self.assertEqual(row["ratio"], {})
+            self.assertGreaterEqual(row["bytes_per_particle"], 3.5)  # the parts themselves are 4, in whole pages
+        growth = document["summary"][0]
+        first, _, last = document["rows"]
+        self.assertAlmostEqual(growth["time_per_particle"]["ratio"],
+                               last["seconds"] / last["n"] / (first["seconds"] / first["n"]))
+
+
+class Figure(unittest.TestCase):
+    def test_drawn(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "figure.svg")
+            done = bench("static", "--points", "5000", "--parts", "8", "--ranks", "1", "--repeats", "1", "--scenes",
+                         "uniform,offset", "--figure", path)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            xml.dom.minidom.parse(path)
+            with open(os.path.join(folder, "figure.gp")) as file:
+                self.assertIn("# offset, tolerance 0", file.read())
+
+
+class Refusals(unittest.TestCase):
+    def test_wrong_usage(self):
+        for arguments in ([], ["nonsense"], ["static", "--scenes", "nowhere"], ["static", "--parts", "0"],
+                          ["static", "--ranks", "x"], ["static", "--methods", "magic"], ["scaling", "--points", "1.5"],
+                          ["static", "--repeats", "0"], ["static", "--cut-tolerances", "-1"]):
+            done = bench(*arguments)
+            self.assertEqual(done.returncode, 2, arguments)
+            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+
+    def test_unwritable_json(self):
+        done = bench("static", "--points", "1000", "--parts", "2", "--ranks", "1", "--repeats", "1", "--scenes", "plane",
+                     "--json", "/nonexistent/x.json")
+        self.assertEqual(done.returncode, 1)
+        self.assertIn("/nonexistent/x.json", done.stderr)
+
+    def test_interrupted_run_leaves_nothing(self):
+        with tempfile.TemporaryDirectory() as folder:
+            process = subprocess.Popen([BENCH, "static", "--ranks", "3", "--scenes", "uniform"], stderr=subprocess.PIPE,
+                                       stdout=subprocess.DEVNULL, text=True, env={**os.environ, "TMPDIR": folder})
+            for line in process.stderr:
+                if line.startswith("ranks 3"):
+                    break
+            process.send_signal(signal.SIGINT)
+            process.stderr.read()
+            self.assertEqual(process.wait(60), 1)
+            process.stderr.close()
+            self.assertEqual(os.listdir(folder), [])
+            deadline = time.monotonic() + 30
+            while time.monotonic() < deadline and self.ranks_of(folder):
+                time.sleep(0.1)
+            self.assertEqual(self.ranks_of(folder), [])
+
+    @staticmethod
+    def ranks_of(folder):
+        found = []
+        for pid in filter(str.isdigit, os.listdir("/proc")):
+            try:
+                with open(f"/proc/{pid}/cmdline", "rb") as file:
+                    if folder.encode() in file.read():
+                        found.append(pid)
+            except OSError:
+                pass
+        return found
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
