@@ -141,9 +141,9 @@ Status Connection::send_message(wire::FrameType type, std::uint64_t request, wir
   for (const wire::Array& array : arrays) header.bulk_bytes += array.bytes.size();
   if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
   const std::string text = wire::dump_json(json);
-  if (text.size() > wire::kJsonBytesMax)
+  if (text.size() > wire::kReplyJsonBytesMax)
     return {Code::too_large,
-            fmt::format("the answer has {} bytes of JSON, a frame takes {}", text.size(), wire::kJsonBytesMax),
+            fmt::format("the answer has {} bytes of JSON, a frame takes {}", text.size(), wire::kReplyJsonBytesMax),
             "ask for less of it"};
   enqueue({wire::encode_frame(header, text), std::move(arrays)});
   return {};

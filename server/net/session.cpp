@@ -132,6 +132,8 @@ awaitable<Status> Session::serve(Frame frame) {
   auto command = wire::string_field(frame.json, "command", 64);
   if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
   if (frame.header.bulk_bytes > 0) {
+    // Dropped, since no other command takes arrays; but a frame that contradicts itself is not trusted further.
+    if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok()) co_return specs.status();
     Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
     if (!status.ok()) co_return status;
   }

@@ -166,7 +166,8 @@ TEST(Session, RefusedRequestsLeaveTheConnection) {
   EXPECT_EQ(client.receive().code(), "invalid_argument");
   EXPECT_EQ(client.call("scene.close", {{"scene", "s"}}).code(), "not_found");
   EXPECT_EQ(client.call("scene.drop", {{"scene", "../x"}}).code(), "invalid_argument");
-  client.send(FrameType::request, {{"command", "error"}}, "bulk that nobody asked for", true);
+  const wire::Json array{{"name", "x"}, {"dtype", "<f8"}, {"shape", {3}}};
+  client.send(FrameType::request, {{"command", "error"}, {"arrays", {array}}}, "bulk that nobody asked f", true);
   EXPECT_EQ(client.receive().json["echo"], "error");
 }
 
