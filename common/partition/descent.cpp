@@ -8,7 +8,7 @@ namespace rcb::partition {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr std::size_t kBlock = 1024;  // particles that take their steps together: their places stay in the cache
+constexpr std::size_t kBlock = 256;  // particles that take their steps together: their places stay in the cache
 
 // Which particles a block holds: neighbours, or listed ones.
 struct Neighbours {
@@ -62,10 +62,10 @@ void Descent::run(std::span<std::int32_t> label, std::span<const std::int32_t> s
 
 // One step for all of a block, then the next: the steps of different particles don't wait for each other.
 template <typename Index>
-void Descent::descend(const Index& index, std::size_t count, std::int32_t* place) const {
+void Descent::descend(const Index& index, std::size_t count, std::int32_t* place, int levels) const {
   const std::array<const double*, geometry::kDimsMax> x = particles_.position;
   const Step* const steps = steps_.data();
-  for (int level = 0; level < steps_max_; ++level)
+  for (int level = 0; level < levels; ++level)
     for (std::size_t k = 0; k < count; ++k) {
       const Step& step = steps[place[k]];
       const double value = x[static_cast<std::size_t>(step.axis)][index[k]];
@@ -127,7 +127,7 @@ void Descent::pass_first(std::span<std::int32_t> label, Buffer<std::uint32_t>& s
     const std::size_t count = std::min(kBlock, label.size() - first);
     std::int32_t* const place = label.data() + first;
     std::fill_n(place, count, 0);
-    descend(Neighbours{first}, count, place);
+    descend(Neighbours{first}, count, place, steps_max_);
     add<kAxes>(Neighbours{first}, count, place);
     make_room(stopped, found);
     std::uint32_t* const list = stopped.data();
@@ -150,16 +150,27 @@ void Descent::pass_next(std::span<std::int32_t> label, std::span<const std::int3
     std::size_t count = 0;
     for (std::size_t i = first; i < last; ++i) {
       const std::int32_t old = label[i];
-      const std::int32_t from = old < 0 ? old : start[static_cast<std::size_t>(old)];
+      const std::int32_t found_start = start[static_cast<std::size_t>(std::max(old, 0))];  // no branch
+      const std::int32_t from = old < 0 ? old : found_start;
       label[i] = from;
       index[count] = static_cast<std::uint32_t>(i);
       place[count] = from;
       count += static_cast<std::size_t>(from >= 0);
     }
-    descend(index, count, place.data());
-    add<kAxes>(index, count, place.data());
     make_room(stopped, found);
     std::uint32_t* const list = stopped.data();
+    if (count == last - first) {  // as most often: the labels are the places
+      std::int32_t* const own = label.data() + first;
+      descend(Neighbours{first}, count, own, steps_max_);
+      add<kAxes>(Neighbours{first}, count, own);
+      for (std::size_t k = 0; k < count; ++k) {
+        list[found] = static_cast<std::uint32_t>(first + k);
+        found += static_cast<std::size_t>(own[k] >= nodes_);
+      }
+      continue;
+    }
+    descend(index, count, place.data(), steps_max_);
+    add<kAxes>(index, count, place.data());
     for (std::size_t k = 0; k < count; ++k) {
       label[index[k]] = place[k];
       list[found] = index[k];
@@ -169,19 +180,19 @@ void Descent::pass_next(std::span<std::int32_t> label, std::span<const std::int3
   stopped.resize(found);
 }
 
-void Descent::go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place) {
+void Descent::go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels) {
   for (std::size_t first = 0; first < index.size(); first += kBlock) {
     const std::size_t count = std::min(kBlock, index.size() - first);
     const std::span<const std::uint32_t> block = index.subspan(first, count);
     std::int32_t* const own = place.data() + first;
-    descend(block, count, own);
+    descend(block, count, own, levels);
     for (std::size_t k = 0; k < count; ++k)
       while (own[k] >= nodes_) {
         const GuessNode& stop = guess_->nodes()[static_cast<std::size_t>(own[k] - nodes_)];
         const std::int32_t next = stop.whole ? decide(block[k], stop) : -1;
         if (next < 0) break;
         own[k] = next;
-        descend(block.subspan(k, 1), 1, own + k);
+        descend(block.subspan(k, 1), 1, own + k, levels);
       }
     add_any(block, own);
   }

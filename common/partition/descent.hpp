@@ -36,8 +36,9 @@ class Descent {
   // has come to its part: it keeps that as its label. An empty start: all begin at node 0. The label becomes
   // the place; those in brackets are listed.
   void run(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
-  // These particles go on: place[k], a node, becomes the place of particle index[k], tallied.
-  void go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place);
+  // These particles go on: place[k], a node, becomes the place of particle index[k], tallied. No node's subtree is
+  // deeper than `levels`.
+  void go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels);
   // One particle in the bracket of a node with whole keys: where it goes (left, right), or -1 if it stays.
   std::int32_t decide(std::size_t particle, const GuessNode& node) const;
   // Takes a particle out of the count of a bracket that it leaves.
@@ -59,7 +60,7 @@ class Descent {
   template <int kAxes>
   void pass_next(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
   template <typename Index>
-  void descend(const Index& index, std::size_t count, std::int32_t* place) const;
+  void descend(const Index& index, std::size_t count, std::int32_t* place, int levels) const;
   template <int kAxes, typename Index>
   void add(const Index& index, std::size_t count, const std::int32_t* place);
   template <int kAxes, bool kMeasure, typename Index>

@@ -16,8 +16,8 @@ namespace rcb::partition {
 // How cuts are searched; no answer depends on it.
 struct Refinement {
   std::uint64_t points_min = 50'000;  // with fewer particles each level is searched from its bounds, without a guess
-  std::uint64_t sample = 32'768;      // points in the sample, at most twice as many
-  double sigmas = 3;                  // half a bracket's width, in standard deviations of the sample's guess
+  std::uint64_t sample = 0;           // points in the sample; 0: as many as balance its cost and its use
+  double sigmas = 2.2;                // half a bracket's width, in standard deviations of the sample's guess
 };
 
 struct PartitionOptions {

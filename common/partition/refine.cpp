@@ -16,8 +16,13 @@ constexpr std::uint64_t kGatherAtOnce = 24;  // so few of a node's particles are
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
-std::uint64_t sample_stride(std::uint64_t count, const Refinement& refinement) {
-  return std::max<std::uint64_t>(count / std::max<std::uint64_t>(refinement.sample, 1), 1);
+// Every rank handles the whole sample, and its share of what the brackets hold: n / sqrt(sample). The two are in
+// balance where the sample grows as (n / ranks)^(2/3); the factor was measured.
+std::uint64_t sample_stride(std::uint64_t count, int ranks, const Refinement& refinement) {
+  const double share = static_cast<double>(count) / ranks;
+  const auto balanced = static_cast<std::uint64_t>(5 * std::cbrt(share) * std::cbrt(share));
+  const std::uint64_t wanted = refinement.sample > 0 ? refinement.sample : balanced;
+  return std::max<std::uint64_t>(count / std::max<std::uint64_t>(wanted, 1), 1);
 }
 
 }  // namespace
@@ -36,7 +41,7 @@ Refiner::Refiner(Comm& comm, const particles::ParticleView& particles, const Spl
 
 void Refiner::run(const Bounds& all, CutTree& tree, std::span<std::int32_t> part) {
   tree_ = &tree;
-  sample_ = draw_sample(comm_, particles_, sample_stride(rule_.quota(0, tree.parts), refinement_));
+  sample_ = draw_sample(comm_, particles_, sample_stride(rule_.quota(0, tree.parts), comm_.size(), refinement_));
   ++reductions_;
   counts_.sampled = sample_.size();
   frontier_.assign(1, FrontierNode{tree.root(), all, 0, sample_.size()});
@@ -74,18 +79,20 @@ void Refiner::pass(std::span<std::int32_t> label) {
 }
 
 void Refiner::wait(std::size_t particle, std::int32_t place) {
-  if (place < descent_.nodes()) return;
-  levels_[at(guess_.nodes()[at(place - descent_.nodes())].depth)].push_back(static_cast<std::uint32_t>(particle));
+  if (place >= descent_.nodes()) levels_[stops_[at(place)].depth].push_back(static_cast<std::uint32_t>(particle));
 }
 
 void Refiner::sort_stopped(std::span<std::int32_t> label) {
   levels_.resize(std::max(levels_.size(), at(guess_.depth_max()) + 1));
   for (Buffer<std::uint32_t>& level : levels_) level.clear();
+  stops_.assign(2 * guess_.nodes().size(), Stop{});
+  for (std::size_t g = 0; g < guess_.nodes().size(); ++g)
+    stops_[g + guess_.nodes().size()] = {static_cast<std::uint16_t>(guess_.nodes()[g].depth), guess_.nodes()[g].whole};
   moving_.clear();
   moving_place_.clear();
   for (const std::uint32_t i : stopped_) {
-    const GuessNode& node = guess_.nodes()[at(label[i] - descent_.nodes())];
-    const std::int32_t next = node.whole ? descent_.decide(i, node) : -1;
+    const std::int32_t next =
+        stops_[at(label[i])].whole ? descent_.decide(i, guess_.nodes()[at(label[i] - descent_.nodes())]) : -1;
     if (next < 0) {
       wait(i, label[i]);
       continue;
@@ -94,12 +101,11 @@ void Refiner::sort_stopped(std::span<std::int32_t> label) {
     moving_.push_back(i);
     moving_place_.push_back(next);
   }
-  move_on(label);
+  move_on(1, label);
 }
 
-// The particles of moving_ go on.
-void Refiner::move_on(std::span<std::int32_t> label) {
-  descent_.go_on(moving_.span(), moving_place_.span());
+void Refiner::move_on(int depth, std::span<std::int32_t> label) {
+  descent_.go_on(moving_.span(), moving_place_.span(), guess_.depth_max() - depth);
   for (std::size_t k = 0; k < moving_.size(); ++k) {
     label[moving_[k]] = moving_place_[k];
     wait(moving_[k], moving_place_[k]);
@@ -260,9 +266,11 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
   const std::span<const GuessNode> nodes = guess_.nodes();
   std::vector<std::int32_t> slot(nodes.size(), -1);
   std::vector<SelectNode> questions;
+  std::vector<const double*> x;
   for (const int g : asked) {
     slot[at(g)] = static_cast<std::int32_t>(questions.size());
     questions.push_back(question(g));
+    x.push_back(particles_.position[static_cast<std::size_t>(questions.back().axes[0])]);
   }
   // From here on the level's waiting particles are moving_, and moving_place_ their slot; later, where they go on.
   const Buffer<std::uint32_t>& level = levels_[at(depth)];
@@ -275,8 +283,7 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
     if (own < 0) continue;
     moving_[kept] = i;
     moving_place_[kept] = own;
-    moving_word_[kept++] =
-        geometry::image(particles_.position[static_cast<std::size_t>(questions[at(own)].axes[0])][i]);
+    moving_word_[kept++] = geometry::image(x[at(own)][i]);
   }
   moving_.resize(kept);
   moving_place_.resize(kept);
@@ -284,14 +291,23 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
   narrow(questions);
 
   // Those left in the brackets are selected by their whole keys.
+  struct Sides {
+    std::uint64_t lo;
+    std::uint64_t span;
+    std::int32_t left;
+    std::int32_t right;
+  };
+  std::vector<Sides> sides;
+  for (std::size_t n = 0; n < questions.size(); ++n)
+    sides.push_back({questions[n].lo[0], questions[n].hi[0] - questions[n].lo[0], nodes[at(asked[n])].left,
+                     nodes[at(asked[n])].right});
   candidates_.clear();
   candidate_node_.clear();
   for (std::size_t k = 0; k < kept; ++k) {
     const std::int32_t own = moving_place_[k];
-    const SelectNode& ask = questions[at(own)];
-    const GuessNode& node = nodes[at(asked[at(own)])];
-    moving_place_[k] = moving_word_[k] < ask.lo[0] ? node.left : node.right;
-    if (moving_word_[k] - ask.lo[0] > ask.hi[0] - ask.lo[0]) continue;
+    const Sides& side = sides[at(own)];
+    moving_place_[k] = moving_word_[k] < side.lo ? side.left : side.right;
+    if (moving_word_[k] - side.lo > side.span) continue;
     candidates_.push_back(static_cast<std::uint32_t>(k));
     candidate_node_.push_back(own);
   }
@@ -315,7 +331,7 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
     const Key key = key_of(waiting_view_.point(c), waiting_view_.id[c], cut.axes, particles_.dims);
     moving_place_[candidates_[c]] = key < cut.key ? node.left : node.right;
   }
-  move_on(label);
+  move_on(depth + 1, label);
 }
 
 // One histogram of the first words, for all nodes of a level together: each bracket becomes the bin that holds the
@@ -389,7 +405,11 @@ void Refiner::deal_sample() {
       while (settled_[g] != 0 && !nodes[g].range.leaf()) {
         const Cut& cut = tree_->cuts[at(nodes[g].range.node)];
         const SamplePoint& point = sample_[s];
-        const bool right = !cut.right_empty && !(key_of(point.at, point.id, cut.axes, particles_.dims) < cut.key);
+        const double value = point.at[static_cast<std::size_t>(cut.axes[0])];
+        const bool right =
+            !cut.right_empty &&
+            (value > cut.key.at[0] ||
+             (value == cut.key.at[0] && !(key_of(point.at, point.id, cut.axes, particles_.dims) < cut.key)));
         g = at(right ? nodes[g].right : nodes[g].left);
       }
       place[s] = next_[g];

@@ -37,10 +37,17 @@ class Refiner {
   std::uint64_t reductions() const { return reductions_ + selector_.reductions(); }
 
  private:
+  // What is read of a place for each particle in a bracket.
+  struct Stop {
+    std::uint16_t depth = 0;
+    bool whole = false;
+  };
+
   void pass(std::span<std::int32_t> label);
   // The particles in brackets whose keys say more than their first coordinate go on; the rest wait by level.
   void sort_stopped(std::span<std::int32_t> label);
-  void move_on(std::span<std::int32_t> label);
+  // The particles of moving_ go on from nodes of this depth.
+  void move_on(int depth, std::span<std::int32_t> label);
   void wait(std::size_t particle, std::int32_t place);
   // One level of the guess: bounds, counts, cuts, and its waiting particles go on.
   void settle_level(int depth, std::span<std::int32_t> label);
@@ -72,6 +79,7 @@ class Refiner {
   std::vector<std::int32_t> start_;  // by place of the last pass: where this pass begins, or -1 - part
   std::vector<std::int32_t> next_;   // by place of this pass
   Buffer<std::uint32_t> stopped_;
+  std::vector<Stop> stops_;  // by place
   Buffer<std::uint32_t> moving_;
   Buffer<std::int32_t> moving_place_;  // where each goes on
   Buffer<std::uint64_t> moving_word_;  // image of each on its node's cut axis
