@@ -5,7 +5,6 @@
 #include <fmt/format.h>
 
 #include "client/cli/output.hpp"
-#include "common/partition/method.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::cli {

@@ -28,7 +28,7 @@ ARROWS = {
 ROOMS = {
     r"<mpi\.h>": ["server/ranks", "tests/support", "tests/bench"],
     r"<boost/asio": ["server/net", "client/lib"],
-    r"<hdf5\.h>": ["common/io"],
+    r"<hdf5\.h>": ["common/io", "tests/common/io"],
 }
 
 
