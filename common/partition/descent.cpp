@@ -46,6 +46,7 @@ void Descent::start(const Guess& guess) {
 
 void Descent::run(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped) {
   const bool first = start.empty();
+  measure_ = guess_->measured_depth() > 0;
   switch (particles_.dims) {
     case 1:
       first ? pass_first<1>(label, stopped) : pass_next<1>(label, start, stopped);
@@ -180,7 +181,8 @@ void Descent::pass_next(std::span<std::int32_t> label, std::span<const std::int3
   stopped.resize(found);
 }
 
-void Descent::go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels) {
+void Descent::go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels, bool measure) {
+  measure_ = measure;
   for (std::size_t first = 0; first < index.size(); first += kBlock) {
     const std::size_t count = std::min(kBlock, index.size() - first);
     const std::span<const std::uint32_t> block = index.subspan(first, count);

@@ -28,8 +28,8 @@ class Descent {
     std::uint64_t count = 0;
   };
 
-  // Particles are fewer than 2^31. measure: boxes are wanted.
-  Descent(const particles::ParticleView& particles, bool measure) : particles_(particles), measure_(measure) {}
+  // Particles are fewer than 2^31.
+  explicit Descent(const particles::ParticleView& particles) : particles_(particles) {}
 
   void start(const Guess& guess);
   // All particles. start[label[i]] is where particle i begins; one with a negative label, or whose start is negative,
@@ -37,8 +37,8 @@ class Descent {
   // the place; those in brackets are listed.
   void run(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
   // These particles go on: place[k], a node, becomes the place of particle index[k], tallied. No node's subtree is
-  // deeper than `levels`.
-  void go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels);
+  // deeper than `levels`. measure: boxes are wanted.
+  void go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels, bool measure);
   // One particle in the bracket of a node with whole keys: where it goes (left, right), or -1 if it stays.
   std::int32_t decide(std::size_t particle, const GuessNode& node) const;
   // Takes a particle out of the count of a bracket that it leaves.
@@ -69,7 +69,7 @@ class Descent {
   void merge_spare();
 
   const particles::ParticleView& particles_;
-  bool measure_;
+  bool measure_ = false;
   int nodes_ = 0;
   int steps_max_ = 0;
   const Guess* guess_ = nullptr;

@@ -27,21 +27,38 @@ struct Before {
   }
 };
 
-Bounds bounds_of(std::span<const SamplePoint> sample, int dims) {
-  Bounds bounds;
-  if (sample.empty()) return bounds;
-  Point lo = sample[0].at;
-  Point hi = lo;
-  for (const SamplePoint& point : sample)
+// Also of the points strictly inside a box.
+Bounds bounds_of(std::span<const SamplePoint> sample, int dims, const Point& core_lo, const Point& core_hi,
+                 Bounds& core) {
+  struct Range {
+    Point lo{kInfinity, kInfinity, kInfinity};
+    Point hi{-kInfinity, -kInfinity, -kInfinity};
+  };
+  std::array<Range, 2> ranges;
+  for (const SamplePoint& point : sample) {
+    bool inside = true;
+    for (std::size_t a = 0; a < geometry::kDimsMax; ++a)
+      inside &= (point.at[a] > core_lo[a]) & (point.at[a] < core_hi[a]);
+    Range& range = ranges[static_cast<std::size_t>(inside)];
     for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-      lo[a] = point.at[a] < lo[a] ? point.at[a] : lo[a];
-      hi[a] = point.at[a] > hi[a] ? point.at[a] : hi[a];
+      range.lo[a] = point.at[a] < range.lo[a] ? point.at[a] : range.lo[a];
+      range.hi[a] = point.at[a] > range.hi[a] ? point.at[a] : range.hi[a];
     }
-  for (std::size_t a = 0; a < at(dims); ++a) {
-    bounds.lo[a] = geometry::image(lo[a]);
-    bounds.not_hi[a] = ~geometry::image(hi[a]);
   }
-  return bounds;
+  const auto bounds_in = [dims](const Range& range) {
+    Bounds bounds;
+    for (std::size_t a = 0; a < at(dims) && range.lo[0] <= range.hi[0]; ++a) {
+      bounds.lo[a] = geometry::image(range.lo[a]);
+      bounds.not_hi[a] = ~geometry::image(range.hi[a]);
+    }
+    return bounds;
+  };
+  core = bounds_in(ranges[1]);
+  for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
+    ranges[0].lo[a] = std::min(ranges[0].lo[a], ranges[1].lo[a]);
+    ranges[0].hi[a] = std::max(ranges[0].hi[a], ranges[1].hi[a]);
+  }
+  return bounds_in(ranges[0]);
 }
 
 double extent_of(const Bounds& bounds, std::size_t axis) {
@@ -72,10 +89,13 @@ void Guess::grow(std::span<const FrontierNode> frontier, std::span<SamplePoint> 
   nodes_.clear();
   roots_.clear();
   depth_max_ = 0;
+  measured_depth_ = 0;
   for (std::size_t f = 0; f < frontier.size(); ++f) {
     root_ = static_cast<int>(f);
     const FrontierNode& from = frontier[f];
-    const Seed seed{from.range, 0, from.bounds, 0};
+    Seed seed;
+    seed.range = from.range;
+    seed.outer = from.bounds;
     roots_.push_back(grow_node(seed, sample.subspan(from.sample_first, from.sample_last - from.sample_first), &from));
   }
 }
@@ -86,62 +106,81 @@ int Guess::grow_node(const Seed& seed, std::span<SamplePoint> sample, const Fron
   node.range = seed.range;
   node.depth = seed.depth;
   node.root = root_;
+  node.outer = seed.outer;
+  const bool part = seed.range.leaf();
   const std::uint64_t count = rule_.quota(seed.range.first, seed.range.last);
-  const std::uint64_t quota = seed.range.leaf() ? 0 : rule_.quota(seed.range.first, seed.range.middle());
-  if (exact != nullptr) {
-    node.inner = !seed.range.leaf();
-    node.axes = rule_.axes_of(seed.range, seed.outer);
-  } else if (!seed.range.leaf() && count == 0) {
-    node.inner = true;
-    node.axes = rule_.axes_of(seed.range, Bounds{});
+  const std::uint64_t quota = part ? 0 : rule_.quota(seed.range.first, seed.range.middle());
+  if (exact != nullptr || part || count == 0 || rule_.fixed()) {
+    node.certain = true;
+    node.axes = exact != nullptr ? exact->axes : rule_.axes_of(seed.range, count == 0 ? Bounds{} : seed.outer);
+    node.inner = !part && (exact != nullptr || count == 0 || sample.size() >= kPointsMin);
   } else {
-    node.inner = !seed.range.leaf() && descends(seed, sample, node);
+    node.inner = descends(seed, sample, node);
   }
   node.all_left = node.inner && quota >= count;
+  const bool blind = exact != nullptr && exact->has_side();  // nothing is guessed below
   double spread = 0;
   std::size_t left_points = sample.size();
   if (node.all_left) {
     node.lo = node.hi = kInfinity;
-  } else if (exact != nullptr && node.inner && exact->has_side()) {
+  } else if (blind) {
     node.lo = exact->side_lo;
     node.hi = exact->side_hi;
-    left_points = sample.size() / 2;  // nothing is guessed below
   } else if (node.inner) {
     left_points = bracket(seed, sample, node, spread);
-    // Too wide to be worth the guess: the node begins the next pass, with exact bounds.
+    // Too wide to be worth the guess: the node begins the next pass.
     const double width = (2 * refinement_.sigmas * std::sqrt(spread) + 2) / static_cast<double>(sample.size());
     if (exact == nullptr && width > kBracketMax) node.inner = false;
   }
   depth_max_ = std::max(depth_max_, seed.depth);
+  if (!node.certain) measured_depth_ = std::max(measured_depth_, seed.depth);
   nodes_.push_back(node);
-  if (node.inner) {
-    Seed left{seed.range.left(), seed.depth + 1, seed.outer, spread};
-    Seed right{seed.range.right(), seed.depth + 1, seed.outer, spread};
-    const std::size_t axis = at(node.axes[0]);
-    if (node.all_left) {
-      right.outer = Bounds{};
-    } else {
-      if (node.hi < kInfinity) left.outer.not_hi[axis] = ~geometry::image(node.hi);
-      if (node.lo > -kInfinity) right.outer.lo[axis] = geometry::image(node.lo);
-    }
-    const bool blind = exact != nullptr && exact->has_side();
-    nodes_[at(index)].left = grow_node(left, blind ? sample.first(0) : sample.first(left_points), nullptr);
-    nodes_[at(index)].right = grow_node(right, blind ? sample.first(0) : sample.subspan(left_points), nullptr);
-  }
+  if (node.inner) grow_children(index, seed, blind ? sample.first(0) : sample, blind ? 0 : left_points, spread);
   nodes_[at(index)].end = static_cast<int>(nodes_.size());
   return index;
+}
+
+void Guess::grow_children(int index, const Seed& seed, std::span<SamplePoint> sample, std::size_t left_points,
+                          double spread) {
+  const GuessNode node = nodes_[at(index)];
+  Seed left = seed;
+  left.range = seed.range.left();
+  left.depth = seed.depth + 1;
+  left.spread = spread;
+  Seed right = left;
+  right.range = seed.range.right();
+  const std::size_t axis = at(node.axes[0]);
+  if (node.all_left) {
+    right.outer = Bounds{};
+  } else {
+    if (node.hi < kInfinity) left.outer.not_hi[axis] = std::max(left.outer.not_hi[axis], ~geometry::image(node.hi));
+    if (node.lo > -kInfinity) right.outer.lo[axis] = std::max(right.outer.lo[axis], geometry::image(node.lo));
+    left.core_hi[axis] = std::min(left.core_hi[axis], node.lo);
+    right.core_lo[axis] = std::max(right.core_lo[axis], node.hi);
+  }
+  const int left_node = grow_node(left, sample.first(left_points), nullptr);
+  const int right_node = grow_node(right, sample.subspan(left_points), nullptr);
+  nodes_[at(index)].left = left_node;
+  nodes_[at(index)].right = right_node;
 }
 
 // Whether to guess a node below the first, and its axis order.
 bool Guess::descends(const Seed& seed, std::span<const SamplePoint> sample, GuessNode& node) const {
   if (sample.size() < kPointsMin) return false;
-  if (rule_.fixed()) {
-    node.axes = rule_.axes_of(seed.range, seed.outer);
-    return true;
-  }
-  const Bounds inner = bounds_of(sample, dims_);
+  Bounds core;
+  const Bounds inner = bounds_of(sample, dims_, seed.core_lo, seed.core_hi, core);
   node.axes = rule_.axes_of(seed.range, inner);
-  return rule_.sticky() || order_is_likely(node.axes, inner, seed.outer, sample.size());
+  node.certain = !rule_.sticky() && order_is_certain(node.axes, core, seed.outer);
+  return node.certain || rule_.sticky() || order_is_likely(node.axes, inner, seed.outer, sample.size());
+}
+
+bool Guess::order_is_certain(const AxisOrder& axes, const Bounds& core, const Bounds& outer) const {
+  for (std::size_t i = 0; i + 1 < at(rule_.axes()); ++i) {
+    const double least = extent_of(core, at(axes[i]));
+    const double most = extent_of(outer, at(axes[i + 1]));
+    if (!(least > most || (least == most && axes[i] < axes[i + 1]))) return false;
+  }
+  return true;
 }
 
 // True unless the longest axis is about as likely to be another.

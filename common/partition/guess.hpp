@@ -28,9 +28,10 @@ struct SamplePoint {
 // Collective (one gather).
 std::vector<SamplePoint> draw_sample(Comm& comm, const particles::ParticleView& particles, std::uint64_t stride);
 
-// A node to begin with: its bounds are exact.
+// A node to begin with: its axis order is exact, and its particles lie in the bounds.
 struct FrontierNode {
   NodeRange range;
+  AxisOrder axes{0, 1, 2};
   Bounds bounds;
   // Its points in the sample.
   std::size_t sample_first = 0;
@@ -56,6 +57,9 @@ struct GuessNode {
   // With whole: lo_key <= the cut's key <= hi_key; else only the first coordinates are meant.
   bool whole = false;
   AxisOrder axes{0, 1, 2};
+  // The order is exact, whatever the cuts above are within their brackets: nothing needs to be measured.
+  bool certain = false;
+  Bounds outer;   // the particles lie in these, likewise
   double lo = 0;  // first coordinates of the keys, infinite where the bracket is open
   double hi = 0;
   Key lo_key;
@@ -74,18 +78,27 @@ class Guess {
   // The guess of each frontier node.
   std::span<const int> roots() const { return roots_; }
   int depth_max() const { return depth_max_; }
+  // The greatest depth of a node whose bounds must be measured; 0: none.
+  int measured_depth() const { return measured_depth_; }
 
  private:
+  static constexpr double kUnbounded = std::numeric_limits<double>::infinity();
   // What a node to be grown inherits.
   struct Seed {
     NodeRange range;
     int depth = 0;
-    Bounds outer;       // its particles lie in these
+    Bounds outer;  // its particles lie in these
+    // A particle strictly inside these is in the node, likewise.
+    Point core_lo{-kUnbounded, -kUnbounded, -kUnbounded};
+    Point core_hi{kUnbounded, kUnbounded, kUnbounded};
     double spread = 0;  // variance, in points of the sample, of where its own bounds lie
   };
 
   int grow_node(const Seed& seed, std::span<SamplePoint> sample, const FrontierNode* exact);
   bool descends(const Seed& seed, std::span<const SamplePoint> sample, GuessNode& node) const;
+  void grow_children(int index, const Seed& seed, std::span<SamplePoint> sample, std::size_t left_points,
+                     double spread);
+  bool order_is_certain(const AxisOrder& axes, const Bounds& core, const Bounds& outer) const;
   bool order_is_likely(const AxisOrder& axes, const Bounds& inner, const Bounds& outer, std::size_t points) const;
   // Brackets the cut; the sample's first points up to the number returned are left's.
   std::size_t bracket(const Seed& seed, std::span<SamplePoint> sample, GuessNode& node, double& spread) const;
@@ -95,6 +108,7 @@ class Guess {
   int dims_;
   int root_ = 0;
   int depth_max_ = 0;
+  int measured_depth_ = 0;
   std::vector<GuessNode> nodes_;
   std::vector<int> roots_;
 };

@@ -34,7 +34,7 @@ Refiner::Refiner(Comm& comm, const particles::ParticleView& particles, const Spl
       rule_(rule),
       refinement_(options.refinement),
       guess_(rule, options.refinement, particles.dims),
-      descent_(particles, !rule.fixed()),
+      descent_(particles),
       selector_(comm, waiting_view_, rule.axes(), nullptr) {
   waiting_.dims = particles.dims;
 }
@@ -44,7 +44,7 @@ void Refiner::run(const Bounds& all, CutTree& tree, std::span<std::int32_t> part
   sample_ = draw_sample(comm_, particles_, sample_stride(rule_.quota(0, tree.parts), comm_.size(), refinement_));
   ++reductions_;
   counts_.sampled = sample_.size();
-  frontier_.assign(1, FrontierNode{tree.root(), all, 0, sample_.size()});
+  frontier_.assign(1, FrontierNode{tree.root(), rule_.axes_of(tree.root(), all), all, 0, sample_.size()});
   while (!frontier_.empty()) {
     pass(part);
     ++counts_.passes;
@@ -73,7 +73,6 @@ void Refiner::pass(std::span<std::int32_t> label) {
   dead_.assign(nodes, 0);
   next_.assign(2 * nodes, 0);
   next_frontier_.clear();
-  for (std::size_t f = 0; f < frontier_.size(); ++f) bounds_[at(guess_.roots()[f])] = frontier_[f].bounds;
   for (int depth = 0; depth <= guess_.depth_max(); ++depth) settle_level(depth, label);
   deal_sample();
 }
@@ -105,7 +104,7 @@ void Refiner::sort_stopped(std::span<std::int32_t> label) {
 }
 
 void Refiner::move_on(int depth, std::span<std::int32_t> label) {
-  descent_.go_on(moving_.span(), moving_place_.span(), guess_.depth_max() - depth);
+  descent_.go_on(moving_.span(), moving_place_.span(), guess_.depth_max() - depth, guess_.measured_depth() >= depth);
   for (std::size_t k = 0; k < moving_.size(); ++k) {
     label[moving_[k]] = moving_place_[k];
     wait(moving_[k], moving_place_[k]);
@@ -124,7 +123,7 @@ void Refiner::settle_level(int depth, std::span<std::int32_t> label) {
       level.push_back(static_cast<int>(g));
     }
   }
-  if (depth > 0) measure_level(level);
+  measure_level(level);
   count_level(level);
   std::vector<int> asked;
   for (const int g : level) {
@@ -133,7 +132,7 @@ void Refiner::settle_level(int depth, std::span<std::int32_t> label) {
     } else if (holds(g)) {
       settled_[at(g)] = 1;
       Cut& cut = tree_->cuts[at(nodes[at(g)].range.node)];
-      cut.axes = rule_.axes_of(nodes[at(g)].range, bounds_[at(g)]);
+      cut.axes = exact_axes(g);
       cut.right_empty = nodes[at(g)].all_left;
       if (!cut.right_empty) asked.push_back(g);
     }
@@ -141,13 +140,14 @@ void Refiner::settle_level(int depth, std::span<std::int32_t> label) {
   if (!asked.empty()) select_level(asked, depth, label);
 }
 
-// Exact bounds of a level's nodes: the boxes of all places below each.
-void Refiner::measure_level(std::span<const int> level) {
-  if (level.empty()) return;
-  if (rule_.fixed()) {  // only the order of the axes matters, and that is known
-    for (const int g : level) bounds_[at(g)] = frontier_[at(guess_.nodes()[at(g)].root)].bounds;
-    return;
+// Exact bounds of a level's nodes where they decide anything: the boxes of all places below each.
+void Refiner::measure_level(std::span<const int> nodes) {
+  std::vector<int> level;
+  for (const int g : nodes) {
+    bounds_[at(g)] = guess_.nodes()[at(g)].outer;
+    if (!guess_.nodes()[at(g)].certain) level.push_back(g);
   }
+  if (level.empty()) return;
   const auto axes = at(rule_.axes());
   std::vector<std::uint64_t> least;
   least.reserve(level.size() * axes * 2);
@@ -201,10 +201,15 @@ void Refiner::count_level(std::span<const int> level) {
   }
 }
 
+AxisOrder Refiner::exact_axes(int index) const {
+  const GuessNode& node = guess_.nodes()[at(index)];
+  return node.certain ? node.axes : rule_.axes_of(node.range, bounds_[at(index)]);
+}
+
 bool Refiner::holds(int index) {
   const GuessNode& node = guess_.nodes()[at(index)];
   if (node.all_left) return true;
-  const AxisOrder axes = rule_.axes_of(node.range, bounds_[at(index)]);
+  const AxisOrder axes = exact_axes(index);
   if (axes[0] != node.axes[0] || (node.whole && axes != node.axes)) {
     ++counts_.wrong_axes;
     postpone(index, -kInfinity, kInfinity);
@@ -224,6 +229,7 @@ void Refiner::postpone(int node, double side_lo, double side_hi) {
   const auto index = static_cast<std::int32_t>(next_frontier_.size());
   FrontierNode begun;
   begun.range = guess_.nodes()[at(node)].range;
+  begun.axes = exact_axes(node);
   begun.bounds = bounds_[at(node)];
   begun.side_lo = side_lo;
   begun.side_hi = side_hi;

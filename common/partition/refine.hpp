@@ -53,6 +53,7 @@ class Refiner {
   void settle_level(int depth, std::span<std::int32_t> label);
   void measure_level(std::span<const int> level);
   void count_level(std::span<const int> level);
+  AxisOrder exact_axes(int node) const;
   // Whether the guess holds for an inner node; if not, it begins the next pass.
   bool holds(int node);
   SelectNode question(int node) const;
