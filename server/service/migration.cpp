@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
+#include <type_traits>
+#include <utility>
 
 #include "common/partition/comm.hpp"
 #include "common/plan/plan.hpp"
@@ -89,13 +91,22 @@ void for_each_array(Scene& scene, Arrivals& arrivals, const Apply& apply) {
   apply(scene.part, arrivals.part);
 }
 
-// order[k]: which arrival is the k-th in ascending id.
-Buffer<std::uint64_t> by_ascending_id(const Buffer<particles::Id>& ids) {
-  Buffer<std::uint64_t> order(ids.size());
+// Puts particles into ascending id.
+void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part) {
+  if (std::is_sorted(particles.id.begin(), particles.id.end())) return;
+  Buffer<std::uint64_t> order(particles.id.size());
   std::iota(order.begin(), order.end(), std::uint64_t{0});
-  if (!std::is_sorted(ids.begin(), ids.end()))
-    std::sort(order.begin(), order.end(), [&](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; });
-  return order;
+  std::sort(order.begin(), order.end(),
+            [&](std::uint64_t a, std::uint64_t b) { return particles.id[a] < particles.id[b]; });
+  const auto permute = [&order](auto& values) {
+    std::remove_reference_t<decltype(values)> sorted(values.size());
+    for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = values[order[k]];
+    values.swap(sorted);
+  };
+  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a) permute(particles.position[a]);
+  if (particles.has_weights) permute(particles.weight);
+  permute(part);
+  permute(particles.id);  // last: the others are sorted by it
 }
 
 // A full change: stayers and arrivals together in ascending id.
@@ -116,32 +127,17 @@ void rebuild(Scene& scene, const Leavers& leavers, Arrivals& arrivals) {
     mine.append(theirs.span());
     theirs.release();
   });
-  if (std::is_sorted(scene.particles.id.begin(), scene.particles.id.end())) return;
-  const Buffer<std::uint64_t> order = by_ascending_id(scene.particles.id);
-  for_each_array(scene, arrivals, [&](auto& mine, auto&) {
-    std::remove_reference_t<decltype(mine)> sorted(mine.size());
-    for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = mine[order[k]];
-    mine.swap(sorted);
-  });
+  sort_by_id(scene.particles, scene.part);
 }
 
 // A small change: free slots are filled, the rest stays where it is. Returns what the plan's checksum gains.
 std::uint64_t fill_holes(Scene& scene, int rank, const Leavers& leavers, Arrivals& arrivals) {
+  sort_by_id(arrivals.particles, arrivals.part);
   const plan::RankEdit edit = plan::edit_of_rank(scene.part.size(), leavers.slots, arrivals.part.size());
-  const Buffer<std::uint64_t> order = by_ascending_id(arrivals.particles.id);
-  std::uint64_t gain = 0;
-  for (const std::uint64_t slot : leavers.slots) gain -= plan::place_mix(scene.particles.id[slot], rank, slot);
-  for (const plan::SlotMove& move : edit.moves) {
-    if (!move.arrival) gain -= plan::place_mix(scene.particles.id[move.from], rank, move.from);
-    const particles::Id id = move.arrival ? arrivals.particles.id[order[move.from]] : scene.particles.id[move.from];
-    gain += plan::place_mix(id, rank, move.to);
-  }
-  for_each_array(scene, arrivals, [&](auto& mine, auto& theirs) {
-    mine.resize(std::max<std::size_t>(mine.size(), edit.new_count));
-    for (const plan::SlotMove& move : edit.moves)
-      mine[move.to] = move.arrival ? theirs[order[move.from]] : mine[move.from];
-    mine.resize(edit.new_count);
-  });
+  const std::uint64_t gain = plan::checksum_change(edit, rank, scene.particles.id.span(), leavers.slots,
+                                                   std::as_const(arrivals.particles.id).span());
+  for_each_array(scene, arrivals,
+                 [&edit](auto& mine, auto& theirs) { plan::apply_edit(edit, mine, std::as_const(theirs).span()); });
   return gain;
 }
 
@@ -163,8 +159,7 @@ std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first) {
   std::uint64_t checksum = 0;
   if (full) {
     rebuild(scene, leavers, arrivals);
-    for (std::uint64_t slot = 0; slot < scene.part.size(); ++slot)
-      checksum += plan::place_mix(scene.particles.id[slot], comm.rank(), slot);
+    checksum = plan::checksum_of_rank(comm.rank(), scene.particles.id.span());
   } else {
     checksum = fill_holes(scene, comm.rank(), leavers, arrivals);
   }

@@ -64,11 +64,10 @@ class Partition(unittest.TestCase):
         for ranks in (1, 2, 3, 4, 8):
             with Service(ranks) as service:
                 for name in self.scenes:
-                    for parts in (1, 7, 8):
+                    for parts in (1, 7, 8, 13, 37, 64):
                         self.check(service, name, parts)
-                for parts in (13, 37, 64, 4096):
-                    self.check(service, "lattice", parts)
-                    self.check(service, "half_coincident", parts)
+                for name in ("lattice", "half_coincident", "few"):
+                    self.check(service, name, 4096)
                 for method in ("bands-x", "bands-y", "bands-z"):
                     self.check(service, "lattice", 8, method)
                     self.check(service, "decades", 7, method)
