@@ -5,8 +5,8 @@
 // Invariants
 // 1. Places: node g as a leaf is place g, its bracket is place g + nodes. A place leads to itself, so that every
 //    particle takes the same number of steps.
-// 2. A tally is never less than what rests there; its box may hold particles that have gone on from a bracket, which
-//    are then in the same node's subtree.
+// 2. A tally's box may hold particles that have gone on from a bracket: they are in the same node's subtree. Its count
+//    is what came to rest there, those included whom a search among the waiting sends on.
 #pragma once
 
 #include <cstdint>
@@ -28,26 +28,33 @@ class Descent {
     std::uint64_t count = 0;
   };
 
+  // A particle on its way, with its coordinates: what is near in a list need not be near in the set.
+  struct Mover {
+    Point at;
+    std::uint32_t index;
+    std::int32_t place;
+  };
+
   // Particles are fewer than 2^31.
   explicit Descent(const particles::ParticleView& particles) : particles_(particles) {}
 
   void start(const Guess& guess);
   // All particles. start[label[i]] is where particle i begins; one with a negative label, or whose start is negative,
-  // has come to its part: it keeps that as its label. An empty start: all begin at node 0. The label becomes
-  // the place; those in brackets are listed.
-  void run(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
-  // These particles go on: place[k], a node, becomes the place of particle index[k], tallied. No node's subtree is
-  // deeper than `levels`. measure: boxes are wanted.
-  void go_on(std::span<const std::uint32_t> index, std::span<std::int32_t> place, int levels, bool measure);
-  // One particle in the bracket of a node with whole keys: where it goes (left, right), or -1 if it stays.
-  std::int32_t decide(std::size_t particle, const GuessNode& node) const;
-  // Takes a particle out of the count of a bracket that it leaves.
-  void leave(std::int32_t place) { --tallies_[static_cast<std::size_t>(place)].count; }
+  // has come to its part: it keeps that as its label. An empty start: all begin at node 0. The label becomes the
+  // place; those in brackets also wait, in the list of their node's depth.
+  void run(std::span<std::int32_t> label, std::span<const std::int32_t> start, std::vector<Buffer<Mover>>& waiting);
+  // These go on from the nodes that are their places, all of one depth; otherwise as above.
+  void go_on(std::span<Mover> movers, int depth, std::span<std::int32_t> label, std::vector<Buffer<Mover>>& waiting);
 
   const Tally& tally(std::size_t place) const { return tallies_[place]; }
   int nodes() const { return nodes_; }
 
  private:
+  // What is read of a node for each particle in its bracket.
+  struct Stop {
+    std::int32_t depth;
+    bool whole;
+  };
   struct Step {
     double lo;
     double hi;
@@ -56,24 +63,24 @@ class Descent {
   };
 
   template <int kAxes>
-  void pass_first(std::span<std::int32_t> label, Buffer<std::uint32_t>& stopped);
-  template <int kAxes>
-  void pass_next(std::span<std::int32_t> label, std::span<const std::int32_t> start, Buffer<std::uint32_t>& stopped);
-  template <typename Index>
-  void descend(const Index& index, std::size_t count, std::int32_t* place, int levels) const;
-  template <int kAxes, typename Index>
-  void add(const Index& index, std::size_t count, const std::int32_t* place);
-  template <int kAxes, bool kMeasure, typename Index>
-  void add_measured(const Index& index, std::size_t count, const std::int32_t* place);
-  void add_any(std::span<const std::uint32_t> index, const std::int32_t* place);
+  void pass(std::span<std::int32_t> label, std::span<const std::int32_t> start, std::vector<Buffer<Mover>>& waiting);
+  template <typename Point>
+  void descend(const Point& point, std::size_t count, std::int32_t* place, int levels) const;
+  template <int kAxes, bool kMeasure, typename Point>
+  void add(const Point& point, std::size_t count, const std::int32_t* place);
+  // In the bracket of a node with whole keys: goes on as far as its key is outside of brackets.
+  void settle(Mover& mover);
+  // The child that the particle goes to, or -1 if its key is in the bracket.
+  std::int32_t decide(const Mover& mover, const GuessNode& node) const;
+  void rest(Mover& mover, std::span<std::int32_t> label, std::vector<Buffer<Mover>>& waiting) const;
   void merge_spare();
 
   const particles::ParticleView& particles_;
-  bool measure_ = false;
   int nodes_ = 0;
   int steps_max_ = 0;
   const Guess* guess_ = nullptr;
   std::vector<Step> steps_;
+  std::vector<Stop> stops_;  // by node
   std::vector<Tally> tallies_;
   std::vector<Tally> spare_;  // of every second particle: neighbours often share a place, and would wait for each other
 };

@@ -35,8 +35,8 @@ Refiner::Refiner(Comm& comm, const particles::ParticleView& particles, const Spl
       refinement_(options.refinement),
       guess_(rule, options.refinement, particles.dims),
       descent_(particles),
-      selector_(comm, waiting_view_, rule.axes(), nullptr) {
-  waiting_.dims = particles.dims;
+      selector_(comm, chosen_view_, rule.axes(), nullptr) {
+  chosen_.dims = particles.dims;
 }
 
 void Refiner::run(const Bounds& all, CutTree& tree, std::span<std::int32_t> part) {
@@ -61,10 +61,10 @@ void Refiner::pass(std::span<std::int32_t> label) {
   descent_.start(guess_);
   for (std::int32_t& place : start_)
     if (place >= 0) place = guess_.roots()[at(place)];
-  stopped_.clear();
-  descent_.run(label, start_, stopped_);
+  waiting_.resize(std::max(waiting_.size(), at(guess_.depth_max()) + 1));
+  for (Buffer<Descent::Mover>& level : waiting_) level.clear();
+  descent_.run(label, start_, waiting_);
   counts_.scanned += label.size();
-  sort_stopped(label);
 
   bounds_.assign(nodes, Bounds{});
   below_.assign(nodes, 0);
@@ -75,40 +75,6 @@ void Refiner::pass(std::span<std::int32_t> label) {
   next_frontier_.clear();
   for (int depth = 0; depth <= guess_.depth_max(); ++depth) settle_level(depth, label);
   deal_sample();
-}
-
-void Refiner::wait(std::size_t particle, std::int32_t place) {
-  if (place >= descent_.nodes()) levels_[stops_[at(place)].depth].push_back(static_cast<std::uint32_t>(particle));
-}
-
-void Refiner::sort_stopped(std::span<std::int32_t> label) {
-  levels_.resize(std::max(levels_.size(), at(guess_.depth_max()) + 1));
-  for (Buffer<std::uint32_t>& level : levels_) level.clear();
-  stops_.assign(2 * guess_.nodes().size(), Stop{});
-  for (std::size_t g = 0; g < guess_.nodes().size(); ++g)
-    stops_[g + guess_.nodes().size()] = {static_cast<std::uint16_t>(guess_.nodes()[g].depth), guess_.nodes()[g].whole};
-  moving_.clear();
-  moving_place_.clear();
-  for (const std::uint32_t i : stopped_) {
-    const std::int32_t next =
-        stops_[at(label[i])].whole ? descent_.decide(i, guess_.nodes()[at(label[i] - descent_.nodes())]) : -1;
-    if (next < 0) {
-      wait(i, label[i]);
-      continue;
-    }
-    descent_.leave(label[i]);
-    moving_.push_back(i);
-    moving_place_.push_back(next);
-  }
-  move_on(1, label);
-}
-
-void Refiner::move_on(int depth, std::span<std::int32_t> label) {
-  descent_.go_on(moving_.span(), moving_place_.span(), guess_.depth_max() - depth, guess_.measured_depth() >= depth);
-  for (std::size_t k = 0; k < moving_.size(); ++k) {
-    label[moving_[k]] = moving_place_[k];
-    wait(moving_[k], moving_place_[k]);
-  }
 }
 
 void Refiner::settle_level(int depth, std::span<std::int32_t> label) {
@@ -272,58 +238,61 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
   const std::span<const GuessNode> nodes = guess_.nodes();
   std::vector<std::int32_t> slot(nodes.size(), -1);
   std::vector<SelectNode> questions;
-  std::vector<const double*> x;
   for (const int g : asked) {
     slot[at(g)] = static_cast<std::int32_t>(questions.size());
     questions.push_back(question(g));
-    x.push_back(particles_.position[static_cast<std::size_t>(questions.back().axes[0])]);
   }
-  // From here on the level's waiting particles are moving_, and moving_place_ their slot; later, where they go on.
-  const Buffer<std::uint32_t>& level = levels_[at(depth)];
-  moving_.resize(level.size());
-  moving_place_.resize(level.size());
-  moving_word_.resize(level.size());
+  // The level's movers; their place is the number of their question from here on.
+  Buffer<Descent::Mover>& movers = waiting_[at(depth)];
   std::size_t kept = 0;
-  for (const std::uint32_t i : level) {
-    const std::int32_t own = slot[at(label[i] - descent_.nodes())];
-    if (own < 0) continue;
-    moving_[kept] = i;
-    moving_place_[kept] = own;
-    moving_word_[kept++] = geometry::image(x[at(own)][i]);
+  for (const Descent::Mover& mover : movers) {
+    const std::int32_t own = slot[at(mover.place - descent_.nodes())];
+    movers[kept] = mover;
+    movers[kept].place = own;
+    kept += static_cast<std::size_t>(own >= 0);
   }
-  moving_.resize(kept);
-  moving_place_.resize(kept);
-  moving_word_.resize(kept);
-  narrow(questions);
+  movers.resize(kept);
+  narrow(questions, movers.span());
+  choose_sides(questions, asked, movers.span());
+  descent_.go_on(movers.span(), depth + 1, label, waiting_);
+  movers.clear();
+}
 
-  // Those left in the brackets are selected by their whole keys.
+void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int> asked,
+                           std::span<Descent::Mover> movers) {
+  const std::span<const GuessNode> nodes = guess_.nodes();
   struct Sides {
     std::uint64_t lo;
     std::uint64_t span;
+    std::size_t axis;
     std::int32_t left;
     std::int32_t right;
   };
   std::vector<Sides> sides;
-  for (std::size_t n = 0; n < questions.size(); ++n)
-    sides.push_back({questions[n].lo[0], questions[n].hi[0] - questions[n].lo[0], nodes[at(asked[n])].left,
-                     nodes[at(asked[n])].right});
+  for (std::size_t n = 0; n < questions.size(); ++n) {
+    const SelectNode& ask = questions[n];
+    const GuessNode& node = nodes[at(asked[n])];
+    sides.push_back({ask.lo[0], ask.hi[0] - ask.lo[0], at(ask.axes[0]), node.left, node.right});
+  }
   candidates_.clear();
   candidate_node_.clear();
-  for (std::size_t k = 0; k < kept; ++k) {
-    const std::int32_t own = moving_place_[k];
+  for (std::size_t k = 0; k < movers.size(); ++k) {
+    const std::int32_t own = movers[k].place;
     const Sides& side = sides[at(own)];
-    moving_place_[k] = moving_word_[k] < side.lo ? side.left : side.right;
-    if (moving_word_[k] - side.lo > side.span) continue;
+    const std::uint64_t word = geometry::image(movers[k].at[side.axis]);
+    movers[k].place = word < side.lo ? side.left : side.right;
+    if (word - side.lo > side.span) continue;
     candidates_.push_back(static_cast<std::uint32_t>(k));
     candidate_node_.push_back(own);
   }
-  waiting_.resize(candidates_.size());
+  // Those left in the brackets are selected by their whole keys.
+  chosen_.resize(candidates_.size());
   for (std::size_t c = 0; c < candidates_.size(); ++c) {
-    const std::size_t i = moving_[candidates_[c]];
-    for (std::size_t a = 0; a < at(particles_.dims); ++a) waiting_.position[a][c] = particles_.position[a][i];
-    waiting_.id[c] = particles_.id[i];
+    const Descent::Mover& mover = movers[candidates_[c]];
+    for (std::size_t a = 0; a < at(particles_.dims); ++a) chosen_.position[a][c] = mover.at[a];
+    chosen_.id[c] = particles_.id[mover.index];
   }
-  waiting_view_ = waiting_.view();
+  chosen_view_ = chosen_.view();
   selector_.select(questions, candidate_node_.span());
   for (std::size_t n = 0; n < questions.size(); ++n) {
     CHECK(!questions[n].right_empty, "the bracket holds the cut");
@@ -334,19 +303,19 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
   for (std::size_t c = 0; c < candidates_.size(); ++c) {
     const GuessNode& node = nodes[at(asked[at(candidate_node_[c])])];
     const Cut& cut = tree_->cuts[at(node.range.node)];
-    const Key key = key_of(waiting_view_.point(c), waiting_view_.id[c], cut.axes, particles_.dims);
-    moving_place_[candidates_[c]] = key < cut.key ? node.left : node.right;
+    const Key key = key_of(chosen_view_.point(c), chosen_view_.id[c], cut.axes, particles_.dims);
+    movers[candidates_[c]].place = key < cut.key ? node.left : node.right;
   }
-  move_on(depth + 1, label);
 }
 
 // One histogram of the first words, for all nodes of a level together: each bracket becomes the bin that holds the
 // cut. A bracket of few particles, or of one word, stays.
-void Refiner::narrow(std::span<SelectNode> questions) {
+void Refiner::narrow(std::span<SelectNode> questions, std::span<const Descent::Mover> movers) {
   struct Probe {
     std::uint64_t lo = kNoImage;
     std::uint64_t span = 0;
     unsigned shift = 63;
+    std::size_t axis = 0;
     std::size_t cells = 0;
   };
   std::uint64_t inside_max = 0;
@@ -369,14 +338,14 @@ void Refiner::narrow(std::span<SelectNode> questions) {
     if (!worthwhile(questions[n])) continue;
     const std::uint64_t span = questions[n].hi[0] - questions[n].lo[0];
     const auto width = static_cast<unsigned>(std::bit_width(span));
-    probes[n] = {questions[n].lo[0], span, width > bin_bits ? width - bin_bits : 0, cells};
+    probes[n] = {questions[n].lo[0], span, width > bin_bits ? width - bin_bits : 0, at(questions[n].axes[0]), cells};
     cells += bins;
   }
   histogram_.resize(cells);
   std::fill(histogram_.begin(), histogram_.end(), 0);
-  for (std::size_t k = 0; k < moving_.size(); ++k) {
-    const Probe& probe = probes[at(moving_place_[k])];
-    ++histogram_[probe.cells + (std::min(moving_word_[k] - probe.lo, probe.span) >> probe.shift)];
+  for (const Descent::Mover& mover : movers) {
+    const Probe& probe = probes[at(mover.place)];
+    ++histogram_[probe.cells + (std::min(geometry::image(mover.at[probe.axis]) - probe.lo, probe.span) >> probe.shift)];
   }
   const std::span<std::uint64_t> sums = histogram_.span().subspan(bins);
   for (std::size_t first = 0; first < sums.size(); first += kMessageWordsMax) {

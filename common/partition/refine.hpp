@@ -37,18 +37,7 @@ class Refiner {
   std::uint64_t reductions() const { return reductions_ + selector_.reductions(); }
 
  private:
-  // What is read of a place for each particle in a bracket.
-  struct Stop {
-    std::uint16_t depth = 0;
-    bool whole = false;
-  };
-
   void pass(std::span<std::int32_t> label);
-  // The particles in brackets whose keys say more than their first coordinate go on; the rest wait by level.
-  void sort_stopped(std::span<std::int32_t> label);
-  // The particles of moving_ go on from nodes of this depth.
-  void move_on(int depth, std::span<std::int32_t> label);
-  void wait(std::size_t particle, std::int32_t place);
   // One level of the guess: bounds, counts, cuts, and its waiting particles go on.
   void settle_level(int depth, std::span<std::int32_t> label);
   void measure_level(std::span<const int> level);
@@ -58,7 +47,9 @@ class Refiner {
   bool holds(int node);
   SelectNode question(int node) const;
   void select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label);
-  void narrow(std::span<SelectNode> questions);
+  void narrow(std::span<SelectNode> questions, std::span<const Descent::Mover> movers);
+  // Where the movers whose place is the number of a question go: its left or its right.
+  void choose_sides(std::span<SelectNode> questions, std::span<const int> asked, std::span<Descent::Mover> movers);
   // The node begins the next pass; what rests below it belongs to it.
   void postpone(int node, double side_lo, double side_hi);
   void deal_sample();
@@ -69,25 +60,20 @@ class Refiner {
   const Refinement& refinement_;
   Guess guess_;
   Descent descent_;
-  particles::ParticleSet waiting_;  // the candidates of a level, copied out
-  particles::ParticleView waiting_view_;
+  particles::ParticleSet chosen_;  // the candidates of a level
+  particles::ParticleView chosen_view_;
   Selector selector_;
   CutTree* tree_ = nullptr;
 
   std::vector<SamplePoint> sample_;
   std::vector<FrontierNode> frontier_;
   std::vector<FrontierNode> next_frontier_;
-  std::vector<std::int32_t> start_;  // by place of the last pass: where this pass begins, or -1 - part
-  std::vector<std::int32_t> next_;   // by place of this pass
-  Buffer<std::uint32_t> stopped_;
-  std::vector<Stop> stops_;  // by place
-  Buffer<std::uint32_t> moving_;
-  Buffer<std::int32_t> moving_place_;  // where each goes on
-  Buffer<std::uint64_t> moving_word_;  // image of each on its node's cut axis
-  Buffer<std::uint32_t> candidates_;   // those of moving_ whose side the histogram left open
+  std::vector<std::int32_t> start_;              // by place of the last pass: where this pass begins, or -1 - part
+  std::vector<std::int32_t> next_;               // by place of this pass
+  std::vector<Buffer<Descent::Mover>> waiting_;  // in brackets, by the depth of their nodes
+  Buffer<std::uint32_t> candidates_;             // the movers whose side the histogram left open
   Buffer<std::int32_t> candidate_node_;
   Buffer<std::uint64_t> histogram_;
-  std::vector<Buffer<std::uint32_t>> levels_;  // those of stopped_ that wait, by depth
   // By node of the guess.
   std::vector<Bounds> bounds_;
   std::vector<std::uint64_t> below_;
