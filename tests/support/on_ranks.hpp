@@ -18,4 +18,7 @@ void on_ranks(const std::vector<int>& rank_counts, const std::function<void(part
 // As the first, and on MPI once more with a Comm that sends in small pieces, as messages beyond 2^31 bytes go.
 void on_every_comm(const std::function<void(partition::Comm&)>& body);
 
+// Whether ranks are threads of this process: then it sees all of them, and several rank counts.
+bool ranks_are_threads();
+
 }  // namespace rcb::testing

@@ -19,4 +19,6 @@ void on_every_comm(const std::function<void(partition::Comm&)>& body) {
   body(pieces);
 }
 
+bool ranks_are_threads() { return false; }
+
 }  // namespace rcb::testing

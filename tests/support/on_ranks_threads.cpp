@@ -23,4 +23,6 @@ void on_ranks(const std::vector<int>& rank_counts, const std::function<void(part
 
 void on_every_comm(const std::function<void(partition::Comm&)>& body) { on_ranks(body); }
 
+bool ranks_are_threads() { return true; }
+
 }  // namespace rcb::testing

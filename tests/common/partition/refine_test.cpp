@@ -94,6 +94,7 @@ TEST(Refine, AgreesWithTheSearchByLevelWhateverTheGuess) {
     check(scene, options, kSeed + round, met);
     if (HasFailure()) return;
   }
+  if (!testing::ranks_are_threads()) return;  // enough scenes, all counted here
   EXPECT_GT(met.missed, 0U);
   EXPECT_GT(met.wrong_axes, 0U);
   EXPECT_GT(met.stashed, 0U);
