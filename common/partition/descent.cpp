@@ -20,6 +20,18 @@ struct Listed {
   const Descent::Mover* mover;
   double operator()(std::size_t k, std::size_t axis) const { return mover[k].at[axis]; }
 };
+struct Chosen {
+  const Descent::Mover* mover;
+  const std::uint32_t* index;
+  double operator()(std::size_t k, std::size_t axis) const { return mover[index[k]].at[axis]; }
+};
+
+// The order of keys without a branch: where many keys share their first words no branch could be foretold.
+bool before(const Point& a, Id a_id, const Point& b, Id b_id) {
+  const bool by_third = (a[2] < b[2]) | ((a[2] == b[2]) & (a_id < b_id));
+  const bool by_second = (a[1] < b[1]) | ((a[1] == b[1]) & by_third);
+  return (a[0] < b[0]) | ((a[0] == b[0]) & by_second);
+}
 
 }  // namespace
 
@@ -31,7 +43,9 @@ void Descent::start(const Guess& guess) {
   tallies_.assign(steps_.size(), Tally{});
   spare_.assign(steps_.size(), Tally{});
   stops_.clear();
+  wholes_.clear();
   for (const GuessNode& node : guess.nodes()) stops_.push_back({node.depth, node.whole});
+  if (std::ranges::any_of(stops_, &Stop::whole)) wholes_.resize(stops_.size());
   for (std::size_t place = 0; place < steps_.size(); ++place) {
     const auto self = static_cast<std::int32_t>(place);
     steps_[place] = {kInfinity, kInfinity, {self, self, self}, 0};
@@ -39,6 +53,15 @@ void Descent::start(const Guess& guess) {
   for (std::int32_t g = 0; g < nodes_; ++g) {
     const GuessNode& node = guess.nodes()[static_cast<std::size_t>(g)];
     if (!node.inner) continue;
+    if (node.whole) {
+      WholeStep& step = wholes_[static_cast<std::size_t>(g)];
+      step.lo = node.lo_key;
+      step.hi = node.hi_key;
+      if (node.lo == -kInfinity) step.lo.at[0] = -kInfinity;
+      if (node.hi == kInfinity) step.hi.at[0] = kInfinity;
+      for (std::size_t w = 0; w < geometry::kDimsMax; ++w) step.axes[w] = static_cast<std::size_t>(node.axes[w]);
+      step.next = {node.left, g + nodes_, node.right};
+    }
     // A node that sends all left has no bracket: infinite, which no coordinate reaches.
     steps_[static_cast<std::size_t>(g)] = {node.lo, node.hi, {node.left, g + nodes_, node.right}, node.axes[0]};
   }
@@ -106,6 +129,7 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
   constexpr auto kCount = static_cast<std::size_t>(kAxes);
   const bool measure = guess_->measured_depth() > 0;
   std::array<std::uint32_t, kBlock> stopped;
+  std::vector<Mover> movers(kBlock);
   std::vector<Mover> active(start.empty() ? 0 : kBlock);
   std::array<std::int32_t, kBlock> place;
   const auto take = [&](const auto& point, std::size_t count, std::int32_t* own) {
@@ -134,19 +158,21 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
       }
     }
     if (going == 0) continue;
-    Mover mover{};
-    const auto stop = [&](std::size_t k) {
-      mover.index = static_cast<std::uint32_t>(first + k);
-      for (std::size_t a = 0; a < kCount; ++a) mover.at[a] = particles_.position[a][first + k];
-      mover.place = own[k];
-      if (stops_[static_cast<std::size_t>(mover.place - nodes_)].whole) settle(mover);
-      rest(mover, label, waiting);
+    const auto stop = [&](std::size_t s, std::size_t k) {
+      movers[s].index = static_cast<std::uint32_t>(first + k);
+      for (std::size_t a = 0; a < kCount; ++a) movers[s].at[a] = particles_.position[a][first + k];
+      movers[s].place = own[k];
+    };
+    const auto stop_here = [&](std::size_t found) {
+      settle(std::span(movers).first(found));
+      for (std::size_t s = 0; s < found; ++s) rest(movers[s], label, waiting);
     };
     if (going == count) {  // as most often
       Neighbours<kAxes> point;
       for (std::size_t a = 0; a < kCount; ++a) point.x[a] = particles_.position[a] + first;
       const std::size_t found = take(point, count, own);
-      for (std::size_t s = 0; s < found; ++s) stop(stopped[s]);
+      for (std::size_t s = 0; s < found; ++s) stop(s, stopped[s]);
+      stop_here(found);
       continue;
     }
     for (std::size_t g = 0; g < going; ++g) {
@@ -157,7 +183,8 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
     }
     const std::size_t found = take(Listed{active.data()}, going, place.data());
     for (std::size_t g = 0; g < going; ++g) own[active[g].index] = place[g];
-    for (std::size_t s = 0; s < found; ++s) stop(active[stopped[s]].index);
+    for (std::size_t s = 0; s < found; ++s) stop(s, active[stopped[s]].index);
+    stop_here(found);
   }
 }
 
@@ -173,11 +200,9 @@ void Descent::go_on(std::span<Mover> movers, int depth, std::span<std::int32_t> 
     // Axes that the set lacks are 0 in every mover: measured for nothing.
     measure ? add<geometry::kDimsMax, true>(Listed{block}, count, place.data())
             : add<geometry::kDimsMax, false>(Listed{block}, count, place.data());
-    for (std::size_t k = 0; k < count; ++k) {
-      block[k].place = place[k];
-      if (place[k] >= nodes_ && stops_[static_cast<std::size_t>(place[k] - nodes_)].whole) settle(block[k]);
-      rest(block[k], label, waiting);
-    }
+    for (std::size_t k = 0; k < count; ++k) block[k].place = place[k];
+    settle({block, count});
+    for (std::size_t k = 0; k < count; ++k) rest(block[k], label, waiting);
   }
   merge_spare();
 }
@@ -188,23 +213,44 @@ void Descent::rest(Mover& mover, std::span<std::int32_t> label, std::vector<Buff
     waiting[static_cast<std::size_t>(stops_[static_cast<std::size_t>(mover.place - nodes_)].depth)].push_back(mover);
 }
 
-void Descent::settle(Mover& mover) {
-  while (mover.place >= nodes_) {
-    const GuessNode& node = guess_->nodes()[static_cast<std::size_t>(mover.place - nodes_)];
-    const std::int32_t next = node.whole ? decide(mover, node) : -1;
-    if (next < 0) return;
-    --tallies_[static_cast<std::size_t>(mover.place)].count;
-    mover.place = next;
-    descend(Listed{&mover}, 1, &mover.place, steps_max_ - node.depth - 1);
-    add<geometry::kDimsMax, true>(Listed{&mover}, 1, &mover.place);
+void Descent::settle(std::span<Mover> movers) {
+  if (wholes_.empty()) return;
+  std::array<std::uint32_t, kBlock> going;
+  std::array<std::int32_t, kBlock> place;
+  const auto in_whole = [this](std::int32_t at) {
+    return at >= nodes_ && stops_[static_cast<std::size_t>(at - nodes_)].whole;
+  };
+  std::size_t count = 0;
+  for (std::size_t k = 0; k < movers.size(); ++k) {
+    going[count] = static_cast<std::uint32_t>(k);
+    count += static_cast<std::size_t>(in_whole(movers[k].place));
   }
-}
-
-std::int32_t Descent::decide(const Mover& mover, const GuessNode& node) const {
-  const Key key = key_of(mover.at, particles_.id[mover.index], node.axes, particles_.dims);
-  if (node.lo > -kInfinity && key < node.lo_key) return node.left;
-  if (node.hi < kInfinity && node.hi_key < key) return node.right;
-  return -1;
+  while (count > 0) {
+    std::size_t moved = 0;
+    for (std::size_t g = 0; g < count; ++g) {
+      const Mover& mover = movers[going[g]];
+      const WholeStep& step = wholes_[static_cast<std::size_t>(mover.place - nodes_)];
+      const std::array<double, geometry::kDimsMax> at{mover.at[step.axes[0]], mover.at[step.axes[1]],
+                                                      mover.at[step.axes[2]]};
+      const Id id = particles_.id[mover.index];
+      const std::int32_t next = step.next[static_cast<std::size_t>(!before(at, id, step.lo.at, step.lo.id)) +
+                                          static_cast<std::size_t>(before(step.hi.at, step.hi.id, at, id))];
+      const bool goes = next != mover.place;
+      tallies_[static_cast<std::size_t>(mover.place)].count -= static_cast<std::uint64_t>(goes);
+      place[moved] = next;
+      going[moved] = going[g];
+      moved += static_cast<std::size_t>(goes);
+    }
+    const Chosen point{movers.data(), going.data()};
+    descend(point, moved, place.data(), steps_max_);
+    add<geometry::kDimsMax, true>(point, moved, place.data());
+    count = 0;
+    for (std::size_t g = 0; g < moved; ++g) {
+      movers[going[g]].place = place[g];
+      going[count] = going[g];
+      count += static_cast<std::size_t>(in_whole(place[g]));
+    }
+  }
 }
 
 }  // namespace rcb::partition

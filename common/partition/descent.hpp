@@ -55,6 +55,13 @@ class Descent {
     std::int32_t depth;
     bool whole;
   };
+  // A bracket of whole keys.
+  struct WholeStep {
+    Key lo;
+    Key hi;
+    std::array<std::size_t, geometry::kDimsMax> axes;
+    std::array<std::int32_t, 3> next;  // below the bracket, in it, above it
+  };
   struct Step {
     double lo;
     double hi;
@@ -68,10 +75,8 @@ class Descent {
   void descend(const Point& point, std::size_t count, std::int32_t* place, int levels) const;
   template <int kAxes, bool kMeasure, typename Point>
   void add(const Point& point, std::size_t count, const std::int32_t* place);
-  // In the bracket of a node with whole keys: goes on as far as its key is outside of brackets.
-  void settle(Mover& mover);
-  // The child that the particle goes to, or -1 if its key is in the bracket.
-  std::int32_t decide(const Mover& mover, const GuessNode& node) const;
+  // Of a block of movers those in brackets of whole keys go on, as far as their keys are outside of brackets.
+  void settle(std::span<Mover> movers);
   void rest(Mover& mover, std::span<std::int32_t> label, std::vector<Buffer<Mover>>& waiting) const;
   void merge_spare();
 
@@ -80,7 +85,8 @@ class Descent {
   int steps_max_ = 0;
   const Guess* guess_ = nullptr;
   std::vector<Step> steps_;
-  std::vector<Stop> stops_;  // by node
+  std::vector<Stop> stops_;        // by node
+  std::vector<WholeStep> wholes_;  // likewise; empty if no bracket is of whole keys
   std::vector<Tally> tallies_;
   std::vector<Tally> spare_;  // of every second particle: neighbours often share a place, and would wait for each other
 };

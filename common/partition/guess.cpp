@@ -231,7 +231,7 @@ std::size_t Guess::bracket(const Seed& seed, std::span<SamplePoint> sample, Gues
   const std::size_t axis = at(node.axes[0]);
   for (const SamplePoint& point : sample)
     ties += static_cast<std::size_t>(point.at[axis] == node.lo) + static_cast<std::size_t>(point.at[axis] == node.hi);
-  node.whole = static_cast<double>(ties) > 2 * reach + 2;
+  node.whole = static_cast<double>(ties) > 4 + reach / 8;
   return middle;
 }
 

@@ -25,6 +25,11 @@ std::uint64_t sample_stride(std::uint64_t count, int ranks, const Refinement& re
   return std::max<std::uint64_t>(count / std::max<std::uint64_t>(wanted, 1), 1);
 }
 
+// The axis that a key's word is of; kDimsMax: the id.
+std::size_t axis_of(const SelectNode& ask, std::size_t word, int axes) {
+  return word < at(axes) ? at(ask.axes[word]) : std::size_t{geometry::kDimsMax};
+}
+
 }  // namespace
 
 Refiner::Refiner(Comm& comm, const particles::ParticleView& particles, const SplitRule& rule,
@@ -258,6 +263,12 @@ void Refiner::select_level(std::span<const int> asked, int depth, std::span<std:
   movers.clear();
 }
 
+std::size_t Refiner::open_word(const SelectNode& ask) const {
+  std::size_t word = 0;
+  while (word < at(rule_.axes()) && ask.lo[word] == ask.hi[word]) ++word;
+  return word;
+}
+
 void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int> asked,
                            std::span<Descent::Mover> movers) {
   const std::span<const GuessNode> nodes = guess_.nodes();
@@ -272,14 +283,16 @@ void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int>
   for (std::size_t n = 0; n < questions.size(); ++n) {
     const SelectNode& ask = questions[n];
     const GuessNode& node = nodes[at(asked[n])];
-    sides.push_back({ask.lo[0], ask.hi[0] - ask.lo[0], at(ask.axes[0]), node.left, node.right});
+    const std::size_t word = words_[n];
+    sides.push_back(
+        {ask.lo[word], ask.hi[word] - ask.lo[word], axis_of(ask, word, rule_.axes()), node.left, node.right});
   }
   candidates_.clear();
   candidate_node_.clear();
   for (std::size_t k = 0; k < movers.size(); ++k) {
     const std::int32_t own = movers[k].place;
     const Sides& side = sides[at(own)];
-    const std::uint64_t word = geometry::image(movers[k].at[side.axis]);
+    const std::uint64_t word = word_of(movers[k], side.axis);
     movers[k].place = word < side.lo ? side.left : side.right;
     if (word - side.lo > side.span) continue;
     candidates_.push_back(static_cast<std::uint32_t>(k));
@@ -308,8 +321,8 @@ void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int>
   }
 }
 
-// One histogram of the first words, for all nodes of a level together: each bracket becomes the bin that holds the
-// cut. A bracket of few particles, or of one word, stays.
+// One histogram of the words that are open, for all nodes of a level together: each bracket becomes the bin that holds
+// the cut. A bracket of few particles stays.
 void Refiner::narrow(std::span<SelectNode> questions, std::span<const Descent::Mover> movers) {
   struct Probe {
     std::uint64_t lo = kNoImage;
@@ -320,7 +333,9 @@ void Refiner::narrow(std::span<SelectNode> questions, std::span<const Descent::M
   };
   std::uint64_t inside_max = 0;
   std::size_t count = 0;
-  const auto worthwhile = [](const SelectNode& ask) { return ask.lo[0] < ask.hi[0] && ask.count > kGatherAtOnce; };
+  const auto worthwhile = [](const SelectNode& ask) { return ask.count > kGatherAtOnce; };
+  words_.clear();
+  for (const SelectNode& ask : questions) words_.push_back(open_word(ask));
   for (const SelectNode& ask : questions)
     if (worthwhile(ask)) {
       inside_max = std::max(inside_max, ask.count);
@@ -336,16 +351,18 @@ void Refiner::narrow(std::span<SelectNode> questions, std::span<const Descent::M
   std::size_t cells = bins;  // the first are for particles of nodes that stay as they are
   for (std::size_t n = 0; n < questions.size(); ++n) {
     if (!worthwhile(questions[n])) continue;
-    const std::uint64_t span = questions[n].hi[0] - questions[n].lo[0];
+    const std::size_t word = words_[n];
+    const std::uint64_t span = questions[n].hi[word] - questions[n].lo[word];
     const auto width = static_cast<unsigned>(std::bit_width(span));
-    probes[n] = {questions[n].lo[0], span, width > bin_bits ? width - bin_bits : 0, at(questions[n].axes[0]), cells};
+    probes[n] = {questions[n].lo[word], span, width > bin_bits ? width - bin_bits : 0,
+                 axis_of(questions[n], word, rule_.axes()), cells};
     cells += bins;
   }
   histogram_.resize(cells);
   std::fill(histogram_.begin(), histogram_.end(), 0);
   for (const Descent::Mover& mover : movers) {
     const Probe& probe = probes[at(mover.place)];
-    ++histogram_[probe.cells + (std::min(geometry::image(mover.at[probe.axis]) - probe.lo, probe.span) >> probe.shift)];
+    ++histogram_[probe.cells + (std::min(word_of(mover, probe.axis) - probe.lo, probe.span) >> probe.shift)];
   }
   const std::span<std::uint64_t> sums = histogram_.span().subspan(bins);
   for (std::size_t first = 0; first < sums.size(); first += kMessageWordsMax) {
@@ -364,8 +381,10 @@ void Refiner::narrow(std::span<SelectNode> questions, std::span<const Descent::M
       CHECK(bin < bins, "the bracket holds the cut");
     }
     ask.count = histogram_[probe.cells + bin];
-    ask.lo[0] += bin << probe.shift;
-    ask.hi[0] = std::min(ask.hi[0] - ask.lo[0], (std::uint64_t{1} << probe.shift) - 1) + ask.lo[0];
+    std::uint64_t& lo = ask.lo[words_[n]];
+    std::uint64_t& hi = ask.hi[words_[n]];
+    lo += bin << probe.shift;
+    hi = std::min(hi - lo, (std::uint64_t{1} << probe.shift) - 1) + lo;
   }
 }
 

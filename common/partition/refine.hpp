@@ -47,6 +47,12 @@ class Refiner {
   bool holds(int node);
   SelectNode question(int node) const;
   void select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label);
+  // The first word that a bracket leaves open.
+  std::size_t open_word(const SelectNode& ask) const;
+  std::uint64_t word_of(const Descent::Mover& mover, std::size_t axis) const {
+    return axis < geometry::kDimsMax ? geometry::image(mover.at[axis])
+                                     : static_cast<std::uint64_t>(particles_.id[mover.index]);
+  }
   void narrow(std::span<SelectNode> questions, std::span<const Descent::Mover> movers);
   // Where the movers whose place is the number of a question go: its left or its right.
   void choose_sides(std::span<SelectNode> questions, std::span<const int> asked, std::span<Descent::Mover> movers);
@@ -74,6 +80,7 @@ class Refiner {
   Buffer<std::uint32_t> candidates_;             // the movers whose side the histogram left open
   Buffer<std::int32_t> candidate_node_;
   Buffer<std::uint64_t> histogram_;
+  std::vector<std::size_t> words_;  // by question: the word that its bracket leaves open
   // By node of the guess.
   std::vector<Bounds> bounds_;
   std::vector<std::uint64_t> below_;
