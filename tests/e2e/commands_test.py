@@ -1,0 +1,206 @@
+"""Every command of rcbctl, its --json fields as promised, its human form, and that neither mixes with the other."""
+import judge
+from support import *
+
+STEP_REPORT = {"scene", "step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason",
+               "axes_flipped", "drifted", "moved", "migrated", "skipped", "bytes", "seconds"}
+PARTITION = {"n", "dims", "parts", "ranks", "method", "error", "imbalance", "counts", "targets", "hash", "rounds",
+             "reductions", "moved", "migrated", "seconds"}
+
+
+class Commands(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.dir = tempfile.mkdtemp(prefix="rcb-commands-")
+        cls.service = Service(3)
+        cls.points = np.random.default_rng(8).random((400, 3))
+        cls.file = cls.path("points.npy")
+        np.save(cls.file, cls.points)
+        cls.service.json("scene", "create", "s", "--parts", 6, "--tolerance", "inf", "--axis-hysteresis", "1.5")
+        cls.service.json("push", "s", cls.file)
+        cls.tree, cls.part = judge.partition(cls.points, 6)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.service.stop()
+        shutil.rmtree(cls.dir)
+
+    @classmethod
+    def path(cls, name):
+        return os.path.join(cls.dir, name)
+
+    def test_status_and_scenes(self):
+        status = self.service.json("status")
+        self.assertEqual(status["ranks"], 3)
+        self.assertIn("s", [scene["scene"] for scene in status["scenes"]])
+        shown = self.service.json("scene", "show", "s")
+        self.assertEqual(shown["tolerance"], "inf")
+        self.assertEqual((shown["parts"], shown["n"], shown["dims"], shown["axis_hysteresis"]), (6, 400, 3, 1.5))
+        self.service.json("scene", "create", "t", "--parts", 2, "--dims", 1, "--part-sizes", "1,3")
+        self.service.json("scene", "create", "t", "--parts", 3, "--replace")
+        self.service.json("scene", "drop", "t")
+        self.assertEqual(self.service.failure("scene", "show", "t")["code"], "not_found")
+
+    def test_push_report(self):
+        self.service.json("scene", "create", "p", "--parts", 4, "--replace")
+        first = self.service.json("push", "p", self.file)
+        self.assertLessEqual(STEP_REPORT, first.keys())
+        self.assertEqual((first["step"], first["reason"], first["error_before"]), (0, "first positions", None))
+        second = self.service.json("push", "p", self.file)
+        self.assertEqual((second["step"], second["repartitioned"]), (1, False))
+        self.assertEqual(self.service.json("push", "p", self.file, "--step", 9)["step"], 9)
+        self.assertEqual(len(self.service.json("history", "p", "--last", 2)), 2)
+
+    def test_partition_fields(self):
+        result = self.service.json("partition", self.file, "--parts", 5)
+        self.assertLessEqual(PARTITION, result.keys())
+        self.assertEqual(set(result["seconds"]), {"read", "partition", "migrate", "write", "total"})
+        self.assertEqual(len(result["hash"]), 16)
+        self.assertEqual([scene["scene"] for scene in self.service.json("status")["scenes"]
+                          if "partition" in scene["scene"]], [], "the scene was left behind")
+
+    def test_reads(self):
+        error = self.service.json("error", "s")
+        self.assertEqual(error["error"], judge.error_of(judge.quotas(400, 6), 400))
+        counts = self.service.json("counts", "s")
+        self.assertEqual(counts["counts"], judge.quotas(400, 6))
+        self.assertEqual(counts["targets"], [400 / 6] * 6)
+        cuts = self.service.json("cuts", "s")
+        self.assertEqual(len(cuts["cuts"]), 5)
+        self.assertEqual(self.service.json("stats", "s")["steps"], 1)
+        assign = self.path("a.npy")
+        self.service.json("assign", "s", "--out", assign)
+        np.testing.assert_array_equal(np.load(assign), self.part)
+
+    def test_regions_hold_their_points(self):
+        for region in self.service.json("cuts", "s")["regions"]:
+            inside = self.points[self.part == region["part"]]
+            for axis in range(3):
+                if region["lo"][axis] is not None:
+                    self.assertGreaterEqual(inside[:, axis].min(), region["lo"][axis])
+                if region["hi"][axis] is not None:
+                    self.assertLessEqual(inside[:, axis].max(), region["hi"][axis])
+
+    def test_owner_and_box(self):
+        for k in (0, 57, 399):
+            answer = self.service.json("owner", "s", *[repr(float(c)) for c in self.points[k]], "--id", k)
+            self.assertEqual(answer["owner"], self.part[k])
+        self.assertEqual(self.service.ctl("owner", "s", "-.5", "1e3", "-2").returncode, 0)
+        cut = self.service.json("cuts", "s")["cuts"][0]
+        at = [0.5, 0.5, 0.5]
+        at[cut["axis"]] = cut["at"]
+        for axis, value in zip(cut["ties"]["axes"], cut["ties"]["at"]):
+            at[axis] = value
+        answer = self.service.json("owner", "s", *map(repr, at))
+        self.assertIsNone(answer["owner"])
+        self.assertEqual(len(answer["candidates"]), 2)
+        box = self.service.json("box", "s", 0, 0, 0, 1, 1, 1)
+        self.assertEqual(box["parts"], list(range(6)))
+        self.assertEqual(self.service.failure("box", "s", 1, 1, 1, 0, 0, 0)["code"], "invalid_argument")
+
+    def test_quality_against_all_pairs(self):
+        width = 0.1
+        quality = self.service.json("quality", "s", "--ghost-width", width)
+        for p in range(6):
+            mine = self.points[self.part == p]
+            near = ((self.points >= mine.min(axis=0) - width) & (self.points <= mine.max(axis=0) + width)).all(axis=1)
+            ghosts = near & (self.part != p)
+            self.assertEqual(quality["ghosts"][p], ghosts.sum())
+            self.assertEqual(quality["neighbours"][p], len(np.unique(self.part[ghosts])))
+
+    def test_compare(self):
+        table = self.service.json("compare", self.file, "--parts", 8)
+        rows = {row["method"]: row for row in table["methods"]}
+        self.assertEqual(list(rows), ["equal-boxes", "file-order", "bands-x", "bands-y", "bands-z", "rcb"])
+        for method in ("bands-x", "bands-y", "bands-z", "rcb"):
+            _, part = judge.partition(self.points, 8, method)
+            self.assertEqual(rows[method]["counts"], list(np.bincount(part, minlength=8)))
+            self.assertEqual(rows[method]["error"], 0)
+        blocks = np.bincount(np.repeat(np.arange(8), judge.quotas(400, 8)), minlength=8)
+        self.assertEqual(rows["file-order"]["counts"], list(blocks))
+        self.assertIsNone(rows["file-order"]["interface_area"])
+        self.assertLess(rows["rcb"]["interface_area"], rows["bands-x"]["interface_area"])
+        self.assertEqual(rows["equal-boxes"]["counts"], self.halved(8))
+
+    def halved(self, parts):
+        counts = [0] * parts
+
+        def halve(idx, a, b, lo, hi):
+            if b - a == 1:
+                counts[a] = len(idx)
+                return
+            m = a + (b - a + 1) // 2
+            axis = judge.order_by_extent([h / 2 - l / 2 for l, h in zip(lo, hi)])[0]
+            middle = lo[axis] / 2 + hi[axis] / 2
+            right = self.points[idx, axis] >= middle
+            halve(idx[~right], a, m, lo, [*hi[:axis], middle, *hi[axis + 1:]])
+            halve(idx[right], m, b, [*lo[:axis], middle, *lo[axis + 1:]], hi)
+
+        halve(np.arange(len(self.points)), 0, parts, list(self.points.min(axis=0)), list(self.points.max(axis=0)))
+        return counts
+
+    def test_rebalance(self):
+        self.service.json("scene", "create", "r", "--parts", 4, "--tolerance", "inf", "--replace")
+        self.service.json("push", "r", self.file)
+        moved = self.path("moved.npy")
+        np.save(moved, self.points ** 2)
+        self.service.json("push", "r", moved)
+        dry = self.service.json("rebalance", "r", "--dry-run")
+        tree, before = judge.partition(self.points, 4)
+        before = tree.assign(self.points ** 2)
+        _, after = judge.partition(self.points ** 2, 4)
+        self.assertEqual(dry["moved"], int((before != after).sum()))
+        self.assertEqual(dry["error"], 0)
+        self.assertIn("quality", dry)
+        self.assertEqual(self.service.json("error", "r")["epoch"], 1)
+        done = self.service.json("rebalance", "r", "--parts", 5, "--method", "bands-y", "--tolerance", 0.3)
+        self.assertEqual(done["epoch"], 2)
+        shown = self.service.json("scene", "show", "r")
+        self.assertEqual((shown["parts"], shown["method"], shown["tolerance"]), (5, "bands-y", 0.3))
+        self.assertEqual(len(self.service.json("history", "r")), 2)
+
+    def test_export(self):
+        out = self.path("export")
+        self.service.json("export", "s", out, "--format", "csv,npy,vtk")
+        self.assertGreaterEqual(len(os.listdir(out)), 3)
+
+    def test_human_output_keeps_the_streams_apart(self):
+        for args in (("status",), ("counts", "s"), ("cuts", "s"), ("history", "s"), ("quality", "s"), ("stats", "s")):
+            done = self.service.ctl(*args)
+            self.assertEqual(done.returncode, 0)
+            self.assertTrue(done.stdout.strip(), args)
+            self.assertEqual(done.stderr, "", args)
+        wrong = self.service.ctl("counts", "nobody")
+        self.assertEqual((wrong.returncode, wrong.stdout), (1, ""))
+        self.assertIn("nobody", wrong.stderr)
+
+    def test_help_and_version(self):
+        for program in ("rcbctl", "rcbd", "two_spheres", "slope"):
+            for flag in ("--help", "--version"):
+                done = run(flag, program=os.path.join(BIN, program))
+                self.assertEqual((done.returncode, done.stderr), (0, ""), (program, flag))
+        for command in ("up", "down", "status", "partition", "compare", "scene", "push", "replay", "error", "counts",
+                        "cuts", "history", "stats", "owner", "box", "assign", "quality", "rebalance", "export", "watch"):
+            done = run(command, "--help")
+            self.assertEqual(done.returncode, 0, command)
+            self.assertIn(command, done.stdout)
+
+    def test_scene_is_not_replaced_under_a_client(self):
+        solver = subprocess.Popen([os.path.join(BIN, "two_spheres"), "--points", "60000", "--steps", "100", "--scene",
+                                   "held", "--endpoint", self.service.endpoint], stdout=subprocess.DEVNULL,
+                                  stderr=subprocess.DEVNULL)
+        try:
+            for _ in range(200):
+                if any(scene["scene"] == "held" and scene["step"] is not None
+                       for scene in self.service.json("status")["scenes"]):
+                    break
+            failure = self.service.failure("scene", "create", "held", "--parts", 2, "--replace")
+            self.assertEqual(failure["code"], "busy")
+            self.assertIn("two_spheres", failure["message"])
+        finally:
+            solver.terminate()
+            solver.wait(30)
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
