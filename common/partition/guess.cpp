@@ -118,24 +118,30 @@ int Guess::grow_node(const Seed& seed, std::span<SamplePoint> sample, const Fron
     node.inner = descends(seed, sample, node);
   }
   node.all_left = node.inner && quota >= count;
-  const bool blind = exact != nullptr && exact->has_side();  // nothing is guessed below
+  const bool mended = exact != nullptr && exact->misses > 0;  // nothing is guessed below
   double spread = 0;
   std::size_t left_points = sample.size();
+  node.expected = static_cast<double>(count);
   if (node.all_left) {
     node.lo = node.hi = kInfinity;
-  } else if (blind) {
-    node.lo = exact->side_lo;
-    node.hi = exact->side_hi;
   } else if (node.inner) {
-    left_points = bracket(seed, sample, node, spread);
+    const double sigmas = (mended ? 4 : 1) * refinement_.sigmas;
+    left_points = bracket(seed, sample, node, sigmas, spread);
+    const double width = (2 * sigmas * std::sqrt(spread) + 2) / static_cast<double>(sample.size());
+    node.expected *= std::min(width, 1.0);
     // Too wide to be worth the guess: the node begins the next pass.
-    const double width = (2 * refinement_.sigmas * std::sqrt(spread) + 2) / static_cast<double>(sample.size());
     if (exact == nullptr && width > kBracketMax) node.inner = false;
+  }
+  if (mended) {
+    node.whole = false;
+    const bool inside = exact->misses == 1 && node.lo <= exact->side_hi && node.hi >= exact->side_lo;
+    node.lo = inside ? std::max(node.lo, exact->side_lo) : exact->side_lo;
+    node.hi = inside ? std::min(node.hi, exact->side_hi) : exact->side_hi;
   }
   depth_max_ = std::max(depth_max_, seed.depth);
   if (!node.certain) measured_depth_ = std::max(measured_depth_, seed.depth);
   nodes_.push_back(node);
-  if (node.inner) grow_children(index, seed, blind ? sample.first(0) : sample, blind ? 0 : left_points, spread);
+  if (node.inner) grow_children(index, seed, mended ? sample.first(0) : sample, mended ? 0 : left_points, spread);
   nodes_[at(index)].end = static_cast<int>(nodes_.size());
   return index;
 }
@@ -197,13 +203,14 @@ bool Guess::order_is_likely(const AxisOrder& axes, const Bounds& inner, const Bo
   return true;
 }
 
-std::size_t Guess::bracket(const Seed& seed, std::span<SamplePoint> sample, GuessNode& node, double& spread) const {
+std::size_t Guess::bracket(const Seed& seed, std::span<SamplePoint> sample, GuessNode& node, double sigmas,
+                           double& spread) const {
   const auto points = static_cast<double>(sample.size());
   const double part = static_cast<double>(rule_.quota(seed.range.first, seed.range.middle())) /
                       static_cast<double>(rule_.quota(seed.range.first, seed.range.last));
   const double larger = std::max(part, 1 - part);
   spread = points * part * (1 - part) + larger * larger * seed.spread;
-  const double reach = refinement_.sigmas * std::sqrt(spread) + 1;
+  const double reach = sigmas * std::sqrt(spread) + 1;
   const auto middle = static_cast<std::size_t>(std::min(part * points, points));
   const double low = std::floor(part * points - reach);
   const double high = std::ceil(part * points + reach);

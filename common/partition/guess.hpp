@@ -5,8 +5,7 @@
 // Invariants
 // 1. Nodes are in preorder; the subtree of node g is [g, nodes[g].end).
 // 2. The same on every rank: it depends on the sample, the quotas and exact bounds alone.
-// 3. A node that was begun with a `side` known has a bracket that holds its cut for certain, as has one without a
-//    sample point. So each pass over a guess settles at least one of two: the node's cut, or the side to look at.
+// 3. A node that missed twice has a bracket that holds its cut for certain: all of the side where it lies.
 #pragma once
 
 #include <cstdint>
@@ -39,10 +38,7 @@ struct FrontierNode {
   // Where a bracket missed: the cut's first coordinate is known to be in [side_lo, side_hi].
   double side_lo = -std::numeric_limits<double>::infinity();
   double side_hi = std::numeric_limits<double>::infinity();
-  bool has_side() const {
-    constexpr double kInfinity = std::numeric_limits<double>::infinity();
-    return side_lo > -kInfinity || side_hi < kInfinity;
-  }
+  int misses = 0;
 };
 
 struct GuessNode {
@@ -59,8 +55,9 @@ struct GuessNode {
   AxisOrder axes{0, 1, 2};
   // The order is exact, whatever the cuts above are within their brackets: nothing needs to be measured.
   bool certain = false;
-  Bounds outer;   // the particles lie in these, likewise
-  double lo = 0;  // first coordinates of the keys, infinite where the bracket is open
+  Bounds outer;         // the particles lie in these, likewise
+  double expected = 0;  // particles in the bracket
+  double lo = 0;        // first coordinates of the keys, infinite where the bracket is open
   double hi = 0;
   Key lo_key;
   Key hi_key;
@@ -101,7 +98,8 @@ class Guess {
   bool order_is_certain(const AxisOrder& axes, const Bounds& core, const Bounds& outer) const;
   bool order_is_likely(const AxisOrder& axes, const Bounds& inner, const Bounds& outer, std::size_t points) const;
   // Brackets the cut; the sample's first points up to the number returned are left's.
-  std::size_t bracket(const Seed& seed, std::span<SamplePoint> sample, GuessNode& node, double& spread) const;
+  std::size_t bracket(const Seed& seed, std::span<SamplePoint> sample, GuessNode& node, double sigmas,
+                      double& spread) const;
 
   const SplitRule& rule_;
   const Refinement& refinement_;

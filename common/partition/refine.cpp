@@ -12,8 +12,6 @@ namespace {
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr std::uint64_t kIdMax = static_cast<std::uint64_t>(std::numeric_limits<Id>::max());
 
-constexpr std::uint64_t kGatherAtOnce = 24;  // so few of a node's particles are gathered without a histogram
-
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
 // Every rank handles the whole sample, and its share of what the brackets hold: n / sqrt(sample). The two are in
@@ -72,8 +70,6 @@ void Refiner::pass(std::span<std::int32_t> label) {
   counts_.scanned += label.size();
 
   bounds_.assign(nodes, Bounds{});
-  below_.assign(nodes, 0);
-  inside_.assign(nodes, 0);
   settled_.assign(nodes, 0);
   dead_.assign(nodes, 0);
   next_.assign(2 * nodes, 0);
@@ -95,20 +91,22 @@ void Refiner::settle_level(int depth, std::span<std::int32_t> label) {
     }
   }
   measure_level(level);
-  count_level(level);
   std::vector<int> asked;
   for (const int g : level) {
     if (!nodes[at(g)].inner) {
       postpone(g, -kInfinity, kInfinity);
-    } else if (holds(g)) {
-      settled_[at(g)] = 1;
-      Cut& cut = tree_->cuts[at(nodes[at(g)].range.node)];
-      cut.axes = exact_axes(g);
-      cut.right_empty = nodes[at(g)].all_left;
-      if (!cut.right_empty) asked.push_back(g);
+      continue;
     }
+    if (!order_holds(g)) continue;
+    Cut& cut = tree_->cuts[at(nodes[at(g)].range.node)];
+    cut.axes = exact_axes(g);
+    cut.right_empty = nodes[at(g)].all_left;
+    if (cut.right_empty)
+      settled_[at(g)] = 1;
+    else
+      asked.push_back(g);
   }
-  if (!asked.empty()) select_level(asked, depth, label);
+  if (!asked.empty()) select_level(std::move(asked), depth, label);
 }
 
 // Exact bounds of a level's nodes where they decide anything: the boxes of all places below each.
@@ -147,52 +145,32 @@ void Refiner::measure_level(std::span<const int> nodes) {
     }
 }
 
-void Refiner::count_level(std::span<const int> level) {
-  std::vector<std::uint64_t> sums;
-  const auto brackets = at(descent_.nodes());
-  for (const int g : level) {
-    const GuessNode& node = guess_.nodes()[at(g)];
-    if (!node.inner || node.all_left) continue;
-    std::uint64_t below = 0;
-    for (std::size_t place = at(node.left); place < at(node.right); ++place)
-      below += descent_.tally(place).count + descent_.tally(place + brackets).count;
-    sums.push_back(below);
-    sums.push_back(descent_.tally(at(g) + brackets).count);
-  }
-  if (sums.empty()) return;
-  comm_.all_sum(sums);
-  reductions_ += (sums.size() + kMessageWordsMax - 1) / kMessageWordsMax;
-  std::size_t word = 0;
-  for (const int g : level) {
-    const GuessNode& node = guess_.nodes()[at(g)];
-    if (!node.inner || node.all_left) continue;
-    below_[at(g)] = sums[word++];
-    inside_[at(g)] = sums[word++];
-    counts_.stashed += inside_[at(g)];
-  }
-}
-
 AxisOrder Refiner::exact_axes(int index) const {
   const GuessNode& node = guess_.nodes()[at(index)];
   return node.certain ? node.axes : rule_.axes_of(node.range, bounds_[at(index)]);
 }
 
-bool Refiner::holds(int index) {
+// Whether the axis order was guessed right, as far as the guess used it; if not, the node begins the next pass.
+bool Refiner::order_holds(int index) {
   const GuessNode& node = guess_.nodes()[at(index)];
-  if (node.all_left) return true;
   const AxisOrder axes = exact_axes(index);
-  if (axes[0] != node.axes[0] || (node.whole && axes != node.axes)) {
-    ++counts_.wrong_axes;
-    postpone(index, -kInfinity, kInfinity);
-    return false;
-  }
+  if (axes[0] == node.axes[0] && (!node.whole || axes == node.axes)) return true;
+  ++counts_.wrong_axes;
+  postpone(index, -kInfinity, kInfinity);
+  return false;
+}
+
+// Whether the bracket holds the cut; if not, the node begins the next pass with the side known.
+bool Refiner::bracket_holds(int index, std::uint64_t below, std::uint64_t inside) {
+  const GuessNode& node = guess_.nodes()[at(index)];
   const std::uint64_t quota = rule_.quota(node.range.first, node.range.middle());
-  if (quota >= below_[at(index)] && quota - below_[at(index)] < inside_[at(index)]) return true;
+  if (quota >= below && quota - below < inside) return true;
   ++counts_.missed;
-  if (quota < below_[at(index)])
-    postpone(index, -kInfinity, node.lo);
-  else
-    postpone(index, node.hi, kInfinity);
+  const bool root = guess_.roots()[at(node.root)] == index;
+  const double side_lo = root ? frontier_[at(node.root)].side_lo : -kInfinity;
+  const double side_hi = root ? frontier_[at(node.root)].side_hi : kInfinity;
+  quota < below ? postpone(index, side_lo, node.lo) : postpone(index, node.hi, side_hi);
+  next_frontier_.back().misses = root ? frontier_[at(node.root)].misses + 1 : 1;
   return false;
 }
 
@@ -217,8 +195,6 @@ SelectNode Refiner::question(int index) const {
   const Cut& cut = tree_->cuts[at(node.range.node)];
   SelectNode ask;
   ask.axes = cut.axes;
-  ask.count = inside_[at(index)];
-  ask.rank = rule_.quota(node.range.first, node.range.middle()) - below_[at(index)];
   const auto axes = at(rule_.axes());
   for (std::size_t w = 0; w < axes; ++w) {
     const auto axis = static_cast<std::size_t>(cut.axes[w]);
@@ -239,28 +215,46 @@ SelectNode Refiner::question(int index) const {
   return ask;
 }
 
-void Refiner::select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label) {
-  const std::span<const GuessNode> nodes = guess_.nodes();
-  std::vector<std::int32_t> slot(nodes.size(), -1);
+void Refiner::select_level(std::vector<int> asked, int depth, std::span<std::int32_t> label) {
+  Buffer<Descent::Mover>& movers = waiting_[at(depth)];
   std::vector<SelectNode> questions;
+  // From here on a mover's place is the number of its question.
+  std::vector<std::int32_t> number(guess_.nodes().size(), -1);
   for (const int g : asked) {
-    slot[at(g)] = static_cast<std::int32_t>(questions.size());
+    number[at(g)] = static_cast<std::int32_t>(questions.size());
     questions.push_back(question(g));
   }
-  // The level's movers; their place is the number of their question from here on.
-  Buffer<Descent::Mover>& movers = waiting_[at(depth)];
-  std::size_t kept = 0;
-  for (const Descent::Mover& mover : movers) {
-    const std::int32_t own = slot[at(mover.place - descent_.nodes())];
-    movers[kept] = mover;
-    movers[kept].place = own;
-    kept += static_cast<std::size_t>(own >= 0);
+  for (Descent::Mover& mover : movers) mover.place = number[at(mover.place - descent_.nodes())];
+  drop_unasked(movers);
+  count_and_narrow(questions, asked, movers.span());
+  if (std::ranges::find(asked, -1) != asked.end()) {  // brackets missed
+    std::size_t kept = 0;
+    number.assign(asked.size(), -1);
+    for (std::size_t n = 0; n < asked.size(); ++n) {
+      if (asked[n] < 0) continue;
+      number[n] = static_cast<std::int32_t>(kept);
+      asked[kept] = asked[n];
+      words_[kept] = words_[n];
+      questions[kept++] = questions[n];
+    }
+    asked.resize(kept);
+    questions.resize(kept);
+    for (Descent::Mover& mover : movers) mover.place = number[at(mover.place)];
+    drop_unasked(movers);
   }
-  movers.resize(kept);
-  narrow(questions, movers.span());
   choose_sides(questions, asked, movers.span());
   descent_.go_on(movers.span(), depth + 1, label, waiting_);
   movers.clear();
+}
+
+// Those whose node begins the next pass stay where they are.
+void Refiner::drop_unasked(Buffer<Descent::Mover>& movers) {
+  std::size_t kept = 0;
+  for (const Descent::Mover& mover : movers) {
+    movers[kept] = mover;
+    kept += static_cast<std::size_t>(mover.place >= 0);
+  }
+  movers.resize(kept);
 }
 
 std::size_t Refiner::open_word(const SelectNode& ask) const {
@@ -321,59 +315,66 @@ void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int>
   }
 }
 
-// One histogram of the words that are open, for all nodes of a level together: each bracket becomes the bin that holds
-// the cut. A bracket of few particles stays.
-void Refiner::narrow(std::span<SelectNode> questions, std::span<const Descent::Mover> movers) {
+// One reduction for all nodes of a level: the particles before each bracket, in it, and a histogram of the word that it
+// leaves open. A bracket that holds the cut becomes the bin that does; where it misses asked[n] becomes -1.
+void Refiner::count_and_narrow(std::span<SelectNode> questions, std::span<int> asked,
+                               std::span<const Descent::Mover> movers) {
+  const std::span<const GuessNode> nodes = guess_.nodes();
   struct Probe {
-    std::uint64_t lo = kNoImage;
-    std::uint64_t span = 0;
-    unsigned shift = 63;
-    std::size_t axis = 0;
-    std::size_t cells = 0;
+    std::uint64_t lo;
+    std::uint64_t span;
+    unsigned shift;
+    std::size_t axis;
+    std::size_t cells;
   };
-  std::uint64_t inside_max = 0;
-  std::size_t count = 0;
-  const auto worthwhile = [](const SelectNode& ask) { return ask.count > kGatherAtOnce; };
-  words_.clear();
-  for (const SelectNode& ask : questions) words_.push_back(open_word(ask));
-  for (const SelectNode& ask : questions)
-    if (worthwhile(ask)) {
-      inside_max = std::max(inside_max, ask.count);
-      ++count;
-    }
-  if (count == 0) return;
   // As many bins as one message holds; with many nodes about as many as balance the histogram and what is gathered.
-  const auto balanced = static_cast<std::size_t>(std::sqrt(5 * static_cast<double>(inside_max)));
-  const std::size_t bins = std::max(std::bit_ceil(std::clamp<std::size_t>(balanced, 16, 256)),
-                                    std::bit_floor(kMessageWordsMax / std::min(count, kMessageWordsMax)));
+  double inside_most = 0;
+  for (const int g : asked) inside_most = std::max(inside_most, nodes[at(g)].expected);
+  const auto balanced = static_cast<std::size_t>(std::min(std::sqrt(5 * inside_most), 256.0));
+  const std::size_t bins = std::max(std::bit_ceil(std::max<std::size_t>(balanced, 16)),
+                                    std::bit_floor(kMessageWordsMax / std::min(asked.size(), kMessageWordsMax)) / 2);
   const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
-  std::vector<Probe> probes(questions.size());
-  std::size_t cells = bins;  // the first are for particles of nodes that stay as they are
-  for (std::size_t n = 0; n < questions.size(); ++n) {
-    if (!worthwhile(questions[n])) continue;
-    const std::size_t word = words_[n];
-    const std::uint64_t span = questions[n].hi[word] - questions[n].lo[word];
-    const auto width = static_cast<unsigned>(std::bit_width(span));
-    probes[n] = {questions[n].lo[word], span, width > bin_bits ? width - bin_bits : 0,
-                 axis_of(questions[n], word, rule_.axes()), cells};
-    cells += bins;
-  }
-  histogram_.resize(cells);
+  words_.clear();
+  std::vector<Probe> probes;
+  histogram_.resize(asked.size() * (bins + 2));
   std::fill(histogram_.begin(), histogram_.end(), 0);
+  for (std::size_t n = 0; n < asked.size(); ++n) {
+    const SelectNode& ask = questions[n];
+    const std::size_t word = open_word(ask);
+    const std::uint64_t span = ask.hi[word] - ask.lo[word];
+    const auto width = static_cast<unsigned>(std::bit_width(span));
+    probes.push_back({ask.lo[word], span, width > bin_bits ? width - bin_bits : 0, axis_of(ask, word, rule_.axes()),
+                      n * (bins + 2) + 2});
+    words_.push_back(word);
+    const GuessNode& node = nodes[at(asked[n])];
+    for (std::size_t place = at(node.left); place < at(node.right); ++place)
+      histogram_[probes[n].cells - 2] +=
+          descent_.tally(place).count + descent_.tally(place + at(descent_.nodes())).count;
+    histogram_[probes[n].cells - 1] = descent_.tally(at(asked[n] + descent_.nodes())).count;
+  }
   for (const Descent::Mover& mover : movers) {
     const Probe& probe = probes[at(mover.place)];
+    // Outside of its word's range only where the bracket misses the cut anyway.
     ++histogram_[probe.cells + (std::min(word_of(mover, probe.axis) - probe.lo, probe.span) >> probe.shift)];
   }
-  const std::span<std::uint64_t> sums = histogram_.span().subspan(bins);
-  for (std::size_t first = 0; first < sums.size(); first += kMessageWordsMax) {
-    comm_.all_sum(sums.subspan(first, std::min(kMessageWordsMax, sums.size() - first)));
+  for (std::size_t first = 0; first < histogram_.size(); first += kMessageWordsMax) {
+    comm_.all_sum(histogram_.span().subspan(first, std::min(kMessageWordsMax, histogram_.size() - first)));
     ++rounds_;
     ++reductions_;
   }
-  for (std::size_t n = 0; n < questions.size(); ++n) {
+  for (std::size_t n = 0; n < asked.size(); ++n) {
     const Probe& probe = probes[n];
     SelectNode& ask = questions[n];
-    if (probe.cells == 0) continue;
+    const GuessNode& node = nodes[at(asked[n])];
+    const std::uint64_t below = histogram_[probe.cells - 2];
+    const std::uint64_t inside = histogram_[probe.cells - 1];
+    counts_.stashed += inside;
+    if (!bracket_holds(asked[n], below, inside)) {
+      asked[n] = -1;
+      continue;
+    }
+    settled_[at(asked[n])] = 1;
+    ask.rank = rule_.quota(node.range.first, node.range.middle()) - below;
     std::uint64_t bin = 0;
     while (ask.rank >= histogram_[probe.cells + bin]) {
       ask.rank -= histogram_[probe.cells + bin];

@@ -6,8 +6,8 @@
 // Invariants
 // 1. The tree does not depend on the sample: a cut is taken from a guess only if exact bounds gave the same axis order
 //    (as far as it matters) and exact counts showed that the bracket holds the cut.
-// 2. A node begins at most two passes: in the second its bracket holds the cut for certain. So there are at most
-//    two passes a level, and every search in a pass is bounded as the Selector's are.
+// 2. A node begins at most three passes: after a miss its bracket is four times as wide, after two it holds the cut for
+//    certain. So there are at most three passes a level, and every search in a pass is bounded as the Selector's are.
 // 3. Between passes label[i] >= 0 is a place of the last pass, and next_[place] says what became of it: -1 - p is
 //    part p, else a node of the frontier.
 #pragma once
@@ -41,19 +41,19 @@ class Refiner {
   // One level of the guess: bounds, counts, cuts, and its waiting particles go on.
   void settle_level(int depth, std::span<std::int32_t> label);
   void measure_level(std::span<const int> level);
-  void count_level(std::span<const int> level);
   AxisOrder exact_axes(int node) const;
-  // Whether the guess holds for an inner node; if not, it begins the next pass.
-  bool holds(int node);
+  bool order_holds(int node);
+  bool bracket_holds(int node, std::uint64_t below, std::uint64_t inside);
   SelectNode question(int node) const;
-  void select_level(std::span<const int> asked, int depth, std::span<std::int32_t> label);
+  void select_level(std::vector<int> asked, int depth, std::span<std::int32_t> label);
+  void drop_unasked(Buffer<Descent::Mover>& movers);
   // The first word that a bracket leaves open.
   std::size_t open_word(const SelectNode& ask) const;
   std::uint64_t word_of(const Descent::Mover& mover, std::size_t axis) const {
     return axis < geometry::kDimsMax ? geometry::image(mover.at[axis])
                                      : static_cast<std::uint64_t>(particles_.id[mover.index]);
   }
-  void narrow(std::span<SelectNode> questions, std::span<const Descent::Mover> movers);
+  void count_and_narrow(std::span<SelectNode> questions, std::span<int> asked, std::span<const Descent::Mover> movers);
   // Where the movers whose place is the number of a question go: its left or its right.
   void choose_sides(std::span<SelectNode> questions, std::span<const int> asked, std::span<Descent::Mover> movers);
   // The node begins the next pass; what rests below it belongs to it.
@@ -83,8 +83,6 @@ class Refiner {
   std::vector<std::size_t> words_;  // by question: the word that its bracket leaves open
   // By node of the guess.
   std::vector<Bounds> bounds_;
-  std::vector<std::uint64_t> below_;
-  std::vector<std::uint64_t> inside_;
   std::vector<std::uint8_t> settled_;  // the cut is known, or it is a part
   std::vector<std::uint8_t> dead_;     // below a node that begins the next pass
 
