@@ -1,6 +1,7 @@
 #include "tests/support/judge.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include <boost/multiprecision/cpp_int.hpp>
@@ -8,8 +9,16 @@
 namespace rcb::testing {
 namespace {
 
-using Number = boost::multiprecision::cpp_rational;
-using Integer = boost::multiprecision::cpp_int;
+// Wide enough for the product of two sums of doubles, each a whole number of the least double.
+using Integer = boost::multiprecision::number<boost::multiprecision::cpp_int_backend<
+    4608, 4608, boost::multiprecision::signed_magnitude, boost::multiprecision::unchecked, void>>;
+
+Integer exact(double value) {
+  int exponent = 0;
+  const auto digits = static_cast<std::int64_t>(std::ldexp(std::frexp(value, &exponent), 53));
+  const int shift = exponent - 53 + 1074;
+  return shift >= 0 ? Integer(digits) << shift : Integer(digits >> -shift);
+}
 
 class Judge {
  public:
@@ -19,7 +28,7 @@ class Judge {
     size_upto_.emplace_back(0);
     for (int p = 0; p < options.parts; ++p)
       size_upto_.push_back(size_upto_.back() +
-                           Number(options.part_sizes.empty() ? 1.0 : options.part_sizes[static_cast<std::size_t>(p)]));
+                           exact(options.part_sizes.empty() ? 1.0 : options.part_sizes[static_cast<std::size_t>(p)]));
     answer_.part.assign(scene.count(), -1);
   }
 
@@ -71,29 +80,29 @@ class Judge {
     if (options_.hysteresis > 1 && !options_.old_axis.empty()) {
       const std::vector<double> e = extents(rows);
       const int old = options_.old_axis[index];
-      if (e[static_cast<std::size_t>(old)] * options_.hysteresis >= e[static_cast<std::size_t>(axes[0])])
+      if (old >= 0 && e[static_cast<std::size_t>(old)] * options_.hysteresis >= e[static_cast<std::size_t>(axes[0])])
         to_front(axes, old);
     }
     return axes;
   }
-  Number sizes(int first, int last) const {
+  Integer sizes(int first, int last) const {
     return size_upto_[static_cast<std::size_t>(last)] - size_upto_[static_cast<std::size_t>(first)];
   }
   std::int64_t share_upto(int part) const {
-    const Number share = Number(scene_.count()) * sizes(0, part) / sizes(0, options_.parts);
-    return static_cast<std::int64_t>(Integer(numerator(share) / denominator(share)));
+    return static_cast<std::int64_t>(Integer(scene_.count() * sizes(0, part) / sizes(0, options_.parts)));
   }
   std::size_t left_count(const std::vector<std::size_t>& sorted, int first, int middle, int last) const {
     if (!weighted_) return static_cast<std::size_t>(share_upto(middle) - share_upto(first));
-    Number total = 0;
-    for (const std::size_t row : sorted) total += Number(scene_.weight[row]);
-    const Number wanted = total * sizes(first, middle) / sizes(first, last);
+    Integer total = 0;
+    for (const std::size_t row : sorted) total += exact(scene_.weight[row]);
+    const Integer all = sizes(first, last);
+    const Integer wanted = total * sizes(first, middle);  // of the prefix times `all`
     std::size_t best = 0;
-    Number best_off = wanted;
-    Number prefix = 0;
+    Integer best_off = wanted;
+    Integer prefix = 0;
     for (std::size_t k = 0; k < sorted.size(); ++k) {
-      prefix += Number(scene_.weight[sorted[k]]);
-      const Number off = abs(prefix - wanted);
+      prefix += exact(scene_.weight[sorted[k]]);
+      const Integer off = abs(prefix * all - wanted);
       if (off < best_off) {
         best_off = off;
         best = k + 1;
@@ -134,7 +143,7 @@ class Judge {
   const Scene& scene_;
   const JudgeOptions& options_;
   bool weighted_ = false;
-  std::vector<Number> size_upto_;
+  std::vector<Integer> size_upto_;
   std::vector<int> whole_;
   Judgement answer_;
 };

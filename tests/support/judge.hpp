@@ -1,4 +1,4 @@
-// The independent judge: the partition by full sorts and exact rationals, written from the definition and sharing no
+// The independent judge: the partition by full sorts and exact integers, written from the definition and sharing no
 // code with the engine. Slow; for small scenes.
 #pragma once
 
@@ -29,7 +29,7 @@ struct JudgeOptions {
   std::vector<double> part_sizes;
   int band_axis = -1;  // -1: rcb
   double hysteresis = 1;
-  std::vector<int> old_axis;  // by preorder node of the same tree; empty: none
+  std::vector<int> old_axis;  // by preorder node; -1: no old node with the same parts; empty: none
 };
 
 Judgement judge(const Scene& scene, const JudgeOptions& options);

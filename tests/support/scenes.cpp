@@ -86,18 +86,9 @@ Scene make_scene(Shape shape, Weights weights, int dims, std::size_t count, bool
   return scene;
 }
 
-Share deal(const Scene& scene, int rank, int ranks, std::uint64_t seed) {
-  Random random(mix64(seed ^ 0x5EEDU));
-  const std::uint64_t way = random.below(3);
-  const auto all = static_cast<std::uint64_t>(ranks);
-  const std::uint64_t favourite = random.below(all);
+Share take(const Scene& scene, std::vector<std::size_t> rows) {
   Share share;
-  for (std::size_t i = 0; i < scene.count(); ++i) {
-    const std::uint64_t owner = way == 0 ? random.below(all) : way == 1 ? i * all / scene.count() : favourite;
-    if (owner == static_cast<std::uint64_t>(rank)) share.row.push_back(i);
-  }
-  Random local(mix64(seed + static_cast<std::uint64_t>(rank)));
-  shuffle(share.row, local);
+  share.row = std::move(rows);
   share.particles.dims = scene.dims;
   share.particles.has_weights = !scene.weight.empty();
   share.particles.resize(share.row.size());
@@ -108,6 +99,21 @@ Share deal(const Scene& scene, int rank, int ranks, std::uint64_t seed) {
     if (share.particles.has_weights) share.particles.weight[i] = scene.weight[share.row[i]];
   }
   return share;
+}
+
+Share deal(const Scene& scene, int rank, int ranks, std::uint64_t seed) {
+  Random random(mix64(seed ^ 0x5EEDU));
+  const std::uint64_t way = random.below(3);
+  const auto all = static_cast<std::uint64_t>(ranks);
+  const std::uint64_t favourite = random.below(all);
+  std::vector<std::size_t> rows;
+  for (std::size_t i = 0; i < scene.count(); ++i) {
+    const std::uint64_t owner = way == 0 ? random.below(all) : way == 1 ? i * all / scene.count() : favourite;
+    if (owner == static_cast<std::uint64_t>(rank)) rows.push_back(i);
+  }
+  Random local(mix64(seed + static_cast<std::uint64_t>(rank)));
+  shuffle(rows, local);
+  return take(scene, std::move(rows));
 }
 
 }  // namespace rcb::testing

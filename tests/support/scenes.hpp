@@ -44,11 +44,14 @@ inline constexpr int kWeights = 8;
 // Ids are 0..n-1 in a shuffled order, or scattered up to 2^63-1.
 Scene make_scene(Shape shape, Weights weights, int dims, std::size_t count, bool scattered_ids, std::uint64_t seed);
 
-// Some rank's share: at random, in blocks, or all on one rank; in a shuffled order.
+// Some rank's share.
 struct Share {
   particles::ParticleSet particles;
   std::vector<std::size_t> row;  // of the scene, for each particle
 };
+// These rows of the scene, in this order.
+Share take(const Scene& scene, std::vector<std::size_t> rows);
+// At random, in blocks, or all on one rank; in a shuffled order.
 Share deal(const Scene& scene, int rank, int ranks, std::uint64_t seed);
 
 }  // namespace rcb::testing
