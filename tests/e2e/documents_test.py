@@ -1,0 +1,92 @@
+"""What the documents show works as shown: the README's program, its first session, the protocol page's client."""
+import re
+
+from support import *
+
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
+
+
+def block(document, language):
+    with open(os.path.join(ROOT, document)) as file:
+        return re.search(r"^```" + language + r"\n(.*?)^```", file.read(), re.S | re.M).group(1)
+
+
+# What a solver has and the README doesn't show.
+SOLVER = """
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <vector>
+std::vector<double> initial_positions() {
+  std::vector<double> xyz;
+  for (int i = 0; i < 3000; ++i) xyz.push_back(std::fmod(i * 0.61803398875, 1.0));
+  return xyz;
+}
+int handed_over = 0;
+void hand_over(std::uint64_t, std::int32_t) { ++handed_over; }
+void advance(std::vector<double>& xyz) {
+  for (std::size_t i = 0; i < xyz.size() / 2; ++i) xyz[i] *= 0.99;
+}
+"""
+
+
+class Documents(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.dir = tempfile.mkdtemp(prefix="rcb-documents-")
+        cls.service = Service(2)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.service.stop()
+        shutil.rmtree(cls.dir)
+
+    def test_the_readme_program(self):
+        source, program = os.path.join(self.dir, "solver.cpp"), os.path.join(self.dir, "solver")
+        with open(source, "w") as file:
+            file.write(SOLVER + block("README.md", "cpp"))
+        build = os.path.dirname(BIN)
+        libraries = [os.path.join(build, f"librcb_{name}.a")
+                     for name in ("client_lib", "common_plan", "common_wire", "common_particles", "common_base")]
+        compiled = subprocess.run(["c++", "-std=c++20", "-I", ROOT, source, "-o", program,
+                                   *filter(os.path.exists, libraries), "-lfmt", "-lxxhash", "-lpthread"],
+                                  capture_output=True, text=True, timeout=200)
+        self.assertEqual(compiled.returncode, 0, compiled.stderr)
+        done = run(program=program, endpoint=self.service.endpoint)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("has reached the tolerance", done.stdout)
+        history = self.service.json("history", "jet")
+        self.assertEqual([report["step"] for report in history], list(range(201)))
+
+    def test_the_first_session(self):
+        points = os.path.join(self.dir, "positions.csv")
+        np.savetxt(points, np.random.default_rng(1).random((100, 3)), delimiter=",", header="x,y,z", comments="")
+        commands = re.findall(r"^\$ rcbctl (.*?)(?: +#.*)?$", re.search(
+            r"## A first session\n\n```\n(.*?)^```", open_text("README.md"), re.S | re.M).group(1), re.M)
+        self.assertEqual(len(commands), 7)
+        for command in commands:
+            words = command.replace("positions.csv", points).replace("jet", "first").split()
+            if words[0] in ("up", "down"):
+                continue  # the test has its own service
+            if "--plot" in words:
+                words[-1] = os.path.join(self.dir, words[-1])
+            done = self.service.ctl(*words)
+            self.assertEqual(done.returncode, 0, (command, done.stderr))
+
+    def test_the_protocol_pages_client(self):
+        client = os.path.join(self.dir, "client.py")
+        with open(client, "w") as file:
+            file.write(block("common/wire/PROTOCOL.md", "python"))
+        done = subprocess.run(["/usr/bin/python3", client, self.service.endpoint[5:]], capture_output=True, text=True,
+                              timeout=60)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("first positions", done.stdout)
+
+
+def open_text(name):
+    with open(os.path.join(ROOT, name)) as file:
+        return file.read()
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
