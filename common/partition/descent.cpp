@@ -95,6 +95,16 @@ void Descent::descend(const Point& point, std::size_t count, std::int32_t* place
     }
 }
 
+// The step from node 0, where all begin: the same bracket for all needs no table.
+void Descent::first_step(std::size_t first, std::size_t count, std::int32_t* place) const {
+  const Step step = steps_[0];
+  const double* const x = particles_.position[static_cast<std::size_t>(step.axis)] + first;
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int32_t up = x[k] > step.hi ? step.next[2] : step.next[1];
+    place[k] = x[k] >= step.lo ? up : step.next[0];
+  }
+}
+
 template <int kAxes, bool kMeasure, typename Point>
 void Descent::add(const Point& point, std::size_t count, const std::int32_t* place) {
   const std::array<Tally*, 2> tallies{tallies_.data(), spare_.data()};
@@ -132,8 +142,8 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
   std::vector<Mover> movers(kBlock);
   std::vector<Mover> active(start.empty() ? 0 : kBlock);
   std::array<std::int32_t, kBlock> place;
-  const auto take = [&](const auto& point, std::size_t count, std::int32_t* own) {
-    descend(point, count, own, steps_max_);
+  const auto take = [&](const auto& point, std::size_t count, std::int32_t* own, int levels) {
+    descend(point, count, own, levels);
     measure ? add<kAxes, true>(point, count, own) : add<kAxes, false>(point, count, own);
     std::size_t found = 0;
     for (std::size_t k = 0; k < count; ++k) {
@@ -147,7 +157,7 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
     std::int32_t* const own = label.data() + first;
     std::size_t going = count;
     if (start.empty()) {
-      std::fill_n(own, count, 0);
+      first_step(first, count, own);
     } else {
       going = 0;
       for (std::size_t k = 0; k < count; ++k) {
@@ -170,7 +180,7 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
     if (going == count) {  // as most often
       Neighbours<kAxes> point;
       for (std::size_t a = 0; a < kCount; ++a) point.x[a] = particles_.position[a] + first;
-      const std::size_t found = take(point, count, own);
+      const std::size_t found = take(point, count, own, start.empty() ? steps_max_ - 1 : steps_max_);
       for (std::size_t s = 0; s < found; ++s) stop(s, stopped[s]);
       stop_here(found);
       continue;
@@ -181,7 +191,7 @@ void Descent::pass(std::span<std::int32_t> label, std::span<const std::int32_t> 
       for (std::size_t a = 0; a < kCount; ++a) active[g].at[a] = particles_.position[a][first + k];
       place[g] = own[k];
     }
-    const std::size_t found = take(Listed{active.data()}, going, place.data());
+    const std::size_t found = take(Listed{active.data()}, going, place.data(), steps_max_);
     for (std::size_t g = 0; g < going; ++g) own[active[g].index] = place[g];
     for (std::size_t s = 0; s < found; ++s) stop(s, active[stopped[s]].index);
     stop_here(found);

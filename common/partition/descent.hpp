@@ -73,6 +73,7 @@ class Descent {
   void pass(std::span<std::int32_t> label, std::span<const std::int32_t> start, std::vector<Buffer<Mover>>& waiting);
   template <typename Point>
   void descend(const Point& point, std::size_t count, std::int32_t* place, int levels) const;
+  void first_step(std::size_t first, std::size_t count, std::int32_t* place) const;
   template <int kAxes, bool kMeasure, typename Point>
   void add(const Point& point, std::size_t count, const std::int32_t* place);
   // Of a block of movers those in brackets of whole keys go on, as far as their keys are outside of brackets.
