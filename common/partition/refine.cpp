@@ -65,7 +65,14 @@ void Refiner::pass(std::span<std::int32_t> label) {
   for (std::int32_t& place : start_)
     if (place >= 0) place = guess_.roots()[at(place)];
   waiting_.resize(std::max(waiting_.size(), at(guess_.depth_max()) + 1));
-  for (Buffer<Descent::Mover>& level : waiting_) level.clear();
+  std::vector<double> expected(waiting_.size(), 0);
+  for (const GuessNode& node : guess_.nodes())
+    if (node.inner && !node.all_left) expected[at(node.depth)] += node.expected / comm_.size();
+  for (std::size_t depth = 0; depth < waiting_.size(); ++depth) {
+    waiting_[depth].clear();
+    const double room = std::min(1.05 * expected[depth], static_cast<double>(label.size()));
+    waiting_[depth].reserve(static_cast<std::size_t>(room));
+  }
   descent_.run(label, start_, waiting_);
   counts_.scanned += label.size();
 
@@ -224,8 +231,7 @@ void Refiner::select_level(std::vector<int> asked, int depth, std::span<std::int
     number[at(g)] = static_cast<std::int32_t>(questions.size());
     questions.push_back(question(g));
   }
-  for (Descent::Mover& mover : movers) mover.place = number[at(mover.place - descent_.nodes())];
-  drop_unasked(movers);
+  renumber(movers, number, descent_.nodes());
   count_and_narrow(questions, asked, movers.span());
   if (std::ranges::find(asked, -1) != asked.end()) {  // brackets missed
     std::size_t kept = 0;
@@ -239,17 +245,22 @@ void Refiner::select_level(std::vector<int> asked, int depth, std::span<std::int
     }
     asked.resize(kept);
     questions.resize(kept);
-    for (Descent::Mover& mover : movers) mover.place = number[at(mover.place)];
-    drop_unasked(movers);
+    renumber(movers, number, 0);
   }
   choose_sides(questions, asked, movers.span());
   descent_.go_on(movers.span(), depth + 1, label, waiting_);
   movers.clear();
 }
 
-// Those whose node begins the next pass stay where they are.
-void Refiner::drop_unasked(Buffer<Descent::Mover>& movers) {
+// Gives every mover the number of its question; those without one stay where they are: their node begins the next pass.
+void Refiner::renumber(Buffer<Descent::Mover>& movers, std::span<const std::int32_t> number, int shift) {
   std::size_t kept = 0;
+  bool all = true;
+  for (Descent::Mover& mover : movers) {
+    mover.place = number[at(mover.place - shift)];
+    all &= mover.place >= 0;
+  }
+  if (all) return;
   for (const Descent::Mover& mover : movers) {
     movers[kept] = mover;
     kept += static_cast<std::size_t>(mover.place >= 0);

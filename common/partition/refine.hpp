@@ -46,7 +46,7 @@ class Refiner {
   bool bracket_holds(int node, std::uint64_t below, std::uint64_t inside);
   SelectNode question(int node) const;
   void select_level(std::vector<int> asked, int depth, std::span<std::int32_t> label);
-  void drop_unasked(Buffer<Descent::Mover>& movers);
+  static void renumber(Buffer<Descent::Mover>& movers, std::span<const std::int32_t> number, int shift);
   // The first word that a bracket leaves open.
   std::size_t open_word(const SelectNode& ask) const;
   std::uint64_t word_of(const Descent::Mover& mover, std::size_t axis) const {
