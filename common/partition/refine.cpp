@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <numeric>
 
 #include "common/base/check.hpp"
 
@@ -247,7 +248,13 @@ void Refiner::select_level(std::vector<int> asked, int depth, std::span<std::int
     questions.resize(kept);
     renumber(movers, number, 0);
   }
+  candidates_.resize(movers.size());
+  std::iota(candidates_.begin(), candidates_.end(), 0U);
   choose_sides(questions, asked, movers.span());
+  // One round a word: what is left is for the Selector, whose rounds are bounded.
+  for (int round = 0; round < rule_.axes() && narrow_again(questions, movers.span()); ++round)
+    choose_sides(questions, asked, movers.span());
+  select_candidates(questions, asked, movers.span());
   descent_.go_on(movers.span(), depth + 1, label, waiting_);
   movers.clear();
 }
@@ -274,7 +281,8 @@ std::size_t Refiner::open_word(const SelectNode& ask) const {
   return word;
 }
 
-void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int> asked,
+// The movers outside of the narrowed brackets know their sides; the others are the candidates.
+void Refiner::choose_sides(std::span<const SelectNode> questions, std::span<const int> asked,
                            std::span<Descent::Mover> movers) {
   const std::span<const GuessNode> nodes = guess_.nodes();
   struct Sides {
@@ -292,18 +300,25 @@ void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int>
     sides.push_back(
         {ask.lo[word], ask.hi[word] - ask.lo[word], axis_of(ask, word, rule_.axes()), node.left, node.right});
   }
-  candidates_.clear();
-  candidate_node_.clear();
-  for (std::size_t k = 0; k < movers.size(); ++k) {
+  std::size_t kept = 0;
+  for (const std::uint32_t k : candidates_) {
     const std::int32_t own = movers[k].place;
     const Sides& side = sides[at(own)];
     const std::uint64_t word = word_of(movers[k], side.axis);
-    movers[k].place = word < side.lo ? side.left : side.right;
-    if (word - side.lo > side.span) continue;
-    candidates_.push_back(static_cast<std::uint32_t>(k));
-    candidate_node_.push_back(own);
+    const bool inside = word - side.lo <= side.span;
+    movers[k].place = inside ? own : word < side.lo ? side.left : side.right;
+    candidates_[kept] = k;
+    kept += static_cast<std::size_t>(inside);
   }
-  // Those left in the brackets are selected by their whole keys.
+  candidates_.resize(kept);
+}
+
+// Selects the cuts among the candidates by their whole keys.
+void Refiner::select_candidates(std::span<SelectNode> questions, std::span<const int> asked,
+                                std::span<Descent::Mover> movers) {
+  const std::span<const GuessNode> nodes = guess_.nodes();
+  candidate_node_.clear();
+  for (const std::uint32_t k : candidates_) candidate_node_.push_back(movers[k].place);
   chosen_.resize(candidates_.size());
   for (std::size_t c = 0; c < candidates_.size(); ++c) {
     const Descent::Mover& mover = movers[candidates_[c]];
@@ -326,78 +341,180 @@ void Refiner::choose_sides(std::span<SelectNode> questions, std::span<const int>
   }
 }
 
+// How a bracket's open word is divided into bins: by its image, or evenly by its value (which suits the words behind
+// the first: their range is the node's, often of many binades that hold nothing).
+struct Refiner::Probe {
+  std::uint64_t lo = 0;
+  std::uint64_t span = 0;
+  unsigned shift = 0;
+  std::size_t axis = 0;
+  std::size_t bins = 0;
+  double base = 0;
+  double scale = 0;  // > 0: by value
+
+  std::size_t bin(std::uint64_t word) const {
+    if (scale > 0) {
+      const double steps = (geometry::value_of_image(word) - base) * scale;
+      return static_cast<std::size_t>(std::clamp(steps, 0.0, static_cast<double>(bins - 1)));
+    }
+    return std::min(word - lo, span) >> shift;
+  }
+  // The least word of a bin at least `wanted`; one past the greatest word if there is none.
+  std::uint64_t first_word(std::size_t wanted) const {
+    std::uint64_t low = 0;  // bins rise with words: bisection is exact whatever the rounding
+    std::uint64_t high = span + 1;
+    while (low < high) {
+      const std::uint64_t middle = low + (high - low) / 2;
+      if (bin(lo + middle) >= wanted)
+        high = middle;
+      else
+        low = middle + 1;
+    }
+    return lo + low;
+  }
+};
+
+Refiner::Probe Refiner::probe_of(const SelectNode& ask, std::size_t bins) const {
+  const std::size_t word = open_word(ask);
+  Probe probe;
+  probe.lo = ask.lo[word];
+  probe.span = ask.hi[word] - ask.lo[word];
+  probe.axis = axis_of(ask, word, rule_.axes());
+  probe.bins = bins;
+  const auto width = static_cast<unsigned>(std::bit_width(probe.span));
+  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
+  probe.shift = width > bin_bits ? width - bin_bits : 0;
+  if (word > 0 && probe.axis < geometry::kDimsMax) {
+    probe.base = geometry::value_of_image(ask.lo[word]);
+    const double scale = static_cast<double>(bins) / (geometry::value_of_image(ask.hi[word]) - probe.base);
+    if (std::isnormal(scale)) probe.scale = scale;
+  }
+  return probe;
+}
+
+// The bin of the histogram that holds the cut becomes the bracket.
+void Refiner::take_bin(SelectNode& ask, const Probe& probe, std::size_t word,
+                       std::span<const std::uint64_t> histogram) {
+  std::size_t bin = 0;
+  while (ask.rank >= histogram[bin]) {
+    ask.rank -= histogram[bin];
+    ++bin;
+    CHECK(bin < probe.bins, "the bracket holds the cut");
+  }
+  ask.count = histogram[bin];
+  ask.hi[word] = bin + 1 < probe.bins ? probe.first_word(bin + 1) - 1 : ask.hi[word];
+  ask.lo[word] = bin > 0 ? probe.first_word(bin) : ask.lo[word];
+}
+
+void Refiner::sum_histogram() {
+  for (std::size_t first = 0; first < histogram_.size(); first += kMessageWordsMax) {
+    comm_.all_sum(histogram_.span().subspan(first, std::min(kMessageWordsMax, histogram_.size() - first)));
+    ++rounds_;
+    ++reductions_;
+  }
+}
+
 // One reduction for all nodes of a level: the particles before each bracket, in it, and a histogram of the word that it
 // leaves open. A bracket that holds the cut becomes the bin that does; where it misses asked[n] becomes -1.
 void Refiner::count_and_narrow(std::span<SelectNode> questions, std::span<int> asked,
                                std::span<const Descent::Mover> movers) {
   const std::span<const GuessNode> nodes = guess_.nodes();
-  struct Probe {
-    std::uint64_t lo;
-    std::uint64_t span;
-    unsigned shift;
-    std::size_t axis;
-    std::size_t cells;
-  };
   // As many bins as one message holds; with many nodes about as many as balance the histogram and what is gathered.
   double inside_most = 0;
   for (const int g : asked) inside_most = std::max(inside_most, nodes[at(g)].expected);
   const auto balanced = static_cast<std::size_t>(std::min(std::sqrt(5 * inside_most), 256.0));
   const std::size_t bins = std::max(std::bit_ceil(std::max<std::size_t>(balanced, 16)),
                                     std::bit_floor(kMessageWordsMax / std::min(asked.size(), kMessageWordsMax)) / 2);
-  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
+  const std::size_t cells = bins + 2;
   words_.clear();
   std::vector<Probe> probes;
-  histogram_.resize(asked.size() * (bins + 2));
+  histogram_.resize(asked.size() * cells);
   std::fill(histogram_.begin(), histogram_.end(), 0);
   for (std::size_t n = 0; n < asked.size(); ++n) {
-    const SelectNode& ask = questions[n];
-    const std::size_t word = open_word(ask);
-    const std::uint64_t span = ask.hi[word] - ask.lo[word];
-    const auto width = static_cast<unsigned>(std::bit_width(span));
-    probes.push_back({ask.lo[word], span, width > bin_bits ? width - bin_bits : 0, axis_of(ask, word, rule_.axes()),
-                      n * (bins + 2) + 2});
-    words_.push_back(word);
+    probes.push_back(probe_of(questions[n], bins));
+    words_.push_back(open_word(questions[n]));
     const GuessNode& node = nodes[at(asked[n])];
     for (std::size_t place = at(node.left); place < at(node.right); ++place)
-      histogram_[probes[n].cells - 2] +=
-          descent_.tally(place).count + descent_.tally(place + at(descent_.nodes())).count;
-    histogram_[probes[n].cells - 1] = descent_.tally(at(asked[n] + descent_.nodes())).count;
+      histogram_[n * cells] += descent_.tally(place).count + descent_.tally(place + at(descent_.nodes())).count;
+    histogram_[n * cells + 1] = descent_.tally(at(asked[n] + descent_.nodes())).count;
   }
   for (const Descent::Mover& mover : movers) {
     const Probe& probe = probes[at(mover.place)];
-    // Outside of its word's range only where the bracket misses the cut anyway.
-    ++histogram_[probe.cells + (std::min(word_of(mover, probe.axis) - probe.lo, probe.span) >> probe.shift)];
+    ++histogram_[at(mover.place) * cells + 2 + probe.bin(word_of(mover, probe.axis))];
   }
-  for (std::size_t first = 0; first < histogram_.size(); first += kMessageWordsMax) {
-    comm_.all_sum(histogram_.span().subspan(first, std::min(kMessageWordsMax, histogram_.size() - first)));
-    ++rounds_;
-    ++reductions_;
-  }
+  sum_histogram();
   for (std::size_t n = 0; n < asked.size(); ++n) {
-    const Probe& probe = probes[n];
-    SelectNode& ask = questions[n];
-    const GuessNode& node = nodes[at(asked[n])];
-    const std::uint64_t below = histogram_[probe.cells - 2];
-    const std::uint64_t inside = histogram_[probe.cells - 1];
+    const std::uint64_t below = histogram_[n * cells];
+    const std::uint64_t inside = histogram_[n * cells + 1];
     counts_.stashed += inside;
     if (!bracket_holds(asked[n], below, inside)) {
       asked[n] = -1;
       continue;
     }
+    const NodeRange& range = nodes[at(asked[n])].range;
     settled_[at(asked[n])] = 1;
-    ask.rank = rule_.quota(node.range.first, node.range.middle()) - below;
-    std::uint64_t bin = 0;
-    while (ask.rank >= histogram_[probe.cells + bin]) {
-      ask.rank -= histogram_[probe.cells + bin];
-      ++bin;
-      CHECK(bin < bins, "the bracket holds the cut");
-    }
-    ask.count = histogram_[probe.cells + bin];
-    std::uint64_t& lo = ask.lo[words_[n]];
-    std::uint64_t& hi = ask.hi[words_[n]];
-    lo += bin << probe.shift;
-    hi = std::min(hi - lo, (std::uint64_t{1} << probe.shift) - 1) + lo;
+    questions[n].rank = rule_.quota(range.first, range.middle()) - below;
+    take_bin(questions[n], probes[n], words_[n], histogram_.span().subspan(n * cells + 2, bins));
   }
+}
+
+// The brackets of these become the exact bounds of their candidates, word by word: a word that all share is decided.
+void Refiner::shrink(std::span<SelectNode> questions, std::span<const std::size_t> many,
+                     std::span<const std::int32_t> slot, std::span<const Descent::Mover> movers) {
+  const std::size_t words = at(rule_.axes()) + 1;
+  std::vector<std::uint64_t> least(many.size() * words * 2, kNoImage);
+  for (const std::uint32_t k : candidates_) {
+    const std::size_t n = at(movers[k].place);
+    if (slot[n] < 0) continue;
+    std::uint64_t* own = &least[at(slot[n]) * words * 2];
+    for (std::size_t w = 0; w < words; ++w) {
+      const std::uint64_t word = word_of(movers[k], axis_of(questions[n], w, rule_.axes()));
+      own[2 * w] = std::min(own[2 * w], word);
+      own[2 * w + 1] = std::min(own[2 * w + 1], ~word);
+    }
+  }
+  comm_.all_min(least);
+  reductions_ += (least.size() + kMessageWordsMax - 1) / kMessageWordsMax;
+  for (std::size_t m = 0; m < many.size(); ++m)
+    for (std::size_t w = 0; w < words; ++w) {
+      questions[many[m]].lo[w] = least[(m * words + w) * 2];
+      questions[many[m]].hi[w] = ~least[(m * words + w) * 2 + 1];
+    }
+}
+
+// Once more among the candidates, where they are too many to be gathered: ties, mostly. False if there was no need.
+bool Refiner::narrow_again(std::span<SelectNode> questions, std::span<const Descent::Mover> movers) {
+  if (questions.empty()) return false;
+  // As the Selector: so few are gathered without a histogram.
+  const std::size_t gathered_at_once =
+      std::max<std::size_t>(256, std::bit_floor(kMessageWordsMax / std::min(questions.size(), kMessageWordsMax))) / 5;
+  std::vector<std::int32_t> slot(questions.size(), -1);
+  std::vector<std::size_t> many;
+  for (std::size_t n = 0; n < questions.size(); ++n) {
+    words_[n] = open_word(questions[n]);
+    if (questions[n].count <= gathered_at_once) continue;
+    slot[n] = static_cast<std::int32_t>(many.size());
+    many.push_back(n);
+  }
+  if (many.empty()) return false;
+  shrink(questions, many, slot, movers);
+  for (const std::size_t n : many) words_[n] = open_word(questions[n]);
+  const std::size_t bins =
+      std::max<std::size_t>(64, std::bit_floor(kMessageWordsMax / std::min(many.size(), kMessageWordsMax)));
+  std::vector<Probe> probes;
+  for (const std::size_t n : many) probes.push_back(probe_of(questions[n], bins));
+  histogram_.resize(many.size() * bins);
+  std::fill(histogram_.begin(), histogram_.end(), 0);
+  for (const std::uint32_t k : candidates_) {
+    const std::int32_t own = slot[at(movers[k].place)];
+    if (own < 0) continue;
+    const Probe& probe = probes[at(own)];
+    ++histogram_[at(own) * bins + probe.bin(word_of(movers[k], probe.axis))];
+  }
+  sum_histogram();
+  for (std::size_t m = 0; m < many.size(); ++m)
+    take_bin(questions[many[m]], probes[m], words_[many[m]], histogram_.span().subspan(m * bins, bins));
+  return true;
 }
 
 // The sample's points of every node that begins the next pass, by the exact cuts so far.

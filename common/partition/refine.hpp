@@ -54,8 +54,16 @@ class Refiner {
                                      : static_cast<std::uint64_t>(particles_.id[mover.index]);
   }
   void count_and_narrow(std::span<SelectNode> questions, std::span<int> asked, std::span<const Descent::Mover> movers);
-  // Where the movers whose place is the number of a question go: its left or its right.
-  void choose_sides(std::span<SelectNode> questions, std::span<const int> asked, std::span<Descent::Mover> movers);
+  bool narrow_again(std::span<SelectNode> questions, std::span<const Descent::Mover> movers);
+  void shrink(std::span<SelectNode> questions, std::span<const std::size_t> many, std::span<const std::int32_t> slot,
+              std::span<const Descent::Mover> movers);
+  void choose_sides(std::span<const SelectNode> questions, std::span<const int> asked,
+                    std::span<Descent::Mover> movers);
+  void select_candidates(std::span<SelectNode> questions, std::span<const int> asked, std::span<Descent::Mover> movers);
+  struct Probe;
+  Probe probe_of(const SelectNode& ask, std::size_t bins) const;
+  static void take_bin(SelectNode& ask, const Probe& probe, std::size_t word, std::span<const std::uint64_t> histogram);
+  void sum_histogram();
   // The node begins the next pass; what rests below it belongs to it.
   void postpone(int node, double side_lo, double side_hi);
   void deal_sample();
