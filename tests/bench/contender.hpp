@@ -62,6 +62,9 @@ class Contender {
   virtual Status run() = 0;
   // Of the last run, which succeeded. Local.
   virtual Answer answer() = 0;
+  // The part of each of the problem's particles by the tool's own question who owns a position, after the last run;
+  // -1 where it has no answer. nullopt: it was not told to keep what that needs (Wish::owners). Local.
+  virtual std::optional<std::vector<std::int32_t>> owners() = 0;
 
  private:
   Setting setting_;
@@ -75,6 +78,7 @@ struct Wish {
   std::vector<std::string> methods;    // `method` names
   std::vector<double> cut_tolerances;  // 0 first
   bool migrate = false;
+  bool owners = false;  // keep what the question for owners needs, at whatever cost in time
 
   bool has(const std::string& method) const;
 };
@@ -86,5 +90,7 @@ void add_zoltan(const Wish& wish, Contenders& out);
 #ifdef RCB_BENCH_ZOLTAN2
 void add_zoltan2(const Wish& wish, Contenders& out);
 #endif
+// All of them that this build has.
+Contenders make_contenders(partition::Comm& comm, const Wish& wish);
 
 }  // namespace rcb::bench

@@ -74,6 +74,14 @@ class RcbdContender final : public Contender {
     return answer;
   }
 
+  std::optional<std::vector<std::int32_t>> owners() override {
+    const auto& particles = problem_.particles;
+    std::vector<std::int32_t> owners(particles.count);
+    for (std::size_t i = 0; i < owners.size(); ++i)
+      owners[i] = result_.tree.part_of(particles.point(i), particles.id[i]);
+    return owners;
+  }
+
  private:
   bool migrates() const { return setting().work == kPartitionMigrate; }
 

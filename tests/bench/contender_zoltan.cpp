@@ -1,4 +1,5 @@
-// Zoltan's RCB, RIB and HSFC at the fastest settings found: RETURN_LISTS=ALL, REMAP=0, CHECK_GEOM=0, no cuts kept.
+// Zoltan's RCB, RIB and HSFC at the fastest settings found: RETURN_LISTS=ALL, REMAP=0, CHECK_GEOM=0, and no cuts
+// kept unless owners will be asked.
 // IMBALANCE_TOL changes neither their answers nor their time (tried from 1 to 2), so each runs once.
 // Without a part callback Zoltan takes the rank's number for the part of its particles, and its lists leave out those
 // that stay so.
@@ -35,7 +36,7 @@ struct Cargo {
 
 class ZoltanContender final : public Contender {
  public:
-  using Contender::Contender;
+  ZoltanContender(Setting setting, bool owners) : Contender(std::move(setting)), keep_cuts_(owners) {}
   ~ZoltanContender() override { destroy(); }
 
   Status prepare(const Problem& problem) override {
@@ -45,14 +46,19 @@ class ZoltanContender final : public Contender {
     if (zoltan_ == nullptr) return {Code::internal, "Zoltan_Create failed"};
     MPI_Comm_rank(MPI_COMM_WORLD, &rank_);
     const std::string parts = std::to_string(problem.parts);
-    const std::pair<const char*, const char*> parameters[] = {
-        {"DEBUG_LEVEL", "0"},      {"LB_METHOD", setting().method.c_str()},
-        {"NUM_GID_ENTRIES", "1"},  {"NUM_LID_ENTRIES", "1"},
-        {"OBJ_WEIGHT_DIM", "0"},   {"NUM_GLOBAL_PARTS", parts.c_str()},
-        {"RETURN_LISTS", "ALL"},   {"REMAP", "0"},
-        {"CHECK_GEOM", "0"},       {"IMBALANCE_TOL", "1.0"},
-        {"AUTO_MIGRATE", "FALSE"}, {"MIGRATE_ONLY_PROC_CHANGES", "1"},
-        {"KEEP_CUTS", "0"}};
+    const std::pair<const char*, const char*> parameters[] = {{"DEBUG_LEVEL", "0"},
+                                                              {"LB_METHOD", setting().method.c_str()},
+                                                              {"NUM_GID_ENTRIES", "1"},
+                                                              {"NUM_LID_ENTRIES", "1"},
+                                                              {"OBJ_WEIGHT_DIM", "0"},
+                                                              {"NUM_GLOBAL_PARTS", parts.c_str()},
+                                                              {"RETURN_LISTS", "ALL"},
+                                                              {"REMAP", "0"},
+                                                              {"CHECK_GEOM", "0"},
+                                                              {"IMBALANCE_TOL", "1.0"},
+                                                              {"AUTO_MIGRATE", "FALSE"},
+                                                              {"MIGRATE_ONLY_PROC_CHANGES", "1"},
+                                                              {"KEEP_CUTS", keep_cuts_ ? "1" : "0"}};
     for (const auto& [name, value] : parameters) {
       // HSFC knows no CHECK_GEOM; a parameter unknown to a method is ignored with a warning's code.
       if (Zoltan_Set_Param(zoltan_, name, value) == ZOLTAN_FATAL)
@@ -100,6 +106,18 @@ class ZoltanContender final : public Contender {
     Answer answer;
     answer.part = part_;
     return answer;
+  }
+
+  std::optional<std::vector<std::int32_t>> owners() override {
+    if (!keep_cuts_) return std::nullopt;
+    std::vector<std::int32_t> owners(problem_.particles.count, -1);
+    for (std::size_t i = 0; i < owners.size(); ++i) {
+      geometry::Point point = problem_.particles.point(i);
+      int rank = -1;
+      int part = -1;
+      if (!failed(Zoltan_LB_Point_PP_Assign(zoltan_, point.data(), &rank, &part))) owners[i] = part;
+    }
+    return owners;
   }
 
  private:
@@ -200,6 +218,7 @@ class ZoltanContender final : public Contender {
     part_.resize(count);
   }
 
+  bool keep_cuts_;
   Problem problem_;
   Zoltan_Struct* zoltan_ = nullptr;
   int rank_ = 0;
@@ -218,10 +237,10 @@ void add_zoltan(const Wish& wish, Contenders& out) {
   Zoltan_Initialize(0, nullptr, &version);
   for (const char* method : {"RCB", "RIB", "HSFC"}) {
     if (!wish.has(method)) continue;
-    out.push_back(std::make_unique<ZoltanContender>(Setting{"Zoltan", method, kPartition, 0}));
+    out.push_back(std::make_unique<ZoltanContender>(Setting{"Zoltan", method, kPartition, 0}, wish.owners));
   }
   if (wish.migrate && wish.has("RCB"))
-    out.push_back(std::make_unique<ZoltanContender>(Setting{"Zoltan", "RCB", kPartitionMigrate, 0}));
+    out.push_back(std::make_unique<ZoltanContender>(Setting{"Zoltan", "RCB", kPartitionMigrate, 0}, false));
 }
 
 }  // namespace rcb::bench

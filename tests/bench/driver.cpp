@@ -26,28 +26,8 @@ constexpr unsigned kPollMicroseconds = 20'000;
 std::atomic<bool> g_interrupted{false};
 void on_signal(int) { g_interrupted = true; }
 
-// A folder that goes with this object.
-class TemporaryFolder {
- public:
-  TemporaryFolder() {
-    std::error_code error;
-    std::string name = (fs::temp_directory_path(error) / "rcb_bench.XXXXXX").string();
-    if (!error && mkdtemp(name.data()) != nullptr) path_ = name;
-  }
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    if (!path_.empty()) fs::remove_all(path_, ignored);
-  }
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
-};
-
 // Until the job has ended. `rows` grows with every cell that was measured.
-Status await(launch::Job& job, const std::string& rows) {
+Status await(launch::Job& job, const std::string& rows, double stall_seconds) {
   const SteadyClock clock;
   double last_growth = clock.seconds();
   std::uintmax_t size = 0;
@@ -63,32 +43,11 @@ Status await(launch::Job& job, const std::string& rows) {
       size = now;
       last_growth = clock.seconds();
     }
-    if (clock.seconds() - last_growth > kStallSeconds)
-      return {Code::deadline_exceeded, fmt::format("the MPI job measured nothing for {} s", kStallSeconds),
+    if (clock.seconds() - last_growth > stall_seconds)
+      return {Code::deadline_exceeded, fmt::format("the MPI job measured nothing for {} s", stall_seconds),
               "the cell it hung in is named above; leave it out with --scenes, --parts or --methods"};
     usleep(kPollMicroseconds);
   }
-}
-
-Status run_job(const std::string& folder, int ranks, Json& rows) {
-  const std::string rows_path = folder + "/rows";
-  std::error_code ignored;
-  fs::remove(rows_path, ignored);
-  launch::JobSpec spec;
-  spec.ranks = ranks;
-  spec.command = {fs::read_symlink("/proc/self/exe", ignored).string(), kWorkerWord, folder + "/plan", rows_path};
-  Status status;
-  {
-    launch::Job job(spec, folder + "/mpi", STDERR_FILENO);
-    status = job.start(false);
-    if (status.ok()) status = await(job, rows_path);
-  }
-  std::ifstream in(rows_path);
-  for (std::string line; std::getline(in, line);) {
-    Json row = Json::parse(line, nullptr, false);
-    if (!row.is_discarded()) rows.push_back(std::move(row));  // a killed job's last line may be half a one
-  }
-  return status;
 }
 
 std::string first_line_with(const char* path, const std::string& key) {
@@ -103,6 +62,46 @@ std::string first_line_with(const char* path, const std::string& key) {
 
 }  // namespace
 
+TemporaryFolder::TemporaryFolder() {
+  std::error_code error;
+  std::string name = (fs::temp_directory_path(error) / "rcb_bench.XXXXXX").string();
+  if (!error && mkdtemp(name.data()) != nullptr) path_ = name;
+}
+
+TemporaryFolder::~TemporaryFolder() {
+  std::error_code ignored;
+  if (!path_.empty()) fs::remove_all(path_, ignored);
+}
+
+Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds, Json& rows) {
+  const std::string rows_path = folder + "/rows";
+  std::error_code ignored;
+  fs::remove(rows_path, ignored);
+  launch::JobSpec spec;
+  spec.ranks = ranks;
+  spec.command = {fs::read_symlink("/proc/self/exe", ignored).string(), word, folder + "/plan", rows_path};
+  Status status;
+  {
+    launch::Job job(spec, folder + "/mpi", STDERR_FILENO);
+    status = job.start(false);
+    if (status.ok()) status = await(job, rows_path, stall_seconds);
+  }
+  std::ifstream in(rows_path);
+  for (std::string line; std::getline(in, line);) {
+    Json row = Json::parse(line, nullptr, false);
+    if (!row.is_discarded()) rows.push_back(std::move(row));  // a killed job's last line may be half a one
+  }
+  return status;
+}
+
+void prepare_jobs() {
+  prctl(PR_SET_CHILD_SUBREAPER, 1);  // ranks whose mpirun was killed are found and ended
+  struct sigaction action {};
+  action.sa_handler = on_signal;
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
+  setenv("OMP_NUM_THREADS", "1", 1);  // the ranks are the parallelism, for everyone
+}
+
 Rows run_jobs(const Plan& plan, const std::vector<int>& ranks) {
   Rows result;
   const TemporaryFolder folder;
@@ -111,14 +110,10 @@ Rows run_jobs(const Plan& plan, const std::vector<int>& ranks) {
     return result;
   }
   result.status = save(plan, folder.path() + "/plan");
-  prctl(PR_SET_CHILD_SUBREAPER, 1);  // ranks whose mpirun was killed are found and ended
-  struct sigaction action {};
-  action.sa_handler = on_signal;
-  for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
-  setenv("OMP_NUM_THREADS", "1", 1);  // the ranks are the parallelism, for everyone
+  prepare_jobs();
   for (const int r : ranks) {
     if (!result.status.ok()) break;
-    result.status = run_job(folder.path(), r, result.rows);
+    result.status = run_job(folder.path(), kWorkerWord, r, kStallSeconds, result.rows);
   }
   return result;
 }

@@ -16,6 +16,26 @@ struct Rows {
   Status status;  // not ok: a job failed; `rows` has what was measured before
 };
 
+// A folder that goes with this object; its path is empty if it could not be made.
+class TemporaryFolder {
+ public:
+  TemporaryFolder();
+  ~TemporaryFolder();
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+// Before the first run_job: signals end it, and ranks whose mpirun died are found.
+void prepare_jobs();
+// One MPI job of this program, `word` before its arguments: the plan in `folder`, and the file that it writes rows to,
+// which are added to `rows` also where it fails. Errors: as run_jobs().
+Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds,
+               nlohmann::ordered_json& rows);
+
 // Runs `plan` on each number of ranks through mpirun. Waits for a job as long as it goes on measuring; one that
 // measures nothing for kStallSeconds is killed. Errors: deadline_exceeded, aborted (SIGINT or SIGTERM), internal,
 // io_error.

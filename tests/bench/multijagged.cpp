@@ -40,7 +40,7 @@ MultiJagged::MultiJagged() = default;
 MultiJagged::~MultiJagged() = default;
 
 std::string MultiJagged::prepare(int dims, std::size_t count, const std::array<const double*, 3>& position,
-                                 const std::int64_t* id, int parts) {
+                                 const std::int64_t* id, int parts, bool keep_boxes) {
   return guarded([&] {
     state_ = std::make_unique<State>();
     state_->ids.assign(id, id + count);
@@ -52,6 +52,7 @@ std::string MultiJagged::prepare(int dims, std::size_t count, const std::array<c
         std::make_unique<Adapter>(static_cast<int>(count), state_->ids.data(), axes, strides, no_weights, no_strides);
     state_->parameters.set("algorithm", "multijagged");
     state_->parameters.set("num_global_parts", parts);
+    if (keep_boxes) state_->parameters.set("mj_keep_part_boxes", true);
     const Teuchos::RCP<const Teuchos::Comm<int>> comm = Teuchos::rcp(new Teuchos::MpiComm<int>(MPI_COMM_WORLD));
     state_->problem = std::make_unique<PartitioningProblem>(state_->adapter.get(), &state_->parameters, comm);
   });
@@ -62,6 +63,12 @@ std::string MultiJagged::solve() {
 }
 
 const int* MultiJagged::parts() const { return state_->problem->getSolution().getPartListView(); }
+
+int MultiJagged::owner(int dims, double* point) const {
+  int part = -1;
+  (void)guarded([&] { part = state_->problem->getSolution().pointAssign(dims, point); });
+  return part;
+}
 
 void start_zoltan2(int* argc, char*** argv) { Tpetra::initialize(argc, argv); }
 void finish_zoltan2() { Tpetra::finalize(); }

@@ -22,13 +22,16 @@ class MultiJagged {
   MultiJagged(const MultiJagged&) = delete;
   MultiJagged& operator=(const MultiJagged&) = delete;
 
-  // Collective. The arrays outlive the calls below.
+  // Collective. The arrays outlive the calls below. keep_boxes: owner() will be asked.
   std::string prepare(int dims, std::size_t count, const std::array<const double*, 3>& position, const std::int64_t* id,
-                      int parts);
+                      int parts, bool keep_boxes);
   // Collective.
   std::string solve();
   // [count], of the last solve(). Local.
   const int* parts() const;
+  // The part that a point [dims] is assigned to after the last solve(); -1 where that fails. Local, linear in the
+  // parts.
+  int owner(int dims, double* point) const;
 
  private:
   struct State;

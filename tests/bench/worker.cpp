@@ -21,18 +21,6 @@ namespace {
 
 constexpr unsigned kFinishSeconds = 30;
 
-Contenders make_contenders(partition::Comm& comm, const Wish& wish) {
-  Contenders all;
-  add_rcbd(comm, wish, all);
-#ifdef RCB_BENCH_ZOLTAN
-  add_zoltan(wish, all);
-#endif
-#ifdef RCB_BENCH_ZOLTAN2
-  add_zoltan2(wish, all);
-#endif
-  return all;
-}
-
 // Collective.
 Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& rows_path) {
   std::ofstream rows;
@@ -66,6 +54,18 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
 }
 
 }  // namespace
+
+Contenders make_contenders(partition::Comm& comm, const Wish& wish) {
+  Contenders all;
+  add_rcbd(comm, wish, all);
+#ifdef RCB_BENCH_ZOLTAN
+  add_zoltan(wish, all);
+#endif
+#ifdef RCB_BENCH_ZOLTAN2
+  add_zoltan2(wish, all);
+#endif
+  return all;
+}
 
 int run_worker(int argc, char** argv) {
   prctl(PR_SET_PDEATHSIG, SIGKILL);  // a rank doesn't outlive its mpirun
