@@ -38,7 +38,7 @@ struct Options {
       "MJ",
 #endif
   };
-  double timeout = 10;
+  double timeout = 20;
   bool quick = false;
   std::string json;
 };
@@ -104,8 +104,8 @@ Status run_method(const Options& options, const std::string& folder, const std::
     for (Json& row : rows)
       if (row.contains("cell")) tell(std::move(row));
     if (first < cells.size())
-      tell({{"failure", status.code() == Code::deadline_exceeded ? "hangs"
-                        : status.ok()                            ? "ends without an answer"
+      tell({{"failure", status.code() == Code::deadline_exceeded ? fmt::format("no answer in {} s", stall)
+                        : status.ok()                            ? std::string("ends without an answer")
                                                                  : "crashes: " + status.message()}});
   }
   return {};
@@ -158,7 +158,7 @@ int run_program(int argc, char** argv) {
   list(app.add_option("--ranks", options.ranks, "numbers of MPI ranks"));
   list(app.add_option("--scenes", options.scenes, "scenes (default: all)"));
   list(app.add_option("--methods", options.methods, "ours: rcb; peers: RCB, HSFC, MJ"));
-  app.add_option("--timeout", options.timeout, "seconds after which a peer is said to hang")->capture_default_str();
+  app.add_option("--timeout", options.timeout, "seconds for which a peer is waited")->capture_default_str();
   app.add_flag("--quick", options.quick, "50 and 2000 points, 7 and 64 parts, 1 and 3 ranks");
   app.add_option("--json", options.json, "write the result to this file");
   try {

@@ -6,6 +6,7 @@
 // 1. A coordinate and a weight follow from a code alone; code 0 is the plainest value of its family.
 // 2. Without RC_PARAMS every run makes the same scenes.
 #include <cmath>
+#include <csignal>
 #include <cstdlib>
 #include <iostream>
 #include <limits>
@@ -232,6 +233,12 @@ void old_axes(const CutTree& old_tree, const NodeRange& range, std::vector<int>&
   old_axes(old_tree, range.right(), out);
 }
 
+// A failed CHECK ends the program before rapidcheck can shrink or tell: the scene itself is better than nothing.
+const RandomScene* g_running = nullptr;
+void tell_scene(int) {
+  if (g_running != nullptr) showValue(*g_running, std::cerr);
+}
+
 // Runs the scene on its ranks; empty: nothing wrong.
 std::string wrong_with(const RandomScene& from) {
   Scene scene = scene_of(from);
@@ -319,13 +326,17 @@ void judge_scenes(int count, int rows_max, const Add& add) {
                    });
   rc::detail::TestMetadata metadata;
   metadata.id = ::testing::UnitTest::GetInstance()->current_test_info()->name();
+  std::signal(SIGABRT, tell_scene);
   const auto result = rc::detail::checkTestable(
       [&] {
         const RandomScene scene = *scenes;
+        g_running = &scene;
         const std::string wrong = wrong_with(scene);
+        g_running = nullptr;
         if (!wrong.empty()) RC_FAIL(wrong);
       },
       metadata, parameters);
+  std::signal(SIGABRT, SIG_DFL);
   std::ostringstream words;
   rc::detail::printResultMessage(result, words);
   ASSERT_TRUE(result.template is<rc::detail::SuccessResult>()) << "seed " << parameters.seed << "\n" << words.str();
