@@ -47,6 +47,7 @@ class Refiner {
   SelectNode question(int node) const;
   void select_level(std::vector<int> asked, int depth, std::span<std::int32_t> label);
   static void renumber(Buffer<Descent::Mover>& movers, std::span<const std::int32_t> number, int shift);
+  std::size_t axis_of(const SelectNode& ask, std::size_t word) const;
   // The first word that a bracket leaves open.
   std::size_t open_word(const SelectNode& ask) const;
   std::uint64_t word_of(const Descent::Mover& mover, std::size_t axis) const {
