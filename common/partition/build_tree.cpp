@@ -75,8 +75,12 @@ PartitionResult TreeBuilder::build() {
 
 bool TreeBuilder::refinable() const {
   constexpr std::size_t kLocalMax = std::size_t{1} << 31U;
+  constexpr std::uint64_t kPointsPerPart = 32;  // with a sparser sample the brackets are too wide to be worth a guess
+  const std::uint64_t count = rule_.quota(0, options_.parts);
   return !scale_ && axes_ > 0 && local_count_max_ < kLocalMax &&
-         rule_.quota(0, options_.parts) >= std::max<std::uint64_t>(options_.refinement.points_min, 1);
+         count >= std::max<std::uint64_t>(options_.refinement.points_min, 1) &&
+         (options_.refinement.sample > 0 ||
+          balanced_sample(count, comm_.size()) / kPointsPerPart >= static_cast<std::uint64_t>(options_.parts));
 }
 
 void TreeBuilder::refine() {

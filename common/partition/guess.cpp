@@ -11,7 +11,8 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr std::size_t kPointsMin = 48;  // of the sample, to guess a node below the first
-constexpr double kBracketMax = 0.4;     // of a node's points, likewise
+// The brackets on a way down hold at most this part of their particles together, which bounds the memory for those.
+constexpr double kStashMax = 0.36;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
@@ -120,6 +121,7 @@ int Guess::grow_node(const Seed& seed, std::span<SamplePoint> sample, const Fron
   node.all_left = node.inner && quota >= count;
   const bool mended = exact != nullptr && exact->misses > 0;  // nothing is guessed below
   double spread = 0;
+  double stashed = seed.stashed;
   std::size_t left_points = sample.size();
   node.expected = static_cast<double>(count);
   if (node.all_left) {
@@ -129,8 +131,8 @@ int Guess::grow_node(const Seed& seed, std::span<SamplePoint> sample, const Fron
     left_points = bracket(seed, sample, node, sigmas, spread);
     const double width = (2 * sigmas * std::sqrt(spread) + 2) / static_cast<double>(sample.size());
     node.expected *= std::min(width, 1.0);
-    // Too wide to be worth the guess: the node begins the next pass.
-    if (exact == nullptr && width > kBracketMax) node.inner = false;
+    stashed += std::min(width, 1.0);
+    if (exact == nullptr && stashed > kStashMax) node.inner = false;  // the node begins the next pass
   }
   if (mended) {
     node.whole = false;
@@ -141,18 +143,20 @@ int Guess::grow_node(const Seed& seed, std::span<SamplePoint> sample, const Fron
   depth_max_ = std::max(depth_max_, seed.depth);
   if (!node.certain) measured_depth_ = std::max(measured_depth_, seed.depth);
   nodes_.push_back(node);
-  if (node.inner) grow_children(index, seed, mended ? sample.first(0) : sample, mended ? 0 : left_points, spread);
+  if (node.inner)
+    grow_children(index, seed, mended ? sample.first(0) : sample, mended ? 0 : left_points, spread, stashed);
   nodes_[at(index)].end = static_cast<int>(nodes_.size());
   return index;
 }
 
 void Guess::grow_children(int index, const Seed& seed, std::span<SamplePoint> sample, std::size_t left_points,
-                          double spread) {
+                          double spread, double stashed) {
   const GuessNode node = nodes_[at(index)];
   Seed left = seed;
   left.range = seed.range.left();
   left.depth = seed.depth + 1;
   left.spread = spread;
+  left.stashed = stashed;
   Seed right = left;
   right.range = seed.range.right();
   const std::size_t axis = at(node.axes[0]);

@@ -88,13 +88,14 @@ class Guess {
     // A particle strictly inside these is in the node, likewise.
     Point core_lo{-kUnbounded, -kUnbounded, -kUnbounded};
     Point core_hi{kUnbounded, kUnbounded, kUnbounded};
-    double spread = 0;  // variance, in points of the sample, of where its own bounds lie
+    double stashed = 0;  // sum of the brackets above, as parts of their nodes
+    double spread = 0;   // variance, in points of the sample, of where its own bounds lie
   };
 
   int grow_node(const Seed& seed, std::span<SamplePoint> sample, const FrontierNode* exact);
   bool descends(const Seed& seed, std::span<const SamplePoint> sample, GuessNode& node) const;
-  void grow_children(int index, const Seed& seed, std::span<SamplePoint> sample, std::size_t left_points,
-                     double spread);
+  void grow_children(int index, const Seed& seed, std::span<SamplePoint> sample, std::size_t left_points, double spread,
+                     double stashed);
   bool order_is_certain(const AxisOrder& axes, const Bounds& core, const Bounds& outer) const;
   bool order_is_likely(const AxisOrder& axes, const Bounds& inner, const Bounds& outer, std::size_t points) const;
   // Brackets the cut; the sample's first points up to the number returned are left's.

@@ -14,16 +14,14 @@ constexpr std::uint64_t kIdMax = static_cast<std::uint64_t>(std::numeric_limits<
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
+}  // namespace
+
 // Every rank handles the whole sample, and its share of what the brackets hold: n / sqrt(sample). The two are in
 // balance where the sample grows as (n / ranks)^(2/3); the factor was measured.
-std::uint64_t sample_stride(std::uint64_t count, int ranks, const Refinement& refinement) {
+std::uint64_t balanced_sample(std::uint64_t count, int ranks) {
   const double share = static_cast<double>(count) / ranks;
-  const auto balanced = static_cast<std::uint64_t>(5 * std::cbrt(share) * std::cbrt(share));
-  const std::uint64_t wanted = refinement.sample > 0 ? refinement.sample : balanced;
-  return std::max<std::uint64_t>(count / std::max<std::uint64_t>(wanted, 1), 1);
+  return static_cast<std::uint64_t>(5 * std::cbrt(share) * std::cbrt(share));
 }
-
-}  // namespace
 
 Refiner::Refiner(Comm& comm, const particles::ParticleView& particles, const SplitRule& rule,
                  const PartitionOptions& options)
@@ -39,7 +37,9 @@ Refiner::Refiner(Comm& comm, const particles::ParticleView& particles, const Spl
 
 void Refiner::run(const Bounds& all, CutTree& tree, std::span<std::int32_t> part) {
   tree_ = &tree;
-  sample_ = draw_sample(comm_, particles_, sample_stride(rule_.quota(0, tree.parts), comm_.size(), refinement_));
+  const std::uint64_t count = rule_.quota(0, tree.parts);
+  const std::uint64_t wanted = refinement_.sample > 0 ? refinement_.sample : balanced_sample(count, comm_.size());
+  sample_ = draw_sample(comm_, particles_, std::max<std::uint64_t>(count / std::max<std::uint64_t>(wanted, 1), 1));
   ++reductions_;
   counts_.sampled = sample_.size();
   frontier_.assign(1, FrontierNode{tree.root(), rule_.axes_of(tree.root(), all), all, 0, sample_.size()});

@@ -23,6 +23,9 @@
 
 namespace rcb::partition {
 
+// Points of the sample that balance its cost and its use. Local.
+std::uint64_t balanced_sample(std::uint64_t count, int ranks);
+
 class Refiner {
  public:
   // Without weights. Every rank has fewer than 2^31 particles.
