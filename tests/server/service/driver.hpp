@@ -99,7 +99,9 @@ class Driver {
   }
 
   PushSlice slice_of(const Particles& particles, int rank) const {
-    return slice_by_rows(particles, rank, plan_.rows(rank));
+    std::vector<std::uint64_t> rows(plan_.rows(rank).begin(), plan_.rows(rank).end());
+    std::erase_if(rows, [&](std::uint64_t row) { return row >= particles.count(); });  // a push of too few
+    return slice_by_rows(particles, rank, rows);
   }
 
   PushSlice slice_by_rows(const Particles& particles, int rank, std::span<const std::uint64_t> rows) const {
