@@ -89,7 +89,7 @@ TEST(WideCounts, CutsFallWhereTheQuotasSay) {
       std::uint64_t part = group;
       if (in_group >= kHeavy) {
         const u128 before = u128{group + 1} * kHeavy * kCopies + u128{group} * kLight + (in_group - kHeavy);
-        part += before < (group + 1) * n / groups ? 0 : 1;
+        part += before < u128{group + 1} * n / groups ? 0U : 1U;
       }
       ASSERT_EQ(got.part[i], static_cast<std::int32_t>(part)) << "particle " << i << ", parts " << parts;
     }
