@@ -10,6 +10,7 @@ class BadInput(unittest.TestCase):
     def setUpClass(cls):
         cls.dir = tempfile.mkdtemp(prefix="rcb-bad-")
         cls.service = Service(3)
+        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
         cls.points = np.random.default_rng(3).random((60, 3))
         cls.good = cls.save("good.npy", cls.points)
         cls.service.json("scene", "create", "a", "--parts", 4)
@@ -17,7 +18,6 @@ class BadInput(unittest.TestCase):
 
     @classmethod
     def tearDownClass(cls):
-        cls.service.stop()
         shutil.rmtree(cls.dir)
 
     @classmethod

@@ -13,6 +13,7 @@ class Commands(unittest.TestCase):
     def setUpClass(cls):
         cls.dir = tempfile.mkdtemp(prefix="rcb-commands-")
         cls.service = Service(3)
+        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
         cls.points = np.random.default_rng(8).random((400, 3))
         cls.file = cls.path("points.npy")
         np.save(cls.file, cls.points)
@@ -22,7 +23,6 @@ class Commands(unittest.TestCase):
 
     @classmethod
     def tearDownClass(cls):
-        cls.service.stop()
         shutil.rmtree(cls.dir)
 
     @classmethod

@@ -35,10 +35,10 @@ class Documents(unittest.TestCase):
     def setUpClass(cls):
         cls.dir = tempfile.mkdtemp(prefix="rcb-documents-")
         cls.service = Service(2)
+        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
 
     @classmethod
     def tearDownClass(cls):
-        cls.service.stop()
         shutil.rmtree(cls.dir)
 
     def test_the_readme_program(self):

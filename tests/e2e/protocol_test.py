@@ -11,11 +11,8 @@ class Protocol(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.service = Service(3)
+        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
         cls.path = cls.service.endpoint[5:]
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.service.stop()
 
     def client(self, **kwargs):
         return Client(self.path, **kwargs)

@@ -11,6 +11,7 @@ class Reports(unittest.TestCase):
     def setUpClass(cls):
         cls.dir = tempfile.mkdtemp(prefix="rcb-reports-")
         cls.service = Service(8)
+        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
         cls.trajectory = os.path.join(cls.dir, "t.npy")
         cls.runs = {}
         for tolerance in ("inf", "0.1"):
@@ -22,7 +23,6 @@ class Reports(unittest.TestCase):
 
     @classmethod
     def tearDownClass(cls):
-        cls.service.stop()
         shutil.rmtree(cls.dir)
 
     def compare(self, reports, expected):
