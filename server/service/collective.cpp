@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <numeric>
 
 #include "common/base/random.hpp"
 
@@ -25,6 +26,32 @@ Status agree_status(partition::Comm& comm, const Status& here) {
   std::string text = mine ? here.message() + here.hint() : std::string(header[1] + header[2], '\0');
   comm.broadcast(std::as_writable_bytes(std::span(text)), root);
   return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
+}
+
+Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
+  Buffer<std::uint64_t> order(ids.size());
+  std::iota(order.begin(), order.end(), std::uint64_t{0});
+  std::vector<std::size_t> ends;  // of the runs
+  for (std::size_t k = 1; k < ids.size(); ++k)
+    if (ids[k] < ids[k - 1]) ends.push_back(k);
+  ends.push_back(ids.size());
+  const auto less = [&ids](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; };
+  Buffer<std::uint64_t> merged(order.size());
+  while (ends.size() > 1) {
+    std::vector<std::size_t> merged_ends;
+    std::size_t begin = 0;
+    for (std::size_t r = 0; r < ends.size(); r += 2) {
+      const std::size_t middle = ends[r];
+      const std::size_t end = r + 1 < ends.size() ? ends[r + 1] : middle;
+      std::merge(order.begin() + begin, order.begin() + middle, order.begin() + middle, order.begin() + end,
+                 merged.begin() + begin, less);
+      merged_ends.push_back(end);
+      begin = end;
+    }
+    order.swap(merged);
+    ends.swap(merged_ends);
+  }
+  return order;
 }
 
 std::optional<particles::Id> duplicate_id(partition::Comm& comm, std::span<const particles::Id> ids) {

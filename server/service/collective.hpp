@@ -1,4 +1,4 @@
-// Small collectives that the commands share.
+// Small pieces that the commands share: collectives, and the order of gathered particles.
 #pragma once
 
 #include <array>
@@ -16,6 +16,10 @@ namespace rcb::service {
 
 // The failure of the lowest rank that has one, on every rank; ok if all are. Collective.
 Status agree_status(partition::Comm& comm, const Status& here);
+
+// Which particle is the k-th in ascending id. Ids come in few ascending runs (one from each rank), so runs are merged
+// two by two. Local.
+Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids);
 
 // The smallest id that occurs twice among all ranks' ids; nothing if all are distinct. Collective.
 std::optional<particles::Id> duplicate_id(partition::Comm& comm, std::span<const particles::Id> ids);

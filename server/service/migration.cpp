@@ -8,6 +8,7 @@
 
 #include "common/partition/comm.hpp"
 #include "common/plan/plan.hpp"
+#include "server/service/collective.hpp"
 
 namespace rcb::service {
 namespace {
@@ -89,34 +90,6 @@ void for_each_array(Scene& scene, Arrivals& arrivals, const Apply& apply) {
   apply(scene.particles.id, arrivals.particles.id);
   if (scene.particles.has_weights) apply(scene.particles.weight, arrivals.particles.weight);
   apply(scene.part, arrivals.part);
-}
-
-// Which particle is the k-th in ascending id. Ids come in few ascending runs (those that stayed, then a run from each
-// rank), so runs are merged two by two.
-Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
-  Buffer<std::uint64_t> order(ids.size());
-  std::iota(order.begin(), order.end(), std::uint64_t{0});
-  std::vector<std::size_t> ends;  // of the runs
-  for (std::size_t k = 1; k < ids.size(); ++k)
-    if (ids[k] < ids[k - 1]) ends.push_back(k);
-  ends.push_back(ids.size());
-  const auto less = [&ids](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; };
-  Buffer<std::uint64_t> merged(order.size());
-  while (ends.size() > 1) {
-    std::vector<std::size_t> merged_ends;
-    std::size_t begin = 0;
-    for (std::size_t r = 0; r < ends.size(); r += 2) {
-      const std::size_t middle = ends[r];
-      const std::size_t end = r + 1 < ends.size() ? ends[r + 1] : middle;
-      std::merge(order.begin() + begin, order.begin() + middle, order.begin() + middle, order.begin() + end,
-                 merged.begin() + begin, less);
-      merged_ends.push_back(end);
-      begin = end;
-    }
-    order.swap(merged);
-    ends.swap(merged_ends);
-  }
-  return order;
 }
 
 // Puts particles into ascending id.

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 
 #include <fmt/format.h>
 
@@ -128,14 +127,6 @@ Response box(Context& context, const wire::Json& request) {
   return done({{"scene", s.name}, {"epoch", s.epoch}, {"parts", s.tree.parts_touching({lo.value(), hi.value()})}});
 }
 
-// order[k]: where in gathered arrays the particle of the k-th smallest id stands.
-Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
-  Buffer<std::uint64_t> order(ids.size());
-  std::iota(order.begin(), order.end(), std::uint64_t{0});
-  std::sort(order.begin(), order.end(), [&](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; });
-  return order;
-}
-
 template <typename T>
 void append_sorted(Context& context, Response& response, const char* name, const char* dtype, std::span<const T> values,
                    const Buffer<std::uint64_t>& order) {
@@ -148,7 +139,7 @@ void append_sorted(Context& context, Response& response, const char* name, const
 // The arrays of all ranks in ascending id: id, then positions and weight where asked, then part. Collective.
 void append_particles(Context& context, const Scene& scene, bool positions, Response& response) {
   const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
-  const Buffer<std::uint64_t> order = ascending(ids);
+  const Buffer<std::uint64_t> order = order_by_id(ids);
   append_sorted<particles::Id>(context, response, "id", "<i8", scene.particles.id.span(), order);
   if (positions) {
     for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)

@@ -90,9 +90,7 @@ Response rebalance(Context& context, const wire::Json& request) {
                                                       options.parts, &found->tree, std::nullopt));
   } else {
     scene.options = options;
-    scene.search_rounds = found->rounds;
-    scene.search_reductions = found->reductions;
-    adopt(scene, std::move(found->tree), std::move(found->part), std::move(loads));
+    adopt(scene, std::move(found).value(), std::move(loads));
     migrate(context.comm, scene, false);
   }
   json["epoch"] = scene.epoch;

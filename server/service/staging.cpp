@@ -161,7 +161,7 @@ void scatter_array(Context& context, const Scene& scene, const PushRequest& push
       if (a < slice.arrays.size()) slice.arrays[a].bytes.release();
 }
 
-Status check_header(const Context& context, const Scene& scene, const PushRequest& push) {
+Status check_header(const Scene& scene, const PushRequest& push) {
   if (scene.step && push.step <= *scene.step)
     return {Code::stale_step,
             fmt::format("step {} of scene '{}' is not above the last one, {}", push.step, scene.name, *scene.step),
@@ -183,7 +183,6 @@ Status check_header(const Context& context, const Scene& scene, const PushReques
     return {Code::stale_plan,
             fmt::format("push has plan version {}, but scene '{}' has no positions yet", push.plan_version, scene.name),
             "the first push goes by blocks of rows, plan version 0"};
-  (void)context;
   return {};
 }
 
@@ -264,7 +263,7 @@ Status check_values(partition::Comm& comm, const particles::ParticleView& view, 
 Result<Staged> prepare(Context& context, const Scene& scene, const PushRequest& push) {
   const double start = context.clock.seconds();
   partition::Comm& comm = context.comm;
-  if (Status status = check_header(context, scene, push); !status.ok()) return status;
+  if (Status status = check_header(scene, push); !status.ok()) return status;
 
   Staged staged;
   staged.n = push.n;

@@ -1,8 +1,5 @@
 #include "server/service/step.hpp"
 
-#include <algorithm>
-#include <numeric>
-
 #include "common/partition/partition.hpp"
 #include "common/plan/plan.hpp"
 #include "server/service/collective.hpp"
@@ -45,9 +42,7 @@ PartChanges local_changes(const Scene& scene, const Buffer<std::int32_t>& old_pa
 void gather_changes(partition::Comm& comm, const PartChanges& local, PartChanges& all) {
   const auto ids = gather_values<particles::Id>(comm, local.id.span());
   const auto parts = gather_values<std::int32_t>(comm, local.part.span());
-  Buffer<std::uint64_t> order(ids.size());
-  std::iota(order.begin(), order.end(), std::uint64_t{0});
-  std::sort(order.begin(), order.end(), [&](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; });
+  const Buffer<std::uint64_t> order = order_by_id(ids);
   all.id.resize(ids.size());
   all.part.resize(ids.size());
   for (std::size_t k = 0; k < order.size(); ++k) {
@@ -79,9 +74,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   partition::PartitionResult found = search(context, scene, true);
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
                                           scene.options.part_sizes, scene.options.parts);
-  scene.search_rounds = found.rounds;
-  scene.search_reductions = found.reductions;
-  adopt(scene, std::move(found.tree), std::move(found.part), std::move(loads));
+  adopt(scene, std::move(found), std::move(loads));
   report.repartitioned = true;
   report.reason = "first positions";
   report.seconds.search = context.clock.seconds() - start;
@@ -104,9 +97,7 @@ void try_repartition(Context& context, Scene& scene, const Decision& decision, d
   std::uint64_t moved = count_differences(scene.part.span(), found.part.span());
   context.comm.all_sum({&moved, 1});
   report.moved = moved;
-  scene.search_rounds = found.rounds;
-  scene.search_reductions = found.reductions;
-  adopt(scene, std::move(found.tree), std::move(found.part), std::move(loads));
+  adopt(scene, std::move(found), std::move(loads));
 }
 
 void later_step(Context& context, Scene& scene, Staged& staged, const Buffer<std::int32_t>& old_part,
@@ -161,9 +152,11 @@ std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const
   return count;
 }
 
-void adopt(Scene& scene, partition::CutTree tree, Buffer<std::int32_t> part, partition::LoadSummary loads) {
-  scene.tree = std::move(tree);
-  scene.part = std::move(part);
+void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummary loads) {
+  scene.search_rounds = found.rounds;
+  scene.search_reductions = found.reductions;
+  scene.tree = std::move(found.tree);
+  scene.part = std::move(found.part);
   scene.loads = std::move(loads);
   scene.error_when_not_adopted.reset();
   ++scene.epoch;

@@ -2,6 +2,7 @@
 // particle goes to the rank that owns it.
 #pragma once
 
+#include "common/partition/partition.hpp"
 #include "server/service/staging.hpp"
 
 namespace rcb::service {
@@ -15,9 +16,8 @@ struct PartChanges {
 // Collective. Can't fail: what could was checked by prepare(). `changes`: null where nobody asks.
 StepReport commit(Context& context, Scene& scene, Staged staged, const PushRequest& push, PartChanges* changes);
 
-// Replaces the partition by the pure rule or at a step: cuts, loads, epoch, statistics of the search.
-// part: what each local particle's part becomes; the caller migrates. Local.
-void adopt(Scene& scene, partition::CutTree tree, Buffer<std::int32_t> part, partition::LoadSummary loads);
+// Puts a partition in force: cuts, parts, loads, epoch, statistics of the search. The caller migrates. Local.
+void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummary loads);
 
 // Local particles that differ in two assignments.
 std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b);

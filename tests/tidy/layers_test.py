@@ -16,7 +16,7 @@ ARROWS = {
     "common/io": ["common/base"],
     "server/service": ["common/partition", "common/plan", "common/wire", "common/io"],
     "server/ranks": ["server/service"],
-    "server/net": ["common/wire", "server/service"],
+    "server/net": ["common/wire"],
     "server": ["server/ranks", "server/net"],
     "client/lib": ["common/wire", "common/plan"],
     "client/launch": ["client/lib"],
