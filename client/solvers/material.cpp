@@ -22,7 +22,8 @@ Result<NeoHookean> NeoHookean::create(double density, double youngs_modulus, dou
   return NeoHookean(density, mu, lambda);
 }
 
-StressPass NeoHookean::update(std::span<Mat3> deformation, std::span<Mat3> kirchhoff) const {
+StressPass NeoHookean::update(std::span<Mat3> deformation, std::span<double> /*memory*/,
+                              std::span<Mat3> kirchhoff) const {
   StressPass pass;
   double stiffness_max = 0;
   for (std::size_t p = 0; p < deformation.size(); ++p) {
@@ -49,7 +50,7 @@ StressPass NeoHookean::update(std::span<Mat3> deformation, std::span<Mat3> kirch
   return pass;
 }
 
-double NeoHookean::energy_density(const Mat3& deformation) const {
+double NeoHookean::energy_density(const Mat3& deformation, double /*memory*/) const {
   const double log_j = std::log(determinant(deformation));
   return 0.5 * mu_ * (sum_of_squares(deformation) - 3) - mu_ * log_j + 0.5 * lambda_ * log_j * log_j;
 }

@@ -3,6 +3,7 @@
 // 1. A law sees deformation gradients only; it knows neither grid nor neighbours.
 // 2. `update` may replace a deformation gradient by its admissible elastic part (a plastic law's return mapping);
 //    an elastic law leaves it alone.
+// 3. A law with a memory keeps one number a point in it, 0 at the start; nobody else reads it.
 #pragma once
 
 #include <cstddef>
@@ -28,10 +29,11 @@ class Material {
   virtual double density() const = 0;  // undeformed, kg/m^3
   // Kirchhoff stress of each point, in Pa (Cauchy stress times the volume ratio).
   //   deformation  [count], deformation gradients; a plastic law changes them
+  //   memory       [count], the law's own
   //   kirchhoff    [count], written; left unfinished from a broken point on
-  virtual StressPass update(std::span<Mat3> deformation, std::span<Mat3> kirchhoff) const = 0;
-  // Stored energy per undeformed volume, J/m^3.
-  virtual double energy_density(const Mat3& deformation) const = 0;
+  virtual StressPass update(std::span<Mat3> deformation, std::span<double> memory, std::span<Mat3> kirchhoff) const = 0;
+  // Stored energy per undeformed volume, J/m^3; of a plastic law what its return mapping would leave.
+  virtual double energy_density(const Mat3& deformation, double memory) const = 0;
 };
 
 // Compressible neo-Hookean solid: psi = mu/2 (tr(F F^T) - 3) - mu ln J + lambda/2 (ln J)^2.
@@ -42,8 +44,8 @@ class NeoHookean final : public Material {
   static Result<NeoHookean> create(double density, double youngs_modulus, double poissons_ratio);
 
   double density() const override { return density_; }
-  StressPass update(std::span<Mat3> deformation, std::span<Mat3> kirchhoff) const override;
-  double energy_density(const Mat3& deformation) const override;
+  StressPass update(std::span<Mat3> deformation, std::span<double> memory, std::span<Mat3> kirchhoff) const override;
+  double energy_density(const Mat3& deformation, double memory = 0) const override;
   double mu() const { return mu_; }
   double lambda() const { return lambda_; }
 

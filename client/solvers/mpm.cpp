@@ -44,9 +44,9 @@ Mpm::Mpm(const MpmOptions& options)
   for (std::size_t a = 0; a < 3; ++a) {
     Vec3 inward{};
     inward[a] = 1;
-    ground_.push_back({lo_, inward, false});
+    ground_.push_back({lo_, inward, 0});
     inward[a] = -1;
-    ground_.push_back({hi_, inward, false});
+    ground_.push_back({hi_, inward, 0});
     origin_[a] = lo_[a] - kMarginNodes * spacing_;
     nodes_[a] = static_cast<std::size_t>(std::ceil((hi_[a] - lo_[a]) / spacing_) + 2 * kMarginNodes + 1);
   }
@@ -76,6 +76,7 @@ Status Mpm::add_body(std::shared_ptr<const Material> material, const Cloud& clou
   }
   affine_.resize(first + count);
   deformation_.resize(first + count, Mat3::identity());
+  memory_.resize(first + count);
   speed_max_ = std::max(speed_max_, norm(velocity));
   for (std::size_t p = first; p < first + count; ++p)
     potential_start_ += potential_of(gravity, bodies_.back().mass, {position_[0][p], position_[1][p], position_[2][p]});
@@ -89,8 +90,7 @@ Status Mpm::advance(double seconds) {
   for (std::uint64_t done = 0; remaining > 0; ++done) {
     const auto speed = update_stress();
     if (!speed) return speed.status();
-    const double dt_max = cfl_ * spacing_ / *speed;
-    const double pieces = std::max(1.0, std::ceil(remaining / dt_max));
+    const double pieces = std::max(1.0, std::ceil(remaining / dt_max(*speed)));
     if (!(pieces + static_cast<double>(done) <= static_cast<double>(kSubstepsMax)))
       return Status(Code::too_large,
                     fmt::format("{:.3g} s of motion would need {:.3g} substeps at a signal speed of {:.3g} m/s and a "
@@ -98,12 +98,11 @@ Status Mpm::advance(double seconds) {
                                 seconds, pieces + static_cast<double>(done), *speed, spacing_, kSubstepsMax),
                     "shorten the interval, soften the material or use fewer points");
     const double dt = remaining / pieces;
-    points_to_grid(dt);
-    move_grid();
-    if (Status status = grid_to_points(dt); !status.ok()) return status;
-    ++substeps_;
+    particles_to_grid(dt);
+    update_grid();
+    if (Status status = grid_to_particles(dt); !status.ok()) return status;
     remaining = pieces > 1 ? remaining - dt : 0;
-    time_ = end - remaining;
+    time_ = end - remaining;  // without the rounding of a sum
   }
   return {};
 }
@@ -127,6 +126,7 @@ Result<double> Mpm::update_stress() {
   double wave_speed = 0;
   for (const Body& body : bodies_) {
     const StressPass pass = body.material->update(std::span(deformation_).subspan(body.first, body.count),
+                                                  std::span(memory_).subspan(body.first, body.count),
                                                   std::span(stress_).subspan(body.first, body.count));
     if (pass.broken != StressPass::kNone)
       return Status(Code::invalid_argument,
@@ -137,8 +137,30 @@ Result<double> Mpm::update_stress() {
   return wave_speed + speed_max_;
 }
 
-void Mpm::points_to_grid(double dt) {
-  std::fill(grid_.begin(), grid_.end(), Node{});
+// The nodes that any point's stencil meets.
+NodeBox Mpm::reach() const {
+  NodeBox box;
+  if (size() == 0) return box;
+  for (std::size_t a = 0; a < 3; ++a) {
+    const auto [low, high] = std::minmax_element(position_[a].begin(), position_[a].end());
+    box.first[a] = static_cast<std::size_t>((*low - origin_[a]) / spacing_ - 0.5);
+    box.last[a] = static_cast<std::size_t>((*high - origin_[a]) / spacing_ - 0.5) + 3;
+  }
+  return box;
+}
+
+void Mpm::clear_grid() {
+  const NodeBox& box = touched_;
+  for (std::size_t i = box.first[0]; i < box.last[0]; ++i)
+    for (std::size_t j = box.first[1]; j < box.last[1]; ++j) {
+      Node* row = &grid_[(i * nodes_[1] + j) * nodes_[2]];
+      std::fill(row + box.first[2], row + box.last[2], Node{});
+    }
+}
+
+void Mpm::particles_to_grid(double dt) {
+  clear_grid();
+  touched_ = reach();
   const std::size_t row = nodes_[2];
   const std::size_t plane = nodes_[1] * nodes_[2];
   for (const Body& body : bodies_) {
@@ -182,19 +204,24 @@ void Mpm::points_to_grid(double dt) {
 Vec3 Mpm::held(const Vec3& x, Vec3 velocity) const {
   for (const Ground& ground : ground_) {
     if (dot(ground.normal, x - ground.point) > 0) continue;
-    if (ground.sticky) return {};
+    if (ground.friction == Ground::kSticky) return {};
     const double inward = dot(ground.normal, velocity);
-    if (inward < 0) velocity = velocity - inward * ground.normal;
+    if (inward >= 0) continue;
+    velocity = velocity - inward * ground.normal;
+    if (ground.friction == 0) continue;
+    const double along = norm(velocity);
+    const double taken = -inward * ground.friction;
+    velocity = taken < along ? (1 - taken / along) * velocity : Vec3{};
   }
   return velocity;
 }
 
-void Mpm::move_grid() {
-  std::size_t n = 0;
-  for (std::size_t i = 0; i < nodes_[0]; ++i)
-    for (std::size_t j = 0; j < nodes_[1]; ++j)
-      for (std::size_t k = 0; k < nodes_[2]; ++k, ++n) {
-        std::array<double, 4>& value = grid_[n].value;
+void Mpm::update_grid() {
+  const NodeBox& box = touched_;
+  for (std::size_t i = box.first[0]; i < box.last[0]; ++i)
+    for (std::size_t j = box.first[1]; j < box.last[1]; ++j)
+      for (std::size_t k = box.first[2]; k < box.last[2]; ++k) {
+        std::array<double, 4>& value = grid_[(i * nodes_[1] + j) * nodes_[2] + k].value;
         const double mass = value[3];
         if (mass == 0) continue;
         const Vec3 free{value[0] / mass, value[1] / mass, value[2] / mass};
@@ -208,7 +235,7 @@ void Mpm::move_grid() {
       }
 }
 
-Status Mpm::grid_to_points(double dt) {
+Status Mpm::grid_to_particles(double dt) {
   const std::size_t row = nodes_[2];
   const std::size_t plane = nodes_[1] * nodes_[2];
   double speed_squared_max = 0;
@@ -250,6 +277,8 @@ Status Mpm::grid_to_points(double dt) {
     speed_squared_max = std::max(speed_squared_max, dot(v, v));
   }
   speed_max_ = std::sqrt(speed_squared_max);
+  time_ += dt;
+  ++substeps_;
   return {};
 }
 
@@ -275,7 +304,7 @@ Balance Mpm::balance() const {
       sum.angular = sum.angular + body.mass * (cross(x, v) + affine_scale * spin);
       sum.speed_sum += body.mass * norm(v);
       sum.kinetic += 0.5 * body.mass * (dot(v, v) + affine_scale * sum_of_squares(c));
-      sum.elastic += body.volume * body.material->energy_density(deformation_[p]);
+      sum.elastic += body.volume * body.material->energy_density(deformation_[p], memory_[p]);
       sum.potential += potential_of(body.gravity, body.mass, x);
     }
   sum.potential -= potential_start_;

@@ -10,10 +10,13 @@
 // 3. No substep is longer than cfl * spacing / (wave speed + point speed), both taken anew before each.
 // 4. Points stay in the domain: its walls are smooth (nothing passes them, they don't hold anything back), and a
 //    point found outside all the same ends the run.
+// 5. A substep falls into parts, so that several of these, each with some of the points, can share one grid: between
+//    particles_to_grid() and update_grid() somebody may add up their grids.
 #pragma once
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <span>
 #include <vector>
@@ -25,11 +28,24 @@
 
 namespace rcb::solvers {
 
-// Solid ground: every grid node with normal . (x - point) <= 0 is held.
+// Solid ground: every grid node with normal . (x - point) <= 0 is held. Nothing moves into it; motion along it is held
+// back by at most `friction` times what was taken from the motion into it (Coulomb); motion out of it is free.
 struct Ground {
+  static constexpr double kSticky = std::numeric_limits<double>::infinity();  // no motion at all, none out of it either
+
   Vec3 point{};
-  Vec3 normal{};       // of length 1, out of the ground
-  bool sticky = true;  // true: no motion at all; false: smooth, no motion into it
+  Vec3 normal{};  // of length 1, out of the ground
+  double friction = kSticky;
+};
+
+struct Node {
+  alignas(32) std::array<double, 4> value;  // momentum, after update_grid() velocity, of x, y, z; mass
+};
+
+// The grid nodes first[a] <= k < last[a] on each axis.
+struct NodeBox {
+  std::array<std::size_t, 3> first{};
+  std::array<std::size_t, 3> last{};
 };
 
 struct MpmOptions {
@@ -77,6 +93,23 @@ class Mpm {
   // Errors: a point left the domain or turned inside out, or kSubstepsMax would be passed; the state is then of no use.
   Status advance(double seconds);
 
+  // The parts of a substep, in this order; advance() is nothing but these. Several cores that together hold one body
+  // take the largest of their signal speeds, one dt, and between the second and the third part sum values node by node
+  // within their touched() boxes. Physics is then that of one core but for rounding; impulse() counts gravity on this
+  // core's points only, but the boundaries' share on all nodes that it touched.
+  Result<double> update_stress();  // the fastest signal, m/s; errors: a point turned inside out
+  double dt_max(double signal_speed) const { return cfl_ * spacing_ / signal_speed; }
+  void particles_to_grid(double dt);
+  void update_grid();
+  Status grid_to_particles(double dt);  // errors: a point left the domain
+
+  // The grid: node (i, j, k) lies at grid_origin() + (i, j, k) * spacing(), and is number
+  // (i * grid_nodes()[1] + j) * grid_nodes()[2] + k. Of meaning only within touched(), where points reach; 0 elsewhere.
+  std::span<Node> grid() { return grid_; }
+  const std::array<std::size_t, 3>& grid_nodes() const { return nodes_; }
+  const Vec3& grid_origin() const { return origin_; }
+  const NodeBox& touched() const { return touched_; }
+
   std::size_t size() const { return position_[0].size(); }
   std::span<const double> position(std::size_t axis) const { return position_[axis]; }  // [size]
   std::span<const double> velocity(std::size_t axis) const { return velocity_[axis]; }  // [size]
@@ -95,9 +128,6 @@ class Mpm {
     double volume;  // of one point, undeformed
     Vec3 gravity;
   };
-  struct alignas(32) Node {
-    std::array<double, 4> value;  // momentum, then velocity, of x, y, z; mass
-  };
   struct Stencil {
     std::size_t first;                            // the base node
     Vec3 offset;                                  // from the base node to the point, in spacings
@@ -106,11 +136,9 @@ class Mpm {
 
   explicit Mpm(const MpmOptions& options);
   Stencil stencil(std::size_t p) const;
-  Result<double> update_stress();  // the fastest signal, m/s
-  void points_to_grid(double dt);
-  void move_grid();
+  void clear_grid();
+  NodeBox reach() const;
   Vec3 held(const Vec3& x, Vec3 velocity) const;
-  Status grid_to_points(double dt);
   Status left_domain(std::size_t p) const;
 
   Vec3 lo_;
@@ -121,13 +149,15 @@ class Mpm {
   Vec3 origin_{};                       // the first node
   std::array<std::size_t, 3> nodes_{};  // an axis; the last axis is contiguous
   std::vector<Node> grid_;
+  NodeBox touched_;
 
   std::vector<Body> bodies_;
   std::array<std::vector<double>, 3> position_;
   std::array<std::vector<double>, 3> velocity_;
   std::vector<Mat3> affine_;
   std::vector<Mat3> deformation_;
-  std::vector<Mat3> stress_;  // Kirchhoff
+  std::vector<double> memory_;  // of the laws
+  std::vector<Mat3> stress_;    // Kirchhoff
   double speed_max_ = 0;
   double potential_start_ = 0;
   double time_ = 0;

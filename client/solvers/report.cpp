@@ -26,6 +26,13 @@ json energy_json(const PhysicsCheck& physics) {
           {"potential", physics.end.potential}};
 }
 
+// The front lies a little inside the body: it reaches `length` at the start and what it gains is what ran out.
+json runout_json(const RunRecord& record) {
+  if (!record.runout) return {};
+  const auto& [length, start, end] = *record.runout;
+  return {{"length", length}, {"front_start", start}, {"front_end", end}, {"relative", (end - start) / length}};
+}
+
 }  // namespace
 
 std::string failure_document(const Status& status) {
@@ -50,12 +57,14 @@ std::string json_document(const Program& program, const RunOptions& options, con
       {"steps", options.steps},
       {"parts", options.parts},
       {"tolerance", std::isinf(options.tolerance) ? json("inf") : json(options.tolerance)},
+      {"policy", options.policy},
       {"repartitions", options.no_service ? json() : json(record.repartitions())},
       {"error_max", largest ? json(largest->error) : json()},
       {"error_max_step", largest ? json(largest->step) : json()},
       {"reports", std::move(reports)},
       {"momentum", momentum_json(record.physics)},
       {"energy", energy_json(record.physics)},
+      {"runout", runout_json(record)},
       {"substeps", record.substeps},
       {"seconds", {{"physics", record.seconds_physics}, {"service", record.seconds_service}}},
   };
@@ -66,8 +75,10 @@ std::string summary(const Program& program, const RunOptions& options, double in
   const double frames = static_cast<double>(record.steps_done + 1);
   std::string text = fmt::format("{}: {} points, {} steps of {:g} s in {} substeps", program.name, options.points,
                                  options.steps, interval, record.substeps);
-  if (!options.no_service)
+  if (!options.no_service) {
     text += fmt::format(", scene {} in {} parts, tolerance {:g}", options.scene, options.parts, options.tolerance);
+    if (options.policy != RunOptions{}.policy) text += ", policy " + options.policy;
+  }
   text += '\n';
   if (const auto largest = record.largest_error()) {
     text += fmt::format("  repartitions   {} (the first partition included)\n", record.repartitions());
@@ -79,6 +90,10 @@ std::string summary(const Program& program, const RunOptions& options, double in
   text += fmt::format("  momentum       conserved to {:.1e} of the sum of mass times speed\n", physics.momentum_drift);
   text += fmt::format("  energy         {:.6g} J at the start, {:.6g} J at the end, never more than {:.6g} J",
                       physics.start.energy(), physics.end.energy(), physics.energy_largest);
+  if (record.runout)
+    text += fmt::format("\n  run-out        {:.4g} m, {:.3g} of the initial length of {:g} m",
+                        record.runout->end - record.runout->start,
+                        (record.runout->end - record.runout->start) / record.runout->length, record.runout->length);
   if (!options.trajectory.empty()) text += fmt::format("\n  trajectory     {}", options.trajectory);
   return text;
 }

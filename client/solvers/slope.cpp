@@ -8,20 +8,33 @@ int main(int argc, char** argv) {
   program.name = "slope";
   program.version = RCB_VERSION;
   program.description =
-      "A submarine slope, 400 m long: two elastic layers of clay on an inclined bed settle under their\n"
-      "buoyant weight (material point method, 3-D). Every step's positions are pushed to the partitioning\n"
-      "service rcbd.\n"
+      "A submarine slope, 400 m long: a sheet of sediment fails on its weak, inclined bed and runs out into a\n"
+      "basin (material point method, 3-D; Drucker-Prager plasticity, Coulomb friction on the bed). Every step's\n"
+      "positions are pushed to the partitioning service rcbd.\n"
       "Its initial state alone, as an input file for rcbctl:\n"
-      "  slope --points 1068285 --steps 0 --no-service --trajectory slope.npy";
+      "  slope --points 1068285 --steps 0 --no-service --trajectory slope.npy\n"
+      "A column of dry sand instead, as high as its base is long, to compare with measured run-outs:\n"
+      "  slope --column 1 --no-service";
   program.defaults.points = scene.points;
-  program.defaults.steps = 50;
+  program.defaults.steps = 200;
   program.defaults.scene = "slope";
+  double column = 0;
   program.numbers = {
+      {"--unit-weight", "of the sediment, submerged, N/m^3", &scene.unit_weight},
+      {"--friction-angle", "of the sediment, degrees", &scene.friction_angle},
+      {"--bed-friction", "between sediment and bed, degrees; a column's bed has the sediment's", &scene.bed_friction},
+      {"--youngs-modulus", "stiffness of the upper layer, Pa; the lower one has half as much again",
+       &scene.youngs_modulus},
+      {"--poissons-ratio", "-1 to 0.5", &scene.poissons_ratio},
       {"--interval", "time of a step, s; substeps are taken as stability asks", &scene.interval},
+      {"--column", "height over length of a column that collapses instead; 0: the slope", &column},
   };
-  program.build = [&scene](std::uint64_t points) {
-    scene.points = points;
-    return make_slope(scene);
+  program.build = [&scene, &column](std::uint64_t points) {
+    if (column == 0) {
+      scene.points = points;
+      return make_slope(scene);
+    }
+    return make_column({points, column, scene.friction_angle, scene.interval});
   };
   return run_program(program, argc, argv);
 }

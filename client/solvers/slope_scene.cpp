@@ -1,11 +1,14 @@
-// The submarine slope: a wide sheet of sediment, thin at the head, tapering to a toe.
+// The submarine slope: a wide sheet of sediment, thin at the head, tapering to a toe, on a weak bed. And, in the same
+// sediment but dry, the column whose collapse has been measured.
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <memory>
+#include <numbers>
 
 #include <fmt/format.h>
 
+#include "client/solvers/granular.hpp"
 #include "client/solvers/scenes.hpp"
 
 namespace rcb::solvers {
@@ -19,7 +22,7 @@ constexpr double kThickness = 40;  // at its thickest, upright
 constexpr double kHead = 40;       // over which the thickness grows from 0
 constexpr double kToe = 200;       // over which it goes back to 0
 constexpr double kUpstream = 20;   // of domain beyond the body
-constexpr double kDownstream = 150;
+constexpr double kDownstream = 600;
 constexpr double kAbove = 40;
 constexpr double kLowerShare = 0.4;  // of the thickness is the stiff lower layer
 
@@ -29,14 +32,10 @@ constexpr double kSeaWater = 1025;  // kg/m^3
 struct Layer {
   double from;  // as shares of the thickness
   double to;
-  double density;         // saturated, kg/m^3
-  double youngs_modulus;  // Pa
-  double poissons_ratio;
+  double stiffness;  // of the upper layer's
   std::uint64_t seed;
 };
-// Rows of typical values for consolidated and for soft marine clay; the elastic numbers are for fast loading.
-constexpr std::array kLayers{Layer{0, kLowerShare, 1900, 4e7, 0.35, 0x51093E01},
-                             Layer{kLowerShare, 1, 1700, 1.5e7, 0.4, 0x51093E02}};
+constexpr std::array kLayers{Layer{0, kLowerShare, 1.5, 0x51093E01}, Layer{kLowerShare, 1, 1, 0x51093E02}};
 
 double bed(double x) { return kFall * (1 - x / kLength); }
 double thickness(double x) { return kThickness * std::min({1.0, x / kHead, (kLength - x) / kToe}); }
@@ -55,40 +54,100 @@ Shape layer_shape(const Layer& layer) {
   return shape;
 }
 
+double tangent(double degrees) { return std::tan(degrees * std::numbers::pi / 180); }
+
+Status check(std::uint64_t points, double interval) {
+  if (points < 1 || points > kPointsMax)
+    return {Code::invalid_argument, fmt::format("{} points of sediment", points),
+            fmt::format("give 1 to {}", kPointsMax)};
+  if (!(interval > 0 && std::isfinite(interval)))
+    return {Code::invalid_argument, fmt::format("steps of {} s", interval), "give a number above 0"};
+  return {};
+}
+
 }  // namespace
 
 Result<Simulation> make_slope(const SlopeOptions& o) {
-  if (o.points < 1 || o.points > kPointsMax)
-    return Status(Code::invalid_argument, fmt::format("{} points for a slope", o.points),
-                  fmt::format("give 1 to {}", kPointsMax));
-  if (!(o.interval > 0 && std::isfinite(o.interval)))
-    return Status(Code::invalid_argument, fmt::format("steps of {} s", o.interval), "give a number above 0");
+  if (Status status = check(o.points, o.interval); !status.ok()) return status;
+  if (!(o.unit_weight > 0 && std::isfinite(o.unit_weight)))
+    return Status(Code::invalid_argument, fmt::format("a submerged unit weight of {} N/m^3", o.unit_weight),
+                  "give a number above 0");
+  if (!(o.bed_friction >= 0 && o.bed_friction < 90))
+    return Status(Code::invalid_argument, fmt::format("a bed friction of {} degrees", o.bed_friction),
+                  "give 0 or more, below 90");
 
   MpmOptions options;
   options.lo = {-kUpstream, 0, 0};
   options.hi = {kLength + kDownstream, kFall + kThickness + kAbove, kWidth};
   options.spacing = 2 * std::cbrt(kSection * kWidth / static_cast<double>(o.points));  // eight points a cell
   const double steepness = std::hypot(kFall, kLength);
-  options.ground = {{{0, kFall, 0}, {kFall / steepness, kLength / steepness, 0}, true}, {{}, {0, 1, 0}, true}};
+  const double friction = tangent(o.bed_friction);
+  options.ground = {{{0, kFall, 0}, {kFall / steepness, kLength / steepness, 0}, friction}, {{}, {0, 1, 0}, friction}};
   auto mpm = Mpm::create(options);
   if (!mpm) return mpm.status();
 
+  // Water and grains move together, so the whole mass is moved, but only its weight in water pulls.
+  const double density = kSeaWater + o.unit_weight / kGravity;
+  const Vec3 gravity{0, -o.unit_weight / density, 0};
   std::size_t left = o.points;
   for (const Layer& layer : kLayers) {
     const bool last = &layer == &kLayers.back();
     const double share = layer.to - layer.from;
     const std::size_t count = last ? left : static_cast<std::size_t>(std::floor(share * static_cast<double>(o.points)));
     left -= count;
-    auto clay = NeoHookean::create(layer.density, layer.youngs_modulus, layer.poissons_ratio);
-    if (!clay) return clay.status();
+    auto sediment = Granular::create(density, layer.stiffness * o.youngs_modulus, o.poissons_ratio, o.friction_angle);
+    if (!sediment) return sediment.status();
     const Shape shape = layer_shape(layer);
-    const Vec3 gravity{0, -kGravity * (1 - kSeaWater / layer.density), 0};
-    if (Status status = mpm->add_body(std::make_shared<NeoHookean>(*clay), fill(shape, count, layer.seed), shape.volume,
-                                      {}, gravity);
+    if (Status status = mpm->add_body(std::make_shared<Granular>(*sediment), fill(shape, count, layer.seed),
+                                      shape.volume, {}, gravity);
         !status.ok())
       return status;
   }
-  return Simulation{std::move(*mpm), o.interval};
+  return Simulation{std::move(*mpm), o.interval, kLength};
+}
+
+Result<Simulation> make_column(const ColumnOptions& o) {
+  if (Status status = check(o.points, o.interval); !status.ok()) return status;
+  if (!(o.aspect >= 0.1 && o.aspect <= 20))
+    return Status(Code::invalid_argument, fmt::format("a column {} times as high as long", o.aspect), "give 0.1 to 20");
+  constexpr double kBase = 40;  // m, from the wall at x = 0 to the gate
+  constexpr double kDensity = 1600;
+  constexpr double kStrain = 0.005;  // at the foot, under the column's weight; sets the stiffness
+  constexpr double kPoisson = 0.3;
+  const double height = o.aspect * kBase;
+  MpmOptions options;
+  options.spacing = std::sqrt(16 * kBase * height / static_cast<double>(o.points));  // eight points a cell, two across
+  const double width = 2 * options.spacing;
+  // Room for twice what is measured: 1.2 a of the base for low columns, 1.9 a^(2/3) for high ones.
+  options.hi = {kBase * (2 + 3 * o.aspect), height + 2 * options.spacing, width};
+  options.ground = {{{}, {0, 1, 0}, tangent(o.friction_angle)}};
+  auto mpm = Mpm::create(options);
+  if (!mpm) return mpm.status();
+
+  const double stiffness = kDensity * kGravity * height / kStrain;  // in uniaxial strain
+  const double youngs_modulus = stiffness * (1 + kPoisson) * (1 - 2 * kPoisson) / (1 - kPoisson);
+  auto sand = Granular::create(kDensity, youngs_modulus, kPoisson, o.friction_angle);
+  if (!sand) return sand.status();
+  Shape shape;
+  shape.hi = {kBase, height, width};
+  shape.volume = kBase * height * width;
+  shape.inside = [hi = shape.hi](const Vec3& x) {
+    return x[0] >= 0 && x[0] <= hi[0] && x[1] >= 0 && x[1] <= hi[1] && x[2] >= 0 && x[2] <= hi[2];
+  };
+  if (Status status = mpm->add_body(std::make_shared<Granular>(*sand), fill(shape, o.points, 0xC0104801), shape.volume,
+                                    {}, {0, -kGravity, 0});
+      !status.ok())
+    return status;
+  return Simulation{std::move(*mpm), o.interval, kBase};
+}
+
+double front(const Mpm& mpm) {
+  const auto x = mpm.position(0);
+  std::vector<double> sorted(x.begin(), x.end());
+  if (sorted.empty()) return 0;
+  const auto place = static_cast<std::ptrdiff_t>(kFrontShare * static_cast<double>(sorted.size() - 1));
+  std::nth_element(sorted.begin(), sorted.begin() + place, sorted.end());
+  return sorted[static_cast<std::size_t>(place)];
 }
 
 }  // namespace rcb::solvers

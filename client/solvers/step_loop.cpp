@@ -79,6 +79,11 @@ Status run_steps(Simulation& simulation, std::int64_t steps, const StepLoop& loo
     if (step > 0)
       if (Status status = mpm.advance(simulation.interval); !status.ok()) return status;
     checker.look(mpm, record.physics);
+    if (simulation.length > 0) {
+      const double reached = front(mpm);
+      if (!record.runout) record.runout = RunRecord::RunOut{simulation.length, reached, reached};
+      record.runout->end = reached;
+    }
     record.substeps = mpm.substeps();
     record.seconds_physics += clock.seconds() - start;
 

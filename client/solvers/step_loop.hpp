@@ -32,6 +32,12 @@ struct RunRecord {
   std::int64_t steps_done = -1;  // the last step that was carried out; -1: none
   std::vector<client::StepReport> reports;
   PhysicsCheck physics;
+  struct RunOut {
+    double length = 0;  // m, of the body at the start
+    double start = 0;   // m, the front's place on x
+    double end = 0;
+  };
+  std::optional<RunOut> runout;  // of a scene that runs out
   std::uint64_t substeps = 0;
   double seconds_physics = 0;
   double seconds_service = 0;  // waiting for pushes, as this side saw it

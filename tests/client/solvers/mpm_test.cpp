@@ -112,7 +112,7 @@ TEST(Mpm, BouncesOffTheWallAndCountsItsImpulse) {
 TEST(Mpm, StickyGroundHoldsSmoothGroundLetsSlide) {
   for (const bool sticky : {true, false}) {
     MpmOptions options = box();
-    options.ground = {{{0, -0.2, 0}, {0, 1, 0}, sticky}};
+    options.ground = {{{0, -0.2, 0}, {0, 1, 0}, sticky ? Ground::kSticky : 0}};
     Mpm mpm = block_in(options, {1, 0, 0}, {0, -9.81, 0});
     advance(mpm, 0.2);
     const double mass = 1000 * kBlock * kBlock * kBlock;
