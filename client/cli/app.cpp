@@ -49,6 +49,8 @@ CLI::Validator part_count() {
   });
 }
 
+CLI::Validator scene_policy() { return CLI::IsMember({"tolerance", "cost"}); }
+
 CLI::Validator scene_method() { return CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}); }
 
 Result<client::Client> connect(const Context& context) {

@@ -62,6 +62,9 @@ CLI::Validator number_from_zero();
 CLI::Validator tolerance_number();
 CLI::Validator part_count();
 CLI::Validator scene_method();
+CLI::Validator scene_policy();
+inline constexpr const char* kPolicyHelp =
+    "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes";
 
 // The service at the endpoint.
 Result<client::Client> connect(const Context& context);

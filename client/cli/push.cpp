@@ -13,10 +13,13 @@
 namespace rcb::cli {
 namespace {
 
+constexpr const char* kStepSecondsHelp = "what the solver computed for this step; for the policy cost";
+
 struct PushOptions {
   std::string name;
   FileOptions file;
   std::optional<std::int64_t> step;
+  std::optional<double> step_seconds;
 };
 
 struct ReplayOptions {
@@ -26,6 +29,8 @@ struct ReplayOptions {
   std::optional<double> parts;
   double tolerance = 0.1;
   double axis_hysteresis = 1.2;
+  std::string policy = "tolerance";
+  std::optional<double> step_seconds;
   std::string history;
 };
 
@@ -55,6 +60,7 @@ Status push(const PushOptions& options, const Context& context) {
   if (!scene) return scene.status();
   client::StepOptions step;
   step.step = options.step;
+  step.step_seconds = options.step_seconds;
   step.weights = points->weight;
   step.ids = points->id;
   auto result = scene->step(positions_of(*points), step);
@@ -116,6 +122,7 @@ class Replay {
         if (Status status = open(client, *points); !status) return status;
       client::StepOptions step;
       step.step = static_cast<std::int64_t>(tally_.reports.size());
+      step.step_seconds = options_.step_seconds;
       step.weights = points->weight;
       auto result = scene_->step(positions_of(*points), step);
       if (!result)
@@ -136,6 +143,7 @@ class Replay {
     scene.dims = points.dims;
     scene.tolerance = options_.tolerance;
     scene.axis_hysteresis = options_.axis_hysteresis;
+    scene.policy = options_.policy;
     scene.replace = true;
     if (Status status = client.create_scene(options_.name, scene); !status) return status;
     auto opened = client.open_scene(options_.name);
@@ -151,6 +159,7 @@ class Replay {
                   {"steps", tally_.reports.size()},
                   {"parts", parts_},
                   {"tolerance", tolerance_json(options_.tolerance)},
+                  {"policy", options_.policy},
                   {"repartitions", tally_.repartitions},
                   {"error_mean", mean},
                   {"error_max", tally_.error_max},
@@ -189,6 +198,7 @@ void add_push_commands(CLI::App& app, Context& context) {
   add_file_options(*command, push_options->file);
   command->add_option("--step", push_options->step, "its number (default: the last + 1, 0 at first)")
       ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max() - 1));
+  command->add_option("--step-seconds", push_options->step_seconds, kStepSecondsHelp)->check(CLI::Range(0.0, 1e300));
 
   auto replay_options = std::make_shared<ReplayOptions>();
   command = add_command(app, context,
@@ -208,6 +218,11 @@ void add_push_commands(CLI::App& app, Context& context) {
       ->add_option("--axis-hysteresis", replay_options->axis_hysteresis, "how much longer another axis must be; 1: any")
       ->capture_default_str()
       ->check(CLI::Range(1.0, 1e300));
+  command->add_option("--policy", replay_options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
+  command
+      ->add_option("--step-seconds", replay_options->step_seconds,
+                   std::string(kStepSecondsHelp) + ", said with each step")
+      ->check(CLI::Range(0.0, 1e300));
   command->add_option("--dims", replay_options->file.dims, "1, 2 or 3 (default: as the file says)")
       ->check(CLI::Range(1, 3));
   command->add_option("--weights", replay_options->file.weights, "the column of weights, by name or number from 0");

@@ -14,6 +14,7 @@ struct CreateOptions {
   std::string method = "rcb";
   double tolerance = 0.1;
   double axis_hysteresis = 1.2;
+  std::string policy = "tolerance";
   std::vector<double> part_sizes;
   bool replace = false;
 };
@@ -29,6 +30,7 @@ void print_scene(const Json& scene) {
                                                                   {"method", "method"},
                                                                   {"tolerance", "tolerance"},
                                                                   {"axis_hysteresis", "axis hysteresis"},
+                                                                  {"policy", "policy"},
                                                                   {"part_sizes", "part sizes"},
                                                                   {"weights", "weights"},
                                                                   {"ids", "own ids"},
@@ -51,6 +53,7 @@ Status create(const CreateOptions& options, const Context& context) {
                  {"method", options.method},
                  {"tolerance", tolerance_json(options.tolerance)},
                  {"axis_hysteresis", options.axis_hysteresis},
+                 {"policy", options.policy},
                  {"replace", options.replace}};
   if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
   auto reply = ask(*client, "scene.create", arguments);
@@ -128,6 +131,7 @@ void add_scene_commands(CLI::App& app, Context& context) {
   command->add_option("--axis-hysteresis", options->axis_hysteresis, "how much longer another axis must be; 1: any")
       ->capture_default_str()
       ->check(CLI::Range(1.0, 1e300));
+  command->add_option("--policy", options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
   command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
       ->delimiter(',')
       ->check(positive_number());

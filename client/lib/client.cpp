@@ -69,6 +69,7 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
                      {"method", options.method},
                      {"tolerance", wire::number_json(options.tolerance)},
                      {"axis_hysteresis", wire::number_json(options.axis_hysteresis)},
+                     {"policy", options.policy},
                      {"replace", options.replace}};
   if (!options.part_sizes.empty()) {
     request["part_sizes"] = wire::Json::array();

@@ -42,6 +42,7 @@ struct SceneOptions {
   std::string method = "rcb";
   double tolerance = 0.1;  // >= 0; infinity forbids automatic repartitions
   double axis_hysteresis = 1.2;
+  std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than that takes
   std::vector<double> part_sizes;
   bool replace = false;
 };
@@ -90,8 +91,10 @@ struct StepOptions {
   // opened when it had ids of its own; later they may be left out.
   std::span<const std::int64_t> ids;
   std::span<const double> weights;  // [count]; empty: none, or unchanged
-  bool want_parts = false;          // fill StepResult::parts
-  bool want_changes = false;        // fill StepResult::changes
+  // What the solver computed since its last push, on its slowest process; a scene of the policy "cost" decides by it.
+  std::optional<double> step_seconds;
+  bool want_parts = false;    // fill StepResult::parts
+  bool want_changes = false;  // fill StepResult::changes
   double deadline_seconds = 60;
 };
 

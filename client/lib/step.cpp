@@ -1,5 +1,6 @@
 // Scene::step: check, push, mend what can be mended, and bring plan and parts up to date.
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include <fmt/format.h>
@@ -56,6 +57,8 @@ Status Scene::State::check(const Positions& positions, const StepOptions& option
     return wrong("the scene has ids of its own, and the push gives none", "give StepOptions::ids at the first step");
   if (options.step && *options.step < 0)
     return wrong(fmt::format("step {}", *options.step), "steps are numbered from 0");
+  if (options.step_seconds && !(*options.step_seconds >= 0 && std::isfinite(*options.step_seconds)))
+    return wrong(fmt::format("a step of {} seconds", *options.step_seconds), "give a finite number >= 0, or none");
   if (!(options.deadline_seconds > 0))
     return wrong(fmt::format("a deadline of {} seconds", options.deadline_seconds), "give a number above 0");
   return {};
@@ -92,6 +95,7 @@ Result<Frame> Scene::State::push(const Positions& positions, const StepOptions& 
                    {"ids", send_ids},
                    {"changes", true},
                    {"deadline_seconds", std::clamp(options.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
+  if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
   std::vector<Column> columns;
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
     columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});

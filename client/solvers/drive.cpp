@@ -72,6 +72,10 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, Typed& 
   number("--parts", typed.parts, fmt::format("{}", d.parts), "parts that the service cuts the points into");
   number("--tolerance", typed.tolerance, fmt::format("{}", d.tolerance),
          "load error at which the service repartitions; inf: never after step 0");
+  app.add_option("--policy", options.policy,
+                 "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes")
+      ->check(CLI::IsMember({"tolerance", "cost"}))
+      ->default_str(d.policy);
   app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
       ->type_name("NAME")
       ->default_str(d.scene);
@@ -153,6 +157,7 @@ Result<std::unique_ptr<Service>> open_service(const Program& program, const RunO
   create.parts = options.parts;
   create.dims = 3;
   create.tolerance = options.tolerance;
+  create.policy = options.policy;
   create.replace = true;
   if (Status status = client->create_scene(options.scene, create); !status.ok()) return status;
   auto scene = client->open_scene(options.scene);
@@ -187,9 +192,11 @@ Status run(const Program& program, const RunOptions& options, double& interval, 
   loop.trajectory = trajectory.get();
   loop.interrupted = [] { return interrupt_seen != 0; };
   if (service)
-    loop.push = [&](std::int64_t step, const client::Positions& positions) -> Result<client::StepReport> {
+    loop.push = [&](std::int64_t step, const client::Positions& positions,
+                    std::optional<double> seconds) -> Result<client::StepReport> {
       client::StepOptions push;
       push.step = step;
+      push.step_seconds = seconds;
       push.deadline_seconds = options.deadline_seconds;
       auto result = service->scene.step(positions, push);
       if (!result) return result.status();

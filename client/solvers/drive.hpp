@@ -20,6 +20,7 @@ struct RunOptions {
   std::int64_t steps = 0;
   int parts = 8;
   double tolerance = 0.1;  // infinity: the first partition stays
+  std::string policy = "tolerance";
   std::string scene;
   std::string endpoint;          // empty: as the client library finds it
   std::string trajectory;        // empty: none

@@ -15,9 +15,10 @@ Status append_frame(io::TrajectoryWriter& trajectory, const Mpm& mpm, std::vecto
   return trajectory.append(frame);
 }
 
-Result<client::StepReport> push_step(const StepLoop& loop, std::int64_t step, const Mpm& mpm) {
+Result<client::StepReport> push_step(const StepLoop& loop, std::int64_t step, const Mpm& mpm,
+                                     std::optional<double> seconds) {
   const std::array<const double*, 3> axes{mpm.position(0).data(), mpm.position(1).data(), mpm.position(2).data()};
-  return loop.push(step, client::Positions::axes(axes, mpm.size()));
+  return loop.push(step, client::Positions::axes(axes, mpm.size()), seconds);
 }
 
 class Checker {
@@ -78,6 +79,7 @@ Status run_steps(Simulation& simulation, std::int64_t steps, const StepLoop& loo
     const double start = clock.seconds();
     if (step > 0)
       if (Status status = mpm.advance(simulation.interval); !status.ok()) return status;
+    const double advanced = clock.seconds() - start;
     checker.look(mpm, record.physics);
     if (simulation.length > 0) {
       const double reached = front(mpm);
@@ -91,7 +93,7 @@ Status run_steps(Simulation& simulation, std::int64_t steps, const StepLoop& loo
       if (Status status = append_frame(*loop.trajectory, mpm, frame); !status.ok()) return status;
     if (loop.push) {
       const double begin = clock.seconds();
-      auto report = push_step(loop, step, mpm);
+      auto report = push_step(loop, step, mpm, step > 0 ? std::optional(advanced) : std::nullopt);
       record.seconds_service += clock.seconds() - begin;
       if (!report)
         return {report.status().code(), fmt::format("step {}: {}", step, report.status().message()),

@@ -52,8 +52,11 @@ struct RunRecord {
 };
 
 struct StepLoop {
-  // Pushes the positions as step `step`. Empty: nobody to push to.
-  std::function<Result<client::StepReport>(std::int64_t step, const client::Positions& positions)> push;
+  // Pushes the positions as step `step`; seconds: what the physics of this step took, none at step 0. Empty: nobody to
+  // push to.
+  using Push = std::function<Result<client::StepReport>(std::int64_t step, const client::Positions& positions,
+                                                        std::optional<double> seconds)>;
+  Push push;
   io::TrajectoryWriter* trajectory = nullptr;  // or none; left open
   std::function<void(const RunRecord&)> after_step;
   std::function<bool()> interrupted;

@@ -18,6 +18,7 @@
 #include "common/particles/particle_set.hpp"
 #include "common/partition/cut_tree.hpp"
 #include "common/partition/load.hpp"
+#include "server/service/policy.hpp"
 #include "server/service/report.hpp"
 
 namespace rcb::service {
@@ -28,6 +29,7 @@ struct SceneOptions {
   partition::Method method = partition::Method::rcb;
   double tolerance = 0.1;  // may be infinity
   double axis_hysteresis = 1.2;
+  Policy policy = Policy::tolerance;
   std::vector<double> part_sizes;
 };
 
@@ -58,6 +60,7 @@ struct Scene {
   std::uint64_t epoch = 0;
   partition::LoadSummary loads;                  // after the last order that changed them
   std::optional<double> error_when_not_adopted;  // error_before of the last attempt that was not adopted
+  CostAccount costs;                             // kept where the policy is cost
   std::uint64_t search_rounds = 0;               // of the partition in force
   std::uint64_t search_reductions = 0;
 

@@ -54,6 +54,16 @@ Result<partition::Method> read_method(const wire::Json& request, int dims, parti
 
 namespace {
 
+Result<Policy> read_policy(const wire::Json& request) {
+  if (!request.contains("policy") || request["policy"].is_null()) return Policy::tolerance;
+  const auto name = wire::string_field(request, "policy", 64);
+  if (!name.ok()) return name.status();
+  const auto policy = policy_from_name(name.value());
+  if (!policy)
+    return Status(Code::invalid_argument, fmt::format("unknown policy '{}'", name.value()), "policies: tolerance, cost");
+  return *policy;
+}
+
 Result<SceneOptions> read_options(const wire::Json& request) {
   SceneOptions options;
   const auto parts = wire::integer_field(request, "parts", 1, wire::kPartsMax);
@@ -71,6 +81,9 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   const auto method = read_method(request, options.dims, partition::Method::rcb);
   if (!method.ok()) return method.status();
   options.method = method.value();
+  const auto policy = read_policy(request);
+  if (!policy.ok()) return policy.status();
+  options.policy = policy.value();
   if (const Status status = read_part_sizes(request, options); !status.ok()) return status;
   return options;
 }
@@ -84,6 +97,7 @@ wire::Json describe_scene(const Scene& scene) {
                   {"method", partition::method_name(options.method)},
                   {"tolerance", wire::number_json(options.tolerance)},
                   {"axis_hysteresis", options.axis_hysteresis},
+                  {"policy", policy_name(options.policy)},
                   {"part_sizes", options.part_sizes.empty() ? wire::Json(nullptr) : wire::Json(options.part_sizes)},
                   {"weights", scene.particles.has_weights},
                   {"ids", scene.ids},

@@ -231,6 +231,11 @@ Result<PushRequest> read_push(const wire::Json& request) {
       push.plan_checksum = checksum.value();
     }
   }
+  if (request.contains("step_seconds") && !request["step_seconds"].is_null()) {
+    const auto seconds = wire::number_field_or(request, "step_seconds", 0, std::numeric_limits<double>::max(), 0);
+    if (!seconds.ok()) return seconds.status();
+    push.step_seconds = seconds.value();
+  }
   if (request.contains("base_step") && !request["base_step"].is_null())
     return Status(Code::unsupported, "base_step: partial pushes are not offered by this version", "push everything");
   return push;

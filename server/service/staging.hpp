@@ -1,6 +1,7 @@
 // Prepare: the particles of a push on the ranks that hold them, checked, beside the scene's and not yet in it.
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "server/service/context.hpp"
@@ -18,6 +19,7 @@ struct PushRequest {
   bool weights = false;
   bool ids = false;
   bool changes = false;
+  std::optional<double> step_seconds;  // the solver's own, since its last push
 };
 
 struct Staged {

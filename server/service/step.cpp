@@ -88,7 +88,8 @@ void try_repartition(Context& context, Scene& scene, const Decision& decision, d
                                           scene.options.part_sizes, scene.options.parts);
   if (loads.weighted && !(loads.error < error_before)) {
     scene.error_when_not_adopted = error_before;
-    report.reason = reason_not_adopted(error_before, scene.options.tolerance, loads.error);
+    scene.costs.start_again(scene.loads.imbalance);
+    report.reason = reason_not_adopted(decision, loads.error);
     return;
   }
   report.repartitioned = true;
@@ -100,11 +101,31 @@ void try_repartition(Context& context, Scene& scene, const Decision& decision, d
   adopt(scene, std::move(found), std::move(loads));
 }
 
-void later_step(Context& context, Scene& scene, Staged& staged, const Buffer<std::int32_t>& old_part,
-                StepReport& report) {
+// Whether this step looks for new cuts. Local.
+Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_computed_under) {
+  const SceneOptions& options = scene.options;
+  PolicyInput input{scene.loads.error, options.tolerance, scene.loads.weighted, 0, scene.error_when_not_adopted};
+  input.policy = options.policy;
+  if (options.policy == Policy::cost && push.step_seconds) {
+    scene.costs.computed(*push.step_seconds, imbalance_computed_under);
+    input.timed = true;
+    input.lost_seconds = scene.costs.lost_seconds();
+    input.repartition_seconds = scene.costs.repartition_seconds();
+    input.since = scene.costs.since();
+  }
+  if (!input.weighted && (input.timed || input.error_before >= options.tolerance))
+    input.quota_error =
+        partition::summarise_counts(partition::quotas(scene.n, options.part_sizes, options.parts), options.part_sizes)
+            .error;
+  return decide(input);
+}
+
+void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push,
+                const Buffer<std::int32_t>& old_part, StepReport& report) {
   take_positions(scene, staged);
   scene.part.resize(old_part.size());
   scene.tree.classify(scene.particles.view(), scene.part.span());
+  const double imbalance_computed_under = scene.loads.imbalance;
   std::uint64_t drifted = count_differences(old_part.span(), scene.part.span());
   context.comm.all_sum({&drifted, 1});
   report.drifted = drifted;
@@ -113,18 +134,20 @@ void later_step(Context& context, Scene& scene, Staged& staged, const Buffer<std
                                              scene.options.part_sizes, scene.options.parts);
   const double error_before = scene.loads.error;
   report.error_before = error_before;
-
-  PolicyInput input{error_before, scene.options.tolerance, scene.loads.weighted, 0, scene.error_when_not_adopted};
-  if (error_before >= scene.options.tolerance && !scene.loads.weighted)
-    input.quota_error =
-        partition::summarise_counts(partition::quotas(scene.n, scene.options.part_sizes, scene.options.parts),
-                                    scene.options.part_sizes)
-            .error;
-  const Decision decision = decide(input);
+  const Decision decision = decide_step(scene, push, imbalance_computed_under);
   report.reason = decision.reason;
   const double start = context.clock.seconds();
   if (decision.search) try_repartition(context, scene, decision, error_before, report);
   report.seconds.search = context.clock.seconds() - start;
+}
+
+// Rank 0's clock tells what the repartition took; from now on all ranks reckon with that. Collective where the policy
+// is cost.
+void account_repartition(Context& context, Scene& scene, const StepReport& report, bool first) {
+  if (scene.options.policy != Policy::cost) return;
+  double seconds = report.seconds.search + report.seconds.migrate;
+  context.comm.broadcast(std::as_writable_bytes(std::span(&seconds, 1)), 0);
+  scene.costs.repartitioned(report.step, seconds, first);
 }
 
 void remember(Scene& scene, const PushRequest& push, const StepReport& report, bool root) {
@@ -159,6 +182,7 @@ void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummar
   scene.part = std::move(found.part);
   scene.loads = std::move(loads);
   scene.error_when_not_adopted.reset();
+  scene.costs.start_again(scene.loads.imbalance);
   ++scene.epoch;
 }
 
@@ -176,7 +200,7 @@ StepReport commit(Context& context, Scene& scene, Staged staged, const PushReque
   if (first) {
     first_step(context, scene, staged, report);
   } else {
-    later_step(context, scene, staged, old_part, report);
+    later_step(context, scene, staged, push, old_part, report);
   }
   report.n = scene.n;
   report.epoch = scene.epoch;
@@ -190,6 +214,7 @@ StepReport commit(Context& context, Scene& scene, Staged staged, const PushReque
   const std::uint64_t changed_rank = may_move ? migrate(context.comm, scene, first) : 0;
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
   report.migrated = first ? 0 : changed_rank;
+  if (report.repartitioned) account_repartition(context, scene, report, first);
   if (changes != nullptr) gather_changes(context.comm, mine, *changes);
 
   note_skips(scene, report);

@@ -15,6 +15,14 @@ namespace {
 
 using nlohmann::json;
 
+class TickingClock final : public Clock {
+ public:
+  double seconds() const override { return ticks_ += 1; }
+
+ private:
+  mutable double ticks_ = 0;
+};
+
 class StillClock final : public Clock {
  public:
   double seconds() const override { return 0; }
@@ -52,15 +60,17 @@ TEST(StepLoop, PushesStepZeroAndThenEveryStep) {
   std::vector<std::int64_t> steps;
   std::vector<double> first_x;
   loop.trajectory = &sink;
-  loop.push = [&](std::int64_t step, const client::Positions& positions) -> Result<client::StepReport> {
+  loop.push = [&](std::int64_t step, const client::Positions& positions,
+                  std::optional<double> seconds) -> Result<client::StepReport> {
     EXPECT_EQ(positions.count, 20U);
     EXPECT_EQ(positions.dims, 3);
+    EXPECT_EQ(seconds, step > 0 ? std::optional(1.0) : std::nullopt) << "nothing was computed before step 0";
     steps.push_back(step);
     first_x.push_back(positions.axis[0][0]);
     return report_of(step, 0.3, 0.05, step % 2 == 0);
   };
   RunRecord record;
-  ASSERT_TRUE(run_steps(simulation, 4, loop, StillClock{}, record).ok());
+  ASSERT_TRUE(run_steps(simulation, 4, loop, TickingClock{}, record).ok());
   EXPECT_EQ(steps, (std::vector<std::int64_t>{0, 1, 2, 3, 4}));
   EXPECT_EQ(record.reports.size(), 5U);
   EXPECT_EQ(record.repartitions(), 3U);
@@ -80,7 +90,7 @@ TEST(StepLoop, PushesStepZeroAndThenEveryStep) {
 TEST(StepLoop, EndsAtTheFirstFailureAndSaysWhere) {
   Simulation simulation = spheres(20);
   StepLoop loop;
-  loop.push = [](std::int64_t step, const client::Positions&) -> Result<client::StepReport> {
+  loop.push = [](std::int64_t step, const client::Positions&, std::optional<double>) -> Result<client::StepReport> {
     if (step == 2) return Status(Code::deadline_exceeded, "no answer in 60 s", "wait longer");
     return report_of(step, 0, 0, false);
   };

@@ -84,6 +84,8 @@ class Driver {
 
   const plan::Plan& plan() const { return plan_; }
 
+  Json step_seconds;  // said with every push; null: nothing
+
  private:
   Json begin(const Particles& particles, std::int64_t step, const std::string& session, const char* order) const {
     return {{"command", "push"},
@@ -95,7 +97,8 @@ class Driver {
             {"order", order},
             {"weights", !particles.weights.empty()},
             {"ids", first_ && !particles.ids.empty()},
-            {"changes", true}};
+            {"changes", true},
+            {"step_seconds", step_seconds}};
   }
 
   PushSlice slice_of(const Particles& particles, int rank) const {
