@@ -46,7 +46,7 @@ struct SlopeOptions {
   double bed_friction = 10;       // degrees, between sediment and bed
   double youngs_modulus = 1e7;    // Pa, of the upper layer
   double poissons_ratio = 0.3;
-  double interval = 0.25;  // s, a step
+  double interval = 0.3;  // s, a step
 };
 Result<Simulation> make_slope(const SlopeOptions& options);
 
@@ -56,7 +56,7 @@ struct ColumnOptions {
   std::uint64_t points = 20'000;  // 1 .. kPointsMax
   double aspect = 1;              // height over length, 0.1 .. 20
   double friction_angle = 30;     // degrees, of the sand and of the bed
-  double interval = 0.25;         // s, a step
+  double interval = 0.3;         // s, a step
 };
 Result<Simulation> make_column(const ColumnOptions& options);
 
