@@ -79,9 +79,26 @@ class Buffer {
     size_ = old + values.size();
   }
   void clear() { size_ = 0; }
+  // Gives back what lies behind the last element.
+  void shrink() {
+    if (size_ == 0) return release();
+    if (void* less = std::realloc(data_, size_ * sizeof(T))) {
+      data_ = static_cast<T*>(less);
+      capacity_ = size_;
+    }
+  }
   void release() {
     std::free(std::exchange(data_, nullptr));
     size_ = capacity_ = 0;
+  }
+  // The same memory as elements of another type (a last piece of one is cut off); this buffer is left empty.
+  template <typename U>
+  Buffer<U> release_as() {
+    Buffer<U> other;
+    other.data_ = reinterpret_cast<U*>(std::exchange(data_, nullptr));
+    other.size_ = std::exchange(size_, 0) * sizeof(T) / sizeof(U);
+    other.capacity_ = std::exchange(capacity_, 0) * sizeof(T) / sizeof(U);
+    return other;
   }
   void swap(Buffer& other) noexcept {
     std::swap(data_, other.data_);
@@ -90,6 +107,9 @@ class Buffer {
   }
 
  private:
+  template <typename U>
+  friend class Buffer;
+
   T* data_ = nullptr;
   std::size_t size_ = 0;
   std::size_t capacity_ = 0;

@@ -1,20 +1,24 @@
 #include "common/partition/build_tree.hpp"
 
 #include <algorithm>
+#include <bit>
+#include <cmath>
 #include <limits>
 
-#include "common/partition/refine.hpp"
 #include "common/partition/wide_sum.hpp"
 
 namespace rcb::partition {
 namespace {
 
-constexpr std::uint64_t kIdMax = static_cast<std::uint64_t>(std::numeric_limits<Id>::max());
+constexpr std::uint64_t kNoImage = ~std::uint64_t{0};
+constexpr std::size_t kSampleMax = 256;  // particles of a rank that are looked at to choose a map
+constexpr std::size_t kSampleBins = 512;
+constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
 // Least and greatest of an array. Four of each at once, since one would wait for itself.
-void measure(std::span<const double> values, double& lo, double& hi) {
+void least_and_most(std::span<const double> values, double& lo, double& hi) {
   std::array<double, 4> least;
   std::array<double, 4> most;
   least.fill(lo);
@@ -38,7 +42,12 @@ void measure(std::span<const double> values, double& lo, double& hi) {
 
 TreeBuilder::TreeBuilder(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
                          int axes)
-    : comm_(comm), particles_(particles), options_(options), axes_(axes), rule_(options, axes) {
+    : comm_(comm),
+      particles_(particles),
+      options_(options),
+      axes_(axes),
+      q_axes_(at(std::max(axes, 1))),
+      rule_(options, axes) {
   CutTree& tree = result_.tree;
   tree.dims = particles.dims;
   tree.method = options.method;
@@ -46,74 +55,79 @@ TreeBuilder::TreeBuilder(Comm& comm, const particles::ParticleView& particles, c
   const auto& sizes = options.part_sizes;
   if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
   tree.cuts.resize(at(options.parts) - 1);
+  // (1 + level tolerance)^levels <= 1 + tolerance
+  const double levels = std::bit_width(static_cast<unsigned>(options.parts - 1));
+  level_tolerance_ = std::expm1(std::log1p(options.cut_tolerance) / std::max(levels, 1.0));
 }
 
 PartitionResult TreeBuilder::build() {
-  result_.part.resize(particles_.count);
-  std::fill(result_.part.begin(), result_.part.end(), 0);
-  if (options_.parts == 1) return std::move(result_);
-  measure_all();
-  if (refinable()) {
-    refine();
+  if (options_.parts == 1) {
+    result_.part.resize(particles_.count);
+    std::fill(result_.part.begin(), result_.part.end(), 0);
     return std::move(result_);
   }
-  Selector selector(comm_, particles_, axes_, scale_ ? &*scale_ : nullptr);
-  std::vector<SelectNode> asked;
+  measure_all();
+  records_.build(particles_, axes_, maps_, options_.limits.chunk_max);
+  spans_ = records_.spans();
+  for (const Span& span : spans_) starts_.push_back(span.first);
+  ends_.resize(starts_.size() * at(options_.parts));
+  Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
+  std::vector<Question> asked;
   while (!level_.empty()) {
-    asked.assign(level_.size(), SelectNode{});
-    for (std::size_t n = 0; n < level_.size(); ++n) ask(level_[n], bounds_[n], asked[n]);
-    selector.select(asked, result_.part.span());
+    order_axes();
+    asked.clear();
+    for (const Node& node : level_) asked.push_back(question(node));
+    selector.select(asked, spans_);
     split(asked);
-    label_all();
     level_.swap(next_);
+    spans_.swap(next_spans_);
   }
-  for (std::int32_t& part : result_.part) part = -1 - part;
-  result_.rounds += selector.rounds();
+  result_.part = records_.into_parts(ends_, options_.parts);
+  result_.rounds = selector.rounds();
   result_.reductions += selector.reductions();
   return std::move(result_);
 }
 
-bool TreeBuilder::refinable() const {
-  constexpr std::size_t kLocalMax = std::size_t{1} << 31U;
-  constexpr std::uint64_t kPointsPerPart = 32;  // with a sparser sample the brackets are too wide to be worth a guess
-  const std::uint64_t count = rule_.quota(0, options_.parts);
-  return !scale_ && axes_ > 0 && local_count_max_ < kLocalMax &&
-         count >= std::max<std::uint64_t>(options_.refinement.points_min, 1) &&
-         (options_.refinement.sample > 0 ||
-          balanced_sample(count, comm_.size()) / kPointsPerPart >= static_cast<std::uint64_t>(options_.parts));
-}
-
-void TreeBuilder::refine() {
-  Refiner refiner(comm_, particles_, rule_, options_);
-  refiner.run(bounds_[0], result_.tree, result_.part.span());
-  result_.rounds += refiner.rounds();
-  result_.reductions += refiner.reductions();
-  result_.refined = refiner.counts();
-}
-
-// The root: number of particles, extents, weights.
+// The root: number of particles, bounds, weights.
 void TreeBuilder::measure_all() {
-  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 3, kNoImage);
-  least[2 * geometry::kDimsMax] = ~std::uint64_t{particles_.count};
+  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoImage);
   for (int a = 0; a < axes_ && particles_.count > 0; ++a) {
     double lo = particles_.position[at(a)][0];
     double hi = lo;
-    measure({particles_.position[at(a)], particles_.count}, lo, hi);
+    least_and_most({particles_.position[at(a)], particles_.count}, lo, hi);
     least[at(a)] = geometry::image(lo);
     least[geometry::kDimsMax + at(a)] = ~geometry::image(hi);
   }
-  if (axes_ > 0) std::ranges::copy(weight_images(particles_), least.end() - 2);
+  if (axes_ > 0) {
+    std::ranges::copy(weight_images(particles_), least.end() - 2);
+  } else if (particles_.count > 0) {
+    const auto [lo, hi] = std::minmax_element(particles_.id, particles_.id + particles_.count);
+    least[0] = static_cast<std::uint64_t>(*lo);
+    least[geometry::kDimsMax] = ~static_cast<std::uint64_t>(*hi);
+  }
   comm_.all_min(least);
-  std::uint64_t count = particles_.count;
-  comm_.all_sum({&count, 1});
+  const bool none = least[0] == kNoImage;
+  for (std::size_t a = 0; a < at(axes_) && !none; ++a) {
+    lo_[a] = geometry::value_of_image(least[a]);
+    hi_[a] = geometry::value_of_image(~least[geometry::kDimsMax + a]);
+  }
+  id_lo_ = axes_ == 0 && !none ? static_cast<Id>(least[0]) : 0;
+  id_hi_ = axes_ == 0 && !none ? static_cast<Id>(~least[geometry::kDimsMax]) : 0;
+  std::vector<std::uint64_t> sums = sample_maps();
+  sums.push_back(particles_.count);
+  comm_.all_sum(sums);
+  const std::uint64_t count = sums.back();
   result_.reductions += 2;
-  bounds_.resize(1);
-  std::copy_n(least.begin(), geometry::kDimsMax, bounds_[0].lo.begin());
-  std::copy_n(least.begin() + geometry::kDimsMax, geometry::kDimsMax, bounds_[0].not_hi.begin());
-  local_count_max_ = ~least[2 * geometry::kDimsMax];
-  rule_.set_all(count, bounds_[0]);
+  choose_maps(sums);
+  Point extents{};
+  for (std::size_t a = 0; a < at(axes_); ++a) extents[a] = geometry::extent(lo_[a], hi_[a]);
+  rule_.set_all(count, extents);
 
-  Node root{NodeRange{0, 0, options_.parts}, count, 0};
+  Node root{NodeRange{0, 0, options_.parts}, count, 0, {}, {}};
+  for (std::size_t a = 0; a < q_axes_ && count > 0; ++a) {
+    root.bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](lo_[a]);
+    root.bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](hi_[a]);
+  }
   if (const auto range = weight_range_of_images(std::span<const std::uint64_t>(least).last<2>())) {
     scale_.emplace(range->largest, count);
     for (std::size_t i = 0; i < particles_.count; ++i) root.weight += (*scale_)(particles_.weight[i]);
@@ -123,35 +137,137 @@ void TreeBuilder::measure_all() {
   level_.assign(1, root);
 }
 
-void TreeBuilder::ask(const Node& node, const Bounds& bounds, SelectNode& out) const {
-  out.axes = rule_.axes_of(node.range, bounds);
-  for (std::size_t w = 0; w < at(axes_); ++w) {
-    const auto axis = static_cast<std::size_t>(out.axes[w]);
-    out.lo[w] = bounds.lo[axis];
-    out.hi[w] = ~bounds.not_hi[axis];
-    out.empty = out.empty || bounds.lo[axis] == kNoImage;
+// How some of the particles spread over an axis, in equal steps of the value and of the image: where the former puts
+// most of them into one place, and the latter doesn't, the image suits the axis (many decades of scale).
+std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
+  // By axis: the bins of both maps, and how many ranks have a value that its integer does not tell.
+  std::vector<std::uint64_t> counts(at(axes_) * kSampleWords, 0);
+  const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
+  for (std::size_t a = 0; a < at(axes_); ++a) {
+    const std::array maps{AxisMap::by_value(lo_[a], hi_[a]), AxisMap::by_image(lo_[a], hi_[a])};
+    for (std::size_t m = 0; m < maps.size(); ++m) {
+      const auto top = static_cast<std::uint64_t>(std::max(maps[m](hi_[a]), 1));
+      for (std::size_t i = 0; i < particles_.count; i += stride) {
+        const std::uint64_t bin =
+            static_cast<std::uint64_t>(maps[m](particles_.position[a][i])) * (kSampleBins - 1) / top;
+        ++counts[a * kSampleWords + m * kSampleBins + bin];
+      }
+    }
+    if (!tells_values(maps[0], particles_.position[a], particles_.count, stride)) ++counts[(a + 1) * kSampleWords - 1];
   }
-  out.lo[at(axes_)] = 0;
-  out.hi[at(axes_)] = kIdMax;
-  const auto [index, first, last] = node.range;
-  const int middle = node.range.middle();
-  if (scale_) {
-    out.weight = node.weight;
-    out.left_size = rule_.size(first, middle);
-    out.size = rule_.size(first, last);
-  } else {
-    out.count = node.count;
-    out.empty = node.count == 0;
-    out.rank = rule_.quota(first, middle);
+  return counts;
+}
+
+void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
+  if (axes_ == 0) maps_[0] = AxisMap::of_ids(id_lo_, id_hi_);
+  std::array<std::uint64_t, geometry::kDimsMax> told{};
+  for (std::size_t a = 0; a < at(axes_); ++a) {
+    const auto most = [&](std::size_t m) {
+      return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
+    };
+    maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_image(lo_[a], hi_[a]) : AxisMap::by_value(lo_[a], hi_[a]);
+    told[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
+  }
+  if (std::ranges::max(told) == 0) return;
+  for (std::size_t a = 0; a < at(axes_); ++a)
+    if (told[a] != 0 && !tells_values(maps_[a], particles_.position[a], particles_.count, 1)) told[a] = 0;
+  comm_.all_min(told);
+  ++result_.reductions;
+  for (std::size_t a = 0; a < at(axes_); ++a)
+    if (told[a] != 0) maps_[a].set_exact();
+}
+
+Extents TreeBuilder::extents_of(const QBounds& bounds) const {
+  Extents extents;
+  for (std::size_t a = 0; a < at(axes_) && !bounds.empty(); ++a) {
+    const AxisMap& map = maps_[a];
+    extents.least[a] = std::max(geometry::extent(map.most(bounds.lo[a]), map.least(bounds.hi[a])), 0.0);
+    extents.most[a] = geometry::extent(map.least(bounds.lo[a]), map.most(bounds.hi[a]));
+  }
+  return extents;
+}
+
+void TreeBuilder::order_axes() {
+  std::vector<std::size_t> open;
+  for (std::size_t n = 0; n < level_.size(); ++n) {
+    Node& node = level_[n];
+    if (const auto axes = rule_.axes_of(node.range, extents_of(node.bounds)))
+      node.axes = *axes;
+    else
+      open.push_back(n);
+  }
+  if (open.empty()) return;
+  const std::vector<Point> extents = measure(open);
+  for (std::size_t o = 0; o < open.size(); ++o) {
+    Node& node = level_[open[o]];
+    node.axes = *rule_.axes_of(node.range, {extents[o], extents[o]});
   }
 }
 
-void TreeBuilder::split(std::span<const SelectNode> answers) {
+std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
+  const std::size_t words = 2 * at(axes_);
+  std::vector<std::uint64_t> least(nodes.size() * words, kNoImage);
+  const std::size_t chunks = starts_.size();
+  for (std::size_t n = 0; n < nodes.size(); ++n) {
+    const QBounds& bounds = level_[nodes[n]].bounds;
+    std::uint64_t* const own = &least[n * words];
+    for (const Span& span : std::span(spans_).subspan(nodes[n] * chunks, chunks))
+      for (const Record& record : span.all())
+        for (std::size_t a = 0; a < at(axes_); ++a) {
+          if (record.q[a] != bounds.lo[a] && record.q[a] != bounds.hi[a]) continue;
+          const std::uint64_t image = geometry::image(particles_.position[a][span.base + record.index]);
+          own[2 * a] = std::min(own[2 * a], image);
+          own[2 * a + 1] = std::min(own[2 * a + 1], ~image);
+        }
+  }
+  for (std::size_t first = 0; first < least.size(); first += kMessageWordsMax) {
+    comm_.all_min(std::span(least).subspan(first, std::min(kMessageWordsMax, least.size() - first)));
+    ++result_.reductions;
+  }
+  std::vector<Point> extents(nodes.size());
+  for (std::size_t n = 0; n < nodes.size(); ++n)
+    for (std::size_t a = 0; a < at(axes_); ++a)
+      extents[n][a] = geometry::extent(geometry::value_of_image(least[n * words + 2 * a]),
+                                       geometry::value_of_image(~least[n * words + 2 * a + 1]));
+  return extents;
+}
+
+Question TreeBuilder::question(const Node& node) const {
+  Question ask;
+  ask.axes = node.axes;
+  const auto axis = axes_ == 0 ? std::size_t{0} : static_cast<std::size_t>(node.axes[0]);
+  ask.q_lo = node.bounds.lo[axis];
+  ask.q_hi = node.bounds.hi[axis];
+  ask.count = node.count;
+  ask.weight = node.weight;
+  const auto [index, first, last] = node.range;
+  ask.left_size = rule_.size(first, node.range.middle());
+  ask.size = rule_.size(first, last);
+  if (options_.cut_tolerance > 0)
+    ask.rank = floor_share(node.count, ask.left_size, ask.size);
+  else
+    ask.rank = rule_.quota(first, node.range.middle());
+  ask.search = !node.bounds.empty() && (scale_ || ask.rank < ask.count);
+  ask.slack = slack_of(node);
+  return ask;
+}
+
+// The same fraction of either side's target, hence of the smaller one.
+u128 TreeBuilder::slack_of(const Node& node) const {
+  if (options_.cut_tolerance <= 0) return 0;
+  const u128 left = rule_.size(node.range.first, node.range.middle());
+  const u128 right = rule_.size(node.range.middle(), node.range.last);
+  const double share = quotient(std::min(left, right), left + right);
+  const double load = scale_ ? static_cast<double>(node.weight) : static_cast<double>(node.count);
+  return static_cast<u128>(std::min(level_tolerance_, 1.0) * share * load);
+}
+
+void TreeBuilder::split(std::span<const Question> answers) {
   next_.clear();
-  branches_.resize(level_.size());
+  next_spans_.clear();
   for (std::size_t n = 0; n < level_.size(); ++n) {
     const Node& node = level_[n];
-    const SelectNode& answer = answers[n];
+    const Question& answer = answers[n];
     Cut& cut = result_.tree.cuts[at(node.range.node)];
     cut.axes = answer.axes;
     cut.right_empty = answer.right_empty;
@@ -159,122 +275,50 @@ void TreeBuilder::split(std::span<const SelectNode> answers) {
       for (std::size_t w = 0; w < at(axes_); ++w) cut.key.at[w] = geometry::value_of_image(answer.key[w]);
       cut.key.id = static_cast<Id>(answer.key[at(axes_)]);
     }
-    Node left{node.range.left(), answer.rank, answer.right_empty ? node.weight : answer.left_weight};
-    Node right{node.range.right(), node.count - answer.rank, node.weight - left.weight};
-    const auto label = [this](const Node& child) {
-      if (child.range.leaf()) return -1 - child.range.first;
-      next_.push_back(child);
-      return static_cast<std::int32_t>(next_.size()) - 1;
-    };
-    Branch& branch = branches_[n];
-    branch.at = cut.right_empty ? std::numeric_limits<double>::infinity() : cut.key.at[0];
-    branch.x = axes_ > 0 ? particles_.position[static_cast<std::size_t>(cut.axes[0])] : nullptr;
-    branch.cut = &cut;
-    branch.left = label(left);
-    branch.right = label(right);
-  }
-}
-
-// Gives every particle its child, and bounds_ the children's extents.
-void TreeBuilder::label_all() {
-  if (axes_ == 0) {
-    label_by_id();
-    bounds_.assign(next_.size(), bounds_[0]);
-    return;
-  }
-  switch (axes_) {
-    case 1:
-      label_and_measure<1>();
-      break;
-    case 2:
-      label_and_measure<2>();
-      break;
-    default:
-      label_and_measure<3>();
-      break;
-  }
-}
-
-// A particle whose coordinate is the cut's: the rest of the key decides.
-bool TreeBuilder::goes_right(const Branch& branch, std::size_t particle) const {
-  return !branch.cut->right_empty && !(key_of(particles_.point(particle), particles_.id[particle], branch.cut->axes,
-                                              particles_.dims) < branch.cut->key);
-}
-
-template <int kAxes>
-void TreeBuilder::label_and_measure() {
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  constexpr auto kCount = static_cast<std::size_t>(kAxes);
-  struct Range {
-    std::array<double, kCount> lo;
-    std::array<double, kCount> hi;
-  };
-  // Particles that reached their part are measured too, into the first entry, so that the pass has no branch for it.
-  std::vector<Range> ranges(next_.size() + 1);
-  for (Range& range : ranges) {
-    range.lo.fill(kInfinity);
-    range.hi.fill(-kInfinity);
-  }
-  std::array<const double*, kCount> x{};
-  std::copy_n(particles_.position.begin(), kCount, x.begin());
-  const bool measuring = !next_.empty();
-  const Branch* const branches = branches_.data();
-  std::int32_t* const label = result_.part.data();
-  for (std::size_t i = 0; i < particles_.count; ++i) {
-    if (label[i] < 0) continue;
-    const Branch& branch = branches[label[i]];
-    const double value = branch.x[i];
-    bool right = value > branch.at;
-    if (value == branch.at) [[unlikely]]
-      right = goes_right(branch, i);
-    const std::int32_t child = right ? branch.right : branch.left;
-    label[i] = child;
-    if (!measuring) continue;
-    Range& range = ranges[static_cast<std::size_t>(std::max(child, -1) + 1)];
-    for (std::size_t a = 0; a < kCount; ++a) {
-      const double v = x[a][i];
-      range.lo[a] = v < range.lo[a] ? v : range.lo[a];
-      range.hi[a] = v > range.hi[a] ? v : range.hi[a];
-    }
-  }
-  bounds_.resize(next_.size());
-  for (std::size_t n = 0; n < next_.size(); ++n) {
-    const Range& range = ranges[n + 1];
-    bounds_[n].lo.fill(kNoImage);
-    bounds_[n].not_hi.fill(kNoImage);
-    for (std::size_t a = 0; a < kCount && range.lo[0] <= range.hi[0]; ++a) {
-      bounds_[n].lo[a] = geometry::image(range.lo[a]);
-      bounds_[n].not_hi[a] = ~geometry::image(range.hi[a]);
-    }
+    const std::uint64_t left_count = answer.right_empty ? node.count : answer.left_count;
+    const u128 left_weight = answer.right_empty ? node.weight : answer.left_weight;
+    take_child({node.range.left(), left_count, left_weight, {}, {}}, false, n);
+    take_child({node.range.right(), node.count - left_count, node.weight - left_weight, {}, {}}, true, n);
   }
   reduce_bounds();
 }
 
-void TreeBuilder::label_by_id() {
-  for (std::size_t i = 0; i < particles_.count; ++i) {
-    std::int32_t& label = result_.part[i];
-    if (label < 0) continue;
-    const Branch& branch = branches_[at(label)];
-    const bool right = !branch.cut->right_empty && particles_.id[i] >= branch.cut->key.id;
-    label = right ? branch.right : branch.left;
+void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) {
+  const std::size_t chunks = starts_.size();
+  const std::span<const Span> from = std::span<const Span>(spans_).subspan(parent * chunks, chunks);
+  if (child.range.leaf()) {
+    for (std::size_t c = 0; c < chunks; ++c) {
+      const Record* const end = right ? from[c].last : from[c].middle;
+      ends_[c * at(options_.parts) + at(child.range.first)] = static_cast<std::size_t>(end - starts_[c]);
+    }
+    return;
+  }
+  next_.push_back(child);
+  for (const Span& span : from) {
+    Record* const first = right ? span.middle : span.first;
+    Record* const last = right ? span.last : span.middle;
+    next_spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
+    widen(next_.back().bounds, {first, last});
   }
 }
 
 void TreeBuilder::reduce_bounds() {
-  if (bounds_.empty()) return;
-  const auto axes = at(axes_);
-  std::vector<std::uint64_t> least(bounds_.size() * axes * 2);
-  for (std::size_t n = 0, w = 0; n < bounds_.size(); ++n)
-    for (std::size_t a = 0; a < axes; ++a, w += 2) {
-      least[w] = bounds_[n].lo[a];
-      least[w + 1] = bounds_[n].not_hi[a];
+  std::vector<std::uint64_t> least;
+  least.reserve(next_.size() * q_axes_ * 2);
+  for (const Node& node : next_)
+    for (std::size_t a = 0; a < q_axes_; ++a) {
+      least.push_back(static_cast<std::uint64_t>(node.bounds.lo[a]));
+      least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.bounds.hi[a]));
     }
-  comm_.all_min(least);
-  result_.reductions += (least.size() + kMessageWordsMax - 1) / kMessageWordsMax;
-  for (std::size_t n = 0, w = 0; n < bounds_.size(); ++n)
-    for (std::size_t a = 0; a < axes; ++a, w += 2) {
-      bounds_[n].lo[a] = least[w];
-      bounds_[n].not_hi[a] = least[w + 1];
+  for (std::size_t first = 0; first < least.size(); first += kMessageWordsMax) {
+    comm_.all_min(std::span(least).subspan(first, std::min(kMessageWordsMax, least.size() - first)));
+    ++result_.reductions;
+  }
+  std::size_t word = 0;
+  for (Node& node : next_)
+    for (std::size_t a = 0; a < q_axes_; ++a) {
+      node.bounds.lo[a] = static_cast<std::int32_t>(least[word++]);
+      node.bounds.hi[a] = static_cast<std::int32_t>(QBounds::kNone - static_cast<std::int64_t>(least[word++]));
     }
 }
 

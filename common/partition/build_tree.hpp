@@ -1,9 +1,11 @@
-// TreeBuilder: the levels of a partition. For each level: the extents of its nodes, their axis orders, the search for
-// their cuts (select.hpp), and one pass that gives every particle its child and finds the children's extents.
+// TreeBuilder: the levels of a partition. For each level: the axis orders of its nodes, the search for their cuts,
+// which divides their records (select.hpp), and one pass over the children's records for their bounds.
 //
 // Invariants
-// 1. label_[i] >= 0 is the position of particle i's node among the level's inner nodes; -1 - p: it is in part p.
+// 1. The records of a level's nodes, in order, are one span a chunk each; a part's records never move again.
 // 2. A node's count (without weights) or weight (with) is known from its parent's cut, never counted again.
+// 3. Axis orders are exact: bounds of the records' integers decide where they can, the particles' coordinates
+// elsewhere.
 #pragma once
 
 #include <cstdint>
@@ -12,6 +14,7 @@
 
 #include "common/partition/load.hpp"
 #include "common/partition/partition.hpp"
+#include "common/partition/records.hpp"
 #include "common/partition/select.hpp"
 #include "common/partition/split_rule.hpp"
 
@@ -30,43 +33,47 @@ class TreeBuilder {
     NodeRange range;
     std::uint64_t count = 0;  // without weights
     u128 weight = 0;          // with weights
-  };
-  // What the labelling pass reads of a node.
-  struct Branch {
-    double at = 0;  // infinite where nothing goes right
-    const double* x = nullptr;
-    std::int32_t left = 0;
-    std::int32_t right = 0;
-    const Cut* cut = nullptr;
+    QBounds bounds;           // all ranks
+    AxisOrder axes{0, 1, 2};
   };
 
   void measure_all();
-  // Whether the tree is refined from a guess; else it is searched level by level.
-  bool refinable() const;
-  void refine();
-  void ask(const Node& node, const Bounds& bounds, SelectNode& out) const;
+  // Collective (one reduction at most).
+  void choose_maps(std::span<const std::uint64_t> samples);
+  std::vector<std::uint64_t> sample_maps() const;
+  void order_axes();
+  Extents extents_of(const QBounds& bounds) const;
+  // The exact extents of these nodes. Collective (one reduction).
+  std::vector<Point> measure(std::span<const std::size_t> nodes);
+  Question question(const Node& node) const;
+  u128 slack_of(const Node& node) const;
   // Makes the level's cuts from the answers, and the next level's nodes.
-  void split(std::span<const SelectNode> answers);
-  void label_all();
-  template <int kAxes>
-  void label_and_measure();
-  void label_by_id();
-  bool goes_right(const Branch& branch, std::size_t particle) const;
+  void split(std::span<const Question> answers);
+  void take_child(const Node& child, bool right, std::size_t parent);
   void reduce_bounds();
 
   Comm& comm_;
   const particles::ParticleView& particles_;
   const PartitionOptions& options_;
   int axes_;
+  std::size_t q_axes_;  // coordinates in a record
   SplitRule rule_;
+  double level_tolerance_ = 0;
   std::optional<ExactScale> scale_;  // of the weights, if they count
-  std::size_t local_count_max_ = 0;  // of any rank
+  Point lo_{};                       // of all particles
+  Point hi_{};
+  Id id_lo_ = 0;
+  Id id_hi_ = 0;
+  AxisMaps maps_;
+  Records records_;
 
   PartitionResult result_;
   std::vector<Node> level_;
   std::vector<Node> next_;
-  std::vector<Branch> branches_;
-  std::vector<Bounds> bounds_;  // of level_, later of next_
+  std::vector<Span> spans_;  // [level_ * chunks]
+  std::vector<Span> next_spans_;
+  std::vector<Record*> starts_;    // of chunks
+  std::vector<std::size_t> ends_;  // [chunk * parts + part]
 };
 
 }  // namespace rcb::partition

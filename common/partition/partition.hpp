@@ -14,10 +14,10 @@
 namespace rcb::partition {
 
 // How cuts are searched; no answer depends on it.
-struct Refinement {
-  std::uint64_t points_min = 50'000;  // with fewer particles each level is searched from its bounds, without a guess
-  std::uint64_t sample = 0;           // points in the sample; 0: as many as balance its cost and its use
-  double sigmas = 2.2;                // half a bracket's width, in standard deviations of the sample's guess
+struct SearchLimits {
+  std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles handled by 32-bit numbers together
+  std::uint64_t gather_max = 512;                     // candidates of a node that are gathered at once, >= 1
+  std::uint64_t bins_max = 2048;                      // of a histogram, a power of two >= 2
 };
 
 struct PartitionOptions {
@@ -26,17 +26,9 @@ struct PartitionOptions {
   std::vector<double> part_sizes;     // empty: equal; else `parts` finite numbers > 0
   double axis_hysteresis = 1.0;       // finite, >= 1; 1: the pure rule
   const CutTree* previous = nullptr;  // the tree in force, for hysteresis; null: none
-  Refinement refinement;
-};
-
-// What the refinement of a guess cost, all ranks together but for `scanned`; all 0 where none was made.
-struct RefineCounts {
-  std::uint64_t passes = 0;   // over all particles
-  std::uint64_t scanned = 0;  // particles looked at in them, on this rank
-  std::uint64_t sampled = 0;
-  std::uint64_t stashed = 0;     // found in a bracket
-  std::uint64_t missed = 0;      // brackets that did not hold their cut, and
-  std::uint64_t wrong_axes = 0;  // nodes whose longest axis was guessed wrong: mended by another pass
+  // 0: exact. Else a search stops as soon as no part's load can be off its target by more than this fraction.
+  double cut_tolerance = 0;
+  SearchLimits limits;
 };
 
 struct PartitionResult {
@@ -44,7 +36,6 @@ struct PartitionResult {
   Buffer<std::int32_t> part;     // [local count], the part of each local particle
   std::uint64_t rounds = 0;      // search rounds (a round: one histogram reduction for a group of nodes)
   std::uint64_t reductions = 0;  // all collectives used
-  RefineCounts refined;
 };
 
 // The box of all ranks' particles; empty without any. Collective (one reduction).

@@ -1,12 +1,14 @@
-// The search itself: brackets, rounds, the stash. How the few candidates left are gathered is in
-// select_candidates.cpp.
+// The search itself: rounds, brackets, and how the records are divided by them. How the few candidates left are
+// gathered is in select_candidates.cpp.
 #include "common/partition/select.hpp"
 
 #include <algorithm>
 #include <bit>
+#include <limits>
 
 #include <boost/multiprecision/cpp_int.hpp>
 
+#include "common/base/check.hpp"
 #include "common/partition/wide_sum.hpp"
 
 namespace rcb::partition {
@@ -14,272 +16,336 @@ namespace {
 
 using Wide = boost::multiprecision::uint512_t;
 
-constexpr std::size_t kBinsMin = 256;
-constexpr std::size_t kNodesBatch = 8192;  // bounds the histogram's memory
+constexpr std::size_t kBinsMin = 256;      // without weights
+constexpr std::size_t kHeavyBinsMin = 64;  // with weights, whose cells are four words
+constexpr int kRoundsMax = 2;              // before the integers are replaced
+constexpr unsigned kKeyBits = 31;
+constexpr std::uint64_t kGatherAlways = 8;  // candidates that aren't worth a histogram
 constexpr std::uint64_t kNone = ~std::uint64_t{0};
+
+unsigned shift_of(std::uint64_t span, std::size_t bins) {
+  const auto width = static_cast<unsigned>(std::bit_width(span));
+  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
+  return width > bin_bits ? width - bin_bits : 0;
+}
 
 }  // namespace
 
-void Selector::select(std::span<SelectNode> nodes, std::span<const std::int32_t> label) {
-  for (std::size_t first = 0; first < nodes.size(); first += kNodesBatch)
-    select_batch(nodes.subspan(first, std::min(kNodesBatch, nodes.size() - first)), static_cast<std::int32_t>(first),
-                 label);
-}
-
-void Selector::select_batch(std::span<SelectNode> nodes, std::int32_t first_label,
-                            std::span<const std::int32_t> label) {
+void Selector::select(std::span<Question> nodes, std::span<Span> spans) {
   nodes_ = nodes;
-  first_label_ = first_label;
+  spans_ = spans;
+  chunks_ = nodes.empty() ? 1 : spans.size() / nodes.size();
   states_.assign(nodes.size(), State{});
   neighbours_.clear();
-  plan_round();  // the gather limit of the first choice: as if all nodes were refined
   for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
-  if (any(Phase::refine)) {
-    plan_round();
-    count_all(label);
-    reduce_histogram();
-  }
-  if (any(Phase::refine) || any(Phase::next_word) || any(Phase::gather)) stash_all(label);
-  while (any(Phase::refine) || any(Phase::next_word)) {
-    if (any(Phase::next_word)) enter_next_words();
-    plan_round();
-    count_stash();
-    reduce_histogram();
-  }
+  for (count_round(); any(Phase::count) || any(Phase::rekey); count_round()) rekey();
   gather_candidates();
-  find_neighbours(label);
+  find_neighbours();
 }
 
 bool Selector::any(Phase phase) const {
   return std::ranges::any_of(states_, [phase](const State& state) { return state.phase == phase; });
 }
 
-void Selector::start(std::size_t node) {
-  SelectNode& ask = nodes_[node];
-  State& state = states_[node];
-  if (ask.empty || (!weighted() && ask.rank >= ask.count)) {
-    ask.right_empty = true;
-    return;
-  }
-  state.lo = ask.lo;
-  state.hi = ask.hi;
-  if (weighted()) {
-    const Wide wanted = Wide(ask.weight) * ask.left_size;
-    state.threshold = static_cast<u128>(Wide((wanted + ask.size - 1) / ask.size));
-    if (state.threshold == 0) {  // no weight: left takes nothing
-      state.phase = Phase::neighbour;
-      neighbours_.push_back({.node = node, .heavy_before = false, .from_start = true, .bound = {}});
-      return;
-    }
-    state.inside = kNone;
-  } else {
-    state.inside = ask.count;
-  }
-  state.phase = Phase::refine;
-  settle(node);
+std::vector<std::size_t> Selector::in_phase(Phase phase) const {
+  std::vector<std::size_t> found;
+  for (std::size_t n = 0; n < states_.size(); ++n)
+    if (states_[n].phase == phase) found.push_back(n);
+  return found;
 }
 
-// After the bracket or the count has changed: what comes next for the node?
+void Selector::start(std::size_t node) {
+  Question& ask = nodes_[node];
+  State& state = states_[node];
+  for (Span& span : spans_of(node)) {
+    span.middle = span.first;
+    span.upper = span.last;
+  }
+  if (!ask.search) {
+    ask.right_empty = true;
+    ask.left_count = ask.count;
+    ask.left_weight = ask.weight;
+    for (Span& span : spans_of(node)) span.middle = span.last;
+    return;
+  }
+  state.phase = Phase::count;
+  state.lo = ask.q_lo;
+  state.hi = ask.q_hi;
+  if (!weighted()) {
+    state.inside = ask.count;
+    const bool few = state.inside * record_words() * nodes_.size() <= kMessageWordsMax;
+    if (state.inside <= limits_.gather_max && (few || state.inside <= kGatherAlways)) state.phase = Phase::gather;
+    return;
+  }
+  const Wide wanted = Wide(ask.weight) * ask.left_size;
+  state.threshold = static_cast<u128>(Wide((wanted + ask.size - 1) / ask.size));
+  if (state.threshold == 0) {  // no weight: left takes nothing
+    state.phase = Phase::neighbour;
+    neighbours_.push_back({.node = node, .heavy_before = false, .from_start = true, .bound = {}});
+  }
+}
+
+// After the bracket has changed: what comes next for the node? Integers that tell little more are replaced.
 void Selector::settle(std::size_t node) {
   State& state = states_[node];
-  if (state.inside * record_words() <= bins_ * cell_words_ && state.inside != kNone) {
+  ++state.rounds;
+  if (state.inside <= limits_.gather_max)
     state.phase = Phase::gather;
-    return;
-  }
-  // Before any particle was stashed the next word may be entered on the bounds alone.
-  state.phase = Phase::refine;
-  while (state.lo[state.word] == state.hi[state.word]) {
-    CHECK(state.word + 1 < words_, "two particles have the same id");
-    ++state.word;
-  }
+  else if (state.lo == state.hi || (!state.keyed && state.rounds >= kRoundsMax))
+    state.phase = Phase::rekey;
 }
 
-// Who is refined in the next round, and in how many bins: as many as one message holds, at least 256.
-void Selector::plan_round() {
-  refining_.clear();
-  for (std::size_t n = 0; n < states_.size(); ++n)
-    if (states_[n].phase == Phase::refine) {
-      states_[n].slot = refining_.size();
-      refining_.push_back(n);
-    }
-  const std::size_t nodes = std::max<std::size_t>(refining_.empty() ? states_.size() : refining_.size(), 1);
-  bins_ = std::max(kBinsMin, std::bit_floor(kMessageWordsMax / (nodes * cell_words_)));
-  histogram_.resize(refining_.size() * bins_ * cell_words_);
-  std::fill(histogram_.begin(), histogram_.end(), 0);
+void Selector::sum_message() {
+  comm_.all_sum(message_.span());
+  ++rounds_;
+  ++reductions_;
 }
 
-void Selector::set_probes(bool refining_only) {
-  probes_.assign(states_.size(), Probe{});
-  for (std::size_t n = 0; n < states_.size(); ++n) {
-    const State& state = states_[n];
-    const bool refining = state.phase == Phase::refine;
-    if (!refining && (refining_only || state.phase == Phase::done || state.phase == Phase::neighbour)) continue;
-    Probe& probe = probes_[n];
-    if (state.word < axes_) probe.x = particles_.position[static_cast<std::size_t>(nodes_[n].axes[state.word])];
-    probe.lo = state.lo[state.word];
-    probe.span = state.hi[state.word] - probe.lo;
-    const auto width = static_cast<unsigned>(std::bit_width(probe.span));
-    const auto bin_bits = static_cast<unsigned>(std::bit_width(bins_) - 1);
-    probe.shift = width > bin_bits ? width - bin_bits : 0;
-    probe.cells = state.slot * bins_ * cell_words_;
+Selector::Cell Selector::cell(std::size_t at, std::size_t bin) const {
+  if (!weighted()) {
+    const auto bits = static_cast<unsigned>(64 / per_word_);
+    const std::uint64_t word = message_[at + bin / per_word_] >> (bits * static_cast<unsigned>(bin % per_word_));
+    return {per_word_ == 1 ? word : word & ((std::uint64_t{1} << bits) - 1), 0};
   }
+  const std::uint64_t* words = &message_[at + bin * cell_words_];
+  return {words[0], value_of_limbs(std::span<const std::uint64_t, kLimbs>(words + 1, kLimbs))};
 }
 
-void Selector::add(std::size_t cell, std::size_t particle) {
-  ++histogram_[cell];
-  if (!weighted()) return;
-  const u128 weight = (*scale_)(particles_.weight[particle]);
-  // Carried at once, so that no number of particles overflows a limb.
-  const std::span<std::uint64_t, kLimbs> limbs(&histogram_[cell + 1], kLimbs);
+// Carried at once, so that no number of particles overflows a limb.
+void Selector::add_weight(std::size_t at, u128 weight) {
+  const std::span<std::uint64_t, kLimbs> limbs(&message_[at + 1], kLimbs);
   std::ranges::copy(limbs_of(value_of_limbs(limbs) + weight), limbs.begin());
 }
 
-void Selector::count_all(std::span<const std::int32_t> label) {
-  set_probes(true);
-  const std::size_t nodes = states_.size();
-  for (std::size_t i = 0; i < label.size(); ++i) {
-    const auto node = static_cast<std::uint32_t>(label[i] - first_label_);
-    if (node >= nodes) continue;
-    const Probe& probe = probes_[node];
-    const std::uint64_t word =
-        probe.x != nullptr ? geometry::image(probe.x[i]) : static_cast<std::uint64_t>(particles_.id[i]);
-    const std::uint64_t offset = word - probe.lo;
-    if (offset > probe.span) continue;
-    add(probe.cells + (offset >> probe.shift) * cell_words_, i);
-  }
-}
-
-void Selector::stash_all(std::span<const std::int32_t> label) {
-  set_probes(false);
-  stash_word_.clear();
-  stash_node_.clear();
-  stash_index_.clear();
-  const std::size_t nodes = states_.size();
-  for (std::size_t i = 0; i < label.size(); ++i) {
-    const auto node = static_cast<std::uint32_t>(label[i] - first_label_);
-    if (node >= nodes) continue;
-    const Probe& probe = probes_[node];
-    const std::uint64_t word =
-        probe.x != nullptr ? geometry::image(probe.x[i]) : static_cast<std::uint64_t>(particles_.id[i]);
-    if (word - probe.lo > probe.span) continue;
-    stash_word_.push_back(word);
-    stash_node_.push_back(static_cast<std::int32_t>(node));
-    stash_index_.push_back(i);
-  }
-}
-
-void Selector::count_stash() {
-  set_probes(false);
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < stash_word_.size(); ++i) {
-    const auto node = static_cast<std::size_t>(stash_node_[i]);
-    const Probe& probe = probes_[node];
-    const std::uint64_t offset = stash_word_[i] - probe.lo;
-    if (offset > probe.span) continue;
-    stash_word_[kept] = stash_word_[i];
-    stash_node_[kept] = stash_node_[i];
-    stash_index_[kept] = stash_index_[i];
-    ++kept;
-    if (states_[node].phase == Phase::refine)
-      add(probe.cells + (offset >> probe.shift) * cell_words_, stash_index_[kept - 1]);
-  }
-  stash_word_.resize(kept);
-  stash_node_.resize(kept);
-  stash_index_.resize(kept);
-}
-
-void Selector::reduce_histogram() {
-  const std::size_t node_words = bins_ * cell_words_;
-  const std::size_t group = std::max<std::size_t>(kMessageWordsMax / node_words, 1) * node_words;
-  for (std::size_t at = 0; at < histogram_.size(); at += group) {
-    comm_.all_sum(histogram_.span().subspan(at, std::min(group, histogram_.size() - at)));
-    ++rounds_;
-    ++reductions_;
-  }
-  for (const std::size_t node : refining_) narrow(node);
-}
-
-// Takes the bin that holds the wanted key as the new bracket.
-void Selector::narrow(std::size_t node) {
+std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t at, Cell& found) {
   State& state = states_[node];
-  const Probe& probe = probes_[node];
-  for (std::size_t bin = 0; bin < bins_; ++bin) {
-    const std::uint64_t* cell = &histogram_[probe.cells + bin * cell_words_];
-    u128 weight = 0;
-    if (weighted()) weight = value_of_limbs(std::span<const std::uint64_t, kLimbs>(cell + 1, kLimbs));
-    const bool holds =
-        weighted() ? state.weight_below + weight >= state.threshold : state.below + cell[0] > nodes_[node].rank;
-    if (!holds) {
-      state.below += cell[0];
-      state.weight_below += weight;
-      continue;
-    }
-    std::uint64_t& lo = state.lo[state.word];
-    std::uint64_t& hi = state.hi[state.word];
-    lo += std::uint64_t{bin} << probe.shift;
-    hi = std::min(hi - lo, (std::uint64_t{1} << probe.shift) - 1) + lo;
-    state.inside = cell[0];
-    if (lo == hi && state.inside * record_words() > bins_ * cell_words_)
-      state.phase = Phase::next_word;
-    else
-      settle(node);
-    return;
+  for (std::size_t bin = 0; bin < bins; ++bin) {
+    found = cell(at, bin);
+    const bool holds = weighted() ? state.weight_below + found.weight >= state.threshold
+                                  : state.below + found.count > nodes_[node].rank;
+    if (holds) return bin;
+    state.below += found.count;
+    state.weight_below += found.weight;
   }
   CHECK(false, "no bin holds the wanted key");
 }
 
-void Selector::enter_next_words() {
-  std::vector<std::size_t> entering;
-  std::vector<std::int32_t> place(states_.size(), -1);
-  for (std::size_t n = 0; n < states_.size(); ++n)
-    if (states_[n].phase == Phase::next_word) {
-      place[n] = static_cast<std::int32_t>(entering.size());
-      entering.push_back(n);
-      CHECK(states_[n].word + 1 < words_, "two particles have the same id");
+// Histograms of the integers on the cut axis: as many bins as one message holds for all nodes. Counts that can't reach
+// 2^16 (2^32) share a word.
+void Selector::count_round() {
+  const std::vector<std::size_t> asked = in_phase(Phase::count);
+  if (asked.empty()) return;
+  std::uint64_t most = 0;
+  for (const std::size_t node : asked) most = std::max(most, states_[node].inside);
+  per_word_ = weighted() ? 1 : most < (1U << 16U) ? 4 : most <= 0xFFFFFFFFU ? 2 : 1;
+  const std::size_t fit = kMessageWordsMax * per_word_ / (cell_words_ * asked.size());
+  const std::size_t most_bins = std::min<std::size_t>(limits_.bins_max, weighted() ? kBinsMin : limits_.bins_max);
+  const std::size_t least_bins = std::min(weighted() ? kHeavyBinsMin : kBinsMin, most_bins);
+  const std::size_t bins = std::clamp(std::bit_floor(std::max<std::size_t>(fit, 1)), least_bins, most_bins);
+  const std::size_t node_words = (bins * cell_words_ + per_word_ - 1) / per_word_;
+  const std::size_t group = std::max<std::size_t>(kMessageWordsMax / node_words, 1);
+  for (std::size_t first = 0; first < asked.size(); first += group) {
+    const auto own = std::span(asked).subspan(first, std::min(group, asked.size() - first));
+    const auto shift = [&](std::size_t node) {
+      return shift_of(static_cast<std::uint64_t>(states_[node].hi - states_[node].lo), bins);
+    };
+    message_.resize(own.size() * node_words);
+    std::fill(message_.begin(), message_.end(), 0);
+    for (std::size_t n = 0; n < own.size(); ++n) count_node(own[n], shift(own[n]), bins, n * node_words);
+    sum_message();
+    for (std::size_t n = 0; n < own.size(); ++n) take_count(own[n], shift(own[n]), bins, n * node_words);
+  }
+}
+
+void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
+  const std::int32_t lo = states_[node].lo;
+  const std::size_t axis = axis_of(node);
+  if (weighted()) {
+    for (const Span& span : spans_of(node))
+      for (const Record& record : span.open()) {
+        const std::size_t own = at + (static_cast<std::uint32_t>(record.q[axis] - lo) >> shift) * cell_words_;
+        ++message_[own];
+        add_weight(own, (*scale_)(particles_.weight[span.base + record.index]));
+      }
+    return;
+  }
+  const auto bits = static_cast<unsigned>(64 / per_word_);
+  bins_.resize(bins);
+  for (const Span& span : spans_of(node)) {
+    if (span.open().empty()) continue;
+    std::fill(bins_.begin(), bins_.end(), 0);
+    count_bins(span.open(), axis, lo, shift, bins_.span());
+    for (std::size_t b = 0; b < bins; ++b)
+      message_[at + b / per_word_] += std::uint64_t{bins_[b]} << (bits * static_cast<unsigned>(b % per_word_));
+  }
+}
+
+// The bin that holds the wanted key becomes the bracket.
+void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
+  State& state = states_[node];
+  Cell found;
+  const std::uint64_t before = state.inside;
+  const std::size_t bin = crossing(node, bins, at, found);
+  if (take_near(node, shift, bin, found)) return;
+  state.inside = found.count;
+  const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);
+  const auto step = static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
+  narrow(node, lo, state.hi - lo > step ? lo + step : state.hi, found.count < before / 16);
+  settle(node);
+}
+
+// With slack: a cut between two bins, if it is near enough. Any key between them is one; it is the least.
+bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, const Cell& found) {
+  Question& ask = nodes_[node];
+  const State& state = states_[node];
+  if (ask.slack == 0 || state.keyed) return false;
+  const u128 wanted =
+      weighted() ? static_cast<u128>(Wide(Wide(ask.weight) * ask.left_size / ask.size)) : u128{ask.rank};
+  const u128 before = weighted() ? state.weight_below : state.below;
+  const u128 after = before + (weighted() ? found.weight : found.count);
+  const auto off = [wanted](u128 got) { return got < wanted ? wanted - got : got - wanted; };
+  const bool take = off(after) < off(before);
+  const std::int32_t q = state.lo + static_cast<std::int32_t>((bin + (take ? 1 : 0)) << shift);
+  if (off(take ? after : before) > ask.slack || q > ask.q_hi) return false;
+  ask.left_count = state.below + (take ? found.count : 0);
+  ask.left_weight = state.weight_below + (take ? found.weight : 0);
+  ask.key = {};
+  for (std::size_t w = 1; w < axes_; ++w) ask.key[w] = geometry::image(std::numeric_limits<double>::lowest());
+  ask.key[0] = geometry::image(maps_[axis_of(node)].first_value(q));
+  for (Span& span : spans_of(node)) span.middle = span.upper = split(span.open(), axis_of(node), q);
+  states_[node].phase = Phase::done;
+  return true;
+}
+
+void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few) {
+  State& state = states_[node];
+  const std::size_t axis = axis_of(node);
+  for (Span& span : spans_of(node)) {
+    if (lo > state.lo) span.middle = split(span.open(), axis, lo);
+    if (hi < state.hi) span.upper = few ? split_few(span.open(), axis, hi) : split(span.open(), axis, hi + 1);
+  }
+  state.lo = lo;
+  state.hi = hi;
+}
+
+std::array<std::uint64_t, 2> Selector::word_bounds(std::size_t node, std::size_t word) const {
+  std::uint64_t least = kNone;
+  std::uint64_t other = kNone;
+  if (told(node, word)) {
+    QBounds bounds;
+    for (const Span& span : spans_of(node)) widen(bounds, span.open());
+    const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
+    if (bounds.empty()) return {least, other};
+    return {static_cast<std::uint64_t>(bounds.lo[axis]), ~static_cast<std::uint64_t>(bounds.hi[axis])};
+  }
+  for (const Span& span : spans_of(node)) {
+    if (span.open().empty()) continue;
+    // Mostly all are equal, or the search would not have come here.
+    const std::uint64_t first = word_of(node, word, span.base + span.middle->index);
+    std::uint64_t differ = 0;
+    for (const Record& record : span.open()) differ |= word_of(node, word, span.base + record.index) ^ first;
+    least = std::min(least, first);
+    other = std::min(other, ~first);
+    if (differ == 0) continue;
+    for (const Record& record : span.open()) {
+      const std::uint64_t own = word_of(node, word, span.base + record.index);
+      least = std::min(least, own);
+      other = std::min(other, ~own);
     }
+  }
+  return {least, other};
+}
+
+// The open records' exact bounds, word by word; words of one value are decided. The integers then stand for the first
+// word that isn't.
+void Selector::rekey() {
+  const std::vector<std::size_t> entering = in_phase(Phase::rekey);
+  if (entering.empty()) return;
   // Least and complement of the greatest of every word, so that one minimum gives both.
   Buffer<std::uint64_t> bounds(entering.size() * words_ * 2);
   std::fill(bounds.begin(), bounds.end(), kNone);
-  for (std::size_t i = 0; i < stash_word_.size(); ++i) {
-    const auto node = static_cast<std::size_t>(stash_node_[i]);
-    if (place[node] < 0 || stash_word_[i] != states_[node].lo[states_[node].word]) continue;
-    std::uint64_t* own = &bounds[static_cast<std::size_t>(place[node]) * words_ * 2];
-    for (std::size_t w = states_[node].word + 1; w < words_; ++w) {
-      const std::uint64_t word = word_of(node, w, stash_index_[i]);
-      own[2 * w] = std::min(own[2 * w], word);
-      own[2 * w + 1] = std::min(own[2 * w + 1], ~word);
-    }
-  }
-  comm_.all_min(bounds.span());
-  count_reductions(bounds.size());
-  std::vector<std::size_t> old_word(states_.size(), 0);
   for (std::size_t e = 0; e < entering.size(); ++e) {
     State& state = states_[entering[e]];
-    old_word[entering[e]] = state.word;
-    for (std::size_t w = state.word + 1; w < words_; ++w) {
-      state.lo[w] = bounds[(e * words_ + w) * 2];
-      state.hi[w] = ~bounds[(e * words_ + w) * 2 + 1];
-    }
-    settle(entering[e]);
+    // One integer that tells the coordinate decides it.
+    if (state.lo == state.hi && (state.keyed ? state.shift == 0 : told(entering[e], state.word))) ++state.word;
+    CHECK(state.word < words_, "two particles have the same id");
+    for (std::size_t w = state.word; w < words_; ++w)
+      std::ranges::copy(word_bounds(entering[e], w), &bounds[(e * words_ + w) * 2]);
   }
-  // What is stashed becomes the new word; entries of other values leave now, since their word is gone.
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < stash_word_.size(); ++i) {
-    const auto node = static_cast<std::size_t>(stash_node_[i]);
-    const State& state = states_[node];
-    std::uint64_t word = stash_word_[i];
-    if (place[node] >= 0) {
-      if (word != state.lo[old_word[node]]) continue;
-      word = word_of(node, state.word, stash_index_[i]);
-    }
-    stash_word_[kept] = word;
-    stash_node_[kept] = stash_node_[i];
-    stash_index_[kept] = stash_index_[i];
-    ++kept;
+  for (std::size_t at = 0; at < bounds.size(); at += kMessageWordsMax) {
+    comm_.all_min(bounds.span().subspan(at, std::min(kMessageWordsMax, bounds.size() - at)));
+    ++reductions_;
   }
-  stash_word_.resize(kept);
-  stash_node_.resize(kept);
-  stash_index_.resize(kept);
+  for (std::size_t e = 0; e < entering.size(); ++e) {
+    State& state = states_[entering[e]];
+    const auto lo = [&] { return bounds[(e * words_ + state.word) * 2]; };
+    const auto hi = [&] { return ~bounds[(e * words_ + state.word) * 2 + 1]; };
+    while (lo() == hi()) {
+      CHECK(state.word + 1 < words_, "two particles have the same id");
+      ++state.word;
+    }
+    if (!state.keyed) {
+      state.single = state.lo == state.hi;
+      state.single_value = state.lo;
+    }
+    state.base = lo();
+    const auto width = static_cast<unsigned>(std::bit_width(hi() - lo()));
+    state.shift = width > kKeyBits ? width - kKeyBits : 0;
+    state.lo = 0;
+    state.hi = static_cast<std::int32_t>((hi() - lo()) >> state.shift);
+    state.rounds = 0;
+    state.phase = Phase::count;
+    write_words(entering[e]);
+  }
+}
+
+void Selector::write_words(std::size_t node) {
+  State& state = states_[node];
+  const std::size_t axis = axis_of(node);
+  const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
+  for (Span& span : spans_of(node)) {
+    if (!state.keyed) {
+      span.keyed = span.middle;
+      span.keyed_last = span.upper;
+    }
+    if (told(node, state.word))
+      for (Record& record : span.open()) record.q[axis] = record.q[from] - static_cast<std::int32_t>(state.base);
+    else
+      for (Record& record : span.open())
+        record.q[axis] = static_cast<std::int32_t>((word_of(node, state.word, span.base + record.index) - state.base) >>
+                                                   state.shift);
+  }
+  state.keyed = true;
+}
+
+// The integers stand for the cut axis' coordinates again.
+void Selector::restore(std::size_t node) {
+  const State& state = states_[node];
+  if (!state.keyed) return;
+  const std::size_t axis = axis_of(node);
+  for (Span& span : spans_of(node))
+    for (Record& record : std::span(span.keyed, span.keyed_last)) {
+      const std::size_t particle = span.base + record.index;
+      record.q[axis] = state.single ? state.single_value
+                       : axes_ == 0 ? maps_[0](particles_.id[particle])
+                                    : maps_[axis](particles_.position[axis][particle]);
+    }
+}
+
+// The records of the right side are those whose key isn't less.
+void Selector::divide(std::size_t node) {
+  const Question& ask = nodes_[node];
+  restore(node);
+  for (Span& span : spans_of(node)) {
+    if (ask.right_empty) {
+      span.middle = span.upper = span.last;
+      continue;
+    }
+    span.middle = std::partition(span.middle, span.upper, [&](const Record& record) {
+      return key_words(node, span.base + record.index) < ask.key;
+    });
+    span.upper = span.middle;
+  }
 }
 
 std::uint64_t Selector::word_of(std::size_t node, std::size_t word, std::size_t particle) const {

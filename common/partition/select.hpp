@@ -1,13 +1,15 @@
-// Selector: exact distributed selection, for all nodes of a tree level together. Each node asks for the smallest key
-// of its right side; the answer is the same bits on every rank, whatever particles lie where.
+// Selector: exact distributed selection, for all nodes of a tree level together. Each node asks for the smallest key of
+// its right side; the answer is the same bits on every rank, whatever particles lie where. Afterwards each node's
+// records stand divided by it.
 //
 // Invariants
-// 1. A key is words: the coordinates' images in the node's axis order, then the id. A node's words before the
-//    current one are decided (least == greatest), the current one has a bracket, the later ones have bounds.
-// 2. Every particle of a node below its bracket is counted in `below` (and `weight_below`); the wanted key is inside.
-// 3. A histogram round divides a bracket by at least 256, so a word of 64 bits takes at most 8 rounds; a word of one
-//    value takes none.
-// 4. After the first round only the particles inside a bracket (the stash) are looked at.
+// 1. A node's open records (Span) hold the wanted key; `below` of its records come before them, the rest after. A round
+//    looks at the open records alone.
+// 2. A round counts the records' integers on the cut axis; the bin that holds the wanted key becomes the bracket, and
+//    the records outside of it are open no more.
+// 3. Where too many are left to be gathered after two rounds, the integers of those are replaced, until the search
+//    ends, by a key word's offset in the word's exact bounds: the coordinates' images in the node's axis order, then
+//    the id. Words before it are decided. Each such integer has 31 bits, hence takes at most four rounds.
 #pragma once
 
 #include <array>
@@ -20,6 +22,8 @@
 #include "common/partition/comm.hpp"
 #include "common/partition/key.hpp"
 #include "common/partition/load.hpp"
+#include "common/partition/partition.hpp"
+#include "common/partition/records.hpp"
 
 namespace rcb::partition {
 
@@ -29,12 +33,13 @@ using KeyWords = std::array<std::uint64_t, geometry::kDimsMax + 1>;
 inline constexpr std::size_t kMessageBytesMax = 32 * 1024;
 inline constexpr std::size_t kMessageWordsMax = kMessageBytesMax / sizeof(std::uint64_t);
 
-struct SelectNode {
+struct Question {
   // Asked
-  bool empty = false;  // no particle in it
+  bool search = true;  // false: nothing goes right
   AxisOrder axes{0, 1, 2};
-  KeyWords lo{};  // bounds of the particles' words: the brackets to begin with
-  KeyWords hi{};
+  // Bounds of the records' integers on the first axis, all ranks.
+  std::int32_t q_lo = 0;
+  std::int32_t q_hi = 0;
   // without weights: the key of this rank (from 0) among `count`
   std::uint64_t count = 0;
   std::uint64_t rank = 0;
@@ -42,58 +47,66 @@ struct SelectNode {
   u128 weight = 0;
   u128 left_size = 0;
   u128 size = 1;
+  // Left may have so many particles (so much weight) more or less. 0: exact.
+  u128 slack = 0;
 
   // Answered
   bool right_empty = false;
-  KeyWords key{};        // smallest key of the right side
-  u128 left_weight = 0;  // with weights
+  KeyWords key{};                // smallest key of the right side
+  std::uint64_t left_count = 0;  // without weights
+  u128 left_weight = 0;          // with weights
 };
 
 class Selector {
  public:
   // axes: how many coordinate words a key has; 0: keys are ids alone. scale: null without weights.
-  Selector(Comm& comm, const particles::ParticleView& particles, int axes, const ExactScale* scale)
+  Selector(Comm& comm, const particles::ParticleView& particles, const AxisMaps& maps, int axes,
+           const ExactScale* scale, const SearchLimits& limits)
       : comm_(comm),
         particles_(particles),
+        maps_(maps),
         axes_(static_cast<std::size_t>(axes)),
         words_(axes_ + 1),
         scale_(scale),
+        limits_(limits),
         cell_words_(scale == nullptr ? 1 : 4) {}
 
   // Collective.
-  //   label  [particles.count]; label[i] in [0, nodes.size()) names particle i's node, others are in none
-  void select(std::span<SelectNode> nodes, std::span<const std::int32_t> label);
+  //   spans  [nodes * chunks], each node's records; on return middle == upper, where the right side begins
+  void select(std::span<Question> nodes, std::span<Span> spans);
 
   std::uint64_t rounds() const { return rounds_; }
   std::uint64_t reductions() const { return reductions_; }
 
  private:
-  enum class Phase : std::uint8_t { refine, next_word, gather, neighbour, done };
+  enum class Phase : std::uint8_t { done, count, rekey, gather, neighbour };
 
   // The search of one node.
   struct State {
     Phase phase = Phase::done;
-    std::size_t word = 0;  // the one whose bracket is refined
-    KeyWords lo{};
-    KeyWords hi{};
+    bool single = false;  // the cut axis' integers of all keyed records were `single_value`
+    std::int32_t single_value = 0;
+    bool keyed = false;  // the integers stand for a key word: (its value - base) >> shift
+    std::size_t word = 0;
+    unsigned shift = 0;
+    std::uint64_t base = 0;
+    int rounds = 0;  // since the integers have stood for this word
+    // The bracket of the open records' integers.
+    std::int32_t lo = 0;
+    std::int32_t hi = 0;
     std::uint64_t below = 0;
     std::uint64_t inside = 0;
     u128 weight_below = 0;
-    u128 threshold = 0;    // with weights: the shortest prefix of at least this weight ends in the bracket
-    std::size_t slot = 0;  // in the histogram
-  };
-  // What a pass over particles reads of a node; an idle node has a bracket that holds nothing.
-  struct Probe {
-    const double* x = nullptr;  // null: the id
-    std::uint64_t lo = ~std::uint64_t{0};
-    std::uint64_t span = 0;
-    unsigned shift = 0;
-    std::size_t cells = 0;  // where its histogram starts
+    u128 threshold = 0;  // with weights: the shortest prefix of at least this weight ends in the bracket
   };
   struct Candidate {
     std::size_t node;
     KeyWords key;
     u128 weight;
+  };
+  struct Cell {
+    std::uint64_t count = 0;
+    u128 weight = 0;
   };
   // Looks for the key next to a bound among all of a node's particles (weights only).
   struct Neighbour {
@@ -103,58 +116,68 @@ class Selector {
     KeyWords bound{};
   };
 
-  void select_batch(std::span<SelectNode> nodes, std::int32_t first_label, std::span<const std::int32_t> label);
-  // What is known without a look at particles.
   void start(std::size_t node);
-  // Passes over all particles of the batch.
-  void count_all(std::span<const std::int32_t> label);
-  void stash_all(std::span<const std::int32_t> label);
-  // A pass over the stash: drops what left its bracket, counts the rest.
-  void count_stash();
-  // Nodes whose bracket is one value: bounds of the later words among the equals.
-  void enter_next_words();
-  void plan_round();
-  void reduce_histogram();
-  void narrow(std::size_t node);
+  bool any(Phase phase) const;
+  std::vector<std::size_t> in_phase(Phase phase) const;
   void settle(std::size_t node);
+  // A round sums its histograms over ranks in messages of bounded size, group by group.
+  void count_round();
+  void count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at);
+  void take_count(std::size_t node, unsigned shift, std::size_t bins, std::size_t at);
+  bool take_near(std::size_t node, unsigned shift, std::size_t bin, const Cell& cell);
+  void narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few);
+  void rekey();
+  // Least word and complement of the greatest among a node's open records. Local.
+  std::array<std::uint64_t, 2> word_bounds(std::size_t node, std::size_t word) const;
+  void write_words(std::size_t node);
+  void restore(std::size_t node);
+  void sum_message();
+  Cell cell(std::size_t at, std::size_t bin) const;
+  void add_weight(std::size_t at, u128 weight);
+  // The bin that holds the wanted key; what lies before it is added to below.
+  std::size_t crossing(std::size_t node, std::size_t bins, std::size_t at, Cell& found);
+
   void gather_candidates();
-  void gather_group(std::span<const std::size_t> group, std::span<const std::size_t> starts,
-                    std::span<const std::size_t> order);
+  void gather_group(std::span<const std::size_t> group);
   void pick(std::span<const Candidate> candidates);
   void pick_weighted(std::span<const Candidate> candidates);
-  void find_neighbours(std::span<const std::int32_t> label);
+  void look_beside(const Neighbour& wanted);
+  void find_neighbours();
   // The keys nearest to each bound, after it or (backward) before it with weight > 0; false where there is none.
-  std::vector<std::uint8_t> nearest(std::span<const Neighbour> wanted, bool backward,
-                                    std::span<const std::int32_t> label, std::vector<KeyWords>& keys);
+  std::vector<std::uint8_t> nearest(std::span<const Neighbour> wanted, bool backward, std::vector<KeyWords>& keys);
+  // Divides the open records by the key found; all of them where it need not lie among the open ones.
+  void divide(std::size_t node);
 
-  bool any(Phase phase) const;
   bool weighted() const { return scale_ != nullptr; }
-  void set_probes(bool refining_only);
+  std::size_t axis_of(std::size_t node) const {
+    return axes_ == 0 ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
+  }
+  std::span<Span> spans_of(std::size_t node) const { return spans_.subspan(node * chunks_, chunks_); }
+  // Of a key word the integers tell as much as the coordinate: they may stand for it.
+  bool told(std::size_t node, std::size_t word) const {
+    return word < axes_ && maps_[static_cast<std::size_t>(nodes_[node].axes[word])].exact();
+  }
   std::uint64_t word_of(std::size_t node, std::size_t word, std::size_t particle) const;
   KeyWords key_words(std::size_t node, std::size_t particle) const;
-  void add(std::size_t cell, std::size_t particle);
   std::size_t record_words() const { return words_ + 1 + (weighted() ? 2 : 0); }
-  void count_reductions(std::size_t words) { reductions_ += (words + kMessageWordsMax - 1) / kMessageWordsMax; }
 
   Comm& comm_;
   const particles::ParticleView& particles_;
+  const AxisMaps& maps_;
   std::size_t axes_;
   std::size_t words_;
   const ExactScale* scale_;
+  const SearchLimits& limits_;
   std::size_t cell_words_;  // of a histogram's cell: a count, or a count and three limbs of weight
 
-  std::span<SelectNode> nodes_;
-  std::int32_t first_label_ = 0;
+  std::span<Question> nodes_;
+  std::span<Span> spans_;
+  std::size_t chunks_ = 1;
   std::vector<State> states_;
-  std::vector<Probe> probes_;
-  std::vector<std::size_t> refining_;
-  std::size_t bins_ = 256;
-  Buffer<std::uint64_t> histogram_;
   std::vector<Neighbour> neighbours_;
-  // The stash, in step.
-  Buffer<std::uint64_t> stash_word_;
-  Buffer<std::int32_t> stash_node_;
-  Buffer<std::size_t> stash_index_;
+  Buffer<std::uint64_t> message_;
+  std::size_t per_word_ = 1;  // counts packed into a word of the message
+  Buffer<std::uint32_t> bins_;
 
   std::uint64_t rounds_ = 0;
   std::uint64_t reductions_ = 0;

@@ -24,49 +24,32 @@ std::vector<std::uint64_t> gather_words(Comm& comm, std::span<const std::uint64_
 }  // namespace
 
 void Selector::gather_candidates() {
-  std::vector<std::size_t> gathering;
-  std::vector<std::size_t> starts(states_.size() + 1, 0);
-  for (std::size_t n = 0; n < states_.size(); ++n)
-    if (states_[n].phase == Phase::gather) gathering.push_back(n);
-  if (gathering.empty()) return;
-  // The stash's entries by node (a counting sort).
-  const auto wanted = [this](std::size_t i) {
-    const State& state = states_[static_cast<std::size_t>(stash_node_[i])];
-    return state.phase == Phase::gather &&
-           stash_word_[i] - state.lo[state.word] <= state.hi[state.word] - state.lo[state.word];
-  };
-  for (std::size_t i = 0; i < stash_word_.size(); ++i)
-    if (wanted(i)) ++starts[static_cast<std::size_t>(stash_node_[i]) + 1];
-  for (std::size_t n = 0; n < states_.size(); ++n) starts[n + 1] += starts[n];
-  std::vector<std::size_t> order(starts.back());
-  std::vector<std::size_t> next(starts.begin(), starts.end() - 1);
-  for (std::size_t i = 0; i < stash_word_.size(); ++i)
-    if (wanted(i)) order[next[static_cast<std::size_t>(stash_node_[i])]++] = stash_index_[i];
-
+  const std::vector<std::size_t> gathering = in_phase(Phase::gather);
   const std::size_t limit = kMessageWordsMax / record_words();
   for (std::size_t first = 0; first < gathering.size();) {
     std::size_t last = first;
     std::uint64_t total = 0;
     while (last < gathering.size() && (last == first || total + states_[gathering[last]].inside <= limit))
       total += states_[gathering[last++]].inside;
-    gather_group(std::span(gathering).subspan(first, last - first), starts, order);
+    gather_group(std::span(gathering).subspan(first, last - first));
     first = last;
   }
 }
 
-void Selector::gather_group(std::span<const std::size_t> group, std::span<const std::size_t> starts,
-                            std::span<const std::size_t> order) {
+void Selector::gather_group(std::span<const std::size_t> group) {
   std::vector<std::uint64_t> mine;
   for (const std::size_t node : group)
-    for (std::size_t i = starts[node]; i < starts[node + 1]; ++i) {
-      const KeyWords key = key_words(node, order[i]);
-      mine.push_back(node);
-      mine.insert(mine.end(), key.begin(), key.begin() + static_cast<std::ptrdiff_t>(words_));
-      if (!weighted()) continue;
-      const u128 weight = (*scale_)(particles_.weight[order[i]]);
-      mine.push_back(static_cast<std::uint64_t>(weight));
-      mine.push_back(static_cast<std::uint64_t>(weight >> 64U));
-    }
+    for (const Span& span : spans_of(node))
+      for (const Record& record : span.open()) {
+        const std::size_t particle = span.base + record.index;
+        const KeyWords key = key_words(node, particle);
+        mine.push_back(node);
+        mine.insert(mine.end(), key.begin(), key.begin() + static_cast<std::ptrdiff_t>(words_));
+        if (!weighted()) continue;
+        const u128 weight = (*scale_)(particles_.weight[particle]);
+        mine.push_back(static_cast<std::uint64_t>(weight));
+        mine.push_back(static_cast<std::uint64_t>(weight >> 64U));
+      }
   const std::vector<std::uint64_t> all = gather_words(comm_, mine);
   ++reductions_;
   std::vector<Candidate> candidates;
@@ -90,12 +73,14 @@ void Selector::gather_group(std::span<const std::size_t> group, std::span<const 
       pick_weighted(own);
     else
       pick(own);
+    if (states_[own[0].node].phase == Phase::done) divide(own[0].node);
     first = last;
   }
 }
 
 void Selector::pick(std::span<const Candidate> candidates) {
-  SelectNode& node = nodes_[candidates[0].node];
+  Question& node = nodes_[candidates[0].node];
+  node.left_count = node.rank;
   node.key = candidates[node.rank - states_[candidates[0].node].below].key;
 }
 
@@ -103,7 +88,7 @@ void Selector::pick(std::span<const Candidate> candidates) {
 // the shortest.
 void Selector::pick_weighted(std::span<const Candidate> candidates) {
   const std::size_t index = candidates[0].node;
-  SelectNode& node = nodes_[index];
+  Question& node = nodes_[index];
   const State& state = states_[index];
   u128 before = state.weight_below;
   std::size_t crossing = 0;
@@ -117,8 +102,7 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     if (crossing + 1 < candidates.size())
       node.key = candidates[crossing + 1].key;
     else
-      neighbours_.push_back(
-          {.node = index, .heavy_before = false, .from_start = false, .bound = candidates[crossing].key});
+      look_beside({.node = index, .heavy_before = false, .from_start = false, .bound = candidates[crossing].key});
     return;
   }
   node.left_weight = before;
@@ -126,18 +110,23 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
   if (crossing > 0 || state.below == 0)
     node.key = candidates[crossing].key;
   else if (state.weight_below == 0)
-    neighbours_.push_back({.node = index, .heavy_before = false, .from_start = true, .bound = {}});
+    look_beside({.node = index, .heavy_before = false, .from_start = true, .bound = {}});
   else
-    neighbours_.push_back({.node = index, .heavy_before = true, .from_start = false, .bound = candidates[0].key});
+    look_beside({.node = index, .heavy_before = true, .from_start = false, .bound = candidates[0].key});
 }
 
-void Selector::find_neighbours(std::span<const std::int32_t> label) {
+void Selector::look_beside(const Neighbour& wanted) {
+  neighbours_.push_back(wanted);
+  states_[wanted.node].phase = Phase::neighbour;
+}
+
+void Selector::find_neighbours() {
   if (neighbours_.empty()) return;
   std::vector<KeyWords> keys;
   std::vector<Neighbour> backward;
   std::ranges::copy_if(neighbours_, std::back_inserter(backward), &Neighbour::heavy_before);
   if (!backward.empty()) {
-    const std::vector<std::uint8_t> found = nearest(backward, true, label, keys);
+    const std::vector<std::uint8_t> found = nearest(backward, true, keys);
     std::size_t b = 0;
     for (Neighbour& neighbour : neighbours_) {
       if (!neighbour.heavy_before) continue;
@@ -145,33 +134,37 @@ void Selector::find_neighbours(std::span<const std::int32_t> label) {
       neighbour.bound = keys[b++];
     }
   }
-  const std::vector<std::uint8_t> found = nearest(neighbours_, false, label, keys);
+  const std::vector<std::uint8_t> found = nearest(neighbours_, false, keys);
   for (std::size_t n = 0; n < neighbours_.size(); ++n) {
-    nodes_[neighbours_[n].node].right_empty = found[n] == 0;
-    nodes_[neighbours_[n].node].key = keys[n];
-    states_[neighbours_[n].node].phase = Phase::done;
+    const std::size_t node = neighbours_[n].node;
+    nodes_[node].right_empty = found[n] == 0;
+    nodes_[node].key = keys[n];
+    states_[node].phase = Phase::done;
+    for (Span& span : spans_of(node)) {
+      span.middle = span.first;
+      span.upper = span.last;
+    }
+    divide(node);
   }
 }
 
 std::vector<std::uint8_t> Selector::nearest(std::span<const Neighbour> wanted, bool backward,
-                                            std::span<const std::int32_t> label, std::vector<KeyWords>& keys) {
-  std::vector<std::int32_t> place(states_.size(), -1);
-  for (std::size_t n = 0; n < wanted.size(); ++n) place[wanted[n].node] = static_cast<std::int32_t>(n);
+                                            std::vector<KeyWords>& keys) {
   std::vector<std::uint8_t> found(wanted.size(), 0);
   keys.assign(wanted.size(), KeyWords{});
   const auto offer = [&](std::size_t n, const KeyWords& key) {
     if (found[n] == 0 || (backward ? keys[n] < key : key < keys[n])) keys[n] = key;
     found[n] = 1;
   };
-  for (std::size_t i = 0; i < label.size(); ++i) {
-    const auto node = static_cast<std::uint32_t>(label[i] - first_label_);
-    if (node >= states_.size() || place[node] < 0) continue;
-    const auto n = static_cast<std::size_t>(place[node]);
-    const KeyWords key = key_words(node, i);
-    if (backward ? key < wanted[n].bound && (*scale_)(particles_.weight[i]) > 0
-                 : wanted[n].from_start || wanted[n].bound < key)
-      offer(n, key);
-  }
+  for (std::size_t n = 0; n < wanted.size(); ++n)
+    for (const Span& span : spans_of(wanted[n].node))
+      for (const Record& record : span.all()) {
+        const std::size_t particle = span.base + record.index;
+        const KeyWords key = key_words(wanted[n].node, particle);
+        if (backward ? key < wanted[n].bound && (*scale_)(particles_.weight[particle]) > 0
+                     : wanted[n].from_start || wanted[n].bound < key)
+          offer(n, key);
+      }
   const std::size_t record = words_ + 1;
   const std::size_t group =
       std::max<std::size_t>(kMessageWordsMax / (record * static_cast<std::size_t>(comm_.size())), 1);

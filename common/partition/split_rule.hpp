@@ -11,28 +11,21 @@
 
 namespace rcb::partition {
 
-inline constexpr std::uint64_t kNoImage = ~std::uint64_t{0};
-
-// Least image and complement of the greatest image on each axis: one minimum over ranks gives both. All kNoImage:
-// no particle.
-struct Bounds {
-  std::array<std::uint64_t, geometry::kDimsMax> lo{kNoImage, kNoImage, kNoImage};
-  std::array<std::uint64_t, geometry::kDimsMax> not_hi{kNoImage, kNoImage, kNoImage};
+// What is known of the extents of a node's particles.
+struct Extents {
+  Point least{};
+  Point most{};
 };
 
 class SplitRule {
  public:
   // axes: how many axes can be cut; 0: ids alone. `options` must outlive this.
   SplitRule(const PartitionOptions& options, int axes);
-  // The number and the bounds of all ranks' particles, once they are known. Local.
-  void set_all(std::uint64_t count, const Bounds& bounds);
+  // The number and the exact extents of all ranks' particles, once they are known. Local.
+  void set_all(std::uint64_t count, const Point& extents);
 
-  // The axis order of a node with these bounds. Local.
-  AxisOrder axes_of(const NodeRange& range, const Bounds& bounds) const;
-  // Bands: one axis order for every node.
-  bool fixed() const { return band_axis_.has_value(); }
-  // Some node may keep the axis of the tree before.
-  bool sticky() const { return options_.axis_hysteresis > 1 && options_.previous != nullptr; }
+  // The axis order of a node whose particles have these extents; nullopt where they leave it open. Local.
+  std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;
   int axes() const { return axes_; }
 
   // Without weights: the particles of parts [first, last) together.
@@ -45,7 +38,9 @@ class SplitRule {
   }
 
  private:
-  AxisOrder order_of(const NodeRange& range, const Bounds& bounds) const;
+  // The axis of the tree before that a node may keep; negative: none.
+  int old_axis(const NodeRange& range) const;
+  AxisOrder order_of(const NodeRange& range, const Point& extents) const;
 
   const PartitionOptions& options_;
   int axes_;

@@ -57,9 +57,10 @@ struct RandomScene {
   int hysteresis = 0;  // code; 0: the pure rule
   int old_parts = 1;   // of the previous tree
   int ranks = 1;
-  bool refined = false;  // from a sampled guess, however few the particles
-  int sample = 1;
-  int sigmas = 0;
+  // Limits of the search, so small that few particles take many rounds.
+  int chunk = 1;
+  int gather = 1;
+  int bins = 1;  // 2 to this
 };
 
 double decade(int code, double from, double to) {
@@ -171,11 +172,11 @@ std::vector<std::size_t> rows_of(const RandomScene& from, std::size_t all, int r
 void showValue(const RandomScene& from, std::ostream& out) {
   const Scene scene = scene_of(from);
   out << fmt::format(
-      "{} x {} rows, dims {}, parts {}, sizes {}, band axis {}, hysteresis {} after {} parts, ranks {}, {}, sample {}, "
-      "sigmas {}; families {}, weights {}\n",
+      "{} x {} rows, dims {}, parts {}, sizes {}, band axis {}, hysteresis {} after {} parts, ranks {}, chunks of {}, "
+      "gather {}, "
+      "bins 2^{}; families {}, weights {}\n",
       from.copies, from.rows.size(), from.dims, from.parts, from.part_sizes, from.band_axis, from.hysteresis,
-      from.old_parts, from.ranks, from.refined ? "refined" : "by level", from.sample, from.sigmas, from.family,
-      from.weights);
+      from.old_parts, from.ranks, from.chunk, from.gather, from.bins, from.family, from.weights);
   for (std::size_t i = 0; i < from.rows.size(); ++i) {
     out << "  id " << scene.id[i] << " on rank " << from.rows[i].rank % from.ranks << ":";
     for (std::size_t a = 0; a < static_cast<std::size_t>(from.dims); ++a) out << fmt::format(" {:a}", scene.x[a][i]);
@@ -254,9 +255,9 @@ std::string wrong_with(const RandomScene& from) {
   }
   PartitionOptions options = testing::options_of(asked);
   if (from.hysteresis > 0) options.previous = &previous;
-  options.refinement.points_min = from.refined ? 1 : ~std::uint64_t{0};
-  options.refinement.sample = static_cast<std::uint64_t>(from.sample);
-  options.refinement.sigmas = from.sigmas * 0.5;
+  options.limits.chunk_max = static_cast<std::uint64_t>(from.chunk);
+  options.limits.gather_max = static_cast<std::uint64_t>(from.gather);
+  options.limits.bins_max = std::uint64_t{1} << static_cast<unsigned>(from.bins);
 
   Scene weighed = scene;
   if (std::string wrong = round_weights(weighed); !wrong.empty()) return wrong;
@@ -302,9 +303,9 @@ rc::Gen<RandomScene> plain_scenes(int rows_max) {
         rc::gen::set(&RandomScene::rows, rc::gen::resize(size, rc::gen::container<std::vector<Row>>(row))),
         rc::gen::set(&RandomScene::parts, rc::gen::resize(kFullSize, rc::gen::inRange(1, 41))),
         rc::gen::set(&RandomScene::ranks, rc::gen::weightedElement<int>({{50, 1}, {8, 2}, {5, 3}, {3, 4}, {2, 7}})),
-        rc::gen::set(&RandomScene::refined, rc::gen::arbitrary<bool>()),
-        rc::gen::set(&RandomScene::sample, rc::gen::resize(kFullSize, rc::gen::inRange(1, 80))),
-        rc::gen::set(&RandomScene::sigmas, any_of(7)));
+        rc::gen::set(&RandomScene::chunk, rc::gen::resize(kFullSize, rc::gen::inRange(1, 80))),
+        rc::gen::set(&RandomScene::gather, rc::gen::element(1, 2, 5, 20, 512)),
+        rc::gen::set(&RandomScene::bins, rc::gen::element(1, 2, 4, 8, 11)));
   });
 }
 

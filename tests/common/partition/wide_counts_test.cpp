@@ -78,7 +78,6 @@ TEST(WideCounts, CutsFallWhereTheQuotasSay) {
     FakeComm comm(crowd);
     PartitionOptions options;
     options.parts = parts;
-    options.refinement.points_min = ~std::uint64_t{0};  // a sample knows nothing of crowds
     const PartitionResult got = partition(comm, set.view(), options).value();
     const auto groups = static_cast<std::uint64_t>(parts);
     const u128 n = u128{groups} * kHeavy * kCopies + (groups - 1) * kLight;
