@@ -104,6 +104,8 @@ std::string script(const Json& rows, int ranks, const std::vector<int>& parts, c
   return text + "unset multiplot\n";
 }
 
+}  // namespace
+
 Status run_gnuplot(const std::string& script_path) {
   std::string program = "gnuplot";
   std::string argument = script_path;
@@ -127,8 +129,6 @@ Status run_gnuplot(const std::string& script_path) {
   if (status != 0) return {Code::internal, "gnuplot failed on " + script_path};
   return {};
 }
-
-}  // namespace
 
 Status draw(const Json& document, const std::string& path) {
   if (path.find_first_of("'\n\\") != std::string::npos)

@@ -13,4 +13,7 @@ namespace rcb::bench {
 // (SVG) and, beside it with .gp for its ending, what gnuplot was told. Errors: not_found without gnuplot, io_error.
 Status draw(const nlohmann::ordered_json& document, const std::string& path);
 
+// Runs a script that names its own output. Errors: not_found without gnuplot, deadline_exceeded, internal.
+Status run_gnuplot(const std::string& script_path);
+
 }  // namespace rcb::bench

@@ -8,6 +8,7 @@
 
 #include "rcb_bench_commit.hpp"
 #include "tests/bench/driver.hpp"
+#include "tests/bench/dynamic.hpp"
 #include "tests/bench/figure.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
@@ -102,14 +103,18 @@ Status tell(const std::string& bench, const Options& options, nlohmann::ordered_
   return verdict(document);
 }
 
+nlohmann::ordered_json start_document(const std::string& bench, int repeats) {
+  return {{"bench", bench},
+          {"commit", RCB_COMMIT},
+          {"version", RCB_VERSION},
+          {"machine", describe_machine()},
+          {"peers", describe_peers()},
+          {"repeats", repeats}};
+}
+
 Status run(const std::string& bench, Options& options) {
   if (Status status = check(options); !status.ok()) return status;
-  nlohmann::ordered_json document{{"bench", bench},
-                                  {"commit", RCB_COMMIT},
-                                  {"version", RCB_VERSION},
-                                  {"machine", describe_machine()},
-                                  {"peers", describe_peers()},
-                                  {"repeats", options.repeats}};
+  nlohmann::ordered_json document = start_document(bench, options.repeats);
   fmt::print(stderr, "rcb_bench {}: commit {}, {}\n", bench, RCB_COMMIT, describe_peers());
   const Plan plan = bench == "static" ? static_plan(options) : scaling_plan(options);
   return tell(bench, options, std::move(document), run_jobs(plan, options.ranks));
@@ -133,13 +138,14 @@ std::string footer() {
          "\nExamples:\n"
          "  rcb_bench static --json static.json --figure static.svg\n"
          "  rcb_bench static --scenes uniform,offset --parts 8 --ranks 2\n"
-         "  rcb_bench scaling --json scaling.json\n";
+         "  rcb_bench scaling --json scaling.json\n"
+         "  rcb_bench dynamic --json dynamic.json --figure dynamic.svg\n";
 }
 
 // Benches of the interface that this version has not: a script that asks for one is told so, not that it misspelt.
 Status parse_failure(const CLI::App& app, const CLI::ParseError& error, const std::string& word) {
-  if (app.get_subcommands().empty() && (word == "skips" || word == "step" || word == "dynamic"))
-    return {Code::unsupported, fmt::format("this version has no bench {}", word), "it has static and scaling"};
+  if (app.get_subcommands().empty() && (word == "skips" || word == "step"))
+    return {Code::unsupported, fmt::format("this version has no bench {}", word), "it has static, scaling and dynamic"};
   return usage(error.what());
 }
 
@@ -177,12 +183,18 @@ int run_program(int argc, char** argv) {
   scaling->add_option("--points", of_scaling.points, "numbers of points; all parts are run with the first")
       ->delimiter(',')
       ->capture_default_str();
+  DynamicOptions of_dynamic;
+  const auto* dynamic = add_dynamic(app, of_dynamic);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& done) {
     return app.exit(done);
   } catch (const CLI::ParseError& error) {
     return fail(parse_failure(app, error, argc > 1 ? argv[1] : ""));
+  }
+  if (dynamic->parsed()) {
+    const Status status = run_dynamic(of_dynamic, start_document("dynamic", of_dynamic.repeats));
+    return status.ok() ? 0 : fail(status);
   }
   const Status status = statics->parsed() ? run("static", of_static) : run("scaling", of_scaling);
   return status.ok() ? 0 : fail(status);

@@ -16,7 +16,8 @@ namespace {
 using Json = nlohmann::ordered_json;
 using Line = std::vector<std::string>;
 
-// Aligned columns; the first `left` of them to the left.
+}  // namespace
+
 std::string table(const std::vector<Line>& lines, std::size_t left) {
   std::vector<std::size_t> width;
   for (const Line& line : lines)
@@ -35,6 +36,8 @@ std::string table(const std::vector<Line>& lines, std::size_t left) {
   }
   return text;
 }
+
+namespace {
 
 std::string name_of(const Json& row) {
   const std::string tool = row["tool"];

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include <nlohmann/json.hpp>
 
@@ -16,6 +17,9 @@ nlohmann::ordered_json summarise_scaling(const nlohmann::ordered_json& rows);
 
 std::string static_tables(const nlohmann::ordered_json& document);
 std::string scaling_tables(const nlohmann::ordered_json& document);
+
+// Aligned columns; the first `left` of them to the left.
+std::string table(const std::vector<std::vector<std::string>>& lines, std::size_t left);
 
 void print(const std::string& text);
 // Through a file beside it and a rename. Errors: io_error.

@@ -1,0 +1,171 @@
+#include "tests/bench/dynamic.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <cstdio>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/launch/launch.hpp"
+#include "client/launch/reach.hpp"
+#include "tests/bench/driver.hpp"
+#include "tests/bench/dynamic_replay.hpp"
+#include "tests/bench/dynamic_report.hpp"
+#include "tests/bench/dynamic_trajectory.hpp"
+#include "tests/bench/report.hpp"
+
+namespace rcb::bench {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr int kPartsMax = 1 << 20;
+constexpr int kRanksMax = 256;
+constexpr int kRepeatsMax = 1000;
+constexpr int kStepsMax = 1'000'000;
+
+volatile std::sig_atomic_t g_interrupted = 0;
+bool interrupted() { return g_interrupted != 0; }
+
+void catch_signals() {
+  struct sigaction action {};
+  action.sa_handler = [](int) { g_interrupted = 1; };
+  action.sa_flags = SA_RESTART;
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
+}
+
+Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench dynamic --help"}; }
+
+Status check(const DynamicOptions& options) {
+  for (const int parts : options.parts)
+    if (parts < 1 || parts > kPartsMax) return usage(fmt::format("--parts {}: give 1 to {}", parts, kPartsMax));
+  for (const int ranks : options.ranks)
+    if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
+  for (const double tolerance : options.tolerances)
+    if (!(tolerance >= 0)) return usage(fmt::format("--tolerances {}: give numbers >= 0, or inf", tolerance));
+  if (options.repeats < 1 || options.repeats > kRepeatsMax)
+    return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
+  if (!(options.points >= 0 && options.points <= 1e9) || options.points != std::floor(options.points))
+    return usage(fmt::format("--points {}: give a whole number", options.points));
+  if (options.steps < 0 || options.steps > kStepsMax)
+    return usage(fmt::format("--steps {}: give 1 to {}", options.steps, kStepsMax));
+  for (const std::string& scene : options.scenes)
+    if (find_solver(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
+  return {};
+}
+
+Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSetting& setting,
+            std::vector<DynamicRun> runs) {
+  std::sort(runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.seconds < b.seconds; });
+  const DynamicRun& run = runs[(runs.size() - 1) / 2];
+  Json tolerance;
+  if (!setting.cost) tolerance = std::isinf(setting.tolerance) ? Json("inf") : Json(setting.tolerance);
+  return {{"scene", trajectory.scene},
+          {"n", trajectory.points},
+          {"dims", 3},
+          {"parts", parts},
+          {"ranks", ranks},
+          {"tool", "rcbd"},
+          {"method", "rcb"},
+          {"work", "dynamic"},
+          {"cut_tolerance", 0},
+          {"policy", setting.cost ? "cost" : "tolerance"},
+          {"tolerance", tolerance},
+          {"steps", trajectory.solver_seconds.size() - 1},
+          {"seconds", run.seconds},
+          {"seconds_min", runs.front().seconds},
+          {"seconds_max", runs.back().seconds},
+          {"seconds_search", run.seconds_search},
+          {"seconds_migrate", run.seconds_migrate},
+          {"seconds_exchange", run.seconds_exchange},
+          {"seconds_client", run.seconds_client},
+          {"seconds_first", run.seconds_first},
+          {"seconds_lost", run.seconds_lost},
+          {"seconds_both", run.seconds + run.seconds_lost},
+          {"repartitions", run.repartitions},
+          {"drifted", run.drifted},
+          {"moved", run.moved},
+          {"migrated", run.migrated},
+          {"error", run.error_mean},
+          {"error_max", run.error_max},
+          {"error_before_mean", run.arrival_mean},
+          {"error_before_max", run.arrival_max},
+          {"ratio", Json::object()}};
+}
+
+// All settings along one trajectory, in a service of its own.
+Status measure_service(const DynamicOptions& options, const Trajectory& trajectory, int ranks, Json& rows) {
+  auto service = launch::Embedded::start(ranks, [](double) {});
+  if (!service) return service.status();
+  auto client = launch::reach(service->endpoint(), "rcb_bench");
+  if (!client) return service->explain(client.status());
+  std::vector<DynamicSetting> settings;
+  for (const double tolerance : options.tolerances) settings.push_back({false, tolerance});
+  settings.push_back({true, std::numeric_limits<double>::infinity()});
+  for (const int parts : options.parts) {
+    fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, trajectory.scene, trajectory.points, parts);
+    std::vector<std::vector<DynamicRun>> runs(settings.size());
+    for (int repeat = 0; repeat < options.repeats; ++repeat)
+      for (std::size_t k = 0; k < settings.size(); ++k) {
+        const std::size_t s = (k + static_cast<std::size_t>(repeat)) % settings.size();
+        auto run = replay(*client, trajectory, parts, settings[s], interrupted);
+        if (!run) return service->explain(run.status());
+        runs[s].push_back(*run);
+      }
+    for (std::size_t s = 0; s < settings.size(); ++s)
+      rows.push_back(row_of(trajectory, parts, ranks, settings[s], runs[s]));
+  }
+  return {};
+}
+
+Status measure_all(const DynamicOptions& options, Json& rows) {
+  const TemporaryFolder folder;
+  if (folder.path().empty()) return {Code::io_error, "no temporary folder can be made", "see TMPDIR"};
+  catch_signals();
+  for (const std::string& scene : options.scenes) {
+    const SolverKind& kind = *find_solver(scene);
+    const auto points = options.points > 0 ? static_cast<std::uint64_t>(options.points) : kind.points;
+    const int steps = options.steps > 0 ? options.steps : kind.steps;
+    fmt::print(stderr, "{}: {} points, {} steps are computed\n", scene, points, steps);
+    const auto trajectory = record(kind, points, steps, folder.path() + "/" + scene + ".npy", interrupted);
+    if (!trajectory) return trajectory.status();
+    for (const int ranks : options.ranks)
+      if (Status status = measure_service(options, *trajectory, ranks, rows); !status.ok()) return status;
+    std::remove(trajectory->path.c_str());
+  }
+  return {};
+}
+
+}  // namespace
+
+CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
+  options.tolerances = {0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, std::numeric_limits<double>::infinity()};
+  auto* command = app.add_subcommand("dynamic", "time in service and error along a solver's run, for every tolerance");
+  const auto list = [](CLI::Option* option) { return option->delimiter(',')->capture_default_str(); };
+  list(command->add_option("--scenes", options.scenes, "two_spheres, slope"));
+  list(command->add_option("--tolerances", options.tolerances, "tolerances; the policy cost is run beside them"));
+  list(command->add_option("--parts", options.parts, "numbers of parts"));
+  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
+  command->add_option("--points", options.points, "points of every scene, instead of its own number");
+  command->add_option("--steps", options.steps, "steps of every scene, instead of its own number");
+  command->add_option("--json", options.json, "write the result to this file");
+  command->add_option("--figure", options.figure,
+                      "draw time in service against error as SVG (gnuplot source beside it)");
+  return command;
+}
+
+Status run_dynamic(const DynamicOptions& options, Json document) {
+  if (Status status = check(options); !status.ok()) return status;
+  document["rows"] = Json::array();
+  const Status measured = measure_all(options, document["rows"]);
+  print(dynamic_tables(document));
+  if (!options.json.empty())
+    if (Status status = write_file(options.json, document.dump(1) + "\n"); !status.ok()) return status;
+  if (!measured.ok() || options.figure.empty()) return measured;
+  return draw_dynamic(document, options.figure);
+}
+
+}  // namespace rcb::bench

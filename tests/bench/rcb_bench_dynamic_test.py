@@ -1,0 +1,95 @@
+"""rcb_bench dynamic on a short run: every setting sees the same motion, and what the rows say holds together. No time is
+asserted."""
+import json
+import os
+import subprocess
+import tempfile
+import unittest
+import xml.dom.minidom
+
+BENCH = os.path.join(os.environ["RCBD_BIN_DIR"], "rcb_bench")
+STEPS = 30
+COUNTS = ("repartitions", "drifted", "moved", "migrated")
+ERRORS = ("error", "error_max", "error_before_mean", "error_before_max")
+SECONDS = ("seconds", "seconds_min", "seconds_max", "seconds_search", "seconds_migrate", "seconds_exchange",
+           "seconds_client", "seconds_first", "seconds_lost", "seconds_both")
+
+
+def bench(*arguments, timeout=200):
+    return subprocess.run([BENCH, *arguments], capture_output=True, text=True, timeout=timeout)
+
+
+class Dynamic(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        with tempfile.TemporaryDirectory() as folder:
+            path, figure = os.path.join(folder, "result.json"), os.path.join(folder, "figure.svg")
+            done = bench("dynamic", "--points", "403", "--steps", str(STEPS), "--parts", "4", "--ranks", "2", "--repeats",
+                         "2", "--tolerances", "0,0.05,inf", "--json", path, "--figure", figure)
+            assert done.returncode == 0, done.stderr
+            cls.text = done.stdout
+            with open(path) as file:
+                cls.document = json.load(file)
+            xml.dom.minidom.parse(figure)
+            with open(os.path.join(folder, "figure.gp")) as file:
+                cls.script = file.read()
+
+    def rows(self, scene):
+        return {row["tolerance"] if row["policy"] == "tolerance" else "cost": row for row in self.document["rows"]
+                if row["scene"] == scene and row["tool"] == "rcbd"}
+
+    def test_every_row_has_its_fields(self):
+        self.assertLessEqual({"bench", "commit", "machine", "repeats", "rows"}, set(self.document))
+        self.assertEqual(self.document["bench"], "dynamic")
+        self.assertEqual(len(self.document["rows"]), 2 * 4)
+        for row in self.document["rows"]:
+            self.assertEqual([row[f] for f in ("n", "dims", "parts", "ranks", "work", "steps", "ratio")],
+                             [403, 3, 4, 2, "dynamic", STEPS, {}])
+            for field in SECONDS:
+                self.assertGreaterEqual(row[field], 0, field)
+            for field in COUNTS:
+                self.assertIsInstance(row[field], int)
+            self.assertLessEqual(row["seconds_min"], row["seconds"])
+            self.assertLessEqual(row["seconds"], row["seconds_max"])
+            self.assertAlmostEqual(row["seconds_both"], row["seconds"] + row["seconds_lost"])
+
+    def test_every_scene_has_every_setting(self):
+        for scene in ("two_spheres", "slope"):
+            self.assertEqual(list(self.rows(scene)), [0, 0.05, "inf", "cost"])
+
+    def test_tolerances_hold_their_error(self):
+        quota = max(abs(count * 4 - 403) / 403 for count in (100, 101))
+        for scene in ("two_spheres", "slope"):
+            rows = self.rows(scene)
+            self.assertAlmostEqual(rows[0]["error_max"], quota)
+            self.assertLess(rows[0.05]["error_max"], 0.05)
+            self.assertEqual(rows["inf"]["repartitions"], 0)
+            self.assertEqual(rows["inf"]["moved"], 0)
+            self.assertEqual(rows["inf"]["error_max"], rows["inf"]["error_before_max"])
+            self.assertGreaterEqual(rows[0]["repartitions"], rows[0.05]["repartitions"])
+            for row in rows.values():
+                self.assertLessEqual(row["error"], row["error_max"])
+                self.assertLessEqual(row["error"], row["error_before_mean"] + 1e-12)
+
+    def test_something_moved(self):
+        rows = self.rows("two_spheres")
+        self.assertGreater(rows[0]["repartitions"], rows["inf"]["repartitions"])
+        self.assertGreater(rows["inf"]["drifted"], 0)
+
+    def test_table_and_figure_name_what_was_run(self):
+        for word in ("two_spheres: 403 points", "slope: 403 points", "cost", "inf"):
+            self.assertIn(word, self.text)
+            self.assertIn(word, self.script)
+
+
+class Refusals(unittest.TestCase):
+    def test_wrong_usage(self):
+        for arguments in (["--scenes", "nowhere"], ["--tolerances", "-1"], ["--parts", "0"], ["--repeats", "0"],
+                          ["--points", "1.5"], ["--ranks", "x"]):
+            done = bench("dynamic", *arguments)
+            self.assertEqual(done.returncode, 2, arguments)
+            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
