@@ -138,6 +138,12 @@ TEST(Documents, CarryWhatWasPromised) {
   EXPECT_TRUE(document["energy"].contains("growth"));
   EXPECT_NE(summary(program, options, 0.1, record).find("0.2 at step 1"), std::string::npos);
 
+  EXPECT_TRUE(document["runout"].is_null());
+  record.runout = RunRecord::RunOut{40, 39, 59};
+  EXPECT_EQ(json::parse(json_document(program, options, record))["runout"],
+            (json{{"length", 40.0}, {"front_start", 39.0}, {"front_end", 59.0}, {"relative", 0.5}}));
+  EXPECT_NE(summary(program, options, 0.1, record).find("20 m, 0.5 of the initial length of 40 m"), std::string::npos);
+
   options.tolerance = 0.25;
   options.no_service = true;
   record.reports.clear();

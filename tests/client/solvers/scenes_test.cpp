@@ -243,23 +243,24 @@ TEST(Slope, ItsStartIsThatOfEveryVersion) {
   EXPECT_EQ(sum, 0xC3C48079BD5831BCU) << std::hex << sum;
 }
 
-// Run-out over initial length: 1.2 times the aspect ratio below 1.8, in experiments in a channel.
+// Run-out over initial length: 1.2 times the aspect ratio below 1.8, in experiments in a channel. On this coarse grid
+// it comes out at 0.8 to 0.95 of that; docs/solvers.md has finer ones.
 // Source: Lube et al. 2005, doi:10.1103/PhysRevE.72.041301.
 TEST(Column, RunsOutAsFarAsMeasured) {
   double last = 0;
   for (const double aspect : {0.5, 1.0, 1.5}) {
-    Simulation simulation = make_column({.points = 2000, .aspect = aspect}).value();
+    Simulation simulation = make_column({.points = 1000, .aspect = aspect}).value();
     const double start = front(simulation.mpm);
     double before = start;
-    for (int step = 0; step < 48; ++step) {
+    for (int step = 0; step < 40; ++step) {
       before = front(simulation.mpm);
       advance(simulation);
     }
     const double end = front(simulation.mpm);
     EXPECT_NEAR(end, before, 0.01 * simulation.length) << "at rest";
     const double relative = (end - start) / simulation.length;
-    EXPECT_GT(relative, 0.75 * 1.2 * aspect) << aspect;
-    EXPECT_LT(relative, 1.25 * 1.2 * aspect) << aspect;
+    EXPECT_GT(relative, 0.7 * 1.2 * aspect) << aspect;
+    EXPECT_LT(relative, 1.15 * 1.2 * aspect) << aspect;
     EXPECT_GT(relative, last);
     last = relative;
   }
