@@ -56,7 +56,7 @@ struct ColumnOptions {
   std::uint64_t points = 20'000;  // 1 .. kPointsMax
   double aspect = 1;              // height over length, 0.1 .. 20
   double friction_angle = 30;     // degrees, of the sand and of the bed
-  double interval = 0.3;         // s, a step
+  double interval = 0.3;          // s, a step
 };
 Result<Simulation> make_column(const ColumnOptions& options);
 
