@@ -50,7 +50,7 @@ struct SlopeOptions {
 };
 Result<Simulation> make_slope(const SlopeOptions& options);
 
-// A column of dry sand between smooth walls, one grid cell or two thick, held by a gate that vanishes: x runs out of
+// A column of dry sand between smooth walls two grid cells apart, held by a gate that vanishes: x runs out of
 // the gate, y up. Experiments: Lube et al. 2005, doi:10.1103/PhysRevE.72.041301.
 struct ColumnOptions {
   std::uint64_t points = 20'000;  // 1 .. kPointsMax
