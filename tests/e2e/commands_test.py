@@ -51,6 +51,22 @@ class Commands(unittest.TestCase):
         self.assertEqual(self.service.json("push", "p", self.file, "--step", 9)["step"], 9)
         self.assertEqual(len(self.service.json("history", "p", "--last", 2)), 2)
 
+    def test_policy_cost(self):
+        self.service.json("scene", "create", "c", "--parts", 4, "--policy", "cost", "--replace")
+        self.assertEqual(self.service.json("scene", "show", "c")["policy"], "cost")
+        self.service.json("push", "c", self.file)
+        moved = self.path("moved.csv")
+        with open(moved, "w") as file:
+            file.writelines(f"{x * x + y},{y},{z}\n" for x, y, z in self.points)
+        steps = [self.service.json("push", "c", moved, "--step-seconds", 1000) for _ in range(2)]
+        self.assertEqual([step["repartitioned"] for step in steps], [False, True], "what is lost shows a step later")
+        self.assertGreater(steps[0]["error"], 0.01)
+        for step in steps:
+            self.assertIn("imbalance has cost", step["reason"])
+        untimed = self.service.json("push", "c", moved)
+        self.assertIn("no step time was told", untimed["reason"])
+        self.assertIn("step-seconds", self.service.failure("push", "c", moved, "--step-seconds", "-1")["message"])
+
     def test_partition_fields(self):
         result = self.service.json("partition", self.file, "--parts", 5)
         self.assertLessEqual(PARTITION, result.keys())
