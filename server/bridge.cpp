@@ -18,20 +18,33 @@ std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
                         .step_session = scene.step_session,
                         .epoch = scene.epoch,
                         .plan_version = scene.plan_version,
-                        .plan_checksum = scene.plan_checksum};
+                        .plan_checksum = scene.plan_checksum,
+                        .rank_counts = scene.rank_counts};
+  return to;
+}
+
+std::vector<service::PushSlice> convert(std::vector<net::Slice> from) {
+  std::vector<service::PushSlice> to;
+  for (net::Slice& slice : from) to.push_back({slice.rank, slice.count, std::move(slice.arrays)});
   return to;
 }
 
 }  // namespace
 
+std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request) {
+  const auto number = request.find("staged");
+  if (number == request.end()) return {};
+  return convert(data.take(number->get<std::uint64_t>()));
+}
+
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   ranks::EngineOrder out;
   out.number = ++number_;
   doorbells_.ring(out.number, order.text);
+  out.slices = order.slices.empty() ? staged_slices(data_, order.request) : convert(std::move(order.slices));
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;
   out.deadline_seconds = order.deadline_seconds;
-  for (net::Slice& slice : order.slices) out.slices.push_back({slice.rank, slice.count, std::move(slice.arrays)});
   out.done = [done = std::move(done)](service::Response response, const service::Snapshot& snapshot) {
     done({std::move(response.status), std::move(response.json), std::move(response.arrays), convert(snapshot)});
   };

@@ -4,7 +4,9 @@
 
 #include <cstdint>
 #include <functional>
+#include <vector>
 
+#include "server/net/data_port.hpp"
 #include "server/net/doorbell.hpp"
 #include "server/net/engine.hpp"
 #include "server/ranks/engine_loop.hpp"
@@ -13,14 +15,19 @@ namespace rcb::server {
 
 class Bridge final : public net::Engine {
  public:
-  Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells) : engine_(engine), doorbells_(doorbells) {}
+  Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data)
+      : engine_(engine), doorbells_(doorbells), data_(data) {}
   void submit(net::Order order, std::function<void(net::Answer)> done) override;
 
  private:
   ranks::EngineLoop& engine_;
   net::DoorbellHub& doorbells_;
+  net::DataPort& data_;
   std::uint64_t number_ = 0;
 };
+
+// The slice that this rank received for an order, if the order is of a direct push. On the I/O thread.
+std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request);
 
 // Ends the process if the engine is so far past its order's deadline that it will never come back. Called every
 // kTickSeconds; counts ticks, so a machine that was asleep is not taken for a stalled engine.

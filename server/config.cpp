@@ -50,6 +50,11 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_STALL_SECONDS")
       ->check(CLI::Range(1.0, 86400.0))
       ->capture_default_str();
+  app.add_flag(
+         "--gateway-only", config.gateway_only,
+         "take pushes at the endpoint alone; else every rank listens for its own slices, at SOCKET.RANK or on a TCP "
+         "port of its own")
+      ->envname("RCBD_GATEWAY_ONLY");
   app.add_flag("--restarted", config.restarted, "says in the status that scenes of an earlier run may have been lost")
       ->envname("RCBD_RESTARTED");
 }

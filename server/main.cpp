@@ -5,9 +5,12 @@
 #include <cstdio>
 #include <memory>
 #include <optional>
+#include <span>
+#include <sstream>
 #include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 #include <sys/prctl.h>
@@ -19,6 +22,7 @@
 #include "server/config.hpp"
 #include "server/net/control.hpp"
 #include "server/net/data_directory.hpp"
+#include "server/net/data_hub.hpp"
 #include "server/net/doorbell.hpp"
 #include "server/net/io_loop.hpp"
 #include "server/ranks/engine_loop.hpp"
@@ -55,14 +59,73 @@ void set_up_signals(int rank) {
   for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
 }
 
+// The text that rank 0 shares: the token and, a line each, the places.
+std::string data_text(const std::vector<std::string>& places, const std::string& token) {
+  return fmt::format("{}\n{}", token, fmt::join(places, "\n"));
+}
+
+std::string host_of(const std::string& address) { return address.substr(0, address.rfind(':')); }
+
+// Every rank: opens its listeners at the shared places and tells all ranks where they are.
+// Returns by place, then by rank; a place where a rank couldn't listen has none. Collective.
+std::vector<std::vector<std::string>> open_data(ranks::MpiSession& mpi, net::DataPort& port,
+                                                const std::vector<std::string>& places) {
+  std::string text;
+  for (const std::string& place : places) {
+    std::string address;
+    Status status;
+    if (place.starts_with("unix:")) {
+      address = fmt::format("{}.{}", place, mpi.rank());
+      status = port.listen_unix(address.substr(5));
+    } else {
+      auto bound = port.listen_tcp(place + ":0");
+      status = bound.status();
+      if (bound.ok()) address = *bound;
+    }
+    if (!status.ok()) spdlog::warn("no direct path at {}: {}", place, status.message());
+    text += (status.ok() ? address : "") + "\n";
+  }
+  std::vector<std::byte> all;
+  std::vector<std::size_t> sizes;
+  mpi.comm().all_gather(std::as_bytes(std::span(text)), all, sizes);
+  std::vector<std::vector<std::string>> found(places.size());
+  const char* at = reinterpret_cast<const char*>(all.data());
+  for (const std::size_t size : sizes) {
+    std::istringstream lines(std::string(at, size));
+    for (auto& addresses : found) std::getline(lines, addresses.emplace_back());
+    at += size;
+  }
+  for (auto& addresses : found)
+    if (std::find(addresses.begin(), addresses.end(), "") != addresses.end()) addresses.clear();
+  return found;
+}
+
+// The sockets that a larger service, which crashed, has left beside this one's.
+void remove_stale_data_sockets(const std::string& socket, int ranks) {
+  for (int rank = ranks; ::unlink(fmt::format("{}.{}", socket, rank).c_str()) == 0;) ++rank;
+}
+
 // What rank 0 has and the others don't.
 struct Root {
   std::optional<net::DataDirectory> data;
   std::vector<net::OfferedToken> offered;
   std::unique_ptr<net::DoorbellHub> doorbells;
   std::unique_ptr<Bridge> bridge;
+  std::unique_ptr<net::DataPort> port;
   std::unique_ptr<net::Control> control;
+  std::unique_ptr<net::DataHub> hub;
+  std::vector<std::string> endpoints;  // of the control listeners
+  std::string token;
 };
+
+net::DataOptions data_options(const std::string& token, std::uint64_t bulk_bytes, int rank) {
+  net::DataOptions options;
+  options.version = RCB_VERSION;
+  options.rank = rank;
+  options.token = token;
+  options.bulk_bytes_max = bulk_bytes;
+  return options;
+}
 
 Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop, ranks::EngineLoop& engine) {
   const std::string directory = config.data_dir.empty() ? data_directory_for(config.endpoint()) : config.data_dir;
@@ -82,16 +145,21 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
   auto doorbells = net::DoorbellHub::open(loop, ranks, config.silence_seconds, die);
   if (!doorbells.ok()) return doorbells.status();
   root.doorbells = std::move(*doorbells);
-  root.bridge = std::make_unique<Bridge>(engine, *root.doorbells);
+  root.token = options.token;
+  root.port = std::make_unique<net::DataPort>(loop, data_options(options.token, options.bulk_bytes_max, 0));
+  root.bridge = std::make_unique<Bridge>(engine, *root.doorbells, *root.port);
   root.control = std::make_unique<net::Control>(loop, options, *root.bridge);
   if (!config.socket.empty()) {
     const Status status = root.control->listen_unix(config.socket);
     if (!status.ok()) return status;
+    root.endpoints.push_back("unix:" + config.socket);
+    remove_stale_data_sockets(config.socket, ranks);
     spdlog::info("listening on unix:{}", config.socket);
   }
   for (const std::string& where : config.listen) {
     const auto bound = root.control->listen_tcp(where);
     if (!bound.ok()) return bound.status();
+    root.endpoints.push_back(*bound);
     if (const std::string usual = data_directory_for(*bound); usual != root.data->path()) {
       auto offered = net::OfferedToken::offer(usual, options.token);
       if (!offered.ok()) return offered.status();
@@ -115,15 +183,34 @@ void watch(net::IoLoop& loop, const ranks::EngineLoop& engine, const Config& con
   });
 }
 
+// Rank 0's part of making the direct path: its own listeners, and the addresses for clients. Collective.
+void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi) {
+  std::vector<std::string> places;
+  if (!config.gateway_only)
+    for (const std::string& endpoint : root.endpoints)
+      places.push_back(endpoint.starts_with("unix:") ? endpoint : host_of(endpoint));
+  mpi.share(data_text(places, root.token));
+  const auto addresses = open_data(mpi, *root.port, places);
+  root.hub = std::make_unique<net::DataHub>(*root.doorbells, *root.port, *root.control, mpi.size());
+  for (std::size_t i = 0; i < places.size(); ++i)
+    if (!addresses[i].empty()) root.control->serve_data(*root.hub, root.endpoints[i], addresses[i]);
+  root.port->start([control = root.control.get()](std::uint64_t number, const Status& status) {
+    control->slice_ended(0, number, status);
+  });
+}
+
 int run_root(const Config& config, ranks::MpiSession& mpi) {
   net::IoLoop loop;
-  ranks::EngineLoop engine(kQueueOrders);  // its orders hold timers of the loop
   Root root;
+  // Its orders hold timers of the loop.
+  ranks::EngineLoop engine(
+      kQueueOrders, [&root](service::Spare spare) { root.port->recycle(spare.scene, std::move(spare.buffers)); });
   const Status opened = open_root(root, config, mpi.size(), loop, engine);
   if (!opened.ok()) say_failure(opened);
   mpi.share(opened.ok() ? root.doorbells->address().path : "refused");
   if (!opened.ok()) return 1;
   mpi.share(root.doorbells->address().secret);
+  open_direct_path(root, config, mpi);
   watch(loop, engine, config, [hub = root.doorbells.get()] { hub->tick(); });
   loop.start();
   const Status connected = root.doorbells->wait_connected(kStartSeconds);
@@ -137,6 +224,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi) {
     engine.run(service);
   }
   root.control->finish(kGoodbyeSeconds);
+  loop.run([&] { root.port->finish(); });
   root.doorbells->finish(kGoodbyeSeconds);
   loop.stop();
   mpi.finish(kFinalizeSeconds);
@@ -151,19 +239,33 @@ int run_other(const Config& config, ranks::MpiSession& mpi) {
   address.path = mpi.share({});
   if (address.path == "refused") return 1;
   address.secret = mpi.share({});
+  std::istringstream shared(mpi.share({}));
+  std::string token;
+  std::getline(shared, token);
+  std::vector<std::string> places;
+  for (std::string line; std::getline(shared, line);) places.push_back(line);
   net::IoLoop loop;
-  ranks::EngineLoop engine(kQueueOrders);  // its orders hold timers of the loop
-  auto ordered = [&engine](std::uint64_t number, wire::Json request) {
+  net::DataPort port(loop, data_options(token, net::bulk_bytes_default(), mpi.rank()));
+  open_data(mpi, port, places);
+  // Its orders hold timers of the loop.
+  ranks::EngineLoop engine(kQueueOrders,
+                           [&port](service::Spare spare) { port.recycle(spare.scene, std::move(spare.buffers)); });
+  auto ordered = [&engine, &port](std::uint64_t number, wire::Json request) {
     ranks::EngineOrder order;
     order.number = number;
     const auto deadline =
         wire::number_field_or(request, "deadline_seconds", 0, wire::kDeadlineSecondsMax, wire::kDeadlineSecondsDefault);
     order.deadline_seconds = deadline.ok() ? *deadline : wire::kDeadlineSecondsMax;
+    order.slices = staged_slices(port, request);
     order.request = std::move(request);
     CHECK(engine.push(std::move(order)), "the engine's queue is full");
   };
   auto doorbell = net::Doorbell::connect(loop, mpi.rank(), address, config.silence_seconds, ordered, die);
   if (!doorbell.ok()) die(doorbell.status().message());
+  (*doorbell)->on_news([&port](int, const wire::Json& news) { net::follow_hub(port, news); });
+  port.start([bell = doorbell->get()](std::uint64_t number, const Status& status) {
+    bell->tell(net::report_json(number, status));
+  });
   watch(loop, engine, config, [bell = doorbell->get()] { bell->tick(); });
   loop.start();
   const SteadyClock clock;
@@ -171,6 +273,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi) {
     service::Service service(mpi.comm(), clock);
     engine.run(service);
   }
+  loop.run([&] { port.finish(); });
   (*doorbell)->finish(2 * kGoodbyeSeconds);
   loop.stop();
   mpi.finish(kFinalizeSeconds);

@@ -134,7 +134,11 @@ Status Supervisor::run() {
     status = keep(job);
   }
   job.kill();
-  if (options_.endpoint.starts_with("unix:")) unlink(options_.endpoint.substr(5).c_str());
+  if (options_.endpoint.starts_with("unix:")) {
+    const std::string socket = options_.endpoint.substr(5);
+    unlink(socket.c_str());
+    for (int rank = 0; rank < options_.ranks; ++rank) unlink(fmt::format("{}.{}", socket, rank).c_str());
+  }
   note(status ? "the service has ended" : "given up: " + status.message());
   return status;
 }

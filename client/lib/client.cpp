@@ -35,6 +35,16 @@ Positions Positions::axes(std::span<const double* const> axes, std::size_t count
   return positions;
 }
 
+Positions Positions::in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
+                                   std::size_t count, int dims) {
+  Positions positions;
+  positions.dims = dims;
+  positions.count = count;
+  positions.by_rank = ranks;
+  positions.plan_version = plan_version;
+  return positions;
+}
+
 std::span<const double> Array::f8() const { return elements<double>(*this, "<f8"); }
 std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this, "<i8"); }
 std::span<const std::int32_t> Array::i4() const { return elements<std::int32_t>(*this, "<i4"); }

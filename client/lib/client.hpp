@@ -25,6 +25,10 @@
 
 namespace rcb::client {
 
+// How positions travel: straight to the ranks, or all through the endpoint. automatic: large pushes directly where the
+// ranks' own addresses answer. The environment's RCBD_PATH (auto, direct, gateway) decides where the caller doesn't.
+enum class Path { automatic, direct, gateway };
+
 struct ConnectOptions {
   std::string endpoint;  // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
   double deadline_seconds = 5;  // for connecting and saying hello
@@ -32,6 +36,7 @@ struct ConnectOptions {
   // TCP only; empty: RCBD_TOKEN, else the file RCBD_TOKEN_FILE, else, on this machine, found in the service's data
   // directory.
   std::string token;
+  Path path = Path::automatic;
   // Told what a service says while a call waits; may be empty.
   std::function<void(const std::string&)> on_notice;
 };
@@ -53,11 +58,18 @@ struct Positions {
   std::size_t stride = 1;               // doubles from one particle to the next
   std::size_t count = 0;
   int dims = 3;
+  // Where the solver keeps its arrays in the plan's order: by_rank[r][a] is axis a of rank r's particles, slot by slot.
+  std::span<const std::array<const double*, 3>> by_rank;
+  std::uint64_t plan_version = 0;  // of that plan
 
   // xyz: [count][dims], C order.
   static Positions rows(const double* xyz, std::size_t count, int dims);
   // One contiguous array an axis, each [count].
   static Positions axes(std::span<const double* const> axes, std::size_t count);
+  // In the order of Scene::plan(): nothing is gathered or copied before the send. `ranks` must outlive the call of
+  // step.
+  static Positions in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
+                                 std::size_t count, int dims);
 };
 
 struct StepReport {
@@ -102,6 +114,12 @@ struct StepResult {
   StepReport report;
   std::vector<std::int32_t> parts;  // by row
   std::vector<PartChange> changes;  // ascending row; all rows at the first step of this Scene
+};
+
+// Which of the solver's particles each rank holds, in which order.
+struct PlanView {
+  std::uint64_t version = 0;
+  std::vector<std::span<const std::uint64_t>> rows;  // by rank: rows of the solver's arrays, in the slots' order
 };
 
 struct Array {
@@ -160,6 +178,10 @@ class Scene {
   // A stale plan and a lost connection are mended once before a failure is returned.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   std::optional<std::int64_t> last_step() const;
+  // The plan of the next push; it stands until that push. Fetched where it isn't known. A solver that pushes in its
+  // order asks after every step that migrated (the version tells), and gives the version back with its positions: a
+  // plan that has changed in between refuses the push with stale_plan.
+  Result<PlanView> plan(double deadline_seconds = 60);
 
  private:
   friend class Client;

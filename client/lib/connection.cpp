@@ -358,6 +358,7 @@ bool Connection::has_news() {
 }
 
 Status Connection::lost() const { return state_->lost; }
+int Connection::handle() { return state_->socket.native_handle(); }
 bool Connection::this_machine() const { return state_->this_machine; }
 
 }  // namespace rcb::client

@@ -65,7 +65,9 @@ void PushSource::add_stretch() {
   const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
   const auto* first = static_cast<const std::byte*>(column.first);
   const std::size_t bytes = rows.size() * kElementBytes;
-  if (column.stride == 1 && consecutive(rows)) {
+  if (column.by_rank != nullptr) {
+    batch_.push_back(std::as_bytes(std::span(column.by_rank[rank_] + slot_, rows.size())));
+  } else if (column.stride == 1 && consecutive(rows)) {
     batch_.emplace_back(first + rows.front() * kElementBytes, bytes);
   } else {
     if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytes);

@@ -25,6 +25,7 @@ struct Column {
   std::string dtype;
   const void* first = nullptr;
   std::size_t stride = 1;
+  const double* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the plan's order
 };
 
 class PushSource final : public FrameSource {

@@ -29,6 +29,19 @@ Result<StepResult> Scene::step(const Positions& positions, const StepOptions& op
   return state_->step(positions, options);
 }
 
+Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
+
+Result<PlanView> Scene::State::plan(double deadline_seconds) {
+  if (!pushed_)
+    return Status(Code::not_found, fmt::format("scene '{}' has no positions, hence no plan", name_),
+                  "push a first step by rows or axes");
+  const Deadline deadline(deadline_seconds);
+  if (Status status = ready(count_, {}, deadline); !status) return status;
+  PlanView view{plan_->version(), {}};
+  for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
+  return view;
+}
+
 Result<Scene> Client::open_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
   auto state = std::make_unique<Scene::State>(state_, name);

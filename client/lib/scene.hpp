@@ -25,13 +25,15 @@ struct Scene::State {
   Status open(double deadline_seconds);
   Result<StepResult> step(const Positions& positions, const StepOptions& options);
   std::optional<std::int64_t> last_step() const { return last_step_; }
+  Result<PlanView> plan(double deadline_seconds);
 
  private:
   Session& session() const { return *client_->session; }
   Status take_description(const wire::Json& json);
   Status check(const Positions& positions, const StepOptions& options) const;
+  Status check_plan_order(const Positions& positions) const;
   // Connection, open scene and plan, whichever is missing.
-  Status prepare(const Positions& positions, const StepOptions& options, const Deadline& deadline);
+  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Deadline& deadline);
   Status open_again(const Deadline& deadline);
   // On success plan_, parts_ and ids_ are new; on failure all is as before.
   Status fetch_plan(std::span<const std::int64_t> ids, const Deadline& deadline);
@@ -43,7 +45,7 @@ struct Scene::State {
   std::vector<PartChange> all_parts() const;
   std::vector<PartChange> changes_since_known() const;
   // The scene's ids by row, as far as this client can know them.
-  std::span<const std::int64_t> ids_by_row(const StepOptions& options) const;
+  std::span<const std::int64_t> ids_by_row(std::span<const std::int64_t> given) const;
 
   std::shared_ptr<Client::State> client_;
   std::string name_;

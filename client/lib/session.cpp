@@ -3,12 +3,15 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdlib>
 #include <random>
 #include <string_view>
+#include <utility>
 
 #include <fmt/format.h>
 #include <sys/random.h>
 
+#include "client/lib/data_path.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
 
@@ -71,7 +74,12 @@ double with_margin(double deadline_seconds) {
   return deadline_seconds + std::max(kMarginSeconds, kMarginShare * deadline_seconds);
 }
 
-Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {}
+Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {
+  const char* path = std::getenv("RCBD_PATH");
+  if (path == nullptr || options_.path != Path::automatic) return;
+  if (std::string_view(path) == "direct") options_.path = Path::direct;
+  if (std::string_view(path) == "gateway") options_.path = Path::gateway;
+}
 
 Session::~Session() {
   if (!connection_) return;
@@ -119,66 +127,112 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   if (!connection) return connection.status();
   connection_ = std::move(*connection);
   endpoint_text_ = endpoint.text();
-  return greet(endpoint, deadline);
+  data_.reset();
+  data_addresses_.clear();
+  data_tried_ = false;
+  const auto reply = greet(connection_, endpoint, deadline);
+  if (!reply) return reply.status();
+  const auto ranks = wire::integer_field(*reply, "ranks", 1, 1 << 20);
+  if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
+  ranks_ = static_cast<int>(*ranks);
+  if (const auto data = reply->find("data"); data != reply->end() && data->is_array())
+    for (const wire::Json& address : *data)
+      data_addresses_.push_back(address.is_string() ? address.get<std::string>() : std::string());
+  return {};
 }
 
-// Reads the welcome and says hello, with each token that may be the right one.
-Status Session::greet(const Endpoint& endpoint, const Deadline& deadline) {
+Result<wire::Json> Session::greet(std::unique_ptr<Connection>& link, const Endpoint& endpoint,
+                                  const Deadline& deadline) {
   std::vector<std::string> tokens;
   for (std::size_t attempt = 0;; ++attempt) {
-    const auto frame = connection_->read(deadline);
+    const auto frame = link->read(deadline);
     if (!frame) {
       if (frame.status().code() == Code::deadline_exceeded)
-        return {Code::deadline_exceeded, fmt::format("{} takes connections but does not greet", endpoint.text()),
-                "the service may be stopped or busy; see its log"};
+        return Status(Code::deadline_exceeded, fmt::format("{} takes connections but does not greet", endpoint.text()),
+                      "the service may be stopped or busy; see its log");
       return frame.status();
     }
     const auto json = frame->json();
     if (!json) return json.status();
     if (frame->type == wire::FrameType::failure) return wire::status_from_failure(*json);
     if (frame->type != wire::FrameType::welcome)
-      return {Code::protocol_error, fmt::format("{} does not begin with a welcome", endpoint.text())};
+      return Status(Code::protocol_error, fmt::format("{} does not begin with a welcome", endpoint.text()));
     if (auto protocol = wire::integer_field(*json, "protocol", wire::kProtocolVersion, wire::kProtocolVersion);
         !protocol)
-      return {Code::protocol_error, fmt::format("{}: welcome: {}", endpoint.text(), protocol.status().message())};
+      return Status(Code::protocol_error, fmt::format("{}: welcome: {}", endpoint.text(), protocol.status().message()));
     const auto authentication = wire::string_field(*json, "authentication", 64);
-    if (!authentication || *authentication == "none") return say_hello({}, deadline);
-    if (attempt == 0) {
-      auto found = tokens_for(endpoint, options_.token, connection_->this_machine());
+    if (!authentication || *authentication == "none") return say_hello(*link, {}, deadline);
+    if (attempt == 0 && &link != &connection_) {
+      tokens = {token_};  // a rank's own listener takes the one that the service took
+    } else if (attempt == 0) {
+      auto found = tokens_for(endpoint, options_.token, link->this_machine());
       if (!found) return found.status();
       tokens = std::move(*found);
     }
     if (tokens.empty())
-      return {Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
-              "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory"};
-    const Status status = say_hello(tokens[attempt], deadline);
-    if (status.code() != Code::not_authorised || attempt + 1 == tokens.size()) return status;
+      return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
+                    "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
+    auto reply = say_hello(*link, tokens[attempt], deadline);
+    if (reply) token_ = tokens[attempt];
+    if (reply.status().code() != Code::not_authorised || attempt + 1 == tokens.size()) return reply;
     auto connection = Connection::open(endpoint, deadline, options_.on_notice);
     if (!connection) return connection.status();
-    connection_ = std::move(*connection);
+    link = std::move(*connection);
   }
 }
 
-Status Session::say_hello(const std::string& token, const Deadline& deadline) {
+Result<wire::Json> Session::say_hello(Connection& link, const std::string& token, const Deadline& deadline) {
   wire::Json hello{{"protocol", wire::kProtocolVersion}, {"client", options_.name}, {"session", number_}};
   if (!token.empty()) hello["token"] = token;
   const std::uint64_t request = next_request();
   OneFrame frame(wire::FrameType::hello, request, hello);
-  static_cast<void>(connection_->write(frame.next(false), deadline));  // what the service says of it is read below
-  const auto answer = await_answer(request, deadline);
+  static_cast<void>(link.write(frame.next(false), deadline));  // what the service says of it is read below
+  const auto answer = await_answer(link, request, deadline);
   if (!answer) return answer.status();
-  const auto json = answer->json();
-  if (!json) return json.status();
-  const auto ranks = wire::integer_field(*json, "ranks", 1, 1 << 20);
-  if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
-  ranks_ = static_cast<int>(*ranks);
+  return answer->json();
+}
+
+Status Session::open_data(const Deadline& deadline) {
+  std::vector<std::unique_ptr<Connection>> links;
+  for (const std::string& address : data_addresses_) {
+    auto endpoint = parse_endpoint(address);
+    if (!endpoint) return endpoint.status();
+    // A listener on all interfaces is where the service itself was found.
+    if (!endpoint->is_unix && (endpoint->host == "0.0.0.0" || endpoint->host == "::"))
+      endpoint->host = endpoints_.front().host;
+    auto link = Connection::open(*endpoint, deadline, options_.on_notice);
+    if (!link) return link.status();
+    if (const auto reply = greet(*link, *endpoint, deadline); !reply) return reply.status();
+    links.push_back(std::move(*link));
+  }
+  data_ = std::make_unique<DataPath>(std::move(links));
   return {};
 }
 
+DataPath* Session::data(const Deadline& deadline) {
+  if (data_ && !data_->stands()) data_.reset(), data_tried_ = false;
+  if (!data_ && !data_tried_ && data_addresses_.size() == static_cast<std::size_t>(ranks_)) {
+    data_tried_ = true;
+    static_cast<void>(open_data(deadline.within(options_.deadline_seconds)));
+  }
+  return data_.get();
+}
+
+bool Session::data_lost() {
+  if (data_ && !data_->stands()) give_up_data();
+  return std::exchange(data_broke_, false);
+}
+
+void Session::give_up_data() {
+  data_broke_ = true;
+  data_.reset();
+  data_tried_ = options_.path != Path::direct;
+}
+
 // The answer to `request`; a failure without a number is meant for whoever waits.
-Result<Frame> Session::await_answer(std::uint64_t request, const Deadline& deadline) {
+Result<Frame> Session::await_answer(Connection& link, std::uint64_t request, const Deadline& deadline) {
   for (;;) {
-    auto frame = connection_->read(deadline);
+    auto frame = link.read(deadline);
     if (!frame) return frame.status();
     const bool failure = frame->type == wire::FrameType::failure;
     if (frame->request != request && !(failure && frame->request == 0)) continue;
@@ -196,7 +250,27 @@ Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, cons
     const auto bytes = source.next(connection_->has_news());
     if (bytes.empty() || !connection_->write(bytes, deadline)) break;
   }
-  auto answer = await_answer(request, deadline);
+  return await_answer_to(request, what, deadline);
+}
+
+Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json& begin, const wire::Json& slice,
+                                         const plan::Plan& plan, std::span<const Column> columns,
+                                         const std::string& what, const Deadline& deadline) {
+  CHECK(connection_ != nullptr && data_ != nullptr, "a push without its connections");
+  OneFrame frame(wire::FrameType::request, request, begin);
+  if (connection_->write(frame.next(false), deadline)) {
+    const auto answered = [this] { return connection_->has_news(); };
+    const Status sent = data_->send(slice, request, plan, columns, answered, deadline);
+    if (!sent) {
+      give_up_data();
+      return Status(Code::aborted, sent.message(), sent.hint());
+    }
+  }
+  return await_answer_to(request, what, deadline);
+}
+
+Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {
+  auto answer = await_answer(*connection_, request, deadline);
   if (!connection_->lost()) connection_.reset();
   if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
     return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),

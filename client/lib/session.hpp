@@ -15,9 +15,13 @@
 #include "client/lib/connection.hpp"
 #include "client/lib/endpoint.hpp"
 #include "common/base/status.hpp"
+#include "common/plan/plan.hpp"
 #include "common/wire/message.hpp"
 
 namespace rcb::client {
+
+class DataPath;
+struct Column;
 
 // How much longer than the service a client waits, so that the service's own answer arrives first.
 double with_margin(double deadline_seconds);
@@ -49,6 +53,15 @@ class Session {
   // Sends a request on the connection that stands and waits for the answer to it. After a failure !connected() says
   // that the connection was lost.
   Result<Frame> exchange(std::uint64_t request, FrameSource& source, const std::string& what, const Deadline& deadline);
+  // The connections to the ranks themselves, opened where that wasn't tried yet; null where there are none.
+  DataPath* data(const Deadline& deadline);
+  // The push begins with `begin`, its slices go over data().
+  Result<Frame> exchange_directly(std::uint64_t request, const wire::Json& begin, const wire::Json& slice,
+                                  const plan::Plan& plan, std::span<const Column> columns, const std::string& what,
+                                  const Deadline& deadline);
+  Path path() const { return options_.path; }
+  // True after a push whose direct path broke; the next push goes another way, or on new connections.
+  bool data_lost();
   // One command with all its arguments.
   Result<Frame> call(wire::Json request, double deadline_seconds);
   Result<wire::Json> call_json(wire::Json request, double deadline_seconds);
@@ -57,9 +70,13 @@ class Session {
   explicit Session(ConnectOptions options);
   Status connect(const Deadline& deadline);
   Status connect_to(const Endpoint& endpoint, const Deadline& deadline);
-  Status greet(const Endpoint& endpoint, const Deadline& deadline);
-  Status say_hello(const std::string& token, const Deadline& deadline);
-  Result<Frame> await_answer(std::uint64_t request, const Deadline& deadline);
+  // Reads the welcome and says hello on `link`, which is opened anew where a token was refused. The reply to hello.
+  Result<wire::Json> greet(std::unique_ptr<Connection>& link, const Endpoint& endpoint, const Deadline& deadline);
+  Result<wire::Json> say_hello(Connection& link, const std::string& token, const Deadline& deadline);
+  Result<Frame> await_answer(Connection& link, std::uint64_t request, const Deadline& deadline);
+  Result<Frame> await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline);
+  Status open_data(const Deadline& deadline);
+  void give_up_data();
 
   ConnectOptions options_;
   std::vector<Endpoint> endpoints_;  // to try; once one has answered, that one alone
@@ -69,6 +86,11 @@ class Session {
   std::uint64_t generation_ = 0;
   std::uint64_t next_request_ = 1;
   std::unique_ptr<Connection> connection_;
+  std::vector<std::string> data_addresses_;  // by rank; empty: no direct path
+  std::unique_ptr<DataPath> data_;
+  bool data_tried_ = false;  // on this connection
+  bool data_broke_ = false;  // since the last push began
+  std::string token_;        // that was taken
 };
 
 // Defined here so that Scene sees it; nobody outside this folder does.

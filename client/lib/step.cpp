@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include "client/lib/data_path.hpp"
 #include "client/lib/push_source.hpp"
 #include "client/lib/scene.hpp"
 #include "client/lib/step_report.hpp"
@@ -14,6 +15,9 @@ namespace rcb::client {
 namespace {
 
 constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max();
+
+// Smaller pushes are one write to the endpoint; the ranks need not be told of them.
+constexpr std::size_t kDirectBytesMin = std::size_t{1} << 18U;
 
 constexpr const char* kAxisNames[] = {"x", "y", "z"};
 
@@ -30,8 +34,10 @@ Status Scene::State::check(const Positions& positions, const StepOptions& option
   if (positions.dims != dims_)
     return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims_),
                  "create the scene with the positions' dims");
+  if (!positions.by_rank.empty() && !pushed_)
+    return wrong("positions in the plan's order, and there is no plan yet", "push a first step by rows or axes");
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
-    if (positions.count > 0 && positions.axis[a] == nullptr)
+    if (positions.count > 0 && positions.axis[a] == nullptr && positions.by_rank.empty())
       return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
   if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
   if (positions.count > static_cast<std::uint64_t>(wire::kParticlesMax))
@@ -64,20 +70,20 @@ Status Scene::State::check(const Positions& positions, const StepOptions& option
   return {};
 }
 
-Status Scene::State::prepare(const Positions& positions, const StepOptions& options, const Deadline& deadline) {
+Status Scene::State::ready(std::uint64_t count, std::span<const std::int64_t> ids, const Deadline& deadline) {
   if (Status status = session().ensure(deadline); !status) return status;
   if (generation_ != session().generation())
     if (Status status = open_again(deadline); !status) return status;
   if (!pushed_) {
-    plan_ = plan::Plan::blocks(positions.count, session().ranks(), options.ids);
+    plan_ = plan::Plan::blocks(count, session().ranks(), ids);
     return {};
   }
   if (plan_ && plan_->ranks() != session().ranks()) plan_.reset();  // started again on other ranks
-  return plan_ ? Status{} : fetch_plan(ids_by_row(options), deadline);
+  return plan_ ? Status{} : fetch_plan(ids_by_row(ids), deadline);
 }
 
-std::span<const std::int64_t> Scene::State::ids_by_row(const StepOptions& options) const {
-  return ids_.empty() ? options.ids : std::span<const std::int64_t>(ids_);
+std::span<const std::int64_t> Scene::State::ids_by_row(std::span<const std::int64_t> given) const {
+  return ids_.empty() ? given : std::span<const std::int64_t>(ids_);
 }
 
 Result<Frame> Scene::State::push(const Positions& positions, const StepOptions& options, std::int64_t step,
@@ -96,14 +102,54 @@ Result<Frame> Scene::State::push(const Positions& positions, const StepOptions& 
                    {"changes", true},
                    {"deadline_seconds", std::clamp(options.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
   if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
+  if (Status status = check_plan_order(positions); !status) return status;
+  std::array<std::vector<const double*>, 3> by_rank;
   std::vector<Column> columns;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
-    columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
+    for (const auto& axes : positions.by_rank) by_rank[a].push_back(axes[a]);
+    columns.push_back(
+        {kAxisNames[a], "<f8", positions.axis[a], positions.stride, by_rank[a].empty() ? nullptr : by_rank[a].data()});
+  }
   if (!options.weights.empty()) columns.push_back({"w", "<f8", options.weights.data(), 1});
   if (send_ids) columns.push_back({"id", "<i8", options.ids.data(), 1});
   const std::uint64_t request = session().next_request();
+  const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
+  const bool large = positions.count * columns.size() * sizeof(double) >= kDirectBytesMin;
+  const Path path = session().path();
+  if (path == Path::direct || (path == Path::automatic && large)) {
+    if (session().data(deadline) != nullptr) {
+      wire::Json slice{{"command", "push.slice"}};
+      for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice[name] = begin.at(name);
+      begin["command"] = "push.begin";
+      begin["path"] = "direct";
+      begin["slices"] = 0;
+      return session().exchange_directly(request, begin, slice, *plan_, columns, what, deadline);
+    }
+    if (path == Path::direct)
+      return Status(Code::unavailable, fmt::format("{} has no direct path to its ranks", session().endpoint()),
+                    "leave the path to the library, or start the service without --gateway-only");
+  }
   PushSource source(begin, request, *plan_, std::move(columns));
-  return session().exchange(request, source, fmt::format("push of step {} to scene '{}'", step, name_), deadline);
+  return session().exchange(request, source, what, deadline);
+}
+
+// Positions in the plan's order must follow the plan that is pushed by.
+Status Scene::State::check_plan_order(const Positions& positions) const {
+  if (positions.by_rank.empty()) return {};
+  const std::string hint = "ask Scene::plan() and put the positions into its order";
+  if (positions.plan_version != plan_->version())
+    return {Code::stale_plan,
+            fmt::format("push to scene '{}': positions in the order of plan {}, it is {}", name_,
+                        positions.plan_version, plan_->version()),
+            hint};
+  if (positions.by_rank.size() != static_cast<std::size_t>(plan_->ranks()))
+    return {Code::invalid_argument,
+            fmt::format("positions of {} ranks, there are {}", positions.by_rank.size(), plan_->ranks()), hint};
+  for (std::size_t rank = 0; rank < positions.by_rank.size(); ++rank)
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
+      if (positions.by_rank[rank][a] == nullptr && !plan_->rows(static_cast<int>(rank)).empty())
+        return {Code::invalid_argument, fmt::format("no array for axis {} of rank {}", kAxisNames[a], rank), hint};
+  return {};
 }
 
 Result<StepResult> Scene::State::step(const Positions& positions, const StepOptions& options) {
@@ -114,14 +160,20 @@ Result<StepResult> Scene::State::step(const Positions& positions, const StepOpti
   const Deadline deadline(with_margin(std::min(options.deadline_seconds, wire::kDeadlineSecondsMax)));
   bool plan_mended = false;
   bool connection_mended = false;
+  bool data_mended = false;
   for (;;) {
-    Status status = prepare(positions, options, deadline);
+    Status status = ready(positions.count, options.ids, deadline);
     if (status) {
       const auto answer = push(positions, options, step, deadline);
       if (answer) return finish(*answer, step, positions, options, deadline);
       status = answer.status();
     }
     const bool lost = status.code() == Code::unavailable && !session().connected();
+    // A rank's connection went, and the push with it: once more, another way where the caller leaves the choice.
+    if (status.code() == Code::aborted && session().data_lost() && !data_mended) {
+      data_mended = true;
+      continue;
+    }
     if (status.code() == Code::stale_plan && !plan_mended) {
       plan_mended = true;
       plan_.reset();
@@ -164,7 +216,7 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   StepResult result;
   Status current;
   if ((repeated && *repeated) || !epoch_follows || !step_follows || !apply(answer, *json, first, result.changes))
-    current = fetch_plan(ids_by_row(options), deadline);
+    current = fetch_plan(ids_by_row(options.ids), deadline);
   if (!current) {
     // Fetched again before the next push.
     plan_.reset();

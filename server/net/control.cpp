@@ -20,35 +20,21 @@ struct Control::State : std::enable_shared_from_this<State> {
   State(IoLoop& io, ControlOptions options, Engine& engine)
       : loop(io), coordinator(std::make_shared<Coordinator>(io.context(), std::move(options), engine)) {}
 
+  // endpoint: as clients name the listener.
   template <typename Acceptor>
-  awaitable<void> accept(Acceptor& acceptor, bool with_token) {
-    while (true) {
-      typename Acceptor::protocol_type::socket socket(loop.context());
-      auto [error] = co_await acceptor.async_accept(socket, kAwait);
-      if (error == asio::error::operation_aborted || !acceptor.is_open()) co_return;
-      if (error) {  // out of file descriptors, most likely: the clients that are here must not suffer
-        spdlog::warn("a connection couldn't be taken: {}", error.message());
-        Timer pause(loop.context(), std::chrono::milliseconds(200));
-        co_await pause.async_wait(kAwait);
-        continue;
-      }
-      if constexpr (std::is_same_v<Acceptor, TcpAcceptor>) {
-        error_code ignored;
-        socket.set_option(asio::ip::tcp::no_delay(true), ignored);
-        socket.set_option(asio::socket_base::keep_alive(true), ignored);
-      }
-      Status peer;
-      if constexpr (std::is_same_v<Acceptor, UnixAcceptor>) peer = check_peer_user(socket.native_handle());
-      welcome(Socket(std::move(socket)), with_token, peer);
-    }
+  void accept(Acceptor& acceptor, std::string endpoint, bool with_token) {
+    auto take = [self = shared_from_this(), endpoint = std::move(endpoint), with_token](Socket socket, Status peer) {
+      self->welcome(std::move(socket), endpoint, with_token, std::move(peer));
+    };
+    asio::co_spawn(loop.context(), accept_all(loop.context(), acceptor, std::move(take)), asio::detached);
   }
 
-  void welcome(Socket socket, bool with_token, Status refused) {
+  void welcome(Socket socket, const std::string& endpoint, bool with_token, Status refused) {
     const std::size_t taken = coordinator->session_count();
     if (refused.ok() && taken >= static_cast<std::size_t>(coordinator->options().sessions_max))
       refused = Status(Code::busy, fmt::format("{} sessions are open, which is the most", taken), "try again later");
     if (!refused.ok() && refusing >= kRefusingMax) return;  // closes the socket without a word
-    auto session = std::make_shared<Session>(coordinator, std::move(socket), with_token);
+    auto session = std::make_shared<Session>(coordinator, std::move(socket), endpoint, with_token);
     if (!refused.ok()) {
       ++refusing;
       spdlog::info("connection refused: {}", refused.message());
@@ -119,14 +105,17 @@ Result<std::string> Control::listen_tcp(const std::string& where) {
   return bound;
 }
 
+void Control::serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses) {
+  state_->coordinator->serve_data(plane, endpoint, std::move(addresses));
+}
+
+void Control::slice_ended(int rank, std::uint64_t number, const Status& status) {
+  state_->coordinator->slice_ended(rank, number, status);
+}
+
 void Control::start() {
-  asio::io_context& context = state_->loop.context();
-  if (state_->unix_acceptor)
-    asio::co_spawn(
-        context, [state = state_] { return state->accept(*state->unix_acceptor, false); }, asio::detached);
-  for (TcpAcceptor& acceptor : state_->tcp_acceptors)
-    asio::co_spawn(
-        context, [state = state_, &acceptor] { return state->accept(acceptor, true); }, asio::detached);
+  if (state_->unix_acceptor) state_->accept(*state_->unix_acceptor, "unix:" + state_->unix_path, false);
+  for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor, bound_address(acceptor), true);
 }
 
 void Control::shut_down(const std::string& why) {

@@ -8,6 +8,7 @@
 
 #include "common/base/status.hpp"
 #include "common/wire/limits.hpp"
+#include "server/net/data_plane.hpp"
 #include "server/net/engine.hpp"
 #include "server/net/io_loop.hpp"
 
@@ -35,7 +36,11 @@ class Control {
   Status listen_unix(const std::string& path);
   // Gives the address as it was bound. Errors: as above.
   Result<std::string> listen_tcp(const std::string& where);
+  // Before the loop starts: where clients of each endpoint find the ranks' data listeners, by rank.
+  void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
   void start();
+  // I/O thread: what came of a rank's slice of an open push.
+  void slice_ended(int rank, std::uint64_t number, const Status& status);
 
   // Any thread: orders the end, as the command `shutdown` does.
   void shut_down(const std::string& why);

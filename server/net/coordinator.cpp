@@ -8,6 +8,7 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
+#include "common/base/wide.hpp"
 #include "server/net/session.hpp"
 
 namespace rcb::net {
@@ -92,9 +93,9 @@ Result<std::shared_ptr<OpenPush>> Coordinator::open_push(PushTerms terms, std::s
   push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
     const auto late = weak.lock();
     if (error || !late) return;
-    self->give_up(late, {Code::deadline_exceeded,
-                         fmt::format("the push wasn't whole at its deadline: {}", late->slices.progress()),
-                         "the previous step stands; push again"});
+    self->give_up(late,
+                  {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", late->progress()),
+                   "the previous step stands; push again"});
   });
   gate(push->slices.terms().id.scene).push = push;
   return push;
@@ -104,7 +105,8 @@ std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connect
   const auto found = gates_.find(id.scene);
   if (found == gates_.end() || !found->second.push) return nullptr;
   const auto& push = found->second.push;
-  return push->slices.terms().id == id && push->connection.get() == connection ? push : nullptr;
+  const bool fits = push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
+  return fits ? push : nullptr;
 }
 
 void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
@@ -122,7 +124,54 @@ void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
   close_push(push);
   staged_bytes_ -= push->slices.terms().bytes();
   tidy(id.scene);
+  if (push->number != 0) data_->drop(id);
   push->connection->send(FrameType::failure, push->request, wire::failure_json(why));
+}
+
+std::string OpenPush::progress() const {
+  if (number == 0) return slices.progress();
+  return fmt::format("{} of {} ranks have their slices", std::count(whole.begin(), whole.end(), true), whole.size());
+}
+
+void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
+  const PushTerms& terms = push->slices.terms();
+  push->number = ++pushes_numbered_;
+  const auto ranks = static_cast<std::uint64_t>(options_.ranks);
+  push->whole.assign(ranks, false);
+  const auto scene = snapshot_->scenes.find(terms.id.scene);
+  std::vector<std::uint64_t> counts;
+  if (scene != snapshot_->scenes.end() && scene->second.step) counts = scene->second.rank_counts;
+  if (counts.empty())  // the first push: blocks by row
+    for (std::uint64_t r = 0; r < ranks; ++r)
+      counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
+  CHECK(counts.size() == ranks, "a count for each rank");
+  data_->open({push->number, terms}, counts);
+}
+
+void Coordinator::slice_ended(int rank, std::uint64_t number, const Status& status) {
+  for (const auto& [name, gate] : gates_) {
+    if (!gate.push || gate.push->number != number || number == 0) continue;
+    const std::shared_ptr<OpenPush> push = gate.push;
+    if (!status.ok()) return give_up(push, status);
+    push->whole[static_cast<std::size_t>(rank)] = true;
+    if (std::find(push->whole.begin(), push->whole.end(), false) == push->whole.end()) push->when_whole();
+    return;
+  }
+}
+
+void Coordinator::refuse_directly(const PushId& id) {
+  if (data_ != nullptr) data_->drop(id);
+}
+
+void Coordinator::serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses) {
+  data_ = &plane;
+  data_addresses_[endpoint] = std::move(addresses);
+}
+
+const std::vector<std::string>& Coordinator::data_addresses(const std::string& endpoint) const {
+  static const std::vector<std::string> kNone;
+  const auto found = data_addresses_.find(endpoint);
+  return found == data_addresses_.end() ? kNone : found->second;
 }
 
 std::vector<std::string> Coordinator::members(const std::string& scene, const std::string& except) const {

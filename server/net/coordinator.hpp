@@ -23,6 +23,7 @@
 #include "server/net/asio.hpp"
 #include "server/net/connection.hpp"
 #include "server/net/control.hpp"
+#include "server/net/data_plane.hpp"
 #include "server/net/engine.hpp"
 #include "server/net/push.hpp"
 
@@ -42,6 +43,12 @@ struct OpenPush {
   TimePoint end;
   Timer deadline;
   bool given_up = false;
+  // On the direct path:
+  std::uint64_t number = 0;          // 0: not on it
+  std::vector<bool> whole;           // by rank
+  std::function<void()> when_whole;  // all ranks have their slices
+
+  std::string progress() const;
 };
 
 struct SceneGate {
@@ -96,6 +103,15 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
                                               std::string client, double deadline_seconds);
   // The open push with this id, if this connection opened it.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
+  // Tells the ranks to take the slices of a push that goes directly; when_whole is called when all have them.
+  void receive_directly(const std::shared_ptr<OpenPush>& push);
+  void slice_ended(int rank, std::uint64_t number, const Status& status);
+  // The ranks drop what comes for a push that will not be opened.
+  void refuse_directly(const PushId& id);
+  void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
+  // The ranks' data addresses for clients of this endpoint; empty: there is no direct path.
+  const std::vector<std::string>& data_addresses(const std::string& endpoint) const;
+
   // Ends the push and tells its client why. Nothing was ordered, so nothing has changed.
   void give_up(std::shared_ptr<OpenPush> push, const Status& why);  // by value: the gate's own is let go
   // Ends the receiving: the push's bytes are now the order's.
@@ -122,6 +138,9 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   asio::io_context& context_;
   ControlOptions options_;
   Engine& engine_;
+  DataPlane* data_ = nullptr;
+  std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
+  std::uint64_t pushes_numbered_ = 0;
   std::shared_ptr<const Snapshot> snapshot_ = std::make_shared<Snapshot>();
   std::set<Session*> sessions_;
   std::map<std::string, SceneGate> gates_;

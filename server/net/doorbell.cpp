@@ -20,6 +20,7 @@ namespace rcb::net {
 namespace {
 
 constexpr double kFrameSeconds = 10;
+constexpr std::size_t kNewsBytesMax = std::size_t{64} << 10U;
 
 int silent_ticks_max(double seconds) { return std::max(2, static_cast<int>(std::ceil(seconds / kTickSeconds))); }
 
@@ -89,7 +90,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
     if (connected + 2 == peers.size()) remove_files();  // the last one
     gathering.change([&] { ++connected; });
     while (true) {
-      Result<Frame> frame = co_await connection->read_frame(wire::kBytesBeforeHelloMax, 0);
+      Result<Frame> frame = co_await connection->read_frame(kNewsBytesMax, 0);
       if (!frame.ok()) {
         if (!peer.goodbye && !finished)
           lost(fmt::format("rank {} is lost: {}", index,
@@ -98,6 +99,8 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
       }
       peer.silent_ticks = 0;
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { peer.goodbye = true; });
+      if (frame->header.type == wire::FrameType::notice && !frame->json.empty() && news)
+        news(static_cast<int>(index), frame->json);
     }
   }
 
@@ -114,6 +117,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
   std::vector<Peer> peers;  // [0] is this rank, unused
   std::size_t connected = 0;
   int ticks_max;
+  NewsHandler news;
   LostHandler lost;
   Gathering gathering;
   bool finished = false;
@@ -152,6 +156,13 @@ Status DoorbellHub::wait_connected(double seconds) {
 void DoorbellHub::ring(std::uint64_t number, const std::string& request) {
   for (State::Peer& peer : state_->peers)
     if (peer.connection) peer.connection->send_text(wire::FrameType::request, number, request);
+}
+
+void DoorbellHub::on_news(NewsHandler handler) { state_->news = std::move(handler); }
+
+void DoorbellHub::tell(int rank, const wire::Json& news) {
+  const State::Peer& peer = state_->peers[static_cast<std::size_t>(rank)];
+  if (peer.connection) peer.connection->send(wire::FrameType::notice, 0, news);
 }
 
 void DoorbellHub::tick() {
@@ -195,7 +206,12 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
       }
       silent_ticks = 0;
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { goodbye = true; });
-      if (frame->header.type == wire::FrameType::notice) connection->send_text(wire::FrameType::notice, 0, "{}");
+      if (frame->header.type == wire::FrameType::notice) {
+        if (frame->json.empty())
+          connection->send_text(wire::FrameType::notice, 0, "{}");
+        else if (news)
+          news(0, frame->json);
+      }
       if (frame->header.type == wire::FrameType::request) ordered(frame->header.request, std::move(frame->json));
     }
   }
@@ -205,6 +221,7 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
   int silent_ticks = 0;
   int ticks_max = 0;
   OrderHandler ordered;
+  NewsHandler news;
   LostHandler lost;
   Gathering gathering;
   bool goodbye = false;
@@ -230,6 +247,10 @@ Result<std::unique_ptr<Doorbell>> Doorbell::connect(IoLoop& loop, int rank, cons
       loop.context(), [state] { return state->listen(); }, asio::detached);
   return std::unique_ptr<Doorbell>(new Doorbell(std::move(state)));
 }
+
+void Doorbell::on_news(NewsHandler handler) { state_->news = std::move(handler); }
+
+void Doorbell::tell(const wire::Json& news) { state_->connection->send(wire::FrameType::notice, 0, news); }
 
 void Doorbell::tick() {
   if (state_->goodbye || state_->finished) return;

@@ -26,6 +26,8 @@ struct DoorbellAddress {
   std::string secret;
 };
 
+// Words between the I/O threads that aren't orders (data_plane.hpp); from rank 0 they come in order with these.
+using NewsHandler = std::function<void(int from, const wire::Json& news)>;
 using LostHandler = std::function<void(const std::string& what)>;
 
 // Rank 0's side.
@@ -39,6 +41,10 @@ class DoorbellHub {
   Status wait_connected(double seconds);
   // I/O thread: `request` is a JSON text.
   void ring(std::uint64_t number, const std::string& request);
+  // Before the loop starts.
+  void on_news(NewsHandler handler);
+  // I/O thread.
+  void tell(int rank, const wire::Json& news);
   // I/O thread, every kTickSeconds.
   void tick();
   // Any thread but the I/O thread: says goodbye and waits for the others' goodbyes.
@@ -58,6 +64,10 @@ class Doorbell {
   static Result<std::unique_ptr<Doorbell>> connect(IoLoop& loop, int rank, const DoorbellAddress& address,
                                                    double silence_seconds, OrderHandler ordered, LostHandler lost);
   ~Doorbell();
+  // Before the loop starts.
+  void on_news(NewsHandler handler);
+  // I/O thread.
+  void tell(const wire::Json& news);
   void tick();
   void finish(double seconds);
 

@@ -36,6 +36,7 @@ struct SceneInfo {
   std::uint64_t epoch = 0;
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
+  std::vector<std::uint64_t> rank_counts;  // particles that each rank holds
 };
 
 // What may be told while the engine is busy.
@@ -45,8 +46,9 @@ struct Snapshot {
 };
 
 struct Order {
-  wire::Json request;  // "command" and its arguments
-  std::string text;    // the same, at most kJsonBytesMax bytes
+  // "command" and its arguments; with "staged", a number, where each rank has its slice of that direct push.
+  wire::Json request;
+  std::string text;  // the same, at most kJsonBytesMax bytes
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;

@@ -1,4 +1,4 @@
-// Listening sockets: the control sockets of rank 0.
+// Listening sockets: the control sockets of rank 0, every rank's data sockets.
 //
 // Invariants
 // 1. A socket on which a live service answers is never taken; a stale one is replaced.
@@ -6,6 +6,10 @@
 #pragma once
 
 #include <string>
+#include <type_traits>
+#include <utility>
+
+#include <spdlog/spdlog.h>
 
 #include "common/base/status.hpp"
 #include "server/net/asio.hpp"
@@ -24,5 +28,29 @@ std::string bound_address(const TcpAcceptor& acceptor);
 
 // The peer's user of a Unix socket. Errors: not_authorised unless it is this process's user or root.
 Status check_peer_user(int socket);
+
+// Takes connections until the acceptor is closed: take(Socket, Status of the peer).
+template <typename Acceptor, typename Take>
+awaitable<void> accept_all(asio::io_context& context, Acceptor& acceptor, Take take) {
+  while (true) {
+    typename Acceptor::protocol_type::socket socket(context);
+    auto [error] = co_await acceptor.async_accept(socket, kAwait);
+    if (error == asio::error::operation_aborted || !acceptor.is_open()) co_return;
+    if (error) {  // out of file descriptors, most likely: the clients that are here must not suffer
+      spdlog::warn("a connection couldn't be taken: {}", error.message());
+      Timer pause(context, std::chrono::milliseconds(200));
+      co_await pause.async_wait(kAwait);
+      continue;
+    }
+    if constexpr (std::is_same_v<Acceptor, TcpAcceptor>) {
+      error_code ignored;
+      socket.set_option(asio::ip::tcp::no_delay(true), ignored);
+      socket.set_option(asio::socket_base::keep_alive(true), ignored);
+    }
+    Status peer;
+    if constexpr (std::is_same_v<Acceptor, UnixAcceptor>) peer = check_peer_user(socket.native_handle());
+    take(Socket(std::move(socket)), std::move(peer));
+  }
+}
 
 }  // namespace rcb::net

@@ -8,14 +8,9 @@
 #include "common/wire/limits.hpp"
 
 namespace rcb::net {
-namespace {
+namespace {}  // namespace
 
-struct Plan {
-  std::uint64_t version = 0;
-  std::uint64_t checksum = 0;
-};
-
-Result<Plan> read_plan(const wire::Json& request) {
+Result<PlanId> read_plan(const wire::Json& request) {
   const auto found = request.find("plan");
   if (found == request.end() || !found->is_object())
     return Status(Code::invalid_argument, "field 'plan': expected an object with 'version' and 'checksum'");
@@ -25,11 +20,13 @@ Result<Plan> read_plan(const wire::Json& request) {
   if (!text.ok()) return text.status();
   const auto checksum = wire::parse_hex64(*text);
   if (!checksum.ok()) return checksum.status();
-  return Plan{static_cast<std::uint64_t>(*version), *checksum};
+  return PlanId{static_cast<std::uint64_t>(*version), *checksum};
 }
 
+namespace {
+
 Status check_plan(const wire::Json& request, const SceneInfo& scene) {
-  const Result<Plan> plan = read_plan(request);
+  const Result<PlanId> plan = read_plan(request);
   if (!plan.ok()) return plan.status();
   if (plan->version == scene.plan_version && plan->checksum == scene.plan_checksum) return {};
   return {Code::stale_plan,
@@ -100,13 +97,27 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (!ids.ok()) return ids.status();
   terms.weights = *weights;
   terms.ids = *ids;
-  if (terms.n > 0 && (terms.slices == 0 || (terms.by_id && terms.slices != 1)))
+  const auto path = request.contains("path") ? wire::string_field(request, "path", 16) : std::string("gateway");
+  if (!path.ok()) return path.status();
+  terms.direct = *path == "direct";
+  if (!terms.direct && *path != "gateway")
+    return Status(Code::invalid_argument,
+                  fmt::format("field 'path': expected \"direct\" or \"gateway\", got \"{}\"", *path));
+  if (terms.direct && terms.by_id)
+    return Status(Code::invalid_argument, "slices in order \"id\" can't go to the ranks directly",
+                  "push in order \"plan\", or by the path \"gateway\"");
+  if (!terms.direct && terms.n > 0 && (terms.slices == 0 || (terms.by_id && terms.slices != 1)))
     return Status(Code::invalid_argument, fmt::format("field 'slices': {} can't carry {} particles in order \"{}\"",
                                                       terms.slices, terms.n, *order));
   if (scene.step && terms.n != scene.n)
     return Status(Code::invalid_argument,
                   fmt::format("the push has {} particles, scene '{}' has {}", terms.n, id.scene, scene.n),
                   "create the scene anew for another number of particles");
+  if (terms.direct) {
+    const auto plan = read_plan(request);
+    if (!plan.ok()) return plan.status();
+    terms.plan = *plan;
+  }
   if (!terms.by_id && scene.step && id.step > *scene.step) {
     const Status plan = check_plan(request, scene);
     if (!plan.ok()) return plan;
@@ -117,23 +128,12 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   return terms;
 }
 
-Result<Slice> PushSlices::begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const {
+Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,
+                         std::uint64_t count) {
   const auto specs = wire::array_specs(request, bulk_bytes);
   if (!specs.ok()) return specs.status();
-  const auto rank = wire::integer_field(request, "rank", 0, terms_.ranks - 1);
-  if (!rank.ok()) return rank.status();
-  if (ranks_.contains(static_cast<int>(*rank)))
-    return Status(Code::invalid_argument, fmt::format("the slice of rank {} came twice", *rank));
-  if (terms_.by_id && *rank != 0)
-    return Status(Code::invalid_argument, fmt::format("order \"id\" has a slice for rank 0 alone, not {}", *rank));
-  const auto count = wire::integer_field(request, "count", 0, wire::kParticlesMax);
-  if (!count.ok()) return count.status();
-  Slice slice{static_cast<int>(*rank), static_cast<std::uint64_t>(*count), {}};
-  if (slice.count > terms_.n - count_)
-    return Status(Code::invalid_argument,
-                  fmt::format("the slice of rank {} has {} particles, only {} of {} are still to come", slice.rank,
-                              slice.count, terms_.n - count_, terms_.n));
-  const auto expected = expected_arrays(terms_);
+  Slice slice{rank, count, {}};
+  const auto expected = expected_arrays(terms);
   bool match = specs->size() == expected.size();
   for (std::size_t i = 0; match && i < expected.size(); ++i) {
     const wire::ArraySpec& spec = (*specs)[i];
@@ -146,6 +146,24 @@ Result<Slice> PushSlices::begin_slice(const wire::Json& request, std::uint64_t b
   for (const auto& [name, dtype] : expected) names += fmt::format("{}{} {}", names.empty() ? "" : ", ", name, dtype);
   return Status(Code::invalid_argument, fmt::format("the slice of rank {} must have the arrays {}, each of shape [{}]",
                                                     slice.rank, names, slice.count));
+}
+
+Result<Slice> PushSlices::begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const {
+  if (const auto specs = wire::array_specs(request, bulk_bytes); !specs.ok()) return specs.status();
+  const auto rank = wire::integer_field(request, "rank", 0, terms_.ranks - 1);
+  if (!rank.ok()) return rank.status();
+  if (ranks_.contains(static_cast<int>(*rank)))
+    return Status(Code::invalid_argument, fmt::format("the slice of rank {} came twice", *rank));
+  if (terms_.by_id && *rank != 0)
+    return Status(Code::invalid_argument, fmt::format("order \"id\" has a slice for rank 0 alone, not {}", *rank));
+  const auto count = wire::integer_field(request, "count", 0, wire::kParticlesMax);
+  if (!count.ok()) return count.status();
+  const auto particles = static_cast<std::uint64_t>(*count);
+  if (particles > terms_.n - count_)
+    return Status(Code::invalid_argument,
+                  fmt::format("the slice of rank {} has {} particles, only {} of {} are still to come", *rank,
+                              particles, terms_.n - count_, terms_.n));
+  return make_slice(request, bulk_bytes, terms_, static_cast<int>(*rank), particles);
 }
 
 Status PushSlices::add(Slice slice) {

@@ -30,8 +30,18 @@ struct PushId {
 // `session` where the message names none. Errors: invalid_argument.
 Result<PushId> read_push_id(const wire::Json& request, const std::string& session);
 
+struct PlanId {
+  std::uint64_t version = 0;
+  std::uint64_t checksum = 0;
+  bool operator==(const PlanId&) const = default;
+};
+
+// The field "plan". Errors: invalid_argument.
+Result<PlanId> read_plan(const wire::Json& request);
+
 struct PushTerms {
   PushId id;
+  PlanId plan;  // as the client says; of the direct path alone
   std::uint64_t n = 0;
   std::uint64_t slices = 0;
   int ranks = 1;
@@ -39,6 +49,7 @@ struct PushTerms {
   bool by_id = false;
   bool weights = false;
   bool ids = false;
+  bool direct = false;  // the slices go to the ranks themselves
 
   std::uint64_t bytes() const;  // of all arrays; at most 2^54
 };
@@ -48,6 +59,11 @@ struct PushTerms {
 // Errors: invalid_argument, stale_plan, too_large.
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
                                   std::uint64_t bytes_max);
+
+// A slice of `count` particles whose arrays, still without bytes, are those that the terms demand.
+// Errors: invalid_argument, protocol_error (the connection must end).
+Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,
+                         std::uint64_t count);
 
 // What has come of a push.
 class PushSlices {

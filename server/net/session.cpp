@@ -8,7 +8,7 @@
 #include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
-#include "server/net/data_directory.hpp"
+#include "server/net/hello.hpp"
 
 namespace rcb::net {
 
@@ -47,9 +47,10 @@ class Place {
 
 }  // namespace
 
-Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, bool with_token)
+Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, std::string endpoint, bool with_token)
     : coordinator_(std::move(coordinator)),
       connection_(std::make_shared<Connection>(std::move(socket), coordinator_->options().frame_seconds)),
+      endpoint_(std::move(endpoint)),
       with_token_(with_token) {}
 
 Session::~Session() = default;
@@ -98,29 +99,13 @@ awaitable<Status> Session::hello() {
 }
 
 Status Session::check_hello(const Frame& frame) {
-  if (frame.header.type == FrameType::goodbye) return {Code::unavailable, ""};
-  if (frame.header.type != FrameType::hello) return {Code::protocol_error, "the first frame must be hello"};
-  const auto protocol = wire::integer_field(frame.json, "protocol", 1, 1 << 16);
-  if (!protocol.ok()) return {Code::protocol_error, "hello: " + protocol.status().message()};
-  if (*protocol != wire::kProtocolVersion)
-    return {Code::protocol_error,
-            fmt::format("hello: protocol {} isn't spoken here, {} is", *protocol, wire::kProtocolVersion)};
-  const auto client = wire::string_field(frame.json, "client", 256);
-  if (!client.ok()) return {Code::protocol_error, "hello: " + client.status().message()};
-  const auto text = wire::string_field(frame.json, "session", 16);
-  if (!text.ok()) return {Code::protocol_error, "hello: " + text.status().message()};
-  const auto session = wire::parse_hex64(*text);
-  if (!session.ok()) return {Code::protocol_error, "hello: " + session.status().message()};
-  if (with_token_) {
-    const auto token = wire::string_field(frame.json, "token", 256);
-    if (!token.ok() || !same_secret(*token, coordinator_->options().token))
-      return {Code::not_authorised, token.ok() ? "the token is wrong" : "a token is needed over TCP",
-              "it is the content of the file 'token' in the service's data directory"};
-  }
-  client_ = *client;
-  number_ = wire::hex64(*session);
-  connection_->send(FrameType::reply, frame.header.request,
-                    {{"session", number_}, {"ranks", coordinator_->options().ranks}});
+  const auto hello = read_hello(frame, with_token_ ? &coordinator_->options().token : nullptr);
+  if (!hello.ok()) return hello.status();
+  client_ = hello->client;
+  number_ = hello->session;
+  Json reply{{"session", number_}, {"ranks", coordinator_->options().ranks}};
+  if (const auto& addresses = coordinator_->data_addresses(endpoint_); !addresses.empty()) reply["data"] = addresses;
+  connection_->send(FrameType::reply, frame.header.request, reply);
   return {};
 }
 
@@ -133,7 +118,8 @@ awaitable<Status> Session::serve(Frame frame) {
   if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
   if (frame.header.bulk_bytes > 0) {
     // Dropped, since no other command takes arrays; but a frame that contradicts itself is not trusted further.
-    if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok()) co_return specs.status();
+    if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok())
+      co_return specs.status();
     Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
     if (!status.ok()) co_return status;
   }
@@ -266,7 +252,7 @@ awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
 
 awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pending> pending) {
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
-  answering_ = true;
+  ++answering_;
   while (!pending->answer && now() < request.end) co_await nap(pending->signal, request, notice_at, "the engine");
   if (pending->answer) {
     Answer answer = std::move(*pending->answer);
@@ -279,7 +265,7 @@ awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pendi
           fmt::format("'{}' wasn't done within {} s; it goes on", request.command, request.deadline_seconds),
           "ask again later, or give it a longer deadline"});
   }
-  answering_ = false;
+  --answering_;
   if (goodbye_due_) say_goodbye();
 }
 
@@ -331,7 +317,7 @@ awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& no
 }
 
 void Session::say_goodbye() {
-  goodbye_due_ = answering_;
+  goodbye_due_ = answering_ > 0;
   if (goodbye_due_) return;
   connection_->send(FrameType::goodbye, 0, Json::object());
   asio::co_spawn(

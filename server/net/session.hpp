@@ -18,7 +18,8 @@ namespace rcb::net {
 
 class Session : public std::enable_shared_from_this<Session> {
  public:
-  Session(std::shared_ptr<Coordinator> coordinator, Socket socket, bool with_token);
+  // endpoint: the listener that the client came to.
+  Session(std::shared_ptr<Coordinator> coordinator, Socket socket, std::string endpoint, bool with_token);
   ~Session();
 
   // Serves the client until it goes.
@@ -56,6 +57,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void reply(const Request& request, Answer answer);
 
   awaitable<void> push_begin(Request& request);
+  // Opens the push's direct path, or, where only the service can answer it (a step that is committed), orders it.
+  awaitable<void> begin_directly(std::shared_ptr<OpenPush> push);
   Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
   Status push_conflict(const SceneGate& gate, const PushId& id);
   awaitable<Status> push_slice(Frame frame);
@@ -72,11 +75,12 @@ class Session : public std::enable_shared_from_this<Session> {
 
   std::shared_ptr<Coordinator> coordinator_;
   std::shared_ptr<Connection> connection_;
+  std::string endpoint_;
   bool with_token_;
   std::string client_ = "a client that hasn't said hello";
   std::string number_;  // the client's session, 16 hex digits
   std::set<std::string> open_;
-  bool answering_ = false;    // an order of this session is on its way
+  int answering_ = 0;         // orders of this session that are on their way
   bool goodbye_due_ = false;  // to be said after its answer
 };
 

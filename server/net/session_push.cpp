@@ -23,7 +23,7 @@ Status Session::push_conflict(const SceneGate& gate, const PushId& id) {
   if (!gate.push || gate.push->slices.terms().id.session == id.session) return {};
   return {Code::busy,
           fmt::format("'{}' has had a push of scene '{}' open for {:.1f} s ({})", gate.push->client, id.scene,
-                      seconds_since(gate.push->started), gate.push->slices.progress()),
+                      seconds_since(gate.push->started), gate.push->progress()),
           "try again when it is done"};
 }
 
@@ -49,8 +49,31 @@ awaitable<void> Session::push_begin(Request& request) {
   }
   coordinator_->gate(id->scene).wake();
   coordinator_->tidy(id->scene);
-  if (!status.ok()) fail(request.number, status);
-  if (push && push->slices.whole()) co_await order_push(push);
+  if (!status.ok()) {
+    if (id->step >= 0 && request.json.value("path", Json()) == "direct") coordinator_->refuse_directly(*id);
+    fail(request.number, status);
+  }
+  if (push && push->slices.terms().direct)
+    co_await begin_directly(push);
+  else if (push && push->slices.whole())
+    co_await order_push(push);
+}
+
+awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
+  const PushId& id = push->slices.terms().id;
+  const auto scene = coordinator_->snapshot().scenes.find(id.scene);
+  if (scene != coordinator_->snapshot().scenes.end() && scene->second.step && id.step <= *scene->second.step) {
+    coordinator_->refuse_directly(id);
+    co_return co_await order_push(push);
+  }
+  // The session goes on reading, so that it hears of the client's end; the answer comes when the ranks are ready.
+  push->when_whole = [self = shared_from_this(), weak = std::weak_ptr(push)] {
+    const auto ready = weak.lock();
+    if (ready)
+      asio::co_spawn(
+          self->coordinator_->context(), [self, ready] { return self->order_push(ready); }, asio::detached);
+  };
+  coordinator_->receive_directly(push);
 }
 
 Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, const PushId& id) {
@@ -63,6 +86,8 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   Result<PushTerms> terms = read_push_terms(request.json, id, scene->second, coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();
+  if (terms->direct && coordinator_->data_addresses(endpoint_).empty())
+    return Status(Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\"");
   const double left = std::chrono::duration<double>(request.end - now()).count();
   auto push = coordinator_->open_push(std::move(*terms), connection_, client_, left);
   if (!push.ok()) return push.status();
@@ -131,14 +156,22 @@ awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
   request.deadline_seconds = std::chrono::duration<double>(push->end - push->started).count();
   request.json["command"] = "push";
   request.json["session"] = terms.id.session;
+  if (push->number != 0)
+    request.json["staged"] = push->number;
+  else
+    request.json.erase("staged");
   OrderOptions order;
   order.slices = push->slices.take();
   order.received_seconds = seconds_since(push->started);
   order.deadline_seconds = request.deadline_seconds;
   order.staged_bytes = terms.bytes();
+  order.changes = terms.id.scene;  // what is pushed next waits for the commit
   coordinator_->close_push(push);
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
   coordinator_->tidy(terms.id.scene);
-  co_await order_and_reply(request, std::move(order));
+  if (pending.ok()) co_return co_await reply_when_done(request, *pending);
+  if (push->number != 0) coordinator_->refuse_directly(terms.id);
+  fail(request.number, pending.status());
 }
 
 }  // namespace rcb::net

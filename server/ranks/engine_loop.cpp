@@ -30,6 +30,8 @@ void EngineLoop::run(service::Service& service) {
     service::Response response;
     if (!last) response = service.execute(order.request, std::move(order.slices), order.received_seconds);
     number_running_.store(0, std::memory_order_relaxed);
+    for (service::Spare& spare : service.take_spares())
+      if (spare_) spare_(std::move(spare));
     if (order.done) order.done(std::move(response), service.snapshot());
     if (last) return;
   }

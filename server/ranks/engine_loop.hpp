@@ -12,6 +12,7 @@
 #include <deque>
 #include <functional>
 #include <mutex>
+#include <utility>
 #include <vector>
 
 #include "server/service/service.hpp"
@@ -30,7 +31,9 @@ struct EngineOrder {
 
 class EngineLoop {
  public:
-  explicit EngineLoop(std::size_t capacity) : capacity_(capacity) {}
+  // spare: called on the engine thread with memory for a scene's next slice (service.hpp); may be empty.
+  using SpareHandler = std::function<void(service::Spare)>;
+  explicit EngineLoop(std::size_t capacity, SpareHandler spare = {}) : capacity_(capacity), spare_(std::move(spare)) {}
 
   // Any thread. False if the queue is full, which the coordinator must have prevented.
   [[nodiscard]] bool push(EngineOrder order);
@@ -45,6 +48,7 @@ class EngineLoop {
   EngineOrder next();
 
   const std::size_t capacity_;
+  SpareHandler spare_;
   std::mutex mutex_;
   std::condition_variable filled_;
   std::deque<EngineOrder> queue_;

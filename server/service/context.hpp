@@ -17,9 +17,10 @@ struct Context {
   partition::Comm& comm;
   const Clock& clock;
   std::map<std::string, Scene>& scenes;
-  // Of the push being executed; rank 0 alone.
+  // Of the push being executed: all of them on rank 0, or, where it was staged on the ranks, each rank's own.
   std::vector<PushSlice> slices;
   double received_seconds = 0;
+  std::vector<Spare>& spares;
 
   bool root() const { return comm.rank() == 0; }
 };

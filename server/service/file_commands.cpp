@@ -128,7 +128,7 @@ Response load(Context& context, const wire::Json& request) {
   push.session = "load";
   push.step = load->step;
   push.n = staged.n;
-  const StepReport report = commit(context, scene, std::move(staged), push, nullptr);
+  const StepReport report = commit(context, scene, staged, push, nullptr);
   return done({{"report", to_json(report)},
                {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
 }

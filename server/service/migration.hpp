@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "server/service/context.hpp"
+#include "server/service/scan.hpp"
 
 namespace rcb::service {
 
@@ -12,5 +13,8 @@ namespace rcb::service {
 //   first  the scene's first partition: the plan becomes a full one whatever moved
 // Returns how many particles changed their rank, on every rank. Collective.
 std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first);
+
+// The same after a step without new cuts: only particles that drifted are looked at. sums.migrating > 0. Collective.
+std::uint64_t migrate_drifted(partition::Comm& comm, Scene& scene, const Drift& drift, const StepSums& sums);
 
 }  // namespace rcb::service

@@ -28,15 +28,27 @@ Response repeated(const Context& context, const Scene& scene, const PushRequest&
   return done(std::move(json));
 }
 
-Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, const PartChanges& changes,
+Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes,
                 std::optional<std::int64_t> previous_step) {
   Response response = done({{"report", to_json(report)},
                             {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
                             {"plan", plan_json(scene)}});
   if (!push.changes) return response;
-  response.arrays.push_back(make_array<particles::Id>("changed_id", "<i8", changes.id.span()));
-  response.arrays.push_back(make_array<std::int32_t>("changed_part", "<i4", changes.part.span()));
+  const std::uint64_t count = changes.id.size();
+  response.arrays.push_back(make_array("changed_id", "<i8", count, changes.id.release_as<std::byte>()));
+  response.arrays.push_back(make_array("changed_part", "<i4", count, changes.part.release_as<std::byte>()));
   return response;
+}
+
+// What the commit swapped out is what the next push is received into, so that a step touches no fresh memory.
+void give_back(Context& context, const Scene& scene, const PushRequest& push, Staged& staged) {
+  Spare spare{scene.name, {}};
+  if (push.staged) {
+    for (auto& axis : staged.arrays.position)
+      if (axis.capacity() > 0) spare.buffers.push_back(axis.release_as<std::byte>());
+    if (spare.buffers.empty()) return;
+  }
+  context.spares.push_back(std::move(spare));
 }
 
 Response push(Context& context, const wire::Json& request) {
@@ -49,9 +61,9 @@ Response push(Context& context, const wire::Json& request) {
   if (!staged.ok()) return failed(staged.status());
   PartChanges changes;
   const std::optional<std::int64_t> previous_step = scene.value()->step;
-  const StepReport report =
-      commit(context, *scene.value(), std::move(staged).value(), push.value(), push->changes ? &changes : nullptr);
-  return answer(*scene.value(), report, push.value(), changes, previous_step);
+  const StepReport report = commit(context, *scene.value(), *staged, push.value(), push->changes ? &changes : nullptr);
+  give_back(context, *scene.value(), push.value(), *staged);
+  return answer(*scene.value(), report, push.value(), std::move(changes), previous_step);
 }
 
 constexpr Command kCommands[] = {{"push", push}};

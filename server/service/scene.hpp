@@ -44,6 +44,12 @@ struct SceneTotals {
   StepSeconds seconds;
 };
 
+// The region of a part, one cache line.
+struct alignas(64) PartBounds {
+  geometry::Point lo;
+  geometry::Point hi;
+};
+
 struct Scene {
   static constexpr std::size_t kRememberedSteps = 1024;
 
@@ -58,6 +64,8 @@ struct Scene {
 
   partition::CutTree tree;
   std::uint64_t epoch = 0;
+  std::vector<PartBounds> bounds;  // of this rank's parts under the cuts of bounds_epoch
+  std::uint64_t bounds_epoch = 0;
   partition::LoadSummary loads;                  // after the last order that changed them
   std::optional<double> error_when_not_adopted;  // error_before of the last attempt that was not adopted
   CostAccount costs;                             // kept where the policy is cost

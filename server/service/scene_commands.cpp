@@ -60,7 +60,8 @@ Result<Policy> read_policy(const wire::Json& request) {
   if (!name.ok()) return name.status();
   const auto policy = policy_from_name(name.value());
   if (!policy)
-    return Status(Code::invalid_argument, fmt::format("unknown policy '{}'", name.value()), "policies: tolerance, cost");
+    return Status(Code::invalid_argument, fmt::format("unknown policy '{}'", name.value()),
+                  "policies: tolerance, cost");
   return *policy;
 }
 
@@ -143,6 +144,7 @@ Response create(Context& context, const wire::Json& request) {
   if (!exists && context.scenes.size() >= static_cast<std::size_t>(wire::kScenesMax))
     return failed({Code::too_large, fmt::format("the service holds {} scenes, its limit", wire::kScenesMax),
                    "drop one: rcbctl scene drop NAME"});
+  if (exists) context.spares.push_back({name.value(), {}});
   context.scenes.insert_or_assign(name.value(), Scene::create(name.value(), std::move(options).value()));
   return show(context, request);
 }
@@ -152,6 +154,7 @@ Response drop(Context& context, const wire::Json& request) {
   if (!scene.ok()) return failed(scene.status());
   const std::string name = scene.value()->name;
   context.scenes.erase(name);
+  context.spares.push_back({name, {}});
   return done(wire::Json::object());
 }
 

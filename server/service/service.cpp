@@ -1,8 +1,11 @@
 #include "server/service/service.hpp"
 
+#include <utility>
+
 #include <fmt/format.h>
 
 #include "server/service/context.hpp"
+#include "server/service/staging.hpp"
 
 namespace rcb::service {
 
@@ -11,9 +14,28 @@ struct Service::State {
   const Clock& clock;
   std::map<std::string, Scene> scenes;
   std::map<std::string, Handler> handlers;
+  std::vector<Spare> spares;
+  // A scene's particles by rank, as of this (epoch, step, plan version).
+  struct RankCounts {
+    std::uint64_t epoch = 0;
+    std::optional<std::int64_t> step;
+    std::uint64_t plan_version = 0;
+    std::vector<std::uint64_t> counts;
+  };
+  std::map<std::string, RankCounts> rank_counts;
+
+  const std::vector<std::uint64_t>& counts_of(const std::string& name, const Scene& scene) {
+    RankCounts& known = rank_counts[name];
+    if (known.counts.empty() || known.epoch != scene.epoch || known.step != scene.step ||
+        known.plan_version != scene.plan_version) {
+      known = {scene.epoch, scene.step, scene.plan_version, {}};
+      for (int r = 0; r < comm.size(); ++r) known.counts.push_back(held_by(scene, scene.n, r, comm.size()));
+    }
+    return known.counts;
+  }
 };
 
-Service::Service(partition::Comm& comm, const Clock& clock) : state_(new State{comm, clock, {}, {}}) {
+Service::Service(partition::Comm& comm, const Clock& clock) : state_(new State{comm, clock, {}, {}, {}, {}}) {
   for (const auto table :
        {scene_commands(), push_commands(), query_commands(), quality_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->handlers.emplace(command.name, command.run);
@@ -28,11 +50,13 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (handler == state_->handlers.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{state_->comm, state_->clock, state_->scenes, std::move(slices), received_seconds};
+  Context context{state_->comm, state_->clock, state_->scenes, std::move(slices), received_seconds, state_->spares};
   Response response = handler->second(context, request);
   if (!context.root()) return {};
   return response;
 }
+
+std::vector<Spare> Service::take_spares() { return std::exchange(state_->spares, {}); }
 
 Snapshot Service::snapshot() const {
   Snapshot snapshot;
@@ -48,9 +72,11 @@ Snapshot Service::snapshot() const {
                .step_session = scene.recent_steps.empty() ? "" : scene.recent_steps.back().second,
                .epoch = scene.epoch,
                .plan_version = scene.plan_version,
-               .plan_checksum = scene.plan_checksum};
+               .plan_checksum = scene.plan_checksum,
+               .rank_counts = state_->counts_of(name, scene)};
     snapshot.steps += scene.totals.steps;
   }
+  std::erase_if(state_->rank_counts, [&](const auto& entry) { return !snapshot.scenes.contains(entry.first); });
   return snapshot;
 }
 

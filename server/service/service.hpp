@@ -21,11 +21,17 @@
 
 namespace rcb::service {
 
-// The particles a client sent for one rank, arrays x y z (w) (id); on rank 0 alone.
+// The particles a client sent for one rank, arrays x y z (w) (id).
 struct PushSlice {
   int rank = 0;
   std::uint64_t count = 0;
   std::vector<wire::Array> arrays;
+};
+
+// Memory that the next push of a scene may be received into; none: what is kept for it is to be freed.
+struct Spare {
+  std::string scene;
+  std::vector<Buffer<std::byte>> buffers;
 };
 
 struct Response {
@@ -47,6 +53,7 @@ struct SceneSummary {
   std::uint64_t epoch = 0;
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
+  std::vector<std::uint64_t> rank_counts;  // particles that each rank holds
 };
 
 struct Snapshot {
@@ -60,9 +67,13 @@ class Service {
   ~Service();
 
   // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.
-  // A push arrives as {"command":"push", ...the fields of push.begin} with its slices on rank 0.
+  // A push arrives as {"command":"push", ...the fields of push.begin} with its slices on rank 0 or, where the request
+  // has a field "staged", with each rank's slice on that rank.
   // `received_seconds`: how long the push took to arrive (rank 0; for the report).
   Response execute(const wire::Json& request, std::vector<PushSlice> slices = {}, double received_seconds = 0);
+
+  // Local. What the orders since the last call gave up, in their order.
+  std::vector<Spare> take_spares();
 
   // Local; rank 0's is published to the I/O thread after each order, before its answer leaves.
   Snapshot snapshot() const;

@@ -50,16 +50,6 @@ bool suspicious(const particles::ParticleView& view) {
   return view.id != nullptr && std::any_of(view.id, view.id + view.count, [](particles::Id id) { return id < 0; });
 }
 
-// The particles that rank r holds before the push: those of its parts, or its block of rows.
-std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) {
-  if (!scene.pushed) return plan::row_begin(rank + 1, n, ranks) - plan::row_begin(rank, n, ranks);
-  std::uint64_t held = 0;
-  const int parts = scene.options.parts;
-  for (std::int64_t p = plan::part_begin(rank, parts, ranks); p < plan::part_begin(rank + 1, parts, ranks); ++p)
-    held += scene.loads.counts[static_cast<std::size_t>(p)];
-  return held;
-}
-
 // The arrays that every slice has, in order.
 std::vector<std::string> array_names(const Scene& scene, const PushRequest& push) {
   std::vector<std::string> names(kAxisNames, kAxisNames + scene.options.dims);
@@ -186,6 +176,28 @@ Status check_header(const Scene& scene, const PushRequest& push) {
   return {};
 }
 
+// The slice that this rank received itself.
+Status check_own_slice(const Context& context, const Scene& scene, const PushRequest& push, std::uint64_t held) {
+  if (context.slices.size() != 1 || context.slices.front().rank != context.comm.rank())
+    return {Code::internal, fmt::format("rank {} has no slice of the push", context.comm.rank())};
+  const PushSlice& slice = context.slices.front();
+  if (slice.count != held)
+    return {Code::stale_plan,
+            fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank, slice.count, held),
+            "fetch the plan and push again"};
+  return check_slice(slice, array_names(scene, push));
+}
+
+// The slice's arrays become the staged ones, in place.
+void take_own_slice(Context& context, const PushRequest& push, Staged& staged) {
+  std::vector<wire::Array>& arrays = context.slices.front().arrays;
+  const auto dims = static_cast<std::size_t>(staged.arrays.dims);
+  for (std::size_t a = 0; a < dims; ++a) staged.arrays.position[a] = arrays[a].bytes.release_as<double>();
+  if (push.weights) staged.arrays.weight = arrays[dims].bytes.release_as<double>();
+  if (push.ids) staged.arrays.id = arrays[dims + (push.weights ? 1 : 0)].bytes.release_as<particles::Id>();
+  context.slices.clear();
+}
+
 bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
   bool fits = true;
   for (std::size_t a = 0; a < static_cast<std::size_t>(set.dims); ++a)
@@ -236,6 +248,7 @@ Result<PushRequest> read_push(const wire::Json& request) {
     if (!seconds.ok()) return seconds.status();
     push.step_seconds = seconds.value();
   }
+  push.staged = request.contains("staged");
   if (request.contains("base_step") && !request["base_step"].is_null())
     return Status(Code::unsupported, "base_step: partial pushes are not offered by this version", "push everything");
   return push;
@@ -265,23 +278,16 @@ Status check_values(partition::Comm& comm, const particles::ParticleView& view, 
   return agree_status(comm, mine);
 }
 
-Result<Staged> prepare(Context& context, const Scene& scene, const PushRequest& push) {
-  const double start = context.clock.seconds();
-  partition::Comm& comm = context.comm;
-  if (Status status = check_header(scene, push); !status.ok()) return status;
+namespace {
 
-  Staged staged;
-  staged.n = push.n;
-  staged.ids = scene.pushed ? scene.ids : push.ids;
-  staged.arrays.dims = scene.options.dims;
-  staged.arrays.has_weights = push.weights;
-  const std::uint64_t mine = held_by(scene, push.n, comm.rank(), comm.size());
+// The slices that rank 0 received, each to its rank. Collective.
+Status distribute(Context& context, const Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
+  partition::Comm& comm = context.comm;
   Status ready;
   if (context.root()) ready = check_slices(context, scene, push);
   if (ready.ok() && !reserve(staged.arrays, mine, !scene.pushed))
     ready = {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
-
   Buffer<std::uint64_t> places;
   if (push.by_id && scene.pushed) {
     const auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
@@ -295,22 +301,72 @@ Result<Staged> prepare(Context& context, const Scene& scene, const PushRequest& 
   for (std::size_t axis = 0; axis < static_cast<std::size_t>(staged.arrays.dims); ++axis)
     receive(staged.arrays.position[axis]);
   if (push.weights) receive(staged.arrays.weight);
+  if (push.ids) receive(staged.arrays.id);
+  return {};
+}
+
+// A first push: every value is looked at, ids are made or checked. Collective.
+Status check_first(partition::Comm& comm, const PushRequest& push, std::uint64_t mine, Staged& staged) {
   const std::uint64_t first_row = plan::row_begin(comm.rank(), push.n, comm.size());
-  if (push.ids) {
-    receive(staged.arrays.id);
-  } else if (!scene.pushed) {
+  if (!push.ids) {
     staged.arrays.id.resize(mine);
     for (std::uint64_t i = 0; i < mine; ++i) staged.arrays.id[i] = static_cast<particles::Id>(first_row + i);
   }
-  staged.bytes = push.n * 8 * a;
-
-  particles::ParticleView view = staged.arrays.view();
-  view.count = mine;
-  if (scene.pushed) view.id = scene.particles.id.data();
-  if (Status status = check_values(comm, view, !scene.pushed, first_row); !status.ok()) return status;
+  if (Status status = check_values(comm, staged.arrays.view(), true, first_row); !status.ok()) return status;
   if (push.ids)
     if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
-      return Status(Code::invalid_argument, fmt::format("id {} occurs more than once", *twin), "ids must be distinct");
+      return {Code::invalid_argument, fmt::format("id {} occurs more than once", *twin), "ids must be distinct"};
+  return {};
+}
+
+// A later push: one pass and one reduction. `ready`: what this rank knows to be wrong. Collective.
+Status check_later(partition::Comm& comm, Scene& scene, const Status& ready, Staged& staged) {
+  particles::ParticleView view = staged.arrays.view();
+  view.count = scene.particles.count();
+  view.id = scene.particles.id.data();
+  if (ready.ok()) staged.scan = scan_positions(scene, view, comm.rank(), comm.size());
+  staged.sums = sum_scans(comm, scene, staged.scan, !ready.ok() || staged.scan.fault);
+  if (staged.sums.faults == 0) return {};
+  if (Status status = agree_status(comm, ready); !status.ok()) return status;
+  Status status = check_values(comm, view, false, 0);
+  CHECK(!status.ok(), "the pass found a fault that isn't there");
+  return status;
+}
+
+}  // namespace
+
+std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) {
+  if (!scene.pushed) return plan::row_begin(rank + 1, n, ranks) - plan::row_begin(rank, n, ranks);
+  std::uint64_t held = 0;
+  const int parts = scene.options.parts;
+  for (std::int64_t p = plan::part_begin(rank, parts, ranks); p < plan::part_begin(rank + 1, parts, ranks); ++p)
+    held += scene.loads.counts[static_cast<std::size_t>(p)];
+  return held;
+}
+
+Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) {
+  const double start = context.clock.seconds();
+  partition::Comm& comm = context.comm;
+  if (Status status = check_header(scene, push); !status.ok()) return status;
+
+  Staged staged;
+  staged.n = push.n;
+  staged.ids = scene.pushed ? scene.ids : push.ids;
+  staged.arrays.dims = scene.options.dims;
+  staged.arrays.has_weights = push.weights;
+  staged.bytes = push.n * 8 * array_names(scene, push).size();
+  const std::uint64_t mine = scene.pushed ? scene.particles.count() : held_by(scene, push.n, comm.rank(), comm.size());
+  Status ready;
+  if (push.staged) {
+    ready = check_own_slice(context, scene, push, mine);
+    if (ready.ok()) take_own_slice(context, push, staged);
+    if (!scene.pushed)
+      if (Status status = agree_status(comm, ready); !status.ok()) return status;
+  } else if (Status status = distribute(context, scene, push, mine, staged); !status.ok()) {
+    return status;
+  }
+  const Status checked = scene.pushed ? check_later(comm, scene, ready, staged) : check_first(comm, push, mine, staged);
+  if (!checked.ok()) return checked;
   staged.seconds = context.received_seconds + context.clock.seconds() - start;
   return staged;
 }

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "server/service/context.hpp"
+#include "server/service/scan.hpp"
 
 namespace rcb::service {
 
@@ -19,6 +20,7 @@ struct PushRequest {
   bool weights = false;
   bool ids = false;
   bool changes = false;
+  bool staged = false;                 // every rank has its slice already
   std::optional<double> step_seconds;  // the solver's own, since its last push
 };
 
@@ -28,13 +30,19 @@ struct Staged {
   particles::ParticleSet arrays;  // this rank's; ids only at a first push, weights only if they came with it
   std::uint64_t bytes = 0;        // of all arrays as received
   double seconds = 0;             // to receive and stage
+  Scan scan;                      // of a later step
+  StepSums sums;
 };
 
 // Local. Errors: invalid_argument.
 Result<PushRequest> read_push(const wire::Json& request);
 
-// Collective. The scene is untouched. Errors: what the push has wrong, the same on every rank.
-Result<Staged> prepare(Context& context, const Scene& scene, const PushRequest& push);
+// The particles that rank r holds before a push of n: those of its parts, or its block of rows. Local.
+std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks);
+
+// Collective. The scene is as it was, but for what it keeps about its regions. Errors: what the push has wrong, the
+// same on every rank. A later step whose slices are staged costs one pass and one reduction.
+Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
 
 // Collective. Finite positions and weights, weights >= 0, ids >= 0; the first offender is named: at a first push by its
 // row (`first_row` is this rank's first), later by its id.

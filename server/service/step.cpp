@@ -1,5 +1,8 @@
 #include "server/service/step.hpp"
 
+#include <algorithm>
+#include <utility>
+
 #include "common/partition/partition.hpp"
 #include "common/plan/plan.hpp"
 #include "server/service/collective.hpp"
@@ -27,27 +30,93 @@ partition::PartitionResult search(Context& context, const Scene& scene, bool fir
   return std::move(result).value();
 }
 
-// Ids and parts of local particles whose part isn't the old one; all of them if there was none.
-PartChanges local_changes(const Scene& scene, const Buffer<std::int32_t>& old_part, bool first) {
+// Ids and parts of all local particles.
+PartChanges all_changes(const Scene& scene) {
+  PartChanges changes;
+  changes.id.assign(scene.particles.id.span());
+  changes.part.assign(scene.part.span());
+  return changes;
+}
+
+// Of those that drifted, where no cut was changed; before they migrate.
+PartChanges changes_of_drift(const Scene& scene, const Drift& drift) {
+  PartChanges changes;
+  changes.id.resize(drift.count());
+  changes.part.resize(drift.count());
+  for (std::size_t k = 0; k < drift.count(); ++k) {
+    changes.id[k] = scene.particles.id[drift.slot[k]];
+    changes.part[k] = scene.part[drift.slot[k]];
+  }
+  return changes;
+}
+
+// Of those whose part isn't the old one.
+PartChanges changes_since(const Scene& scene, const Buffer<std::int32_t>& old_part) {
   PartChanges changes;
   for (std::size_t i = 0; i < scene.part.size(); ++i) {
-    if (!first && scene.part[i] == old_part[i]) continue;
+    if (scene.part[i] == old_part[i]) continue;
     changes.id.push_back(scene.particles.id[i]);
     changes.part.push_back(scene.part[i]);
   }
   return changes;
 }
 
-// Collective. On rank 0: all ranks' changes in ascending id.
-void gather_changes(partition::Comm& comm, const PartChanges& local, PartChanges& all) {
-  const auto ids = gather_values<particles::Id>(comm, local.id.span());
-  const auto parts = gather_values<std::int32_t>(comm, local.part.span());
-  const Buffer<std::uint64_t> order = order_by_id(ids);
-  all.id.resize(ids.size());
-  all.part.resize(ids.size());
-  for (std::size_t k = 0; k < order.size(); ++k) {
-    all.id[k] = ids[order[k]];
-    all.part[k] = parts[order[k]];
+// Collective. On rank 0: all ranks' changes in ascending id. The local ones are used up.
+void gather_changes(partition::Comm& comm, PartChanges& local, PartChanges& all) {
+  if (!std::is_sorted(local.id.begin(), local.id.end())) {
+    PartChanges sorted;
+    for (const std::uint64_t k : order_by_id(local.id)) {
+      sorted.id.push_back(local.id[k]);
+      sorted.part.push_back(local.part[k]);
+    }
+    local = std::move(sorted);
+  }
+  Buffer<std::byte> packed;
+  packed.append(std::as_bytes(local.id.span()));
+  packed.append(std::as_bytes(local.part.span()));
+  local = {};
+  std::vector<std::byte> bytes;
+  std::vector<std::size_t> sizes;
+  comm.gather(std::as_const(packed).span(), 0, bytes, sizes);
+  packed.release();
+  // One ascending run from each rank; the run with the least next id goes first.
+  constexpr std::size_t kEach = sizeof(particles::Id) + sizeof(std::int32_t);
+  struct Run {
+    particles::Id id;
+    const std::byte* ids;
+    const std::byte* parts;
+    std::size_t left;
+  };
+  std::vector<Run> heap;
+  const auto later = [](const Run& a, const Run& b) { return a.id > b.id; };
+  const auto read = [](Run& run) { std::memcpy(&run.id, run.ids, sizeof run.id); };
+  std::size_t at = 0;
+  for (const std::size_t size : sizes) {
+    const std::size_t count = size / kEach;
+    if (count > 0) {
+      heap.push_back({0, bytes.data() + at, bytes.data() + at + count * sizeof(particles::Id), count});
+      read(heap.back());
+    }
+    at += size;
+  }
+  all.id.reserve(at / kEach);
+  all.part.reserve(at / kEach);
+  std::make_heap(heap.begin(), heap.end(), later);
+  while (!heap.empty()) {
+    std::pop_heap(heap.begin(), heap.end(), later);
+    Run& run = heap.back();
+    std::int32_t part = 0;
+    std::memcpy(&part, run.parts, sizeof part);
+    all.id.push_back(run.id);
+    all.part.push_back(part);
+    run.ids += sizeof run.id;
+    run.parts += sizeof part;
+    if (--run.left == 0) {
+      heap.pop_back();
+      continue;
+    }
+    read(run);
+    std::push_heap(heap.begin(), heap.end(), later);
   }
 }
 
@@ -80,9 +149,9 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   report.seconds.search = context.clock.seconds() - start;
 }
 
-// Looks for new cuts and adopts them if they help. Collective.
+// Looks for new cuts and adopts them if they help; old_part then has the parts before them. Collective.
 void try_repartition(Context& context, Scene& scene, const Decision& decision, double error_before,
-                     StepReport& report) {
+                     Buffer<std::int32_t>& old_part, StepReport& report) {
   partition::PartitionResult found = search(context, scene, false);
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
                                           scene.options.part_sizes, scene.options.parts);
@@ -98,6 +167,7 @@ void try_repartition(Context& context, Scene& scene, const Decision& decision, d
   std::uint64_t moved = count_differences(scene.part.span(), found.part.span());
   context.comm.all_sum({&moved, 1});
   report.moved = moved;
+  old_part.swap(scene.part);
   adopt(scene, std::move(found), std::move(loads));
 }
 
@@ -120,24 +190,38 @@ Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_com
   return decide(input);
 }
 
-void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push,
-                const Buffer<std::int32_t>& old_part, StepReport& report) {
-  take_positions(scene, staged);
-  scene.part.resize(old_part.size());
-  scene.tree.classify(scene.particles.view(), scene.part.span());
-  const double imbalance_computed_under = scene.loads.imbalance;
-  std::uint64_t drifted = count_differences(old_part.span(), scene.part.span());
-  context.comm.all_sum({&drifted, 1});
-  report.drifted = drifted;
-  if (drifted > 0 || staged.arrays.has_weights)
+// The parts that prepare() found come into force; `drift` is left with the old ones.
+void take_drift(Context& context, Scene& scene, Staged& staged) {
+  Drift& drift = staged.scan.drift;
+  const bool weighted = scene.particles.has_weights;
+  std::vector<std::uint64_t> change = std::move(staged.sums.count_change);
+  if (!weighted && change.empty() && staged.sums.drifted > 0) {
+    change = count_changes(scene, drift);
+    context.comm.all_sum(change);
+  }
+  for (std::size_t k = 0; k < drift.count(); ++k) std::swap(scene.part[drift.slot[k]], drift.part[k]);
+  if (weighted && (staged.sums.drifted > 0 || staged.arrays.has_weights)) {
     scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
                                              scene.options.part_sizes, scene.options.parts);
+  } else if (staged.sums.drifted > 0) {
+    std::vector<std::uint64_t> counts = std::move(scene.loads.counts);
+    for (std::size_t p = 0; p < counts.size(); ++p) counts[p] += change[p];
+    scene.loads = partition::summarise_counts(std::move(counts), scene.options.part_sizes);
+  }
+}
+
+void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Buffer<std::int32_t>& old_part,
+                StepReport& report) {
+  const double imbalance_computed_under = scene.loads.imbalance;
+  take_positions(scene, staged);
+  take_drift(context, scene, staged);
+  report.drifted = staged.sums.drifted;
   const double error_before = scene.loads.error;
   report.error_before = error_before;
   const Decision decision = decide_step(scene, push, imbalance_computed_under);
   report.reason = decision.reason;
   const double start = context.clock.seconds();
-  if (decision.search) try_repartition(context, scene, decision, error_before, report);
+  if (decision.search) try_repartition(context, scene, decision, error_before, old_part, report);
   report.seconds.search = context.clock.seconds() - start;
 }
 
@@ -186,7 +270,7 @@ void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummar
   ++scene.epoch;
 }
 
-StepReport commit(Context& context, Scene& scene, Staged staged, const PushRequest& push, PartChanges* changes) {
+StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
   const double start = context.clock.seconds();
   const bool first = !scene.pushed;
   StepReport report;
@@ -195,8 +279,7 @@ StepReport commit(Context& context, Scene& scene, Staged staged, const PushReque
   report.bytes = staged.bytes;
   report.seconds.receive = staged.seconds;
 
-  Buffer<std::int32_t> old_part;
-  old_part.swap(scene.part);
+  Buffer<std::int32_t> old_part;  // before new cuts; the drift undone, before the step
   if (first) {
     first_step(context, scene, staged, report);
   } else {
@@ -208,14 +291,25 @@ StepReport commit(Context& context, Scene& scene, Staged staged, const PushReque
   report.imbalance = scene.loads.imbalance;
 
   PartChanges mine;
-  if (changes != nullptr) mine = local_changes(scene, old_part, first);
+  const Drift& drift = staged.scan.drift;
+  const bool any = first || report.drifted > 0 || report.moved > 0;
+  if (changes != nullptr && any && !first) {
+    if (report.repartitioned)
+      for (std::size_t k = 0; k < drift.count(); ++k) old_part[drift.slot[k]] = drift.part[k];
+    mine = report.repartitioned ? changes_since(scene, old_part) : changes_of_drift(scene, drift);
+  }
+  old_part.release();
   const double migrating = context.clock.seconds();
-  const bool may_move = first || report.drifted > 0 || report.moved > 0;
-  const std::uint64_t changed_rank = may_move ? migrate(context.comm, scene, first) : 0;
+  std::uint64_t changed_rank = 0;
+  if (report.repartitioned)
+    changed_rank = first || report.drifted > 0 || report.moved > 0 ? migrate(context.comm, scene, first) : 0;
+  else if (staged.sums.migrating > 0)
+    changed_rank = migrate_drifted(context.comm, scene, drift, staged.sums);
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
   report.migrated = first ? 0 : changed_rank;
   if (report.repartitioned) account_repartition(context, scene, report, first);
-  if (changes != nullptr) gather_changes(context.comm, mine, *changes);
+  if (changes != nullptr && first) mine = all_changes(scene);
+  if (changes != nullptr && any) gather_changes(context.comm, mine, *changes);
 
   note_skips(scene, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;

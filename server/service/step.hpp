@@ -13,8 +13,9 @@ struct PartChanges {
   Buffer<std::int32_t> part;
 };
 
-// Collective. Can't fail: what could was checked by prepare(). `changes`: null where nobody asks.
-StepReport commit(Context& context, Scene& scene, Staged staged, const PushRequest& push, PartChanges* changes);
+// Collective. Can't fail: what could was checked by prepare(). `changes`: null where nobody asks. A later step leaves
+// the positions before it in `staged`, whose memory may be used again.
+StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
 
 // Puts a partition in force: cuts, parts, loads, epoch, statistics of the search. The caller migrates. Local.
 void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummary loads);

@@ -1,0 +1,199 @@
+#include "client/lib/data_path.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+
+#include <fmt/format.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <sys/uio.h>
+
+#include "common/wire/frame.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::size_t kElementBytes = 8;
+constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;
+constexpr int kSendBufferBytes = 1 << 20;
+constexpr int kPollMillisecondsMax = 100;  // how long an early answer may go unnoticed while all sockets are full
+
+bool consecutive(std::span<const std::uint64_t> rows) {
+  return rows.back() - rows.front() == rows.size() - 1 && std::is_sorted(rows.begin(), rows.end());
+}
+
+// Columns that are one (n, dims) array: column k is element k of each row.
+bool interleaved(std::span<const Column> columns) {
+  for (std::size_t k = 0; k < columns.size(); ++k)
+    if (columns[k].by_rank != nullptr || columns[k].stride != columns.size() ||
+        static_cast<const double*>(columns[k].first) != static_cast<const double*>(columns[0].first) + k)
+      return false;
+  return columns.size() > 1;
+}
+
+template <std::size_t kDims>
+void gather_rows(const double* first, std::span<const std::uint64_t> rows, double* to) {
+  const std::size_t count = rows.size();
+  for (std::size_t i = 0; i < count; ++i) {
+    const double* from = first + rows[i] * kDims;
+    for (std::size_t k = 0; k < kDims; ++k) to[k * count + i] = from[k];
+  }
+}
+
+void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  auto* out = reinterpret_cast<std::uint64_t*>(to);
+  const auto* first = static_cast<const std::uint64_t*>(column.first);
+  if (column.stride == 1)
+    for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i]];
+  else
+    for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i] * column.stride];
+}
+
+}  // namespace
+
+// One rank's connection and the frame that is on its way.
+struct DataPath::Link {
+  std::unique_ptr<Connection> connection;
+  int rank = 0;
+  std::uint64_t sent = 0;  // particles, of this push
+  bool done = true;
+  std::string head;
+  Buffer<std::byte> gathered;
+  std::vector<iovec> pieces;
+  std::size_t piece = 0;  // the first that isn't sent wholly
+
+  bool between_frames() const { return piece == pieces.size(); }
+
+  void add(const void* from, std::size_t bytes) {
+    if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // sendmsg doesn't write there
+  }
+
+  void next_frame(const wire::Json& slice, std::uint64_t request, const plan::Plan& plan,
+                  std::span<const Column> columns) {
+    const auto all = plan.rows(rank);
+    const std::size_t most = std::max<std::size_t>(1, kFrameBytes / (columns.size() * kElementBytes));
+    const auto rows = all.subspan(sent, std::min<std::size_t>(most, all.size() - sent));
+    wire::Json json = slice;
+    json["rank"] = rank;
+    json["first"] = sent;
+    json["count"] = rows.size();
+    json["arrays"] = wire::Json::array();
+    for (const Column& column : columns)
+      json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {rows.size()}}});
+    wire::FrameHeader header;
+    header.request = request;
+    header.bulk_bytes = rows.size() * columns.size() * kElementBytes;
+    head = wire::encode_frame(header, wire::dump_json(json));
+    pieces.clear();
+    piece = 0;
+    add(head.data(), head.size());
+    add_columns(rows, columns);
+    sent += rows.size();
+  }
+
+  void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
+    const std::size_t bytes = rows.size() * kElementBytes;
+    gathered.resize(columns.size() * bytes);
+    if ((columns.size() == 2 || columns.size() == 3) && interleaved(columns)) {
+      const auto* first = static_cast<const double*>(columns[0].first);
+      auto* to = reinterpret_cast<double*>(gathered.data());
+      if (columns.size() == 3)
+        gather_rows<3>(first, rows, to);
+      else
+        gather_rows<2>(first, rows, to);
+      add(gathered.data(), gathered.size());
+      return;
+    }
+    const bool run = consecutive(rows);
+    std::byte* to = gathered.data();
+    for (const Column& column : columns) {
+      if (column.by_rank != nullptr) {
+        add(column.by_rank[rank] + sent, bytes);
+      } else if (run && column.stride == 1) {
+        add(static_cast<const std::byte*>(column.first) + rows.front() * kElementBytes, bytes);
+      } else {
+        gather(column, rows, to);
+        add(to, bytes);
+      }
+      to += bytes;
+    }
+  }
+};
+
+DataPath::DataPath(std::vector<std::unique_ptr<Connection>> links) {
+  for (auto& connection : links) {
+    // The kernel's default lets a writer sleep far too often.
+    ::setsockopt(connection->handle(), SOL_SOCKET, SO_SNDBUF, &kSendBufferBytes, sizeof kSendBufferBytes);
+    links_.push_back(std::make_unique<Link>());
+    links_.back()->connection = std::move(connection);
+    links_.back()->rank = static_cast<int>(links_.size() - 1);
+  }
+}
+
+DataPath::~DataPath() = default;
+
+bool DataPath::stands() {
+  return std::none_of(links_.begin(), links_.end(), [](const auto& link) { return link->connection->has_news(); });
+}
+
+Status DataPath::send_some(Link& link, bool& moved) {
+  msghdr message{};
+  message.msg_iov = link.pieces.data() + link.piece;
+  message.msg_iovlen = link.pieces.size() - link.piece;
+  const ssize_t count = ::sendmsg(link.connection->handle(), &message, MSG_DONTWAIT | MSG_NOSIGNAL);
+  if (count < 0) {
+    if (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) return {};
+    return {Code::unavailable,
+            fmt::format("the data connection to rank {} was lost: {}", link.rank, std::strerror(errno))};
+  }
+  moved = true;
+  auto left = static_cast<std::size_t>(count);
+  while (left > 0) {
+    iovec& piece = link.pieces[link.piece];
+    const std::size_t bytes = std::min(left, piece.iov_len);
+    piece.iov_base = static_cast<std::byte*>(piece.iov_base) + bytes;
+    piece.iov_len -= bytes;
+    left -= bytes;
+    if (piece.iov_len == 0) ++link.piece;
+  }
+  return {};
+}
+
+Status DataPath::send(const wire::Json& slice, std::uint64_t request, const plan::Plan& plan,
+                      std::span<const Column> columns, const std::function<bool()>& answered,
+                      const Deadline& deadline) {
+  CHECK(static_cast<std::size_t>(plan.ranks()) == links_.size(), "a connection for each rank");
+  std::size_t unfinished = 0;
+  for (const auto& link : links_) {
+    link->sent = 0;
+    link->done = plan.rows(link->rank).empty();
+    unfinished += link->done ? 0U : 1U;
+  }
+  bool stop = false;
+  std::vector<pollfd> full;
+  while (unfinished > 0) {
+    bool moved = false;
+    full.clear();
+    for (const auto& link : links_) {
+      if (link->done) continue;
+      if (link->between_frames() && !stop) link->next_frame(slice, request, plan, columns);
+      if (!link->between_frames())
+        if (Status status = send_some(*link, moved); !status) return status;
+      if (link->between_frames() && (stop || link->sent == plan.rows(link->rank).size())) {
+        link->done = true;
+        --unfinished;
+      } else if (!link->between_frames()) {
+        full.push_back({link->connection->handle(), POLLOUT, 0});
+      }
+    }
+    if (!stop && unfinished > 0) stop = answered();
+    if (moved || unfinished == 0) continue;
+    if (deadline.left_seconds() <= 0) return {Code::deadline_exceeded, "the ranks did not take what was sent in time"};
+    ::poll(full.data(), full.size(), kPollMillisecondsMax);
+  }
+  return {};
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,48 @@
+#include "server/net/data_hub.hpp"
+
+#include <spdlog/spdlog.h>
+
+namespace rcb::net {
+
+DataHub::DataHub(DoorbellHub& doorbells, DataPort& own, Control& control, int ranks)
+    : doorbells_(doorbells), own_(own), ranks_(ranks) {
+  doorbells_.on_news([&control](int from, const wire::Json& news) {
+    control.slice_ended(from, news.value("number", std::uint64_t{0}),
+                        news.contains("failure") ? wire::status_from_failure(news) : Status());
+  });
+}
+
+void DataHub::open(const PushTicket& ticket, std::span<const std::uint64_t> counts) {
+  for (int rank = 1; rank < ranks_; ++rank)
+    doorbells_.tell(rank, ticket_json(ticket, counts[static_cast<std::size_t>(rank)]));
+  PushTicket mine = ticket;
+  mine.terms.n = counts[0];
+  own_.open(std::move(mine));
+}
+
+void DataHub::drop(const PushId& id) {
+  const wire::Json news{
+      {"push", "drop"}, {"scene", id.scene}, {"session", id.session}, {"step", id.step}, {"attempt", id.attempt}};
+  for (int rank = 1; rank < ranks_; ++rank) doorbells_.tell(rank, news);
+  own_.drop(id);
+}
+
+void follow_hub(DataPort& port, const wire::Json& news) {
+  if (news.value("push", "") == "open") {
+    auto ticket = read_ticket(news);
+    CHECK(ticket.ok(), ticket.status().message());
+    port.open(std::move(*ticket));
+  } else if (news.value("push", "") == "drop") {
+    const auto id = read_push_id(news, "");
+    CHECK(id.ok(), id.status().message());
+    port.drop(*id);
+  }
+}
+
+wire::Json report_json(std::uint64_t number, const Status& status) {
+  wire::Json json = status.ok() ? wire::Json::object() : wire::failure_json(status);
+  json["number"] = number;
+  return json;
+}
+
+}  // namespace rcb::net

@@ -1,0 +1,38 @@
+#include "server/net/data_plane.hpp"
+
+namespace rcb::net {
+
+wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count) {
+  const PushTerms& terms = ticket.terms;
+  return {{"push", "open"},
+          {"number", ticket.number},
+          {"scene", terms.id.scene},
+          {"session", terms.id.session},
+          {"step", terms.id.step},
+          {"attempt", terms.id.attempt},
+          {"plan", {{"version", terms.plan.version}, {"checksum", wire::hex64(terms.plan.checksum)}}},
+          {"n", count},
+          {"dims", terms.dims},
+          {"ranks", terms.ranks},
+          {"weights", terms.weights},
+          {"ids", terms.ids}};
+}
+
+Result<PushTicket> read_ticket(const wire::Json& json) {
+  Result<PushId> id = read_push_id(json, "");
+  if (!id.ok()) return id.status();
+  const auto plan = read_plan(json);
+  if (!plan.ok()) return plan.status();
+  PushTicket ticket;
+  ticket.number = json.value("number", std::uint64_t{0});
+  ticket.terms.id = std::move(*id);
+  ticket.terms.plan = *plan;
+  ticket.terms.n = json.value("n", std::uint64_t{0});
+  ticket.terms.dims = json.value("dims", 3);
+  ticket.terms.ranks = json.value("ranks", 1);
+  ticket.terms.weights = json.value("weights", false);
+  ticket.terms.ids = json.value("ids", false);
+  return ticket;
+}
+
+}  // namespace rcb::net

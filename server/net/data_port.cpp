@@ -1,0 +1,368 @@
+#include "server/net/data_port.hpp"
+
+#include <algorithm>
+#include <deque>
+#include <list>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include "server/net/hello.hpp"
+#include "server/net/listen.hpp"
+
+namespace rcb::net {
+namespace {
+
+constexpr std::size_t kEndedMax = 256;  // pushes remembered after their end
+constexpr std::uint64_t kReadBytes = std::uint64_t{1} << 20U;
+
+// A push whose slice is being received.
+struct Incoming {
+  PushTicket ticket;
+  std::vector<Buffer<std::byte>> arrays;   // each of the whole slice's size
+  std::uint64_t have = 0;                  // particles
+  const Connection* connection = nullptr;  // that brings them
+  bool over = false;                       // reported, or dropped
+};
+
+// Memory that engines gave back, by scene.
+class Pool {
+ public:
+  void put(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
+    const std::lock_guard lock(mutex_);
+    if (buffers.empty())
+      kept_.erase(scene);
+    else
+      kept_[scene] = std::move(buffers);
+  }
+  // A buffer with room for `bytes`; an empty one if none is kept.
+  Buffer<std::byte> take(const std::string& scene, std::uint64_t bytes) {
+    const std::lock_guard lock(mutex_);
+    const auto found = kept_.find(scene);
+    Buffer<std::byte> buffer;
+    if (found == kept_.end()) return buffer;
+    auto& kept = found->second;
+    const auto fit = std::find_if(kept.begin(), kept.end(), [bytes](const auto& b) { return b.capacity() >= bytes; });
+    if (fit == kept.end()) return buffer;
+    buffer.swap(*fit);
+    kept.erase(fit);
+    return buffer;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::map<std::string, std::vector<Buffer<std::byte>>> kept_;
+};
+
+}  // namespace
+
+struct DataPort::State : std::enable_shared_from_this<State> {
+  State(IoLoop& io, DataOptions data_options) : loop(io), options(std::move(data_options)) {}
+
+  asio::io_context& context() const { return loop.context(); }
+
+  void end(const std::shared_ptr<Incoming>& push, const Status& status) {
+    if (std::exchange(push->over, true)) return;
+    if (!status.ok()) push->arrays.clear();
+    report(push->ticket.number, status);
+  }
+
+  void remember(const PushId& id) {
+    ended.push_back(id);
+    if (ended.size() > kEndedMax) ended.pop_front();
+  }
+
+  std::shared_ptr<Incoming> find(const PushId& id) const {
+    for (const auto& [number, push] : pushes)
+      if (push->ticket.terms.id == id) return push;
+    return nullptr;
+  }
+
+  void wake() {
+    for (Timer* timer : waiting) timer->cancel();
+  }
+
+  // The push of a slice, once it is opened; null if it has ended or never comes.
+  awaitable<std::shared_ptr<Incoming>> await_push(const PushId& id) {
+    const TimePoint late = now() + duration_of(options.unknown_seconds);
+    while (true) {
+      if (auto push = find(id)) co_return push;
+      if (std::find(ended.begin(), ended.end(), id) != ended.end() || now() >= late) co_return nullptr;
+      Timer timer(context(), late);
+      const auto place = waiting.insert(waiting.end(), &timer);
+      co_await timer.async_wait(kAwait);
+      waiting.erase(place);
+    }
+  }
+
+  void welcome(Socket socket, bool with_token, const Status& refused) {
+    if (!refused.ok() || connections.size() >= static_cast<std::size_t>(options.connections_max)) {
+      spdlog::info("data connection refused: {}", refused.ok() ? "too many are open" : refused.message());
+      return;  // closes the socket without a word
+    }
+    auto connection = std::make_shared<Connection>(std::move(socket), options.frame_seconds);
+    connections.insert(connection);
+    asio::co_spawn(
+        context(), [self = shared_from_this(), connection, with_token] { return self->serve(connection, with_token); },
+        [self = shared_from_this(), connection](const std::exception_ptr& fault) {
+          if (fault) spdlog::error("a data connection ended by an internal fault");
+          self->lose(connection, {});
+          connection->close();
+          self->connections.erase(connection);
+        });
+  }
+
+  // A slice that this connection was bringing won't be whole.
+  void lose(const std::shared_ptr<Connection>& connection, const std::string& why) {
+    std::vector<std::shared_ptr<Incoming>> lost;
+    for (const auto& [number, push] : pushes)
+      if (push->connection == connection.get() && !push->over) lost.push_back(push);
+    for (const auto& push : lost)
+      end(push, {Code::aborted,
+                 fmt::format("the data connection to rank {} was lost after {} of {} particles{}{}", options.rank,
+                             push->have, push->ticket.terms.n, why.empty() ? "" : ": ", why),
+                 "the previous step stands; push again"});
+  }
+
+  awaitable<void> serve(std::shared_ptr<Connection> connection, bool with_token) {
+    connection->send(wire::FrameType::welcome, 0,
+                     {{"server", "rcbd"},
+                      {"version", options.version},
+                      {"protocol", wire::kProtocolVersion},
+                      {"authentication", with_token ? "token" : "none"},
+                      {"rank", options.rank},
+                      {"limits",
+                       {{"json_bytes", wire::kJsonBytesMax},
+                        {"bulk_bytes", options.bulk_bytes_max},
+                        {"hello_seconds", options.hello_seconds},
+                        {"frame_seconds", options.frame_seconds}}}});
+    connection->limit_reading(now() + duration_of(options.hello_seconds));
+    Result<Frame> first = co_await connection->read_frame(wire::kBytesBeforeHelloMax - wire::kHeaderBytes, 0);
+    connection->limit_reading(TimePoint::max());
+    Status status = first.status();
+    if (first.ok()) {
+      const auto hello = read_hello(*first, with_token ? &options.token : nullptr);
+      status = hello.status();
+      if (hello.ok())
+        connection->send(wire::FrameType::reply, first->header.request,
+                         {{"session", hello->session}, {"rank", options.rank}});
+    }
+    while (status.ok()) {
+      Result<Frame> frame = co_await connection->read_frame(wire::kBytesBeforeHelloMax, options.bulk_bytes_max);
+      status = frame.status();
+      if (frame.ok()) status = co_await take_frame(connection, *frame);
+    }
+    lose(connection, status.message());
+    if (status.code() != Code::unavailable) {
+      spdlog::info("data connection ended: {}: {}", code_name(status.code()), status.message());
+      connection->send(wire::FrameType::failure, 0, wire::failure_json(status));
+      co_await connection->end_gently();
+    }
+  }
+
+  // The Status ends the connection.
+  awaitable<Status> take_frame(const std::shared_ptr<Connection>& connection, const Frame& frame) {
+    if (frame.header.type == wire::FrameType::goodbye) co_return Status(Code::unavailable, "");
+    const auto command = wire::string_field(frame.json, "command", 64);
+    if (frame.header.type != wire::FrameType::request || !command.ok() || *command != "push.slice")
+      co_return Status(Code::protocol_error, "a data connection takes push.slice alone");
+    const auto id = read_push_id(frame.json, "");
+    if (!id.ok()) co_return Status(Code::protocol_error, id.status().message());
+    const auto push = co_await await_push(*id);
+    if (!push || push->over) co_return co_await connection->skip_bulk(frame, frame.header.bulk_bytes);
+    if (push->connection != nullptr && push->connection != connection.get()) {
+      end(push, {Code::invalid_argument, fmt::format("two connections bring the slice of rank {}", options.rank)});
+      co_return co_await connection->skip_bulk(frame, frame.header.bulk_bytes);
+    }
+    push->connection = connection.get();
+    const auto slice = check(frame, *push);
+    if (!slice.ok()) {
+      end(push, slice.status());
+      if (slice.status().code() == Code::protocol_error) co_return slice.status();
+      co_return co_await connection->skip_bulk(frame, frame.header.bulk_bytes);
+    }
+    co_return co_await receive(connection, frame, push, slice->count);
+  }
+
+  Result<Slice> check(const Frame& frame, const Incoming& push) const {
+    const PushTerms& terms = push.ticket.terms;
+    const auto rank = wire::integer_field(frame.json, "rank", 0, terms.ranks - 1);
+    if (!rank.ok()) return rank.status();
+    if (*rank != options.rank)
+      return Status(Code::invalid_argument, fmt::format("the slice of rank {} came to rank {}", *rank, options.rank));
+    const auto plan = read_plan(frame.json);
+    if (!plan.ok()) return plan.status();
+    if (*plan != terms.plan)
+      return Status(Code::stale_plan, fmt::format("the slice of rank {} follows another plan than its push", *rank),
+                    "fetch the plan and push again");
+    const auto first = wire::integer_field_or(frame.json, "first", 0, wire::kParticlesMax, 0);
+    if (!first.ok()) return first.status();
+    const auto count = wire::integer_field(frame.json, "count", 0, wire::kParticlesMax);
+    if (!count.ok()) return count.status();
+    if (static_cast<std::uint64_t>(*first) != push.have)
+      return Status(Code::invalid_argument,
+                    fmt::format("the slice of rank {} goes on at slot {}, expected {}", *rank, *first, push.have));
+    if (static_cast<std::uint64_t>(*count) > terms.n - push.have)
+      return Status(Code::stale_plan,
+                    fmt::format("the slice of rank {} has more than the {} particles of the plan", *rank, terms.n),
+                    "fetch the plan and push again");
+    return make_slice(frame.json, frame.header.bulk_bytes, terms, options.rank, static_cast<std::uint64_t>(*count));
+  }
+
+  awaitable<Status> receive(const std::shared_ptr<Connection>& connection, const Frame& frame,
+                            std::shared_ptr<Incoming> push, std::uint64_t count) {
+    const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
+    wire::BulkChecksum checksum;
+    std::uint64_t left = frame.header.bulk_bytes;
+    for (std::size_t a = 0; left > 0; ++a) {
+      std::uint64_t at = push->have * 8;
+      const std::uint64_t upto = at + count * 8;
+      while (at < upto) {
+        if (push->over) co_return co_await connection->skip_bulk(frame, left);
+        // A given-up push's memory goes when the last read into it has ended: the buffer moves here meanwhile.
+        const std::uint64_t size = std::min(upto - at, kReadBytes);
+        Buffer<std::byte> array = std::move(push->arrays[a]);
+        const Status status = co_await connection->read_bulk(array.span().subspan(at, size));
+        if (!status.ok()) co_return status;
+        if (checked) checksum.add(array.span().subspan(at, size));
+        if (!push->over) push->arrays[a] = std::move(array);
+        at += size;
+        left -= size;
+      }
+    }
+    if (checked) {
+      std::array<std::byte, 8> sent{};
+      const Status status = co_await connection->read_bulk(sent);
+      if (!status.ok()) co_return status;
+      if (wire::BulkChecksum::decode(sent) != checksum.value())
+        co_return Status(Code::protocol_error, "the checksum of a slice's arrays doesn't match");
+    }
+    if (push->over) co_return Status();
+    push->have += count;
+    if (push->have == push->ticket.terms.n) end(push, {});
+    co_return Status();
+  }
+
+  void stop() {
+    error_code ignored;
+    if (unix_acceptor) unix_acceptor->close(ignored);
+    for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
+    if (!unix_path.empty()) ::unlink(std::exchange(unix_path, "").c_str());
+    for (const auto& connection : std::set(connections)) connection->close();
+  }
+
+  IoLoop& loop;
+  DataOptions options;
+  Report report;
+  std::optional<UnixAcceptor> unix_acceptor;
+  std::string unix_path;
+  std::list<TcpAcceptor> tcp_acceptors;
+  std::set<std::shared_ptr<Connection>> connections;
+  std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes;  // by the service's number
+  std::deque<PushId> ended;
+  std::list<Timer*> waiting;  // slices whose push isn't known yet
+  Pool pool;
+};
+
+DataPort::DataPort(IoLoop& loop, DataOptions options) : state_(std::make_shared<State>(loop, std::move(options))) {}
+
+DataPort::~DataPort() { state_->stop(); }
+
+Status DataPort::listen_unix(const std::string& path) {
+  Result<UnixAcceptor> acceptor = net::listen_unix(state_->context(), path);
+  if (!acceptor.ok()) return acceptor.status();
+  state_->unix_acceptor.emplace(std::move(*acceptor));
+  state_->unix_path = path;
+  return {};
+}
+
+Result<std::string> DataPort::listen_tcp(const std::string& where) {
+  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->context(), where);
+  if (!acceptor.ok()) return acceptor.status();
+  std::string bound = bound_address(*acceptor);
+  state_->tcp_acceptors.push_back(std::move(*acceptor));
+  return bound;
+}
+
+void DataPort::start(Report report) {
+  state_->report = std::move(report);
+  asio::io_context& context = state_->context();
+  const auto taker = [state = state_](bool with_token) {
+    return
+        [state, with_token](Socket socket, const Status& peer) { state->welcome(std::move(socket), with_token, peer); };
+  };
+  if (state_->unix_acceptor)
+    asio::co_spawn(context, accept_all(context, *state_->unix_acceptor, taker(false)), asio::detached);
+  for (TcpAcceptor& acceptor : state_->tcp_acceptors)
+    asio::co_spawn(context, accept_all(context, acceptor, taker(true)), asio::detached);
+}
+
+void DataPort::finish() { state_->stop(); }
+
+void DataPort::open(PushTicket ticket) {
+  auto push = std::make_shared<Incoming>();
+  push->ticket = std::move(ticket);
+  const PushTerms& terms = push->ticket.terms;
+  const std::size_t arrays = static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.ids ? 1U : 0U);
+  bool fits = true;
+  for (std::size_t a = 0; a < arrays && fits; ++a) {
+    Buffer<std::byte> buffer = state_->pool.take(terms.id.scene, terms.n * 8);
+    fits = buffer.try_reserve(terms.n * 8);
+    if (fits) buffer.resize(terms.n * 8);
+    push->arrays.push_back(std::move(buffer));
+  }
+  state_->pushes[push->ticket.number] = push;
+  if (!fits)
+    state_->end(push, {Code::too_large, fmt::format("rank {} has no memory for {} particles", state_->options.rank,
+                                                    push->ticket.terms.n)});
+  else if (terms.n == 0)
+    state_->end(push, {});
+  state_->wake();
+}
+
+void DataPort::drop(const PushId& id) {
+  if (const auto push = state_->find(id)) {
+    push->over = true;
+    push->arrays.clear();
+    state_->pushes.erase(push->ticket.number);
+  }
+  state_->remember(id);
+  state_->wake();
+}
+
+std::vector<Slice> DataPort::take(std::uint64_t number) {
+  const auto found = state_->pushes.find(number);
+  if (found == state_->pushes.end()) return {};
+  const std::shared_ptr<Incoming> push = found->second;
+  state_->pushes.erase(found);
+  const PushTerms& terms = push->ticket.terms;
+  state_->remember(terms.id);
+  if (push->have != terms.n) return {};
+  std::vector<Slice> slices(1);
+  slices[0].rank = state_->options.rank;
+  slices[0].count = terms.n;
+  constexpr std::array kAxes{"x", "y", "z"};
+  for (std::size_t a = 0; a < push->arrays.size(); ++a) {
+    const bool axis = a < static_cast<std::size_t>(terms.dims);
+    const bool weight = !axis && terms.weights && a == static_cast<std::size_t>(terms.dims);
+    slices[0].arrays.push_back({axis     ? kAxes[a]
+                                : weight ? "w"
+                                         : "id",
+                                axis || weight ? "<f8" : "<i8",
+                                {terms.n},
+                                std::move(push->arrays[a])});
+  }
+  return slices;
+}
+
+void DataPort::recycle(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
+  state_->pool.put(scene, std::move(buffers));
+}
+
+}  // namespace rcb::net
