@@ -1,0 +1,236 @@
+#include "tests/bench/step.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/launch/launch.hpp"
+#include "client/lib/client.hpp"
+#include "common/base/clock.hpp"
+#include "common/base/random.hpp"
+#include "tests/bench/driver.hpp"
+#include "tests/bench/floor.hpp"
+#include "tests/bench/report.hpp"
+#include "tests/bench/scenes.hpp"
+
+namespace rcb::bench {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr int kWarmUps = 3;
+constexpr std::array kVariants{"plan", "axes", "rows", "gateway"};
+constexpr const char* kPoints[] = {"slope", "plane"};  // of `moving` and `moving-2d`
+
+// Two sets of positions, in turn, so that every particle moves at every step.
+struct Motion {
+  int dims = 3;
+  std::size_t n = 0;
+  std::array<std::vector<double>, 3> axes[2];
+  std::vector<double> rows[2];
+
+  Motion(const SceneKind& kind, std::size_t count) : dims(kind.dims), n(count) {
+    const particles::ParticleSet set = make_rows(kind, n, 0, n);
+    // About a hundredth of the distance between two particles, a slope's being 1 and a unit square's 1/sqrt(n).
+    const double width = 0.01 * (dims == 2 ? 1 / std::sqrt(static_cast<double>(n)) : 1.0);
+    Random random(7);
+    for (int phase = 0; phase < 2; ++phase) rows[phase].resize(n * static_cast<std::size_t>(dims));
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
+      axes[0][a].assign(set.position[a].begin(), set.position[a].end());
+      axes[1][a] = axes[0][a];
+      for (double& x : axes[1][a]) x += width * (0.5 + random.uniform());
+      for (int phase = 0; phase < 2; ++phase)
+        for (std::size_t i = 0; i < n; ++i) rows[phase][i * static_cast<std::size_t>(dims) + a] = axes[phase][a][i];
+    }
+  }
+  client::Positions by_axes(int phase) const {
+    std::array<const double*, 3> pointers{};
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) pointers[a] = axes[phase][a].data();
+    return client::Positions::axes(std::span(pointers).first(static_cast<std::size_t>(dims)), n);
+  }
+};
+
+// One variant's scene, and its positions the way the variant has them.
+class Pusher {
+ public:
+  Pusher(std::string variant, const Motion& motion) : variant_(std::move(variant)), motion_(motion) {}
+
+  Status open(const std::string& endpoint, int parts) {
+    client::ConnectOptions options;
+    options.endpoint = endpoint;
+    options.path = variant_ == "gateway" ? client::Path::gateway : client::Path::direct;
+    auto client = client::Client::connect(options);
+    if (!client.ok()) return client.status();
+    client_.emplace(std::move(*client));
+    client::SceneOptions scene;
+    scene.parts = parts;
+    scene.dims = motion_.dims;
+    scene.tolerance = std::numeric_limits<double>::infinity();
+    scene.replace = true;
+    if (Status status = client_->create_scene("step-" + variant_, scene); !status.ok()) return status;
+    auto opened = client_->open_scene("step-" + variant_);
+    if (!opened.ok()) return opened.status();
+    scene_.emplace(std::move(*opened));
+    return {};
+  }
+
+  // The seconds of one step.
+  Result<double> step(int phase, client::StepReport& report) {
+    auto positions = prepare(phase);
+    if (!positions.ok()) return positions.status();
+    const SteadyClock clock;
+    const double start = clock.seconds();
+    auto result = scene_->step(*positions);
+    const double seconds = clock.seconds() - start;
+    if (!result.ok()) return result.status();
+    report = std::move(result->report);
+    return seconds;
+  }
+
+ private:
+  Result<client::Positions> prepare(int phase) {
+    if (variant_ == "rows" || variant_ == "gateway")
+      return client::Positions::rows(motion_.rows[phase].data(), motion_.n, motion_.dims);
+    if (variant_ == "axes" || !scene_->last_step()) return motion_.by_axes(phase);
+    const auto plan = scene_->plan();
+    if (!plan.ok()) return plan.status();
+    ranks_.assign(plan->rows.size(), {});
+    for (std::size_t a = 0; a < static_cast<std::size_t>(motion_.dims); ++a) {
+      ordered_[a].resize(motion_.n);
+      std::size_t at = 0;
+      for (std::size_t r = 0; r < plan->rows.size(); ++r) {
+        ranks_[r][a] = ordered_[a].data() + at;
+        for (const std::uint64_t row : plan->rows[r]) ordered_[a][at++] = motion_.axes[phase][a][row];
+      }
+    }
+    return client::Positions::in_plan_order(ranks_, plan->version, motion_.n, motion_.dims);
+  }
+
+  std::string variant_;
+  const Motion& motion_;
+  std::optional<client::Client> client_;
+  std::optional<client::Scene> scene_;
+  std::array<std::vector<double>, 3> ordered_;
+  std::vector<std::array<const double*, 3>> ranks_;
+};
+
+double median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return values[values.size() / 2];
+}
+
+Json row_of(const std::string& scene, const Motion& motion, int parts, int ranks, const std::string& variant,
+            const std::vector<double>& seconds, double floor, const client::StepReport& report) {
+  const auto [least, most] = std::minmax_element(seconds.begin(), seconds.end());
+  return {{"scene", scene},
+          {"n", motion.n},
+          {"dims", motion.dims},
+          {"parts", parts},
+          {"ranks", ranks},
+          {"tool", "rcbd"},
+          {"method", "rcb"},
+          {"work", "step"},
+          {"variant", variant},
+          {"cut_tolerance", 0.0},
+          {"seconds", median(seconds)},
+          {"seconds_min", *least},
+          {"seconds_max", *most},
+          {"floor_seconds", floor},
+          {"error", report.error},
+          {"empty_parts", 0},
+          {"drifted", report.drifted},
+          {"migrated", report.migrated},
+          {"ratio", {{"floor", median(seconds) / floor}}}};
+}
+
+Status run_cell(const std::string& scene, const Motion& motion, int parts, int ranks, int repeats, Json& rows) {
+  auto service = launch::Embedded::start(ranks, [](double) {});
+  if (!service.ok()) return service.status();
+  const std::size_t bytes = motion.n * static_cast<std::size_t>(motion.dims) * sizeof(double);
+  std::vector<std::size_t> shares;
+  for (int r = 0; r < ranks; ++r)
+    shares.push_back(bytes * static_cast<std::size_t>(r + 1) / static_cast<std::size_t>(ranks) -
+                     bytes * static_cast<std::size_t>(r) / static_cast<std::size_t>(ranks));
+  Floor floor(shares);
+  std::vector<Pusher> pushers;
+  for (const char* variant : kVariants) {
+    pushers.emplace_back(variant, motion);
+    if (Status status = pushers.back().open(service->endpoint(), parts); !status.ok()) return service->explain(status);
+  }
+  std::vector<double> floor_seconds;
+  std::array<std::vector<double>, kVariants.size()> seconds;
+  std::array<client::StepReport, kVariants.size()> reports;
+  const SteadyClock clock;
+  for (int turn = -kWarmUps; turn < repeats; ++turn) {
+    const int phase = (turn + kWarmUps) % 2;
+    const double start = clock.seconds();
+    if (!floor.send(reinterpret_cast<const std::byte*>(motion.rows[phase].data())))
+      return {Code::internal, "a process of the floor is gone"};
+    if (turn >= 0) floor_seconds.push_back(clock.seconds() - start);
+    for (std::size_t v = 0; v < pushers.size(); ++v) {
+      const auto took = pushers[v].step(phase, reports[v]);
+      if (!took.ok()) return service->explain(took.status());
+      if (turn >= 0) seconds[v].push_back(*took);
+    }
+  }
+  const double least = median(floor_seconds);
+  for (std::size_t v = 0; v < pushers.size(); ++v) {
+    rows.push_back(row_of(scene, motion, parts, ranks, kVariants[v], seconds[v], least, reports[v]));
+    fmt::print("{:<10} {:>2} ranks  {:<8} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  drifted {} migrated {}\n", scene,
+               ranks, kVariants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least,
+               reports[v].drifted, reports[v].migrated);
+  }
+  return {};
+}
+
+Status check(const StepBenchOptions& options) {
+  for (const std::string& scene : options.scenes)
+    if (scene != "moving" && scene != "moving-2d")
+      return {Code::usage, fmt::format("--scenes {}: there is no such scene", scene), "moving, moving-2d"};
+  const auto between = [](const std::vector<int>& values, int most) {
+    return std::all_of(values.begin(), values.end(), [most](int value) { return value >= 1 && value <= most; });
+  };
+  if (!between(options.parts, 1 << 20) || !between(options.ranks, 256))
+    return {Code::usage, "--parts takes 1 to 1048576, --ranks 1 to 256", "rcb_bench step --help"};
+  if (options.repeats < 1 || options.repeats > 1000)
+    return {Code::usage, "--repeats takes 1 to 1000", "rcb_bench step --help"};
+  if (!(options.points >= 1 && options.points <= 1e9) || options.points != std::floor(options.points))
+    return {Code::usage, "--points takes a whole number from 1 to 1e9", "rcb_bench step --help"};
+  return {};
+}
+
+}  // namespace
+
+CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
+  auto* command = app.add_subcommand("step", "time of a step in which nothing much happens, against bare sockets");
+  const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
+  list(command->add_option("--scenes", options.scenes, "moving (3-D), moving-2d"));
+  list(command->add_option("--parts", options.parts, "numbers of parts"));
+  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  command->add_option("--repeats", options.repeats, "timed steps of each variant")->capture_default_str();
+  command->add_option("--points", options.points, "particles of every scene")->capture_default_str();
+  command->add_option("--json", options.json, "write the result to this file");
+  return command;
+}
+
+Status run_step(const StepBenchOptions& options, Json document) {
+  if (Status status = check(options); !status.ok()) return status;
+  Json rows = Json::array();
+  Status status;
+  for (const std::string& scene : options.scenes) {
+    const SceneKind& kind = *find_scene_kind(kPoints[scene == "moving-2d" ? 1 : 0]);
+    const Motion motion(kind, static_cast<std::size_t>(options.points));
+    for (const int parts : options.parts)
+      for (const int ranks : options.ranks)
+        if (status.ok()) status = run_cell(scene, motion, parts, ranks, options.repeats, rows);
+  }
+  document["rows"] = std::move(rows);
+  if (!options.json.empty())
+    if (Status written = write_file(options.json, document.dump(1) + "\n"); !written.ok()) return written;
+  return status;
+}
+
+}  // namespace rcb::bench
