@@ -16,7 +16,8 @@ namespace rcb::client {
 namespace {
 
 constexpr std::size_t kElementBytes = 8;
-constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;
+constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;          // that are gathered
+constexpr std::size_t kStraightFrameBytes = std::size_t{8} << 20U;  // that lie ready
 constexpr int kSendBufferBytes = 1 << 20;
 constexpr int kPollMillisecondsMax = 100;  // how long an early answer may go unnoticed while all sockets are full
 
@@ -73,7 +74,10 @@ struct DataPath::Link {
   void next_frame(const wire::Json& slice, std::uint64_t request, const plan::Plan& plan,
                   std::span<const Column> columns) {
     const auto all = plan.rows(rank);
-    const std::size_t most = std::max<std::size_t>(1, kFrameBytes / (columns.size() * kElementBytes));
+    const bool straight =
+        std::all_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank != nullptr; });
+    const std::size_t bytes = straight ? kStraightFrameBytes : kFrameBytes;
+    const std::size_t most = std::max<std::size_t>(1, bytes / (columns.size() * kElementBytes));
     const auto rows = all.subspan(sent, std::min<std::size_t>(most, all.size() - sent));
     wire::Json json = slice;
     json["rank"] = rank;
@@ -95,7 +99,8 @@ struct DataPath::Link {
 
   void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
     const std::size_t bytes = rows.size() * kElementBytes;
-    gathered.resize(columns.size() * bytes);
+    if (std::any_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank == nullptr; }))
+      gathered.resize(columns.size() * bytes);
     if ((columns.size() == 2 || columns.size() == 3) && interleaved(columns)) {
       const auto* first = static_cast<const double*>(columns[0].first);
       auto* to = reinterpret_cast<double*>(gathered.data());

@@ -139,6 +139,9 @@ Json row_of(const std::string& scene, const Motion& motion, int parts, int ranks
           {"seconds_min", *least},
           {"seconds_max", *most},
           {"floor_seconds", floor},
+          {"seconds_receive", report.seconds_receive},
+          {"seconds_exchange", report.seconds_exchange},
+          {"seconds_total", report.seconds_total},
           {"error", report.error},
           {"empty_parts", 0},
           {"drifted", report.drifted},
@@ -179,9 +182,11 @@ Status run_cell(const std::string& scene, const Motion& motion, int parts, int r
   const double least = median(floor_seconds);
   for (std::size_t v = 0; v < pushers.size(); ++v) {
     rows.push_back(row_of(scene, motion, parts, ranks, kVariants[v], seconds[v], least, reports[v]));
-    fmt::print("{:<10} {:>2} ranks  {:<8} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  drifted {} migrated {}\n", scene,
-               ranks, kVariants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least,
-               reports[v].drifted, reports[v].migrated);
+    fmt::print(
+        "{:<10} {:>2} ranks  {:<8} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  (last: receive and pass {:.2f}, "
+        "exchange {:.2f}, all {:.2f} ms)\n",
+        scene, ranks, kVariants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least,
+        1e3 * reports[v].seconds_receive, 1e3 * reports[v].seconds_exchange, 1e3 * reports[v].seconds_total);
   }
   return {};
 }
