@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <malloc.h>
 
 #include "server/service/step.hpp"
 
@@ -63,6 +64,7 @@ Response push(Context& context, const wire::Json& request) {
   const std::optional<std::int64_t> previous_step = scene.value()->step;
   const StepReport report = commit(context, *scene.value(), *staged, push.value(), push->changes ? &changes : nullptr);
   give_back(context, *scene.value(), push.value(), *staged);
+  if (!previous_step) ::malloc_trim(0);  // a first partition frees much that later steps don't need again
   return answer(*scene.value(), report, push.value(), std::move(changes), previous_step);
 }
 

@@ -1,4 +1,5 @@
 """Pushes by every path and in every order give the same scene; a push that breaks half-way is given up everywhere."""
+import socket
 import time
 
 from protocol_client import REQUEST, Client, Refused, frame
@@ -182,6 +183,30 @@ class DataPath(unittest.TestCase):
                 link.socket.sendall(b"".join(holder.slice_frames(rank, points)))
             self.assertEqual(holder.answer()[0]["report"]["step"], 0)
             self.assertEqual(other.push_directly("held", 1, points)[0]["report"]["step"], 1)
+
+    def test_over_tcp_and_by_the_gateway_alone(self):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        file = os.path.join(self.service.dir, "tcp.npy")
+        np.save(file, self.walk[:2])
+        with Service(2, tcp=f"127.0.0.1:{port}") as service:
+            for path in ("direct", "auto"):
+                done = service.ctl("replay", path, file, "--parts", 3, env={"RCBD_PATH": path})
+                self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(service.json("scene", "show", "auto")["plan"],
+                             service.json("scene", "show", "direct")["plan"])
+        os.environ["RCBD_GATEWAY_ONLY"] = "1"
+        try:
+            with Service(2) as service:
+                self.assertFalse(os.path.exists(service.endpoint[5:] + ".0"))
+                done = service.ctl("replay", "auto", file, "--parts", 3)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                done = service.ctl("replay", "direct", file, "--parts", 3, env={"RCBD_PATH": "direct"})
+                self.assertEqual(done.returncode, 3)
+                self.assertIn("--gateway-only", done.stderr)
+        finally:
+            del os.environ["RCBD_GATEWAY_ONLY"]
 
     def test_sockets_are_private_and_go(self):
         service = Service(2)
