@@ -41,17 +41,14 @@ class Pool {
     else
       kept_[scene] = std::move(buffers);
   }
-  // A buffer with room for `bytes`; an empty one if none is kept.
-  Buffer<std::byte> take(const std::string& scene, std::uint64_t bytes) {
+  // A buffer of those kept, or an empty one.
+  Buffer<std::byte> take(const std::string& scene) {
     const std::lock_guard lock(mutex_);
     const auto found = kept_.find(scene);
     Buffer<std::byte> buffer;
-    if (found == kept_.end()) return buffer;
-    auto& kept = found->second;
-    const auto fit = std::find_if(kept.begin(), kept.end(), [bytes](const auto& b) { return b.capacity() >= bytes; });
-    if (fit == kept.end()) return buffer;
-    buffer.swap(*fit);
-    kept.erase(fit);
+    if (found == kept_.end() || found->second.empty()) return buffer;
+    buffer.swap(found->second.back());
+    found->second.pop_back();
     return buffer;
   }
 
@@ -312,8 +309,10 @@ void DataPort::open(PushTicket ticket) {
   const std::size_t arrays = static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.ids ? 1U : 0U);
   bool fits = true;
   for (std::size_t a = 0; a < arrays && fits; ++a) {
-    Buffer<std::byte> buffer = state_->pool.take(terms.id.scene, terms.n * 8);
-    fits = buffer.try_reserve(terms.n * 8);
+    Buffer<std::byte> buffer = state_->pool.take(terms.id.scene);
+    // With some room for arrivals, which costs addresses alone: a slice that has grown by a few particles must not make
+    // the kernel clear new pages for all of them.
+    fits = buffer.capacity() >= terms.n * 8 || buffer.try_reserve((terms.n + terms.n / 16) * 8);
     if (fits) buffer.resize(terms.n * 8);
     push->arrays.push_back(std::move(buffer));
   }
