@@ -316,6 +316,7 @@ void DataPort::open(PushTicket ticket) {
     if (fits) buffer.resize(terms.n * 8);
     push->arrays.push_back(std::move(buffer));
   }
+  std::erase(state_->ended, terms.id);  // a client that says the same attempt again
   state_->pushes[push->ticket.number] = push;
   if (!fits)
     state_->end(push, {Code::too_large, fmt::format("rank {} has no memory for {} particles", state_->options.rank,

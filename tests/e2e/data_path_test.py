@@ -135,10 +135,11 @@ class DataPath(unittest.TestCase):
             self.assertEqual(caught.exception.args[0], "not_finite")
             self.assertIn("1234", caught.exception.args[1])
             self.assertEqual(self.state("broken"), before)
-            for change, code in (({"plan": {"version": 9, "checksum": "0" * 16}}, "stale_plan"),
-                                 ({"first": 3}, "invalid_argument"), ({"rank": 0}, "invalid_argument"),
-                                 ({"arrays": []}, "protocol_error")):
-                client.begin("broken", 1, points, attempt=len(code))
+            faults = (({"plan": {"version": 9, "checksum": "0" * 16}}, "stale_plan"),
+                      ({"first": 3}, "invalid_argument"), ({"rank": 0}, "invalid_argument"),
+                      ({"arrays": []}, "protocol_error"))
+            for attempt, (change, code) in enumerate(faults, 1):
+                client.begin("broken", 1, points, attempt)
                 link = client.links[1]
                 link.socket.sendall(client.slice_frames(1, points, **change)[0])
                 refused(client, code)
