@@ -153,7 +153,8 @@ std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
         ++counts[a * kSampleWords + m * kSampleBins + bin];
       }
     }
-    if (!tells_values(maps[0], particles_.position[a], particles_.count, stride)) ++counts[(a + 1) * kSampleWords - 1];
+    if (zeros_of_told(maps[0], particles_.position[a], particles_.count, stride) < 0)
+      ++counts[(a + 1) * kSampleWords - 1];
   }
   return counts;
 }
@@ -169,12 +170,14 @@ void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
     told[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
   }
   if (std::ranges::max(told) == 0) return;
+  // One more than the zeros; 0 where it doesn't.
   for (std::size_t a = 0; a < at(axes_); ++a)
-    if (told[a] != 0 && !tells_values(maps_[a], particles_.position[a], particles_.count, 1)) told[a] = 0;
+    if (told[a] != 0)
+      told[a] = static_cast<std::uint64_t>(zeros_of_told(maps_[a], particles_.position[a], particles_.count, 1) + 1);
   comm_.all_min(told);
   ++result_.reductions;
   for (std::size_t a = 0; a < at(axes_); ++a)
-    if (told[a] != 0) maps_[a].set_exact();
+    if (told[a] != 0) maps_[a].set_exact(static_cast<unsigned>(told[a] - 1));
 }
 
 Extents TreeBuilder::extents_of(const QBounds& bounds) const {
@@ -235,9 +238,7 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
 Question TreeBuilder::question(const Node& node) const {
   Question ask;
   ask.axes = node.axes;
-  const auto axis = axes_ == 0 ? std::size_t{0} : static_cast<std::size_t>(node.axes[0]);
-  ask.q_lo = node.bounds.lo[axis];
-  ask.q_hi = node.bounds.hi[axis];
+  ask.bounds = node.bounds;
   ask.count = node.count;
   ask.weight = node.weight;
   const auto [index, first, last] = node.range;

@@ -66,6 +66,11 @@ AxisMap AxisMap::of_ids(Id lo, Id hi) {
   return map;
 }
 
+void AxisMap::set_exact(unsigned zeros) {
+  exact_ = true;
+  if (even()) scale_ = std::ldexp(scale_, -static_cast<int>(zeros));
+}
+
 // Rounding moves a coordinate by far less than one step before it is cut off to an integer.
 double AxisMap::least(std::int32_t q) const {
   if (exact_) return value(q);
@@ -92,10 +97,14 @@ double AxisMap::first_value(std::int32_t q) const {
   return geometry::value_of_image(low);
 }
 
-bool tells_values(const AxisMap& map, const double* x, std::size_t count, std::size_t stride) {
-  for (std::size_t i = 0; i < count; i += stride)
-    if (map.value(map(x[i])) != x[i]) return false;
-  return true;
+int zeros_of_told(const AxisMap& map, const double* x, std::size_t count, std::size_t stride) {
+  std::uint32_t all = std::uint32_t{1} << 30U;
+  for (std::size_t i = 0; i < count; i += stride) {
+    const std::int32_t q = map(x[i]);
+    if (map.value(q) != x[i]) return -1;
+    all |= static_cast<std::uint32_t>(q);
+  }
+  return std::countr_zero(all);
 }
 
 void Records::build(const particles::ParticleView& particles, int axes, const AxisMaps& maps, std::size_t chunk_max) {

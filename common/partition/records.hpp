@@ -64,7 +64,8 @@ class AxisMap {
   // Whether an integer tells the coordinate: known of images in single steps; of values it may be found to hold for a
   // set (lattices, few digits).
   bool exact() const { return exact_; }
-  void set_exact() { exact_ = true; }
+  // It does, and all integers are multiples of 2^zeros: they are divided by it.
+  void set_exact(unsigned zeros);
   // The coordinate, if the integer tells it.
   double value(std::int32_t q) const {
     return even() ? 2 * (half_base_ + q / scale_)
@@ -115,8 +116,8 @@ class Records {
   std::size_t chunk_max_ = 0;
 };
 
-// Whether value(q) is the coordinate of each. Local.
-bool tells_values(const AxisMap& map, const double* x, std::size_t count, std::size_t stride);
+// If value(q) is the coordinate of each: the trailing zero bits that all integers have; else -1. Local.
+int zeros_of_told(const AxisMap& map, const double* x, std::size_t count, std::size_t stride);
 
 // Passes over records.
 

@@ -16,9 +16,9 @@ namespace {
 
 using Wide = boost::multiprecision::uint512_t;
 
-constexpr std::size_t kBinsMin = 256;      // without weights
-constexpr std::size_t kHeavyBinsMin = 64;  // with weights, whose cells are four words
-constexpr int kRoundsMax = 2;              // before the integers are replaced
+constexpr std::size_t kBinsMin = 64;
+constexpr std::size_t kHeavyBinsMax = 256;  // with weights, whose cells are four words
+constexpr int kRoundsMax = 3;               // before the integers are replaced
 constexpr unsigned kKeyBits = 31;
 constexpr std::uint64_t kGatherAlways = 8;  // candidates that aren't worth a histogram
 constexpr std::uint64_t kNone = ~std::uint64_t{0};
@@ -69,12 +69,11 @@ void Selector::start(std::size_t node) {
     return;
   }
   state.phase = Phase::count;
-  state.lo = ask.q_lo;
-  state.hi = ask.q_hi;
+  state.lo = ask.bounds.lo[axis_of(node)];
+  state.hi = ask.bounds.hi[axis_of(node)];
   if (!weighted()) {
     state.inside = ask.count;
-    const bool few = state.inside * record_words() * nodes_.size() <= kMessageWordsMax;
-    if (state.inside <= limits_.gather_max && (few || state.inside <= kGatherAlways)) state.phase = Phase::gather;
+    if (state.inside <= gather_share()) state.phase = Phase::gather;
     return;
   }
   const Wide wanted = Wide(ask.weight) * ask.left_size;
@@ -85,19 +84,28 @@ void Selector::start(std::size_t node) {
   }
 }
 
-// After the bracket has changed: what comes next for the node? Integers that tell little more are replaced.
-void Selector::settle(std::size_t node) {
+// Candidates of a node that are gathered rather than counted: about one message for all nodes together.
+std::uint64_t Selector::gather_share() const {
+  const std::uint64_t share = 2 * kMessageWordsMax / record_words() / states_.size();
+  return std::min(std::max(share, kGatherAlways), limits_.gather_max);
+}
+
+// After the bracket has changed: what comes next for the node? Integers that tell little more are replaced, unless that
+// costs more than to gather what is left.
+void Selector::settle(std::size_t node, std::uint64_t before) {
   State& state = states_[node];
   ++state.rounds;
-  if (state.inside <= limits_.gather_max)
+  const bool tied = state.rounds > 1 && state.inside > before / 2;
+  const bool spent = state.lo == state.hi || (!state.keyed && (tied || state.rounds >= kRoundsMax));
+  const bool cheap = spent && state.lo == state.hi && !state.keyed && told(node, 0) && words_ > 1 && told(node, 1);
+  if (state.inside <= gather_share() || (spent && !cheap && state.inside <= std::min(8 * gather_share(), limits_.gather_max)))
     state.phase = Phase::gather;
-  else if (state.lo == state.hi || (!state.keyed && state.rounds >= kRoundsMax))
+  else if (spent)
     state.phase = Phase::rekey;
 }
 
 void Selector::sum_message() {
   comm_.all_sum(message_.span());
-  ++rounds_;
   ++reductions_;
 }
 
@@ -131,16 +139,17 @@ std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t a
 }
 
 // Histograms of the integers on the cut axis: as many bins as one message holds for all nodes. Counts that can't reach
-// 2^16 (2^32) share a word.
+// 2^8 (2^16, 2^32) share a word.
 void Selector::count_round() {
   const std::vector<std::size_t> asked = in_phase(Phase::count);
   if (asked.empty()) return;
+  ++rounds_;
   std::uint64_t most = 0;
   for (const std::size_t node : asked) most = std::max(most, states_[node].inside);
-  per_word_ = weighted() ? 1 : most < (1U << 16U) ? 4 : most <= 0xFFFFFFFFU ? 2 : 1;
+  per_word_ = weighted() ? 1 : most < 0x100 ? 8 : most < 0x10000 ? 4 : most < 0x100000000 ? 2 : 1;
   const std::size_t fit = kMessageWordsMax * per_word_ / (cell_words_ * asked.size());
-  const std::size_t most_bins = std::min<std::size_t>(limits_.bins_max, weighted() ? kBinsMin : limits_.bins_max);
-  const std::size_t least_bins = std::min(weighted() ? kHeavyBinsMin : kBinsMin, most_bins);
+  const std::size_t most_bins = std::min<std::size_t>(limits_.bins_max, weighted() ? kHeavyBinsMax : limits_.bins_max);
+  const std::size_t least_bins = std::min(kBinsMin, most_bins);
   const std::size_t bins = std::clamp(std::bit_floor(std::max<std::size_t>(fit, 1)), least_bins, most_bins);
   const std::size_t node_words = (bins * cell_words_ + per_word_ - 1) / per_word_;
   const std::size_t group = std::max<std::size_t>(kMessageWordsMax / node_words, 1);
@@ -191,7 +200,7 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
   const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);
   const auto step = static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
   narrow(node, lo, state.hi - lo > step ? lo + step : state.hi, found.count < before / 16);
-  settle(node);
+  settle(node, before);
 }
 
 // With slack: a cut between two bins, if it is near enough. Any key between them is one; it is the least.
@@ -206,7 +215,7 @@ bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, cons
   const auto off = [wanted](u128 got) { return got < wanted ? wanted - got : got - wanted; };
   const bool take = off(after) < off(before);
   const std::int32_t q = state.lo + static_cast<std::int32_t>((bin + (take ? 1 : 0)) << shift);
-  if (off(take ? after : before) > ask.slack || q > ask.q_hi) return false;
+  if (off(take ? after : before) > ask.slack || q > ask.bounds.hi[axis_of(node)]) return false;
   ask.left_count = state.below + (take ? found.count : 0);
   ask.left_weight = state.weight_below + (take ? found.weight : 0);
   ask.key = {};
@@ -256,47 +265,60 @@ std::array<std::uint64_t, 2> Selector::word_bounds(std::size_t node, std::size_t
   return {least, other};
 }
 
-// The open records' exact bounds, word by word; words of one value are decided. The integers then stand for the first
-// word that isn't.
+// Words of one value are decided; the integers then stand for the first that isn't. The bounds of words that integers
+// tell are the node's; the others are measured among the open records.
 void Selector::rekey() {
-  const std::vector<std::size_t> entering = in_phase(Phase::rekey);
-  if (entering.empty()) return;
-  // Least and complement of the greatest of every word, so that one minimum gives both.
-  Buffer<std::uint64_t> bounds(entering.size() * words_ * 2);
-  std::fill(bounds.begin(), bounds.end(), kNone);
-  for (std::size_t e = 0; e < entering.size(); ++e) {
-    State& state = states_[entering[e]];
-    // One integer that tells the coordinate decides it.
-    if (state.lo == state.hi && (state.keyed ? state.shift == 0 : told(entering[e], state.word))) ++state.word;
-    CHECK(state.word < words_, "two particles have the same id");
-    for (std::size_t w = state.word; w < words_; ++w)
-      std::ranges::copy(word_bounds(entering[e], w), &bounds[(e * words_ + w) * 2]);
-  }
-  for (std::size_t at = 0; at < bounds.size(); at += kMessageWordsMax) {
-    comm_.all_min(bounds.span().subspan(at, std::min(kMessageWordsMax, bounds.size() - at)));
-    ++reductions_;
-  }
-  for (std::size_t e = 0; e < entering.size(); ++e) {
-    State& state = states_[entering[e]];
-    const auto lo = [&] { return bounds[(e * words_ + state.word) * 2]; };
-    const auto hi = [&] { return ~bounds[(e * words_ + state.word) * 2 + 1]; };
-    while (lo() == hi()) {
-      CHECK(state.word + 1 < words_, "two particles have the same id");
-      ++state.word;
-    }
+  std::vector<std::size_t> measured;
+  for (const std::size_t node : in_phase(Phase::rekey)) {
+    State& state = states_[node];
     if (!state.keyed) {
       state.single = state.lo == state.hi;
       state.single_value = state.lo;
     }
-    state.base = lo();
-    const auto width = static_cast<unsigned>(std::bit_width(hi() - lo()));
-    state.shift = width > kKeyBits ? width - kKeyBits : 0;
-    state.lo = 0;
-    state.hi = static_cast<std::int32_t>((hi() - lo()) >> state.shift);
-    state.rounds = 0;
-    state.phase = Phase::count;
-    write_words(entering[e]);
+    // One integer that tells the coordinate decides it.
+    if (state.lo == state.hi && (state.keyed ? state.shift == 0 : told(node, 0))) ++state.word;
+    CHECK(state.word < words_, "two particles have the same id");
+    if (state.word > 0 && told(node, state.word)) {
+      const auto axis = static_cast<std::size_t>(nodes_[node].axes[state.word]);
+      const QBounds& bounds = nodes_[node].bounds;
+      enter(node, static_cast<std::uint64_t>(bounds.lo[axis]), static_cast<std::uint64_t>(bounds.hi[axis]));
+    } else {
+      measured.push_back(node);
+    }
   }
+  if (measured.empty()) return;
+  // Least and complement of the greatest of every word, so that one minimum gives both.
+  Buffer<std::uint64_t> bounds(measured.size() * words_ * 2);
+  std::fill(bounds.begin(), bounds.end(), kNone);
+  for (std::size_t m = 0; m < measured.size(); ++m)
+    for (std::size_t w = states_[measured[m]].word; w < words_; ++w)
+      std::ranges::copy(word_bounds(measured[m], w), &bounds[(m * words_ + w) * 2]);
+  for (std::size_t at = 0; at < bounds.size(); at += kMessageWordsMax) {
+    comm_.all_min(bounds.span().subspan(at, std::min(kMessageWordsMax, bounds.size() - at)));
+    ++reductions_;
+  }
+  for (std::size_t m = 0; m < measured.size(); ++m) {
+    State& state = states_[measured[m]];
+    const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
+    const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
+    while (lo() == hi()) {
+      CHECK(state.word + 1 < words_, "two particles have the same id");
+      ++state.word;
+    }
+    enter(measured[m], lo(), hi());
+  }
+}
+
+void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
+  State& state = states_[node];
+  state.base = lo;
+  const auto width = static_cast<unsigned>(std::bit_width(hi - lo));
+  state.shift = width > kKeyBits ? width - kKeyBits : 0;
+  state.lo = 0;
+  state.hi = static_cast<std::int32_t>((hi - lo) >> state.shift);
+  state.rounds = 0;
+  state.phase = Phase::count;
+  write_words(node);
 }
 
 void Selector::write_words(std::size_t node) {

@@ -7,9 +7,10 @@
 //    looks at the open records alone.
 // 2. A round counts the records' integers on the cut axis; the bin that holds the wanted key becomes the bracket, and
 //    the records outside of it are open no more.
-// 3. Where too many are left to be gathered after two rounds, the integers of those are replaced, until the search
-//    ends, by a key word's offset in the word's exact bounds: the coordinates' images in the node's axis order, then
-//    the id. Words before it are decided. Each such integer has 31 bits, hence takes at most four rounds.
+// 3. Where the integers leave too many to be gathered, those records' integers are replaced, until the search ends, by
+//    a key word's offset in its bounds: the coordinates in the node's axis order, then the id. Words before it are
+//    decided. Each round divides a bracket by at least 64: a word takes at most 3 rounds and 11 further ones, whatever
+//    the distribution; one that all share takes none.
 #pragma once
 
 #include <array>
@@ -37,9 +38,7 @@ struct Question {
   // Asked
   bool search = true;  // false: nothing goes right
   AxisOrder axes{0, 1, 2};
-  // Bounds of the records' integers on the first axis, all ranks.
-  std::int32_t q_lo = 0;
-  std::int32_t q_hi = 0;
+  QBounds bounds;  // of the records' integers, all ranks
   // without weights: the key of this rank (from 0) among `count`
   std::uint64_t count = 0;
   std::uint64_t rank = 0;
@@ -117,9 +116,10 @@ class Selector {
   };
 
   void start(std::size_t node);
+  std::uint64_t gather_share() const;
   bool any(Phase phase) const;
   std::vector<std::size_t> in_phase(Phase phase) const;
-  void settle(std::size_t node);
+  void settle(std::size_t node, std::uint64_t before);
   // A round sums its histograms over ranks in messages of bounded size, group by group.
   void count_round();
   void count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at);
@@ -132,6 +132,7 @@ class Selector {
   void write_words(std::size_t node);
   void restore(std::size_t node);
   void sum_message();
+  void enter(std::size_t node, std::uint64_t lo, std::uint64_t hi);
   Cell cell(std::size_t at, std::size_t bin) const;
   void add_weight(std::size_t at, u128 weight);
   // The bin that holds the wanted key; what lies before it is added to below.

@@ -86,13 +86,27 @@ void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte
                          std::vector<std::size_t>& sizes) {
   const auto ranks = static_cast<std::size_t>(size_);
   sizes.assign(ranks, 0);
-  const std::uint64_t mine = local.size();
-  std::vector<std::uint64_t> shares(ranks);
-  must(MPI_Allgather(&mine, 1, MPI_UINT64_T, shares.data(), 1, MPI_UINT64_T, comm_), "MPI_Allgather");
-  std::ranges::copy(shares, sizes.begin());
+  // Sizes and, where they are small, the bytes themselves in one message: a second costs more than some empty bytes.
+  const std::size_t room = kEagerBytes / ranks;
+  std::vector<std::byte> mine(sizeof(std::uint64_t) + room);
+  const std::uint64_t size = local.size();
+  std::memcpy(mine.data(), &size, sizeof size);
+  copy(local.first(std::min(room, local.size())), std::span(mine).subspan(sizeof size, std::min(room, local.size())));
+  std::vector<std::byte> first(mine.size() * ranks);
+  const auto count = narrow<int>(mine.size());
+  must(MPI_Allgather(mine.data(), count, MPI_BYTE, first.data(), count, MPI_BYTE, comm_), "MPI_Allgather");
+  for (std::size_t r = 0; r < ranks; ++r) {
+    std::uint64_t share = 0;
+    std::memcpy(&share, &first[r * mine.size()], sizeof share);
+    sizes[r] = share;
+  }
   const std::size_t total = std::accumulate(sizes.begin(), sizes.end(), std::size_t{0});
   all.resize(total);
-  if (total == 0) return;
+  if (std::ranges::max(sizes) <= room) {
+    for (std::size_t r = 0, start = 0; r < ranks; start += sizes[r++])
+      copy(std::span(first).subspan(r * mine.size() + sizeof size, sizes[r]), std::span(all).subspan(start, sizes[r]));
+    return;
+  }
   if (total <= message_bytes_max_) {
     std::vector<int> counts(ranks);
     std::vector<int> starts(ranks);

@@ -54,6 +54,7 @@ class MpiComm final : public partition::Comm {
   int rank_ = 0;
   int size_ = 1;
   std::size_t message_bytes_max_;
+  static constexpr std::size_t kEagerBytes = 32 * 1024;  // of all ranks together, in an all_gather's first message
 };
 
 }  // namespace rcb::ranks
