@@ -31,9 +31,6 @@ struct Options {
 };
 
 Status check(const Options& options) {
-  if (options.cut_tolerance != 0)
-    return {Code::unsupported, fmt::format("--cut-tolerance {}: only exact cuts are offered", options.cut_tolerance),
-            "leave it out, or give 0"};
   if (!options.part_sizes.empty() && static_cast<double>(options.part_sizes.size()) != options.parts)
     return {Code::usage,
             fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
@@ -139,6 +136,7 @@ Status partition(const Options& options, const Context& context) {
   const double start = clock.seconds();
   Json arguments{{"parts", static_cast<std::int64_t>(options.parts)}, {"method", options.method}, {"tolerance", "inf"}};
   if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
+  arguments["cut_tolerance"] = options.cut_tolerance;
   auto loaded = load_scene(*session, options.file, std::move(arguments));
   if (!loaded) return loaded.status();
   auto shown = ask(*session->client, "scene.show", {{"scene", loaded->scene.name()}});
@@ -176,9 +174,11 @@ void add_partition_command(CLI::App& app, Context& context) {
   command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
       ->delimiter(',')
       ->check(positive_number());
-  command->add_option("--cut-tolerance", options->cut_tolerance, "0: exact cuts, the only ones offered")
+  command
+      ->add_option("--cut-tolerance", options->cut_tolerance,
+                   "stop a search once no part can be off its target by more than this fraction; 0: exact")
       ->capture_default_str()
-      ->check(number_from_zero());
+      ->check(CLI::Range(0.0, 1.0));
   command->add_option("--out", options->out, "a folder for one CSV a part");
   command->add_option("--assign", options->assign, "an .npy of each point's part, int32, in input order");
   command->add_option("--cuts", options->cuts, "a JSON file of the cuts and regions");

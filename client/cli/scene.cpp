@@ -14,6 +14,7 @@ struct CreateOptions {
   std::string method = "rcb";
   double tolerance = 0.1;
   double axis_hysteresis = 1.2;
+  double cut_tolerance = 0;
   std::string policy = "tolerance";
   std::vector<double> part_sizes;
   bool replace = false;
@@ -30,6 +31,7 @@ void print_scene(const Json& scene) {
                                                                   {"method", "method"},
                                                                   {"tolerance", "tolerance"},
                                                                   {"axis_hysteresis", "axis hysteresis"},
+                                                                  {"cut_tolerance", "cut tolerance"},
                                                                   {"policy", "policy"},
                                                                   {"part_sizes", "part sizes"},
                                                                   {"weights", "weights"},
@@ -53,6 +55,7 @@ Status create(const CreateOptions& options, const Context& context) {
                  {"method", options.method},
                  {"tolerance", tolerance_json(options.tolerance)},
                  {"axis_hysteresis", options.axis_hysteresis},
+                 {"cut_tolerance", options.cut_tolerance},
                  {"policy", options.policy},
                  {"replace", options.replace}};
   if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
@@ -131,6 +134,11 @@ void add_scene_commands(CLI::App& app, Context& context) {
   command->add_option("--axis-hysteresis", options->axis_hysteresis, "how much longer another axis must be; 1: any")
       ->capture_default_str()
       ->check(CLI::Range(1.0, 1e300));
+  command
+      ->add_option("--cut-tolerance", options->cut_tolerance,
+                   "stop a search once no part can be off its target by more than this fraction; 0: exact")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 1.0));
   command->add_option("--policy", options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
   command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
       ->delimiter(',')

@@ -70,7 +70,7 @@ Result<Client> Client::connect(const ConnectOptions& options) {
 
 Status Client::create_scene(const std::string& name, const SceneOptions& options) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  if (std::isnan(options.tolerance) || std::isnan(options.axis_hysteresis))
+  if (std::isnan(options.tolerance) || std::isnan(options.axis_hysteresis) || std::isnan(options.cut_tolerance))
     return {Code::invalid_argument, "a tolerance or axis hysteresis that is not a number"};
   wire::Json request{{"command", "scene.create"},
                      {"scene", name},
@@ -79,6 +79,7 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
                      {"method", options.method},
                      {"tolerance", wire::number_json(options.tolerance)},
                      {"axis_hysteresis", wire::number_json(options.axis_hysteresis)},
+                     {"cut_tolerance", wire::number_json(options.cut_tolerance)},
                      {"policy", options.policy},
                      {"replace", options.replace}};
   if (!options.part_sizes.empty()) {

@@ -47,6 +47,7 @@ struct SceneOptions {
   std::string method = "rcb";
   double tolerance = 0.1;  // >= 0; infinity forbids automatic repartitions
   double axis_hysteresis = 1.2;
+  double cut_tolerance = 0;          // 0 to 1: how far from its target a search for cuts may leave a part; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than that takes
   std::vector<double> part_sizes;
   bool replace = false;

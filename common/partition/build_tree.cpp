@@ -123,7 +123,9 @@ void TreeBuilder::measure_all() {
   for (std::size_t a = 0; a < at(axes_); ++a) extents[a] = geometry::extent(lo_[a], hi_[a]);
   rule_.set_all(count, extents);
 
-  Node root{NodeRange{0, 0, options_.parts}, count, 0, {}, {}};
+  Node root;
+  root.range = {0, 0, options_.parts};
+  root.count = count;
   for (std::size_t a = 0; a < q_axes_ && count > 0; ++a) {
     root.bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](lo_[a]);
     root.bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](hi_[a]);
@@ -249,13 +251,12 @@ Question TreeBuilder::question(const Node& node) const {
   else
     ask.rank = rule_.quota(first, node.range.middle());
   ask.search = !node.bounds.empty() && (scale_ || ask.rank < ask.count);
-  ask.slack = slack_of(node);
+  if (options_.cut_tolerance > 0) ask.slack = slack_of(node);
   return ask;
 }
 
 // The same fraction of either side's target, hence of the smaller one.
 u128 TreeBuilder::slack_of(const Node& node) const {
-  if (options_.cut_tolerance <= 0) return 0;
   const u128 left = rule_.size(node.range.first, node.range.middle());
   const u128 right = rule_.size(node.range.middle(), node.range.last);
   const double share = quotient(std::min(left, right), left + right);
@@ -276,10 +277,17 @@ void TreeBuilder::split(std::span<const Question> answers) {
       for (std::size_t w = 0; w < at(axes_); ++w) cut.key.at[w] = geometry::value_of_image(answer.key[w]);
       cut.key.id = static_cast<Id>(answer.key[at(axes_)]);
     }
-    const std::uint64_t left_count = answer.right_empty ? node.count : answer.left_count;
-    const u128 left_weight = answer.right_empty ? node.weight : answer.left_weight;
-    take_child({node.range.left(), left_count, left_weight, {}, {}}, false, n);
-    take_child({node.range.right(), node.count - left_count, node.weight - left_weight, {}, {}}, true, n);
+    Node left = node;
+    Node right = node;
+    left.range = node.range.left();
+    right.range = node.range.right();
+    left.count = answer.right_empty ? node.count : answer.left_count;
+    left.weight = answer.right_empty ? node.weight : answer.left_weight;
+    right.count = node.count - left.count;
+    right.weight = node.weight - left.weight;
+    left.bounds = right.bounds = QBounds{};
+    take_child(left, false, n);
+    take_child(right, true, n);
   }
   reduce_bounds();
 }

@@ -83,9 +83,10 @@ bool key_is_sound(const Key& key, int dims) {
 }
 
 // Is the particle that gave the cut of `node` its key led to that node by the cuts above? A node no particle can
-// reach has no key.
+// reach has no key. Of a key between particles the first coordinate alone is asked.
 bool key_lies_in_node(const CutTree& tree, const NodeRange& node) {
   const Cut& own = tree.cuts[static_cast<std::size_t>(node.node)];
+  const bool between = !own.right_empty && own.key == key_between(own.key.at[0], tree.dims);
   Point position{};
   for (std::size_t i = 0; i < static_cast<std::size_t>(tree.dims); ++i)
     position[static_cast<std::size_t>(own.axes[i])] = own.key.at[i];
@@ -93,7 +94,11 @@ bool key_lies_in_node(const CutTree& tree, const NodeRange& node) {
     const Cut& cut = tree.cuts[static_cast<std::size_t>(range.node)];
     const bool right = node.first >= range.middle();
     if (right && cut.right_empty) return own.right_empty;
-    if (!own.right_empty && !cut.right_empty && right == (key_of(position, own.key.id, cut.axes, tree.dims) < cut.key))
+    if (between && !cut.right_empty) {
+      const double at = cut.key.at[0];
+      if (cut.axes[0] == own.axes[0] && (right ? own.key.at[0] < at : own.key.at[0] > at)) return false;
+    } else if (!own.right_empty && !cut.right_empty &&
+               right == (key_of(position, own.key.id, cut.axes, tree.dims) < cut.key))
       return false;
     range = right ? range.right() : range.left();
   }
@@ -106,9 +111,7 @@ Status validate_node(const CutTree& tree, const NodeRange& range) {
   const std::string where = "node " + std::to_string(range.node) + ": ";
   if (!is_permutation(cut.axes, tree.dims)) return bad(where + "its axis order is no permutation of the axes");
   if (!cut.right_empty && !key_is_sound(cut.key, tree.dims)) return bad(where + "its key is not finite or has id < 0");
-  // Equal boxes are halved without a look at particles, so their keys are nobody's.
-  if (tree.method != Method::equal_boxes && !key_lies_in_node(tree, range))
-    return bad(where + "its key lies outside the node");
+  if (!key_lies_in_node(tree, range)) return bad(where + "its key lies outside the node");
   if (Status left = validate_node(tree, range.left()); !left.ok()) return left;
   return validate_node(tree, range.right());
 }

@@ -2,6 +2,8 @@
 // then its id, compared lexicographically; -0.0 equals 0.0.
 #pragma once
 
+#include <limits>
+
 #include "common/geometry/axes.hpp"
 #include "common/particles/particle_set.hpp"
 
@@ -34,6 +36,14 @@ inline bool operator<(const Key& a, const Key& b) {
     if (a.at[i] > b.at[i]) return false;
   }
   return a.id < b.id;
+}
+
+// The least key with that first coordinate: of a cut between particles, nobody's own.
+inline Key key_between(double first, int dims) {
+  Key key;
+  key.at[0] = first + 0.0;
+  for (std::size_t i = 1; i < static_cast<std::size_t>(dims); ++i) key.at[i] = std::numeric_limits<double>::lowest();
+  return key;
 }
 
 }  // namespace rcb::partition

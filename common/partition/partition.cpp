@@ -27,6 +27,8 @@ Status check(const PartitionOptions& options, int dims) {
       return bad("the size of part " + std::to_string(p) + " is not a finite number > 0", "sizes are relative shares");
   if (!std::isfinite(options.axis_hysteresis) || !(options.axis_hysteresis >= 1))
     return bad("axis_hysteresis is not a finite number >= 1", "1 follows the extents alone");
+  if (!std::isfinite(options.cut_tolerance) || !(options.cut_tolerance >= 0))
+    return bad("cut_tolerance is not a finite number >= 0", "0 gives exact cuts");
   if ((options.method == Method::bands_y && dims < 2) || (options.method == Method::bands_z && dims < 3))
     return bad(std::string(method_name(options.method)) + " needs an axis that " + std::to_string(dims) +
                    "-dimensional positions lack",
@@ -43,10 +45,7 @@ void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& 
   cut.axes = geometry::order_by_extent(extents, tree.dims);
   const auto axis = static_cast<std::size_t>(cut.axes[0]);
   const double middle = lo[axis] * 0.5 + hi[axis] * 0.5 + 0.0;
-  // The least key with that coordinate, so that all equal to the middle go right.
-  for (std::size_t i = 1; i < static_cast<std::size_t>(tree.dims); ++i)
-    cut.key.at[i] = std::numeric_limits<double>::lowest();
-  cut.key.at[0] = middle;
+  cut.key = key_between(middle, tree.dims);  // all equal to the middle go right
   Point left_hi = hi;
   Point right_lo = lo;
   left_hi[axis] = right_lo[axis] = middle;

@@ -98,7 +98,8 @@ void Selector::settle(std::size_t node, std::uint64_t before) {
   const bool tied = state.rounds > 1 && state.inside > before / 2;
   const bool spent = state.lo == state.hi || (!state.keyed && (tied || state.rounds >= kRoundsMax));
   const bool cheap = spent && state.lo == state.hi && !state.keyed && told(node, 0) && words_ > 1 && told(node, 1);
-  if (state.inside <= gather_share() || (spent && !cheap && state.inside <= std::min(8 * gather_share(), limits_.gather_max)))
+  if (state.inside <= gather_share() ||
+      (spent && !cheap && state.inside <= std::min(8 * gather_share(), limits_.gather_max)))
     state.phase = Phase::gather;
   else if (spent)
     state.phase = Phase::rekey;
@@ -203,7 +204,7 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
   settle(node, before);
 }
 
-// With slack: a cut between two bins, if it is near enough. Any key between them is one; it is the least.
+// With slack: a cut between two bins, if it is near enough.
 bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, const Cell& found) {
   Question& ask = nodes_[node];
   const State& state = states_[node];
@@ -219,8 +220,8 @@ bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, cons
   ask.left_count = state.below + (take ? found.count : 0);
   ask.left_weight = state.weight_below + (take ? found.weight : 0);
   ask.key = {};
-  for (std::size_t w = 1; w < axes_; ++w) ask.key[w] = geometry::image(std::numeric_limits<double>::lowest());
-  ask.key[0] = geometry::image(maps_[axis_of(node)].first_value(q));
+  const Key key = key_between(maps_[axis_of(node)].first_value(q), static_cast<int>(axes_));
+  for (std::size_t w = 0; w < axes_; ++w) ask.key[w] = geometry::image(key.at[w]);
   for (Span& span : spans_of(node)) span.middle = span.upper = split(span.open(), axis_of(node), q);
   states_[node].phase = Phase::done;
   return true;

@@ -76,10 +76,10 @@ double CostAccount::repartition_seconds() const {
 Decision decide(const PolicyInput& input) {
   Decision decision = asked(input);
   if (!decision.search) return decision;
-  if (!input.weighted && input.error_before <= input.quota_error)
+  if (!input.may_be_vain && input.error_before <= input.quota_error)
     return {false, fmt::format("{}, but no partition is better: whole particles leave an error of {:.6g}",
                                decision.reason, input.quota_error)};
-  if (input.weighted && input.error_when_not_adopted && input.error_before <= *input.error_when_not_adopted)
+  if (input.may_be_vain && input.error_when_not_adopted && input.error_before <= *input.error_when_not_adopted)
     return {false, fmt::format("{}, but new cuts did not lower it at {:.6g} and it hasn't grown since", decision.reason,
                                *input.error_when_not_adopted)};
   return decision;

@@ -56,8 +56,8 @@ struct Decision {
 
 struct PolicyInput {
   double error_before = 0;
-  double tolerance = 0.1;  // may be infinity
-  bool weighted = false;
+  double tolerance = 0.1;                        // may be infinity
+  bool may_be_vain = false;                      // weights, or cuts that aren't exact: new cuts may be no better
   double quota_error = 0;                        // without weights: the error that a partition ends with
   std::optional<double> error_when_not_adopted;  // with weights: error_before of the last vain attempt
   Policy policy = Policy::tolerance;

@@ -65,6 +65,7 @@ Response rebalance(Context& context, const wire::Json& request) {
   search.method = options.method;
   search.parts = options.parts;
   search.part_sizes = options.part_sizes;
+  search.cut_tolerance = options.cut_tolerance;
   auto found = partition::partition(context.comm, scene.particles.view(), search);
   CHECK(found.ok(), found.status().message());
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found->part.span(), options.part_sizes,

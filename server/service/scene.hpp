@@ -29,6 +29,7 @@ struct SceneOptions {
   partition::Method method = partition::Method::rcb;
   double tolerance = 0.1;  // may be infinity
   double axis_hysteresis = 1.2;
+  double cut_tolerance = 0;  // of every search for cuts; 0: exact
   Policy policy = Policy::tolerance;
   std::vector<double> part_sizes;
 };

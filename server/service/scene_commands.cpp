@@ -75,6 +75,9 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   if (!tolerance.ok()) return tolerance.status();
   const auto hysteresis = wire::number_field_or(request, "axis_hysteresis", 1, kLargest, 1.2);
   if (!hysteresis.ok()) return hysteresis.status();
+  const auto cut_tolerance = wire::number_field_or(request, "cut_tolerance", 0, 1, 0);
+  if (!cut_tolerance.ok()) return cut_tolerance.status();
+  options.cut_tolerance = cut_tolerance.value();
   options.parts = static_cast<int>(parts.value());
   options.dims = static_cast<int>(dims.value());
   options.tolerance = tolerance.value();
@@ -98,6 +101,7 @@ wire::Json describe_scene(const Scene& scene) {
                   {"method", partition::method_name(options.method)},
                   {"tolerance", wire::number_json(options.tolerance)},
                   {"axis_hysteresis", options.axis_hysteresis},
+                  {"cut_tolerance", options.cut_tolerance},
                   {"policy", policy_name(options.policy)},
                   {"part_sizes", options.part_sizes.empty() ? wire::Json(nullptr) : wire::Json(options.part_sizes)},
                   {"weights", scene.particles.has_weights},

@@ -17,6 +17,7 @@ partition::PartitionOptions options_of(const Scene& scene, bool first) {
   options.method = scene.options.method;
   options.parts = scene.options.parts;
   options.part_sizes = scene.options.part_sizes;
+  options.cut_tolerance = scene.options.cut_tolerance;
   if (!first) {
     options.axis_hysteresis = scene.options.axis_hysteresis;
     options.previous = &scene.tree;
@@ -155,7 +156,7 @@ void try_repartition(Context& context, Scene& scene, const Decision& decision, d
   partition::PartitionResult found = search(context, scene, false);
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
                                           scene.options.part_sizes, scene.options.parts);
-  if (loads.weighted && !(loads.error < error_before)) {
+  if ((loads.weighted || scene.options.cut_tolerance > 0) && !(loads.error < error_before)) {
     scene.error_when_not_adopted = error_before;
     scene.costs.start_again(scene.loads.imbalance);
     report.reason = reason_not_adopted(decision, loads.error);
@@ -174,7 +175,8 @@ void try_repartition(Context& context, Scene& scene, const Decision& decision, d
 // Whether this step looks for new cuts. Local.
 Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_computed_under) {
   const SceneOptions& options = scene.options;
-  PolicyInput input{scene.loads.error, options.tolerance, scene.loads.weighted, 0, scene.error_when_not_adopted};
+  const bool may_be_vain = scene.loads.weighted || options.cut_tolerance > 0;
+  PolicyInput input{scene.loads.error, options.tolerance, may_be_vain, 0, scene.error_when_not_adopted};
   input.policy = options.policy;
   if (options.policy == Policy::cost && push.step_seconds) {
     scene.costs.computed(*push.step_seconds, imbalance_computed_under);
@@ -183,7 +185,7 @@ Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_com
     input.repartition_seconds = scene.costs.repartition_seconds();
     input.since = scene.costs.since();
   }
-  if (!input.weighted && (input.timed || input.error_before >= options.tolerance))
+  if (!input.may_be_vain && (input.timed || input.error_before >= options.tolerance))
     input.quota_error =
         partition::summarise_counts(partition::quotas(scene.n, options.part_sizes, options.parts), options.part_sizes)
             .error;

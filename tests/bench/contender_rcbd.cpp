@@ -1,6 +1,5 @@
 // Ours: the engine's partition() as the service calls it, and the service's own hand-over for `partition+migrate`.
 #include <array>
-#include <concepts>
 
 #include "common/partition/partition.hpp"
 #include "server/service/migration.hpp"
@@ -11,17 +10,6 @@ namespace {
 
 using partition::Method;
 using partition::PartitionOptions;
-
-// The engine may offer searches that stop early; one that doesn't runs exact only.
-template <typename Options>
-concept HasCutTolerance = requires(Options options) {
-  { options.cut_tolerance } -> std::convertible_to<double>;
-};
-
-template <typename Options>
-void set_cut_tolerance(Options& options, double tolerance) {
-  if constexpr (HasCutTolerance<Options>) options.cut_tolerance = tolerance;
-}
 
 class RcbdContender final : public Contender {
  public:
@@ -35,7 +23,7 @@ class RcbdContender final : public Contender {
     options_ = PartitionOptions{};
     options_.method = method_;
     options_.parts = problem.parts;
-    set_cut_tolerance(options_, setting().cut_tolerance);
+    options_.cut_tolerance = setting().cut_tolerance;
     return {};
   }
 
@@ -103,10 +91,8 @@ void add_rcbd(partition::Comm& comm, const Wish& wish, Contenders& out) {
   for (const Method method : {Method::rcb, Method::bands_x, Method::bands_y, Method::bands_z}) {
     const std::string name(partition::method_name(method));
     if (!wish.has(name)) continue;
-    for (const double tolerance : wish.cut_tolerances) {
-      if (tolerance > 0 && !HasCutTolerance<PartitionOptions>) continue;
+    for (const double tolerance : wish.cut_tolerances)
       out.push_back(std::make_unique<RcbdContender>(Setting{"rcbd", name, kPartition, tolerance}, comm, method));
-    }
   }
   if (wish.migrate && wish.has("rcb"))
     out.push_back(std::make_unique<RcbdContender>(Setting{"rcbd", "rcb", kPartitionMigrate, 0}, comm, Method::rcb));

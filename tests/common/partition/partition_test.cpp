@@ -168,7 +168,7 @@ TEST(Partition, FivePointsInEightParts) {
 }
 
 TEST(Partition, RoundsAreBounded) {
-  // Large enough for the histogram search on every level; at most 8 rounds a level for each key word.
+  // Large enough for the histogram search on every level; at most 8 rounds a level for each key word, and mostly two.
   for (int shape = 0; shape < testing::kShapes; ++shape)
     for (const Weights weights : {Weights::none, Weights::zeros}) {
       const Scene scene = make_scene(static_cast<Shape>(shape), weights, 3, 20000, true, kSeed);

@@ -81,7 +81,7 @@ TEST(Policy, NoSearchThatCanNotHelp) {
     EXPECT_FALSE(decide(input).search);
     input.quota_error = 0.29;
     EXPECT_TRUE(decide(input).search);
-    input.weighted = true;
+    input.may_be_vain = true;
     input.error_when_not_adopted = 0.3;
     EXPECT_FALSE(decide(input).search);
     input.error_when_not_adopted = 0.29;

@@ -1,0 +1,106 @@
+// Searches that stop early: what they promise of the error, and that the answer is still one answer.
+#include <cmath>
+#include <mutex>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "common/partition/load.hpp"
+#include "common/partition/partition.hpp"
+#include "tests/support/on_ranks.hpp"
+#include "tests/support/scenes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using testing::deal;
+using testing::make_scene;
+using testing::on_ranks;
+using testing::Scene;
+using testing::Shape;
+using testing::Share;
+using testing::Weights;
+
+constexpr std::uint64_t kSeed = 20261121;
+
+struct Met {
+  std::mutex mutex;
+  std::set<std::uint64_t> hashes;
+  double error = 0;
+  std::uint64_t reductions = 0;
+};
+
+void run(const Scene& scene, const PartitionOptions& options, Met& met) {
+  on_ranks([&](Comm& comm) {
+    const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+    const particles::ParticleView view = share.particles.view();
+    const PartitionResult got = partition(comm, view, options).value();
+    EXPECT_TRUE(got.tree.validate().ok()) << got.tree.validate().message();
+    for (std::size_t i = 0; i < view.count; ++i)
+      if (got.tree.part_of(view.point(i), view.id[i]) != got.part[i]) {
+        ADD_FAILURE() << "the tree and the partition disagree on particle " << view.id[i];
+        break;
+      }
+    const LoadSummary loads = summarise_loads(comm, view, got.part.span(), options.part_sizes, options.parts);
+    const std::lock_guard lock(met.mutex);
+    met.hashes.insert(got.tree.hash());
+    met.error = loads.error;
+    met.reductions = got.reductions;
+  });
+}
+
+// A level adds at most one whole particle to what the tolerance allows, and with weights one particle's weight.
+TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
+  for (std::uint64_t round = 0; round < 160; ++round) {
+    Random random(kSeed + round);
+    const auto shape = static_cast<Shape>(random.below(testing::kShapes));
+    const Weights weights = round % 3 == 0 ? Weights::uniform : Weights::none;
+    const Scene scene = make_scene(shape, weights, 1 + static_cast<int>(random.below(3)), 4000 + random.below(4000),
+                                   true, kSeed + round);
+    PartitionOptions options;
+    options.parts = 2 + static_cast<int>(random.below(40));
+    if (random.below(3) == 0)
+      for (int p = 0; p < options.parts; ++p) options.part_sizes.push_back(0.5 + random.uniform());
+    options.limits.gather_max = 1 + random.below(40);
+    constexpr std::array kTolerances{0.001, 0.02, 0.1, 0.5, 1.0};
+    options.cut_tolerance = kTolerances[random.below(kTolerances.size())];
+    SCOPED_TRACE(scene.name + ", parts " + std::to_string(options.parts) + ", cut tolerance " +
+                 std::to_string(options.cut_tolerance) + ", seed " + std::to_string(kSeed + round));
+    Met met;
+    run(scene, options, met);
+    EXPECT_EQ(met.hashes.size(), 1U);
+    const double smallest_target = static_cast<double>(scene.count()) / options.parts / 3;  // part sizes are 0.5 to 1.5
+    const double levels = std::ceil(std::log2(options.parts));
+    EXPECT_LE(met.error, options.cut_tolerance + (weights == Weights::none ? 1 : 2) * levels / smallest_target);
+    if (HasFailure()) return;
+  }
+}
+
+TEST(CutTolerance, SavesMessagesAndLosesExactness) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 20000, false, kSeed);
+  PartitionOptions options;
+  options.parts = 16;
+  Met exact;
+  run(scene, options, exact);
+  EXPECT_EQ(exact.error, 0);
+  options.cut_tolerance = 0.1;
+  Met near;
+  run(scene, options, near);
+  EXPECT_GT(near.error, 0);
+  EXPECT_LE(near.error, 0.1 + 4 / 1250.0);
+  EXPECT_LT(near.reductions, exact.reductions);
+}
+
+TEST(CutTolerance, FindsTheExactCutWhereTiesLeaveNoOther) {
+  const Scene scene = make_scene(Shape::coincident, Weights::none, 3, 5000, true, kSeed);
+  PartitionOptions options;
+  options.parts = 7;
+  options.cut_tolerance = 0.5;
+  Met met;
+  run(scene, options, met);
+  EXPECT_EQ(met.hashes.size(), 1U);
+  EXPECT_LE(met.error, 0.5 + 3 * 7 / 5000.0);
+}
+
+}  // namespace
+}  // namespace rcb::partition
