@@ -25,6 +25,7 @@ void Coordinator::leave(Session* session) {
   for (const auto& [name, gate] : gates_)
     if (gate.push && gate.push->connection == session->connection()) lost.push_back(gate.push);
   for (const auto& push : lost) give_up(push, {Code::aborted, "the client's connection was lost"});
+  groups_.leave_all(session->connection().get());
 }
 
 Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions order) {
@@ -64,7 +65,9 @@ void Coordinator::complete(Answer answer, const OrderOptions& order, const std::
     --gate(order.changes).changes_unfinished;
     gate(order.changes).wake();
     tidy(order.changes);
+    groups_.scene_changed(order.changes);
   }
+  if (order.then) return order.then(std::move(answer));
   pending->answer = std::move(answer);
   pending->signal.cancel();
 }
@@ -78,33 +81,50 @@ void Coordinator::tidy(const std::string& scene) {
 
 Result<std::shared_ptr<OpenPush>> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
                                                          std::string client, double deadline_seconds) {
-  const std::uint64_t bytes = terms.bytes();
-  if (bytes > options_.bulk_bytes_max - std::min(staged_bytes_, options_.bulk_bytes_max))
-    return Status(Code::busy,
-                  fmt::format("other pushes take {} of {} bytes, and this one has {}", staged_bytes_,
-                              options_.bulk_bytes_max, bytes),
-                  "try again when they are done");
+  if (Status room = take_bytes(terms.bytes()); !room.ok()) return room;
   auto push = std::make_shared<OpenPush>(context_, std::move(terms));
-  staged_bytes_ += bytes;
   push->connection = std::move(connection);
   push->client = std::move(client);
-  push->end = push->started + duration_of(deadline_seconds);
-  push->deadline.expires_at(push->end);
+  arm(push, push->started + duration_of(deadline_seconds));
+  gate(push->slices.terms().id.scene).push = push;
+  return push;
+}
+
+Status Coordinator::take_bytes(std::uint64_t bytes) {
+  if (bytes > options_.bulk_bytes_max - std::min(staged_bytes_, options_.bulk_bytes_max))
+    return {Code::busy,
+            fmt::format("other pushes take {} of {} bytes, and this one has {}", staged_bytes_, options_.bulk_bytes_max,
+                        bytes),
+            "try again when they are done"};
+  staged_bytes_ += bytes;
+  return {};
+}
+
+void Coordinator::arm(const std::shared_ptr<OpenPush>& push, TimePoint end) {
+  push->end = end;
+  push->deadline.expires_at(end);
   push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
     const auto late = weak.lock();
-    if (error || !late) return;
+    if (error || !late || now() < late->end) return;
+    if (late->together) return self->groups_.give_up(late->together, nullptr, self->groups_.late(*late->together));
     self->give_up(late,
                   {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", late->progress()),
                    "the previous step stands; push again"});
   });
-  gate(push->slices.terms().id.scene).push = push;
-  return push;
 }
 
 std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connection* connection) {
   const auto found = gates_.find(id.scene);
   if (found == gates_.end() || !found->second.push) return nullptr;
-  const auto& push = found->second.push;
+  auto push = found->second.push;
+  if (push->together) {
+    const auto& shares = push->together->shares;
+    const auto own = std::find_if(shares.begin(), shares.end(), [connection](const auto& share) {
+      return share && share->connection.get() == connection;
+    });
+    if (own == shares.end()) return nullptr;
+    push = *own;
+  }
   const bool fits = push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
   return fits ? push : nullptr;
 }
@@ -118,7 +138,9 @@ void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
 }
 
 void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
-  if (std::exchange(push->given_up, true)) return;
+  if (push->given_up) return;
+  if (push->together) return groups_.give_up(push->together, push->member < 0 ? nullptr : push.get(), why);
+  push->given_up = true;
   const PushId id = push->slices.terms().id;
   spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());
   close_push(push);
@@ -129,6 +151,7 @@ void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
 }
 
 std::string OpenPush::progress() const {
+  if (together) return together->progress();
   if (number == 0) return slices.progress();
   return fmt::format("{} of {} ranks have their slices", std::count(whole.begin(), whole.end(), true), whole.size());
 }

@@ -25,6 +25,7 @@
 #include "server/net/control.hpp"
 #include "server/net/data_plane.hpp"
 #include "server/net/engine.hpp"
+#include "server/net/members.hpp"
 #include "server/net/push.hpp"
 
 namespace rcb::net {
@@ -47,6 +48,9 @@ struct OpenPush {
   std::uint64_t number = 0;          // 0: not on it
   std::vector<bool> whole;           // by rank
   std::function<void()> when_whole;  // all ranks have their slices
+  // Of a parallel solver: the step that this is a member's share of, or (-1), in the gate, stands for.
+  std::shared_ptr<MemberPush> together;
+  int member = -1;
 
   std::string progress() const;
 };
@@ -71,8 +75,9 @@ struct OrderOptions {
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
-  std::string changes;             // the scene it changes; empty: none
-  std::uint64_t staged_bytes = 0;  // given back when it is answered
+  std::string changes;               // the scene it changes; empty: none
+  std::uint64_t staged_bytes = 0;    // given back when it is answered
+  std::function<void(Answer)> then;  // gets the answer at once; nobody waits for it
 };
 
 class Coordinator : public std::enable_shared_from_this<Coordinator> {
@@ -101,7 +106,13 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Errors: busy (budget).
   Result<std::shared_ptr<OpenPush>> open_push(PushTerms terms, std::shared_ptr<Connection> connection,
                                               std::string client, double deadline_seconds);
-  // The open push with this id, if this connection opened it.
+  // At this moment the push is given up. Replaces what was said before.
+  void arm(const std::shared_ptr<OpenPush>& push, TimePoint end);
+  // Room for a push's arrays, and its return. Errors: busy (budget).
+  Status take_bytes(std::uint64_t bytes);
+  void give_bytes(std::uint64_t bytes) { staged_bytes_ -= bytes; }
+  MemberGroups& groups() { return groups_; }
+  // The open push, or share of one, with this id, if this connection opened it.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
   // Tells the ranks to take the slices of a push that goes directly; when_whole is called when all have them.
   void receive_directly(const std::shared_ptr<OpenPush>& push);
@@ -143,6 +154,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::uint64_t pushes_numbered_ = 0;
   std::shared_ptr<const Snapshot> snapshot_ = std::make_shared<Snapshot>();
   std::set<Session*> sessions_;
+  MemberGroups groups_{*this};
   std::map<std::string, SceneGate> gates_;
   std::vector<std::string> endpoints_;
   std::vector<std::function<void()>> told_;

@@ -18,7 +18,7 @@ using wire::Json;
 namespace {
 
 // Commands of the inside, which no client may send.
-bool is_internal(const std::string& command) { return command == "push" || command == "push.repeat"; }
+bool is_internal(const std::string& command) { return command == "push" || command == "push.members"; }
 
 bool flag(const Json& request, const char* name) {
   const auto value = wire::bool_field_or(request, name, false);
@@ -166,8 +166,10 @@ bool Session::answer_here(const Request& request) {
       fail(request.number, scene.status());
     else if (open_.erase(*scene) == 0)
       fail(request.number, {Code::not_found, fmt::format("this connection doesn't have scene '{}' open", *scene)});
-    else
+    else {
+      coordinator_->groups().leave(*scene, connection_.get(), "has closed the scene");
       connection_->send(FrameType::reply, request.number, Json::object());
+    }
   } else {
     return false;
   }
@@ -229,6 +231,21 @@ awaitable<void> Session::open_scene(Request& request) {
     fail(request.number, scene.status());
     co_return;
   }
+  request.json.erase("membership");  // ours to say
+  auto membership = read_membership(request.json);
+  if (membership.ok() && *membership && !coordinator_->snapshot().scenes.contains(*scene))
+    membership = coordinator_->unknown_scene(*scene);
+  if (membership.ok() && *membership) {
+    auto joined = coordinator_->groups().join(*scene, **membership, connection_.get(), client_);
+    if (joined.ok())
+      request.json["membership"] = membership_json(*joined);
+    else
+      membership = joined.status();
+  }
+  if (!membership.ok()) {
+    fail(request.number, membership.status());
+    co_return;
+  }
   const bool fresh = open_.insert(*scene).second;
   Json show = request.json;
   show["command"] = "scene.show";
@@ -239,6 +256,7 @@ awaitable<void> Session::open_scene(Request& request) {
   if (!pending.ok()) fail(request.number, pending.status());
   const bool opened = pending.ok() && (*pending)->answer && (*pending)->answer->status.ok();
   if (fresh && !opened) open_.erase(*scene);
+  if (!opened && *membership) coordinator_->groups().leave(*scene, connection_.get(), "could not open the scene");
 }
 
 awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
@@ -282,18 +300,21 @@ void Session::reply(const Request& request, Answer answer) {
   }
   if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create")
     answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
+  if (request.command == "scene.open" && request.json.contains("membership"))
+    answer.json["membership"] = request.json["membership"];
   const Status sent =
       connection_->send_message(FrameType::reply, request.number, std::move(answer.json), std::move(answer.arrays));
   if (!sent.ok()) fail(request.number, sent);
 }
 
-awaitable<Status> Session::wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready) {
+awaitable<Status> Session::wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready,
+                                     std::function<bool()> at_once) {
   SceneGate& gate = coordinator_->gate(scene);
-  if (gate.queue.empty() && ready()) co_return Status();
+  if ((gate.queue.empty() && ready()) || at_once()) co_return Status();
   Place place(gate, coordinator_->context());  // from here on the gate stays where it is
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
   Status status;
-  while (!(place.first() && ready())) {
+  while (!(place.first() && ready()) && !at_once()) {
     if (coordinator_->shutting_down())
       status = Status(Code::unavailable, "the service is shutting down");
     else if (now() >= request.end)

@@ -57,6 +57,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void reply(const Request& request, Answer answer);
 
   awaitable<void> push_begin(Request& request);
+  // The push.begin of a connection that has opened the scene as a member.
+  awaitable<void> begin_share(Request& request, const PushId& id);
   // Opens the push's direct path, or, where only the service can answer it (a step that is committed), orders it.
   awaitable<void> begin_directly(std::shared_ptr<OpenPush> push);
   Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
@@ -67,7 +69,9 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> order_push(std::shared_ptr<OpenPush> push);
 
   // Waits until it is this request's turn at the scene and `ready` holds. Errors: deadline_exceeded, unavailable.
-  awaitable<Status> wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready);
+  // Where `at_once` holds, others' turns don't matter.
+  awaitable<Status> wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready,
+                              std::function<bool()> at_once = [] { return false; });
   // Sleeps until the timer is cancelled, the request's end, or the next notice (which it then sends).
   awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, const char* what);
 

@@ -33,8 +33,12 @@ awaitable<void> Session::push_begin(Request& request) {
     fail(request.number, id.status());
     co_return;
   }
+  if (coordinator_->groups().knows(id->scene, connection_.get())) co_return co_await begin_share(request, *id);
   SceneGate& gate = coordinator_->gate(id->scene);
   Status status = push_conflict(gate, *id);
+  if (const std::string holders = coordinator_->groups().holders(id->scene); status.ok() && !holders.empty())
+    status = Status(Code::busy, fmt::format("scene '{}' is pushed by {}", id->scene, holders),
+                    "try again when they have closed it");
   if (status.ok() && gate.push)
     coordinator_->give_up(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
   if (status.ok()) {
@@ -57,6 +61,19 @@ awaitable<void> Session::push_begin(Request& request) {
     co_await begin_directly(push);
   else if (push && push->slices.whole())
     co_await order_push(push);
+}
+
+awaitable<void> Session::begin_share(Request& request, const PushId& id) {
+  SceneGate& gate = coordinator_->gate(id.scene);
+  const auto ready = [&gate] { return gate.changes_unfinished == 0 && !gate.push; };
+  const auto joins = [&gate] { return gate.push && gate.push->together; };
+  Status status = co_await wait_turn(request, id.scene, ready, joins);
+  if (status.ok())
+    status =
+        coordinator_->groups().begin({id, connection_, client_, request.number, std::move(request.json), request.end});
+  coordinator_->gate(id.scene).wake();
+  coordinator_->tidy(id.scene);
+  if (!status.ok()) fail(request.number, status);
 }
 
 awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
@@ -113,7 +130,10 @@ awaitable<Status> Session::push_slice(Frame frame) {
     coordinator_->give_up(push, status);
     co_return Status();
   }
-  if (push->slices.whole()) co_await order_push(push);
+  if (push->together && push->slices.whole())
+    coordinator_->groups().share_whole(push);
+  else if (push->slices.whole())
+    co_await order_push(push);
   co_return Status();
 }
 

@@ -36,6 +36,7 @@ struct Command {
 // One table a command family; service.cpp joins them.
 std::span<const Command> scene_commands();
 std::span<const Command> push_commands();
+std::span<const Command> member_commands();
 std::span<const Command> query_commands();
 std::span<const Command> quality_commands();
 std::span<const Command> rebalance_commands();

@@ -37,7 +37,7 @@ struct Service::State {
 
 Service::Service(partition::Comm& comm, const Clock& clock) : state_(new State{comm, clock, {}, {}, {}, {}}) {
   for (const auto table :
-       {scene_commands(), push_commands(), query_commands(), quality_commands(), rebalance_commands(), file_commands()})
+       {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->handlers.emplace(command.name, command.run);
 }
 
