@@ -155,7 +155,7 @@ std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
         ++counts[a * kSampleWords + m * kSampleBins + bin];
       }
     }
-    if (zeros_of_told(maps[0], particles_.position[a], particles_.count, stride) < 0)
+    if (maps[0].even() && zeros_of_told(maps[0], particles_.position[a], particles_.count, stride) < 0)
       ++counts[(a + 1) * kSampleWords - 1];
   }
   return counts;

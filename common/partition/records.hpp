@@ -116,7 +116,8 @@ class Records {
   std::size_t chunk_max_ = 0;
 };
 
-// If value(q) is the coordinate of each: the trailing zero bits that all integers have; else -1. Local.
+// For a map by value. If value(q) is the coordinate of each: the trailing zero bits that all integers have; else -1.
+// Local.
 int zeros_of_told(const AxisMap& map, const double* x, std::size_t count, std::size_t stride);
 
 // Passes over records.
