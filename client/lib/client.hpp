@@ -164,6 +164,7 @@ class Client {
 
  private:
   friend class Scene;
+  friend class MemberScene;
   struct State;
   explicit Client(std::shared_ptr<State> state);
   std::shared_ptr<State> state_;

@@ -74,6 +74,7 @@ Status Mpm::add_body(std::shared_ptr<const Material> material, const Cloud& clou
     position_[a].insert(position_[a].end(), cloud.position[a].begin(), cloud.position[a].end());
     velocity_[a].resize(first + count, velocity[a]);
   }
+  for (std::size_t p = first; p < first + count; ++p) id_.push_back(static_cast<std::int64_t>(p));
   affine_.resize(first + count);
   deformation_.resize(first + count, Mat3::identity());
   memory_.resize(first + count);
@@ -83,12 +84,13 @@ Status Mpm::add_body(std::shared_ptr<const Material> material, const Cloud& clou
   return {};
 }
 
-Status Mpm::advance(double seconds) {
+Status Mpm::advance(double seconds, OtherCores* others) {
   CHECK(seconds > 0, "time goes on");
   const double end = time_ + seconds;
   double remaining = seconds;
   for (std::uint64_t done = 0; remaining > 0; ++done) {
-    const auto speed = update_stress();
+    auto speed = update_stress();
+    if (others != nullptr) speed = others->fastest(*this, speed);
     if (!speed) return speed.status();
     const double pieces = std::max(1.0, std::ceil(remaining / dt_max(*speed)));
     if (!(pieces + static_cast<double>(done) <= static_cast<double>(kSubstepsMax)))
@@ -99,8 +101,11 @@ Status Mpm::advance(double seconds) {
                     "shorten the interval, soften the material or use fewer points");
     const double dt = remaining / pieces;
     particles_to_grid(dt);
+    if (others != nullptr) others->sum_grid(*this);
     update_grid();
-    if (Status status = grid_to_particles(dt); !status.ok()) return status;
+    Status status = grid_to_particles(dt);
+    if (others != nullptr) status = others->agree(status);
+    if (!status.ok()) return status;
     remaining = pieces > 1 ? remaining - dt : 0;
     time_ = end - remaining;  // without the rounding of a sum
   }
@@ -134,6 +139,7 @@ Result<double> Mpm::update_stress() {
                     "the load is too much for this material: a lower speed, a stiffer material or more points help");
     wave_speed = std::max(wave_speed, pass.wave_speed_max);
   }
+  wave_speed_ = wave_speed;
   return wave_speed + speed_max_;
 }
 

@@ -76,6 +76,33 @@ struct Balance {
   double energy() const { return kinetic + elastic + potential; }
 };
 
+// Everything that a point is; may be copied as bytes.
+struct PointState {
+  std::int64_t id = 0;
+  std::uint64_t body = 0;  // in the order of add_body()
+  Vec3 position{};
+  Vec3 velocity{};
+  Mat3 affine;
+  Mat3 deformation;
+  double memory = 0;
+};
+
+class Mpm;
+
+// The cores that hold the other points of the same bodies, each a process or a thread. All call the same in the same
+// order.
+class OtherCores {
+ public:
+  virtual ~OtherCores() = default;
+  // The fastest signal of all cores: their largest wave_speed() and their largest point_speed(), added. `mine`: what
+  // update_stress() said here. A failure of one is everybody's.
+  virtual Result<double> fastest(const Mpm& mpm, const Result<double>& mine) = 0;
+  // Sums momentum and mass, node by node, wherever another core's touched() box reaches too.
+  virtual void sum_grid(Mpm& mpm) = 0;
+  // The first failure of all cores, on every one.
+  virtual Status agree(const Status& mine) = 0;
+};
+
 class Mpm {
  public:
   // Errors: kInvalidArgument (domain, spacing, cfl), kTooLarge (more grid nodes than kNodesMax).
@@ -91,13 +118,16 @@ class Mpm {
 
   // Moves everything on by `seconds` > 0, in as many substeps as invariant 3 asks.
   // Errors: a point left the domain or turned inside out, or kSubstepsMax would be passed; the state is then of no use.
-  Status advance(double seconds);
+  // others: who holds the rest of the points; null: this one holds all. Every core advances by the same.
+  Status advance(double seconds, OtherCores* others = nullptr);
 
   // The parts of a substep, in this order; advance() is nothing but these. Several cores that together hold one body
-  // take the largest of their signal speeds, one dt, and between the second and the third part sum values node by node
-  // within their touched() boxes. Physics is then that of one core but for rounding; impulse() counts gravity on this
-  // core's points only, but the boundaries' share on all nodes that it touched.
-  Result<double> update_stress();  // the fastest signal, m/s; errors: a point turned inside out
+  // take the largest of their wave and point speeds, one dt, and between the second and the third part sum values node
+  // by node within their touched() boxes. Physics is then that of one core but for rounding; impulse() counts gravity
+  // on this core's points only, but the boundaries' share on all nodes that it touched.
+  Result<double> update_stress();                    // the fastest signal, m/s; errors: a point turned inside out
+  double wave_speed() const { return wave_speed_; }  // the two that it is made of
+  double point_speed() const { return speed_max_; }
   double dt_max(double signal_speed) const { return cfl_ * spacing_ / signal_speed; }
   void particles_to_grid(double dt);
   void update_grid();
@@ -109,6 +139,12 @@ class Mpm {
   const std::array<std::size_t, 3>& grid_nodes() const { return nodes_; }
   const Vec3& grid_origin() const { return origin_; }
   const NodeBox& touched() const { return touched_; }
+
+  // Points go to other cores and come from them. leaving: their places here, ascending. Afterwards the points of each
+  // body are in ascending id. Balances of all cores still add up.
+  PointState point(std::size_t p) const;
+  void exchange(std::span<const std::size_t> leaving, std::span<const PointState> arriving);
+  std::span<const std::int64_t> id() const { return id_; }  // [size]; numbered on from 0 by add_body()
 
   std::size_t size() const { return position_[0].size(); }
   std::span<const double> position(std::size_t axis) const { return position_[axis]; }  // [size]
@@ -136,6 +172,8 @@ class Mpm {
 
   explicit Mpm(const MpmOptions& options);
   Stencil stencil(std::size_t p) const;
+  std::size_t body_of(std::size_t p) const;
+  void put(std::size_t p, const PointState& state);
   void clear_grid();
   NodeBox reach() const;
   Vec3 held(const Vec3& x, Vec3 velocity) const;
@@ -152,12 +190,14 @@ class Mpm {
   NodeBox touched_;
 
   std::vector<Body> bodies_;
+  std::vector<std::int64_t> id_;
   std::array<std::vector<double>, 3> position_;
   std::array<std::vector<double>, 3> velocity_;
   std::vector<Mat3> affine_;
   std::vector<Mat3> deformation_;
   std::vector<double> memory_;  // of the laws
   std::vector<Mat3> stress_;    // Kirchhoff
+  double wave_speed_ = 0;
   double speed_max_ = 0;
   double potential_start_ = 0;
   double time_ = 0;

@@ -22,11 +22,12 @@ ARROWS = {
     "client/launch": ["client/lib"],
     "client/cli": ["client/launch", "common/io"],
     "client/solvers": ["client/lib", "common/io"],
+    "client/solvers/mpi": ["client/solvers"],
 }
 
 # header: the folders where it may be included.
 ROOMS = {
-    r"<mpi\.h>": ["server/ranks", "tests/support", "tests/bench"],
+    r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "tests/support", "tests/bench"],
     r"<boost/asio": ["server/net", "client/lib"],
     r"<hdf5\.h>": ["common/io", "tests/common/io"],
 }

@@ -1,0 +1,215 @@
+// MemberScene: the seat, kept over lost connections, and a member's share of a step.
+#include "client/lib/member.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/lib/push_source.hpp"
+#include "client/lib/session.hpp"
+#include "client/lib/step_report.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr double kCloseSeconds = 2;
+constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
+constexpr const char* kAxisNames[] = {"x", "y", "z"};
+
+Status odd_answer(const std::string& why) {
+  return {Code::protocol_error, fmt::format("answer to a member: {}", why),
+          "use a client and a service of the same version"};
+}
+
+template <typename T>
+Result<std::span<const T>> column(const Frame& answer, const char* name, const char* dtype) {
+  const wire::Array* array = wire::find_array(answer.arrays, name);
+  if (array == nullptr || array->dtype != dtype) return odd_answer(fmt::format("no array '{}' {}", name, dtype));
+  return std::span(reinterpret_cast<const T*>(array->bytes.data()), array->bytes.size() / sizeof(T));
+}
+
+}  // namespace
+
+struct MemberScene::State {
+  State(std::shared_ptr<Client::State> of, std::string scene, const MemberOptions& terms)
+      : client(std::move(of)), name(std::move(scene)), options(terms) {}
+
+  ~State() {
+    if (connection_held())
+      static_cast<void>(session().call({{"command", "scene.close"}, {"scene", name}}, kCloseSeconds));
+  }
+
+  Session& session() const { return *client->session; }
+  bool connection_held() const { return session().connected() && connection == session().generation(); }
+
+  Status open(double deadline_seconds);
+  Status ready(const Deadline& deadline);
+  Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
+  Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                     const MemberStepOptions& with, const Deadline& deadline);
+  Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with);
+
+  std::shared_ptr<Client::State> client;
+  std::string name;
+  MemberOptions options;
+  std::uint64_t connection = 0;  // that holds the seat
+  std::uint64_t seat = 0;        // its generation; 0: never had it
+  int dims = 3;
+  std::optional<std::int64_t> last_step;
+  std::int64_t attempt = 0;
+};
+
+Status MemberScene::State::open(double deadline_seconds) {
+  wire::Json request{{"command", "scene.open"},
+                     {"scene", name},
+                     {"member", options.member},
+                     {"members", options.members},
+                     {"follow", options.follow}};
+  // The service may not have noticed yet that the connection before was lost.
+  if (seat > 0) request["generation"] = seat + 1;
+  const auto json = session().call_json(std::move(request), deadline_seconds);
+  if (!json) return json.status();
+  const auto found = json->find("membership");
+  if (found == json->end()) return odd_answer("the service knows no members");
+  const auto generation = wire::integer_field(*found, "generation", 1, kLarge);
+  const auto axes = wire::integer_field(*json, "dims", 1, 3);
+  const auto step = wire::integer_field_or(*json, "step", 0, kLarge, -1);
+  for (const Status& status : {generation.status(), axes.status(), step.status()})
+    if (!status) return odd_answer(status.message());
+  connection = session().generation();
+  seat = static_cast<std::uint64_t>(*generation);
+  dims = static_cast<int>(*axes);
+  last_step = *step >= 0 ? std::optional(*step) : std::nullopt;
+  return {};
+}
+
+Status MemberScene::State::ready(const Deadline& deadline) {
+  if (Status status = session().ensure(deadline); !status) return status;
+  return connection == session().generation() ? Status{} : open(deadline.left_seconds());
+}
+
+Status MemberScene::State::check(const Positions& positions, std::span<const std::int64_t> ids,
+                                 const MemberStepOptions& step) const {
+  const auto wrong = [this](const std::string& message, std::string hint) {
+    return Status(Code::invalid_argument, fmt::format("push to scene '{}': {}", name, message), std::move(hint));
+  };
+  if (positions.dims != dims)
+    return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims),
+                 "create the scene with the positions' dims");
+  if (!positions.by_rank.empty())
+    return wrong("positions in the plan's order", "a member pushes its own particles by rows or axes");
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
+    if (positions.count > 0 && positions.axis[a] == nullptr)
+      return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
+  if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
+  if (ids.size() != positions.count)
+    return wrong(fmt::format("{} ids for {} particles", ids.size(), positions.count), "give one id a particle");
+  if (!step.weights.empty() && step.weights.size() != positions.count)
+    return wrong(fmt::format("{} weights for {} particles", step.weights.size(), positions.count),
+                 "give one weight a particle, or none");
+  if (step.step && *step.step < 0) return wrong(fmt::format("step {}", *step.step), "steps are numbered from 0");
+  if (step.step_seconds && !(*step.step_seconds >= 0 && std::isfinite(*step.step_seconds)))
+    return wrong(fmt::format("a step of {} seconds", *step.step_seconds), "give a finite number >= 0, or none");
+  if (!(step.deadline_seconds > 0))
+    return wrong(fmt::format("a deadline of {} seconds", step.deadline_seconds), "give a number above 0");
+  return {};
+}
+
+Result<Frame> MemberScene::State::push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                                       const MemberStepOptions& with, const Deadline& deadline) {
+  wire::Json begin{{"scene", name},
+                   {"session", session().number()},
+                   {"step", step},
+                   {"attempt", ++attempt},
+                   {"n", positions.count},
+                   {"order", "id"},
+                   {"plan", nullptr},
+                   {"weights", !with.weights.empty()},
+                   {"ids", true},
+                   {"changes", with.want_changes},
+                   {"deadline_seconds", std::clamp(with.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
+  if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
+  std::vector<Column> columns;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
+    columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});
+  if (!with.weights.empty()) columns.push_back({"w", "<f8", with.weights.data(), 1});
+  columns.push_back({"id", "<i8", ids.data(), 1});
+  // One slice with all rows, as they are.
+  const plan::Plan all = plan::Plan::blocks(positions.count, 1, {});
+  const std::uint64_t request = session().next_request();
+  PushSource source(begin, request, all, std::move(columns));
+  return session().exchange(request, source, fmt::format("push of step {} to scene '{}'", step, name), deadline);
+}
+
+Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t step, const MemberStepOptions& with) {
+  const auto json = answer.json();
+  if (!json) return json.status();
+  const auto found = json->find("report");
+  if (found == json->end()) return odd_answer("no 'report'");
+  auto report = read_report(*found);
+  if (!report) return report.status();
+  last_step = std::max(step, last_step.value_or(step));
+  MemberStep result;
+  result.report = std::move(*report);
+  if (with.want_changes) {
+    const auto id = column<std::int64_t>(answer, "changed_id", "<i8");
+    const auto part = column<std::int32_t>(answer, "changed_part", "<i4");
+    if (!id || !part || id->size() != part->size()) return odd_answer("its changes are not as the protocol says");
+    for (std::size_t i = 0; i < id->size(); ++i) result.changes.push_back({(*id)[i], (*part)[i]});
+  }
+  if (!options.follow) return result;
+  const auto leave_id = column<std::int64_t>(answer, "leave_id", "<i8");
+  const auto leave_to = column<std::int32_t>(answer, "leave_to", "<i4");
+  const auto enter_id = column<std::int64_t>(answer, "enter_id", "<i8");
+  const auto enter_from = column<std::int32_t>(answer, "enter_from", "<i4");
+  const auto enter_part = column<std::int32_t>(answer, "enter_part", "<i4");
+  if (!leave_id || !leave_to || !enter_id || !enter_from || !enter_part || leave_id->size() != leave_to->size() ||
+      enter_id->size() != enter_from->size() || enter_id->size() != enter_part->size())
+    return odd_answer("what leaves and enters is not as the protocol says");
+  const auto is_member = [this](std::int32_t k) { return k >= 0 && k < options.members; };
+  if (!std::all_of(leave_to->begin(), leave_to->end(), is_member) ||
+      !std::all_of(enter_from->begin(), enter_from->end(), is_member))
+    return odd_answer("it names a member that there isn't");
+  for (std::size_t i = 0; i < leave_id->size(); ++i) result.leave.push_back({(*leave_id)[i], (*leave_to)[i]});
+  for (std::size_t i = 0; i < enter_id->size(); ++i)
+    result.enter.push_back({(*enter_id)[i], (*enter_from)[i], (*enter_part)[i]});
+  return result;
+}
+
+MemberScene::MemberScene(std::unique_ptr<State> state) : state_(std::move(state)) {}
+MemberScene::MemberScene(MemberScene&&) noexcept = default;
+MemberScene& MemberScene::operator=(MemberScene&&) noexcept = default;
+MemberScene::~MemberScene() = default;
+std::optional<std::int64_t> MemberScene::last_step() const { return state_->last_step; }
+std::uint64_t MemberScene::generation() const { return state_->seat; }
+
+Result<MemberScene> MemberScene::open(Client& client, const std::string& name, const MemberOptions& options) {
+  if (Status status = wire::check_scene_name(name); !status) return status;
+  auto state = std::make_unique<State>(client.state_, name, options);
+  if (Status status = state->open(options.deadline_seconds); !status) return status;
+  return MemberScene(std::move(state));
+}
+
+Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const std::int64_t> ids,
+                                     const MemberStepOptions& options) {
+  const Deadline deadline(with_margin(std::min(options.deadline_seconds, wire::kDeadlineSecondsMax)));
+  std::optional<std::int64_t> step = options.step;
+  if (!step && state_->last_step && *state_->last_step == kLarge)
+    return Status(Code::invalid_argument, "there is no step number left");
+  if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
+  if (Status status = state_->check(positions, ids, options); !status) return status;
+  for (bool mended = false;; mended = true) {
+    Status status = state_->ready(deadline);
+    if (status) {
+      const auto answer = state_->push(positions, ids, *step, options, deadline);
+      if (answer) return state_->read(*answer, *step, options);
+      status = answer.status();
+    }
+    if (status.code() != Code::unavailable || state_->session().connected() || mended) return status;
+  }
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,211 @@
+#include "client/solvers/mpi/cores.hpp"
+
+#include <algorithm>
+#include <array>
+#include <limits>
+#include <numeric>
+#include <string>
+
+#include <fmt/format.h>
+
+namespace rcb::solvers {
+namespace {
+
+constexpr int kNodeDoubles = 4;
+static_assert(sizeof(Node) == kNodeDoubles * sizeof(double));
+
+NodeBox overlap(const NodeBox& a, const NodeBox& b) {
+  NodeBox box;
+  for (std::size_t k = 0; k < 3; ++k) {
+    box.first[k] = std::max(a.first[k], b.first[k]);
+    box.last[k] = std::max(box.first[k], std::min(a.last[k], b.last[k]));
+  }
+  return box;
+}
+
+std::size_t nodes_in(const NodeBox& box) {
+  std::size_t count = 1;
+  for (std::size_t k = 0; k < 3; ++k) count *= box.last[k] - box.first[k];
+  return count;
+}
+
+// Calls apply(first node of a row, nodes in it) for each row of the box.
+template <typename Apply>
+void for_each_row(Mpm& mpm, const NodeBox& box, const Apply& apply) {
+  const auto& nodes = mpm.grid_nodes();
+  const std::size_t length = box.last[2] - box.first[2];
+  for (std::size_t i = box.first[0]; i < box.last[0]; ++i)
+    for (std::size_t j = box.first[1]; j < box.last[1]; ++j)
+      if (length > 0) apply(&mpm.grid()[(i * nodes[1] + j) * nodes[2] + box.first[2]], length);
+}
+
+Node* add_rows(Mpm& mpm, const NodeBox& box, Node* from) {
+  for_each_row(mpm, box, [&from](Node* to, std::size_t length) {
+    for (std::size_t k = 0; k < length; ++k, ++from)
+      for (std::size_t a = 0; a < kNodeDoubles; ++a) to[k].value[a] += from->value[a];
+  });
+  return from;
+}
+
+void copy_rows(Mpm& mpm, const NodeBox& box, std::vector<Node>& to) {
+  for_each_row(mpm, box, [&to](const Node* from, std::size_t length) { to.insert(to.end(), from, from + length); });
+}
+
+// Counts and where each begins, for MPI_Alltoallv.
+struct Layout {
+  std::vector<int> count, first;
+  explicit Layout(const std::vector<std::size_t>& counts) : count(counts.size()), first(counts.size()) {
+    std::size_t at = 0;
+    for (std::size_t r = 0; r < counts.size(); ++r) {
+      CHECK(at + counts[r] <= static_cast<std::size_t>(std::numeric_limits<int>::max()), "a message for MPI");
+      count[r] = static_cast<int>(counts[r]);
+      first[r] = static_cast<int>(at);
+      at += counts[r];
+    }
+  }
+};
+
+}  // namespace
+
+MpiCores::MpiCores(MPI_Comm comm) : comm_(comm) {
+  MPI_Comm_rank(comm_, &rank_);
+  MPI_Comm_size(comm_, &size_);
+}
+
+Result<double> MpiCores::fastest(const Mpm& mpm, const Result<double>& mine) {
+  std::array<double, 3> values{mine ? 0.0 : 1.0, mpm.wave_speed(), mpm.point_speed()};
+  MPI_Allreduce(MPI_IN_PLACE, values.data(), 3, MPI_DOUBLE, MPI_MAX, comm_);
+  if (values[0] > 0) return agree(mine.status());
+  return values[1] + values[2];
+}
+
+void MpiCores::sum_grid(Mpm& mpm) {
+  const auto ranks = static_cast<std::size_t>(size_);
+  const auto me = static_cast<std::size_t>(rank_);
+  std::vector<NodeBox> boxes(ranks);
+  boxes[me] = mpm.touched();
+  static_assert(sizeof(NodeBox) == 6 * sizeof(std::uint64_t));
+  MPI_Allgather(MPI_IN_PLACE, 0, MPI_DATATYPE_NULL, boxes.data(), 6, MPI_UINT64_T, comm_);
+  std::vector<Node> sent;
+  std::vector<std::size_t> counts(ranks, 0);
+  for (std::size_t r = 0; r < ranks; ++r) {
+    if (r == me) continue;
+    const NodeBox common = overlap(boxes[me], boxes[r]);
+    counts[r] = nodes_in(common) * kNodeDoubles;
+    copy_rows(mpm, common, sent);
+  }
+  const Layout layout(counts);  // the same both ways
+  std::vector<Node> received(sent.size());
+  MPI_Alltoallv(sent.data(), layout.count.data(), layout.first.data(), MPI_DOUBLE, received.data(), layout.count.data(),
+                layout.first.data(), MPI_DOUBLE, comm_);
+  std::vector<Node> own;
+  copy_rows(mpm, boxes[me], own);
+  for_each_row(mpm, boxes[me], [](Node* to, std::size_t length) { std::fill(to, to + length, Node{}); });
+  Node* next = received.data();
+  for (std::size_t r = 0; r < ranks; ++r) {
+    if (r == me)
+      add_rows(mpm, boxes[me], own.data());
+    else
+      next = add_rows(mpm, overlap(boxes[me], boxes[r]), next);
+  }
+}
+
+Status MpiCores::agree(const Status& mine) {
+  int first = mine.ok() ? size_ : rank_;
+  MPI_Allreduce(MPI_IN_PLACE, &first, 1, MPI_INT, MPI_MIN, comm_);
+  if (first == size_) return {};
+  std::array<std::uint64_t, 3> head{static_cast<std::uint64_t>(mine.code()), mine.message().size(), mine.hint().size()};
+  MPI_Bcast(head.data(), 3, MPI_UINT64_T, first, comm_);
+  std::string text = mine.message() + mine.hint();
+  text.resize(head[1] + head[2]);
+  MPI_Bcast(text.data(), static_cast<int>(text.size()), MPI_CHAR, first, comm_);
+  return {static_cast<Code>(head[0]), text.substr(0, head[1]), text.substr(head[1])};
+}
+
+Status MpiCores::hand_over(Mpm& mpm, std::span<const client::Leaving> leave, std::span<const client::Entering> enter) {
+  std::vector<std::size_t> by_id(mpm.size());
+  std::iota(by_id.begin(), by_id.end(), std::size_t{0});
+  const auto ids = mpm.id();
+  std::sort(by_id.begin(), by_id.end(), [ids](std::size_t a, std::size_t b) { return ids[a] < ids[b]; });
+  const auto ranks = static_cast<std::size_t>(size_);
+  std::vector<std::vector<PointState>> to(ranks);
+  std::vector<std::size_t> places;
+  Status status;
+  for (const client::Leaving& one : leave) {
+    const auto found = std::lower_bound(by_id.begin(), by_id.end(), one.id,
+                                        [ids](std::size_t place, std::int64_t id) { return ids[place] < id; });
+    if (found == by_id.end() || ids[*found] != one.id) {
+      status = {Code::internal, fmt::format("particle {} is to leave process {}, which hasn't got it", one.id, rank_)};
+      break;
+    }
+    places.push_back(*found);
+    to[static_cast<std::size_t>(one.to)].push_back(mpm.point(*found));
+  }
+  if (Status all = agree(status); !all.ok()) return all;
+  std::vector<std::size_t> leaving(ranks), entering(ranks);
+  std::vector<PointState> sent;
+  for (std::size_t r = 0; r < ranks; ++r) {
+    leaving[r] = to[r].size();
+    sent.insert(sent.end(), to[r].begin(), to[r].end());
+  }
+  for (const client::Entering& one : enter) ++entering[static_cast<std::size_t>(one.from)];
+  std::vector<PointState> arrived(enter.size());
+  MPI_Datatype point = MPI_DATATYPE_NULL;
+  MPI_Type_contiguous(static_cast<int>(sizeof(PointState)), MPI_BYTE, &point);
+  MPI_Type_commit(&point);
+  const Layout out(leaving);
+  const Layout in(entering);
+  MPI_Alltoallv(sent.data(), out.count.data(), out.first.data(), point, arrived.data(), in.count.data(),
+                in.first.data(), point, comm_);
+  MPI_Type_free(&point);
+  std::sort(arrived.begin(), arrived.end(), [](const PointState& a, const PointState& b) { return a.id < b.id; });
+  for (std::size_t k = 0; k < enter.size() && status.ok(); ++k)
+    if (arrived[k].id != enter[k].id)
+      status = {Code::internal,
+                fmt::format("process {} got particle {}, expected {}", rank_, arrived[k].id, enter[k].id)};
+  if (Status all = agree(status); !all.ok()) return all;
+  std::sort(places.begin(), places.end());
+  mpm.exchange(places, arrived);
+  return {};
+}
+
+std::vector<double> MpiCores::gather_positions(const Mpm& mpm, std::uint64_t points) {
+  const std::vector<std::uint64_t> counts = gather(mpm.size());
+  std::vector<std::size_t> of_ids(counts.begin(), counts.end()), of_places(counts.begin(), counts.end());
+  for (std::size_t& count : of_places) count *= 3;
+  std::vector<double> mine;
+  for (std::size_t p = 0; p < mpm.size(); ++p)
+    for (std::size_t a = 0; a < 3; ++a) mine.push_back(mpm.position(a)[p]);
+  std::vector<std::int64_t> ids(rank_ == 0 ? points : 0);
+  std::vector<double> places(rank_ == 0 ? 3 * points : 0);
+  const Layout id_layout(of_ids);
+  const Layout layout(of_places);
+  MPI_Gatherv(mpm.id().data(), static_cast<int>(mpm.size()), MPI_INT64_T, ids.data(), id_layout.count.data(),
+              id_layout.first.data(), MPI_INT64_T, 0, comm_);
+  MPI_Gatherv(mine.data(), static_cast<int>(mine.size()), MPI_DOUBLE, places.data(), layout.count.data(),
+              layout.first.data(), MPI_DOUBLE, 0, comm_);
+  std::vector<double> by_id(places.size());
+  for (std::size_t k = 0; k < ids.size(); ++k)
+    std::copy_n(&places[3 * k], 3, &by_id[3 * static_cast<std::size_t>(ids[k])]);
+  return by_id;
+}
+
+Balance MpiCores::sum(const Balance& mine) {
+  Balance all;
+  static_assert(sizeof(Balance) == 10 * sizeof(double));
+  MPI_Allreduce(&mine, &all, 10, MPI_DOUBLE, MPI_SUM, comm_);
+  return all;
+}
+
+double MpiCores::largest(double mine) {
+  MPI_Allreduce(MPI_IN_PLACE, &mine, 1, MPI_DOUBLE, MPI_MAX, comm_);
+  return mine;
+}
+
+std::vector<std::uint64_t> MpiCores::gather(std::uint64_t mine) {
+  std::vector<std::uint64_t> all(static_cast<std::size_t>(size_));
+  MPI_Allgather(&mine, 1, MPI_UINT64_T, all.data(), 1, MPI_UINT64_T, comm_);
+  return all;
+}
+
+}  // namespace rcb::solvers

@@ -1,0 +1,162 @@
+// MemberScene against a scripted service: what it sends, what it makes of the answer, and how it takes its seat again.
+#include "client/lib/member.hpp"
+
+#include <array>
+#include <optional>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "tests/client/lib/fake_service.hpp"
+
+namespace rcb::client {
+namespace {
+
+using wire::Json;
+
+template <typename T>
+wire::Array array_of(const char* name, const char* dtype, const std::vector<T>& values) {
+  wire::Array array{name, dtype, {values.size()}, {}};
+  array.bytes.assign(std::as_bytes(std::span(values)));
+  return array;
+}
+
+const std::vector<double> kX{0.5, 1.5, 2.5};
+const std::vector<double> kY{10, 11, 12};
+const std::vector<std::int64_t> kIds{7, 3, 900};
+const std::array<const double*, 2> kAxes{kX.data(), kY.data()};
+
+Json seat_reply(int generation, int step) {
+  return {{"scene", "s"},
+          {"dims", 2},
+          {"step", step < 0 ? Json() : Json(step)},
+          {"membership", {{"member", 1}, {"members", 3}, {"generation", generation}, {"follow", true}}}};
+}
+
+Json report(int step) { return {{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}}}}; }
+
+std::vector<wire::Array> news(std::int32_t to = 2) {
+  return {array_of<std::int64_t>("changed_id", "<i8", {3}),  array_of<std::int32_t>("changed_part", "<i4", {4}),
+          array_of<std::int64_t>("leave_id", "<i8", {3, 7}), array_of<std::int32_t>("leave_to", "<i4", {0, to}),
+          array_of<std::int64_t>("enter_id", "<i8", {5}),    array_of<std::int32_t>("enter_from", "<i4", {2}),
+          array_of<std::int32_t>("enter_part", "<i4", {3})};
+}
+
+MemberStepOptions with_changes() {
+  MemberStepOptions options;
+  options.want_changes = true;
+  return options;
+}
+
+TEST(MemberScene, SendsItsOwnParticlesWithTheirIdsAndReadsWhatMoves) {
+  std::vector<Received> got;
+  FakeService service([&got](Peer& peer, int) {
+    peer.greet(2);
+    got.push_back(*peer.receive());
+    peer.reply(got.back(), seat_reply(4, 6));
+    got.push_back(*peer.receive());
+    got.push_back(*peer.receive());
+    peer.reply(got[1], report(7), news());
+    got.push_back(*peer.receive());  // close
+    peer.reply(got.back(), Json::object());
+    peer.receive();
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok()) << client.status().message();
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    ASSERT_TRUE(scene.ok()) << scene.status().message();
+    EXPECT_EQ(scene->generation(), 4U);
+    EXPECT_EQ(scene->last_step(), 6);
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with_changes());
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(result->report.step, 7);
+    EXPECT_EQ(scene->last_step(), 7);
+    ASSERT_EQ(result->leave.size(), 2U);
+    EXPECT_EQ(result->leave[1].id, 7);
+    EXPECT_EQ(result->leave[1].to, 2);
+    ASSERT_EQ(result->enter.size(), 1U);
+    EXPECT_EQ(result->enter[0].from, 2);
+    EXPECT_EQ(result->enter[0].part, 3);
+    ASSERT_EQ(result->changes.size(), 1U);
+    EXPECT_EQ(result->changes[0].part, 4);
+  }
+  service.stop();
+  ASSERT_EQ(got.size(), 4U);
+  EXPECT_EQ(got[0].json["member"], 1);
+  EXPECT_EQ(got[0].json["members"], 3);
+  EXPECT_FALSE(got[0].json.contains("generation"));
+  EXPECT_EQ(got[1].json["command"], "push.begin");
+  EXPECT_EQ(got[1].json["n"], 3);
+  EXPECT_EQ(got[1].json["slices"], 1);
+  EXPECT_EQ(got[1].json["order"], "id");
+  EXPECT_EQ(got[1].json["ids"], true);
+  EXPECT_EQ(got[1].json["step"], 7);
+  ASSERT_EQ(got[2].bulk.size(), 72U);
+  EXPECT_EQ(std::memcmp(got[2].bulk.data(), kX.data(), 24), 0);
+  EXPECT_EQ(std::memcmp(got[2].bulk.data() + 24, kY.data(), 24), 0);
+  EXPECT_EQ(std::memcmp(got[2].bulk.data() + 48, kIds.data(), 24), 0);
+  EXPECT_EQ(got[3].json["command"], "scene.close");
+}
+
+TEST(MemberScene, ReturnsWithAHigherGenerationAndPushesAgain) {
+  std::vector<Json> opened, begun;
+  FakeService service([&](Peer& peer, int number) {
+    peer.greet(2);
+    const auto open = peer.receive();
+    opened.push_back(open->json);
+    peer.reply(*open, seat_reply(number == 0 ? 4 : 5, -1));
+    const auto begin = peer.receive();
+    begun.push_back(begin->json);
+    peer.receive();
+    if (number == 0) return;  // the connection goes before the answer
+    peer.reply(*begin, report(0), news());
+    peer.receive();
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with_changes());
+    EXPECT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(scene->generation(), 5U);
+  }
+  service.stop();
+  ASSERT_EQ(opened.size(), 2U);
+  EXPECT_EQ(opened[1]["generation"], 5);
+  EXPECT_EQ(begun[0]["session"], begun[1]["session"]);
+  EXPECT_EQ(begun[0]["step"], begun[1]["step"]);
+  EXPECT_LT(begun[0]["attempt"], begun[1]["attempt"]);
+}
+
+TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
+  FakeService service([](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(1, -1));
+    for (int k = 0; k < 3; ++k) {
+      const auto begin = peer.receive();
+      peer.receive();
+      if (k == 0) peer.fail(*begin, {Code::aborted, "member 2 has lost its connection", "push again"});
+      if (k == 1) peer.reply(*begin, report(0));           // without what moves
+      if (k == 2) peer.reply(*begin, report(0), news(3));  // to a fourth of three
+    }
+    peer.receive();
+  });
+  auto client = Client::connect({.endpoint = service.endpoint()});
+  auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+  const Positions mine = Positions::axes(kAxes, 3);
+  EXPECT_EQ(scene->step(mine, std::span(kIds).first(2)).status().code(), Code::invalid_argument);
+  EXPECT_EQ(scene->step(Positions::rows(kX.data(), 1, 3), {}).status().code(), Code::invalid_argument);
+  MemberStepOptions late;
+  late.deadline_seconds = 0;
+  EXPECT_EQ(scene->step(mine, kIds, late).status().code(), Code::invalid_argument);
+  const Status aborted = scene->step(mine, kIds).status();
+  EXPECT_EQ(aborted.code(), Code::aborted);
+  EXPECT_NE(aborted.message().find("member 2"), std::string::npos);
+  EXPECT_EQ(scene->step(mine, kIds).status().code(), Code::protocol_error);
+  MemberStepOptions zero;
+  zero.step = 0;
+  EXPECT_EQ(scene->step(mine, kIds, zero).status().code(), Code::protocol_error);
+}
+
+}  // namespace
+}  // namespace rcb::client

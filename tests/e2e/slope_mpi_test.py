@@ -1,0 +1,84 @@
+"""The MPI form of the slope: four processes, each with the points of its own parts, compute what one does."""
+import signal as signals
+import time
+
+from support import *
+
+MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
+POINTS, STEPS = 1500, 8
+
+
+def solver(service, processes, *args, wait=True):
+    command = [MPIRUN, str(processes), os.path.join(BIN, "slope_mpi"), "--points", str(POINTS), "--interval", "0.3",
+               *map(str, args)]
+    environment = dict(os.environ, RCBD_ENDPOINT=service.endpoint)
+    if not wait:
+        return subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True)
+    return subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                          timeout=240)
+
+
+class SlopeMpi(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.service = Service(4)
+        cls.addClassCleanup(cls.service.stop)
+
+    def run_on(self, processes, scene, *more):
+        file = os.path.join(self.service.dir, f"{scene}.npy")
+        done = solver(self.service, processes, "--steps", STEPS, "--parts", 6, "--tolerance", 0.02, "--scene", scene,
+                      "--trajectory", file, "--json", "--check", *more)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        return json.loads(done.stdout), np.load(file)
+
+    def test_four_processes_compute_what_one_does(self):
+        alone, path = self.run_on(1, "alone")
+        four, path_of_four = self.run_on(4, "four")
+        self.assertEqual(path.shape, (STEPS + 1, POINTS, 3))
+        moved = np.abs(path[-1] - path[0]).max()
+        self.assertGreater(moved, 1.0)  # metres: it slides
+        # Sums over the grid are rounded in another order; seen after 8 steps: 6e-14 m.
+        np.testing.assert_allclose(path_of_four, path, rtol=0, atol=1e-9)
+        self.assertEqual(four["substeps"], alone["substeps"])
+        self.assertAlmostEqual(four["energy"]["end"] / alone["energy"]["end"], 1, delta=1e-9)
+        np.testing.assert_allclose(four["momentum"]["end"], alone["momentum"]["end"], rtol=1e-9,
+                                   atol=1e-9 * np.abs(alone["momentum"]["end"]).max())
+        # No point is lost, and (--check) after each step every process held exactly those of its parts.
+        self.assertEqual((len(four["held"]), sum(four["held"])), (4, POINTS))
+        counts = self.service.json("counts", "four")["counts"]
+        of_parts = [k * 6 // 4 for k in range(5)]
+        self.assertEqual(four["held"], [sum(counts[a:b]) for a, b in zip(of_parts, of_parts[1:])])
+        self.assertGreater(four["handed_over"], POINTS // 2)
+        self.assertEqual(alone["handed_over"], 0)
+        self.assertGreater(four["repartitions"], 1)
+        # The same particles by one client: the same cuts.
+        plain = [(r["error"], r["repartitioned"], r["drifted"]) for r in alone["reports"]]
+        self.assertEqual(len(plain), STEPS + 1)
+        self.assertEqual([r["n"] for r in four["reports"]], [POINTS] * (STEPS + 1))
+
+    def test_a_solver_that_is_killed_leaves_the_scene_to_the_next(self):
+        running = solver(self.service, 2, "--steps", 100000, "--scene", "killed", wait=False)
+        try:
+            end = time.monotonic() + 60
+            while time.monotonic() < end:
+                scenes = {s["scene"]: s for s in self.service.json("status")["scenes"]}
+                if scenes.get("killed", {}).get("step"):
+                    break
+                time.sleep(0.1)
+        finally:
+            running.send_signal(signals.SIGTERM)
+            running.communicate(timeout=60)
+        done = solver(self.service, 3, "--steps", 1, "--scene", "killed", "--check")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        self.assertIn("3 processes", done.stdout)
+
+    def test_usage_and_no_service(self):
+        self.assertEqual(solver(self.service, 2, "--parts", 0).returncode, 2)
+        nowhere = solver(self.service, 2, "--endpoint", "unix:/nowhere/s")
+        self.assertEqual(nowhere.returncode, 3, nowhere.stderr)
+        self.assertEqual(nowhere.stderr.count("no service answers"), 1, nowhere.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
