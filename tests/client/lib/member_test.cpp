@@ -42,6 +42,15 @@ std::vector<wire::Array> news(std::int32_t to = 2) {
           array_of<std::int32_t>("enter_part", "<i4", {3})};
 }
 
+// The scene's end, and the connection's.
+void answer_close(Peer& peer, std::vector<Received>* got = nullptr) {
+  const auto close = peer.receive();
+  if (!close) return;
+  peer.reply(*close, Json::object());
+  if (got != nullptr) got->push_back(*close);
+  peer.receive();
+}
+
 MemberStepOptions with_changes() {
   MemberStepOptions options;
   options.want_changes = true;
@@ -57,9 +66,7 @@ TEST(MemberScene, SendsItsOwnParticlesWithTheirIdsAndReadsWhatMoves) {
     got.push_back(*peer.receive());
     got.push_back(*peer.receive());
     peer.reply(got[1], report(7), news());
-    got.push_back(*peer.receive());  // close
-    peer.reply(got.back(), Json::object());
-    peer.receive();
+    answer_close(peer, &got);
   });
   {
     auto client = Client::connect({.endpoint = service.endpoint()});
@@ -111,7 +118,7 @@ TEST(MemberScene, ReturnsWithAHigherGenerationAndPushesAgain) {
     peer.receive();
     if (number == 0) return;  // the connection goes before the answer
     peer.reply(*begin, report(0), news());
-    peer.receive();
+    answer_close(peer);
   });
   {
     auto client = Client::connect({.endpoint = service.endpoint()});
@@ -139,7 +146,7 @@ TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
       if (k == 1) peer.reply(*begin, report(0));           // without what moves
       if (k == 2) peer.reply(*begin, report(0), news(3));  // to a fourth of three
     }
-    peer.receive();
+    answer_close(peer);
   });
   auto client = Client::connect({.endpoint = service.endpoint()});
   auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
