@@ -62,6 +62,20 @@ Status check_shares(const std::vector<PushSlice>& slices, const Scene& scene, co
   return {Code::invalid_argument, fmt::format("the shares have {} particles, {} are announced", count, request.push.n)};
 }
 
+// Which of these is the k-th in ascending id. Where they are 0..n-1 in some order nothing is compared.
+Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
+  constexpr std::uint64_t kNone = ~std::uint64_t{0};
+  const auto n = static_cast<std::uint64_t>(ids.size());
+  Buffer<std::uint64_t> order(n);
+  std::fill(order.begin(), order.end(), kNone);
+  for (std::uint64_t k = 0; k < n; ++k) {
+    const auto place = static_cast<std::uint64_t>(ids[k]);
+    if (place >= n || order[place] != kNone) return order_by_id(ids);
+    order[place] = k;
+  }
+  return order;
+}
+
 // The shares become one slice in ascending id, and `joined` says whose each particle was.
 Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Joined& joined) {
   std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.rank < b.rank; });
@@ -73,7 +87,7 @@ Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Joined& join
     ids.append(ids_of(slice));
     for (std::uint64_t i = 0; i < slice.count; ++i) members.push_back(slice.rank);
   }
-  const Buffer<std::uint64_t> order = order_by_id(ids);
+  const Buffer<std::uint64_t> order = ascending(ids);
   for (const std::uint64_t k : order) {
     joined.id.push_back(ids[k]);
     joined.member.push_back(members[k]);
@@ -159,6 +173,10 @@ Buffer<std::int32_t> parts_by_id(Context& context, const Scene& scene) {
   const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
   Buffer<std::int32_t> sorted(parts.size());
   if (!context.root()) return sorted;
+  if (!scene.ids) {  // ids are places
+    for (std::size_t k = 0; k < ids.size(); ++k) sorted[static_cast<std::size_t>(ids[k])] = parts[k];
+    return sorted;
+  }
   const Buffer<std::uint64_t> order = order_by_id(ids);
   for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = parts[order[k]];
   return sorted;
