@@ -67,6 +67,7 @@ PartitionResult TreeBuilder::build() {
     return std::move(result_);
   }
   measure_all();
+  if (!scale_) result_.counts.resize(at(options_.parts));
   records_.build(particles_, axes_, maps_, options_.limits.chunk_max);
   spans_ = records_.spans();
   for (const Span& span : spans_) starts_.push_back(span.first);
@@ -296,6 +297,7 @@ void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) 
   const std::size_t chunks = starts_.size();
   const std::span<const Span> from = std::span<const Span>(spans_).subspan(parent * chunks, chunks);
   if (child.range.leaf()) {
+    if (!scale_) result_.counts[at(child.range.first)] = child.count;
     for (std::size_t c = 0; c < chunks; ++c) {
       const Record* const end = right ? from[c].last : from[c].middle;
       ends_[c * at(options_.parts) + at(child.range.first)] = static_cast<std::size_t>(end - starts_[c]);

@@ -33,9 +33,10 @@ struct PartitionOptions {
 
 struct PartitionResult {
   CutTree tree;
-  Buffer<std::int32_t> part;     // [local count], the part of each local particle
-  std::uint64_t rounds = 0;      // search rounds (a round: one histogram reduction for a group of nodes)
-  std::uint64_t reductions = 0;  // all collectives used
+  Buffer<std::int32_t> part;          // [local count], the part of each local particle
+  std::vector<std::uint64_t> counts;  // of each part, all ranks; empty where weights count
+  std::uint64_t rounds = 0;           // search rounds (a round: one histogram reduction for a group of nodes)
+  std::uint64_t reductions = 0;       // all collectives used
 };
 
 // The box of all ranks' particles; empty without any. Collective (one reduction).

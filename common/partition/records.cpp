@@ -251,8 +251,11 @@ void count_bins(std::span<const Record> records, std::size_t axis, std::int32_t 
 }
 
 // Written once, compiled twice: with the instruction for the lesser of two integers, where the machine has it, a pass
-// takes half the time.
-__attribute__((target_clones("avx2", "default"))) void widen(QBounds& bounds, std::span<const Record> records) {
+// takes half the time. The thread sanitizer starts too late for the choice, which is made while the program is loaded.
+#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+void widen(QBounds& bounds, std::span<const Record> records) {
   const auto* const lanes = reinterpret_cast<const Lanes*>(records.data());
   Lanes lo{bounds.lo[0], bounds.lo[1], bounds.lo[2], 0};
   Lanes hi{bounds.hi[0], bounds.hi[1], bounds.hi[2], 0};

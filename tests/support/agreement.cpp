@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace rcb::testing {
 namespace {
@@ -45,6 +46,10 @@ partition::PartitionOptions options_of(const JudgeOptions& asked) {
 
 std::string disagreement(const partition::PartitionResult& got, const Share& share, const Judgement& judged) {
   if (std::string wrong = wrong_cut(got.tree, judged); !wrong.empty()) return wrong;
+  std::vector<std::uint64_t> counts(got.counts.size(), 0);
+  for (const std::int32_t part : judged.part)
+    if (!counts.empty()) ++counts[static_cast<std::size_t>(part)];
+  if (counts != got.counts) return fmt::format("counts {}, not {}", got.counts, counts);
   const particles::ParticleView view = share.particles.view();
   if (got.part.size() != view.count) return fmt::format("{} parts for {} particles", got.part.size(), view.count);
   std::vector<std::int32_t> classified(view.count);
