@@ -41,7 +41,8 @@ void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   ranks::EngineOrder out;
   out.number = ++number_;
   doorbells_.ring(out.number, order.text);
-  out.slices = order.slices.empty() ? staged_slices(data_, order.request) : convert(std::move(order.slices));
+  out.slices = staged_slices(data_, order.request);
+  for (service::PushSlice& slice : convert(std::move(order.slices))) out.slices.push_back(std::move(slice));
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;
   out.deadline_seconds = order.deadline_seconds;

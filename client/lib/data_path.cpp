@@ -15,7 +15,6 @@
 namespace rcb::client {
 namespace {
 
-constexpr std::size_t kElementBytes = 8;
 constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;          // that are gathered
 constexpr std::size_t kStraightFrameBytes = std::size_t{8} << 20U;  // that lie ready
 constexpr int kSendBufferBytes = 1 << 20;
@@ -28,28 +27,39 @@ bool consecutive(std::span<const std::uint64_t> rows) {
 // Columns that are one (n, dims) array: column k is element k of each row.
 bool interleaved(std::span<const Column> columns) {
   for (std::size_t k = 0; k < columns.size(); ++k)
-    if (columns[k].by_rank != nullptr || columns[k].stride != columns.size() ||
-        static_cast<const double*>(columns[k].first) != static_cast<const double*>(columns[0].first) + k)
+    if (columns[k].by_rank != nullptr || columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
+        static_cast<const std::byte*>(columns[k].first) !=
+            static_cast<const std::byte*>(columns[0].first) + k * columns[k].bytes)
       return false;
-  return columns.size() > 1;
+  return columns.size() == 2 || columns.size() == 3;
 }
 
-template <std::size_t kDims>
-void gather_rows(const double* first, std::span<const std::uint64_t> rows, double* to) {
+template <std::size_t kDims, typename T>
+void gather_rows(const void* first, std::span<const std::uint64_t> rows, std::byte* out) {
   const std::size_t count = rows.size();
+  const T* values = static_cast<const T*>(first);
+  T* to = reinterpret_cast<T*>(out);
   for (std::size_t i = 0; i < count; ++i) {
-    const double* from = first + rows[i] * kDims;
+    const T* from = values + rows[i] * kDims;
     for (std::size_t k = 0; k < kDims; ++k) to[k * count + i] = from[k];
   }
 }
 
-void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
-  auto* out = reinterpret_cast<std::uint64_t*>(to);
-  const auto* first = static_cast<const std::uint64_t*>(column.first);
+template <typename T>
+void gather_as(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  T* out = reinterpret_cast<T*>(to);
+  const T* first = static_cast<const T*>(column.first);
   if (column.stride == 1)
     for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i]];
   else
     for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i] * column.stride];
+}
+
+void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  if (column.bytes == 8)
+    gather_as<std::uint64_t>(column, rows, to);
+  else
+    gather_as<std::uint32_t>(column, rows, to);
 }
 
 }  // namespace
@@ -71,13 +81,12 @@ struct DataPath::Link {
     if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // sendmsg doesn't write there
   }
 
-  void next_frame(const wire::Json& slice, std::uint64_t request, const plan::Plan& plan,
+  void next_frame(const wire::Json& slice, std::uint64_t request, std::span<const std::uint64_t> all,
                   std::span<const Column> columns) {
-    const auto all = plan.rows(rank);
     const bool straight =
         std::all_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank != nullptr; });
     const std::size_t bytes = straight ? kStraightFrameBytes : kFrameBytes;
-    const std::size_t most = std::max<std::size_t>(1, bytes / (columns.size() * kElementBytes));
+    const std::size_t most = std::max<std::size_t>(1, bytes / particle_bytes(columns));
     const auto rows = all.subspan(sent, std::min<std::size_t>(most, all.size() - sent));
     wire::Json json = slice;
     json["rank"] = rank;
@@ -88,7 +97,7 @@ struct DataPath::Link {
       json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {rows.size()}}});
     wire::FrameHeader header;
     header.request = request;
-    header.bulk_bytes = rows.size() * columns.size() * kElementBytes;
+    header.bulk_bytes = rows.size() * particle_bytes(columns);
     head = wire::encode_frame(header, wire::dump_json(json));
     pieces.clear();
     piece = 0;
@@ -98,26 +107,25 @@ struct DataPath::Link {
   }
 
   void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
-    const std::size_t bytes = rows.size() * kElementBytes;
     if (std::any_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank == nullptr; }))
-      gathered.resize(columns.size() * bytes);
-    if ((columns.size() == 2 || columns.size() == 3) && interleaved(columns)) {
-      const auto* first = static_cast<const double*>(columns[0].first);
-      auto* to = reinterpret_cast<double*>(gathered.data());
+      gathered.resize(rows.size() * particle_bytes(columns));
+    if (interleaved(columns)) {
+      const bool single = columns[0].bytes == sizeof(float);
       if (columns.size() == 3)
-        gather_rows<3>(first, rows, to);
+        (single ? gather_rows<3, float> : gather_rows<3, double>)(columns[0].first, rows, gathered.data());
       else
-        gather_rows<2>(first, rows, to);
+        (single ? gather_rows<2, float> : gather_rows<2, double>)(columns[0].first, rows, gathered.data());
       add(gathered.data(), gathered.size());
       return;
     }
     const bool run = consecutive(rows);
     std::byte* to = gathered.data();
     for (const Column& column : columns) {
+      const std::size_t bytes = rows.size() * column.bytes;
       if (column.by_rank != nullptr) {
-        add(column.by_rank[rank] + sent, bytes);
+        add(column.of_rank(rank, sent), bytes);
       } else if (run && column.stride == 1) {
-        add(static_cast<const std::byte*>(column.first) + rows.front() * kElementBytes, bytes);
+        add(static_cast<const std::byte*>(column.first) + rows.front() * column.bytes, bytes);
       } else {
         gather(column, rows, to);
         add(to, bytes);
@@ -166,14 +174,14 @@ Status DataPath::send_some(Link& link, bool& moved) {
   return {};
 }
 
-Status DataPath::send(const wire::Json& slice, std::uint64_t request, const plan::Plan& plan,
+Status DataPath::send(const wire::Json& slice, std::uint64_t request, const RankRows& rows,
                       std::span<const Column> columns, const std::function<bool()>& answered,
                       const Deadline& deadline) {
-  CHECK(static_cast<std::size_t>(plan.ranks()) == links_.size(), "a connection for each rank");
+  CHECK(rows.size() == links_.size(), "a connection for each rank");
   std::size_t unfinished = 0;
   for (const auto& link : links_) {
     link->sent = 0;
-    link->done = plan.rows(link->rank).empty();
+    link->done = rows[static_cast<std::size_t>(link->rank)].empty();
     unfinished += link->done ? 0U : 1U;
   }
   bool stop = false;
@@ -183,10 +191,11 @@ Status DataPath::send(const wire::Json& slice, std::uint64_t request, const plan
     full.clear();
     for (const auto& link : links_) {
       if (link->done) continue;
-      if (link->between_frames() && !stop) link->next_frame(slice, request, plan, columns);
+      const auto all = rows[static_cast<std::size_t>(link->rank)];
+      if (link->between_frames() && !stop) link->next_frame(slice, request, all, columns);
       if (!link->between_frames())
         if (Status status = send_some(*link, moved); !status) return status;
-      if (link->between_frames() && (stop || link->sent == plan.rows(link->rank).size())) {
+      if (link->between_frames() && (stop || link->sent == all.size())) {
         link->done = true;
         --unfinished;
       } else if (!link->between_frames()) {

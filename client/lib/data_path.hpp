@@ -26,9 +26,9 @@ class DataPath {
   // True while no rank has closed its connection.
   bool stands();
   // slice: what every push.slice says, without rank, first, count and arrays. answered: asked now and then.
-  // A column with `by_rank` holds the ranks' particles in the plan's order; the others are picked by the plan's rows.
+  // A column with `by_rank` holds the ranks' particles in the order they are sent; the others are picked by the rows.
   // Errors: unavailable, deadline_exceeded; the path is then of no use any more.
-  Status send(const wire::Json& slice, std::uint64_t request, const plan::Plan& plan, std::span<const Column> columns,
+  Status send(const wire::Json& slice, std::uint64_t request, const RankRows& rows, std::span<const Column> columns,
               const std::function<bool()>& answered, const Deadline& deadline);
 
  private:

@@ -8,7 +8,7 @@
 namespace rcb::client {
 namespace {
 
-constexpr std::size_t kElementBytes = 8;
+constexpr std::size_t kElementBytesMax = 8;
 constexpr std::size_t kBatchBytes = 1U << 20U;
 constexpr std::size_t kPiecesMax = 48;  // one system call takes a bounded number
 
@@ -22,24 +22,36 @@ Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text));
 
 }  // namespace
 
-PushSource::PushSource(const wire::Json& begin, std::uint64_t request, const plan::Plan& plan,
-                       std::vector<Column> columns)
-    : plan_(plan), columns_(std::move(columns)), request_(request) {
+RankRows all_rows(const plan::Plan& plan) {
+  RankRows rows;
+  for (int rank = 0; rank < plan.ranks(); ++rank) rows.push_back(plan.rows(rank));
+  return rows;
+}
+
+std::size_t particle_bytes(std::span<const Column> columns) {
+  std::size_t bytes = 0;
+  for (const Column& column : columns) bytes += column.bytes;
+  return bytes;
+}
+
+PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
+                       const std::string& edits, int edit_slices)
+    : rows_(std::move(rows)), columns_(std::move(columns)), request_(request) {
   wire::Json json = begin;
   json["command"] = "push.begin";
-  int slices = 0;
-  for (int rank = 0; rank < plan.ranks(); ++rank) slices += plan.rows(rank).empty() ? 0 : 1;
+  int slices = edit_slices;
+  for (const auto& of_rank : rows_) slices += of_rank.empty() ? 0 : 1;
   json["slices"] = slices;
   wire::FrameHeader header;
   header.request = request;
-  begin_frame_ = wire::encode_frame(header, wire::dump_json(json));
+  begin_frame_ = wire::encode_frame(header, wire::dump_json(json)) + edits;
   for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice_json_[name] = begin.at(name);
   slice_json_["command"] = "push.slice";
 }
 
 // The head of rank_'s slice.
 void PushSource::begin_slice() {
-  const std::uint64_t count = plan_.rows(rank_).size();
+  const std::uint64_t count = rows_[static_cast<std::size_t>(rank_)].size();
   wire::Json json = slice_json_;
   json["rank"] = rank_;
   json["count"] = count;
@@ -48,7 +60,7 @@ void PushSource::begin_slice() {
     json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
   wire::FrameHeader header;
   header.request = request_;
-  header.bulk_bytes = count * columns_.size() * kElementBytes;
+  header.bulk_bytes = count * particle_bytes(columns_);
   heads_.push_back(wire::encode_frame(header, wire::dump_json(json)));
   batch_.push_back(bytes_of(heads_.back()));
   batch_bytes_ += heads_.back().size();
@@ -60,21 +72,24 @@ void PushSource::begin_slice() {
 // As much of the current column as the batch takes.
 void PushSource::add_stretch() {
   const Column& column = columns_[column_];
-  const auto all = plan_.rows(rank_);
-  const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - kElementBytes)) / kElementBytes;
+  const auto all = rows_[static_cast<std::size_t>(rank_)];
+  const std::size_t width = column.bytes;
+  const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - width)) / width;
   const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
   const auto* first = static_cast<const std::byte*>(column.first);
-  const std::size_t bytes = rows.size() * kElementBytes;
+  const std::size_t bytes = rows.size() * width;
   if (column.by_rank != nullptr) {
-    batch_.push_back(std::as_bytes(std::span(column.by_rank[rank_] + slot_, rows.size())));
+    batch_.emplace_back(column.of_rank(rank_, slot_), bytes);
   } else if (column.stride == 1 && consecutive(rows)) {
-    batch_.emplace_back(first + rows.front() * kElementBytes, bytes);
+    batch_.emplace_back(first + rows.front() * width, bytes);
   } else {
-    if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytes);
+    if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytesMax);
     std::byte* to = gathered_.data() + gathered_bytes_;
-    const std::size_t step = column.stride * kElementBytes;
-    for (std::size_t i = 0; i < rows.size(); ++i)
-      std::memcpy(to + i * kElementBytes, first + rows[i] * step, kElementBytes);
+    const std::size_t step = column.stride * width;
+    if (width == kElementBytesMax)
+      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * 8, first + rows[i] * step, 8);
+    else
+      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * 4, first + rows[i] * step, 4);
     batch_.emplace_back(to, bytes);
     gathered_bytes_ += bytes;
   }
@@ -101,8 +116,9 @@ std::span<const Bytes> PushSource::next(bool answered) {
   }
   while (batch_bytes_ < kBatchBytes && batch_.size() < kPiecesMax) {
     if (!in_slice_) {
-      while (rank_ < plan_.ranks() && plan_.rows(rank_).empty()) ++rank_;
-      if (rank_ >= plan_.ranks() || answered) break;
+      const int ranks = static_cast<int>(rows_.size());
+      while (rank_ < ranks && rows_[static_cast<std::size_t>(rank_)].empty()) ++rank_;
+      if (rank_ >= ranks || answered) break;
       begin_slice();
       continue;
     }

@@ -19,26 +19,40 @@
 
 namespace rcb::client {
 
-// One array of every slice: elements of 8 bytes, `stride` elements apart, by the caller's row.
+// One array of every slice: elements `stride` elements apart, by the caller's row.
 struct Column {
   std::string name;
   std::string dtype;
   const void* first = nullptr;
   std::size_t stride = 1;
-  const double* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the plan's order
+  const void* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the order they are sent
+  std::size_t bytes = 8;                 // of an element
+
+  const std::byte* of_rank(int rank, std::uint64_t slot) const {
+    return static_cast<const std::byte*>(by_rank[rank]) + slot * bytes;
+  }
 };
+
+// For each rank the rows that its slice holds, in the order they are sent.
+using RankRows = std::vector<std::span<const std::uint64_t>>;
+RankRows all_rows(const plan::Plan& plan);
+
+// The bytes of a particle in all columns.
+std::size_t particle_bytes(std::span<const Column> columns);
 
 class PushSource final : public FrameSource {
  public:
-  // begin: the arguments of push.begin without "slices". The plan and the columns outlive the source.
-  PushSource(const wire::Json& begin, std::uint64_t request, const plan::Plan& plan, std::vector<Column> columns);
+  // begin: the arguments of push.begin without "slices". The rows and the columns outlive the source.
+  // edits: whole frames of inserted and removed particles, as many as edit_slices.
+  PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
+             const std::string& edits, int edit_slices);
   std::span<const Bytes> next(bool answered) override;
 
  private:
   void begin_slice();
   void add_stretch();
 
-  const plan::Plan& plan_;
+  RankRows rows_;
   std::vector<Column> columns_;
   std::uint64_t request_;
   wire::Json slice_json_;           // what all slices have in common

@@ -253,14 +253,15 @@ Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, cons
   return await_answer_to(request, what, deadline);
 }
 
-Result<Frame> Session::exchange_directly(std::uint64_t request, const wire::Json& begin, const wire::Json& slice,
-                                         const plan::Plan& plan, std::span<const Column> columns,
-                                         const std::string& what, const Deadline& deadline) {
+Result<Frame> Session::exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
+                                         const std::vector<std::span<const std::uint64_t>>& rows,
+                                         std::span<const Column> columns, const std::string& what,
+                                         const Deadline& deadline) {
   CHECK(connection_ != nullptr && data_ != nullptr, "a push without its connections");
-  OneFrame frame(wire::FrameType::request, request, begin);
-  if (connection_->write(frame.next(false), deadline)) {
+  const std::array<Bytes, 1> frames{std::as_bytes(std::span(begin))};
+  if (connection_->write(frames, deadline)) {
     const auto answered = [this] { return connection_->has_news(); };
-    const Status sent = data_->send(slice, request, plan, columns, answered, deadline);
+    const Status sent = data_->send(slice, request, rows, columns, answered, deadline);
     if (!sent) {
       give_up_data();
       return Status(Code::aborted, sent.message(), sent.hint());

@@ -55,10 +55,10 @@ class Session {
   Result<Frame> exchange(std::uint64_t request, FrameSource& source, const std::string& what, const Deadline& deadline);
   // The connections to the ranks themselves, opened where that wasn't tried yet; null where there are none.
   DataPath* data(const Deadline& deadline);
-  // The push begins with `begin`, its slices go over data().
-  Result<Frame> exchange_directly(std::uint64_t request, const wire::Json& begin, const wire::Json& slice,
-                                  const plan::Plan& plan, std::span<const Column> columns, const std::string& what,
-                                  const Deadline& deadline);
+  // The push begins with `begin` (whole frames), its slices go over data().
+  Result<Frame> exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
+                                  const std::vector<std::span<const std::uint64_t>>& rows,
+                                  std::span<const Column> columns, const std::string& what, const Deadline& deadline);
   Path path() const { return options_.path; }
   // True after a push whose direct path broke; the next push goes another way, or on new connections.
   bool data_lost();

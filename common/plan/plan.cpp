@@ -30,8 +30,11 @@ Plan::Plan(std::uint64_t count, int ranks, std::span<const Id> ids) : count_(cou
   }
   if (is_row) return;
   ids_.assign(ids.begin(), ids.end());
-  if (ascending) return;
-  rows_by_id_.resize(count);
+  if (!ascending) sort_rows();
+}
+
+void Plan::sort_rows() {
+  rows_by_id_.resize(count_);
   std::iota(rows_by_id_.begin(), rows_by_id_.end(), std::uint64_t{0});
   std::sort(rows_by_id_.begin(), rows_by_id_.end(),
             [&](std::uint64_t a, std::uint64_t b) { return ids_[a] != ids_[b] ? ids_[a] < ids_[b] : a < b; });
@@ -91,6 +94,10 @@ std::optional<std::uint64_t> Plan::row_of_id(Id id) const {
     if (id < 0 || static_cast<std::uint64_t>(id) >= count_) return std::nullopt;
     return static_cast<std::uint64_t>(id);
   }
+  if (index_) {
+    const auto found = index_->find(id);
+    return found == index_->end() ? std::nullopt : std::optional(found->second);
+  }
   std::uint64_t row = count_;
   if (rows_by_id_.empty()) {
     row = static_cast<std::uint64_t>(std::lower_bound(ids_.begin(), ids_.end(), id) - ids_.begin());
@@ -133,6 +140,7 @@ Status Plan::apply_full(std::span<const Change> changes) {
 
 // Every rank lists its particles in ascending id.
 void Plan::list_by_id() {
+  if (index_) sort_rows();  // edits have put the rows out of order
   std::vector<std::uint64_t> counts(rows_.size());
   for (const std::int32_t rank : rank_of_row_) ++counts[static_cast<std::size_t>(rank)];
   for (std::size_t rank = 0; rank < rows_.size(); ++rank) {

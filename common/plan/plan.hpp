@@ -4,7 +4,8 @@
 // Invariants
 // 1. Rank r holds its particles in slots 0..count-1; a full plan lists them in ascending id.
 // 2. The plan before the first partition is blocks by row: rank r has rows [floor(r n/R), floor((r+1) n/R)).
-// 3. version rises with every commit that moved a particle between ranks; checksum is the sum (mod 2^64) of
+// 3. version rises with every commit that moved a particle between ranks, inserted or removed one; checksum is the sum
+// (mod 2^64) of
 //    place_mix(id, rank, slot) over all particles, so it can be updated from the movers alone.
 #pragma once
 
@@ -13,6 +14,8 @@
 #include <optional>
 #include <span>
 #include <vector>
+
+#include <boost/unordered/unordered_flat_map.hpp>
 
 #include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
@@ -79,6 +82,9 @@ class Plan {
   std::span<const std::uint64_t> rows(int rank) const { return rows_[static_cast<std::size_t>(rank)]; }
   int rank_of_row(std::uint64_t row) const { return rank_of_row_[row]; }
   Id id_of_row(std::uint64_t row) const { return ids_.empty() ? static_cast<Id>(row) : ids_[row]; }
+  std::uint64_t slot_of_row(std::uint64_t row) const { return slot_of_row_[row]; }
+  // The ids by row; empty: id = row.
+  std::span<const Id> ids() const { return ids_; }
   // The row of that id; O(log n), O(1) where ids are rows.
   std::optional<std::uint64_t> row_of_id(Id id) const;
 
@@ -88,6 +94,14 @@ class Plan {
   // Cost: O(m log m) for m changes; O(n) for a full change.
   Status apply(std::span<const std::uint64_t> changed_rows, std::span<const std::int32_t> new_ranks, bool first);
 
+  // The plan after a commit's removals and insertions, before its changes of rank. removed_rows: ascending, distinct;
+  // the inserted, with the ranks that own them, in the order given. Returns what becomes of the rows: they change as a
+  // rank's slots do, the inserted taking the removed rows in the order given, the others being appended.
+  // Errors: protocol_error for rows or ranks out of range and ids that are there already; the plan is then as before.
+  // Cost: O(m log m) for m of them; once, O(n) for an index of the ids.
+  Result<RankEdit> edit(std::span<const std::uint64_t> removed_rows, std::span<const Id> inserted_ids,
+                        std::span<const std::int32_t> inserted_ranks);
+
  private:
   struct Change {
     std::uint64_t row;
@@ -96,6 +110,11 @@ class Plan {
 
   Plan(std::uint64_t count, int ranks, std::span<const Id> ids);
   void put(std::uint64_t row, int rank, std::uint64_t slot);
+  void sort_rows();
+  Status check_edit(std::span<const std::uint64_t> removed_rows, std::span<const Id> inserted_ids,
+                    std::span<const std::int32_t> inserted_ranks) const;
+  void edit_ids(const RankEdit& rows, std::span<const std::uint64_t> removed_rows, std::span<const Id> inserted_ids);
+  void edit_rank(int rank, const RankEdit& edit, std::span<const std::uint64_t> arriving);
   void list_by_id();
   Status apply_full(std::span<const Change> changes);
   Status apply_few(std::vector<Change> changes);
@@ -103,9 +122,10 @@ class Plan {
   std::uint64_t count_ = 0;
   std::uint64_t version_ = 0;
   std::uint64_t checksum_ = 0;
-  std::vector<Id> ids_;                           // by row; empty: id = row
-  std::vector<std::uint64_t> rows_by_id_;         // ascending id; empty: rows are in that order
-  std::vector<std::vector<std::uint64_t>> rows_;  // by rank, in slot order
+  std::vector<Id> ids_;                    // by row; empty: id = row
+  std::vector<std::uint64_t> rows_by_id_;  // ascending id; empty: rows are in that order; unless index_
+  std::optional<boost::unordered_flat_map<Id, std::uint64_t>> index_;  // row by id, from the first edit on
+  std::vector<std::vector<std::uint64_t>> rows_;                       // by rank, in slot order
   std::vector<std::int32_t> rank_of_row_;
   std::vector<std::uint64_t> slot_of_row_;
 };

@@ -20,6 +20,9 @@ inline constexpr int kOrdersMax = 64;
 inline constexpr std::int64_t kPartsMax = 1 << 20;
 inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
 inline constexpr int kScenesMax = 1024;
+// Instead of a rank, in slices of particles that have none yet or no more.
+inline constexpr int kInsertedSlice = -1;
+inline constexpr int kRemovedSlice = -2;
 inline constexpr double kDeadlineSecondsDefault = 60;
 inline constexpr double kDeadlineSecondsMax = 3600;
 

@@ -25,7 +25,7 @@ using Json = nlohmann::json;
 // A raw array with its description; bytes are little-endian, C order.
 struct Array {
   std::string name;
-  std::string dtype;  // "<f8", "<i8", "<i4", "<u8"
+  std::string dtype;  // "<f8", "<f4", "<i8", "<i4", "<u8"
   std::vector<std::uint64_t> shape;
   Buffer<std::byte> bytes;
 };

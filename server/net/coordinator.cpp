@@ -125,7 +125,8 @@ std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connect
     if (own == shares.end()) return nullptr;
     push = *own;
   }
-  const bool fits = push->number == 0 && push->slices.terms().id == id && push->connection.get() == connection;
+  const bool here = push->number == 0 || !push->slices.whole();
+  const bool fits = here && push->slices.terms().id == id && push->connection.get() == connection;
   return fits ? push : nullptr;
 }
 
@@ -150,6 +151,8 @@ void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
   push->connection->send(FrameType::failure, push->request, wire::failure_json(why));
 }
 
+bool OpenPush::ready() const { return slices.whole() && std::find(whole.begin(), whole.end(), false) == whole.end(); }
+
 std::string OpenPush::progress() const {
   if (together) return together->progress();
   if (number == 0) return slices.progress();
@@ -164,6 +167,7 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   const auto scene = snapshot_->scenes.find(terms.id.scene);
   std::vector<std::uint64_t> counts;
   if (scene != snapshot_->scenes.end() && scene->second.step) counts = scene->second.rank_counts;
+  if (terms.moved == Moved::some) counts = terms.counts;
   if (counts.empty())  // the first push: blocks by row
     for (std::uint64_t r = 0; r < ranks; ++r)
       counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
@@ -177,7 +181,7 @@ void Coordinator::slice_ended(int rank, std::uint64_t number, const Status& stat
     const std::shared_ptr<OpenPush> push = gate.push;
     if (!status.ok()) return give_up(push, status);
     push->whole[static_cast<std::size_t>(rank)] = true;
-    if (std::find(push->whole.begin(), push->whole.end(), false) == push->whole.end()) push->when_whole();
+    if (push->ready()) push->when_whole();
     return;
   }
 }

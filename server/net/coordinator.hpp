@@ -52,6 +52,7 @@ struct OpenPush {
   std::shared_ptr<MemberPush> together;
   int member = -1;
 
+  bool ready() const;  // nothing of it is still to come
   std::string progress() const;
 };
 

@@ -15,7 +15,9 @@ wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count) {
           {"dims", terms.dims},
           {"ranks", terms.ranks},
           {"weights", terms.weights},
-          {"ids", terms.ids}};
+          {"ids", terms.ids},
+          {"some", terms.moved == Moved::some},
+          {"single", terms.single}};
 }
 
 Result<PushTicket> read_ticket(const wire::Json& json) {
@@ -32,6 +34,8 @@ Result<PushTicket> read_ticket(const wire::Json& json) {
   ticket.terms.ranks = json.value("ranks", 1);
   ticket.terms.weights = json.value("weights", false);
   ticket.terms.ids = json.value("ids", false);
+  ticket.terms.moved = json.value("some", false) ? Moved::some : Moved::all;
+  ticket.terms.single = json.value("single", false);
   return ticket;
 }
 

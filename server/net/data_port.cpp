@@ -225,12 +225,16 @@ struct DataPort::State : std::enable_shared_from_this<State> {
         // A given-up push's memory goes when the last read into it has ended: the buffer moves here meanwhile.
         const std::uint64_t size = std::min(upto - at, kReadBytes);
         Buffer<std::byte> array = std::move(push->arrays[a]);
-        const Status status = co_await connection->read_bulk(array.span().subspan(at, size));
+        const bool single = push->ticket.terms.single && a < static_cast<std::size_t>(push->ticket.terms.dims);
+        const std::span<std::byte> place = array.span().subspan(at, size);
+        const std::span<std::byte> piece = single ? place.last(size / 2) : place;
+        const Status status = co_await connection->read_bulk(piece);
         if (!status.ok()) co_return status;
-        if (checked) checksum.add(array.span().subspan(at, size));
+        if (checked) checksum.add(piece);
+        if (single) widen(place);
         if (!push->over) push->arrays[a] = std::move(array);
         at += size;
-        left -= size;
+        left -= piece.size();
       }
     }
     if (checked) {
@@ -306,7 +310,8 @@ void DataPort::open(PushTicket ticket) {
   auto push = std::make_shared<Incoming>();
   push->ticket = std::move(ticket);
   const PushTerms& terms = push->ticket.terms;
-  const std::size_t arrays = static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.ids ? 1U : 0U);
+  const std::size_t arrays =
+      static_cast<std::size_t>(terms.dims) + (terms.weights ? 1U : 0U) + (terms.last_array() ? 1U : 0U);
   bool fits = true;
   for (std::size_t a = 0; a < arrays && fits; ++a) {
     Buffer<std::byte> buffer = state_->pool.take(terms.id.scene);
@@ -351,12 +356,10 @@ std::vector<Slice> DataPort::take(std::uint64_t number) {
   for (std::size_t a = 0; a < push->arrays.size(); ++a) {
     const bool axis = a < static_cast<std::size_t>(terms.dims);
     const bool weight = !axis && terms.weights && a == static_cast<std::size_t>(terms.dims);
-    slices[0].arrays.push_back({axis     ? kAxes[a]
-                                : weight ? "w"
-                                         : "id",
-                                axis || weight ? "<f8" : "<i8",
-                                {terms.n},
-                                std::move(push->arrays[a])});
+    const bool slots = terms.moved == Moved::some;
+    const char* name = axis ? kAxes[a] : weight ? "w" : slots ? "slot" : "id";
+    const char* dtype = axis || weight ? "<f8" : slots ? "<u8" : "<i8";
+    slices[0].arrays.push_back({name, dtype, {terms.n}, std::move(push->arrays[a])});
   }
   return slices;
 }

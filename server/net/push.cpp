@@ -1,6 +1,8 @@
 #include "server/net/push.hpp"
 
+#include <algorithm>
 #include <array>
+#include <cstring>
 #include <limits>
 
 #include <fmt/format.h>
@@ -8,7 +10,6 @@
 #include "common/wire/limits.hpp"
 
 namespace rcb::net {
-namespace {}  // namespace
 
 Result<PlanId> read_plan(const wire::Json& request) {
   const auto found = request.find("plan");
@@ -35,14 +36,92 @@ Status check_plan(const wire::Json& request, const SceneInfo& scene) {
           "fetch the plan and push again"};
 }
 
-// Names and types of the arrays that every slice of the push has, in this order.
-std::vector<std::pair<std::string, std::string>> expected_arrays(const PushTerms& terms) {
+// Names and types of the arrays that the slice has, in this order.
+std::vector<std::pair<std::string, std::string>> expected_arrays(const PushTerms& terms, int rank) {
   constexpr std::array kAxes{"x", "y", "z"};
   std::vector<std::pair<std::string, std::string>> arrays;
-  for (int axis = 0; axis < terms.dims; ++axis) arrays.emplace_back(kAxes[static_cast<std::size_t>(axis)], "<f8");
-  if (terms.weights) arrays.emplace_back("w", "<f8");
-  if (terms.ids) arrays.emplace_back("id", "<i8");
+  if (rank == wire::kRemovedSlice) return {{"id", "<i8"}};
+  for (int axis = 0; axis < terms.dims; ++axis)
+    arrays.emplace_back(kAxes[static_cast<std::size_t>(axis)], terms.single ? "<f4" : "<f8");
+  const bool inserted = rank == wire::kInsertedSlice;
+  if (inserted ? terms.scene_weights : terms.weights) arrays.emplace_back("w", "<f8");
+  if (inserted ? terms.inserted_ids : terms.ids || (terms.by_id && terms.moved == Moved::some))
+    arrays.emplace_back("id", "<i8");
+  else if (!inserted && terms.moved == Moved::some)
+    arrays.emplace_back("slot", "<u8");
   return arrays;
+}
+
+std::string name_of(int rank) {
+  if (rank == wire::kInsertedSlice) return "the inserted particles";
+  if (rank == wire::kRemovedSlice) return "the removed particles";
+  return fmt::format("rank {}", rank);
+}
+
+// "counts" of a push of few: how many each slice has.
+Status read_counts(const wire::Json& request, PushTerms& terms) {
+  const auto counts = wire::numbers_field_or_empty(request, "counts", static_cast<std::size_t>(terms.ranks));
+  if (!counts.ok()) return counts.status();
+  const std::size_t slices = terms.by_id ? 1 : static_cast<std::size_t>(terms.ranks);
+  if (counts->size() != slices)
+    return {Code::invalid_argument, fmt::format("field 'counts': expected {} numbers, got {}", slices, counts->size())};
+  for (const double count : *counts) {
+    if (!(count >= 0 && count <= static_cast<double>(terms.n - terms.moving)))
+      return {Code::invalid_argument, fmt::format("field 'counts': more than the {} particles of the push", terms.n)};
+    terms.counts.push_back(static_cast<std::uint64_t>(count));
+    terms.moving += terms.counts.back();
+  }
+  return {};
+}
+
+// What moved, what is inserted and removed, in which precision.
+Status read_changes(const wire::Json& request, PushTerms& terms) {
+  const auto moved = request.contains("moved") ? wire::string_field(request, "moved", 16) : std::string("all");
+  if (!moved.ok()) return moved.status();
+  if (*moved != "all" && *moved != "some" && *moved != "none")
+    return {Code::invalid_argument,
+            fmt::format("field 'moved': expected \"all\", \"some\" or \"none\", got \"{}\"", *moved)};
+  terms.moved = *moved == "all" ? Moved::all : *moved == "some" ? Moved::some : Moved::none;
+  const auto dtype = request.contains("dtype") ? wire::string_field(request, "dtype", 16) : std::string("<f8");
+  if (!dtype.ok()) return dtype.status();
+  if (*dtype != "<f8" && *dtype != "<f4")
+    return {Code::invalid_argument, fmt::format("field 'dtype': expected \"<f8\" or \"<f4\", got \"{}\"", *dtype)};
+  terms.single = *dtype == "<f4";
+  for (const auto& [name, count] : {std::pair{"inserted", &terms.inserted}, {"removed", &terms.removed}}) {
+    const auto value = wire::integer_field_or(request, name, 0, wire::kParticlesMax, 0);
+    if (!value.ok()) return value.status();
+    *count = static_cast<std::uint64_t>(*value);
+  }
+  const auto own_ids = wire::bool_field_or(request, "inserted_ids", false);
+  if (!own_ids.ok()) return own_ids.status();
+  terms.inserted_ids = *own_ids;
+  if (terms.moved == Moved::all) terms.moving = terms.n;
+  return terms.moved == Moved::some ? read_counts(request, terms) : Status();
+}
+
+// The number of slices that follow on the control connection.
+Status check_slice_count(const PushTerms& terms) {
+  const std::uint64_t edits = terms.edit_slices();
+  const std::uint64_t moved = terms.slices - std::min(terms.slices, edits);
+  const bool none = terms.direct || terms.moved == Moved::none;
+  const bool too_many = moved > (none ? 0U : static_cast<std::uint64_t>(terms.ranks));
+  const bool too_few =
+      terms.slices < edits || (!terms.direct && terms.moving > 0 && (terms.by_id ? moved != 1 : moved == 0));
+  if (!too_many && !too_few) return {};
+  return {Code::invalid_argument,
+          fmt::format("field 'slices': {} can't carry {} particles in order \"{}\", and {} slices of inserted and "
+                      "removed ones",
+                      terms.slices, terms.direct ? 0 : terms.moving, terms.by_id ? "id" : "plan", edits)};
+}
+
+Status check_base(const wire::Json& request, const SceneInfo& scene) {
+  const auto base = wire::integer_field_or(request, "base_step", 0, std::numeric_limits<std::int64_t>::max(), -1);
+  if (!base.ok()) return base.status();
+  if (*base < 0 || (scene.step && *scene.step == *base)) return {};
+  return {Code::base_lost,
+          scene.step ? fmt::format("the push builds on step {}, the scene is at step {}", *base, *scene.step)
+                     : fmt::format("the push builds on step {}, the scene has no positions yet", *base),
+          "push all particles"};
 }
 
 }  // namespace
@@ -73,7 +152,9 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
 }
 
 std::uint64_t PushTerms::bytes() const {
-  return n * 8 * (static_cast<std::uint64_t>(dims) + (weights ? 1U : 0U) + (ids ? 1U : 0U));
+  const auto point = static_cast<std::uint64_t>(dims);
+  return 8 * (moving * (point + (weights ? 1U : 0U) + (last_array() ? 1U : 0U)) +
+              inserted * (point + (scene_weights ? 1U : 0U) + (inserted_ids ? 1U : 0U)) + removed);
 }
 
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
@@ -82,7 +163,7 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   const auto n = wire::integer_field(request, "n", 0, wire::kParticlesMax);
   if (!n.ok()) return n.status();
   terms.n = static_cast<std::uint64_t>(*n);
-  const auto slices = wire::integer_field(request, "slices", 0, ranks);
+  const auto slices = wire::integer_field(request, "slices", 0, ranks + 2);
   if (!slices.ok()) return slices.status();
   terms.slices = static_cast<std::uint64_t>(*slices);
   const auto order = wire::string_field(request, "order", 16);
@@ -106,10 +187,16 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (terms.direct && terms.by_id)
     return Status(Code::invalid_argument, "slices in order \"id\" can't go to the ranks directly",
                   "push in order \"plan\", or by the path \"gateway\"");
-  if (!terms.direct && terms.n > 0 && (terms.slices == 0 || (terms.by_id && terms.slices != 1)))
-    return Status(Code::invalid_argument, fmt::format("field 'slices': {} can't carry {} particles in order \"{}\"",
-                                                      terms.slices, terms.n, *order));
-  if (scene.step && terms.n != scene.n)
+  const bool repeated = scene.step && id.step <= *scene.step;  // only the service knows what it was
+  if (!repeated)
+    if (Status base = check_base(request, scene); !base.ok()) return base;
+  if (Status changes = read_changes(request, terms); !changes.ok()) return changes;
+  terms.scene_weights = scene.weights;
+  if (terms.direct && terms.moved == Moved::none)
+    return Status(Code::invalid_argument, "a push without slices for the ranks can't go to them",
+                  "push by the path \"gateway\"");
+  if (Status counted = check_slice_count(terms); !counted.ok()) return counted;
+  if (scene.step && !repeated && terms.n != scene.n)
     return Status(Code::invalid_argument,
                   fmt::format("the push has {} particles, scene '{}' has {}", terms.n, id.scene, scene.n),
                   "create the scene anew for another number of particles");
@@ -118,7 +205,7 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
     if (!plan.ok()) return plan.status();
     terms.plan = *plan;
   }
-  if (!terms.by_id && scene.step && id.step > *scene.step) {
+  if (!terms.by_id && terms.moved != Moved::none && scene.step && !repeated) {
     const Status plan = check_plan(request, scene);
     if (!plan.ok()) return plan;
   }
@@ -133,7 +220,7 @@ Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, co
   const auto specs = wire::array_specs(request, bulk_bytes);
   if (!specs.ok()) return specs.status();
   Slice slice{rank, count, {}};
-  const auto expected = expected_arrays(terms);
+  const auto expected = expected_arrays(terms, rank);
   bool match = specs->size() == expected.size();
   for (std::size_t i = 0; match && i < expected.size(); ++i) {
     const wire::ArraySpec& spec = (*specs)[i];
@@ -144,35 +231,66 @@ Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, co
   if (match) return slice;
   std::string names;
   for (const auto& [name, dtype] : expected) names += fmt::format("{}{} {}", names.empty() ? "" : ", ", name, dtype);
-  return Status(Code::invalid_argument, fmt::format("the slice of rank {} must have the arrays {}, each of shape [{}]",
-                                                    slice.rank, names, slice.count));
+  return Status(Code::invalid_argument, fmt::format("the slice of {} must have the arrays {}, each of shape [{}]",
+                                                    name_of(slice.rank), names, slice.count));
+}
+
+void widen(std::span<std::byte> doubles) {
+  constexpr std::size_t kBlock = 1024;
+  std::array<float, kBlock> block;
+  const std::size_t count = doubles.size() / sizeof(double);
+  const std::byte* from = doubles.data() + count * sizeof(float);
+  for (std::size_t i = 0; i < count; i += kBlock) {  // a block is written no further than it was read
+    const std::size_t size = std::min(kBlock, count - i);
+    std::memcpy(block.data(), from + i * sizeof(float), size * sizeof(float));
+    auto* to = reinterpret_cast<double*>(doubles.data()) + i;
+    for (std::size_t k = 0; k < size; ++k) to[k] = static_cast<double>(block[k]);
+  }
 }
 
 Result<Slice> PushSlices::begin_slice(const wire::Json& request, std::uint64_t bulk_bytes) const {
   if (const auto specs = wire::array_specs(request, bulk_bytes); !specs.ok()) return specs.status();
+  const auto holds = request.contains("holds") ? wire::string_field(request, "holds", 16) : std::string("moved");
+  if (!holds.ok()) return holds.status();
+  const auto count = wire::integer_field(request, "count", 0, wire::kParticlesMax);
+  if (!count.ok()) return count.status();
+  const auto particles = static_cast<std::uint64_t>(*count);
+  if (*holds != "moved") {
+    const bool inserted = *holds == "inserted";
+    const int which = inserted ? wire::kInsertedSlice : wire::kRemovedSlice;
+    const std::uint64_t announced = inserted ? terms_.inserted : terms_.removed;
+    if (!inserted && *holds != "removed")
+      return Status(Code::invalid_argument, fmt::format("a slice holds moved, inserted or removed, not '{}'", *holds));
+    if (particles == 0 || particles != announced || ranks_.contains(which))
+      return Status(Code::invalid_argument,
+                    fmt::format("a slice of {} {} particles, {} were announced once", particles, *holds, announced));
+    return make_slice(request, bulk_bytes, terms_, which, particles);
+  }
   const auto rank = wire::integer_field(request, "rank", 0, terms_.ranks - 1);
   if (!rank.ok()) return rank.status();
+  if (terms_.direct)
+    return Status(Code::invalid_argument, fmt::format("the slice of rank {} belongs to its own listener", *rank));
   if (ranks_.contains(static_cast<int>(*rank)))
     return Status(Code::invalid_argument, fmt::format("the slice of rank {} came twice", *rank));
   if (terms_.by_id && *rank != 0)
     return Status(Code::invalid_argument, fmt::format("order \"id\" has a slice for rank 0 alone, not {}", *rank));
-  const auto count = wire::integer_field(request, "count", 0, wire::kParticlesMax);
-  if (!count.ok()) return count.status();
-  const auto particles = static_cast<std::uint64_t>(*count);
-  if (particles > terms_.n - count_)
+  if (particles > terms_.moving - count_)
     return Status(Code::invalid_argument,
                   fmt::format("the slice of rank {} has {} particles, only {} of {} are still to come", *rank,
-                              particles, terms_.n - count_, terms_.n));
+                              particles, terms_.moving - count_, terms_.moving));
+  if (!terms_.counts.empty() && particles != terms_.counts[static_cast<std::size_t>(*rank)])
+    return Status(Code::invalid_argument, fmt::format("the slice of rank {} has {} particles, {} were announced", *rank,
+                                                      particles, terms_.counts[static_cast<std::size_t>(*rank)]));
   return make_slice(request, bulk_bytes, terms_, static_cast<int>(*rank), particles);
 }
 
 Status PushSlices::add(Slice slice) {
-  count_ += slice.count;
+  if (slice.rank >= 0) count_ += slice.count;
   ranks_.insert(slice.rank);
   slices_.push_back(std::move(slice));
-  if (whole() && count_ != terms_.n)
+  if (whole() && !terms_.direct && count_ != terms_.moving)
     return {Code::invalid_argument,
-            fmt::format("the slices have {} particles together, {} were announced", count_, terms_.n)};
+            fmt::format("the slices have {} particles together, {} were announced", count_, terms_.moving)};
   return {};
 }
 

@@ -3,11 +3,12 @@
 // Invariants
 // 1. Every size is bounded by what was announced and checked before memory is made for it, and memory grows with
 //    what arrives: an announcement alone costs nothing.
-// 2. A push is whole when its announced slices are there and their counts add up to n.
+// 2. A push is whole when its announced slices are there and their counts add up to what was announced.
 #pragma once
 
 #include <cstdint>
 #include <set>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -39,6 +40,9 @@ struct PlanId {
 // The field "plan". Errors: invalid_argument.
 Result<PlanId> read_plan(const wire::Json& request);
 
+// Whose positions a push brings.
+enum class Moved { all, some, none };
+
 struct PushTerms {
   PushId id;
   PlanId plan;  // as the client says; of the direct path alone
@@ -50,8 +54,18 @@ struct PushTerms {
   bool weights = false;
   bool ids = false;
   bool direct = false;  // the slices go to the ranks themselves
+  Moved moved = Moved::all;
+  bool single = false;                // positions come as float32
+  std::uint64_t moving = 0;           // particles whose positions come
+  std::vector<std::uint64_t> counts;  // moved some: of each rank; order "id": of the one slice
+  std::uint64_t inserted = 0;
+  std::uint64_t removed = 0;
+  bool inserted_ids = false;   // the solver's own
+  bool scene_weights = false;  // hence of the inserted
 
-  std::uint64_t bytes() const;  // of all arrays; at most 2^54
+  bool last_array() const { return ids || moved == Moved::some; }  // ids or slots, behind the positions and weights
+  std::uint64_t edit_slices() const { return (inserted > 0 ? 1U : 0U) + (removed > 0 ? 1U : 0U); }
+  std::uint64_t bytes() const;  // of all arrays in memory; at most 2^55
 };
 
 // Reads a push.begin and holds it against what is known of its scene. A step that isn't above the scene's last is let
@@ -64,6 +78,9 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
 // Errors: invalid_argument, protocol_error (the connection must end).
 Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,
                          std::uint64_t count);
+
+// float32 values in the last half of `doubles` become doubles in all of it. Exact.
+void widen(std::span<std::byte> doubles);
 
 // What has come of a push.
 class PushSlices {

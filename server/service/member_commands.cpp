@@ -23,8 +23,8 @@ struct MemberRequest {
   bool follow = false;
 };
 
-Result<MemberRequest> read_member_push(const wire::Json& request) {
-  auto push = read_push(request);
+Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
+  auto push = read_push(request, ranks);
   if (!push.ok()) return push.status();
   const auto members = wire::integer_field(request, "members", 1, wire::kSessionsMax);
   if (!members.ok()) return members.status();
@@ -238,7 +238,7 @@ std::vector<wire::Array> news(const Scene& scene, const MemberRequest& request, 
 Response push_members(Context& context, const wire::Json& request) {
   const auto scene = find_scene(context, request);
   if (!scene.ok()) return failed(scene.status());
-  auto members = read_member_push(request);
+  auto members = read_member_push(request, context.comm.size());
   if (!members.ok()) return failed(members.status());
   const double start = context.clock.seconds();
   Joined joined;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 #include <numeric>
+#include <tuple>
 #include <type_traits>
 #include <utility>
 
@@ -169,10 +170,20 @@ void rebuild(Scene& scene, const Leavers& leavers, Arrivals& arrivals) {
   sort_by_id(scene.particles, scene.part);
 }
 
+// The index of ids, where there is one, follows an edit that raises the plan's version by one.
+void keep_index(Scene& scene, const plan::RankEdit& edit, const Leavers& leavers, const Arrivals& arrivals) {
+  IdIndex& index = scene.index;
+  if (index.plan_version != scene.plan_version) return;
+  for (const std::uint64_t slot : leavers.slots) index.slot.erase(scene.particles.id[slot]);
+  for (const plan::SlotMove& move : edit.moves)
+    index.slot[move.arrival ? arrivals.particles.id[move.from] : scene.particles.id[move.from]] = move.to;
+  index.plan_version = scene.plan_version + 1;
+}
+
 // A small change: free slots are filled, the rest stays where it is. Returns what the plan's checksum gains.
-std::uint64_t fill_holes(Scene& scene, int rank, const Leavers& leavers, Arrivals& arrivals) {
-  sort_by_id(arrivals.particles, arrivals.part);
-  const plan::RankEdit edit = plan::edit_of_rank(scene.part.size(), leavers.slots, arrivals.part.size());
+std::uint64_t fill_holes(Scene& scene, int rank, const Leavers& leavers, Arrivals& arrivals,
+                         const plan::RankEdit& edit) {
+  keep_index(scene, edit, leavers, arrivals);
   const std::uint64_t gain = plan::checksum_change(edit, rank, scene.particles.id.span(), leavers.slots,
                                                    std::as_const(arrivals.particles.id).span());
   for_each_array(scene, arrivals,
@@ -187,7 +198,9 @@ void hand_over(partition::Comm& comm, Scene& scene, const Leavers& leavers, Arri
     rebuild(scene, leavers, arrivals);
     checksum = plan::checksum_of_rank(comm.rank(), scene.particles.id.span());
   } else {
-    checksum = fill_holes(scene, comm.rank(), leavers, arrivals);
+    sort_by_id(arrivals.particles, arrivals.part);
+    checksum = fill_holes(scene, comm.rank(), leavers, arrivals,
+                          plan::edit_of_rank(scene.part.size(), leavers.slots, arrivals.part.size()));
   }
   comm.all_sum({&checksum, 1});
   scene.plan_checksum = full ? checksum : scene.plan_checksum + checksum;
@@ -229,6 +242,38 @@ std::uint64_t migrate_drifted(partition::Comm& comm, Scene& scene, const Drift& 
   Arrivals arrivals = exchange_leavers(comm, scene, leavers, from, sums.migrating);
   hand_over(comm, scene, leavers, std::move(arrivals), plan::is_full_change(sums.migrating, scene.n));
   return sums.migrating;
+}
+
+void apply_edits(partition::Comm& comm, Scene& scene, Edits& edits, Drift& drift) {
+  Leavers leavers;
+  leavers.slots = std::move(edits.removed_slots);
+  Arrivals arrivals{std::move(edits.arriving), std::move(edits.arriving_part)};
+  const plan::RankEdit edit = plan::edit_of_rank(scene.part.size(), leavers.slots, arrivals.part.size());
+  // Particles behind the new end have gone into holes before it: ascending slots, but into ascending holes.
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> moved;
+  for (const plan::SlotMove& move : edit.moves)
+    if (!move.arrival) moved.emplace_back(move.from, move.to);
+  bool any = false;
+  for (std::uint64_t& slot : drift.slot) {
+    if (slot < edit.new_count) continue;
+    const auto found = std::lower_bound(moved.begin(), moved.end(), std::pair{slot, std::uint64_t{0}});
+    CHECK(found != moved.end() && found->first == slot, "a drifted particle is gone");
+    slot = found->second;
+    any = true;
+  }
+  if (any) {
+    std::vector<std::pair<std::uint64_t, std::int32_t>> sorted;
+    for (std::size_t k = 0; k < drift.count(); ++k) sorted.emplace_back(drift.slot[k], drift.part[k]);
+    std::sort(sorted.begin(), sorted.end());
+    for (std::size_t k = 0; k < sorted.size(); ++k) std::tie(drift.slot[k], drift.part[k]) = sorted[k];
+  }
+  std::uint64_t checksum = fill_holes(scene, comm.rank(), leavers, arrivals, edit);
+  comm.all_sum({&checksum, 1});
+  scene.plan_checksum += checksum;
+  ++scene.plan_version;
+  scene.n = scene.n + edits.inserted - edits.removed;
+  scene.ids = edits.ids;
+  scene.id_next = edits.id_next;
 }
 
 }  // namespace rcb::service

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "server/service/changes.hpp"
 #include "server/service/context.hpp"
 #include "server/service/scan.hpp"
 
@@ -16,5 +17,9 @@ std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first);
 
 // The same after a step without new cuts: only particles that drifted are looked at. sums.migrating > 0. Collective.
 std::uint64_t migrate_drifted(partition::Comm& comm, Scene& scene, const Drift& drift, const StepSums& sums);
+
+// Insertions and removals take place: particles, parts, n, ids and the plan; drift's slots are brought up to date.
+// Collective.
+void apply_edits(partition::Comm& comm, Scene& scene, Edits& edits, Drift& drift);
 
 }  // namespace rcb::service

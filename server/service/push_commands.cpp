@@ -30,11 +30,15 @@ Response repeated(const Context& context, const Scene& scene, const PushRequest&
 }
 
 Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes,
-                std::optional<std::int64_t> previous_step) {
+                Buffer<std::int32_t> inserted_part, std::optional<std::int64_t> previous_step) {
   Response response = done({{"report", to_json(report)},
                             {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
                             {"plan", plan_json(scene)}});
   if (!push.changes) return response;
+  if (!inserted_part.empty() || push.what.inserted > 0) {
+    const std::uint64_t inserted = inserted_part.size();
+    response.arrays.push_back(make_array("inserted_part", "<i4", inserted, inserted_part.release_as<std::byte>()));
+  }
   const std::uint64_t count = changes.id.size();
   response.arrays.push_back(make_array("changed_id", "<i8", count, changes.id.release_as<std::byte>()));
   response.arrays.push_back(make_array("changed_part", "<i4", count, changes.part.release_as<std::byte>()));
@@ -43,6 +47,7 @@ Response answer(const Scene& scene, const StepReport& report, const PushRequest&
 
 // What the commit swapped out is what the next push is received into, so that a step touches no fresh memory.
 void give_back(Context& context, const Scene& scene, const PushRequest& push, Staged& staged) {
+  if (push.what.moved == Moved::none) return;  // what is kept stays for the next that moves
   Spare spare{scene.name, {}};
   if (push.staged) {
     for (auto& axis : staged.arrays.position)
@@ -55,7 +60,7 @@ void give_back(Context& context, const Scene& scene, const PushRequest& push, St
 Response push(Context& context, const wire::Json& request) {
   const auto scene = find_scene(context, request);
   if (!scene.ok()) return failed(scene.status());
-  const auto push = read_push(request);
+  const auto push = read_push(request, context.comm.size());
   if (!push.ok()) return failed(push.status());
   if (is_repeated(*scene.value(), push.value())) return repeated(context, *scene.value(), push.value());
   auto staged = prepare(context, *scene.value(), push.value());
@@ -65,7 +70,8 @@ Response push(Context& context, const wire::Json& request) {
   const StepReport report = commit(context, *scene.value(), *staged, push.value(), push->changes ? &changes : nullptr);
   give_back(context, *scene.value(), push.value(), *staged);
   if (!previous_step) ::malloc_trim(0);  // a first partition frees much that later steps don't need again
-  return answer(*scene.value(), report, push.value(), std::move(changes), previous_step);
+  return answer(*scene.value(), report, push.value(), std::move(changes), std::move(staged->edits.inserted_part),
+                previous_step);
 }
 
 constexpr Command kCommands[] = {{"push", push}};

@@ -20,22 +20,27 @@ wire::Json to_json(const StepSeconds& seconds) {
 }
 
 wire::Json to_json(const StepReport& report) {
-  return {{"scene", report.scene},
-          {"step", report.step},
-          {"epoch", report.epoch},
-          {"n", report.n},
-          {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
-          {"error", report.error},
-          {"imbalance", report.imbalance},
-          {"repartitioned", report.repartitioned},
-          {"reason", report.reason},
-          {"axes_flipped", report.axes_flipped},
-          {"drifted", report.drifted},
-          {"moved", report.moved},
-          {"migrated", report.migrated},
-          {"skipped", report.skipped},
-          {"bytes", report.bytes},
-          {"seconds", to_json(report.seconds)}};
+  wire::Json json{{"scene", report.scene},
+                  {"step", report.step},
+                  {"epoch", report.epoch},
+                  {"n", report.n},
+                  {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
+                  {"error", report.error},
+                  {"imbalance", report.imbalance},
+                  {"repartitioned", report.repartitioned},
+                  {"reason", report.reason},
+                  {"axes_flipped", report.axes_flipped},
+                  {"drifted", report.drifted},
+                  {"moved", report.moved},
+                  {"migrated", report.migrated},
+                  {"inserted", report.inserted},
+                  {"removed", report.removed},
+                  {"scanned", report.scanned},
+                  {"skipped", report.skipped},
+                  {"bytes", report.bytes},
+                  {"seconds", to_json(report.seconds)}};
+  if (report.first_id) json["first_id"] = *report.first_id;
+  return json;
 }
 
 }  // namespace rcb::service

@@ -34,8 +34,12 @@ struct StepReport {
   std::uint64_t drifted = 0;
   std::uint64_t moved = 0;
   std::uint64_t migrated = 0;
+  std::uint64_t inserted = 0;
+  std::uint64_t removed = 0;
+  std::optional<std::int64_t> first_id;  // of the inserted, where the service chose their ids
+  std::uint64_t scanned = 0;             // particles whose positions came and were looked at
   std::vector<std::string> skipped;
-  std::uint64_t bytes = 0;
+  std::uint64_t bytes = 0;  // received
   StepSeconds seconds;
 };
 

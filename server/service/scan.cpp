@@ -19,12 +19,12 @@ class Pending {
   Pending(const Scene& scene, const particles::ParticleView& view, Scan& scan)
       : scene_(scene), view_(view), scan_(scan) {}
 
-  void add(std::size_t slot) {
+  // i: the particle's place in the view.
+  void add(std::size_t i, std::size_t slot) {
     if (slot_.empty()) reserve();
     slot_.push_back(slot);
-    for (std::size_t a = 0; a < static_cast<std::size_t>(view_.dims); ++a)
-      position_[a].push_back(view_.position[a][slot]);
-    id_.push_back(view_.id[slot]);
+    for (std::size_t a = 0; a < static_cast<std::size_t>(view_.dims); ++a) position_[a].push_back(view_.position[a][i]);
+    id_.push_back(view_.id[i]);
     if (slot_.size() == kPending) flush();
   }
 
@@ -107,8 +107,15 @@ void scan_blocks(const std::array<const double*, 3>& x, std::size_t count, const
     }
     if (outside == 0) continue;
     for (std::size_t i = begin; i < begin + size; ++i)
-      if (!is_inside<kDims>(x, bounds[static_cast<std::size_t>(part[i] - first)], i)) pending.add(i);
+      if (!is_inside<kDims>(x, bounds[static_cast<std::size_t>(part[i] - first)], i)) pending.add(i, i);
   }
+}
+
+template <std::size_t kDims>
+void scan_each(const std::array<const double*, 3>& x, std::span<const std::uint64_t> slots, const std::int32_t* part,
+               std::span<const PartBounds> bounds, std::int32_t first, Pending& pending) {
+  for (std::size_t k = 0; k < slots.size(); ++k)
+    if (!is_inside<kDims>(x, bounds[static_cast<std::size_t>(part[slots[k]] - first)], k)) pending.add(k, slots[k]);
 }
 
 bool bad_weights(const double* weight, std::size_t count) {
@@ -152,6 +159,23 @@ Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank,
   }
   pending.flush();
   if (view.weight != nullptr) scan.fault |= bad_weights(view.weight, view.count);
+  return scan;
+}
+
+Scan scan_subset(Scene& scene, const particles::ParticleView& view, std::span<const std::uint64_t> slots, int rank,
+                 int ranks) {
+  Scan scan;
+  if (slots.empty()) return scan;
+  refresh_bounds(scene, rank, ranks);
+  const auto first = static_cast<std::int32_t>(plan::part_begin(rank, scene.options.parts, ranks));
+  Pending pending(scene, view, scan);
+  if (view.dims == 1)
+    scan_each<1>(view.position, slots, scene.part.data(), scene.bounds, first, pending);
+  else if (view.dims == 2)
+    scan_each<2>(view.position, slots, scene.part.data(), scene.bounds, first, pending);
+  else
+    scan_each<3>(view.position, slots, scene.part.data(), scene.bounds, first, pending);
+  pending.flush();
   return scan;
 }
 

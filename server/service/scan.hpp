@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "common/base/buffer.hpp"
@@ -32,6 +33,10 @@ struct Scan {
 // Local. view: the new positions (and weights, if any) of the scene's particles, with its ids.
 // Cost: one read of the positions; no memory but for particles near or beyond their region's bounds.
 Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank, int ranks);
+
+// The same of few: view holds, with their ids, the particles of these ascending slots. Local.
+Scan scan_subset(Scene& scene, const particles::ParticleView& view, std::span<const std::uint64_t> slots, int rank,
+                 int ranks);
 
 // What all ranks' scans come to.
 struct StepSums {

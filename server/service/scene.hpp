@@ -14,6 +14,8 @@
 #include <string>
 #include <vector>
 
+#include <boost/unordered/unordered_flat_map.hpp>
+
 #include "common/base/buffer.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/cut_tree.hpp"
@@ -51,6 +53,12 @@ struct alignas(64) PartBounds {
   geometry::Point hi;
 };
 
+// Where this rank holds which id; made at a scene's first need, then kept up with the particles.
+struct IdIndex {
+  boost::unordered_flat_map<particles::Id, std::uint64_t> slot;
+  std::optional<std::uint64_t> plan_version;  // that it tells of
+};
+
 struct Scene {
   static constexpr std::size_t kRememberedSteps = 1024;
 
@@ -75,6 +83,9 @@ struct Scene {
 
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
+
+  IdIndex index;
+  std::optional<std::uint64_t> id_next;  // above every id ever used; known from the first insertion or removal on
 
   std::optional<std::int64_t> step;
   std::deque<std::pair<std::int64_t, std::string>> recent_steps;  // ascending

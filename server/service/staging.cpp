@@ -159,11 +159,12 @@ Status check_header(const Scene& scene, const PushRequest& push) {
   if (scene.pushed && push.n != scene.n)
     return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
             "push all of the scene's particles, or create a scene anew with --replace"};
+  if (Status status = check_changes(scene, push.what, push.weights); !status.ok()) return status;
   if (scene.pushed && push.ids) return {Code::invalid_argument, "ids may come with a scene's first push alone"};
   if (scene.pushed && push.weights && !scene.particles.has_weights)
     return {Code::invalid_argument, fmt::format("scene '{}' has no weights", scene.name),
             "weights must be there from the first push on"};
-  if (scene.pushed && !push.by_id &&
+  if (scene.pushed && !push.by_id && push.what.moved != Moved::none &&
       (push.plan_version != scene.plan_version || push.plan_checksum != scene.plan_checksum))
     return {
         Code::stale_plan,
@@ -208,7 +209,7 @@ bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
 
 }  // namespace
 
-Result<PushRequest> read_push(const wire::Json& request) {
+Result<PushRequest> read_push(const wire::Json& request, int ranks) {
   PushRequest push;
   const auto session = wire::string_field(request, "session", 64);
   if (!session.ok()) return session.status();
@@ -249,8 +250,9 @@ Result<PushRequest> read_push(const wire::Json& request) {
     push.step_seconds = seconds.value();
   }
   push.staged = request.contains("staged");
-  if (request.contains("base_step") && !request["base_step"].is_null())
-    return Status(Code::unsupported, "base_step: partial pushes are not offered by this version", "push everything");
+  auto what = read_changes(request, push.by_id, ranks);
+  if (!what.ok()) return what.status();
+  push.what = std::move(*what);
   return push;
 }
 
@@ -320,17 +322,32 @@ Status check_first(partition::Comm& comm, const PushRequest& push, std::uint64_t
 }
 
 // A later push: one pass and one reduction. `ready`: what this rank knows to be wrong. Collective.
-Status check_later(partition::Comm& comm, Scene& scene, const Status& ready, Staged& staged) {
+Status check_later(partition::Comm& comm, Scene& scene, Moved moved, const Status& ready, Staged& staged) {
   particles::ParticleView view = staged.arrays.view();
-  view.count = scene.particles.count();
-  view.id = scene.particles.id.data();
-  if (ready.ok()) staged.scan = scan_positions(scene, view, comm.rank(), comm.size());
+  const bool all = moved == Moved::all;
+  if (all) {
+    view.count = scene.particles.count();
+    view.id = scene.particles.id.data();
+  }
+  if (ready.ok())
+    staged.scan = all ? scan_positions(scene, view, comm.rank(), comm.size())
+                      : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());
+  forget_removed(staged.edits, staged.scan.drift);
   staged.sums = sum_scans(comm, scene, staged.scan, !ready.ok() || staged.scan.fault);
   if (staged.sums.faults == 0) return {};
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
   Status status = check_values(comm, view, false, 0);
   CHECK(!status.ok(), "the pass found a fault that isn't there");
   return status;
+}
+
+// Of all arrays as they were received.
+std::uint64_t bytes_of(const Scene& scene, const PushRequest& push) {
+  const PushChanges& what = push.what;
+  const std::uint64_t point = static_cast<std::uint64_t>(scene.options.dims) * (what.single ? 4U : 8U);
+  const std::uint64_t beside = (push.weights ? 8U : 0U) + (push.ids || what.moved == Moved::some ? 8U : 0U);
+  const std::uint64_t inserted = point + (scene.particles.has_weights ? 8U : 0U) + (what.own_ids ? 8U : 0U);
+  return what.moving(push.n) * (point + beside) + what.inserted * inserted + what.removed * 8;
 }
 
 }  // namespace
@@ -354,10 +371,20 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   staged.ids = scene.pushed ? scene.ids : push.ids;
   staged.arrays.dims = scene.options.dims;
   staged.arrays.has_weights = push.weights;
-  staged.bytes = push.n * 8 * array_names(scene, push).size();
+  staged.bytes = bytes_of(scene, push);
+  auto edits = prepare_edits(context, scene, push.what);
+  if (!edits.ok()) return edits.status();
+  staged.edits = std::move(*edits);
+  if (push.what.moved == Moved::none) {
+    staged.seconds = context.received_seconds + context.clock.seconds() - start;
+    return staged;
+  }
   const std::uint64_t mine = scene.pushed ? scene.particles.count() : held_by(scene, push.n, comm.rank(), comm.size());
   Status ready;
-  if (push.staged) {
+  if (push.what.moved == Moved::some) {
+    Status status = receive_subset(context, scene, push.what, push.by_id, push.staged, staged.arrays, staged.subset);
+    if (!status.ok()) return status;
+  } else if (push.staged) {
     ready = check_own_slice(context, scene, push, mine);
     if (ready.ok()) take_own_slice(context, push, staged);
     if (!scene.pushed)
@@ -365,7 +392,8 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   } else if (Status status = distribute(context, scene, push, mine, staged); !status.ok()) {
     return status;
   }
-  const Status checked = scene.pushed ? check_later(comm, scene, ready, staged) : check_first(comm, push, mine, staged);
+  const Status checked =
+      scene.pushed ? check_later(comm, scene, push.what.moved, ready, staged) : check_first(comm, push, mine, staged);
   if (!checked.ok()) return checked;
   staged.seconds = context.received_seconds + context.clock.seconds() - start;
   return staged;

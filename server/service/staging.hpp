@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 
+#include "server/service/changes.hpp"
 #include "server/service/context.hpp"
 #include "server/service/scan.hpp"
 
@@ -22,20 +23,23 @@ struct PushRequest {
   bool changes = false;
   bool staged = false;                 // every rank has its slice already
   std::optional<double> step_seconds;  // the solver's own, since its last push
+  PushChanges what;
 };
 
 struct Staged {
   std::uint64_t n = 0;
   bool ids = false;               // ids aren't 0..n-1
   particles::ParticleSet arrays;  // this rank's; ids only at a first push, weights only if they came with it
-  std::uint64_t bytes = 0;        // of all arrays as received
-  double seconds = 0;             // to receive and stage
-  Scan scan;                      // of a later step
+  Subset subset;                  // moved some: the slots of `arrays`, which has their ids then
+  Edits edits;
+  std::uint64_t bytes = 0;  // of all arrays as received
+  double seconds = 0;       // to receive and stage
+  Scan scan;                // of a later step
   StepSums sums;
 };
 
 // Local. Errors: invalid_argument.
-Result<PushRequest> read_push(const wire::Json& request);
+Result<PushRequest> read_push(const wire::Json& request, int ranks);
 
 // The particles that rank r holds before a push of n: those of its parts, or its block of rows. Local.
 std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks);

@@ -121,15 +121,24 @@ void gather_changes(partition::Comm& comm, PartChanges& local, PartChanges& all)
   }
 }
 
-void note_skips(const Scene& scene, StepReport& report) {
+void note_skips(const Scene& scene, const PushChanges& what, StepReport& report) {
   if (scene.options.dims < 3) report.skipped.emplace_back("dimension");
   if (!scene.particles.has_weights) report.skipped.emplace_back("weights");
   if (!scene.ids) report.skipped.emplace_back("ids");
+  if (what.single) report.skipped.emplace_back("double precision");
+  if (what.moved != Moved::all) report.skipped.emplace_back("motion");
   if (report.migrated == 0) report.skipped.emplace_back("exchange");
   if (!report.repartitioned) report.skipped.emplace_back("search");
 }
 
-void take_positions(Scene& scene, Staged& staged) {
+void take_positions(Scene& scene, Staged& staged, Moved moved) {
+  if (moved == Moved::none) return;
+  if (moved == Moved::some) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
+      for (std::size_t k = 0; k < staged.subset.slot.size(); ++k)
+        scene.particles.position[a][staged.subset.slot[k]] = staged.arrays.position[a][k];
+    return;
+  }
   for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
     scene.particles.position[a].swap(staged.arrays.position[a]);
   if (staged.arrays.has_weights) scene.particles.weight.swap(staged.arrays.weight);
@@ -192,7 +201,8 @@ Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_com
   return decide(input);
 }
 
-// The parts that prepare() found come into force; `drift` is left with the old ones.
+// The parts that prepare() found come into force; `drift` is left with the old ones. Then the particles that are
+// inserted and removed. Collective.
 void take_drift(Context& context, Scene& scene, Staged& staged) {
   Drift& drift = staged.scan.drift;
   const bool weighted = scene.particles.has_weights;
@@ -202,10 +212,17 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
     context.comm.all_sum(change);
   }
   for (std::size_t k = 0; k < drift.count(); ++k) std::swap(scene.part[drift.slot[k]], drift.part[k]);
-  if (weighted && (staged.sums.drifted > 0 || staged.arrays.has_weights)) {
+  Edits& edits = staged.edits;
+  if (edits.any()) apply_edits(context.comm, scene, edits, drift);
+  if (!weighted && change.empty() && edits.any()) change.resize(scene.loads.counts.size());
+  if (!weighted) {
+    for (const std::int32_t part : edits.inserted_part) ++change[static_cast<std::size_t>(part)];
+    for (const std::int32_t part : edits.removed_parts) --change[static_cast<std::size_t>(part)];
+  }
+  if (weighted && (staged.sums.drifted > 0 || staged.arrays.has_weights || edits.any())) {
     scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
                                              scene.options.part_sizes, scene.options.parts);
-  } else if (staged.sums.drifted > 0) {
+  } else if (staged.sums.drifted > 0 || edits.any()) {
     std::vector<std::uint64_t> counts = std::move(scene.loads.counts);
     for (std::size_t p = 0; p < counts.size(); ++p) counts[p] += change[p];
     scene.loads = partition::summarise_counts(std::move(counts), scene.options.part_sizes);
@@ -215,8 +232,11 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
 void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Buffer<std::int32_t>& old_part,
                 StepReport& report) {
   const double imbalance_computed_under = scene.loads.imbalance;
-  take_positions(scene, staged);
+  take_positions(scene, staged, push.what.moved);
   take_drift(context, scene, staged);
+  report.inserted = staged.edits.inserted;
+  report.removed = staged.edits.removed;
+  report.first_id = staged.edits.first_id;
   report.drifted = staged.sums.drifted;
   const double error_before = scene.loads.error;
   report.error_before = error_before;
@@ -279,6 +299,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   report.scene = scene.name;
   report.step = push.step;
   report.bytes = staged.bytes;
+  report.scanned = push.what.moving(push.n);
   report.seconds.receive = staged.seconds;
 
   Buffer<std::int32_t> old_part;  // before new cuts; the drift undone, before the step
@@ -313,7 +334,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   if (changes != nullptr && first) mine = all_changes(scene);
   if (changes != nullptr && any) gather_changes(context.comm, mine, *changes);
 
-  note_skips(scene, report);
+  note_skips(scene, push.what, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;
   remember(scene, push, report, context.root());
   return report;

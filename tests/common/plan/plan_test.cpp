@@ -88,6 +88,25 @@ class Service {
     }
   }
 
+  // The protocol's words on removals and insertions: those that go leave free slots, those that come arrive.
+  void edit(const std::set<Id>& removed, const std::map<Id, std::int32_t>& inserted) {
+    if (removed.empty() && inserted.empty()) return;
+    ++version_;
+    count_ = count_ - removed.size() + inserted.size();
+    for (std::size_t r = 0; r < held_.size(); ++r) {
+      std::vector<std::uint64_t> leaving;
+      std::vector<Id> arriving;
+      for (std::size_t slot = 0; slot < held_[r].size(); ++slot)
+        if (removed.contains(held_[r][slot])) leaving.push_back(slot);
+      for (const auto& [id, rank] : inserted)
+        if (rank == static_cast<std::int32_t>(r)) arriving.push_back(id);
+      const std::vector<Id> now = naive_edit(held_[r].span(), leaving, arriving);
+      const int rank = static_cast<int>(r);
+      checksum_ += checksum_of_rank(rank, now) - checksum_of_rank(rank, held_[r].span());
+      held_[r].assign(now);
+    }
+  }
+
   std::vector<Buffer<Id>> held_;
   std::uint64_t count_;
   std::uint64_t version_ = 0;
@@ -188,6 +207,75 @@ TEST(Plan, ClientAndServiceDeriveTheSame) {
   }
   EXPECT_GT(fulls, 100);
   EXPECT_GT(fews, 100);
+}
+
+// Rows as PROTOCOL.md's rule for slots has them.
+std::vector<Id> ids_of(const Plan& plan) {
+  std::vector<Id> ids;
+  for (std::uint64_t row = 0; row < plan.count(); ++row) ids.push_back(plan.id_of_row(row));
+  return ids;
+}
+
+TEST(Plan, EditsAndChangesOfRankInTurn) {
+  for (std::uint64_t seed = 1; seed <= 90; ++seed) {
+    SCOPED_TRACE(testing::Message() << "seed " << seed);
+    Random random(seed);
+    const std::size_t count = random.below(4) == 0 ? random.below(5) : random.below(300);
+    const int ranks = 1 + static_cast<int>(random.below(6));
+    const std::vector<Id> ids = some_ids(random, count, static_cast<int>(seed % 3));
+    Plan plan = Plan::blocks(count, ranks, ids);
+    Service service(ids, ranks);
+    for (int step = 0; step < 25; ++step) {
+      std::vector<std::uint64_t> removed;
+      std::set<Id> removed_ids;
+      const std::uint64_t share = 1 + random.below(20);
+      for (std::uint64_t row = 0; row < plan.count(); ++row)
+        if (random.below(share + 1) == 0 && random.below(2) == 0) {
+          removed.push_back(row);
+          removed_ids.insert(plan.id_of_row(row));
+        }
+      std::vector<Id> inserted;
+      std::vector<std::int32_t> inserted_ranks;
+      std::map<Id, std::int32_t> inserted_rank;
+      for (std::uint64_t k = random.below(3) == 0 ? 0 : random.below(20); k > 0; --k) {
+        const auto id = random.below(3) == 0 ? static_cast<Id>(plan.count() + inserted.size())
+                                             : static_cast<Id>(random.next() >> 1U);
+        if (plan.row_of_id(id) || inserted_rank.contains(id)) continue;
+        inserted.push_back(id);
+        inserted_ranks.push_back(static_cast<std::int32_t>(random.below(static_cast<std::uint64_t>(ranks))));
+        inserted_rank[id] = inserted_ranks.back();
+      }
+      const std::vector<Id> rows = naive_edit(ids_of(plan), removed, inserted);
+      const auto edited = plan.edit(removed, inserted, inserted_ranks);
+      ASSERT_TRUE(edited.ok()) << edited.status().message();
+      service.edit(removed_ids, inserted_rank);
+      ASSERT_EQ(ids_of(plan), rows);
+      expect_same(plan, service);
+      for (std::uint64_t row = 0; row < plan.count(); ++row) ASSERT_EQ(plan.row_of_id(rows[row]), row);
+      const Moves moves = some_moves(random, plan, random.below(plan.count() / 8 + 2), -1);
+      ASSERT_TRUE(plan.apply(moves.rows, moves.ranks, false).ok());
+      service.commit(moves.by_id, false);
+      expect_same(plan, service);
+      if (HasFatalFailure() || HasNonfatalFailure()) return;
+    }
+  }
+}
+
+TEST(Plan, AnEditThatCannotBeChangesNothing) {
+  Plan plan = Plan::blocks(10, 2, {});
+  const std::uint64_t before = plan.checksum();
+  const auto refuse = [&](std::vector<std::uint64_t> rows, std::vector<Id> ids, std::vector<std::int32_t> ranks) {
+    EXPECT_EQ(plan.edit(rows, ids, ranks).status().code(), Code::protocol_error);
+    EXPECT_EQ(plan.checksum(), before);
+    EXPECT_EQ(plan.count(), 10U);
+  };
+  refuse({10}, {}, {});
+  refuse({3, 3}, {}, {});
+  refuse({}, {9}, {0});
+  refuse({9}, {9}, {0});
+  refuse({}, {12, 12}, {0, 0});
+  refuse({}, {12}, {2});
+  refuse({}, {12}, {});
 }
 
 TEST(Plan, BlocksAreByRowEvenWithoutOrder) {
