@@ -62,6 +62,10 @@ struct Positions {
   // Where the solver keeps its arrays in the plan's order: by_rank[r][a] is axis a of rank r's particles, slot by slot.
   std::span<const std::array<const double*, 3>> by_rank;
   std::uint64_t plan_version = 0;  // of that plan
+  // Instead of `axis` and `by_rank`, where the solver has float32: they travel as they are, half the bytes, and count
+  // as the doubles that they are exactly.
+  std::array<const float*, 3> axis_f4{};
+  std::span<const std::array<const float*, 3>> by_rank_f4;
 
   // xyz: [count][dims], C order.
   static Positions rows(const double* xyz, std::size_t count, int dims);
@@ -71,6 +75,21 @@ struct Positions {
   // step.
   static Positions in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
+  // The same of float32.
+  static Positions rows(const float* xyz, std::size_t count, int dims);
+  static Positions axes(std::span<const float* const> axes, std::size_t count);
+  static Positions in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
+                                 std::size_t count, int dims);
+
+  bool single() const;         // float32
+  bool in_plan_order() const;  // by_rank or by_rank_f4
+};
+
+// Particles that a step adds.
+struct Insertion {
+  Positions positions;                // [count], in rows or axes; double or float32 as those of the step
+  std::span<const std::int64_t> ids;  // [count], distinct, not in the scene; empty: the service chooses them
+  std::span<const double> weights;    // [count] if the scene has weights, else empty
 };
 
 struct StepReport {
@@ -87,6 +106,10 @@ struct StepReport {
   std::uint64_t drifted = 0;
   std::uint64_t moved = 0;
   std::uint64_t migrated = 0;
+  std::uint64_t inserted = 0;
+  std::uint64_t removed = 0;
+  std::optional<std::int64_t> first_id;  // of the inserted, where the service chose their ids: they are consecutive
+  std::uint64_t scanned = 0;             // particles whose positions came
   std::vector<std::string> skipped;
   std::uint64_t bytes = 0;
   double seconds_receive = 0, seconds_exchange = 0, seconds_search = 0, seconds_migrate = 0, seconds_total = 0;
@@ -106,15 +129,33 @@ struct StepOptions {
   std::span<const double> weights;  // [count]; empty: none, or unchanged
   // What the solver computed since its last push, on its slowest process; a scene of the policy "cost" decides by it.
   std::optional<double> step_seconds;
+  // Rows that moved since this Scene's last step, distinct, in any order; all others stand where they stood then, and
+  // aren't sent. Empty: nothing moved. Not given: all. Where the service can't build on that step it is sent all.
+  // Not with positions in the plan's order, nor with new weights.
+  std::optional<std::span<const std::uint64_t>> moved;
+  std::span<const std::int64_t> removed;  // ids, distinct, of particles that the scene has
+  const Insertion* inserted = nullptr;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
   double deadline_seconds = 60;
 };
 
+// What a step with removals and insertions makes of the rows: row `to` is now what was row `from` or, where `inserted`,
+// the inserted particle number `from`. A solver does the same with its arrays, in any order.
+struct RowMove {
+  std::uint64_t to;
+  std::uint64_t from;
+  bool inserted;
+};
+
 struct StepResult {
   StepReport report;
-  std::vector<std::int32_t> parts;  // by row
-  std::vector<PartChange> changes;  // ascending row; all rows at the first step of this Scene
+  std::vector<std::int32_t> parts;  // by row, as the rows are after the step
+  std::vector<PartChange> changes;  // ascending row; all rows at the first step of this Scene; the inserted among them
+  // Removed rows are taken by the inserted, in ascending row and the order given. More: they are appended. Fewer: the
+  // last rows, ascending, take the free ones, ascending.
+  std::vector<RowMove> row_moves;
+  std::vector<std::int64_t> inserted_ids;  // in the order given
 };
 
 // Which of the solver's particles each rank holds, in which order.
@@ -125,7 +166,7 @@ struct PlanView {
 
 struct Array {
   std::string name;
-  std::string dtype;  // "<f8", "<i8", "<i4", "<u8"
+  std::string dtype;  // "<f8", "<f4", "<i8", "<i4", "<u8"
   std::vector<std::uint64_t> shape;
   Buffer<std::byte> bytes;
 
@@ -179,6 +220,13 @@ class Scene {
   // Pushes one step; returns when it is committed everywhere, or given up with the previous step standing.
   // A stale plan and a lost connection are mended once before a failure is returned.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
+  // A step in which nothing moved: one round trip, for a caller without its positions at hand. Removals and insertions
+  // are taken. Errors also: base_lost, where the service's last step isn't this Scene's: push all positions.
+  Result<StepResult> step_unmoved(const StepOptions& options = {});
+  // A step in which these particles moved: positions[k] is that of ids[k], [ids.size()], in rows or axes; for a caller
+  // without all positions at hand (else: StepOptions::moved). Errors also: base_lost, as above.
+  Result<StepResult> step_moved(std::span<const std::int64_t> ids, const Positions& positions,
+                                const StepOptions& options = {});
   std::optional<std::int64_t> last_step() const;
   // The plan of the next push; it stands until that push. Fetched where it isn't known. A solver that pushes in its
   // order asks after every step that migrated (the version tells), and gives the version back with its positions: a

@@ -26,7 +26,19 @@ Scene& Scene::operator=(Scene&&) noexcept = default;
 Scene::~Scene() = default;
 std::optional<std::int64_t> Scene::last_step() const { return state_->last_step(); }
 Result<StepResult> Scene::step(const Positions& positions, const StepOptions& options) {
-  return state_->step(positions, options);
+  const auto moved = options.moved ? Ask::Moved::rows : Ask::Moved::all;
+  return state_->step({positions, options, moved, {}});
+}
+
+Result<StepResult> Scene::step_unmoved(const StepOptions& options) {
+  Positions none;
+  none.dims = state_->dims();
+  return state_->step({none, options, Ask::Moved::none, {}});
+}
+
+Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Positions& positions,
+                                     const StepOptions& options) {
+  return state_->step({positions, options, Ask::Moved::ids, ids});
 }
 
 Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
@@ -94,6 +106,7 @@ Status Scene::State::open_again(const Deadline& deadline) {
   if (opened.code() == Code::not_found)
     return {Code::not_found, fmt::format("{} it has no scene '{}'", lost, name_), advice};
   if (!opened) return opened;
+  if (pushed_ && had_positions && count_ == count_if_committed_) count_ = had_count;  // its answer was lost
   if (!had_positions || (pushed_ && count_ == had_count)) return {};
   const Status status(Code::not_found,
                       pushed_ ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, count_, had_count)

@@ -12,10 +12,37 @@
 #include <string>
 #include <vector>
 
+#include "client/lib/push_source.hpp"
 #include "client/lib/session.hpp"
 #include "common/plan/plan.hpp"
 
 namespace rcb::client {
+
+// One step as its caller asks for it.
+struct Ask {
+  enum class Moved { all, rows, ids, none };
+
+  Positions positions;
+  StepOptions options;
+  Moved moved = Moved::all;           // rows: options.moved of all positions; ids: positions are those of `ids` alone
+  std::span<const std::int64_t> ids;  // that moved
+
+  bool edits() const { return !options.removed.empty() || options.inserted != nullptr; }
+  std::size_t inserted() const { return options.inserted == nullptr ? 0 : options.inserted->positions.count; }
+  bool whole() const { return moved == Moved::all || moved == Moved::rows; }  // all positions are at hand
+};
+
+// Few particles of a plan, by rank, in ascending slot.
+struct Selection {
+  std::vector<std::vector<std::uint64_t>> slots;
+  std::vector<std::vector<std::uint64_t>> places;  // in the caller's arrays
+};
+
+// What the removals and insertions of a step are to the rows.
+struct RowEdit {
+  std::vector<std::uint64_t> removed;  // ascending
+  plan::RankEdit moves;
+};
 
 struct Scene::State {
  public:
@@ -23,24 +50,36 @@ struct Scene::State {
   ~State();
 
   Status open(double deadline_seconds);
-  Result<StepResult> step(const Positions& positions, const StepOptions& options);
+  Result<StepResult> step(Ask ask);
+  int dims() const { return dims_; }
   std::optional<std::int64_t> last_step() const { return last_step_; }
   Result<PlanView> plan(double deadline_seconds);
 
  private:
   Session& session() const { return *client_->session; }
   Status take_description(const wire::Json& json);
-  Status check(const Positions& positions, const StepOptions& options) const;
+  Status wrong(std::string message, std::string hint) const;
+  Status check(const Ask& ask) const;
+  Status check_positions(const Ask& ask) const;
+  Status check_edits(const Ask& ask) const;
   Status check_plan_order(const Positions& positions) const;
   // Connection, open scene and plan, whichever is missing.
-  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Deadline& deadline);
+  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Deadline& deadline, bool with_plan = true);
   Status open_again(const Deadline& deadline);
   // On success plan_, parts_ and ids_ are new; on failure all is as before.
   Status fetch_plan(std::span<const std::int64_t> ids, const Deadline& deadline);
-  Result<Frame> push(const Positions& positions, const StepOptions& options, std::int64_t step,
-                     const Deadline& deadline);
-  Result<StepResult> finish(const Frame& answer, std::int64_t step, const Positions& positions,
-                            const StepOptions& options, const Deadline& deadline);
+  Result<Frame> push(const Ask& ask, std::int64_t step, std::optional<std::int64_t> base, const Deadline& deadline);
+  Result<Frame> send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const Ask& ask,
+                     const std::string& what, const Deadline& deadline);
+  Result<StepResult> finish(const Frame& answer, std::int64_t step, const Ask& ask, const Deadline& deadline);
+  // Where the moved particles stand in the plan. Errors: invalid_argument, not_found.
+  Result<Selection> select(const Ask& ask) const;
+  // Errors: not_found, invalid_argument (ids that the scene hasn't, or twice).
+  Result<RowEdit> row_edit(const Ask& ask) const;
+  // Rows, ids and parts after the edit; the plan where the answer tells enough, else it is dropped.
+  void edit_rows(const Ask& ask, const RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
+                 StepResult& result);
+  void move_rows(const RowEdit& edit, std::span<const std::int64_t> ids, std::span<const std::int32_t> parts);
   Status apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes);
   std::vector<PartChange> all_parts() const;
   std::vector<PartChange> changes_since_known() const;
@@ -60,10 +99,11 @@ struct Scene::State {
   std::optional<std::int64_t> last_step_;
   std::int64_t attempt_ = 0;
   std::optional<plan::Plan> plan_;
-  std::vector<std::int64_t> ids_;    // by row, once they are the scene's; empty: id = row
-  std::vector<std::int32_t> parts_;  // by row
-  std::vector<std::int32_t> known_;  // what the caller was told, where parts_ was fetched since; else empty
-  bool told_ = false;                // a step was answered: changes are counted from there
+  std::vector<std::int64_t> ids_;         // by row, once they are the scene's; empty: id = row
+  std::vector<std::int32_t> parts_;       // by row
+  std::vector<std::int32_t> known_;       // what the caller was told, where parts_ was fetched since; else empty
+  std::uint64_t count_if_committed_ = 0;  // by the push that is under way
+  bool told_ = false;                     // a step was answered: changes are counted from there
 };
 
 }  // namespace rcb::client

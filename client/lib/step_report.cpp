@@ -61,6 +61,10 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("drifted", report.drifted);
   reader.count("moved", report.moved);
   reader.count("migrated", report.migrated);
+  reader.count("inserted", report.inserted);
+  reader.count("removed", report.removed);
+  reader.count("scanned", report.scanned);
+  if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));
   reader.count("bytes", report.bytes);
   if (const auto skipped = json.find("skipped"); skipped != json.end() && skipped->is_array())
     for (const wire::Json& entry : *skipped)
