@@ -72,11 +72,12 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
 
 }  // namespace
 
-void add_file_options(CLI::App& command, FileOptions& options) {
-  command.add_option("FILE", options.path, "CSV or text, .xyz, .npy, or FILE.h5:/path")->required();
+CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
+  CLI::Option* file = command.add_option("FILE", options.path, "CSV or text, .xyz, .npy, or FILE.h5:/path")->required();
   command.add_option("--dims", options.dims, "1, 2 or 3 (default: the columns named x, y, z, or all)")
       ->check(CLI::Range(1, 3));
   command.add_option("--weights", options.weights, "the column of weights, by name or number from 0");
+  return file;
 }
 
 std::string absolute_path(const std::string& path) { return std::filesystem::absolute(path).string(); }

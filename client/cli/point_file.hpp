@@ -19,7 +19,7 @@ struct FileOptions {
   std::string weights;  // a column; empty: none
 };
 
-void add_file_options(CLI::App& command, FileOptions& options);
+CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 
 // The one frame of a point file or of a trajectory of one. Errors: those of io; invalid_argument for more frames.
 Result<io::Points> read_single(const FileOptions& options);

@@ -18,6 +18,10 @@ constexpr const char* kStepSecondsHelp = "what the solver computed for this step
 struct PushOptions {
   std::string name;
   FileOptions file;
+  bool subset = false;
+  bool unmoved = false;
+  FileOptions inserted;
+  std::vector<std::int64_t> removed;
   std::optional<std::int64_t> step;
   std::optional<double> step_seconds;
 };
@@ -34,6 +38,29 @@ struct ReplayOptions {
   std::string history;
 };
 
+// Positions that float32 holds exactly travel as float32: half the bytes, the same values.
+class Sent {
+ public:
+  explicit Sent(const io::Points& points) : points_(points) {
+    for (const auto& axis : points.position)
+      for (const double value : axis)
+        if (static_cast<double>(static_cast<float>(value)) != value) return;
+    for (const auto& axis : points.position) single_.emplace_back(axis.begin(), axis.end());
+  }
+  bool single() const { return !single_.empty() && points_.count > 0; }
+  client::Positions positions(bool as_single) const {
+    if (!as_single) return positions_of(points_);
+    std::vector<const float*> axes;
+    for (const auto& axis : single_) axes.push_back(axis.data());
+    return client::Positions::axes(axes, points_.count);
+  }
+  client::Positions positions() const { return positions(single()); }
+
+ private:
+  const io::Points& points_;
+  std::vector<std::vector<float>> single_;
+};
+
 void print_report(const Json& report) {
   Facts facts;
   facts.add("step", fmt::format("{}, epoch {}", text_of(report, "step"), text_of(report, "epoch")));
@@ -48,22 +75,41 @@ void print_report(const Json& report) {
 }
 
 Status push(const PushOptions& options, const Context& context) {
+  if (options.file.path.empty() && !options.unmoved && options.inserted.path.empty() && options.removed.empty())
+    return {Code::usage, "push: FILE, --unmoved, --insert or --remove is wanted", "rcbctl push --help"};
   auto client = connect(context);
   if (!client) return client.status();
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
   if (!shown) return shown.status();
-  FileOptions file = options.file;
-  if (file.dims == 0) file.dims = shown->at("dims").get<int>();
-  auto points = read_single(file);
+  const int dims = shown->at("dims").get<int>();
+  const auto read = [dims](FileOptions file) -> Result<io::Points> {
+    if (file.path.empty()) return io::Points{.dims = dims};
+    if (file.dims == 0) file.dims = dims;
+    return read_single(file);
+  };
+  const auto points = read(options.file);
   if (!points) return points.status();
+  const auto inserted = read(options.inserted);
+  if (!inserted) return inserted.status();
+  if (options.subset && points->id.size() != points->count)
+    return {Code::invalid_argument, fmt::format("{}: no column 'id' says which particles moved", options.file.path),
+            "name the columns, as in \"id,x,y,z\""};
   auto scene = client->open_scene(options.name);
   if (!scene) return scene.status();
   client::StepOptions step;
   step.step = options.step;
   step.step_seconds = options.step_seconds;
   step.weights = points->weight;
-  step.ids = points->id;
-  auto result = scene->step(positions_of(*points), step);
+  const Sent sent(*points), new_sent(*inserted);
+  const bool alone = options.file.path.empty();
+  const bool single = alone ? new_sent.single() : sent.single() && (inserted->count == 0 || new_sent.single());
+  const client::Insertion insertion{new_sent.positions(single && inserted->count > 0), inserted->id, inserted->weight};
+  if (inserted->count > 0) step.inserted = &insertion;
+  step.removed = options.removed;
+  if (!options.subset) step.ids = points->id;
+  auto result = alone            ? scene->step_unmoved(step)
+                : options.subset ? scene->step_moved(points->id, sent.positions(single), step)
+                                 : scene->step(sent.positions(single), step);
   if (!result) return result.status();
   const Json report = Json::parse(result->report.json);
   if (context.json)
@@ -124,7 +170,8 @@ class Replay {
       step.step = static_cast<std::int64_t>(tally_.reports.size());
       step.step_seconds = options_.step_seconds;
       step.weights = points->weight;
-      auto result = scene_->step(positions_of(*points), step);
+      const Sent sent(*points);
+      auto result = scene_->step(sent.positions(), step);
       if (!result)
         return {result.status().code(),
                 fmt::format("{}, frame {} (step {}): {}", path, k, tally_.reports.size(), result.status().message()),
@@ -192,10 +239,23 @@ void add_push_commands(CLI::App& app, Context& context) {
   auto push_options = std::make_shared<PushOptions>();
   CLI::App* command =
       add_command(app, context,
-                  {"push", "One step from a file", "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7"},
+                  {"push", "One step from a file",
+                   "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7\n"
+                   "  rcbctl push jet moved.csv --subset\n  rcbctl push jet --insert inflow.csv --remove 17,42"},
                   [push_options, &context] { return push(*push_options, context); });
   command->add_option("NAME", push_options->name, "the scene")->required();
-  add_file_options(*command, push_options->file);
+  CLI::Option* file = add_file_options(*command, push_options->file);
+  file->required(false);
+  CLI::Option* unmoved = command->add_flag("--unmoved", push_options->unmoved, "nothing moved; no FILE");
+  unmoved->excludes(file);
+  command
+      ->add_flag("--subset", push_options->subset, "FILE holds the particles that moved alone, and their ids: id,x,y,z")
+      ->needs(file);
+  command->add_option("--insert", push_options->inserted.path,
+                      "a file of particles to add; ids of its own, or the service chooses them");
+  command->add_option("--remove", push_options->removed, "ids of particles to remove, with commas between")
+      ->delimiter(',')
+      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
   command->add_option("--step", push_options->step, "its number (default: the last + 1, 0 at first)")
       ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max() - 1));
   command->add_option("--step-seconds", push_options->step_seconds, kStepSecondsHelp)->check(CLI::Range(0.0, 1e300));

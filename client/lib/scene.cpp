@@ -1,6 +1,7 @@
 // Opening a scene, fetching its plan, and what a Scene tells of itself; the push is in step.cpp.
 #include "client/lib/scene.hpp"
 
+#include <algorithm>
 #include <limits>
 
 #include <fmt/format.h>
@@ -143,6 +144,12 @@ Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Deadlin
   const auto checksum_text = wire::string_field(*named, "checksum", 16);
   if (!version || !checksum_text) return odd_answer("plan", "no version or checksum");
   const std::span slot_ids(reinterpret_cast<const std::int64_t*>(slot_id->bytes.data()), slot_id->bytes.size() / 8);
+  std::vector<std::int64_t> sorted;  // a caller who has no rows has them in ascending id
+  if (has_ids_ && ids.empty()) {
+    sorted.assign(slot_ids.begin(), slot_ids.end());
+    std::sort(sorted.begin(), sorted.end());
+    ids = sorted;
+  }
   auto plan = plan::Plan::full(rank_counts, slot_ids, ids, static_cast<std::uint64_t>(*version));
   if (!plan) return plan.status();
   if (wire::hex64(plan->checksum()) != *checksum_text)

@@ -91,15 +91,14 @@ Status Scene::State::check(const Ask& ask) const {
                  "give one weight a particle, or none");
   if (pushed_ && !options.weights.empty() && !has_weights_)
     return wrong("weights, and the scene has none", "weights must be there from the first push on");
-  if (told_ && ask.whole() && !options.ids.empty())
+  if ((told_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
     for (std::size_t row = 0; row < options.ids.size(); ++row)
       if (const std::int64_t known = ids_.empty() ? static_cast<std::int64_t>(row) : ids_[row];
           options.ids[row] != known)
         return wrong(fmt::format("row {} has id {}, at first it had {}", row, options.ids[row], known),
                      "ids belong to rows, which insertions and removals alone change; leave them out after the first "
                      "push");
-  const bool needs_plan = ask.moved != Ask::Moved::none || ask.edits();
-  if (pushed_ && has_ids_ && ids_.empty() && options.ids.empty() && count_ > 0 && needs_plan)
+  if (pushed_ && has_ids_ && ids_.empty() && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none", "give StepOptions::ids at the first step");
   if (options.step && *options.step < 0)
     return wrong(fmt::format("step {}", *options.step), "steps are numbered from 0");

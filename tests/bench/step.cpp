@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <map>
 
 #include <fmt/format.h>
 
@@ -22,7 +23,9 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr int kWarmUps = 3;
-constexpr std::array kVariants{"plan", "axes", "rows", "gateway"};
+// The last three: float32 by axes, every hundredth particle moved, none moved.
+constexpr std::array kVariants{"plan", "axes", "rows", "gateway", "float32", "subset", "unmoved"};
+constexpr std::size_t kSubset = 100;
 constexpr const char* kPoints[] = {"slope", "plane"};  // of `moving` and `moving-2d`
 
 // Two sets of positions, in turn, so that every particle moves at every step.
@@ -30,6 +33,7 @@ struct Motion {
   int dims = 3;
   std::size_t n = 0;
   std::array<std::vector<double>, 3> axes[2];
+  std::array<std::vector<float>, 3> singles[2];
   std::vector<double> rows[2];
 
   Motion(const SceneKind& kind, std::size_t count) : dims(kind.dims), n(count) {
@@ -42,9 +46,22 @@ struct Motion {
       axes[0][a].assign(set.position[a].begin(), set.position[a].end());
       axes[1][a] = axes[0][a];
       for (double& x : axes[1][a]) x += width * (0.5 + random.uniform());
+      for (int phase = 0; phase < 2; ++phase) singles[phase][a].assign(axes[phase][a].begin(), axes[phase][a].end());
       for (int phase = 0; phase < 2; ++phase)
         for (std::size_t i = 0; i < n; ++i) rows[phase][i * static_cast<std::size_t>(dims) + a] = axes[phase][a][i];
     }
+  }
+  // What a variant sends, and the sockets beside it.
+  std::size_t bytes(const std::string& variant) const {
+    const auto d = static_cast<std::size_t>(dims);
+    if (variant == "float32") return n * d * sizeof(float);
+    if (variant == "subset") return (n + kSubset - 1) / kSubset * (d * sizeof(double) + sizeof(std::uint64_t));
+    return variant == "unmoved" ? 0 : n * d * sizeof(double);
+  }
+  client::Positions by_singles(int phase) const {
+    std::array<const float*, 3> pointers{};
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) pointers[a] = singles[phase][a].data();
+    return client::Positions::axes(std::span(pointers).first(static_cast<std::size_t>(dims)), n);
   }
   client::Positions by_axes(int phase) const {
     std::array<const double*, 3> pointers{};
@@ -56,7 +73,10 @@ struct Motion {
 // One variant's scene, and its positions the way the variant has them.
 class Pusher {
  public:
-  Pusher(std::string variant, const Motion& motion) : variant_(std::move(variant)), motion_(motion) {}
+  Pusher(std::string variant, const Motion& motion) : variant_(std::move(variant)), motion_(motion) {
+    if (variant_ == "subset")
+      for (std::size_t row = 0; row < motion.n; row += kSubset) moved_.push_back(row);
+  }
 
   Status open(const std::string& endpoint, int parts) {
     client::ConnectOptions options;
@@ -83,7 +103,9 @@ class Pusher {
     if (!positions.ok()) return positions.status();
     const SteadyClock clock;
     const double start = clock.seconds();
-    auto result = scene_->step(*positions);
+    client::StepOptions options;
+    if ((variant_ == "subset" || variant_ == "unmoved") && scene_->last_step()) options.moved = moved_;
+    auto result = scene_->step(*positions, options);
     const double seconds = clock.seconds() - start;
     if (!result.ok()) return result.status();
     report = std::move(result->report);
@@ -94,7 +116,8 @@ class Pusher {
   Result<client::Positions> prepare(int phase) {
     if (variant_ == "rows" || variant_ == "gateway")
       return client::Positions::rows(motion_.rows[phase].data(), motion_.n, motion_.dims);
-    if (variant_ == "axes" || !scene_->last_step()) return motion_.by_axes(phase);
+    if (variant_ == "float32") return motion_.by_singles(phase);
+    if (variant_ != "plan" || !scene_->last_step()) return motion_.by_axes(phase);
     const auto plan = scene_->plan();
     if (!plan.ok()) return plan.status();
     ranks_.assign(plan->rows.size(), {});
@@ -111,6 +134,7 @@ class Pusher {
 
   std::string variant_;
   const Motion& motion_;
+  std::vector<std::uint64_t> moved_;
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
   std::array<std::vector<double>, 3> ordered_;
@@ -146,41 +170,49 @@ Json row_of(const std::string& scene, const Motion& motion, int parts, int ranks
           {"empty_parts", 0},
           {"drifted", report.drifted},
           {"migrated", report.migrated},
+          {"scanned", report.scanned},
+          {"bytes", report.bytes},
           {"ratio", {{"floor", median(seconds) / floor}}}};
 }
 
 Status run_cell(const std::string& scene, const Motion& motion, int parts, int ranks, int repeats, Json& rows) {
   auto service = launch::Embedded::start(ranks, [](double) {});
   if (!service.ok()) return service.status();
-  const std::size_t bytes = motion.n * static_cast<std::size_t>(motion.dims) * sizeof(double);
-  std::vector<std::size_t> shares;
-  for (int r = 0; r < ranks; ++r)
-    shares.push_back(bytes * static_cast<std::size_t>(r + 1) / static_cast<std::size_t>(ranks) -
-                     bytes * static_cast<std::size_t>(r) / static_cast<std::size_t>(ranks));
-  Floor floor(shares);
+  std::map<std::size_t, Floor> floors;  // by the bytes that are sent
+  for (const char* variant : kVariants) {
+    const std::size_t bytes = motion.bytes(variant);
+    std::vector<std::size_t> shares;
+    for (int r = 0; r < ranks; ++r)
+      shares.push_back(bytes * static_cast<std::size_t>(r + 1) / static_cast<std::size_t>(ranks) -
+                       bytes * static_cast<std::size_t>(r) / static_cast<std::size_t>(ranks));
+    if (bytes == 0) shares = {1};  // a round trip is left
+    floors.try_emplace(bytes, shares);
+  }
   std::vector<Pusher> pushers;
   for (const char* variant : kVariants) {
     pushers.emplace_back(variant, motion);
     if (Status status = pushers.back().open(service->endpoint(), parts); !status.ok()) return service->explain(status);
   }
-  std::vector<double> floor_seconds;
+  std::map<std::size_t, std::vector<double>> floor_seconds;
   std::array<std::vector<double>, kVariants.size()> seconds;
   std::array<client::StepReport, kVariants.size()> reports;
   const SteadyClock clock;
   for (int turn = -kWarmUps; turn < repeats; ++turn) {
     const int phase = (turn + kWarmUps) % 2;
-    const double start = clock.seconds();
-    if (!floor.send(reinterpret_cast<const std::byte*>(motion.rows[phase].data())))
-      return {Code::internal, "a process of the floor is gone"};
-    if (turn >= 0) floor_seconds.push_back(clock.seconds() - start);
+    for (auto& [bytes, floor] : floors) {
+      const double start = clock.seconds();
+      if (!floor.send(reinterpret_cast<const std::byte*>(motion.rows[phase].data())))
+        return {Code::internal, "a process of the floor is gone"};
+      if (turn >= 0) floor_seconds[bytes].push_back(clock.seconds() - start);
+    }
     for (std::size_t v = 0; v < pushers.size(); ++v) {
       const auto took = pushers[v].step(phase, reports[v]);
       if (!took.ok()) return service->explain(took.status());
       if (turn >= 0) seconds[v].push_back(*took);
     }
   }
-  const double least = median(floor_seconds);
   for (std::size_t v = 0; v < pushers.size(); ++v) {
+    const double least = median(floor_seconds[motion.bytes(kVariants[v])]);
     rows.push_back(row_of(scene, motion, parts, ranks, kVariants[v], seconds[v], least, reports[v]));
     fmt::print(
         "{:<10} {:>2} ranks  {:<8} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  (last: receive and pass {:.2f}, "

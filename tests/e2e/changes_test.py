@@ -1,0 +1,265 @@
+"""Steps that are more or less than all positions: few moved, none, float32, particles inserted and removed. By every
+path and in every order they lead to the scene that full pushes of the same states lead to."""
+import socket
+import time
+
+from protocol_client import REQUEST, Client, Refused, frame
+from support import *
+
+ORDERS = ("by-id", "gateway", "direct")
+
+
+class Changing(Client):
+    """A client from PROTOCOL.md alone. It fetches the plan before every push."""
+
+    def __init__(self, path, how, **kwargs):
+        super().__init__(path, **kwargs)
+        self.how, self.links, self.attempts = how, [], 0
+        if how == "direct":
+            self.links = [Client(address[5:], session=self.session) for address in self.hello["data"]]
+
+    def close(self):
+        for link in self.links:
+            link.close()
+        super().close()
+
+    def slice(self, count, columns, **more):
+        types = {"x": self.dtype, "y": self.dtype, "z": self.dtype, "slot": "<u8", "id": "<i8", "w": "<f8"}
+        arrays = [{"name": name, "dtype": types[name], "shape": [count]} for name in columns]
+        bulk = b"".join(np.asarray(column).astype(types[name]).tobytes() for name, column in columns.items())
+        return frame(REQUEST, self.number, {"command": "push.slice", **self.push_id, "count": count,
+                                            "arrays": arrays, **more}, bulk, flags=1)
+
+    def change(self, scene, step, model, moved=None, base=None, dtype="<f8", insert=None, own_ids=None, remove=(),
+               send=True):
+        """moved: ids; None: all. model: id -> position, as they are after the move."""
+        self.dtype = dtype
+        answer, bulk = self.ask("plan", scene=scene)
+        n, ids = len(model), np.frombuffer(bulk[: 8 * len(model)], "<i8")
+        held = np.split(ids, np.cumsum(answer["counts"])[:-1])
+        by_id = self.how == "by-id"
+        if by_id:
+            held = [np.sort(ids)]
+        slots = [np.arange(len(of)) if moved is None else np.flatnonzero(np.isin(of, moved)) for of in held]
+        chosen = [of[s] for of, s in zip(held, slots)]
+        some = moved is not None and sum(map(len, chosen)) > 0
+        direct = self.how == "direct" and (some or moved is None)
+        self.attempts += 1
+        self.push_id = {"scene": scene, "session": self.session, "step": step, "attempt": self.attempts,
+                        "plan": answer["plan"]}
+        edits = (insert is not None) + (len(remove) > 0)
+        begin = {"command": "push.begin", **self.push_id, "n": n, "order": "id" if by_id else "plan", "changes": True,
+                 "path": "direct" if direct else "gateway", "dtype": dtype, "base_step": base,
+                 "moved": "all" if moved is None else "some" if some else "none",
+                 "counts": [len(of) for of in chosen] if some else None,
+                 "inserted": 0 if insert is None else len(insert), "removed": len(remove),
+                 "inserted_ids": own_ids is not None,
+                 "slices": edits + (0 if direct else sum(1 for of in chosen if len(of)))}
+        self.send(begin)
+        frames = [[] for _ in held]
+        for rank, of in enumerate(chosen):
+            if len(of):
+                points = np.array([model[int(i)] for i in of])
+                columns = {name: points[:, k] for k, name in enumerate("xyz"[: points.shape[1]])}
+                if some:
+                    columns["id" if by_id else "slot"] = of if by_id else slots[rank]
+                frames[rank].append(self.slice(len(of), columns, rank=rank))
+        if insert is not None:
+            columns = {name: insert[:, k] for k, name in enumerate("xyz"[: insert.shape[1]])}
+            if own_ids is not None:
+                columns["id"] = own_ids
+            self.socket.sendall(self.slice(len(insert), columns, holds="inserted"))
+        if len(remove):
+            self.socket.sendall(self.slice(len(remove), {"id": remove}, holds="removed"))
+        if not send:
+            return None
+        for rank, parts in enumerate(frames):
+            for part in parts:
+                (self.links[rank] if direct else self).socket.sendall(part)
+        return self.answer()
+
+
+class Changes(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.service = Service(3)
+        cls.addClassCleanup(cls.service.stop)
+        cls.path = cls.service.endpoint[5:]
+
+    def state(self, scene):
+        with Client(self.path) as client:
+            shown = client.ask("scene.show", scene=scene)[0]
+            answer, bulk = client.ask("fetch", scene=scene)
+        n, dims = shown["n"], shown["dims"]
+        ids = np.frombuffer(bulk[: 8 * n], "<i8")
+        points = np.frombuffer(bulk[8 * n: 8 * n * (1 + dims)], "<f8").reshape(dims, n).T
+        parts = np.frombuffer(bulk[-4 * n:] if n else b"", "<i4")
+        return shown, ids, points, parts
+
+    def check(self, scene, model):
+        shown, ids, points, parts = self.state(scene)
+        self.assertEqual(sorted(model), ids.tolist())
+        np.testing.assert_array_equal(points, np.array([model[i] for i in sorted(model)]).reshape(points.shape))
+        np.testing.assert_array_equal(np.bincount(parts, minlength=shown["parts"]), shown["counts"])
+        return shown, parts
+
+    def full(self, client, scene, step, model, first=False):
+        points = np.array([model[i] for i in sorted(model)])
+        columns = {name: points[:, k] for k, name in enumerate("xyz"[: points.shape[1]])}
+        begin, part, bulk = client.push_frames(scene, step, columns, len(points))
+        if first:
+            ids = np.array(sorted(model))
+            begin["ids"], bulk = True, bulk + ids.astype("<i8").tobytes()
+            part["arrays"].append({"name": "id", "dtype": "<i8", "shape": [len(ids)]})
+        client.send(begin)
+        number = client.number
+        client.send(part, bulk)
+        client.number = number
+        answer = client.answer()[0]
+        client.number = number + 1
+        return answer
+
+    def test_every_way_leads_to_the_same_scene(self):
+        for seed, dims, tolerance in ((1, 3, 0.2), (2, 2, 0.05), (3, 1, "inf")):
+            rng = np.random.default_rng(seed)
+            model = {i: rng.random(dims) for i in range(500)}
+            clients = {how: Changing(self.path, how) for how in ORDERS}
+            reference = f"full-{seed}"
+            with Client(self.path) as client:
+                client.ask("scene.create", scene=reference, parts=7, dims=dims, tolerance=tolerance)
+                self.full(client, reference, 0, model)
+                for how in ORDERS:
+                    client.ask("scene.create", scene=f"{how}-{seed}", parts=7, dims=dims, tolerance=tolerance)
+                    self.full(client, f"{how}-{seed}", 0, model)
+                same = True  # as long as nothing was inserted or removed
+                for step in range(1, 16):
+                    with self.subTest(seed=seed, step=step):
+                        same = self.one_step(rng, model, clients, client, seed, step, same)
+            for client in clients.values():
+                client.close()
+            # A cold partition of the same particles cuts the same.
+            with Client(self.path) as client:
+                client.ask("scene.create", scene="cold", parts=7, dims=dims, replace=True)
+                self.full(client, "cold", 0, model, first=True)
+                for how in ORDERS:
+                    client.ask("rebalance", scene=f"{how}-{seed}")
+                    warm, cold = (self.state(scene)[0] for scene in (f"{how}-{seed}", "cold"))
+                    self.assertEqual([warm[k] for k in ("hash", "counts", "n")], [cold[k] for k in ("hash", "counts", "n")])
+
+    def one_step(self, rng, model, clients, reference, seed, step, same):
+        ids = np.array(sorted(model))
+        dims = len(model[int(ids[0])])
+        kind = rng.integers(4)
+        moved = None if kind == 0 else rng.permutation(ids)[: [0, 0, 7, len(ids) // 3][kind]]
+        dtype = "<f4" if rng.integers(2) else "<f8"
+        for i in ids if moved is None else moved:
+            position = model[int(i)] + rng.normal(0, 0.05, dims)
+            model[int(i)] = position.astype("<f4").astype("<f8") if dtype == "<f4" else position
+        edit = {}
+        after = dict(model)
+        if step > 5 and rng.integers(3) > 0:
+            insert = rng.random((int(rng.integers(0, 60)), dims)).astype(dtype)
+            own = rng.permutation(10**6 * step + np.arange(len(insert))) if rng.integers(2) else None
+            remove = rng.permutation(ids)[: rng.integers(0, 40)]
+            edit = {"insert": insert if len(insert) else None, "own_ids": own if len(insert) else None,
+                    "remove": remove}
+            for i in remove:
+                del after[int(i)]
+            same = same and not len(remove) and not len(insert)
+        answers = []
+        for how, client in clients.items():
+            answer, bulk = client.change(f"{how}-{seed}", step, model, moved, step - 1 if moved is not None else None,
+                                         dtype, **edit)
+            report = answer["report"]
+            answers.append({k: v for k, v in report.items() if k not in ("scene", "seconds", "bytes")})
+            self.assertEqual("motion" in report["skipped"], moved is not None)
+            self.assertEqual("double precision" in report["skipped"], dtype == "<f4")
+            self.assertEqual(report["scanned"], len(ids) if moved is None else len(moved))
+            width = dims * int(dtype[2])
+            inserted, own = edit.get("insert"), edit.get("own_ids")
+            self.assertEqual(report["bytes"], report["scanned"] * (width + (0 if moved is None else 8)) +
+                             report["removed"] * 8 + report["inserted"] * (width + (0 if own is None else 8)))
+        self.assertEqual(answers[0], answers[1])
+        self.assertEqual(answers[0], answers[2])
+        if edit.get("insert") is not None:
+            new = edit["own_ids"]
+            if new is None:
+                new = answers[0]["first_id"] + np.arange(len(edit["insert"]))
+            after.update((int(i), p.astype("<f8")) for i, p in zip(new, edit["insert"]))
+        model.clear()
+        model.update(after)
+        states = [self.check(f"{how}-{seed}", model) for how in clients]
+        if same:
+            self.full(reference, f"full-{seed}", step, model)
+            states.append(self.check(f"full-{seed}", model))
+        for shown, parts in states[1:]:
+            for name in ("hash", "counts", "error", "plan", "epoch", "ids", "n"):
+                self.assertEqual(shown[name], states[0][0][name], name)
+            np.testing.assert_array_equal(parts, states[0][1])
+        return same
+
+    def test_what_is_refused_changes_nothing(self):
+        model = {i: np.random.default_rng(5).random((300, 3))[i] for i in range(300)}
+        for how in ORDERS:
+            scene = "refused-" + how
+            with Changing(self.path, how) as client:
+                client.ask("scene.create", scene=scene, parts=5)
+                with self.assertRaises(Refused) as caught:
+                    client.send({"command": "push.begin", "scene": scene, "session": client.session, "step": 0, "n": 0,
+                                 "slices": 0, "order": "id", "moved": "none", "base_step": 0})
+                    client.answer()
+                self.assertEqual(caught.exception.args[0], "base_lost")
+                self.full(client, scene, 4, model)
+                before = [str(x) for x in self.state(scene)]
+                point = np.zeros((1, 3))
+                nan = dict(model)
+                nan[17] = np.array([0.0, np.nan, 0.0])
+                twice = np.zeros((2, 3))
+                for code, words, arguments in (
+                        ("base_lost", "step 3", {"moved": [1], "base": 3}),
+                        ("base_lost", "step 3", {"moved": [], "base": 3}),
+                        ("invalid_argument", "base_step", {"moved": [], "base": None}),
+                        ("not_finite", "particle 17: y", {"moved": [3, 17], "base": 4, "model": nan}),
+                        ("not_found", "particle 300 ", {"remove": [7, 300]}),
+                        ("not_found", "particle 5000 ", {"moved": [], "base": 4, "remove": [5000]}),
+                        ("invalid_argument", "id 7 ", {"remove": [7, 9, 7]}),
+                        ("already_exists", "particle 9 ", {"insert": point, "own_ids": [9]}),
+                        ("already_exists", "particle 9 ", {"insert": point, "own_ids": [9], "remove": [9]}),
+                        ("invalid_argument", "id 400 ", {"insert": twice, "own_ids": [400, 400]}),
+                        ("invalid_argument", "id is -2", {"insert": twice, "own_ids": [400, -2]}),
+                        ("not_finite", "inserted particle 0", {"insert": point + np.inf})):
+                    with self.subTest(how=how, words=words), self.assertRaises(Refused) as caught:
+                        client.change(scene, 5, arguments.pop("model", model), **arguments)
+                    self.assertEqual(caught.exception.args[0], code, caught.exception.args)
+                    self.assertIn(words, caught.exception.args[1])
+                    self.assertEqual([str(x) for x in self.state(scene)], before)
+                moved = dict(model)
+                moved[3] = np.array([9.0, 9.0, 9.0])
+                client.change(scene, 5, moved, [3], 4, remove=[4])
+                again = client.change(scene, 5, moved, [3], 4, remove=[4]) if how == "by-id" else None
+                if again:
+                    self.assertTrue(again[0]["repeated"])
+                del moved[4]
+                self.check(scene, moved)
+
+    def test_a_client_that_dies_leaves_the_previous_step(self):
+        model = {i: np.random.default_rng(6).random((300, 3))[i] for i in range(300)}
+        for how in ORDERS:
+            scene = "dies-" + how
+            with Changing(self.path, how) as client:
+                client.ask("scene.create", scene=scene, parts=5)
+                self.full(client, scene, 0, model)
+            before = [str(x) for x in self.state(scene)]
+            client = Changing(self.path, how)
+            client.change(scene, 1, model, list(range(40)), 0, insert=np.ones((3, 3)), remove=[5], send=False)
+            time.sleep(0.1)
+            client.close()
+            time.sleep(0.1)
+            self.assertEqual([str(x) for x in self.state(scene)], before)
+            with Changing(self.path, how) as client:
+                client.change(scene, 1, model, list(range(40)), 0, insert=np.ones((3, 3)), remove=[5])
+            self.assertEqual(self.state(scene)[0]["n"], 302)
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
