@@ -141,6 +141,8 @@ Result<Frame> Scene::State::push(const Ask& ask, std::int64_t step, std::optiona
   }
   const auto none = [](const auto& rank) { return rank.empty(); };
   const bool some = !all && !std::all_of(few.slots.begin(), few.slots.end(), none);
+  const bool alone = positions.count == 0 && ask.inserted() > 0;
+  const bool single = alone ? options.inserted->positions.single() : positions.single();
   wire::Json begin{{"scene", name_},
                    {"session", session().number()},
                    {"step", step},
@@ -152,7 +154,7 @@ Result<Frame> Scene::State::push(const Ask& ask, std::int64_t step, std::optiona
                    {"moved", all    ? "all"
                              : some ? "some"
                                     : "none"},
-                   {"dtype", positions.single() ? "<f4" : "<f8"},
+                   {"dtype", single ? "<f4" : "<f8"},
                    {"weights", !options.weights.empty()},
                    {"ids", send_ids},
                    {"changes", true},

@@ -105,6 +105,8 @@ Result<PushTerms> MemberGroups::read_terms(const ShareBegin& begin, const SceneI
   if (!terms.ok()) return terms.status();
   if (terms->direct || !terms->by_id || !terms->ids)
     return Status(Code::unsupported, "members push by the path \"gateway\", in order \"id\", with \"ids\" true");
+  if (terms->moved != Moved::all || terms->edit_slices() > 0)
+    return Status(Code::unsupported, "members push all their particles, and neither insert nor remove any");
   if (step != nullptr)
     for (const auto& share : step->shares)
       if (share && share->slices.terms().weights != terms->weights)

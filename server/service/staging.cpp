@@ -392,6 +392,10 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   } else if (Status status = distribute(context, scene, push, mine, staged); !status.ok()) {
     return status;
   }
+  // The arrays that the commit swaps in take the inserted, too.
+  const std::uint64_t arriving = staged.edits.arriving.count();
+  if (ready.ok() && arriving > 0 && push.what.moved == Moved::all && !reserve(staged.arrays, mine + arriving, false))
+    ready = {Code::too_large, fmt::format("rank {} has no memory for {} more particles", comm.rank(), arriving)};
   const Status checked =
       scene.pushed ? check_later(comm, scene, push.what.moved, ready, staged) : check_first(comm, push, mine, staged);
   if (!checked.ok()) return checked;

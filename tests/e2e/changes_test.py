@@ -260,6 +260,60 @@ class Changes(unittest.TestCase):
                 client.change(scene, 1, model, list(range(40)), 0, insert=np.ones((3, 3)), remove=[5])
             self.assertEqual(self.state(scene)[0]["n"], 302)
 
+    def test_the_command_line(self):
+        rng = np.random.default_rng(9)
+        model = {i: p for i, p in enumerate(rng.random((400, 3)).astype("<f4").astype("<f8"))}
+        file = {name: os.path.join(self.service.dir, name) for name in ("a.npy", "b.csv", "c.csv", "d.npy")}
+
+        def rows(name, ids):
+            with open(file[name], "w") as out:
+                out.write("id,x,y,z\n")
+                for i in ids:
+                    out.write(",".join([str(i)] + [repr(float(x)) for x in model[i]]) + "\n")
+
+        np.save(file["a.npy"], np.array(list(model.values())).astype("<f4"))
+        self.service.json("scene", "create", "ctl", "--parts", 5)
+        report = self.service.json("push", "ctl", file["a.npy"])
+        self.assertEqual(report["bytes"], 400 * 12)
+        self.assertIn("double precision", report["skipped"])
+        report = self.service.json("push", "ctl", "--unmoved")
+        self.assertEqual((report["step"], report["scanned"], report["bytes"]), (1, 0, 0))
+        self.assertIn("motion", report["skipped"])
+        moved = [7, 399, 12]
+        for i in moved:
+            model[i] = rng.random(3)
+        rows("b.csv", moved)
+        report = self.service.json("push", "ctl", file["b.csv"], "--subset")
+        self.assertEqual((report["scanned"], report["bytes"]), (3, 3 * 32))
+        self.check("ctl", model)
+        for i in (1000, 500):
+            model[i] = rng.random(3)
+        rows("c.csv", (1000, 500))
+        del model[12], model[0]
+        report = self.service.json("push", "ctl", "--insert", file["c.csv"], "--remove", "12,0")
+        self.assertEqual((report["inserted"], report["removed"], report["n"]), (2, 2, 400))
+        self.check("ctl", model)
+        new = rng.random((5, 3))
+        np.save(file["d.npy"], new)
+        model[7] = np.array([0.5, 0.25, 0.125])
+        rows("b.csv", [7])
+        report = self.service.json("push", "ctl", file["b.csv"], "--subset", "--insert", file["d.npy"])
+        self.assertEqual(report["first_id"], 1001)
+        model.update((1001 + k, point) for k, point in enumerate(new))
+        self.check("ctl", model)
+        np.save(file["d.npy"], new.round(1).astype("<f4"))
+        report = self.service.json("push", "ctl", "--insert", file["d.npy"])
+        self.assertEqual((report["first_id"], report["bytes"]), (1006, 5 * 12))
+        model.update((1006 + k, point) for k, point in enumerate(new.round(1).astype("<f4").astype("<f8")))
+        self.check("ctl", model)
+        before = self.state("ctl")[0]
+        self.assertEqual(self.service.failure("push", "ctl", "--remove", "12")["code"], "not_found")
+        self.assertEqual(self.service.failure("push", "ctl", "--insert", file["c.csv"])["code"], "already_exists")
+        self.assertEqual(self.service.failure("push", "ctl", file["d.npy"], "--subset")["code"], "invalid_argument")
+        self.assertEqual(self.service.ctl("push", "ctl").returncode, 2)
+        self.assertEqual(self.service.ctl("push", "ctl", file["a.npy"], "--unmoved").returncode, 2)
+        self.assertEqual(self.state("ctl")[0], before)
+
 
 if __name__ == "__main__":
     unittest.main(verbosity=2)

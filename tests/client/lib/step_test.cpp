@@ -189,7 +189,7 @@ TEST(Step, NothingChangedNothingFetched) {
 TEST(Step, NoParticles) {
   FakeScene fake = scene_of(3, 4, 3, 2);
   Session session(fake);
-  const auto result = session.scene->step(Positions::rows(nullptr, 0, 3), wanting());
+  const auto result = session.scene->step(Positions::rows(static_cast<const double*>(nullptr), 0, 3), wanting());
   ASSERT_TRUE(result.ok()) << result.status().message();
   EXPECT_TRUE(result->parts.empty());
 }
