@@ -99,10 +99,10 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
   if (positions.dims != dims)
     return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims),
                  "create the scene with the positions' dims");
-  if (!positions.by_rank.empty())
+  if (positions.in_plan_order())
     return wrong("positions in the plan's order", "a member pushes its own particles by rows or axes");
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
-    if (positions.count > 0 && positions.axis[a] == nullptr)
+    if (positions.count > 0 && (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
       return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
   if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
   if (ids.size() != positions.count)
@@ -127,20 +127,20 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"n", positions.count},
                    {"order", "id"},
                    {"plan", nullptr},
+                   {"dtype", positions.single() ? "<f4" : "<f8"},
                    {"weights", !with.weights.empty()},
                    {"ids", true},
                    {"changes", with.want_changes},
                    {"deadline_seconds", std::clamp(with.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
   std::vector<Column> columns;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
-    columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) columns.push_back(axis_column(positions, a));
   if (!with.weights.empty()) columns.push_back({"w", "<f8", with.weights.data(), 1});
   columns.push_back({"id", "<i8", ids.data(), 1});
   // One slice with all rows, as they are.
   const plan::Plan all = plan::Plan::blocks(positions.count, 1, {});
   const std::uint64_t request = session().next_request();
-  PushSource source(begin, request, all, std::move(columns));
+  PushSource source(begin, request, all_rows(all), std::move(columns));
   return session().exchange(request, source, fmt::format("push of step {} to scene '{}'", step, name), deadline);
 }
 

@@ -22,6 +22,13 @@ Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text));
 
 }  // namespace
 
+Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank) {
+  constexpr const char* kNames[] = {"x", "y", "z"};
+  if (positions.single())
+    return {kNames[axis], "<f4", positions.axis_f4[axis], positions.stride, by_rank, sizeof(float)};
+  return {kNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
+}
+
 RankRows all_rows(const plan::Plan& plan) {
   RankRows rows;
   for (int rank = 0; rank < plan.ranks(); ++rank) rows.push_back(plan.rows(rank));

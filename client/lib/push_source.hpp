@@ -33,6 +33,9 @@ struct Column {
   }
 };
 
+// An axis of positions, double or float32. by_rank: of positions in the plan's order.
+Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank = nullptr);
+
 // For each rank the rows that its slice holds, in the order they are sent.
 using RankRows = std::vector<std::span<const std::uint64_t>>;
 RankRows all_rows(const plan::Plan& plan);
@@ -45,7 +48,7 @@ class PushSource final : public FrameSource {
   // begin: the arguments of push.begin without "slices". The rows and the columns outlive the source.
   // edits: whole frames of inserted and removed particles, as many as edit_slices.
   PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
-             const std::string& edits, int edit_slices);
+             const std::string& edits = {}, int edit_slices = 0);
   std::span<const Bytes> next(bool answered) override;
 
  private:

@@ -26,12 +26,6 @@ wire::Json plan_json(const plan::Plan& plan) {
   return {{"version", plan.version()}, {"checksum", wire::hex64(plan.checksum())}};
 }
 
-Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank) {
-  if (positions.single())
-    return {kAxisNames[axis], "<f4", positions.axis_f4[axis], positions.stride, by_rank, sizeof(float)};
-  return {kAxisNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
-}
-
 // Those that are new have a part for the first time.
 void add_inserted(StepResult& result, std::span<const std::int32_t> parts) {
   std::vector<std::uint64_t> rows;
