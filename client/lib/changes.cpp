@@ -151,15 +151,16 @@ Result<RowEdit> Scene::State::row_edit(const Ask& ask) const {
   return edit;
 }
 
-void Scene::State::edit_rows(const Ask& ask, const RowEdit& edit, const StepReport& report, const Frame& answer,
-                             bool follows, StepResult& result) {
+void Scene::State::edit_rows(const Ask& ask, RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
+                             StepResult& result) {
   for (const plan::SlotMove& move : edit.moves.moves) result.row_moves.push_back({move.to, move.from, move.arrival});
   result.inserted_ids.resize(ask.inserted());
   if (report.first_id) std::iota(result.inserted_ids.begin(), result.inserted_ids.end(), *report.first_id);
   if (ask.inserted() > 0 && !ask.options.inserted->ids.empty())
     result.inserted_ids.assign(ask.options.inserted->ids.begin(), ask.options.inserted->ids.end());
 
-  std::vector<std::int32_t> parts(ask.inserted(), -1);
+  std::vector<std::int32_t>& parts = edit.inserted_part;
+  parts.assign(ask.inserted(), -1);
   std::vector<std::int32_t> ranks;
   const wire::Array* given = wire::find_array(answer.arrays, "inserted_part");
   if (given != nullptr && given->dtype == "<i4" && given->bytes.size() == 4 * parts.size() && !parts.empty())
@@ -168,12 +169,12 @@ void Scene::State::edit_rows(const Ask& ask, const RowEdit& edit, const StepRepo
     follows = follows && part >= 0 && part < parts_count_;
     if (follows) ranks.push_back(plan::rank_of_part(part, parts_count_, plan_->ranks()));
   }
-  move_rows(edit, result.inserted_ids, parts);
+  move_rows(edit, result.inserted_ids);
   if (!follows || !plan_->edit(edit.removed, result.inserted_ids, ranks).ok()) plan_.reset();
 }
 
-void Scene::State::move_rows(const RowEdit& edit, std::span<const std::int64_t> ids,
-                             std::span<const std::int32_t> parts) {
+void Scene::State::move_rows(const RowEdit& edit, std::span<const std::int64_t> ids) {
+  const std::vector<std::int32_t> open(ids.size(), -1);
   const auto move = [&edit](auto& rows, auto inserted) {
     rows.resize(std::max<std::size_t>(rows.size(), edit.moves.new_count));
     for (const plan::SlotMove& m : edit.moves.moves) rows[m.to] = m.arrival ? inserted[m.from] : rows[m.from];
@@ -190,8 +191,8 @@ void Scene::State::move_rows(const RowEdit& edit, std::span<const std::int64_t> 
     move(ids_, ids);
     has_ids_ = true;
   }
-  if (parts_.size() == count_) move(parts_, parts);
-  if (known_.size() == count_ && !known_.empty()) move(known_, std::vector<std::int32_t>(parts.size(), -1));
+  if (parts_.size() == count_) move(parts_, open);
+  if (known_.size() == count_ && !known_.empty()) move(known_, open);
   count_ = edit.moves.new_count;
 }
 

@@ -42,6 +42,7 @@ struct Selection {
 struct RowEdit {
   std::vector<std::uint64_t> removed;  // ascending
   plan::RankEdit moves;
+  std::vector<std::int32_t> inserted_part;  // when they arrived, as far as the answer tells
 };
 
 struct Scene::State {
@@ -77,9 +78,10 @@ struct Scene::State {
   // Errors: not_found, invalid_argument (ids that the scene hasn't, or twice).
   Result<RowEdit> row_edit(const Ask& ask) const;
   // Rows, ids and parts after the edit; the plan where the answer tells enough, else it is dropped.
-  void edit_rows(const Ask& ask, const RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
+  void edit_rows(const Ask& ask, RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
                  StepResult& result);
-  void move_rows(const RowEdit& edit, std::span<const std::int64_t> ids, std::span<const std::int32_t> parts);
+  // The parts of the inserted stay open (-1).
+  void move_rows(const RowEdit& edit, std::span<const std::int64_t> ids);
   Status apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes);
   std::vector<PartChange> all_parts() const;
   std::vector<PartChange> changes_since_known() const;

@@ -309,11 +309,13 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   epoch_ = report->epoch;
   StepResult result;
   const bool follows = !(repeated && *repeated) && epoch_follows && step_follows;
+  RowEdit edit;
   if (ask.edits()) {
-    const auto edit = row_edit(ask);
-    if (!edit) return edit.status();
+    auto found_rows = row_edit(ask);
+    if (!found_rows) return found_rows.status();
+    edit = std::move(*found_rows);
     if (ids_.empty()) ids_.assign(options.ids.begin(), options.ids.end());
-    edit_rows(ask, *edit, *report, answer, follows, result);
+    edit_rows(ask, edit, *report, answer, follows, result);
   }
   Status current;
   const bool asked = options.want_parts || options.want_changes;
@@ -322,6 +324,9 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   } else if (!follows || !plan_ || !apply(answer, *json, first, result.changes)) {
     current = fetch_plan(ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(options.ids), deadline);
   }
+  if (current && plan_ && parts_.size() == count_)
+    for (const plan::SlotMove& move : edit.moves.moves)
+      if (move.arrival && parts_[move.to] < 0) parts_[move.to] = edit.inserted_part[move.from];
   if (!current) {
     // Fetched again before the next push.
     plan_.reset();
