@@ -68,7 +68,7 @@ PartitionResult TreeBuilder::build() {
   }
   measure_all();
   if (!scale_) result_.counts.resize(at(options_.parts));
-  records_.build(particles_, axes_, maps_, options_.limits.chunk_max);
+  make_records();
   spans_ = records_.spans();
   for (const Span& span : spans_) starts_.push_back(span.first);
   ends_.resize(starts_.size() * at(options_.parts));
@@ -146,41 +146,46 @@ std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
   // By axis: the bins of both maps, and how many ranks have a value that its integer does not tell.
   std::vector<std::uint64_t> counts(at(axes_) * kSampleWords, 0);
   const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
+  std::vector<double> sample;
   for (std::size_t a = 0; a < at(axes_); ++a) {
+    sample.clear();
+    for (std::size_t i = 0; i < particles_.count; i += stride) sample.push_back(particles_.position[a][i]);
     const std::array maps{AxisMap::by_value(lo_[a], hi_[a]), AxisMap::by_image(lo_[a], hi_[a])};
     for (std::size_t m = 0; m < maps.size(); ++m) {
       const auto top = static_cast<std::uint64_t>(std::max(maps[m](hi_[a]), 1));
-      for (std::size_t i = 0; i < particles_.count; i += stride) {
-        const std::uint64_t bin =
-            static_cast<std::uint64_t>(maps[m](particles_.position[a][i])) * (kSampleBins - 1) / top;
-        ++counts[a * kSampleWords + m * kSampleBins + bin];
-      }
+      for (const double x : sample)
+        ++counts[a * kSampleWords + m * kSampleBins + static_cast<std::uint64_t>(maps[m](x)) * (kSampleBins - 1) / top];
     }
-    if (maps[0].even() && zeros_of_told(maps[0], particles_.position[a], particles_.count, stride) < 0)
-      ++counts[(a + 1) * kSampleWords - 1];
+    if (maps[0].even() && zeros_of_told(maps[0], sample) < 0) ++counts[(a + 1) * kSampleWords - 1];
   }
   return counts;
 }
 
 void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
   if (axes_ == 0) maps_[0] = AxisMap::of_ids(id_lo_, id_hi_);
-  std::array<std::uint64_t, geometry::kDimsMax> told{};
   for (std::size_t a = 0; a < at(axes_); ++a) {
     const auto most = [&](std::size_t m) {
       return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
     };
     maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_image(lo_[a], hi_[a]) : AxisMap::by_value(lo_[a], hi_[a]);
-    told[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
+    told_[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
   }
-  if (std::ranges::max(told) == 0) return;
-  // One more than the zeros; 0 where it doesn't.
-  for (std::size_t a = 0; a < at(axes_); ++a)
-    if (told[a] != 0)
-      told[a] = static_cast<std::uint64_t>(zeros_of_told(maps_[a], particles_.position[a], particles_.count, 1) + 1);
-  comm_.all_min(told);
+}
+
+// Axes whose integers may tell the coordinates are found to do so, or not, while the records are made.
+void TreeBuilder::make_records() {
+  const bool tell = std::ranges::max(told_) != 0 &&
+                    std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.even(); });
+  const std::array<int, geometry::kDimsMax> zeros =
+      records_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell);
+  if (!tell) return;
+  // One more than the zeros; 0 where they don't.
+  for (std::size_t a = 0; a < told_.size(); ++a)
+    told_[a] = told_[a] == 0 ? 0 : static_cast<std::uint64_t>(zeros[a] + 1);
+  comm_.all_min(told_);
   ++result_.reductions;
   for (std::size_t a = 0; a < at(axes_); ++a)
-    if (told[a] != 0) maps_[a].set_exact(static_cast<unsigned>(told[a] - 1));
+    if (told_[a] != 0) maps_[a].set_exact(static_cast<unsigned>(told_[a] - 1));
 }
 
 Extents TreeBuilder::extents_of(const QBounds& bounds) const {

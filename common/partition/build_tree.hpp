@@ -38,9 +38,10 @@ class TreeBuilder {
   };
 
   void measure_all();
-  // Collective (one reduction at most).
   void choose_maps(std::span<const std::uint64_t> samples);
   std::vector<std::uint64_t> sample_maps() const;
+  // Collective (one reduction at most).
+  void make_records();
   void order_axes();
   Extents extents_of(const QBounds& bounds) const;
   // The exact extents of these nodes. Collective (one reduction).
@@ -65,6 +66,7 @@ class TreeBuilder {
   Id id_lo_ = 0;
   Id id_hi_ = 0;
   AxisMaps maps_;
+  std::array<std::uint64_t, geometry::kDimsMax> told_{};  // 1: of a sample the integers tell the coordinates
   Records records_;
 
   PartitionResult result_;

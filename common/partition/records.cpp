@@ -21,31 +21,58 @@ unsigned shift_of(std::uint64_t span) {
   return bits > 30 ? bits - 30 : 0;
 }
 
+// What a pass finds of an axis: whether some coordinate is not its integer's, and the bits that any integer has.
+struct Told {
+  std::int64_t differ = 0;
+  std::int32_t bits = std::int32_t{1} << 30U;
+
+  void look(double value, double again, std::int32_t q) {
+    differ |= std::bit_cast<std::int64_t>(again - value);  // no branch, so that several are done at once
+    bits |= q;
+  }
+  // Differences of 0.0 or -0.0 are none.
+  int zeros() const { return differ << 1U != 0 ? -1 : std::countr_zero(static_cast<std::uint32_t>(bits)); }
+};
+
 // All maps by value: one loop over all axes, which is half the time of one loop an axis.
-template <std::size_t kAxes>
-void fill_even(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps,
-               std::span<Record> out) {
+template <std::size_t kAxes, bool kTell>
+void fill_even(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps, std::span<Record> out,
+               std::array<Told, geometry::kDimsMax>& told) {
   std::array<const double*, kAxes> x;
   std::array<double, kAxes> base;
   std::array<double, kAxes> scale;
+  std::array<double, kAxes> step;
+  std::array<Told, kAxes> found;
   for (std::size_t a = 0; a < kAxes; ++a) {
     x[a] = particles.position[a] + first;
     base[a] = maps[a].half_base();
     scale[a] = maps[a].scale();
+    step[a] = 1 / scale[a];  // exact: a power of two
   }
   for (std::size_t i = 0; i < out.size(); ++i) {
     Record record;
-    for (std::size_t a = 0; a < kAxes; ++a)
-      record.q[a] = static_cast<std::int32_t>((x[a][i] * 0.5 - base[a]) * scale[a]);
+    for (std::size_t a = 0; a < kAxes; ++a) {
+      const auto q = static_cast<std::int32_t>((x[a][i] * 0.5 - base[a]) * scale[a]);
+      if constexpr (kTell) found[a].look(x[a][i], 2 * (base[a] + q * step[a]), q);
+      record.q[a] = q;
+    }
     record.index = static_cast<std::uint32_t>(i);
     out[i] = record;
+  }
+  for (std::size_t a = 0; a < kAxes; ++a) {
+    told[a].differ |= found[a].differ;
+    told[a].bits |= found[a].bits;
   }
 }
 
 template <std::size_t kAxes>
-void fill(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps, std::span<Record> out) {
-  if (std::all_of(maps.begin(), maps.begin() + kAxes, [](const AxisMap& map) { return map.even(); }))
-    return fill_even<kAxes>(particles, first, maps, out);
+void fill(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps, std::span<Record> out,
+          bool tell, std::array<Told, geometry::kDimsMax>& told) {
+  if (std::all_of(maps.begin(), maps.begin() + kAxes, [](const AxisMap& map) { return map.even(); })) {
+    tell ? fill_even<kAxes, true>(particles, first, maps, out, told)
+         : fill_even<kAxes, false>(particles, first, maps, out, told);
+    return;
+  }
   for (std::size_t i = 0; i < out.size(); ++i) {
     Record record;
     for (std::size_t a = 0; a < kAxes; ++a) record.q[a] = maps[a](particles.position[a][first + i]);
@@ -83,11 +110,6 @@ AxisMap AxisMap::of_ids(Id lo, Id hi) {
   return map;
 }
 
-void AxisMap::set_exact(unsigned zeros) {
-  exact_ = true;
-  if (even()) scale_ = std::ldexp(scale_, -static_cast<int>(zeros));
-}
-
 // Rounding moves a coordinate by far less than one step before it is cut off to an integer.
 double AxisMap::least(std::int32_t q) const {
   if (exact_) return value(q);
@@ -114,26 +136,15 @@ double AxisMap::first_value(std::int32_t q) const {
   return geometry::value_of_image(low);
 }
 
-int zeros_of_told(const AxisMap& map, const double* x, std::size_t count, std::size_t stride) {
-  constexpr std::size_t kBlock = 1024;  // between looks at whether it is in vain
-  const double base = map.half_base();
-  const double scale = map.scale();
-  const double step = 1 / scale;  // exact: a power of two
-  std::uint32_t all = std::uint32_t{1} << 30U;
-  for (std::size_t first = 0; first < count; first += kBlock * stride) {
-    const std::size_t last = std::min(first + kBlock * stride, count);
-    bool told = true;
-    for (std::size_t i = first; i < last; i += stride) {
-      const auto q = static_cast<std::int32_t>((x[i] * 0.5 - base) * scale);
-      told &= 2 * (base + q * step) == x[i];
-      all |= static_cast<std::uint32_t>(q);
-    }
-    if (!told) return -1;
-  }
-  return std::countr_zero(all);
+int zeros_of_told(const AxisMap& map, std::span<const double> x) {
+  Told told;
+  for (const double value : x) told.look(value, map.value(map(value)), map(value));
+  return told.zeros();
 }
 
-void Records::build(const particles::ParticleView& particles, int axes, const AxisMaps& maps, std::size_t chunk_max) {
+std::array<int, geometry::kDimsMax> Records::build(const particles::ParticleView& particles, int axes,
+                                                   const AxisMaps& maps, std::size_t chunk_max, bool tell) {
+  std::array<Told, geometry::kDimsMax> told;
   chunk_max_ = chunk_max;
   chunks_.clear();
   for (std::size_t first = 0; first < particles.count || first == 0; first += chunk_max) {
@@ -144,16 +155,19 @@ void Records::build(const particles::ParticleView& particles, int axes, const Ax
           chunk[i] = {{maps[0](particles.id[first + i]), 0, 0}, static_cast<std::uint32_t>(i)};
         break;
       case 1:
-        fill<1>(particles, first, maps, chunk.span());
+        fill<1>(particles, first, maps, chunk.span(), tell, told);
         break;
       case 2:
-        fill<2>(particles, first, maps, chunk.span());
+        fill<2>(particles, first, maps, chunk.span(), tell, told);
         break;
       default:
-        fill<3>(particles, first, maps, chunk.span());
+        fill<3>(particles, first, maps, chunk.span(), tell, told);
         break;
     }
   }
+  std::array<int, geometry::kDimsMax> zeros{-1, -1, -1};
+  for (std::size_t a = 0; a < zeros.size() && tell; ++a) zeros[a] = told[a].zeros();
+  return zeros;
 }
 
 std::vector<Span> Records::spans() {

@@ -64,8 +64,12 @@ class AxisMap {
   // Whether an integer tells the coordinate: known of images in single steps; of values it may be found to hold for a
   // set (lattices, few digits).
   bool exact() const { return exact_; }
-  // It does, and all integers are multiples of 2^zeros: they are divided by it.
-  void set_exact(unsigned zeros);
+  // It does, and all integers are multiples of 2^zeros.
+  void set_exact(unsigned zeros) {
+    exact_ = true;
+    zeros_ = zeros;
+  }
+  unsigned zeros() const { return zeros_; }
   // The coordinate, if the integer tells it.
   double value(std::int32_t q) const {
     return even() ? 2 * (half_base_ + q / scale_)
@@ -86,6 +90,7 @@ class AxisMap {
   std::uint64_t hi_ = 0;
   unsigned shift_ = 0;
   bool exact_ = false;
+  unsigned zeros_ = 0;
 };
 
 using AxisMaps = std::array<AxisMap, geometry::kDimsMax>;
@@ -101,8 +106,10 @@ struct QBounds {
 
 class Records {
  public:
-  // One record a particle. axes: 0 makes records of the ids alone. Local.
-  void build(const particles::ParticleView& particles, int axes, const AxisMaps& maps, std::size_t chunk_max);
+  // One record a particle. axes: 0 makes records of the ids alone. Returns zeros_of_told of every axis where `tell`
+  // asks for any (all maps are by value then), found in the same pass; else -1. Local.
+  std::array<int, geometry::kDimsMax> build(const particles::ParticleView& particles, int axes, const AxisMaps& maps,
+                                            std::size_t chunk_max, bool tell);
 
   std::size_t chunks() const { return chunks_.size(); }
   // Everything, one span a chunk.
@@ -116,9 +123,9 @@ class Records {
   std::size_t chunk_max_ = 0;
 };
 
-// For a map by value. If value(q) is the coordinate of each: the trailing zero bits that all integers have; else -1.
+// If the integers of a map by value tell each coordinate: the trailing zero bits that all integers have; else -1.
 // Local.
-int zeros_of_told(const AxisMap& map, const double* x, std::size_t count, std::size_t stride);
+int zeros_of_told(const AxisMap& map, std::span<const double> x);
 
 // Passes over records.
 

@@ -157,7 +157,10 @@ void Selector::count_round() {
   for (std::size_t first = 0; first < asked.size(); first += group) {
     const auto own = std::span(asked).subspan(first, std::min(group, asked.size() - first));
     const auto shift = [&](std::size_t node) {
-      return shift_of(static_cast<std::uint64_t>(states_[node].hi - states_[node].lo), bins);
+      const State& state = states_[node];
+      // Told integers lie 2^zeros apart: narrower bins would be empty.
+      const unsigned least = !state.keyed && told(node, 0) ? maps_[axis_of(node)].zeros() : 0;
+      return std::max(shift_of(static_cast<std::uint64_t>(state.hi - state.lo), bins), least);
     };
     message_.resize(own.size() * node_words);
     std::fill(message_.begin(), message_.end(), 0);
@@ -199,7 +202,8 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
   if (take_near(node, shift, bin, found)) return;
   state.inside = found.count;
   const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);
-  const auto step = static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
+  const bool single = !state.keyed && told(node, 0) && shift == maps_[axis_of(node)].zeros();
+  const auto step = single ? 0 : static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
   narrow(node, lo, state.hi - lo > step ? lo + step : state.hi, found.count < before / 16);
   settle(node, before);
 }
@@ -246,7 +250,9 @@ std::array<std::uint64_t, 2> Selector::word_bounds(std::size_t node, std::size_t
     for (const Span& span : spans_of(node)) widen(bounds, span.open());
     const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
     if (bounds.empty()) return {least, other};
-    return {static_cast<std::uint64_t>(bounds.lo[axis]), ~static_cast<std::uint64_t>(bounds.hi[axis])};
+    const unsigned zeros = maps_[axis].zeros();
+    return {static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
+            ~static_cast<std::uint64_t>(bounds.hi[axis] >> zeros)};
   }
   for (const Span& span : spans_of(node)) {
     if (span.open().empty()) continue;
@@ -282,7 +288,9 @@ void Selector::rekey() {
     if (state.word > 0 && told(node, state.word)) {
       const auto axis = static_cast<std::size_t>(nodes_[node].axes[state.word]);
       const QBounds& bounds = nodes_[node].bounds;
-      enter(node, static_cast<std::uint64_t>(bounds.lo[axis]), static_cast<std::uint64_t>(bounds.hi[axis]));
+      const unsigned zeros = maps_[axis].zeros();
+      enter(node, static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
+            static_cast<std::uint64_t>(bounds.hi[axis] >> zeros));
     } else {
       measured.push_back(node);
     }
@@ -325,6 +333,8 @@ void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
 void Selector::write_words(std::size_t node) {
   State& state = states_[node];
   const std::size_t axis = axis_of(node);
+  const unsigned zeros =
+      told(node, state.word) ? maps_[static_cast<std::size_t>(nodes_[node].axes[state.word])].zeros() : 0;
   const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
   for (Span& span : spans_of(node)) {
     if (!state.keyed) {
@@ -332,7 +342,8 @@ void Selector::write_words(std::size_t node) {
       span.keyed_last = span.upper;
     }
     if (told(node, state.word))
-      for (Record& record : span.open()) record.q[axis] = record.q[from] - static_cast<std::int32_t>(state.base);
+      for (Record& record : span.open())
+        record.q[axis] = (record.q[from] >> zeros) - static_cast<std::int32_t>(state.base);
     else
       for (Record& record : span.open())
         record.q[axis] = static_cast<std::int32_t>((word_of(node, state.word, span.base + record.index) - state.base) >>
