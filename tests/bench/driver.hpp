@@ -36,10 +36,13 @@ void prepare_jobs();
 Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds,
                nlohmann::ordered_json& rows);
 
-// Runs `plan` on each number of ranks through mpirun. Waits for a job as long as it goes on measuring; one that
-// measures nothing for kStallSeconds is killed. Errors: deadline_exceeded, aborted (SIGINT or SIGTERM), internal,
-// io_error.
-inline constexpr double kStallSeconds = 1800;
+// Beside a file of rows: whose turn it is, written before every run.
+std::string turn_path(const std::string& rows_path);
+
+// Runs `plan` on each number of ranks through mpirun. Waits for a job as long as it goes on; one in which nothing
+// happens for kStallSeconds is killed. A peer whose turn it was gets a row that says so, and the rest is run without it
+// in that cell. Errors: deadline_exceeded, aborted (SIGINT or SIGTERM), internal, io_error.
+inline constexpr double kStallSeconds = 120;
 Rows run_jobs(const Plan& plan, const std::vector<int>& ranks);
 
 // CPU, cores, memory, system, MPI, compiler, load before the start.

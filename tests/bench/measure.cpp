@@ -119,6 +119,7 @@ std::vector<Measurement> measure(partition::Comm& comm, const Problem& problem, 
       const std::size_t c = (first + k) % present.size();
       if (!partition::agree(comm, results[c].failure.empty())) continue;
       present[c]->reset();
+      if (options.on_turn) options.on_turn(results[c].setting);
       action(*present[c], results[c]);
     }
   };

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -33,6 +34,7 @@ struct Measurement {
 struct MeasureOptions {
   int repeats = 1;
   bool memory = false;
+  std::function<void(const Setting&)> on_turn;  // before each run, on every rank; may be empty
 };
 
 // Keeps memory that is freed, for all contenders alike: giving it back and fetching it again took a third of Zoltan's

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
 #include "common/base/status.hpp"
 #include "tests/bench/contender.hpp"
 
@@ -14,6 +16,17 @@ struct Cell {
   std::string scene;
   std::uint64_t n = 0;
   int parts = 1;
+
+  bool operator==(const Cell&) const = default;
+};
+
+// A contender that gave no answer in a cell: it is left out there.
+struct Skip {
+  Cell cell;
+  std::string tool;
+  std::string method;
+
+  bool operator==(const Skip&) const = default;
 };
 
 struct Plan {
@@ -21,7 +34,12 @@ struct Plan {
   Wish wish;
   int repeats = 1;
   bool memory = false;  // measure peak memory too
+  std::vector<Skip> skips;
 };
+
+nlohmann::json json_of(const Skip& skip);
+// Throws nlohmann::json::exception.
+Skip skip_of(const nlohmann::json& json);
 
 Status save(const Plan& plan, const std::string& path);
 Result<Plan> load(const std::string& path);

@@ -1,5 +1,6 @@
 #include "tests/bench/worker.hpp"
 
+#include <algorithm>
 #include <csignal>
 #include <cstdio>
 #include <fstream>
@@ -8,6 +9,7 @@
 #include <sys/prctl.h>
 
 #include "server/ranks/mpi_session.hpp"
+#include "tests/bench/driver.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/plan.hpp"
 #include "tests/bench/rows.hpp"
@@ -41,9 +43,18 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
       made = &cell;
     }
     // Made anew for each cell, so that none keeps memory of another's.
-    const Contenders contenders = make_contenders(comm, plan.wish);
+    Contenders contenders = make_contenders(comm, plan.wish);
+    std::erase_if(contenders, [&](const auto& contender) {
+      return std::ranges::any_of(plan.skips, [&](const Skip& skip) {
+        return skip == Skip{cell, contender->setting().tool, contender->setting().method};
+      });
+    });
+    const auto tell_turn = [&](const Setting& setting) {
+      if (comm.rank() == 0)
+        std::ofstream(turn_path(rows_path)) << json_of(Skip{cell, setting.tool, setting.method}) << "\n";
+    };
     const auto measured =
-        measure(comm, Problem{points.view(), cell.n, cell.parts}, contenders, {plan.repeats, plan.memory});
+        measure(comm, Problem{points.view(), cell.n, cell.parts}, contenders, {plan.repeats, plan.memory, tell_turn});
     if (comm.rank() != 0) continue;
     for (const auto& row : make_rows_json(cell, kind->dims, comm.size(), measured, !plan.memory)) rows << row << "\n";
     rows.flush();
