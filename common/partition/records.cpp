@@ -181,35 +181,31 @@ std::vector<Span> Records::spans() {
 }
 
 Buffer<std::int32_t> Records::into_parts(std::span<const std::size_t> ends, int parts) {
-  // The numbers alone are kept, at the front of the same memory, before there is memory for the parts.
-  std::size_t count = 0;
-  std::vector<Buffer<std::uint32_t>> numbers;
-  for (Buffer<Record>& chunk : chunks_) {
-    const std::size_t size = chunk.size();
-    const Record* const from = chunk.data();
-    auto* const bytes = reinterpret_cast<std::byte*>(chunk.data());
-    for (std::size_t i = 0; i < size; ++i) {
-      const std::uint32_t number = from[i].index;
-      std::memcpy(bytes + i * sizeof number, &number, sizeof number);
-    }
-    Buffer<std::uint32_t>& kept = numbers.emplace_back(chunk.release_as<std::uint32_t>());
-    kept.resize(size);
-    kept.shrink();
-    count += size;
-  }
-  Buffer<std::int32_t> part(count);
-  std::int32_t* out = part.data();
-  for (std::size_t c = 0; c < numbers.size(); ++c) {
+  // In the records' own memory: a chunk's numbers move to its front, the parts are written behind them, and then take
+  // their place.
+  Buffer<std::int32_t> all;
+  for (std::size_t c = 0; c < chunks_.size(); ++c) {
+    const std::size_t size = chunks_[c].size();
+    Buffer<std::int32_t> own = chunks_[c].release_as<std::int32_t>();
+    constexpr std::size_t kWords = sizeof(Record) / sizeof(std::int32_t);
+    for (std::size_t i = 0; i < size; ++i) own[i] = own[i * kWords + kWords - 1];
+    std::int32_t* const part = own.data() + size;
     std::size_t i = 0;
     for (std::int32_t p = 0; p < parts; ++p)
       for (const std::size_t end = ends[c * static_cast<std::size_t>(parts) + static_cast<std::size_t>(p)]; i < end;
            ++i)
-        out[numbers[c][i]] = p;
-    CHECK(i == numbers[c].size(), "every record is in a part");
-    out += numbers[c].size();
+        part[static_cast<std::uint32_t>(own[i])] = p;
+    CHECK(i == size, "every record is in a part");
+    if (size > 0) std::memmove(own.data(), part, size * sizeof(std::int32_t));
+    own.resize(size);
+    own.shrink();
+    if (c == 0)
+      all = std::move(own);
+    else
+      all.append(own.span());
   }
   chunks_.clear();
-  return part;
+  return all;
 }
 
 // Records that stand right already, at either end, are passed by: solvers' orders are seldom random. Of the others
