@@ -31,6 +31,13 @@ partition::PartitionResult search(Context& context, const Scene& scene, bool fir
   return std::move(result).value();
 }
 
+// The loads under new cuts: counted where the search doesn't know them. Collective.
+partition::LoadSummary loads_of(Context& context, const Scene& scene, const partition::PartitionResult& found) {
+  if (!found.counts.empty()) return partition::summarise_counts(found.counts, scene.options.part_sizes);
+  return partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(), scene.options.part_sizes,
+                                    scene.options.parts);
+}
+
 // Ids and parts of all local particles.
 PartChanges all_changes(const Scene& scene) {
   PartChanges changes;
@@ -151,8 +158,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   scene.pushed = true;
   const double start = context.clock.seconds();
   partition::PartitionResult found = search(context, scene, true);
-  auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
-                                          scene.options.part_sizes, scene.options.parts);
+  auto loads = loads_of(context, scene, found);
   adopt(scene, std::move(found), std::move(loads));
   report.repartitioned = true;
   report.reason = "first positions";
@@ -163,8 +169,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
 void try_repartition(Context& context, Scene& scene, const Decision& decision, double error_before,
                      Buffer<std::int32_t>& old_part, StepReport& report) {
   partition::PartitionResult found = search(context, scene, false);
-  auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(),
-                                          scene.options.part_sizes, scene.options.parts);
+  auto loads = loads_of(context, scene, found);
   if ((loads.weighted || scene.options.cut_tolerance > 0) && !(loads.error < error_before)) {
     scene.error_when_not_adopted = error_before;
     scene.costs.start_again(scene.loads.imbalance);
