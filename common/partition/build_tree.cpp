@@ -231,10 +231,7 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
           own[2 * a + 1] = std::min(own[2 * a + 1], ~image);
         }
   }
-  for (std::size_t first = 0; first < least.size(); first += kMessageWordsMax) {
-    comm_.all_min(std::span(least).subspan(first, std::min(kMessageWordsMax, least.size() - first)));
-    ++result_.reductions;
-  }
+  result_.reductions += all_min_in_messages(comm_, least);
   std::vector<Point> extents(nodes.size());
   for (std::size_t n = 0; n < nodes.size(); ++n)
     for (std::size_t a = 0; a < at(axes_); ++a)
@@ -252,12 +249,13 @@ Question TreeBuilder::question(const Node& node) const {
   const auto [index, first, last] = node.range;
   ask.left_size = rule_.size(first, node.range.middle());
   ask.size = rule_.size(first, last);
-  if (options_.cut_tolerance > 0)
+  if (options_.cut_tolerance > 0) {
     ask.rank = floor_share(node.count, ask.left_size, ask.size);
-  else
+    ask.slack = slack_of(node);
+  } else {
     ask.rank = rule_.quota(first, node.range.middle());
+  }
   ask.search = !node.bounds.empty() && (scale_ || ask.rank < ask.count);
-  if (options_.cut_tolerance > 0) ask.slack = slack_of(node);
   return ask;
 }
 
@@ -326,10 +324,7 @@ void TreeBuilder::reduce_bounds() {
       least.push_back(static_cast<std::uint64_t>(node.bounds.lo[a]));
       least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.bounds.hi[a]));
     }
-  for (std::size_t first = 0; first < least.size(); first += kMessageWordsMax) {
-    comm_.all_min(std::span(least).subspan(first, std::min(kMessageWordsMax, least.size() - first)));
-    ++result_.reductions;
-  }
+  result_.reductions += all_min_in_messages(comm_, least);
   std::size_t word = 0;
   for (Node& node : next_)
     for (std::size_t a = 0; a < q_axes_; ++a) {

@@ -16,10 +16,7 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // A record as one vector: moved by one load and one store.
 using Lanes = std::int32_t __attribute__((vector_size(sizeof(Record)), may_alias));
 
-unsigned shift_of(std::uint64_t span) {
-  const auto bits = static_cast<unsigned>(std::bit_width(span));
-  return bits > 30 ? bits - 30 : 0;
-}
+constexpr unsigned kImageBits = 30;
 
 // What a pass finds of an axis: whether some coordinate is not its integer's, and the bits that any integer has.
 struct Told {
@@ -97,7 +94,7 @@ AxisMap AxisMap::by_image(double lo, double hi) {
   AxisMap map;
   map.lo_ = geometry::image(lo);
   map.hi_ = geometry::image(hi);
-  map.shift_ = shift_of(map.hi_ - map.lo_);
+  map.shift_ = shift_to(map.hi_ - map.lo_, kImageBits);
   map.exact_ = map.shift_ == 0;
   return map;
 }
@@ -106,7 +103,7 @@ AxisMap AxisMap::of_ids(Id lo, Id hi) {
   AxisMap map;
   map.lo_ = static_cast<std::uint64_t>(lo);
   map.hi_ = static_cast<std::uint64_t>(hi);
-  map.shift_ = shift_of(map.hi_ - map.lo_);
+  map.shift_ = shift_to(map.hi_ - map.lo_, kImageBits);
   return map;
 }
 
@@ -145,7 +142,6 @@ int zeros_of_told(const AxisMap& map, std::span<const double> x) {
 std::array<int, geometry::kDimsMax> Records::build(const particles::ParticleView& particles, int axes,
                                                    const AxisMaps& maps, std::size_t chunk_max, bool tell) {
   std::array<Told, geometry::kDimsMax> told;
-  chunk_max_ = chunk_max;
   chunks_.clear();
   for (std::size_t first = 0; first < particles.count || first == 0; first += chunk_max) {
     Buffer<Record>& chunk = chunks_.emplace_back(std::min(chunk_max, particles.count - first));

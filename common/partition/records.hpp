@@ -9,6 +9,7 @@
 #pragma once
 
 #include <array>
+#include <bit>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -38,6 +39,12 @@ struct Span {
   std::span<Record> all() const { return {first, last}; }
   std::span<Record> open() const { return {middle, upper}; }
 };
+
+// By how many bits 0..span must be shifted to fit in `bits`.
+constexpr unsigned shift_to(std::uint64_t span, unsigned bits) {
+  const auto width = static_cast<unsigned>(std::bit_width(span));
+  return width > bits ? width - bits : 0;
+}
 
 // Coordinates as integers in [0, kTop], in steps of equal length or, where those would put too many particles into one,
 // in steps of the image.
@@ -120,7 +127,6 @@ class Records {
 
  private:
   std::vector<Buffer<Record>> chunks_;
-  std::size_t chunk_max_ = 0;
 };
 
 // If the integers of a map by value tell each coordinate: the trailing zero bits that all integers have; else -1.

@@ -23,13 +23,17 @@ constexpr unsigned kKeyBits = 31;
 constexpr std::uint64_t kGatherAlways = 8;  // candidates that aren't worth a histogram
 constexpr std::uint64_t kNone = ~std::uint64_t{0};
 
-unsigned shift_of(std::uint64_t span, std::size_t bins) {
-  const auto width = static_cast<unsigned>(std::bit_width(span));
-  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
-  return width > bin_bits ? width - bin_bits : 0;
-}
-
 }  // namespace
+
+std::uint64_t all_min_in_messages(Comm& comm, std::span<std::uint64_t> values) {
+  std::uint64_t messages = 0;
+  for (; !values.empty(); ++messages) {
+    const std::size_t count = std::min(kMessageWordsMax, values.size());
+    comm.all_min(values.first(count));
+    values = values.subspan(count);
+  }
+  return messages;
+}
 
 void Selector::select(std::span<Question> nodes, std::span<Span> spans) {
   nodes_ = nodes;
@@ -97,7 +101,7 @@ void Selector::settle(std::size_t node, std::uint64_t before) {
   ++state.rounds;
   const bool tied = state.rounds > 1 && state.inside > before / 2;
   const bool spent = state.lo == state.hi || (!state.keyed && (tied || state.rounds >= kRoundsMax));
-  const bool cheap = spent && state.lo == state.hi && !state.keyed && told(node, 0) && words_ > 1 && told(node, 1);
+  const bool cheap = state.lo == state.hi && !state.keyed && told(node, 0) && told(node, 1);
   if (state.inside <= gather_share() ||
       (spent && !cheap && state.inside <= std::min(8 * gather_share(), limits_.gather_max)))
     state.phase = Phase::gather;
@@ -152,6 +156,7 @@ void Selector::count_round() {
   const std::size_t most_bins = std::min<std::size_t>(limits_.bins_max, weighted() ? kHeavyBinsMax : limits_.bins_max);
   const std::size_t least_bins = std::min(kBinsMin, most_bins);
   const std::size_t bins = std::clamp(std::bit_floor(std::max<std::size_t>(fit, 1)), least_bins, most_bins);
+  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
   const std::size_t node_words = (bins * cell_words_ + per_word_ - 1) / per_word_;
   const std::size_t group = std::max<std::size_t>(kMessageWordsMax / node_words, 1);
   for (std::size_t first = 0; first < asked.size(); first += group) {
@@ -159,8 +164,8 @@ void Selector::count_round() {
     const auto shift = [&](std::size_t node) {
       const State& state = states_[node];
       // Told integers lie 2^zeros apart: narrower bins would be empty.
-      const unsigned least = !state.keyed && told(node, 0) ? maps_[axis_of(node)].zeros() : 0;
-      return std::max(shift_of(static_cast<std::uint64_t>(state.hi - state.lo), bins), least);
+      const unsigned least = state.keyed ? 0 : zeros_of(node, 0);
+      return std::max(shift_to(static_cast<std::uint64_t>(state.hi - state.lo), bin_bits), least);
     };
     message_.resize(own.size() * node_words);
     std::fill(message_.begin(), message_.end(), 0);
@@ -202,7 +207,7 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
   if (take_near(node, shift, bin, found)) return;
   state.inside = found.count;
   const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);
-  const bool single = !state.keyed && told(node, 0) && shift == maps_[axis_of(node)].zeros();
+  const bool single = !state.keyed && told(node, 0) && shift == zeros_of(node, 0);
   const auto step = single ? 0 : static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
   narrow(node, lo, state.hi - lo > step ? lo + step : state.hi, found.count < before / 16);
   settle(node, before);
@@ -219,8 +224,11 @@ bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, cons
   const u128 after = before + (weighted() ? found.weight : found.count);
   const auto off = [wanted](u128 got) { return got < wanted ? wanted - got : got - wanted; };
   const bool take = off(after) < off(before);
-  const std::int32_t q = state.lo + static_cast<std::int32_t>((bin + (take ? 1 : 0)) << shift);
-  if (off(take ? after : before) > ask.slack || q > ask.bounds.hi[axis_of(node)]) return false;
+  // Behind the last bin there may be no integer of 32 bits.
+  const std::uint64_t beyond = static_cast<std::uint64_t>(state.lo) + (std::uint64_t{bin + (take ? 1 : 0)} << shift);
+  const auto top = static_cast<std::uint64_t>(ask.bounds.hi[axis_of(node)]);
+  if (off(take ? after : before) > ask.slack || beyond > top) return false;
+  const auto q = static_cast<std::int32_t>(beyond);
   ask.left_count = state.below + (take ? found.count : 0);
   ask.left_weight = state.weight_below + (take ? found.weight : 0);
   ask.key = {};
@@ -250,7 +258,7 @@ std::array<std::uint64_t, 2> Selector::word_bounds(std::size_t node, std::size_t
     for (const Span& span : spans_of(node)) widen(bounds, span.open());
     const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
     if (bounds.empty()) return {least, other};
-    const unsigned zeros = maps_[axis].zeros();
+    const unsigned zeros = zeros_of(node, word);
     return {static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
             ~static_cast<std::uint64_t>(bounds.hi[axis] >> zeros)};
   }
@@ -288,7 +296,7 @@ void Selector::rekey() {
     if (state.word > 0 && told(node, state.word)) {
       const auto axis = static_cast<std::size_t>(nodes_[node].axes[state.word]);
       const QBounds& bounds = nodes_[node].bounds;
-      const unsigned zeros = maps_[axis].zeros();
+      const unsigned zeros = zeros_of(node, state.word);
       enter(node, static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
             static_cast<std::uint64_t>(bounds.hi[axis] >> zeros));
     } else {
@@ -302,10 +310,7 @@ void Selector::rekey() {
   for (std::size_t m = 0; m < measured.size(); ++m)
     for (std::size_t w = states_[measured[m]].word; w < words_; ++w)
       std::ranges::copy(word_bounds(measured[m], w), &bounds[(m * words_ + w) * 2]);
-  for (std::size_t at = 0; at < bounds.size(); at += kMessageWordsMax) {
-    comm_.all_min(bounds.span().subspan(at, std::min(kMessageWordsMax, bounds.size() - at)));
-    ++reductions_;
-  }
+  reductions_ += all_min_in_messages(comm_, bounds.span());
   for (std::size_t m = 0; m < measured.size(); ++m) {
     State& state = states_[measured[m]];
     const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
@@ -321,8 +326,7 @@ void Selector::rekey() {
 void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
   State& state = states_[node];
   state.base = lo;
-  const auto width = static_cast<unsigned>(std::bit_width(hi - lo));
-  state.shift = width > kKeyBits ? width - kKeyBits : 0;
+  state.shift = shift_to(hi - lo, kKeyBits);
   state.lo = 0;
   state.hi = static_cast<std::int32_t>((hi - lo) >> state.shift);
   state.rounds = 0;
@@ -333,8 +337,7 @@ void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
 void Selector::write_words(std::size_t node) {
   State& state = states_[node];
   const std::size_t axis = axis_of(node);
-  const unsigned zeros =
-      told(node, state.word) ? maps_[static_cast<std::size_t>(nodes_[node].axes[state.word])].zeros() : 0;
+  const unsigned zeros = zeros_of(node, state.word);
   const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
   for (Span& span : spans_of(node)) {
     if (!state.keyed) {

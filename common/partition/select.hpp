@@ -34,6 +34,9 @@ using KeyWords = std::array<std::uint64_t, geometry::kDimsMax + 1>;
 inline constexpr std::size_t kMessageBytesMax = 32 * 1024;
 inline constexpr std::size_t kMessageWordsMax = kMessageBytesMax / sizeof(std::uint64_t);
 
+// Comm::all_min in messages of that size; returns their number. Collective.
+std::uint64_t all_min_in_messages(Comm& comm, std::span<std::uint64_t> values);
+
 struct Question {
   // Asked
   bool search = true;  // false: nothing goes right
@@ -157,6 +160,10 @@ class Selector {
   // Of a key word the integers tell as much as the coordinate: they may stand for it.
   bool told(std::size_t node, std::size_t word) const {
     return word < axes_ && maps_[static_cast<std::size_t>(nodes_[node].axes[word])].exact();
+  }
+  // The trailing zero bits of those integers; 0 where they don't.
+  unsigned zeros_of(std::size_t node, std::size_t word) const {
+    return told(node, word) ? maps_[static_cast<std::size_t>(nodes_[node].axes[word])].zeros() : 0;
   }
   std::uint64_t word_of(std::size_t node, std::size_t word, std::size_t particle) const;
   KeyWords key_words(std::size_t node, std::size_t particle) const;

@@ -102,5 +102,23 @@ TEST(CutTolerance, FindsTheExactCutWhereTiesLeaveNoOther) {
   EXPECT_LE(met.error, 0.5 + 3 * 7 / 5000.0);
 }
 
+// The last bin ends where 31 bits end; a cut behind it would be one behind everything.
+TEST(CutTolerance, NothingIsCutBehindTheLastBin) {
+  Scene scene;
+  scene.dims = 1;
+  scene.x[0] = {0, 0, 0};
+  while (scene.x[0].size() < 10) scene.x[0].push_back(2 - 0x1p-29);
+  for (std::int64_t i = 0; i < 10; ++i) scene.id.push_back(i);
+  PartitionOptions options;
+  options.parts = 2;
+  options.part_sizes = {7, 3};
+  options.cut_tolerance = 1;
+  options.limits.gather_max = 1;
+  Met met;
+  run(scene, options, met);
+  EXPECT_EQ(met.hashes.size(), 1U);
+  EXPECT_EQ(met.error, 0);
+}
+
 }  // namespace
 }  // namespace rcb::partition
