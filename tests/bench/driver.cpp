@@ -34,7 +34,6 @@ Status await(launch::Job& job, const std::string& rows, double stall_seconds) {
   const SteadyClock clock;
   double last_growth = clock.seconds();
   std::uintmax_t size = 0;
-  fs::file_time_type turn;
   for (;;) {
     if (const auto ending = job.poll()) {
       if (*ending == "exit code 0") return {};
@@ -45,10 +44,6 @@ Status await(launch::Job& job, const std::string& rows, double stall_seconds) {
     const std::uintmax_t now = fs::file_size(rows, error);
     if (!error && now != size) {
       size = now;
-      last_growth = clock.seconds();
-    }
-    if (const auto time = fs::last_write_time(turn_path(rows), error); !error && time != turn) {
-      turn = time;
       last_growth = clock.seconds();
     }
     if (clock.seconds() - last_growth > stall_seconds)
@@ -69,11 +64,13 @@ std::string first_line_with(const char* path, const std::string& key) {
 }
 
 // After a job in which nothing happened any more: whether the rest can be run without the peer whose turn it was.
-bool go_on_without(Plan& left, const std::string& rows_path, int ranks, Rows& result) {
-  if (result.status.code() != Code::deadline_exceeded) return false;
+bool go_on_without(Plan& left, int ranks, Rows& result) {
+  const bool hung = result.status.code() == Code::deadline_exceeded;
+  const Json last = hung && !result.rows.empty() ? result.rows.back() : Json();
+  std::erase_if(result.rows.get_ref<Json::array_t&>(), [](const Json& row) { return row.contains("begun"); });
+  if (!last.contains("begun")) return false;
   try {
-    std::ifstream in(turn_path(rows_path));
-    const Skip skip = skip_of(nlohmann::json::parse(in));
+    const Skip skip = skip_of(last["begun"]);
     const auto cell = std::find(left.cells.begin(), left.cells.end(), skip.cell);
     if (skip.tool == "rcbd" || cell == left.cells.end()) return false;
     const std::string failure = fmt::format("no answer in {} s", kStallSeconds);
@@ -94,8 +91,6 @@ bool go_on_without(Plan& left, const std::string& rows_path, int ranks, Rows& re
 }
 
 }  // namespace
-
-std::string turn_path(const std::string& rows_path) { return rows_path + ".turn"; }
 
 TemporaryFolder::TemporaryFolder() {
   std::error_code error;
@@ -150,7 +145,7 @@ Rows run_jobs(const Plan& plan, const std::vector<int>& ranks) {
     do {
       result.status = save(left, folder.path() + "/plan");
       if (result.status.ok()) result.status = run_job(folder.path(), kWorkerWord, r, kStallSeconds, result.rows);
-    } while (go_on_without(left, folder.path() + "/rows", r, result));
+    } while (go_on_without(left, r, result));
     if (!result.status.ok()) break;
   }
   return result;

@@ -36,9 +36,6 @@ void prepare_jobs();
 Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds,
                nlohmann::ordered_json& rows);
 
-// Beside a file of rows: whose turn it is, written before every run.
-std::string turn_path(const std::string& rows_path);
-
 // Runs `plan` on each number of ranks through mpirun. Waits for a job as long as it goes on; one in which nothing
 // happens for kStallSeconds is killed. A peer whose turn it was gets a row that says so, and the rest is run without it
 // in that cell. Errors: deadline_exceeded, aborted (SIGINT or SIGTERM), internal, io_error.

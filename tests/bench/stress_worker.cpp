@@ -1,27 +1,20 @@
 #include "tests/bench/stress_worker.hpp"
 
-#include <csignal>
 #include <fstream>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
-#include <sys/prctl.h>
 
 #include "common/base/random.hpp"
-#include "server/ranks/mpi_session.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/plan.hpp"
 #include "tests/bench/stress_scenes.hpp"
-#ifdef RCB_BENCH_ZOLTAN2
-#include "tests/bench/multijagged.hpp"
-#endif
+#include "tests/bench/worker.hpp"
 
 namespace rcb::bench {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-constexpr unsigned kFinishSeconds = 30;
 
 // The same for the same parts of the same particles, however they are dealt to ranks. Collective.
 std::uint64_t checksum(partition::Comm& comm, const Problem& problem, const Answer& answer) {
@@ -92,25 +85,6 @@ Status answer_cells(partition::Comm& comm, const Plan& plan, const std::string& 
 
 }  // namespace
 
-int run_stress_worker(int argc, char** argv) {
-  prctl(PR_SET_PDEATHSIG, SIGKILL);  // a rank doesn't outlive its mpirun
-  auto session = ranks::MpiSession::start(&argc, &argv);
-  if (!session || argc != 4) {
-    fmt::print(stderr, "rcb_stress: {}\n", session ? "a rank's arguments are PLAN ROWS" : session.status().message());
-    return 1;
-  }
-#ifdef RCB_BENCH_ZOLTAN2
-  start_zoltan2(&argc, &argv);
-#endif
-  auto plan = load(argv[2]);
-  Status status = plan.status();
-  if (partition::agree(session->comm(), status.ok())) status = answer_cells(session->comm(), *plan, argv[3]);
-#ifdef RCB_BENCH_ZOLTAN2
-  finish_zoltan2();
-#endif
-  if (!status.ok()) fmt::print(stderr, "rcb_stress: rank {}: {}\n", session->rank(), status.message());
-  session->finish(kFinishSeconds);
-  return status.ok() ? 0 : 1;
-}
+int run_stress_worker(int argc, char** argv) { return run_as_rank(argc, argv, "rcb_stress", answer_cells); }
 
 }  // namespace rcb::bench

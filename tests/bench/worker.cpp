@@ -9,7 +9,6 @@
 #include <sys/prctl.h>
 
 #include "server/ranks/mpi_session.hpp"
-#include "tests/bench/driver.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/plan.hpp"
 #include "tests/bench/rows.hpp"
@@ -51,7 +50,7 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
     });
     const auto tell_turn = [&](const Setting& setting) {
       if (comm.rank() == 0)
-        std::ofstream(turn_path(rows_path)) << json_of(Skip{cell, setting.tool, setting.method}) << "\n";
+        rows << nlohmann::json{{"begun", json_of(Skip{cell, setting.tool, setting.method})}} << std::endl;
     };
     const auto measured =
         measure(comm, Problem{points.view(), cell.n, cell.parts}, contenders, {plan.repeats, plan.memory, tell_turn});
@@ -78,12 +77,11 @@ Contenders make_contenders(partition::Comm& comm, const Wish& wish) {
   return all;
 }
 
-int run_worker(int argc, char** argv) {
+int run_as_rank(int argc, char** argv, const char* program, const RankBody& body) {
   prctl(PR_SET_PDEATHSIG, SIGKILL);  // a rank doesn't outlive its mpirun
-  keep_freed_memory();
   auto session = ranks::MpiSession::start(&argc, &argv);
   if (!session || argc != 4) {
-    fmt::print(stderr, "rcb_bench: {}\n", session ? "a rank's arguments are PLAN ROWS" : session.status().message());
+    fmt::print(stderr, "{}: {}\n", program, session ? "a rank's arguments are PLAN ROWS" : session.status().message());
     return 1;
   }
 #ifdef RCB_BENCH_ZOLTAN2
@@ -91,13 +89,18 @@ int run_worker(int argc, char** argv) {
 #endif
   auto plan = load(argv[2]);
   Status status = plan.status();
-  if (partition::agree(session->comm(), status.ok())) status = run_cells(session->comm(), *plan, argv[3]);
+  if (partition::agree(session->comm(), status.ok())) status = body(session->comm(), *plan, argv[3]);
 #ifdef RCB_BENCH_ZOLTAN2
   finish_zoltan2();
 #endif
-  if (!status.ok()) fmt::print(stderr, "rcb_bench: rank {}: {}\n", session->rank(), status.message());
+  if (!status.ok()) fmt::print(stderr, "{}: rank {}: {}\n", program, session->rank(), status.message());
   session->finish(kFinishSeconds);
   return status.ok() ? 0 : 1;
+}
+
+int run_worker(int argc, char** argv) {
+  keep_freed_memory();
+  return run_as_rank(argc, argv, "rcb_bench", run_cells);
 }
 
 }  // namespace rcb::bench

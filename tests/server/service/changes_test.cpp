@@ -263,27 +263,13 @@ class Walk {
   plan::Plan plan_ = plan::Plan::blocks(0, 1, {});
 };
 
-// Equal wherever it is said.
-class Same {
- public:
-  void check(const std::string& name, const Json& value) {
-    const std::lock_guard lock(mutex_);
-    const auto [found, added] = values_.emplace(name, value);
-    EXPECT_EQ(found->second, value) << name << (added ? " (the first)" : "");
-  }
-
- private:
-  std::mutex mutex_;
-  std::map<std::string, Json> values_;
-};
-
 Json comparable(Json report) {
   for (const char* name : {"seconds", "migrated", "skipped", "scene", "bytes"}) report.erase(name);
   return report;
 }
 
 TEST(Changes, RandomSequencesAgainstAModel) {
-  Same same;
+  Reference same;
   on_ranks([&](partition::Comm& comm) {
     for (std::uint64_t seed = 1; seed <= 8; ++seed) {
       SCOPED_TRACE(::testing::Message() << "seed " << seed << ", " << comm.size() << " ranks");

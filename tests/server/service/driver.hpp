@@ -1,6 +1,9 @@
 // A client of the service without sockets: holds the plan as a solver's library would, and pushes by it.
 #pragma once
 
+#include <map>
+#include <mutex>
+#include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -183,6 +186,20 @@ class Driver {
   plan::Plan plan_ = plan::Plan::blocks(0, 1, {});
   std::vector<int> rank_of_row_;
   bool first_ = true;
+};
+
+// The first answer of a name, of any rank count, is the reference for the others.
+class Reference {
+ public:
+  void check(const std::string& name, const Json& value) {
+    const std::lock_guard lock(mutex_);
+    const auto [found, added] = values_.emplace(name, value);
+    EXPECT_EQ(found->second, value) << name << (added ? " (the first)" : "");
+  }
+
+ private:
+  std::mutex mutex_;
+  std::map<std::string, Json> values_;
 };
 
 }  // namespace rcb::testing

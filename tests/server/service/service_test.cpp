@@ -23,20 +23,6 @@ Json comparable(Json report) {
   return report;
 }
 
-// The first rank count's answers are the reference for the others.
-class Reference {
- public:
-  void check(const std::string& name, const Json& value) {
-    const std::lock_guard lock(mutex_);
-    const auto [found, added] = values_.emplace(name, value);
-    EXPECT_EQ(found->second, value) << name << (added ? " (the first)" : "");
-  }
-
- private:
-  std::mutex mutex_;
-  std::map<std::string, Json> values_;
-};
-
 TEST(Service, FirstPushIsPartitioned) {
   on_ranks([](partition::Comm& comm) {
     Service service(comm, kClock);
