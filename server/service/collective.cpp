@@ -28,29 +28,38 @@ Status agree_status(partition::Comm& comm, const Status& here) {
   return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
 }
 
-Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
-  Buffer<std::uint64_t> order(ids.size());
-  std::iota(order.begin(), order.end(), std::uint64_t{0});
+template <typename Slot>
+void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids) {
   std::vector<std::size_t> ends;  // of the runs
-  for (std::size_t k = 1; k < ids.size(); ++k)
-    if (ids[k] < ids[k - 1]) ends.push_back(k);
-  ends.push_back(ids.size());
-  const auto less = [&ids](std::uint64_t a, std::uint64_t b) { return ids[a] < ids[b]; };
-  Buffer<std::uint64_t> merged(order.size());
+  for (std::size_t k = 1; k < slots.size(); ++k)
+    if (ids[slots[k]] < ids[slots[k - 1]]) ends.push_back(k);
+  if (ends.empty()) return;
+  ends.push_back(slots.size());
+  const auto less = [ids](Slot a, Slot b) { return ids[a] < ids[b]; };
+  Buffer<Slot> merged(slots.size());
   while (ends.size() > 1) {
     std::vector<std::size_t> merged_ends;
     std::size_t begin = 0;
     for (std::size_t r = 0; r < ends.size(); r += 2) {
       const std::size_t middle = ends[r];
       const std::size_t end = r + 1 < ends.size() ? ends[r + 1] : middle;
-      std::merge(order.begin() + begin, order.begin() + middle, order.begin() + middle, order.begin() + end,
+      std::merge(slots.begin() + begin, slots.begin() + middle, slots.begin() + middle, slots.begin() + end,
                  merged.begin() + begin, less);
       merged_ends.push_back(end);
       begin = end;
     }
-    order.swap(merged);
+    slots.swap(merged);
     ends.swap(merged_ends);
   }
+}
+
+template void sort_slots_by_id(Buffer<std::uint32_t>&, std::span<const particles::Id>);
+template void sort_slots_by_id(Buffer<std::uint64_t>&, std::span<const particles::Id>);
+
+Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
+  Buffer<std::uint64_t> order(ids.size());
+  std::iota(order.begin(), order.end(), std::uint64_t{0});
+  sort_slots_by_id(order, ids.span());
   return order;
 }
 

@@ -20,6 +20,9 @@ Status agree_status(partition::Comm& comm, const Status& here);
 // Which particle is the k-th in ascending id. Ids come in few ascending runs (one from each rank), so runs are merged
 // two by two. Local.
 Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids);
+// Puts slots (32 or 64 bits each) of particles with these ids into the ids' order. Local.
+template <typename Slot>
+void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids);
 
 // The smallest id that occurs twice among all ranks' ids; nothing if all are distinct. Collective.
 std::optional<particles::Id> duplicate_id(partition::Comm& comm, std::span<const particles::Id> ids);

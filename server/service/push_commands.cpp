@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <malloc.h>
 
+#include "common/plan/plan.hpp"
 #include "server/service/step.hpp"
 
 namespace rcb::service {
@@ -69,7 +70,8 @@ Response push(Context& context, const wire::Json& request) {
   const std::optional<std::int64_t> previous_step = scene.value()->step;
   const StepReport report = commit(context, *scene.value(), *staged, push.value(), push->changes ? &changes : nullptr);
   give_back(context, *scene.value(), push.value(), *staged);
-  if (!previous_step) ::malloc_trim(0);  // a first partition frees much that later steps don't need again
+  // A full change frees much that later steps don't need again.
+  if (!previous_step || plan::is_full_change(report.migrated, report.n)) ::malloc_trim(0);
   return answer(*scene.value(), report, push.value(), std::move(changes), std::move(staged->edits.inserted_part),
                 previous_step);
 }

@@ -122,7 +122,15 @@ Buffer<std::byte> permuted(const Buffer<std::byte>& values, const Buffer<std::ui
   return out;
 }
 
-// Array a of every slice to its rank. Collective.
+// Rank 0's own piece of array a, which needs no copy where the push is in the plan's order; elsewhere none.
+Buffer<std::byte>* own_piece(Context& context, const PushRequest& push, std::size_t a) {
+  if (!context.root() || push.by_id) return nullptr;
+  for (PushSlice& slice : context.slices)
+    if (slice.rank == 0) return &slice.arrays[a].bytes;
+  return nullptr;
+}
+
+// Array a of every slice to its rank, but for an own_piece(). Collective.
 void scatter_array(Context& context, const Scene& scene, const PushRequest& push, std::size_t a,
                    const Buffer<std::uint64_t>& places, std::span<std::byte> mine) {
   const int ranks = context.comm.size();
@@ -142,13 +150,13 @@ void scatter_array(Context& context, const Scene& scene, const PushRequest& push
       }
     } else {
       for (const PushSlice& slice : context.slices)
-        pieces[static_cast<std::size_t>(slice.rank)] = slice.arrays[a].bytes.span();
+        if (slice.rank != 0) pieces[static_cast<std::size_t>(slice.rank)] = slice.arrays[a].bytes.span();
     }
   }
   context.comm.scatter(pieces, 0, mine);
   if (context.root())  // sent: the memory is free for what comes next
     for (PushSlice& slice : context.slices)
-      if (a < slice.arrays.size()) slice.arrays[a].bytes.release();
+      if (a < slice.arrays.size() && (slice.rank != 0 || push.by_id)) slice.arrays[a].bytes.release();
 }
 
 Status check_header(const Scene& scene, const PushRequest& push) {
@@ -297,8 +305,10 @@ Status distribute(Context& context, const Scene& scene, const PushRequest& push,
   }
   std::size_t a = 0;
   const auto receive = [&](auto& buffer) {
-    buffer.resize(mine);
+    Buffer<std::byte>* own = own_piece(context, push, a);
+    if (own == nullptr) buffer.resize(mine);
     scatter_array(context, scene, push, a++, places, std::as_writable_bytes(buffer.span()));
+    if (own != nullptr) buffer = own->template release_as<std::remove_reference_t<decltype(buffer[0])>>();
   };
   for (std::size_t axis = 0; axis < static_cast<std::size_t>(staged.arrays.dims); ++axis)
     receive(staged.arrays.position[axis]);

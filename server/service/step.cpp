@@ -248,7 +248,10 @@ void later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   const Decision decision = decide_step(scene, push, imbalance_computed_under);
   report.reason = decision.reason;
   const double start = context.clock.seconds();
-  if (decision.search) try_repartition(context, scene, decision, error_before, old_part, report);
+  if (decision.search) {
+    for (auto& axis : staged.arrays.position) axis.release();  // the search needs as much
+    try_repartition(context, scene, decision, error_before, old_part, report);
+  }
   report.seconds.search = context.clock.seconds() - start;
 }
 

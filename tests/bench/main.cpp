@@ -10,6 +10,7 @@
 #include "tests/bench/driver.hpp"
 #include "tests/bench/dynamic.hpp"
 #include "tests/bench/figure.hpp"
+#include "tests/bench/memory.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step.hpp"
@@ -141,13 +142,15 @@ std::string footer() {
          "  rcb_bench static --scenes uniform,offset --parts 8 --ranks 2\n"
          "  rcb_bench scaling --json scaling.json\n"
          "  rcb_bench dynamic --json dynamic.json --figure dynamic.svg\n"
-         "  rcb_bench step --json step.json\n";
+         "  rcb_bench step --json step.json\n"
+         "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n";
 }
 
 // Benches of the interface that this version has not: a script that asks for one is told so, not that it misspelt.
 Status parse_failure(const CLI::App& app, const CLI::ParseError& error, const std::string& word) {
   if (app.get_subcommands().empty() && word == "skips")
-    return {Code::unsupported, fmt::format("this version has no bench {}", word), "it has static, scaling, dynamic and step"};
+    return {Code::unsupported, fmt::format("this version has no bench {}", word),
+            "it has static, scaling, dynamic, step and memory"};
   return usage(error.what());
 }
 
@@ -189,6 +192,8 @@ int run_program(int argc, char** argv) {
   const auto* dynamic = add_dynamic(app, of_dynamic);
   StepBenchOptions of_step;
   const auto* step = add_step(app, of_step);
+  MemoryOptions of_memory;
+  const auto* memory = add_memory(app, of_memory);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& done) {
@@ -198,6 +203,10 @@ int run_program(int argc, char** argv) {
   }
   if (step->parsed()) {
     const Status status = run_step(of_step, start_document("step", of_step.repeats));
+    return status.ok() ? 0 : fail(status);
+  }
+  if (memory->parsed()) {
+    const Status status = run_memory(of_memory, start_document("memory", 1));
     return status.ok() ? 0 : fail(status);
   }
   if (dynamic->parsed()) {
