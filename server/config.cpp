@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 
 #include "common/base/paths.hpp"
+#include "server/service/no_skip.hpp"
 
 namespace rcb::server {
 
@@ -55,6 +56,16 @@ void add_options(CLI::App& app, Config& config) {
          "take pushes at the endpoint alone; else every rank listens for its own slices, at SOCKET.RANK or on a TCP "
          "port of its own")
       ->envname("RCBD_GATEWAY_ONLY");
+  app.add_option("--no-skip", config.no_skip,
+                 "for measurement only: work that is done although no step needs it, its results dropped: exchange, "
+                 "search, or both with a comma between")
+      ->envname("RCBD_NO_SKIP")
+      ->check(CLI::Validator(
+          [](const std::string& names) {
+            const auto parsed = service::NoSkip::parse(names);
+            return parsed.ok() ? std::string() : parsed.status().message() + "; " + parsed.status().hint();
+          },
+          "LIST"));
   app.add_flag("--restarted", config.restarted, "says in the status that scenes of an earlier run may have been lost")
       ->envname("RCBD_RESTARTED");
 }

@@ -16,6 +16,7 @@ struct Config {
   double silence_seconds = 15;
   double stall_seconds = 120;
   bool restarted = false;
+  std::string no_skip;        // NoSkip::parse
   bool gateway_only = false;  // no listeners of the ranks' own
 
   // How clients name the service: the socket, else the first TCP address.

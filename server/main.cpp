@@ -199,7 +199,7 @@ void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi) 
   });
 }
 
-int run_root(const Config& config, ranks::MpiSession& mpi) {
+int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
   net::IoLoop loop;
   Root root;
   // Its orders hold timers of the loop.
@@ -220,7 +220,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi) {
                config.restarted ? ", restarted and empty" : "");
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock);
+    service::Service service(mpi.comm(), clock, no_skip);
     engine.run(service);
   }
   root.control->finish(kGoodbyeSeconds);
@@ -234,7 +234,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi) {
   return marked.ok() ? 0 : 1;
 }
 
-int run_other(const Config& config, ranks::MpiSession& mpi) {
+int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
   net::DoorbellAddress address;
   address.path = mpi.share({});
   if (address.path == "refused") return 1;
@@ -270,7 +270,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi) {
   loop.start();
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock);
+    service::Service service(mpi.comm(), clock, no_skip);
     engine.run(service);
   }
   loop.run([&] { port.finish(); });
@@ -296,7 +296,12 @@ int run(int argc, char** argv) {
   }
   set_up_log(parsed.config, mpi->rank());
   set_check_context(fmt::format("rank {} of {}", mpi->rank(), mpi->size()));
-  return mpi->rank() == 0 ? run_root(parsed.config, *mpi) : run_other(parsed.config, *mpi);
+  // Rank 0's word counts: what ranks do must match.
+  const std::string names = mpi->share(parsed.config.no_skip);
+  const auto no_skip = service::NoSkip::parse(names);
+  CHECK(no_skip.ok(), no_skip.status().message());
+  if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
+  return mpi->rank() == 0 ? run_root(parsed.config, *mpi, *no_skip) : run_other(parsed.config, *mpi, *no_skip);
 }
 
 }  // namespace

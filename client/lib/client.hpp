@@ -110,6 +110,8 @@ struct StepReport {
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted, where the service chose their ids: they are consecutive
   std::uint64_t scanned = 0;             // particles whose positions came
+  std::uint64_t rounds = 0;              // of the search for cuts; 0: none
+  std::uint64_t reductions = 0;          // its collectives
   std::vector<std::string> skipped;
   std::uint64_t bytes = 0;
   double seconds_receive = 0, seconds_exchange = 0, seconds_search = 0, seconds_migrate = 0, seconds_total = 0;

@@ -59,7 +59,6 @@ struct MemberScene::State {
   std::uint64_t seat = 0;        // its generation; 0: never had it
   int dims = 3;
   std::optional<std::int64_t> last_step;
-  std::int64_t attempt = 0;
 };
 
 Status MemberScene::State::open(double deadline_seconds) {
@@ -123,7 +122,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   wire::Json begin{{"scene", name},
                    {"session", session().number()},
                    {"step", step},
-                   {"attempt", ++attempt},
+                   {"attempt", session().next_attempt()},
                    {"n", positions.count},
                    {"order", "id"},
                    {"plan", nullptr},

@@ -3,7 +3,7 @@
 // Invariants
 // 1. plan_ and parts_ tell of the same moment; after a commit they are brought up to date from the changes in the
 //    answer, and where the answer's version or checksum contradicts the result they are fetched instead.
-// 2. A push that failed changes nothing here but the attempt number.
+// 2. A push that failed changes nothing here.
 #pragma once
 
 #include <cstdint>
@@ -99,7 +99,6 @@ struct Scene::State {
   std::uint64_t count_ = 0;
   std::uint64_t epoch_ = 0;
   std::optional<std::int64_t> last_step_;
-  std::int64_t attempt_ = 0;
   std::optional<plan::Plan> plan_;
   std::vector<std::int64_t> ids_;         // by row, once they are the scene's; empty: id = row
   std::vector<std::int32_t> parts_;       // by row

@@ -46,6 +46,8 @@ class Session {
   // Rises with every new connection.
   std::uint64_t generation() const { return generation_; }
   std::uint64_t next_request() { return next_request_++; }
+  // Of a push. A scene that is made anew begins at step 0 again, but none of its pushes bears an ended one's name.
+  std::int64_t next_attempt() { return next_attempt_++; }
   const std::string& number() const { return number_; }
   const std::string& endpoint() const { return endpoint_text_; }
   int ranks() const { return ranks_; }
@@ -85,6 +87,7 @@ class Session {
   int ranks_ = 0;
   std::uint64_t generation_ = 0;
   std::uint64_t next_request_ = 1;
+  std::int64_t next_attempt_ = 1;
   std::unique_ptr<Connection> connection_;
   std::vector<std::string> data_addresses_;  // by rank; empty: no direct path
   std::unique_ptr<DataPath> data_;

@@ -140,7 +140,7 @@ Result<Frame> Scene::State::push(const Ask& ask, std::int64_t step, std::optiona
   wire::Json begin{{"scene", name_},
                    {"session", session().number()},
                    {"step", step},
-                   {"attempt", ++attempt_},
+                   {"attempt", session().next_attempt()},
                    {"n", pushed_ ? count_ : positions.count},
                    {"order", "plan"},
                    {"plan", plan_ ? plan_json(*plan_) : wire::Json()},

@@ -64,6 +64,8 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("inserted", report.inserted);
   reader.count("removed", report.removed);
   reader.count("scanned", report.scanned);
+  reader.count("rounds", report.rounds);
+  reader.count("reductions", report.reductions);
   if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));
   reader.count("bytes", report.bytes);
   if (const auto skipped = json.find("skipped"); skipped != json.end() && skipped->is_array())

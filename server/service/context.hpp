@@ -8,6 +8,7 @@
 
 #include "common/base/clock.hpp"
 #include "common/partition/comm.hpp"
+#include "server/service/no_skip.hpp"
 #include "server/service/scene.hpp"
 #include "server/service/service.hpp"
 
@@ -21,6 +22,7 @@ struct Context {
   std::vector<PushSlice> slices;
   double received_seconds = 0;
   std::vector<Spare>& spares;
+  NoSkip no_skip;
 
   bool root() const { return comm.rank() == 0; }
 };
@@ -31,6 +33,7 @@ using Handler = Response (*)(Context&, const wire::Json& request);
 struct Command {
   const char* name;
   Handler run;
+  bool computes = false;  // its answer takes a pass over particles that no step needs
 };
 
 // One table a command family; service.cpp joins them.

@@ -180,7 +180,7 @@ Response write_parts(Context& context, const wire::Json& request) {
   return done({{"files", std::move(files)}});
 }
 
-constexpr Command kCommands[] = {{"load", load}, {"write_parts", write_parts}};
+constexpr Command kCommands[] = {{"load", load}, {"write_parts", write_parts, true}};
 
 }  // namespace
 

@@ -15,7 +15,8 @@ namespace rcb::service {
 // Returns how many particles changed their rank, on every rank. Collective.
 std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first);
 
-// The same after a step without new cuts: only particles that drifted are looked at. sums.migrating > 0. Collective.
+// The same after a step without new cuts: only particles that drifted are looked at. Where sums.migrating
+// is 0 nothing changes. Collective.
 std::uint64_t migrate_drifted(partition::Comm& comm, Scene& scene, const Drift& drift, const StepSums& sums);
 
 // Insertions and removals take place: particles, parts, n, ids and the plan; drift's slots are brought up to date.

@@ -114,7 +114,7 @@ Response compare(Context& context, const wire::Json& request) {
                {"methods", std::move(rows)}});
 }
 
-constexpr Command kCommands[] = {{"quality", quality}, {"compare", compare}};
+constexpr Command kCommands[] = {{"quality", quality, true}, {"compare", compare, true}};
 
 }  // namespace
 

@@ -68,7 +68,11 @@ Response stats(Context& context, const wire::Json& request) {
                {"drifted", totals.drifted},
                {"moved", totals.moved},
                {"migrated", totals.migrated},
+               {"scanned", totals.scanned},
+               {"rounds", totals.rounds},
+               {"reductions", totals.reductions},
                {"skipped", totals.skipped},
+               {"asked", totals.asked},
                {"seconds", to_json(totals.seconds)}});
 }
 
@@ -194,9 +198,9 @@ Response plan(Context& context, const wire::Json& request) {
   return response;
 }
 
-constexpr Command kCommands[] = {{"error", error}, {"counts", counts}, {"cuts", cuts}, {"history", history},
-                                 {"stats", stats}, {"owner", owner},   {"box", box},   {"assign", assign},
-                                 {"fetch", fetch}, {"plan", plan}};
+constexpr Command kCommands[] = {{"error", error},       {"counts", counts},  {"cuts", cuts}, {"history", history},
+                                 {"stats", stats},       {"owner", owner},    {"box", box},   {"assign", assign, true},
+                                 {"fetch", fetch, true}, {"plan", plan, true}};
 
 }  // namespace
 

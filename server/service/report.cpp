@@ -36,6 +36,8 @@ wire::Json to_json(const StepReport& report) {
                   {"inserted", report.inserted},
                   {"removed", report.removed},
                   {"scanned", report.scanned},
+                  {"rounds", report.rounds},
+                  {"reductions", report.reductions},
                   {"skipped", report.skipped},
                   {"bytes", report.bytes},
                   {"seconds", to_json(report.seconds)}};

@@ -43,7 +43,11 @@ struct SceneTotals {
   std::uint64_t drifted = 0;
   std::uint64_t moved = 0;
   std::uint64_t migrated = 0;
+  std::uint64_t scanned = 0;
+  std::uint64_t rounds = 0;
+  std::uint64_t reductions = 0;
   std::map<std::string, std::uint64_t> skipped;
+  std::map<std::string, std::uint64_t> asked;  // questions that were answered from the particles, by command
   StepSeconds seconds;
 };
 
@@ -89,6 +93,7 @@ struct Scene {
 
   std::optional<std::int64_t> step;
   std::deque<std::pair<std::int64_t, std::string>> recent_steps;  // ascending
+  bool asked = false;                                             // such a question since the last step
   std::vector<StepReport> history;
   SceneTotals totals;
 

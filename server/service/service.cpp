@@ -13,8 +13,9 @@ struct Service::State {
   partition::Comm& comm;
   const Clock& clock;
   std::map<std::string, Scene> scenes;
-  std::map<std::string, Handler> handlers;
-  std::vector<Spare> spares;
+  NoSkip no_skip;
+  std::map<std::string, Command> commands;
+  std::vector<Spare> spares = {};
   // A scene's particles by rank, as of this (epoch, step, plan version).
   struct RankCounts {
     std::uint64_t epoch = 0;
@@ -22,7 +23,7 @@ struct Service::State {
     std::uint64_t plan_version = 0;
     std::vector<std::uint64_t> counts;
   };
-  std::map<std::string, RankCounts> rank_counts;
+  std::map<std::string, RankCounts> rank_counts = {};
 
   const std::vector<std::uint64_t>& counts_of(const std::string& name, const Scene& scene) {
     RankCounts& known = rank_counts[name];
@@ -35,23 +36,38 @@ struct Service::State {
   }
 };
 
-Service::Service(partition::Comm& comm, const Clock& clock) : state_(new State{comm, clock, {}, {}, {}, {}}) {
-  for (const auto table :
-       {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(), rebalance_commands(), file_commands()})
-    for (const Command& command : table) state_->handlers.emplace(command.name, command.run);
+Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip)
+    : state_(new State{comm, clock, {}, no_skip, {}}) {
+  for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(),
+                           rebalance_commands(), file_commands()})
+    for (const Command& command : table) state_->commands.emplace(command.name, command);
 }
 
 Service::~Service() = default;
 
+namespace {
+
+// Counts a question that was answered from the particles. Local.
+void note_question(Context& context, const wire::Json& request, const std::string& name) {
+  const auto scene = find_scene(context, request);
+  if (!scene.ok()) return;
+  ++scene.value()->totals.asked[name];
+  scene.value()->asked = true;
+}
+
+}  // namespace
+
 Response Service::execute(const wire::Json& request, std::vector<PushSlice> slices, double received_seconds) {
   const auto name = wire::string_field(request, "command", 64);
   if (!name.ok()) return failed(name.status());
-  const auto handler = state_->handlers.find(name.value());
-  if (handler == state_->handlers.end())
+  const auto command = state_->commands.find(name.value());
+  if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{state_->comm, state_->clock, state_->scenes, std::move(slices), received_seconds, state_->spares};
-  Response response = handler->second(context, request);
+  Context context{state_->comm,     state_->clock,  state_->scenes, std::move(slices),
+                  received_seconds, state_->spares, state_->no_skip};
+  Response response = command->second.run(context, request);
+  if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
   return response;
 }

@@ -18,6 +18,7 @@
 #include "common/base/status.hpp"
 #include "common/partition/comm.hpp"
 #include "common/wire/message.hpp"
+#include "server/service/no_skip.hpp"
 
 namespace rcb::service {
 
@@ -63,7 +64,8 @@ struct Snapshot {
 
 class Service {
  public:
-  Service(partition::Comm& comm, const Clock& clock);
+  // no_skip: the same on all ranks.
+  Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip = {});
   ~Service();
 
   // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.

@@ -31,6 +31,11 @@ partition::PartitionResult search(Context& context, const Scene& scene, bool fir
   return std::move(result).value();
 }
 
+void note_search(const partition::PartitionResult& found, StepReport& report) {
+  report.rounds = found.rounds;
+  report.reductions = found.reductions;
+}
+
 // The loads under new cuts: counted where the search doesn't know them. Collective.
 partition::LoadSummary loads_of(Context& context, const Scene& scene, const partition::PartitionResult& found) {
   if (!found.counts.empty()) return partition::summarise_counts(found.counts, scene.options.part_sizes);
@@ -128,14 +133,15 @@ void gather_changes(partition::Comm& comm, PartChanges& local, PartChanges& all)
   }
 }
 
-void note_skips(const Scene& scene, const PushChanges& what, StepReport& report) {
+void note_skips(const Scene& scene, const PushChanges& what, const NoSkip& no_skip, StepReport& report) {
   if (scene.options.dims < 3) report.skipped.emplace_back("dimension");
   if (!scene.particles.has_weights) report.skipped.emplace_back("weights");
   if (!scene.ids) report.skipped.emplace_back("ids");
   if (what.single) report.skipped.emplace_back("double precision");
   if (what.moved != Moved::all) report.skipped.emplace_back("motion");
-  if (report.migrated == 0) report.skipped.emplace_back("exchange");
-  if (!report.repartitioned) report.skipped.emplace_back("search");
+  if (report.migrated == 0 && !no_skip.exchange) report.skipped.emplace_back("exchange");
+  if (report.reductions == 0) report.skipped.emplace_back("search");
+  if (!scene.asked) report.skipped.emplace_back("questions");
 }
 
 void take_positions(Scene& scene, Staged& staged, Moved moved) {
@@ -158,6 +164,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   scene.pushed = true;
   const double start = context.clock.seconds();
   partition::PartitionResult found = search(context, scene, true);
+  note_search(found, report);
   auto loads = loads_of(context, scene, found);
   adopt(scene, std::move(found), std::move(loads));
   report.repartitioned = true;
@@ -169,6 +176,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
 void try_repartition(Context& context, Scene& scene, const Decision& decision, double error_before,
                      Buffer<std::int32_t>& old_part, StepReport& report) {
   partition::PartitionResult found = search(context, scene, false);
+  note_search(found, report);
   auto loads = loads_of(context, scene, found);
   if ((loads.weighted || scene.options.cut_tolerance > 0) && !(loads.error < error_before)) {
     scene.error_when_not_adopted = error_before;
@@ -251,6 +259,8 @@ void later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   if (decision.search) {
     for (auto& axis : staged.arrays.position) axis.release();  // the search needs as much
     try_repartition(context, scene, decision, error_before, old_part, report);
+  } else if (context.no_skip.search) {
+    note_search(search(context, scene, false), report);
   }
   report.seconds.search = context.clock.seconds() - start;
 }
@@ -276,7 +286,11 @@ void remember(Scene& scene, const PushRequest& push, const StepReport& report, b
   totals.moved += report.moved;
   totals.migrated += report.migrated;
   totals.seconds += report.seconds;
+  totals.scanned += report.scanned;
+  totals.rounds += report.rounds;
+  totals.reductions += report.reductions;
   for (const std::string& name : report.skipped) ++totals.skipped[name];
+  scene.asked = false;
   if (root) scene.history.push_back(report);
 }
 
@@ -334,7 +348,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   std::uint64_t changed_rank = 0;
   if (report.repartitioned)
     changed_rank = first || report.drifted > 0 || report.moved > 0 ? migrate(context.comm, scene, first) : 0;
-  else if (staged.sums.migrating > 0)
+  else if (staged.sums.migrating > 0 || context.no_skip.exchange)
     changed_rank = migrate_drifted(context.comm, scene, drift, staged.sums);
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
   report.migrated = first ? 0 : changed_rank;
@@ -342,7 +356,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   if (changes != nullptr && first) mine = all_changes(scene);
   if (changes != nullptr && any) gather_changes(context.comm, mine, *changes);
 
-  note_skips(scene, push.what, report);
+  note_skips(scene, push.what, context.no_skip, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;
   remember(scene, push, report, context.root());
   return report;

@@ -128,9 +128,12 @@ void prepare_jobs() {
   prctl(PR_SET_CHILD_SUBREAPER, 1);  // ranks whose mpirun was killed are found and ended
   struct sigaction action {};
   action.sa_handler = on_signal;
+  action.sa_flags = SA_RESTART;
   for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
   setenv("OMP_NUM_THREADS", "1", 1);  // the ranks are the parallelism, for everyone
 }
+
+bool interrupted() { return g_interrupted; }
 
 Rows run_jobs(const Plan& plan, const std::vector<int>& ranks) {
   Rows result;

@@ -31,6 +31,7 @@ class TemporaryFolder {
 
 // Before the first run_job: signals end it, and ranks whose mpirun died are found.
 void prepare_jobs();
+bool interrupted();  // by a signal since then
 // One MPI job of this program, `word` before its arguments: the plan in `folder`, and the file that it writes rows to,
 // which are added to `rows` also where it fails. Errors: as run_jobs().
 Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds,

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <csignal>
 #include <cstdio>
 #include <limits>
 
@@ -11,6 +10,7 @@
 #include "client/launch/launch.hpp"
 #include "client/launch/reach.hpp"
 #include "tests/bench/driver.hpp"
+#include "tests/bench/dynamic_peers.hpp"
 #include "tests/bench/dynamic_replay.hpp"
 #include "tests/bench/dynamic_report.hpp"
 #include "tests/bench/dynamic_trajectory.hpp"
@@ -26,16 +26,6 @@ constexpr int kRanksMax = 256;
 constexpr int kRepeatsMax = 1000;
 constexpr int kStepsMax = 1'000'000;
 
-volatile std::sig_atomic_t g_interrupted = 0;
-bool interrupted() { return g_interrupted != 0; }
-
-void catch_signals() {
-  struct sigaction action {};
-  action.sa_handler = [](int) { g_interrupted = 1; };
-  action.sa_flags = SA_RESTART;
-  for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
-}
-
 Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench dynamic --help"}; }
 
 Status check(const DynamicOptions& options) {
@@ -45,6 +35,9 @@ Status check(const DynamicOptions& options) {
     if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
   for (const double tolerance : options.tolerances)
     if (!(tolerance >= 0)) return usage(fmt::format("--tolerances {}: give numbers >= 0, or inf", tolerance));
+  for (const double hysteresis : options.hystereses)
+    if (!(hysteresis >= 1) || std::isinf(hysteresis))
+      return usage(fmt::format("--axis-hysteresis {}: give finite numbers >= 1", hysteresis));
   if (options.repeats < 1 || options.repeats > kRepeatsMax)
     return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
   if (!(options.points >= 0 && options.points <= 1e9) || options.points != std::floor(options.points))
@@ -56,7 +49,8 @@ Status check(const DynamicOptions& options) {
   return {};
 }
 
-Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSetting& setting,
+// peer: Zoltan, which of a setting has the tolerance alone.
+Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSetting& setting, bool peer,
             std::vector<DynamicRun> runs) {
   std::sort(runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.seconds < b.seconds; });
   const DynamicRun& run = runs[(runs.size() - 1) / 2];
@@ -67,16 +61,18 @@ Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSet
           {"dims", 3},
           {"parts", parts},
           {"ranks", ranks},
-          {"tool", "rcbd"},
-          {"method", "rcb"},
+          {"tool", peer ? "Zoltan" : "rcbd"},
+          {"method", peer ? "RCB" : "rcb"},
           {"work", "dynamic"},
           {"cut_tolerance", 0},
           {"policy", setting.cost ? "cost" : "tolerance"},
           {"tolerance", tolerance},
+          {"axis_hysteresis", peer ? Json() : Json(setting.axis_hysteresis)},
           {"steps", trajectory.solver_seconds.size() - 1},
           {"seconds", run.seconds},
           {"seconds_min", runs.front().seconds},
           {"seconds_max", runs.back().seconds},
+          {"seconds_balancing", run.seconds_search + run.seconds_migrate},
           {"seconds_search", run.seconds_search},
           {"seconds_migrate", run.seconds_migrate},
           {"seconds_exchange", run.seconds_exchange},
@@ -102,8 +98,10 @@ Status measure_service(const DynamicOptions& options, const Trajectory& trajecto
   auto client = launch::reach(service->endpoint(), "rcb_bench");
   if (!client) return service->explain(client.status());
   std::vector<DynamicSetting> settings;
-  for (const double tolerance : options.tolerances) settings.push_back({false, tolerance});
-  settings.push_back({true, std::numeric_limits<double>::infinity()});
+  for (const double hysteresis : options.hystereses) {
+    for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis});
+    settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis});
+  }
   for (const int parts : options.parts) {
     fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, trajectory.scene, trajectory.points, parts);
     std::vector<std::vector<DynamicRun>> runs(settings.size());
@@ -115,15 +113,39 @@ Status measure_service(const DynamicOptions& options, const Trajectory& trajecto
         runs[s].push_back(*run);
       }
     for (std::size_t s = 0; s < settings.size(); ++s)
-      rows.push_back(row_of(trajectory, parts, ranks, settings[s], runs[s]));
+      rows.push_back(row_of(trajectory, parts, ranks, settings[s], false, runs[s]));
   }
   return {};
+}
+
+// Zoltan along the same trajectory, in an MPI job of its own.
+Status measure_peer(const DynamicOptions& options, const Trajectory& trajectory, int ranks, const std::string& folder,
+                    Json& rows) {
+  fmt::print(stderr, "ranks {}: {}, {} points, Zoltan\n", ranks, trajectory.scene, trajectory.points);
+  const PeerPlan plan{trajectory, options.parts, options.tolerances, options.repeats};
+  if (Status status = save(plan, folder + "/plan"); !status.ok()) return status;
+  Json lines = Json::array();
+  Status status = run_job(folder, kPeerWord, ranks, kStallSeconds, lines);
+  std::vector<PeerRun> runs;
+  try {
+    for (const Json& line : lines) runs.push_back(peer_run_of(line));
+  } catch (const nlohmann::json::exception& error) {
+    return {Code::internal, fmt::format("a run of Zoltan: {}", error.what())};
+  }
+  for (const int parts : options.parts)
+    for (const double tolerance : options.tolerances) {
+      std::vector<DynamicRun> own;
+      for (const PeerRun& run : runs)
+        if (run.parts == parts && run.tolerance == tolerance) own.push_back(run.run);
+      if (!own.empty()) rows.push_back(row_of(trajectory, parts, ranks, {false, tolerance}, true, own));
+    }
+  return status;
 }
 
 Status measure_all(const DynamicOptions& options, Json& rows) {
   const TemporaryFolder folder;
   if (folder.path().empty()) return {Code::io_error, "no temporary folder can be made", "see TMPDIR"};
-  catch_signals();
+  prepare_jobs();
   for (const std::string& scene : options.scenes) {
     const SolverKind& kind = *find_solver(scene);
     const auto points = options.points > 0 ? static_cast<std::uint64_t>(options.points) : kind.points;
@@ -131,8 +153,11 @@ Status measure_all(const DynamicOptions& options, Json& rows) {
     fmt::print(stderr, "{}: {} points, {} steps are computed\n", scene, points, steps);
     const auto trajectory = record(kind, points, steps, folder.path() + "/" + scene + ".npy", interrupted);
     if (!trajectory) return trajectory.status();
-    for (const int ranks : options.ranks)
+    for (const int ranks : options.ranks) {
       if (Status status = measure_service(options, *trajectory, ranks, rows); !status.ok()) return status;
+      if (!options.peers || !has_dynamic_peer()) continue;
+      if (Status status = measure_peer(options, *trajectory, ranks, folder.path(), rows); !status.ok()) return status;
+    }
     std::remove(trajectory->path.c_str());
   }
   return {};
@@ -148,6 +173,8 @@ CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
   list(command->add_option("--tolerances", options.tolerances, "tolerances; the policy cost is run beside them"));
   list(command->add_option("--parts", options.parts, "numbers of parts"));
   list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  list(command->add_option("--axis-hysteresis", options.hystereses, "of our scenes"));
+  command->add_flag("!--no-peers", options.peers, "leave Zoltan out");
   command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
   command->add_option("--points", options.points, "points of every scene, instead of its own number");
   command->add_option("--steps", options.steps, "steps of every scene, instead of its own number");

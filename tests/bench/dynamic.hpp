@@ -5,7 +5,8 @@
 // Invariants
 // 1. The service is the real one: rcbd under mpirun by the launcher, pushed to by the client's library.
 // 2. The first push, which is partitioned whatever the tolerance, counts in nothing but `seconds_first`.
-// 3. Settings take turns, and each repeat begins with another one. A row tells the repeat with the median time.
+// 3. A peer of the same number of ranks, without a service, follows the same trajectory (dynamic_peers.hpp).
+// 4. Settings take turns, and each repeat begins with another one. A row tells the repeat with the median time.
 #pragma once
 
 #include <string>
@@ -23,7 +24,9 @@ struct DynamicOptions {
   std::vector<double> tolerances;  // infinity among them
   std::vector<int> parts{8};
   std::vector<int> ranks{2};
+  std::vector<double> hystereses{1.2};
   int repeats = 3;
+  bool peers = true;
   double points = 0;  // of every scene; 0: its own number
   int steps = 0;      // likewise
   std::string json;

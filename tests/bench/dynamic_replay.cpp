@@ -37,6 +37,7 @@ Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, 
   client::SceneOptions options;
   options.parts = parts;
   options.tolerance = setting.tolerance;
+  options.axis_hysteresis = setting.axis_hysteresis;
   options.policy = setting.cost ? "cost" : "tolerance";
   options.replace = true;
   if (Status status = client.create_scene("dynamic", options); !status.ok()) return status;

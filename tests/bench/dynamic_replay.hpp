@@ -13,6 +13,7 @@ namespace rcb::bench {
 struct DynamicSetting {
   bool cost = false;     // the policy cost; else by tolerance
   double tolerance = 0;  // may be infinity
+  double axis_hysteresis = 1.2;
 };
 
 // Over all steps but the first.

@@ -9,10 +9,12 @@
 #include "rcb_bench_commit.hpp"
 #include "tests/bench/driver.hpp"
 #include "tests/bench/dynamic.hpp"
+#include "tests/bench/dynamic_peers.hpp"
 #include "tests/bench/figure.hpp"
 #include "tests/bench/memory.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
+#include "tests/bench/skips.hpp"
 #include "tests/bench/step.hpp"
 #include "tests/bench/worker.hpp"
 
@@ -143,15 +145,8 @@ std::string footer() {
          "  rcb_bench scaling --json scaling.json\n"
          "  rcb_bench dynamic --json dynamic.json --figure dynamic.svg\n"
          "  rcb_bench step --json step.json\n"
-         "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n";
-}
-
-// Benches of the interface that this version has not: a script that asks for one is told so, not that it misspelt.
-Status parse_failure(const CLI::App& app, const CLI::ParseError& error, const std::string& word) {
-  if (app.get_subcommands().empty() && word == "skips")
-    return {Code::unsupported, fmt::format("this version has no bench {}", word),
-            "it has static, scaling, dynamic, step and memory"};
-  return usage(error.what());
+         "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n"
+         "  rcb_bench skips --json skips.json\n";
 }
 
 int fail(const Status& status) {
@@ -194,12 +189,14 @@ int run_program(int argc, char** argv) {
   const auto* step = add_step(app, of_step);
   MemoryOptions of_memory;
   const auto* memory = add_memory(app, of_memory);
+  SkipsOptions of_skips;
+  const auto* skips = add_skips(app, of_skips);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& done) {
     return app.exit(done);
   } catch (const CLI::ParseError& error) {
-    return fail(parse_failure(app, error, argc > 1 ? argv[1] : ""));
+    return fail(usage(error.what()));
   }
   if (step->parsed()) {
     const Status status = run_step(of_step, start_document("step", of_step.repeats));
@@ -207,6 +204,10 @@ int run_program(int argc, char** argv) {
   }
   if (memory->parsed()) {
     const Status status = run_memory(of_memory, start_document("memory", 1));
+    return status.ok() ? 0 : fail(status);
+  }
+  if (skips->parsed()) {
+    const Status status = run_skips(of_skips, start_document("skips", of_skips.repeats));
     return status.ok() ? 0 : fail(status);
   }
   if (dynamic->parsed()) {
@@ -223,6 +224,7 @@ int run_program(int argc, char** argv) {
 int main(int argc, char** argv) {
   try {
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kWorkerWord) return rcb::bench::run_worker(argc, argv);
+    if (argc > 1 && std::string(argv[1]) == rcb::bench::kPeerWord) return rcb::bench::run_peer_worker(argc, argv);
     return rcb::bench::run_program(argc, argv);
   } catch (const std::exception& error) {
     fmt::print(stderr, "rcb_bench: {}\n", error.what());

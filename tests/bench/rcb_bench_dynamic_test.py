@@ -12,7 +12,7 @@ STEPS = 30
 COUNTS = ("repartitions", "drifted", "moved", "migrated")
 ERRORS = ("error", "error_max", "error_before_mean", "error_before_max")
 SECONDS = ("seconds", "seconds_min", "seconds_max", "seconds_search", "seconds_migrate", "seconds_exchange",
-           "seconds_client", "seconds_first", "seconds_lost", "seconds_both")
+           "seconds_client", "seconds_first", "seconds_lost", "seconds_both", "seconds_balancing")
 
 
 def bench(*arguments, timeout=200):
@@ -25,7 +25,7 @@ class Dynamic(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             path, figure = os.path.join(folder, "result.json"), os.path.join(folder, "figure.svg")
             done = bench("dynamic", "--points", "403", "--steps", str(STEPS), "--parts", "4", "--ranks", "2", "--repeats",
-                         "2", "--tolerances", "0,0.05,inf", "--json", path, "--figure", figure)
+                         "2", "--tolerances", "0,0.05,inf", "--axis-hysteresis", "1.2,1", "--json", path, "--figure", figure)
             assert done.returncode == 0, done.stderr
             cls.text = done.stdout
             with open(path) as file:
@@ -34,14 +34,18 @@ class Dynamic(unittest.TestCase):
             with open(os.path.join(folder, "figure.gp")) as file:
                 cls.script = file.read()
 
-    def rows(self, scene):
+    def rows(self, scene, tool="rcbd", hysteresis=1.2):
         return {row["tolerance"] if row["policy"] == "tolerance" else "cost": row for row in self.document["rows"]
-                if row["scene"] == scene and row["tool"] == "rcbd"}
+                if row["scene"] == scene and row["tool"] == tool and
+                row["axis_hysteresis"] == (hysteresis if tool == "rcbd" else None)}
+
+    def peers(self):
+        return ["Zoltan"] if "no Zoltan," not in self.document["peers"] else []
 
     def test_every_row_has_its_fields(self):
         self.assertLessEqual({"bench", "commit", "machine", "repeats", "rows"}, set(self.document))
         self.assertEqual(self.document["bench"], "dynamic")
-        self.assertEqual(len(self.document["rows"]), 2 * 4)
+        self.assertEqual(len(self.document["rows"]), 2 * (2 * 4 + 3 * len(self.peers())))
         for row in self.document["rows"]:
             self.assertEqual([row[f] for f in ("n", "dims", "parts", "ranks", "work", "steps", "ratio")],
                              [403, 3, 4, 2, "dynamic", STEPS, {}])
@@ -52,10 +56,14 @@ class Dynamic(unittest.TestCase):
             self.assertLessEqual(row["seconds_min"], row["seconds"])
             self.assertLessEqual(row["seconds"], row["seconds_max"])
             self.assertAlmostEqual(row["seconds_both"], row["seconds"] + row["seconds_lost"])
+            self.assertAlmostEqual(row["seconds_balancing"], row["seconds_search"] + row["seconds_migrate"])
 
     def test_every_scene_has_every_setting(self):
         for scene in ("two_spheres", "slope"):
-            self.assertEqual(list(self.rows(scene)), [0, 0.05, "inf", "cost"])
+            for hysteresis in (1, 1.2):
+                self.assertEqual(list(self.rows(scene, hysteresis=hysteresis)), [0, 0.05, "inf", "cost"])
+            for tool in self.peers():
+                self.assertEqual(list(self.rows(scene, tool)), [0, 0.05, "inf"])
 
     def test_tolerances_hold_their_error(self):
         quota = max(abs(count * 4 - 403) / 403 for count in (100, 101))
@@ -71,6 +79,28 @@ class Dynamic(unittest.TestCase):
                 self.assertLessEqual(row["error"], row["error_max"])
                 self.assertLessEqual(row["error"], row["error_before_mean"] + 1e-12)
 
+    def test_the_peer_follows_the_same_motion_by_the_same_rule(self):
+        for tool in self.peers():
+            for scene in ("two_spheres", "slope"):
+                ours, rows = self.rows(scene), self.rows(scene, tool)
+                self.assertLess(rows[0.05]["error_max"], 0.05)
+                self.assertGreaterEqual(rows[0]["repartitions"], rows[0.05]["repartitions"])
+                self.assertEqual([rows["inf"][f] for f in ("repartitions", "moved", "seconds_balancing")], [0, 0, 0])
+                self.assertEqual(rows["inf"]["error_max"], rows["inf"]["error_before_max"])
+                for row in rows.values():
+                    self.assertLessEqual(row["error"], row["error_before_mean"] + 1e-12)
+                    self.assertGreaterEqual(row["moved"] + row["drifted"], row["migrated"])
+            # On the slope, whose boxes are full, both have the same cuts but for ties: as much drifts over them.
+            drifted = ours["inf"]["drifted"]
+            self.assertLessEqual(abs(rows["inf"]["drifted"] - drifted), 2 + 0.2 * drifted)
+
+    def test_hysteresis_is_of_ours_alone(self):
+        moved = [self.rows("two_spheres", hysteresis=h)[0]["moved"] for h in (1.2, 1)]
+        self.assertLess(moved[0], moved[1])  # the spheres turn the longest axis as they collide
+        for scene in ("two_spheres", "slope"):
+            for hysteresis in (1.2, 1):
+                self.assertEqual(self.rows(scene, hysteresis=hysteresis)["inf"]["moved"], 0)
+
     def test_something_moved(self):
         rows = self.rows("two_spheres")
         self.assertGreater(rows[0]["repartitions"], rows["inf"]["repartitions"])
@@ -84,7 +114,7 @@ class Dynamic(unittest.TestCase):
 
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in (["--scenes", "nowhere"], ["--tolerances", "-1"], ["--parts", "0"], ["--repeats", "0"],
+        for arguments in (["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--parts", "0"], ["--repeats", "0"],
                           ["--points", "1.5"], ["--ranks", "x"]):
             done = bench("dynamic", *arguments)
             self.assertEqual(done.returncode, 2, arguments)

@@ -85,6 +85,6 @@ Status answer_cells(partition::Comm& comm, const Plan& plan, const std::string& 
 
 }  // namespace
 
-int run_stress_worker(int argc, char** argv) { return run_as_rank(argc, argv, "rcb_stress", answer_cells); }
+int run_stress_worker(int argc, char** argv) { return run_as_rank(argc, argv, "rcb_stress", with_plan(answer_cells)); }
 
 }  // namespace rcb::bench

@@ -87,9 +87,7 @@ int run_as_rank(int argc, char** argv, const char* program, const RankBody& body
 #ifdef RCB_BENCH_ZOLTAN2
   start_zoltan2(&argc, &argv);
 #endif
-  auto plan = load(argv[2]);
-  Status status = plan.status();
-  if (partition::agree(session->comm(), status.ok())) status = body(session->comm(), *plan, argv[3]);
+  const Status status = body(session->comm(), argv[2], argv[3]);
 #ifdef RCB_BENCH_ZOLTAN2
   finish_zoltan2();
 #endif
@@ -98,9 +96,16 @@ int run_as_rank(int argc, char** argv, const char* program, const RankBody& body
   return status.ok() ? 0 : 1;
 }
 
+RankBody with_plan(std::function<Status(partition::Comm&, const Plan&, const std::string& rows_path)> body) {
+  return [body = std::move(body)](partition::Comm& comm, const std::string& plan_path, const std::string& rows_path) {
+    const auto plan = load(plan_path);
+    return partition::agree(comm, plan.ok()) ? body(comm, *plan, rows_path) : plan.status();
+  };
+}
+
 int run_worker(int argc, char** argv) {
   keep_freed_memory();
-  return run_as_rank(argc, argv, "rcb_bench", run_cells);
+  return run_as_rank(argc, argv, "rcb_bench", with_plan(run_cells));
 }
 
 }  // namespace rcb::bench

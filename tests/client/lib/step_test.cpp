@@ -209,6 +209,18 @@ TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
   EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 1);
 }
 
+// A scene may be another one by then, at step 0 again: what still comes for the old push must not be taken for its.
+TEST(Step, NoPushOfAConnectionBearsAnothersName) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  Session session(fake);
+  Caller caller{1000, 3, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  session.open();
+  ASSERT_TRUE(session.scene->step(caller.at(1, true)).ok());
+  session.end();
+  EXPECT_EQ(fake.attempts, (std::vector<std::int64_t>{1, 2}));
+}
+
 TEST(Step, StaleTwiceIsToldAndTheNextStepGoesOn) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   fake.fault = [](int push) { return push == 1 || push == 2 ? FakeScene::Fault::stale : FakeScene::Fault::none; };

@@ -1,0 +1,121 @@
+"""rcb_bench skips on few points: the two sides of every case say the same, and the report shows what was saved. No time is
+asserted."""
+import json
+import os
+import subprocess
+import tempfile
+import unittest
+
+BIN = os.environ["RCBD_BIN_DIR"]
+BENCH = os.path.join(BIN, "rcb_bench")
+SKIPS = ["dimension", "weights", "ids", "motion", "exchange", "search", "ties", "double precision", "questions"]
+N = 6000
+
+
+def bench(*arguments, timeout=200):
+    return subprocess.run([BENCH, *arguments], capture_output=True, text=True, timeout=timeout)
+
+
+class Skips(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "result.json")
+            done = bench("skips", "--points", str(N), "--parts", "6", "--ranks", "3", "--repeats", "2", "--json", path)
+            assert done.returncode == 0, done.stderr
+            cls.text = done.stdout
+            with open(path) as file:
+                cls.document = json.load(file)
+        rows = cls.document["rows"]
+        cls.pairs = list(zip(rows[::2], rows[1::2]))
+
+    def of(self, skip, work, off=None):
+        found = [(a, b) for a, b in self.pairs if (a["scene"], a["work"]) == (skip, work) and off in (None, b["variant"])]
+        self.assertTrue(found, (skip, work, off))
+        return found[0]
+
+    def test_every_row_has_its_fields(self):
+        self.assertLessEqual({"bench", "commit", "machine", "repeats", "rows"}, set(self.document))
+        for on, off in self.pairs:
+            self.assertEqual((on["skip"], off["skip"]), (True, False))
+            for field in ("scene", "n", "parts", "ranks", "work", "off_over_on", "same_answers"):
+                self.assertEqual(on[field], off[field], field)
+            for row in (on, off):
+                self.assertEqual([row[f] for f in ("parts", "ranks", "tool", "ratio")], [6, 3, "rcbd", {}])
+                self.assertLessEqual(row["seconds_min"], row["seconds"])
+                self.assertLessEqual(row["seconds"], row["seconds_max"])
+            self.assertGreater(on["off_over_on"], 0)
+
+    def test_every_skip_has_its_case(self):
+        self.assertEqual(sorted({on["scene"] for on, _ in self.pairs}), sorted(SKIPS))
+        for skip in SKIPS:
+            self.assertIn(skip, self.text)
+
+    def test_answers_are_the_same(self):
+        for on, off in self.pairs:
+            if not on["same_answers"]:
+                continue
+            self.assertEqual(on["checksum"], off["checksum"])
+            self.assertEqual(on["error"], off["error"])
+            if on["scene"] != "dimension":
+                self.assertEqual(on["hash"], off["hash"])
+        unequal = {on["scene"] for on, _ in self.pairs if not on["same_answers"]}
+        self.assertEqual(unequal, {"ties", "weights"})  # other points; other loads
+        self.assertEqual(self.of("weights", "step", "all 1")[0]["same_answers"], True)
+
+    def test_the_report_names_what_was_skipped(self):
+        for on, off in self.pairs:
+            named = on["scene"] in ("dimension", "weights", "ids", "motion", "exchange", "search", "double precision")
+            if named and (on["scene"], on["work"]) != ("search", "first push"):
+                self.assertIn(on["scene"], on["skipped"])
+                self.assertNotIn(on["scene"], off["skipped"])
+            if on["scene"] == "questions":  # the last report tells of the question after the step before
+                self.assertIn("questions", on["skipped"])
+                self.assertNotIn("questions", off["skipped"])
+
+    def test_bytes_are_saved(self):
+        for work in ("first push", "step"):
+            for skip, each, many in (("dimension", 16, 24), ("weights", 24, 32), ("double precision", 12, 24)):
+                on, off = self.of(skip, work)
+                self.assertEqual((on["bytes"], off["bytes"]), (each * N, many * N), skip)
+        on, off = self.of("ids", "first push")
+        self.assertEqual((on["bytes"], off["bytes"]), (24 * N, 32 * N))
+
+    def test_particles_rounds_and_collectives_are_saved(self):
+        still, all_of_them = self.of("motion", "step")
+        self.assertEqual((still["bytes"], still["scanned"], all_of_them["scanned"]), (0, 0, N))
+        few = [on for on, _ in self.pairs if on["variant"].startswith("1 %")][0]
+        self.assertEqual((few["scanned"], few["bytes"]), (N // 100, N // 100 * 32))
+        on, off = self.of("search", "step")
+        self.assertEqual((on["rounds"], on["reductions"]), (0, 0))
+        self.assertGreater(off["reductions"], 0)
+
+    def test_one_skip_alone(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "result.json")
+            done = bench("skips", "--scenes", "exchange", "--points", "1000", "--ranks", "1", "--repeats", "1", "--json",
+                         path)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            with open(path) as file:
+                self.assertEqual({row["scene"] for row in json.load(file)["rows"]}, {"exchange"})
+
+
+class Refusals(unittest.TestCase):
+    def test_wrong_usage(self):
+        for arguments in (["--scenes", "nothing"], ["--parts", "0"], ["--ranks", "x"], ["--repeats", "0"],
+                          ["--points", "1.5"]):
+            done = bench("skips", *arguments)
+            self.assertEqual(done.returncode, 2, arguments)
+            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+
+    def test_the_service_refuses_a_skip_that_it_does_not_know(self):
+        for names in ("everything", "search,everything"):
+            done = subprocess.run([os.path.join(BIN, "rcbd")], env={**os.environ, "RCBD_NO_SKIP": names},
+                                  capture_output=True, text=True, timeout=60)
+            self.assertEqual(done.returncode, 2)
+            self.assertIn("'everything' is no skip", done.stderr)
+            self.assertIn("exchange, search", done.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
