@@ -89,9 +89,11 @@ void print_cuts(const Json& reply) {
 
 void print_stats(const Json& reply) {
   Facts facts;
-  for (const char* field : {"scene", "steps", "repartitions", "bytes", "drifted", "moved", "migrated"})
+  for (const char* field :
+       {"scene", "steps", "repartitions", "bytes", "drifted", "moved", "migrated", "scanned", "rounds", "reductions"})
     facts.add(field, text_of(reply, field));
   for (const auto& [name, times] : reply.at("skipped").items()) facts.add("skipped: " + name, text_of(times));
+  for (const auto& [name, times] : reply.at("asked").items()) facts.add("asked: " + name, text_of(times));
   for (const auto& [name, seconds] : reply.at("seconds").items()) facts.add("seconds: " + name, text_of(seconds));
   facts.print();
 }

@@ -141,7 +141,6 @@ void note_skips(const Scene& scene, const PushChanges& what, const NoSkip& no_sk
   if (what.moved != Moved::all) report.skipped.emplace_back("motion");
   if (report.migrated == 0 && !no_skip.exchange) report.skipped.emplace_back("exchange");
   if (report.reductions == 0) report.skipped.emplace_back("search");
-  if (!scene.asked) report.skipped.emplace_back("questions");
 }
 
 void take_positions(Scene& scene, Staged& staged, Moved moved) {
@@ -290,6 +289,7 @@ void remember(Scene& scene, const PushRequest& push, const StepReport& report, b
   totals.rounds += report.rounds;
   totals.reductions += report.reductions;
   for (const std::string& name : report.skipped) ++totals.skipped[name];
+  if (!scene.asked) ++totals.skipped["questions"];
   scene.asked = false;
   if (root) scene.history.push_back(report);
 }

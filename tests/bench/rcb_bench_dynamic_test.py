@@ -94,13 +94,6 @@ class Dynamic(unittest.TestCase):
             drifted = ours["inf"]["drifted"]
             self.assertLessEqual(abs(rows["inf"]["drifted"] - drifted), 2 + 0.2 * drifted)
 
-    def test_hysteresis_is_of_ours_alone(self):
-        moved = [self.rows("two_spheres", hysteresis=h)[0]["moved"] for h in (1.2, 1)]
-        self.assertLess(moved[0], moved[1])  # the spheres turn the longest axis as they collide
-        for scene in ("two_spheres", "slope"):
-            for hysteresis in (1.2, 1):
-                self.assertEqual(self.rows(scene, hysteresis=hysteresis)["inf"]["moved"], 0)
-
     def test_something_moved(self):
         rows = self.rows("two_spheres")
         self.assertGreater(rows[0]["repartitions"], rows["inf"]["repartitions"])
@@ -110,6 +103,20 @@ class Dynamic(unittest.TestCase):
         for word in ("two_spheres: 403 points", "slope: 403 points", "cost", "inf"):
             self.assertIn(word, self.text)
             self.assertIn(word, self.script)
+
+
+class Hysteresis(unittest.TestCase):
+    def test_it_keeps_particles_where_they_are(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "result.json")
+            done = bench("dynamic", "--scenes", "two_spheres", "--points", "2003", "--steps", "40", "--ranks", "2",
+                         "--repeats", "1", "--tolerances", "0", "--axis-hysteresis", "1.2,1", "--no-peers", "--json", path)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            with open(path) as file:
+                rows = [row for row in json.load(file)["rows"] if row["policy"] == "tolerance"]
+        self.assertEqual([row["axis_hysteresis"] for row in rows], [1.2, 1])
+        self.assertEqual([row["repartitions"] for row in rows], [40, 40])
+        self.assertLess(rows[0]["moved"], rows[1]["moved"])  # the spheres' longest axis turns as they collide
 
 
 class Refusals(unittest.TestCase):

@@ -65,14 +65,17 @@ class Player {
     return seconds;
   }
 
-  // {"hash", "checksum"} of the parts as they are.
+  // {"hash", "checksum"} of the parts as they are, and the questions that were "asked" before.
   Result<Json> answer() {
+    const auto stats = client_->call("stats", scene_json());
+    if (!stats.ok()) return stats.status();
     Json arguments = Json::parse(scene_json());
     arguments["checksum"] = true;
     const auto reply = client_->call("assign", arguments.dump());
     if (!reply.ok()) return reply.status();
     const Json json = Json::parse(reply->json);
-    return Json{{"hash", json.at("hash")}, {"checksum", json.at("checksum")}};
+    return Json{
+        {"hash", json.at("hash")}, {"checksum", json.at("checksum")}, {"asked", Json::parse(stats->json).at("asked")}};
   }
 
   Status close() {
@@ -159,6 +162,7 @@ Json row_of(const Case& what, const Side& side, bool on, const Player& player, s
           {"rounds", report.rounds},
           {"reductions", report.reductions},
           {"skipped", report.skipped},
+          {"asked", measured.answer["asked"]},
           {"hash", measured.answer["hash"]},
           {"checksum", measured.answer["checksum"]},
           {"ratio", Json::object()}};

@@ -53,6 +53,10 @@ class Reports(unittest.TestCase):
         self.service.json("history", "spheres-0.1", "--csv", table)
         rows = np.genfromtxt(table, delimiter=",", names=True, dtype=None, encoding="utf-8")
         self.assertEqual(list(rows["step"]), list(range(201)))
+        fields = {field for report in self.runs["0.1"] for field in report} - {"seconds"}
+        fields |= {"seconds_" + name for name in self.runs["0.1"][0]["seconds"]}
+        self.assertEqual(set(rows.dtype.names), fields | {"first_id"})
+        np.testing.assert_array_equal(rows["scanned"], [1500] * 201)
         np.testing.assert_array_equal(rows["error"], [report["error"] for report in self.runs["0.1"]])
 
     def test_plot(self):

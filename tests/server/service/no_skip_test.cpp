@@ -86,17 +86,14 @@ TEST(NoSkip, QuestionsAreCounted) {
     Driver driver(comm, service, "a");
     driver.create({{"parts", 4}, {"tolerance", "inf"}});
     const Particles particles = random_particles(1, 200, 3);
-    std::vector<bool> asked;
     for (int step = 0; step < 4; ++step) {
-      const Response pushed = driver.push(particles, step);
-      if (comm.rank() == 0) asked.push_back(!skips(pushed.json["report"], "questions"));
+      driver.push(particles, step);
       if (step == 0) driver.ask("error");  // costs nothing
       if (step == 1) driver.ask("quality");
       if (step == 2) driver.ask("quality", {{"ghost_width", "wide"}});  // refused
     }
     const Response stats = driver.ask("stats");
     if (comm.rank() != 0) return;
-    EXPECT_EQ(asked, (std::vector<bool>{false, false, true, false}));
     EXPECT_EQ(stats.json["skipped"]["questions"], 3);
     EXPECT_EQ(stats.json["asked"], (Json{{"quality", 1}}));
     EXPECT_EQ(stats.json["scanned"], 4 * 200);
