@@ -281,7 +281,6 @@ void hand_over(partition::Comm& comm, Scene& scene, Leavers leavers, std::span<c
     checksum = plan::checksum_of_rank(comm.rank(), scene.particles.id.span());
   } else {
     Arrivals arrivals = receive_apart(comm, scene, leavers, from, changed <= limits.few, limits);
-    if (changed == 0) return;
     sort_by_id(arrivals);
     checksum = fill_holes(scene, comm.rank(), leavers, arrivals,
                           plan::edit_of_rank(scene.part.size(), leavers.slots, arrivals.part.size()));

@@ -40,7 +40,7 @@ struct HandOverLimits {
 // The particles change places, and the plan with them; plan::is_full_change says which way, but a first partition is
 // always a full change. Collective.
 //   from     by rank: how many particles arrive from it
-//   changed  on all ranks together; 0: nothing changes, but what is exchanged is exchanged
+//   changed  on all ranks together
 void hand_over(partition::Comm& comm, Scene& scene, Leavers leavers, std::span<const std::uint64_t> from,
                std::uint64_t changed, bool full, const HandOverLimits& limits = {});
 
