@@ -71,7 +71,10 @@ Response push(Context& context, const wire::Json& request) {
   const StepReport report = commit(context, *scene.value(), *staged, push.value(), push->changes ? &changes : nullptr);
   give_back(context, *scene.value(), push.value(), *staged);
   // A full change frees much that later steps don't need again.
-  if (!previous_step || plan::is_full_change(report.migrated, report.n)) ::malloc_trim(0);
+  if (!previous_step || plan::is_full_change(report.migrated, report.n)) {
+    staged->scan = {};
+    ::malloc_trim(0);
+  }
   return answer(*scene.value(), report, push.value(), std::move(changes), std::move(staged->edits.inserted_part),
                 previous_step);
 }

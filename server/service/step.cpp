@@ -6,6 +6,7 @@
 #include "common/partition/partition.hpp"
 #include "common/plan/plan.hpp"
 #include "server/service/collective.hpp"
+#include "server/service/gather_changes.hpp"
 #include "server/service/migration.hpp"
 #include "server/service/policy.hpp"
 
@@ -72,65 +73,6 @@ PartChanges changes_since(const Scene& scene, const Buffer<std::int32_t>& old_pa
     changes.part.push_back(scene.part[i]);
   }
   return changes;
-}
-
-// Collective. On rank 0: all ranks' changes in ascending id. The local ones are used up.
-void gather_changes(partition::Comm& comm, PartChanges& local, PartChanges& all) {
-  if (!std::is_sorted(local.id.begin(), local.id.end())) {
-    PartChanges sorted;
-    for (const std::uint64_t k : order_by_id(local.id)) {
-      sorted.id.push_back(local.id[k]);
-      sorted.part.push_back(local.part[k]);
-    }
-    local = std::move(sorted);
-  }
-  Buffer<std::byte> packed;
-  packed.append(std::as_bytes(local.id.span()));
-  packed.append(std::as_bytes(local.part.span()));
-  local = {};
-  std::vector<std::byte> bytes;
-  std::vector<std::size_t> sizes;
-  comm.gather(std::as_const(packed).span(), 0, bytes, sizes);
-  packed.release();
-  // One ascending run from each rank; the run with the least next id goes first.
-  constexpr std::size_t kEach = sizeof(particles::Id) + sizeof(std::int32_t);
-  struct Run {
-    particles::Id id;
-    const std::byte* ids;
-    const std::byte* parts;
-    std::size_t left;
-  };
-  std::vector<Run> heap;
-  const auto later = [](const Run& a, const Run& b) { return a.id > b.id; };
-  const auto read = [](Run& run) { std::memcpy(&run.id, run.ids, sizeof run.id); };
-  std::size_t at = 0;
-  for (const std::size_t size : sizes) {
-    const std::size_t count = size / kEach;
-    if (count > 0) {
-      heap.push_back({0, bytes.data() + at, bytes.data() + at + count * sizeof(particles::Id), count});
-      read(heap.back());
-    }
-    at += size;
-  }
-  all.id.reserve(at / kEach);
-  all.part.reserve(at / kEach);
-  std::make_heap(heap.begin(), heap.end(), later);
-  while (!heap.empty()) {
-    std::pop_heap(heap.begin(), heap.end(), later);
-    Run& run = heap.back();
-    std::int32_t part = 0;
-    std::memcpy(&part, run.parts, sizeof part);
-    all.id.push_back(run.id);
-    all.part.push_back(part);
-    run.ids += sizeof run.id;
-    run.parts += sizeof part;
-    if (--run.left == 0) {
-      heap.pop_back();
-      continue;
-    }
-    read(run);
-    std::push_heap(heap.begin(), heap.end(), later);
-  }
 }
 
 void note_skips(const Scene& scene, const PushChanges& what, const NoSkip& no_skip, StepReport& report) {
@@ -344,6 +286,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
     mine = report.repartitioned ? changes_since(scene, old_part) : changes_of_drift(scene, drift);
   }
   old_part.release();
+  if (report.repartitioned) staged.scan.drift = {};  // its memory is wanted
   const double migrating = context.clock.seconds();
   std::uint64_t changed_rank = 0;
   if (report.repartitioned)
@@ -354,7 +297,8 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   report.migrated = first ? 0 : changed_rank;
   if (report.repartitioned) account_repartition(context, scene, report, first);
   if (changes != nullptr && first) mine = all_changes(scene);
-  if (changes != nullptr && any) gather_changes(context.comm, mine, *changes);
+  if (changes != nullptr && any)
+    gather_changes(context.comm, mine, first ? scene.n : report.drifted + report.moved, *changes);
 
   note_skips(scene, push.what, context.no_skip, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;

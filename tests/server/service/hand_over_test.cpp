@@ -12,6 +12,7 @@
 
 #include "common/base/random.hpp"
 #include "common/plan/plan.hpp"
+#include "tests/support/forwarding_comm.hpp"
 #include "tests/support/on_ranks.hpp"
 
 namespace rcb::testing {
@@ -146,34 +147,12 @@ std::uint64_t allocated() {
 }
 
 // Looks at the heap wherever ranks meet.
-class WatchingComm final : public partition::Comm {
+class WatchingComm final : public ForwardingComm {
  public:
-  WatchingComm(partition::Comm& comm, std::atomic<std::uint64_t>& most) : comm_(comm), most_(most) {}
-  int rank() const override { return comm_.rank(); }
-  int size() const override { return comm_.size(); }
-  void all_sum(std::span<std::uint64_t> values) override { look(), comm_.all_sum(values); }
-  void all_min(std::span<std::uint64_t> values) override { look(), comm_.all_min(values); }
-  void all_max(std::span<std::uint64_t> values) override { look(), comm_.all_max(values); }
-  void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
-                  std::vector<std::size_t>& sizes) override {
-    look(), comm_.all_gather(local, all, sizes);
-  }
-  void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
-              std::vector<std::size_t>& sizes) override {
-    look(), comm_.gather(local, root, all, sizes);
-  }
-  void broadcast(std::span<std::byte> bytes, int root) override { look(), comm_.broadcast(bytes, root); }
-  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override {
-    look(), comm_.scatter(pieces, root, mine);
-  }
-  void exchange(std::span<const std::span<const std::byte>> send,
-                std::span<const std::span<std::byte>> receive) override {
-    look(), comm_.exchange(send, receive);
-  }
-  void barrier() override { look(), comm_.barrier(); }
+  WatchingComm(partition::Comm& comm, std::atomic<std::uint64_t>& most) : ForwardingComm(comm), most_(most) {}
 
  private:
-  void look() {
+  void before() override {
     comm_.barrier();  // all ranks have what they will hold meanwhile
     const std::uint64_t now = allocated();
     std::uint64_t seen = most_;
@@ -182,7 +161,6 @@ class WatchingComm final : public partition::Comm {
     comm_.barrier();  // and keep it until all have looked
   }
 
-  partition::Comm& comm_;
   std::atomic<std::uint64_t>& most_;
 };
 

@@ -1,0 +1,43 @@
+// A Comm that passes everything on to another one, for tests that look at what passes.
+#pragma once
+
+#include <vector>
+
+#include "common/partition/comm.hpp"
+
+namespace rcb::testing {
+
+// before() is called ahead of every collective, on every rank.
+class ForwardingComm : public partition::Comm {
+ public:
+  explicit ForwardingComm(partition::Comm& comm) : comm_(comm) {}
+  int rank() const override { return comm_.rank(); }
+  int size() const override { return comm_.size(); }
+  void all_sum(std::span<std::uint64_t> values) override { before(), comm_.all_sum(values); }
+  void all_min(std::span<std::uint64_t> values) override { before(), comm_.all_min(values); }
+  void all_max(std::span<std::uint64_t> values) override { before(), comm_.all_max(values); }
+  void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+                  std::vector<std::size_t>& sizes) override {
+    before(), comm_.all_gather(local, all, sizes);
+  }
+  void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+              std::vector<std::size_t>& sizes) override {
+    before(), comm_.gather(local, root, all, sizes);
+  }
+  void broadcast(std::span<std::byte> bytes, int root) override { before(), comm_.broadcast(bytes, root); }
+  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override {
+    before(), comm_.scatter(pieces, root, mine);
+  }
+  void exchange(std::span<const std::span<const std::byte>> send,
+                std::span<const std::span<std::byte>> receive) override {
+    before(), comm_.exchange(send, receive);
+  }
+  void barrier() override { before(), comm_.barrier(); }
+
+ protected:
+  virtual void before() {}
+
+  partition::Comm& comm_;
+};
+
+}  // namespace rcb::testing
