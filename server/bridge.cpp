@@ -23,13 +23,36 @@ std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
   return to;
 }
 
+// All observers of slices are these.
+class Observer final : public net::SliceObserver {
+ public:
+  explicit Observer(std::shared_ptr<service::Arrival> arrival) : arrival_(std::move(arrival)) {}
+  void arrived(std::size_t axis, std::uint64_t first, std::span<const double> values) override {
+    arrival_->add(axis, first, values);
+  }
+  std::shared_ptr<const service::Arrival> arrival() const { return arrival_; }
+
+ private:
+  std::shared_ptr<service::Arrival> arrival_;
+};
+
 std::vector<service::PushSlice> convert(std::vector<net::Slice> from) {
   std::vector<service::PushSlice> to;
-  for (net::Slice& slice : from) to.push_back({slice.rank, slice.count, std::move(slice.arrays)});
+  for (net::Slice& slice : from) {
+    to.push_back({slice.rank, slice.count, std::move(slice.arrays)});
+    if (slice.observer) to.back().arrival = static_cast<const Observer&>(*slice.observer).arrival();
+  }
   return to;
 }
 
 }  // namespace
+
+net::DataPort::Watch watch_arrivals(service::Loans& loans) {
+  return [&loans](const net::PushTerms& terms) -> std::shared_ptr<net::SliceObserver> {
+    auto arrival = loans.begin(terms.id.scene, terms.dims, terms.n);
+    return arrival ? std::make_shared<Observer>(std::move(arrival)) : nullptr;
+  };
+}
 
 std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request) {
   const auto number = request.find("staged");
@@ -40,7 +63,6 @@ std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::J
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   ranks::EngineOrder out;
   out.number = ++number_;
-  doorbells_.ring(out.number, order.text);
   out.slices = staged_slices(data_, order.request);
   for (service::PushSlice& slice : convert(std::move(order.slices))) out.slices.push_back(std::move(slice));
   out.request = std::move(order.request);
@@ -49,7 +71,9 @@ void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   out.done = [done = std::move(done)](service::Response response, const service::Snapshot& snapshot) {
     done({std::move(response.status), std::move(response.json), std::move(response.arrays), convert(snapshot)});
   };
+  // This rank's engine wakes while the others are rung: a command that needs none of them is answered meanwhile.
   CHECK(engine_.push(std::move(out)), "the engine's queue is full");
+  doorbells_.ring(number_, order.text);
 }
 
 bool Watchdog::tick() {

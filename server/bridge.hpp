@@ -10,6 +10,7 @@
 #include "server/net/doorbell.hpp"
 #include "server/net/engine.hpp"
 #include "server/ranks/engine_loop.hpp"
+#include "server/service/arrival.hpp"
 
 namespace rcb::server {
 
@@ -25,6 +26,9 @@ class Bridge final : public net::Engine {
   net::DataPort& data_;
   std::uint64_t number_ = 0;
 };
+
+// Lets the engine's service see slices as they come.
+net::DataPort::Watch watch_arrivals(service::Loans& loans);
 
 // The slice that this rank received for an order, if the order is of a direct push. On the I/O thread.
 std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request);

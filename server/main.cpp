@@ -184,7 +184,7 @@ void watch(net::IoLoop& loop, const ranks::EngineLoop& engine, const Config& con
 }
 
 // Rank 0's part of making the direct path: its own listeners, and the addresses for clients. Collective.
-void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi) {
+void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi, service::Loans& loans) {
   std::vector<std::string> places;
   if (!config.gateway_only)
     for (const std::string& endpoint : root.endpoints)
@@ -194,12 +194,13 @@ void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi) 
   root.hub = std::make_unique<net::DataHub>(*root.doorbells, *root.port, *root.control, mpi.size());
   for (std::size_t i = 0; i < places.size(); ++i)
     if (!addresses[i].empty()) root.control->serve_data(*root.hub, root.endpoints[i], addresses[i]);
-  root.port->start([control = root.control.get()](std::uint64_t number, const Status& status) {
-    control->slice_ended(0, number, status);
-  });
+  root.port->start([control = root.control.get()](std::uint64_t number,
+                                                  const Status& status) { control->slice_ended(0, number, status); },
+                   watch_arrivals(loans));
 }
 
 int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
+  service::Loans loans;
   net::IoLoop loop;
   Root root;
   // Its orders hold timers of the loop.
@@ -210,7 +211,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   mpi.share(opened.ok() ? root.doorbells->address().path : "refused");
   if (!opened.ok()) return 1;
   mpi.share(root.doorbells->address().secret);
-  open_direct_path(root, config, mpi);
+  open_direct_path(root, config, mpi, loans);
   watch(loop, engine, config, [hub = root.doorbells.get()] { hub->tick(); });
   loop.start();
   const Status connected = root.doorbells->wait_connected(kStartSeconds);
@@ -220,7 +221,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
                config.restarted ? ", restarted and empty" : "");
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, no_skip);
+    service::Service service(mpi.comm(), clock, no_skip, &loans);
     engine.run(service);
   }
   root.control->finish(kGoodbyeSeconds);
@@ -244,6 +245,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   std::getline(shared, token);
   std::vector<std::string> places;
   for (std::string line; std::getline(shared, line);) places.push_back(line);
+  service::Loans loans;
   net::IoLoop loop;
   net::DataPort port(loop, data_options(token, net::bulk_bytes_default(), mpi.rank()));
   open_data(mpi, port, places);
@@ -263,14 +265,14 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   auto doorbell = net::Doorbell::connect(loop, mpi.rank(), address, config.silence_seconds, ordered, die);
   if (!doorbell.ok()) die(doorbell.status().message());
   (*doorbell)->on_news([&port](int, const wire::Json& news) { net::follow_hub(port, news); });
-  port.start([bell = doorbell->get()](std::uint64_t number, const Status& status) {
-    bell->tell(net::report_json(number, status));
-  });
+  port.start([bell = doorbell->get()](std::uint64_t number,
+                                      const Status& status) { bell->tell(net::report_json(number, status)); },
+             watch_arrivals(loans));
   watch(loop, engine, config, [bell = doorbell->get()] { bell->tick(); });
   loop.start();
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, no_skip);
+    service::Service service(mpi.comm(), clock, no_skip, &loans);
     engine.run(service);
   }
   loop.run([&] { port.finish(); });

@@ -19,13 +19,14 @@
 namespace rcb::net {
 namespace {
 
-constexpr std::size_t kEndedMax = 256;  // pushes remembered after their end
-constexpr std::uint64_t kReadBytes = std::uint64_t{1} << 20U;
+constexpr std::size_t kEndedMax = 256;                           // pushes remembered after their end
+constexpr std::uint64_t kReadBytes = std::uint64_t{512} << 10U;  // are still in the cache when they are looked at
 
 // A push whose slice is being received.
 struct Incoming {
   PushTicket ticket;
-  std::vector<Buffer<std::byte>> arrays;   // each of the whole slice's size
+  std::vector<Buffer<std::byte>> arrays;  // each of the whole slice's size
+  std::shared_ptr<SliceObserver> observer;
   std::uint64_t have = 0;                  // particles
   const Connection* connection = nullptr;  // that brings them
   bool over = false;                       // reported, or dropped
@@ -217,7 +218,10 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
     wire::BulkChecksum checksum;
     std::uint64_t left = frame.header.bulk_bytes;
+    const PushTerms& terms = push->ticket.terms;
+    if (push->have == 0 && watch && terms.moved == Moved::all) push->observer = watch(terms);
     for (std::size_t a = 0; left > 0; ++a) {
+      const bool axis = a < static_cast<std::size_t>(terms.dims);
       std::uint64_t at = push->have * 8;
       const std::uint64_t upto = at + count * 8;
       while (at < upto) {
@@ -225,13 +229,15 @@ struct DataPort::State : std::enable_shared_from_this<State> {
         // A given-up push's memory goes when the last read into it has ended: the buffer moves here meanwhile.
         const std::uint64_t size = std::min(upto - at, kReadBytes);
         Buffer<std::byte> array = std::move(push->arrays[a]);
-        const bool single = push->ticket.terms.single && a < static_cast<std::size_t>(push->ticket.terms.dims);
+        const bool single = terms.single && axis;
         const std::span<std::byte> place = array.span().subspan(at, size);
         const std::span<std::byte> piece = single ? place.last(size / 2) : place;
         const Status status = co_await connection->read_bulk(piece);
         if (!status.ok()) co_return status;
         if (checked) checksum.add(piece);
         if (single) widen(place);
+        if (axis && push->observer)
+          push->observer->arrived(a, at / 8, {reinterpret_cast<const double*>(place.data()), size / 8});
         if (!push->over) push->arrays[a] = std::move(array);
         at += size;
         left -= piece.size();
@@ -261,6 +267,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   IoLoop& loop;
   DataOptions options;
   Report report;
+  Watch watch;
   std::optional<UnixAcceptor> unix_acceptor;
   std::string unix_path;
   std::list<TcpAcceptor> tcp_acceptors;
@@ -291,8 +298,9 @@ Result<std::string> DataPort::listen_tcp(const std::string& where) {
   return bound;
 }
 
-void DataPort::start(Report report) {
+void DataPort::start(Report report, Watch watch) {
   state_->report = std::move(report);
+  state_->watch = std::move(watch);
   asio::io_context& context = state_->context();
   const auto taker = [state = state_](bool with_token) {
     return
@@ -352,6 +360,7 @@ std::vector<Slice> DataPort::take(std::uint64_t number) {
   std::vector<Slice> slices(1);
   slices[0].rank = state_->options.rank;
   slices[0].count = terms.n;
+  slices[0].observer = std::move(push->observer);
   constexpr std::array kAxes{"x", "y", "z"};
   for (std::size_t a = 0; a < push->arrays.size(); ++a) {
     const bool axis = a < static_cast<std::size_t>(terms.dims);

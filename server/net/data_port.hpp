@@ -40,13 +40,16 @@ class DataPort {
   // status: ok where this rank's slice is whole.
   using Report = std::function<void(std::uint64_t number, const Status& status)>;
 
+  // Who sees the slice of such a push, asked for when its first bytes are there; may be nobody (null).
+  using Watch = std::function<std::shared_ptr<SliceObserver>(const PushTerms& terms)>;
+
   DataPort(IoLoop& loop, DataOptions options);
   ~DataPort();  // the loop must have stopped
 
   // Before the loop starts. Errors: those of listen_unix and listen_tcp.
   Status listen_unix(const std::string& path);
   Result<std::string> listen_tcp(const std::string& where);  // the address as it was bound
-  void start(Report report);
+  void start(Report report, Watch watch = {});
   // Closes the listeners and the connections, removes the socket.
   void finish();
 

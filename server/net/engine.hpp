@@ -11,6 +11,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -19,11 +20,20 @@
 
 namespace rcb::net {
 
+// Sees the positions of one slice of all particles as they arrive, while they are in the cache. On the I/O thread.
+class SliceObserver {
+ public:
+  virtual ~SliceObserver() = default;
+  // The values of an axis from slot `first` on, in the order in which they came.
+  virtual void arrived(std::size_t axis, std::uint64_t first, std::span<const double> values) = 0;
+};
+
 // One rank's particles of a push, as the client sent them.
 struct Slice {
   int rank = 0;
   std::uint64_t count = 0;
   std::vector<wire::Array> arrays;
+  std::shared_ptr<SliceObserver> observer = nullptr;  // that has seen it; may be null
 };
 
 struct SceneInfo {

@@ -26,6 +26,8 @@ MpiSession::~MpiSession() {
 }
 
 Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
+  // A rank that waits for another makes room: solvers and slices on their way share the cores with it.
+  ::setenv("OMPI_MCA_mpi_yield_when_idle", "1", 0);
   int provided = MPI_THREAD_SINGLE;
   MPI_Init_thread(argc, argv, MPI_THREAD_FUNNELED, &provided);
   if (provided < MPI_THREAD_FUNNELED) {

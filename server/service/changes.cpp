@@ -426,27 +426,25 @@ Result<Edits> prepare_edits(Context& context, Scene& scene, const PushChanges& c
 }
 
 Status receive_subset(Context& context, Scene& scene, const PushChanges& changes, bool by_id, bool staged,
-                      particles::ParticleSet& arrays, Subset& subset) {
+                      particles::ParticleSet& arrays, Subset& subset, Status& ready) {
   partition::Comm& comm = context.comm;
   if (by_id) return receive_by_id(context, scene, changes.counts.front(), arrays, subset);
   const auto dims = static_cast<std::size_t>(scene.options.dims);
   PushSlice mine;
-  Status good;
   if (staged) {
     Expected expected = axes_of(scene);
     expected.emplace_back("slot", "<u8");
     mine = take_slice(context.slices, comm.rank());
-    good = check_arrays(mine, fmt::format("moved of rank {}", comm.rank()),
-                        changes.counts[static_cast<std::size_t>(comm.rank())], expected);
+    ready = check_arrays(mine, fmt::format("moved of rank {}", comm.rank()),
+                         changes.counts[static_cast<std::size_t>(comm.rank())], expected);
   } else if (Status status = scatter_slices(context, scene, changes, mine); !status.ok()) {
     return status;
   }
-  if (good.ok()) {
-    for (std::size_t a = 0; a < dims; ++a) arrays.position[a] = mine.arrays[a].bytes.release_as<double>();
-    subset.slot = mine.arrays[dims].bytes.release_as<std::uint64_t>();
-    good = check_slots(subset.slot, scene.particles.count(), comm.rank());
-  }
-  if (Status status = agree_status(comm, good); !status.ok()) return status;
+  if (!ready.ok()) return {};
+  for (std::size_t a = 0; a < dims; ++a) arrays.position[a] = mine.arrays[a].bytes.release_as<double>();
+  subset.slot = mine.arrays[dims].bytes.release_as<std::uint64_t>();
+  ready = check_slots(subset.slot, scene.particles.count(), comm.rank());
+  if (!ready.ok()) return {};
   arrays.id.resize(subset.slot.size());
   for (std::size_t k = 0; k < subset.slot.size(); ++k) arrays.id[k] = scene.particles.id[subset.slot[k]];
   return {};

@@ -64,10 +64,10 @@ struct Subset {
 };
 
 // Brings the moved particles of a push to their ranks: positions and ids into `arrays`, their slots into `subset`.
-// staged: this rank's slice came straight to it. Errors: what the slices have wrong, the same on every rank.
-// Collective.
+// staged: this rank's slice came straight to it. `ready`: what this rank alone knows to be wrong, to be agreed on with
+// the reduction that follows. Errors: what the slices have wrong, the same on every rank. Collective.
 Status receive_subset(Context& context, Scene& scene, const PushChanges& changes, bool by_id, bool staged,
-                      particles::ParticleSet& arrays, Subset& subset);
+                      particles::ParticleSet& arrays, Subset& subset, Status& ready);
 
 // Drops what is removed anyway. Local.
 void forget_removed(const Edits& edits, Drift& drift);

@@ -8,6 +8,7 @@
 
 #include "common/base/clock.hpp"
 #include "common/partition/comm.hpp"
+#include "server/service/arrival.hpp"
 #include "server/service/no_skip.hpp"
 #include "server/service/scene.hpp"
 #include "server/service/service.hpp"
@@ -23,6 +24,7 @@ struct Context {
   double received_seconds = 0;
   std::vector<Spare>& spares;
   NoSkip no_skip;
+  std::shared_ptr<const Loan> loan;  // what the order's scene had lent until now
 
   bool root() const { return comm.rank() == 0; }
 };

@@ -5,12 +5,13 @@
 #include <limits>
 #include <span>
 
+#include "common/base/check.hpp"
 #include "common/plan/plan.hpp"
+#include "server/service/inside.hpp"
 
 namespace rcb::service {
 namespace {
 
-constexpr std::size_t kBlock = 64;       // particles that are looked at together
 constexpr std::size_t kPending = 16384;  // particles that are asked of the tree together
 
 // Copies of particles that aren't strictly inside their part's region.
@@ -68,20 +69,6 @@ class Pending {
   Buffer<std::int32_t> part_;
 };
 
-// Branch-free, so that the compiler makes vectors of it.
-template <std::size_t kDims>
-std::uint64_t count_outside(const std::array<const double*, 3>& x, const PartBounds& bounds, std::size_t begin,
-                            std::size_t count) {
-  std::uint64_t outside = 0;
-  for (std::size_t i = begin; i < begin + count; ++i) {
-    std::uint64_t inside = 1;
-    for (std::size_t a = 0; a < kDims; ++a)
-      inside &= static_cast<std::uint64_t>(x[a][i] > bounds.lo[a]) & static_cast<std::uint64_t>(x[a][i] < bounds.hi[a]);
-    outside += inside ^ 1U;
-  }
-  return outside;
-}
-
 template <std::size_t kDims>
 bool is_inside(const std::array<const double*, 3>& x, const PartBounds& bounds, std::size_t i) {
   bool inside = true;
@@ -91,21 +78,23 @@ bool is_inside(const std::array<const double*, 3>& x, const PartBounds& bounds, 
 
 template <std::size_t kDims>
 void scan_blocks(const std::array<const double*, 3>& x, std::size_t count, const std::int32_t* part,
-                 std::span<const PartBounds> bounds, std::int32_t first, Pending& pending) {
-  for (std::size_t begin = 0; begin < count; begin += kBlock) {
-    const std::size_t size = std::min(kBlock, count - begin);
+                 std::span<const PartBounds> bounds, std::int32_t first, std::span<const std::uint8_t> marks,
+                 Pending& pending) {
+  for (std::size_t begin = 0; begin < count; begin += kScanBlock) {
+    if (!marks.empty() && marks[begin / kScanBlock] == 0) continue;
+    const std::size_t size = std::min(kScanBlock, count - begin);
     const std::int32_t* const parts = part + begin;
     std::int32_t other = 0;
     for (std::size_t i = 0; i < size; ++i) other |= parts[i] ^ parts[0];
-    std::uint64_t outside = 0;
+    bool inside = true;
     if (other == 0) {
-      outside = count_outside<kDims>(x, bounds[static_cast<std::size_t>(parts[0] - first)], begin, size);
+      const PartBounds& of_all = bounds[static_cast<std::size_t>(parts[0] - first)];
+      for (std::size_t a = 0; a < kDims; ++a) inside &= all_inside(x[a] + begin, size, of_all.lo[a], of_all.hi[a]);
     } else {
       for (std::size_t i = 0; i < size; ++i)
-        outside += static_cast<std::uint64_t>(
-            !is_inside<kDims>(x, bounds[static_cast<std::size_t>(parts[i] - first)], begin + i));
+        inside &= is_inside<kDims>(x, bounds[static_cast<std::size_t>(parts[i] - first)], begin + i);
     }
-    if (outside == 0) continue;
+    if (inside) continue;
     for (std::size_t i = begin; i < begin + size; ++i)
       if (!is_inside<kDims>(x, bounds[static_cast<std::size_t>(part[i] - first)], i)) pending.add(i, i);
   }
@@ -125,7 +114,8 @@ bool bad_weights(const double* weight, std::size_t count) {
   return bad != 0;
 }
 
-// The regions of this rank's parts, kept as long as the cuts are in force.
+}  // namespace
+
 void refresh_bounds(Scene& scene, int rank, int ranks) {
   if (scene.bounds_epoch == scene.epoch) return;
   const std::int64_t begin = plan::part_begin(rank, scene.options.parts, ranks);
@@ -138,23 +128,23 @@ void refresh_bounds(Scene& scene, int rank, int ranks) {
   scene.bounds_epoch = scene.epoch;
 }
 
-}  // namespace
-
-Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank, int ranks) {
+Scan scan_positions(Scene& scene, const particles::ParticleView& view, std::span<const std::uint8_t> marks, int rank,
+                    int ranks) {
   Scan scan;
   if (view.count == 0) return scan;
+  CHECK(marks.empty() || marks.size() == (view.count + kScanBlock - 1) / kScanBlock, "a mark a block");
   refresh_bounds(scene, rank, ranks);
   const auto first = static_cast<std::int32_t>(plan::part_begin(rank, scene.options.parts, ranks));
   Pending pending(scene, view, scan);
   switch (view.dims) {
     case 1:
-      scan_blocks<1>(view.position, view.count, scene.part.data(), scene.bounds, first, pending);
+      scan_blocks<1>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, pending);
       break;
     case 2:
-      scan_blocks<2>(view.position, view.count, scene.part.data(), scene.bounds, first, pending);
+      scan_blocks<2>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, pending);
       break;
     default:
-      scan_blocks<3>(view.position, view.count, scene.part.data(), scene.bounds, first, pending);
+      scan_blocks<3>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, pending);
       break;
   }
   pending.flush();

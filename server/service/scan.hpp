@@ -25,14 +25,22 @@ struct Drift {
   std::size_t count() const { return slot.size(); }
 };
 
+// Particles that are looked at together.
+inline constexpr std::size_t kScanBlock = 64;
+
 struct Scan {
   bool fault = false;  // a value that isn't finite, or a weight < 0; the rest is then unspecified
   Drift drift;         // to the new parts
 };
 
+// The regions of this rank's parts, kept as long as the cuts are in force. Local.
+void refresh_bounds(Scene& scene, int rank, int ranks);
+
 // Local. view: the new positions (and weights, if any) of the scene's particles, with its ids.
-// Cost: one read of the positions; no memory but for particles near or beyond their region's bounds.
-Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank, int ranks);
+//   marks  what the pass at arrival found (arrival.hpp): blocks with 0 are passed over; empty: all are looked at
+// Cost: one read of the positions, without marks; no memory but for particles near or beyond their region's bounds.
+Scan scan_positions(Scene& scene, const particles::ParticleView& view, std::span<const std::uint8_t> marks, int rank,
+                    int ranks);
 
 // The same of few: view holds, with their ids, the particles of these ascending slots. Local.
 Scan scan_subset(Scene& scene, const particles::ParticleView& view, std::span<const std::uint64_t> slots, int rank,

@@ -1,9 +1,11 @@
 #include "server/service/service.hpp"
 
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
 
+#include "common/plan/plan.hpp"
 #include "server/service/context.hpp"
 #include "server/service/staging.hpp"
 
@@ -12,9 +14,11 @@ namespace rcb::service {
 struct Service::State {
   partition::Comm& comm;
   const Clock& clock;
+  Loans* loans;
   std::map<std::string, Scene> scenes;
   NoSkip no_skip;
   std::map<std::string, Command> commands;
+  std::set<std::string> readers = {};  // of the commands: they change no scene
   std::vector<Spare> spares = {};
   // A scene's particles by rank, as of this (epoch, step, plan version).
   struct RankCounts {
@@ -34,16 +38,37 @@ struct Service::State {
     }
     return known.counts;
   }
+
+  // What the scene lends is taken back for the time of an order that may change it.
+  Response run(const Command& command, const wire::Json& request, Context& context) {
+    if (loans == nullptr || readers.contains(command.name)) return command.run(context, request);
+    const auto name = wire::string_field(request, "scene", 256);
+    if (name.ok())
+      context.loan = loans->take_back(*name);
+    else
+      loans->take_back_all();
+    Response response = command.run(context, request);
+    const auto scene = name.ok() ? scenes.find(*name) : scenes.end();
+    if (scene == scenes.end() || !scene->second.pushed) return response;
+    refresh_bounds(scene->second, comm.rank(), comm.size());
+    const auto first_part = plan::part_begin(comm.rank(), scene->second.options.parts, comm.size());
+    loans->lend(scene->second, static_cast<std::int32_t>(first_part));
+    return response;
+  }
 };
 
-Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip)
-    : state_(new State{comm, clock, {}, no_skip, {}}) {
+Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip, Loans* loans)
+    : state_(new State{comm, clock, loans, {}, no_skip, {}}) {
   for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(),
                            rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
+  for (const auto table : {query_commands(), quality_commands()})
+    for (const Command& command : table) state_->readers.insert(command.name);
 }
 
-Service::~Service() = default;
+Service::~Service() {
+  if (state_->loans != nullptr) state_->loans->take_back_all();
+}
 
 namespace {
 
@@ -64,9 +89,9 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{state_->comm,     state_->clock,  state_->scenes, std::move(slices),
-                  received_seconds, state_->spares, state_->no_skip};
-  Response response = command->second.run(context, request);
+  Context context{state_->comm,     state_->clock,  state_->scenes,  std::move(slices),
+                  received_seconds, state_->spares, state_->no_skip, nullptr};
+  Response response = state_->run(command->second, request, context);
   if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
   return response;

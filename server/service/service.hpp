@@ -22,11 +22,15 @@
 
 namespace rcb::service {
 
+class Arrival;
+class Loans;
+
 // The particles a client sent for one rank, arrays x y z (w) (id).
 struct PushSlice {
   int rank = 0;
   std::uint64_t count = 0;
   std::vector<wire::Array> arrays;
+  std::shared_ptr<const Arrival> arrival = nullptr;  // what was seen of it as it came; may be null
 };
 
 // Memory that the next push of a scene may be received into; none: what is kept for it is to be freed.
@@ -64,8 +68,9 @@ struct Snapshot {
 
 class Service {
  public:
-  // no_skip: the same on all ranks.
-  Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip = {});
+  // no_skip: the same on all ranks. loans: what the scenes lend to the passes over arriving slices (it outlives the
+  // service); null: nothing.
+  Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip = {}, Loans* loans = nullptr);
   ~Service();
 
   // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.

@@ -204,6 +204,7 @@ void take_own_slice(Context& context, const PushRequest& push, Staged& staged) {
   for (std::size_t a = 0; a < dims; ++a) staged.arrays.position[a] = arrays[a].bytes.release_as<double>();
   if (push.weights) staged.arrays.weight = arrays[dims].bytes.release_as<double>();
   if (push.ids) staged.arrays.id = arrays[dims + (push.weights ? 1 : 0)].bytes.release_as<particles::Id>();
+  staged.arrival = std::move(context.slices.front().arrival);
   context.slices.clear();
 }
 
@@ -331,16 +332,19 @@ Status check_first(partition::Comm& comm, const PushRequest& push, std::uint64_t
   return {};
 }
 
-// A later push: one pass and one reduction. `ready`: what this rank knows to be wrong. Collective.
-Status check_later(partition::Comm& comm, Scene& scene, Moved moved, const Status& ready, Staged& staged) {
+// A later push: one pass, unless it was made as the slice came, and one reduction. `ready`: what this rank knows to be
+// wrong. Collective.
+Status check_later(Context& context, Scene& scene, Moved moved, const Status& ready, Staged& staged) {
+  partition::Comm& comm = context.comm;
   particles::ParticleView view = staged.arrays.view();
   const bool all = moved == Moved::all;
   if (all) {
     view.count = scene.particles.count();
     view.id = scene.particles.id.data();
   }
+  const auto seen = staged.arrival ? staged.arrival->marks(context.loan.get()) : std::span<const std::uint8_t>();
   if (ready.ok())
-    staged.scan = all ? scan_positions(scene, view, comm.rank(), comm.size())
+    staged.scan = all ? scan_positions(scene, view, seen, comm.rank(), comm.size())
                       : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());
   forget_removed(staged.edits, staged.scan.drift);
   staged.sums = sum_scans(comm, scene, staged.scan, !ready.ok() || staged.scan.fault);
@@ -392,7 +396,8 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   const std::uint64_t mine = scene.pushed ? scene.particles.count() : held_by(scene, push.n, comm.rank(), comm.size());
   Status ready;
   if (push.what.moved == Moved::some) {
-    Status status = receive_subset(context, scene, push.what, push.by_id, push.staged, staged.arrays, staged.subset);
+    Status status =
+        receive_subset(context, scene, push.what, push.by_id, push.staged, staged.arrays, staged.subset, ready);
     if (!status.ok()) return status;
   } else if (push.staged) {
     ready = check_own_slice(context, scene, push, mine);
@@ -406,8 +411,8 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   const std::uint64_t arriving = staged.edits.arriving.count();
   if (ready.ok() && arriving > 0 && push.what.moved == Moved::all && !reserve(staged.arrays, mine + arriving, false))
     ready = {Code::too_large, fmt::format("rank {} has no memory for {} more particles", comm.rank(), arriving)};
-  const Status checked =
-      scene.pushed ? check_later(comm, scene, push.what.moved, ready, staged) : check_first(comm, push, mine, staged);
+  const Status checked = scene.pushed ? check_later(context, scene, push.what.moved, ready, staged)
+                                      : check_first(comm, push, mine, staged);
   if (!checked.ok()) return checked;
   staged.seconds = context.received_seconds + context.clock.seconds() - start;
   return staged;

@@ -28,9 +28,10 @@ struct PushRequest {
 
 struct Staged {
   std::uint64_t n = 0;
-  bool ids = false;               // ids aren't 0..n-1
-  particles::ParticleSet arrays;  // this rank's; ids only at a first push, weights only if they came with it
-  Subset subset;                  // moved some: the slots of `arrays`, which has their ids then
+  bool ids = false;                        // ids aren't 0..n-1
+  particles::ParticleSet arrays;           // this rank's; ids only at a first push, weights only if they came with it
+  std::shared_ptr<const Arrival> arrival;  // what was seen of `arrays` as they came
+  Subset subset;                           // moved some: the slots of `arrays`, which has their ids then
   Edits edits;
   std::uint64_t bytes = 0;  // of all arrays as received
   double seconds = 0;       // to receive and stage

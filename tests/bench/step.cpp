@@ -7,6 +7,7 @@
 #include <map>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "client/launch/launch.hpp"
 #include "client/lib/client.hpp"
@@ -183,11 +184,13 @@ struct Floors : std::map<std::size_t, Floor> {
   }
 };
 
-Status run_cell(const std::string& scene, const Motion& motion, int parts, int ranks, int repeats, Json& rows) {
+Status run_cell(const std::string& scene, const Motion& motion, int parts, int ranks, const StepBenchOptions& options,
+                Json& rows) {
+  const std::vector<std::string>& variants = options.variants;
   auto service = launch::Embedded::start(ranks, [](double) {});
   if (!service.ok()) return service.status();
   Floors floors;
-  for (const char* variant : kVariants) {
+  for (const std::string& variant : variants) {
     const std::size_t bytes = motion.bytes(variant);
     std::vector<std::size_t> shares;
     for (int r = 0; r < ranks; ++r)
@@ -197,15 +200,15 @@ Status run_cell(const std::string& scene, const Motion& motion, int parts, int r
     floors.try_emplace(bytes, shares);
   }
   std::vector<Pusher> pushers;
-  for (const char* variant : kVariants) {
+  for (const std::string& variant : variants) {
     pushers.emplace_back(variant, motion);
     if (Status status = pushers.back().open(service->endpoint(), parts); !status.ok()) return service->explain(status);
   }
   std::map<std::size_t, std::vector<double>> floor_seconds;
-  std::array<std::vector<double>, kVariants.size()> seconds;
-  std::array<client::StepReport, kVariants.size()> reports;
+  std::vector<std::vector<double>> seconds(variants.size());
+  std::vector<client::StepReport> reports(variants.size());
   const SteadyClock clock;
-  for (int turn = -kWarmUps; turn < repeats; ++turn) {
+  for (int turn = -kWarmUps; turn < options.repeats; ++turn) {
     const int phase = (turn + kWarmUps) % 2;
     for (auto& [bytes, floor] : floors) {
       const double start = clock.seconds();
@@ -220,12 +223,12 @@ Status run_cell(const std::string& scene, const Motion& motion, int parts, int r
     }
   }
   for (std::size_t v = 0; v < pushers.size(); ++v) {
-    const double least = median(floor_seconds[motion.bytes(kVariants[v])]);
-    rows.push_back(row_of(scene, motion, parts, ranks, kVariants[v], seconds[v], least, reports[v]));
+    const double least = median(floor_seconds[motion.bytes(variants[v])]);
+    rows.push_back(row_of(scene, motion, parts, ranks, variants[v], seconds[v], least, reports[v]));
     fmt::print(
         "{:<10} {:>2} ranks  {:<8} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  (last: receive and pass {:.2f}, "
         "exchange {:.2f}, all {:.2f} ms)\n",
-        scene, ranks, kVariants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least,
+        scene, ranks, variants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least,
         1e3 * reports[v].seconds_receive, 1e3 * reports[v].seconds_exchange, 1e3 * reports[v].seconds_total);
   }
   return {};
@@ -235,6 +238,10 @@ Status check(const StepBenchOptions& options) {
   for (const std::string& scene : options.scenes)
     if (scene != "moving" && scene != "moving-2d")
       return {Code::usage, fmt::format("--scenes {}: there is no such scene", scene), "moving, moving-2d"};
+  for (const std::string& variant : options.variants)
+    if (std::find(kVariants.begin(), kVariants.end(), variant) == kVariants.end())
+      return {Code::usage, fmt::format("--variants {}: there is no such variant", variant),
+              fmt::format("{}", fmt::join(kVariants, ", "))};
   const auto between = [](const std::vector<int>& values, int most) {
     return std::all_of(values.begin(), values.end(), [most](int value) { return value >= 1 && value <= most; });
   };
@@ -253,6 +260,7 @@ CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
   auto* command = app.add_subcommand("step", "time of a step in which nothing much happens, against bare sockets");
   const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
   list(command->add_option("--scenes", options.scenes, "moving (3-D), moving-2d"));
+  list(command->add_option("--variants", options.variants, "ways to push"));
   list(command->add_option("--parts", options.parts, "numbers of parts"));
   list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
   command->add_option("--repeats", options.repeats, "timed steps of each variant")->capture_default_str();
@@ -270,7 +278,7 @@ Status run_step(const StepBenchOptions& options, Json document) {
     const Motion motion(kind, static_cast<std::size_t>(options.points));
     for (const int parts : options.parts)
       for (const int ranks : options.ranks)
-        if (status.ok()) status = run_cell(scene, motion, parts, ranks, options.repeats, rows);
+        if (status.ok()) status = run_cell(scene, motion, parts, ranks, options, rows);
   }
   document["rows"] = std::move(rows);
   if (!options.json.empty())

@@ -19,6 +19,7 @@ namespace rcb::bench {
 
 struct StepBenchOptions {
   std::vector<std::string> scenes{"moving", "moving-2d"};
+  std::vector<std::string> variants{"plan", "axes", "rows", "gateway", "float32", "subset", "unmoved"};
   std::vector<int> parts{8};
   std::vector<int> ranks{2, 8};
   int repeats = 15;

@@ -1,6 +1,7 @@
 // A rank's own listener, spoken to with bare system calls.
 #include "server/net/data_port.hpp"
 
+#include <array>
 #include <chrono>
 #include <condition_variable>
 #include <cstring>
@@ -15,6 +16,16 @@ namespace {
 
 constexpr const char* kSession = "00000000000000aa";
 
+// Keeps what it is shown.
+class Witness final : public SliceObserver {
+ public:
+  void arrived(std::size_t axis, std::uint64_t first, std::span<const double> values) override {
+    EXPECT_EQ(first, seen.at(axis).size());
+    seen[axis].insert(seen[axis].end(), values.begin(), values.end());
+  }
+  std::array<std::vector<double>, 2> seen;
+};
+
 class DataPortTest : public ::testing::Test {
  protected:
   DataPortTest() {
@@ -27,11 +38,16 @@ class DataPortTest : public ::testing::Test {
     auto tcp = port_->listen_tcp("127.0.0.1:0");
     EXPECT_TRUE(tcp.ok());
     tcp_ = tcp.ok() ? *tcp : "";
-    port_->start([this](std::uint64_t number, const Status& status) {
-      const std::lock_guard lock(mutex_);
-      reports_.emplace_back(number, status);
-      changed_.notify_all();
-    });
+    port_->start(
+        [this](std::uint64_t number, const Status& status) {
+          const std::lock_guard lock(mutex_);
+          reports_.emplace_back(number, status);
+          changed_.notify_all();
+        },
+        [this](const PushTerms& terms) {
+          watched_.push_back(terms.id.step);
+          return std::make_shared<Witness>();
+        });
     loop_.start();
   }
   ~DataPortTest() override { loop_.stop(); }
@@ -97,6 +113,7 @@ class DataPortTest : public ::testing::Test {
   std::mutex mutex_;
   std::condition_variable changed_;
   std::vector<std::pair<std::uint64_t, Status>> reports_;
+  std::vector<std::int64_t> watched_;  // steps; on the I/O thread
 };
 
 TEST_F(DataPortTest, ASliceInPiecesIsOneArrayAnAxis) {
@@ -124,6 +141,29 @@ TEST_F(DataPortTest, ASliceInPiecesIsOneArrayAnAxis) {
     port_->recycle("s", std::move(spare));
     EXPECT_TRUE(take(number).empty());
   }
+}
+
+// Longer than a read, in frames that end anywhere; the first attempt is given up in the midst of one.
+TEST_F(DataPortTest, WhoWatchesASliceSeesEveryValueOnce) {
+  constexpr std::uint64_t kCount = 150'001;
+  Client sender = client();
+  open(1, 1, kCount);
+  send(sender, 1, 0, 100'000);
+  drop(1);
+  open(2, 2, kCount);
+  send(sender, 2, 0, 70'001);
+  send(sender, 2, 70'001, 80'000);
+  EXPECT_TRUE(report(2).ok());
+  const auto slices = take(2);
+  ASSERT_EQ(slices.size(), 1U);
+  const auto* const witness = dynamic_cast<const Witness*>(slices[0].observer.get());
+  ASSERT_NE(witness, nullptr);
+  for (std::size_t axis = 0; axis < 2; ++axis) {
+    ASSERT_EQ(witness->seen[axis].size(), kCount);
+    EXPECT_EQ(std::memcmp(witness->seen[axis].data(), slices[0].arrays[axis].bytes.data(), 8 * kCount), 0);
+    EXPECT_EQ(witness->seen[axis].back(), static_cast<double>(kCount - 1) + 1000 * static_cast<double>(axis));
+  }
+  loop_.run([&] { EXPECT_EQ(watched_.back(), 2); });
 }
 
 TEST_F(DataPortTest, WhatComesForNoPushIsDroppedAndTheNextIsTaken) {

@@ -1,7 +1,9 @@
 // A client of the service without sockets: holds the plan as a solver's library would, and pushes by it.
 #pragma once
 
+#include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -65,9 +67,14 @@ class Driver {
   Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
     if (first_) plan_ = plan::Plan::blocks(particles.count(), comm_.size(), particles.ids);
     std::vector<PushSlice> slices;
-    if (comm_.rank() == 0)
-      for (int r = 0; r < comm_.size(); ++r) slices.push_back(slice_of(particles, r));
     Json request = begin(particles, step, session, "plan");
+    if (arrive) {
+      slices.push_back(slice_of(particles, comm_.rank()));
+      slices.back().arrival = arrive(slices.back());
+      request["staged"] = 1;
+    } else if (comm_.rank() == 0) {
+      for (int r = 0; r < comm_.size(); ++r) slices.push_back(slice_of(particles, r));
+    }
     request["plan"] = {{"version", plan_.version()}, {"checksum", wire::hex64(plan_.checksum())}};
     Response response = service_.execute(request, std::move(slices));
     follow(particles, response);
@@ -87,6 +94,8 @@ class Driver {
 
   const plan::Plan& plan() const { return plan_; }
 
+  // Where it is there, pushes go straight to the ranks: what is seen of this rank's slice as it comes.
+  std::function<std::shared_ptr<const service::Arrival>(const PushSlice& slice)> arrive;
   Json step_seconds;  // said with every push; null: nothing
 
  private:
