@@ -148,7 +148,7 @@ TEST(Arrival, AStepIsAsIfItHadNotBeenSeen) {
   on_ranks([](partition::Comm& comm) {
     for (const int dims : {1, 2, 3}) {
       Loans loans;
-      Service seen(comm, kClock, &loans);
+      Service seen(comm, kClock, {}, &loans);
       Service plain(comm, kClock);
       Driver arriving(comm, seen, "a");
       Driver staying(comm, plain, "a");
@@ -160,7 +160,7 @@ TEST(Arrival, AStepIsAsIfItHadNotBeenSeen) {
       std::uint64_t begun = 0;
       arriving.arrive = [&](const PushSlice& slice) {
         auto arrival = see(loans, slice, static_cast<std::size_t>(dims), piece);
-        begun += arrival ? 1 : 0;
+        begun += arrival ? 1U : 0U;
         return arrival;
       };
       for (int step = 0; step < 20; ++step) {
@@ -189,7 +189,7 @@ TEST(Arrival, AStepIsAsIfItHadNotBeenSeen) {
 TEST(Arrival, ItsMarksHoldUntilTheSceneChanges) {
   on_ranks([](partition::Comm& comm) {
     Loans loans;
-    Service service(comm, kClock, &loans);
+    Service service(comm, kClock, {}, &loans);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 8}, {"tolerance", "inf"}});
     const Particles particles = random_particles(5, 20000, 3);
@@ -228,7 +228,7 @@ TEST(Arrival, ItsMarksHoldUntilTheSceneChanges) {
 TEST(Arrival, ANanInTheLastElementIsNamedAndTheNextPushIsGood) {
   on_ranks([](partition::Comm& comm) {
     Loans loans;
-    Service service(comm, kClock, &loans);
+    Service service(comm, kClock, {}, &loans);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 5}});
     Particles particles = random_particles(9, 800, 3);
