@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cstring>
 #include <numeric>
-#include <tuple>
 
 #include <fmt/format.h>
 
@@ -95,13 +94,13 @@ Status Scene::State::check_edits(const Ask& ask) const {
 
 Result<Selection> Scene::State::select(const Ask& ask) const {
   struct Place {
-    int rank;
     std::uint64_t slot;
     std::uint64_t place;
   };
-  std::vector<Place> places;
+  const auto by_slot = [](const Place& a, const Place& b) { return a.slot < b.slot; };
+  std::vector<std::vector<Place>> places(static_cast<std::size_t>(plan_->ranks()));
   const auto add = [&](std::uint64_t row, std::uint64_t place) {
-    places.push_back({plan_->rank_of_row(row), plan_->slot_of_row(row), place});
+    places[static_cast<std::size_t>(plan_->rank_of_row(row))].push_back({plan_->slot_of_row(row), place});
   };
   if (ask.moved == Ask::Moved::rows) {
     for (const std::uint64_t row : *ask.options.moved) {
@@ -118,18 +117,24 @@ Result<Selection> Scene::State::select(const Ask& ask) const {
       add(*row, k);
     }
   }
-  std::sort(places.begin(), places.end(),
-            [](const Place& a, const Place& b) { return std::tie(a.rank, a.slot) < std::tie(b.rank, b.slot); });
   Selection selection;
-  selection.slots.resize(static_cast<std::size_t>(plan_->ranks()));
-  selection.places.resize(selection.slots.size());
-  for (const Place& place : places) {
-    auto& slots = selection.slots[static_cast<std::size_t>(place.rank)];
-    if (!slots.empty() && slots.back() == place.slot)
-      return wrong(fmt::format("particle {} is named twice", plan_->id_of_row(plan_->rows(place.rank)[place.slot])),
-                   "name what moved once");
-    slots.push_back(place.slot);
-    selection.places[static_cast<std::size_t>(place.rank)].push_back(place.place);
+  selection.slots.resize(places.size());
+  selection.places.resize(places.size());
+  for (std::size_t rank = 0; rank < places.size(); ++rank) {
+    std::vector<Place>& of_rank = places[rank];
+    // Rows in ascending order are slots in ascending order, as a rule.
+    if (!std::is_sorted(of_rank.begin(), of_rank.end(), by_slot)) std::sort(of_rank.begin(), of_rank.end(), by_slot);
+    auto& slots = selection.slots[rank];
+    slots.reserve(of_rank.size());
+    selection.places[rank].reserve(of_rank.size());
+    for (const Place& place : of_rank) {
+      if (!slots.empty() && slots.back() == place.slot)
+        return wrong(fmt::format("particle {} is named twice",
+                                 plan_->id_of_row(plan_->rows(static_cast<int>(rank))[place.slot])),
+                     "name what moved once");
+      slots.push_back(place.slot);
+      selection.places[rank].push_back(place.place);
+    }
   }
   return selection;
 }

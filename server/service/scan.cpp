@@ -12,7 +12,7 @@
 namespace rcb::service {
 namespace {
 
-constexpr std::size_t kPending = 16384;  // particles that are asked of the tree together
+constexpr std::size_t kPending = 2048;  // particles that are asked of the tree together; their copies stay in the cache
 
 // Copies of particles that aren't strictly inside their part's region.
 class Pending {
