@@ -131,7 +131,7 @@ Status draw_dynamic(const Json& document, const std::string& path) {
       "set logscale xy\n"
       "set offsets graph 0.02, graph 0.15, 0, 0\n"
       "set key top right\n"
-      "set format x '%g'\n"
+      "set format xy '%g'\n"
       "set yrange [{}:10]\n"
       "set ytics add ('0' {})\n"
       "set xlabel 'milliseconds a step'\n"
