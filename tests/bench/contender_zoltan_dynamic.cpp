@@ -291,7 +291,7 @@ class Drive {
     field_.move(frame);
     comm_.barrier();
     const double start = clock_.seconds();
-    if (Status status = rebalance(nullptr); !status.ok()) return status;
+    if (Status status = rebalance(nullptr, nullptr); !status.ok()) return status;
     comm_.barrier();
     run.seconds_first = clock_.seconds() - start;
     return {};
@@ -301,23 +301,23 @@ class Drive {
     field_.move(frame);
     comm_.barrier();
     const double start = clock_.seconds();
+    StepTimes times{};  // seconds, search, migrate, exchange, client
     const std::uint64_t drifted = field_.find_drift();
     sum({drifted, field_.leaving()});
     run.drifted += sums_[parts_];
     if (sums_[parts_ + 1] > 0) {
       const double exchanging = clock_.seconds();
       if (Status status = field_.hand_over(); !status.ok()) return status;
-      run.seconds_exchange += clock_.seconds() - exchanging;
+      times[3] = clock_.seconds() - exchanging;
       run.migrated += sums_[parts_ + 1];
     }
     const double before = loads_.error;
     if (before >= tolerance_ && before > quota_error_) {
-      if (Status status = rebalance(&run); !status.ok()) return status;
+      if (Status status = rebalance(&run, &times); !status.ok()) return status;
     }
     comm_.barrier();
-    const double seconds = clock_.seconds() - start;
-    run.seconds += seconds;
-    run.seconds_client += seconds;
+    times[0] = times[4] = clock_.seconds() - start;
+    run.add(times);
     run.arrival_mean += before;
     run.arrival_max = std::max(run.arrival_max, before);
     run.error_mean += loads_.error;
@@ -336,8 +336,8 @@ class Drive {
     loads_ = partition::summarise_counts({sums_.begin(), sums_.end() - 2}, {});
   }
 
-  // run: null at the first partition. Collective.
-  Status rebalance(DynamicRun* run) {
+  // run and times: null at the first partition. Collective.
+  Status rebalance(DynamicRun* run, StepTimes* times) {
     const double searching = clock_.seconds();
     Status status = field_.balance();
     if (!partition::agree(comm_, status.ok())) return status;
@@ -349,8 +349,8 @@ class Drive {
     ++run->repartitions;
     run->moved += sums_[parts_];
     run->migrated += sums_[parts_ + 1];
-    run->seconds_search += migrating - searching;
-    run->seconds_migrate += clock_.seconds() - migrating;
+    (*times)[1] = migrating - searching;
+    (*times)[2] = clock_.seconds() - migrating;
     return {};
   }
 

@@ -95,7 +95,7 @@ Result<PeerPlan> load_peer_plan(const std::string& path) {
 }
 
 Json json_of(const PeerRun& run) {
-  Json json{{"parts", run.parts}, {"tolerance", json_of(run.tolerance)}};
+  Json json{{"parts", run.parts}, {"tolerance", json_of(run.tolerance)}, {"steps", run.run.steps}};
   for (const auto& [name, member] : kNumbers) json[name] = run.run.*member;
   for (const auto& [name, member] : kCounts) json[name] = run.run.*member;
   return json;
@@ -103,6 +103,7 @@ Json json_of(const PeerRun& run) {
 
 PeerRun peer_run_of(const Json& json) {
   PeerRun run{json.at("parts"), tolerance_of(json.at("tolerance")), {}};
+  run.run.steps = json.at("steps").get<std::vector<StepTimes>>();
   for (const auto& [name, member] : kNumbers) run.run.*member = json.at(name);
   for (const auto& [name, member] : kCounts) run.run.*member = json.at(name);
   return run;

@@ -4,6 +4,7 @@
 
 #include "common/base/clock.hpp"
 #include "common/io/points.hpp"
+#include "tests/bench/measure.hpp"
 
 namespace rcb::bench {
 namespace {
@@ -15,11 +16,7 @@ client::Positions positions_of(const io::Points& points) {
 }
 
 void add(DynamicRun& run, const client::StepReport& report, double waited) {
-  run.seconds += report.seconds_total;
-  run.seconds_search += report.seconds_search;
-  run.seconds_migrate += report.seconds_migrate;
-  run.seconds_exchange += report.seconds_exchange;
-  run.seconds_client += waited;
+  run.add({report.seconds_total, report.seconds_search, report.seconds_migrate, report.seconds_exchange, waited});
   run.repartitions += report.repartitioned ? 1 : 0;
   run.drifted += report.drifted;
   run.moved += report.moved;
@@ -30,7 +27,26 @@ void add(DynamicRun& run, const client::StepReport& report, double waited) {
   run.error_max = std::max(run.error_max, report.error);
 }
 
+constexpr std::array kSums{&DynamicRun::seconds, &DynamicRun::seconds_search, &DynamicRun::seconds_migrate,
+                           &DynamicRun::seconds_exchange, &DynamicRun::seconds_client};
+
 }  // namespace
+
+void DynamicRun::add(const StepTimes& times) {
+  steps.push_back(times);
+  for (std::size_t t = 0; t < times.size(); ++t) this->*kSums[t] += times[t];
+}
+
+void DynamicRun::take_medians(std::span<const DynamicRun> runs) {
+  for (std::size_t t = 0; t < kSums.size(); ++t) {
+    this->*kSums[t] = 0;
+    for (std::size_t k = 0; k < steps.size(); ++k) {
+      std::vector<double> times;
+      for (const DynamicRun& run : runs) times.push_back(run.steps[k][t]);
+      this->*kSums[t] += median(std::move(times));
+    }
+  }
+}
 
 Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, int parts,
                           const DynamicSetting& setting, const std::function<bool()>& interrupted) {

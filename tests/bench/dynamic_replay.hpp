@@ -1,8 +1,11 @@
 // One pass of the service along a trajectory, and what it did.
 #pragma once
 
+#include <array>
 #include <functional>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "client/lib/client.hpp"
 #include "common/base/status.hpp"
@@ -16,8 +19,12 @@ struct DynamicSetting {
   double axis_hysteresis = 1.2;
 };
 
+// Times of a step: seconds, search, migrate, exchange, client as below.
+using StepTimes = std::array<double, 5>;
+
 // Over all steps but the first.
 struct DynamicRun {
+  std::vector<StepTimes> steps;
   double seconds = 0;           // in service, as the reports say
   double seconds_search = 0;    // of these
   double seconds_migrate = 0;   // particles that new cuts sent to another rank
@@ -31,6 +38,11 @@ struct DynamicRun {
   std::uint64_t migrated = 0;
   double arrival_mean = 0, arrival_max = 0;  // error found when a step's positions arrived
   double error_mean = 0, error_max = 0;      // error that stood after a step
+
+  void add(const StepTimes& times);  // to the sums and to `steps`
+  // The sums become those of each step's median over these runs, which did the same: a disturbance of one step of one
+  // run counts in nothing.
+  void take_medians(std::span<const DynamicRun> runs);
 };
 
 // Each push tells as the solver's time what a solver with a process a part and this speed would have needed: the

@@ -53,7 +53,7 @@ class Dynamic(unittest.TestCase):
                 self.assertGreaterEqual(row[field], 0, field)
             for field in COUNTS:
                 self.assertIsInstance(row[field], int)
-            self.assertLessEqual(row["seconds_min"], row["seconds"])
+            self.assertLessEqual(row["seconds_min"], row["seconds_max"])
             self.assertLessEqual(row["seconds"], row["seconds_max"])
             self.assertAlmostEqual(row["seconds_both"], row["seconds"] + row["seconds_lost"])
             self.assertAlmostEqual(row["seconds_balancing"], row["seconds_search"] + row["seconds_migrate"])
