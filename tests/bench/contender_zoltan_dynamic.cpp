@@ -131,11 +131,16 @@ class Field {
         zoltan_, &changes, &gid_entries, &lid_entries, &import_.count, &import_.global, &import_.local, &import_.rank,
         &import_.part, &export_.count, &export_.global, &export_.local, &export_.rank, &export_.part);
     if (failed(result)) return {Code::internal, fmt::format("Zoltan_LB_Partition returned {}", result)};
-    for (int k = 0; k < export_.count; ++k) part_[export_.local[k]] = export_.part[k];
+    moved_ = 0;
+    for (int k = 0; k < export_.count; ++k) {
+      int& part = part_[export_.local[k]];
+      moved_ += part != export_.part[k] ? 1U : 0U;
+      part = export_.part[k];
+    }
     boxes_.clear();
     return {};
   }
-  std::uint64_t exported() const { return static_cast<std::uint64_t>(export_.count); }
+  std::uint64_t moved() const { return moved_; }  // to another part
   std::uint64_t exported_away() const {
     return static_cast<std::uint64_t>(
         std::count_if(export_.rank, export_.rank + export_.count, [this](int to) { return to != rank_; }));
@@ -272,6 +277,7 @@ class Field {
   std::vector<Leaver> leavers_;
   Lists import_;
   Lists export_;
+  std::uint64_t moved_ = 0;
 };
 
 // One run, step by step.
@@ -305,14 +311,15 @@ class Drive {
     const std::uint64_t drifted = field_.find_drift();
     sum({drifted, field_.leaving()});
     run.drifted += sums_[parts_];
-    if (sums_[parts_ + 1] > 0) {
+    const double before = loads_.error;
+    const bool balances = before >= tolerance_ && before > quota_error_;
+    if (!balances && sums_[parts_ + 1] > 0) {  // else the new cuts' lists take them straight to their rank
       const double exchanging = clock_.seconds();
       if (Status status = field_.hand_over(); !status.ok()) return status;
       times[3] = clock_.seconds() - exchanging;
       run.migrated += sums_[parts_ + 1];
     }
-    const double before = loads_.error;
-    if (before >= tolerance_ && before > quota_error_) {
+    if (balances) {
       if (Status status = rebalance(&run, &times); !status.ok()) return status;
     }
     comm_.barrier();
@@ -342,7 +349,7 @@ class Drive {
     Status status = field_.balance();
     if (!partition::agree(comm_, status.ok())) return status;
     const double migrating = clock_.seconds();
-    sum({field_.exported(), field_.exported_away()});
+    sum({field_.moved(), field_.exported_away()});
     status = field_.follow_lists();
     if (!partition::agree(comm_, status.ok())) return status;
     if (run == nullptr) return {};
