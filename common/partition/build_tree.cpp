@@ -11,32 +11,8 @@ namespace rcb::partition {
 namespace {
 
 constexpr std::uint64_t kNoImage = ~std::uint64_t{0};
-constexpr std::size_t kSampleMax = 256;  // particles of a rank that are looked at to choose a map
-constexpr std::size_t kSampleBins = 512;
-constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
-
-// Least and greatest of an array. Four of each at once, since one would wait for itself.
-void least_and_most(std::span<const double> values, double& lo, double& hi) {
-  std::array<double, 4> least;
-  std::array<double, 4> most;
-  least.fill(lo);
-  most.fill(hi);
-  std::size_t i = 0;
-  for (; i + 4 <= values.size(); i += 4)
-    for (std::size_t k = 0; k < 4; ++k) {
-      const double value = values[i + k];
-      least[k] = value < least[k] ? value : least[k];
-      most[k] = value > most[k] ? value : most[k];
-    }
-  for (; i < values.size(); ++i) {
-    least[0] = std::min(least[0], values[i]);
-    most[0] = std::max(most[0], values[i]);
-  }
-  lo = *std::ranges::min_element(least);
-  hi = *std::ranges::max_element(most);
-}
 
 }  // namespace
 
@@ -60,6 +36,16 @@ TreeBuilder::TreeBuilder(Comm& comm, const particles::ParticleView& particles, c
   level_tolerance_ = std::expm1(std::log1p(options.cut_tolerance) / std::max(levels, 1.0));
 }
 
+TreeBuilder::TreeBuilder(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                         const Start& start)
+    : TreeBuilder(comm, particles, options, particles.dims) {
+  start_ = &start;
+  settled_ = start.settled;
+  scale_ = start.scale;
+  if (start.rule != nullptr) rule_ = *start.rule;
+  result_.tree = *start.tree;
+}
+
 PartitionResult TreeBuilder::build() {
   if (options_.parts == 1) {
     result_.part.resize(particles_.count);
@@ -69,9 +55,7 @@ PartitionResult TreeBuilder::build() {
   measure_all();
   if (!scale_) result_.counts.resize(at(options_.parts));
   make_records();
-  spans_ = records_.spans();
-  for (const Span& span : spans_) starts_.push_back(span.first);
-  ends_.resize(starts_.size() * at(options_.parts));
+  lay_out_roots();
   Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
   std::vector<Question> asked;
   while (!level_.empty()) {
@@ -83,117 +67,33 @@ PartitionResult TreeBuilder::build() {
     level_.swap(next_);
     spans_.swap(next_spans_);
   }
+  // Parts of no root have no records.
+  for (std::size_t c = 0; c < starts_.size(); ++c)
+    for (std::size_t p = c * at(options_.parts) + 1; p < (c + 1) * at(options_.parts); ++p)
+      ends_[p] = std::max(ends_[p], ends_[p - 1]);
   result_.part = records_.into_parts(ends_, options_.parts);
   result_.rounds = selector.rounds();
   result_.reductions += selector.reductions();
   return std::move(result_);
 }
 
-// The root: number of particles, bounds, weights.
-void TreeBuilder::measure_all() {
-  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoImage);
-  for (int a = 0; a < axes_ && particles_.count > 0; ++a) {
-    double lo = particles_.position[at(a)][0];
-    double hi = lo;
-    least_and_most({particles_.position[at(a)], particles_.count}, lo, hi);
-    least[at(a)] = geometry::image(lo);
-    least[geometry::kDimsMax + at(a)] = ~geometry::image(hi);
-  }
-  if (axes_ > 0) {
-    std::ranges::copy(weight_images(particles_), least.end() - 2);
-  } else if (particles_.count > 0) {
-    const auto [lo, hi] = std::minmax_element(particles_.id, particles_.id + particles_.count);
-    least[0] = static_cast<std::uint64_t>(*lo);
-    least[geometry::kDimsMax] = ~static_cast<std::uint64_t>(*hi);
-  }
-  comm_.all_min(least);
-  const bool none = least[0] == kNoImage;
-  for (std::size_t a = 0; a < at(axes_) && !none; ++a) {
-    lo_[a] = geometry::value_of_image(least[a]);
-    hi_[a] = geometry::value_of_image(~least[geometry::kDimsMax + a]);
-  }
-  id_lo_ = axes_ == 0 && !none ? static_cast<Id>(least[0]) : 0;
-  id_hi_ = axes_ == 0 && !none ? static_cast<Id>(~least[geometry::kDimsMax]) : 0;
-  std::vector<std::uint64_t> sums = sample_maps();
-  sums.push_back(particles_.count);
-  comm_.all_sum(sums);
-  const std::uint64_t count = sums.back();
-  result_.reductions += 2;
-  choose_maps(sums);
-  Point extents{};
-  for (std::size_t a = 0; a < at(axes_); ++a) extents[a] = geometry::extent(lo_[a], hi_[a]);
-  rule_.set_all(count, extents);
-
-  Node root;
-  root.range = {0, 0, options_.parts};
-  root.count = count;
-  for (std::size_t a = 0; a < q_axes_ && count > 0; ++a) {
-    root.bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](lo_[a]);
-    root.bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](hi_[a]);
-  }
-  if (const auto range = weight_range_of_images(std::span<const std::uint64_t>(least).last<2>())) {
-    scale_.emplace(range->largest, count);
-    for (std::size_t i = 0; i < particles_.count; ++i) root.weight += (*scale_)(particles_.weight[i]);
-    all_sum_wide(comm_, {&root.weight, 1});
-    ++result_.reductions;
-  }
-  level_.assign(1, root);
-}
-
-// How some of the particles spread over an axis, in equal steps of the value and of the image: where the former puts
-// most of them into one place, and the latter doesn't, the image suits the axis (many decades of scale).
-std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
-  // By axis: the bins of both maps, and how many ranks have a value that its integer does not tell.
-  std::vector<std::uint64_t> counts(at(axes_) * kSampleWords, 0);
-  const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
-  std::vector<double> sample;
-  for (std::size_t a = 0; a < at(axes_); ++a) {
-    sample.clear();
-    for (std::size_t i = 0; i < particles_.count; i += stride) sample.push_back(particles_.position[a][i]);
-    const std::array maps{AxisMap::by_value(lo_[a], hi_[a]), AxisMap::by_image(lo_[a], hi_[a])};
-    for (std::size_t m = 0; m < maps.size(); ++m) {
-      const auto top = static_cast<std::uint64_t>(std::max(maps[m](hi_[a]), 1));
-      for (const double x : sample)
-        ++counts[a * kSampleWords + m * kSampleBins + static_cast<std::uint64_t>(maps[m](x)) * (kSampleBins - 1) / top];
-    }
-    if (maps[0].even() && zeros_of_told(maps[0], sample) < 0) ++counts[(a + 1) * kSampleWords - 1];
-  }
-  return counts;
-}
-
-void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
-  if (axes_ == 0) maps_[0] = AxisMap::of_ids(id_lo_, id_hi_);
-  for (std::size_t a = 0; a < at(axes_); ++a) {
-    const auto most = [&](std::size_t m) {
-      return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
-    };
-    maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_image(lo_[a], hi_[a]) : AxisMap::by_value(lo_[a], hi_[a]);
-    told_[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
-  }
-}
-
-// Axes whose integers may tell the coordinates are found to do so, or not, while the records are made.
-void TreeBuilder::make_records() {
-  const bool tell = std::ranges::max(told_) != 0 &&
-                    std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.even(); });
-  const std::array<int, geometry::kDimsMax> zeros =
-      records_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell);
-  if (!tell) return;
-  // One more than the zeros; 0 where they don't.
-  for (std::size_t a = 0; a < told_.size(); ++a)
-    told_[a] = told_[a] == 0 ? 0 : static_cast<std::uint64_t>(zeros[a] + 1);
-  comm_.all_min(told_);
-  ++result_.reductions;
-  for (std::size_t a = 0; a < at(axes_); ++a)
-    if (told_[a] != 0) maps_[a].set_exact(static_cast<unsigned>(told_[a] - 1));
-}
-
-Extents TreeBuilder::extents_of(const QBounds& bounds) const {
+Extents TreeBuilder::extents_of(const Node& node) const {
   Extents extents;
-  for (std::size_t a = 0; a < at(axes_) && !bounds.empty(); ++a) {
+  const QBounds& bounds = node.bounds;
+  const geometry::Box beside = settled_ == nullptr ? geometry::Box{} : settled_->box(node.range.first, node.range.last);
+  const bool none = beside.empty(axes_);
+  for (std::size_t a = 0; a < at(axes_); ++a) {
     const AxisMap& map = maps_[a];
-    extents.least[a] = std::max(geometry::extent(map.most(bounds.lo[a]), map.least(bounds.hi[a])), 0.0);
-    extents.most[a] = geometry::extent(map.least(bounds.lo[a]), map.most(bounds.hi[a]));
+    if (bounds.empty() && none) continue;
+    // The least and the greatest coordinate lie in these intervals.
+    std::array<double, 2> lo{beside.lo[a], beside.lo[a]};
+    std::array<double, 2> hi{beside.hi[a], beside.hi[a]};
+    if (!bounds.empty()) {
+      lo = {std::min(lo[0], map.least(bounds.lo[a])), std::min(lo[1], map.most(bounds.lo[a]))};
+      hi = {std::max(hi[0], map.least(bounds.hi[a])), std::max(hi[1], map.most(bounds.hi[a]))};
+    }
+    extents.least[a] = std::max(geometry::extent(lo[1], hi[0]), 0.0);
+    extents.most[a] = geometry::extent(lo[0], hi[1]);
   }
   return extents;
 }
@@ -202,7 +102,7 @@ void TreeBuilder::order_axes() {
   std::vector<std::size_t> open;
   for (std::size_t n = 0; n < level_.size(); ++n) {
     Node& node = level_[n];
-    if (const auto axes = rule_.axes_of(node.range, extents_of(node.bounds)))
+    if (const auto axes = rule_.axes_of(node.range, extents_of(node)))
       node.axes = *axes;
     else
       open.push_back(n);
@@ -233,10 +133,19 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   }
   result_.reductions += all_min_in_messages(comm_, least);
   std::vector<Point> extents(nodes.size());
-  for (std::size_t n = 0; n < nodes.size(); ++n)
-    for (std::size_t a = 0; a < at(axes_); ++a)
-      extents[n][a] = geometry::extent(geometry::value_of_image(least[n * words + 2 * a]),
-                                       geometry::value_of_image(~least[n * words + 2 * a + 1]));
+  for (std::size_t n = 0; n < nodes.size(); ++n) {
+    const NodeRange& range = level_[nodes[n]].range;
+    const geometry::Box beside = settled_ == nullptr ? geometry::Box{} : settled_->box(range.first, range.last);
+    for (std::size_t a = 0; a < at(axes_); ++a) {
+      std::uint64_t lo = least[n * words + 2 * a];
+      std::uint64_t hi = ~least[n * words + 2 * a + 1];
+      if (!beside.empty(axes_)) {
+        lo = std::min(lo, geometry::image(beside.lo[a]));
+        hi = std::max(hi, geometry::image(beside.hi[a]));
+      }
+      extents[n][a] = geometry::extent(geometry::value_of_image(lo), geometry::value_of_image(hi));
+    }
+  }
   return extents;
 }
 
@@ -255,8 +164,48 @@ Question TreeBuilder::question(const Node& node) const {
   } else {
     ask.rank = rule_.quota(first, node.range.middle());
   }
-  ask.search = !node.bounds.empty() && (scale_ || ask.rank < ask.count);
+  if (settled_ != nullptr) add_settled(node.range, ask);
+  ask.search = !ask.failed && !node.bounds.empty() && (scale_ || ask.rank < ask.below + ask.count);
   return ask;
+}
+
+void TreeBuilder::add_settled(const NodeRange& range, Question& ask) const {
+  ask.below = settled_->count(range.first, range.middle());
+  const std::uint64_t beyond = settled_->count(range.middle(), range.last);
+  if (!scale_) {
+    const std::uint64_t most = ask.below + ask.count;
+    ask.failed = ask.rank < ask.below || ask.rank > most || (ask.rank == most && beyond > 0);
+    return;
+  }
+  const u128 own = ask.weight;
+  ask.weight_below = settled_->weight(range.first, range.middle());
+  ask.weight += settled_->weight(range.first, range.last);
+  if (ask.bounds.empty()) {
+    ask.failed = ask.below + beyond > 0;
+    return;
+  }
+  const u128 threshold = threshold_of(ask);
+  ask.failed = threshold == 0 ? ask.below > 0 : threshold <= ask.weight_below || threshold > ask.weight_below + own;
+}
+
+bool TreeBuilder::stands(const NodeRange& range, const Question& answer) const {
+  if (answer.failed) return false;
+  const geometry::Box left = settled_->box(range.first, range.middle());
+  const geometry::Box right = settled_->box(range.middle(), range.last);
+  const auto axis = at(answer.axes[0]);
+  const bool any_left = !left.empty(axes_);
+  if (answer.right_empty && !right.empty(axes_)) return false;
+  if (answer.search && any_left && geometry::image(left.hi[axis]) >= answer.witness[0]) return false;
+  return answer.right_empty || right.empty(axes_) || answer.key[0] < geometry::image(right.lo[axis]);
+}
+
+void TreeBuilder::give_up(std::size_t node) {
+  const NodeRange& range = level_[node].range;
+  failed_.push_back(range);
+  const std::size_t chunks = starts_.size();
+  for (std::size_t c = 0; c < chunks; ++c)
+    for (int p = range.first; p < range.last; ++p)
+      ends_[c * at(options_.parts) + at(p)] = static_cast<std::size_t>(spans_[node * chunks + c].last - starts_[c]);
 }
 
 // The same fraction of either side's target, hence of the smaller one.
@@ -274,6 +223,10 @@ void TreeBuilder::split(std::span<const Question> answers) {
   for (std::size_t n = 0; n < level_.size(); ++n) {
     const Node& node = level_[n];
     const Question& answer = answers[n];
+    if (settled_ != nullptr && !stands(node.range, answer)) {
+      give_up(n);
+      continue;
+    }
     Cut& cut = result_.tree.cuts[at(node.range.node)];
     cut.axes = answer.axes;
     cut.right_empty = answer.right_empty;
@@ -285,22 +238,23 @@ void TreeBuilder::split(std::span<const Question> answers) {
     Node right = node;
     left.range = node.range.left();
     right.range = node.range.right();
-    left.count = answer.right_empty ? node.count : answer.left_count;
-    left.weight = answer.right_empty ? node.weight : answer.left_weight;
+    left.count = answer.right_empty ? node.count : answer.left_count - answer.below;
+    left.weight = answer.right_empty ? node.weight : answer.left_weight - answer.weight_below;
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};
     take_child(left, false, n);
     take_child(right, true, n);
   }
-  reduce_bounds();
+  reduce_bounds(next_);
 }
 
 void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) {
   const std::size_t chunks = starts_.size();
   const std::span<const Span> from = std::span<const Span>(spans_).subspan(parent * chunks, chunks);
   if (child.range.leaf()) {
-    if (!scale_) result_.counts[at(child.range.first)] = child.count;
+    const std::uint64_t beside = settled_ == nullptr ? 0 : settled_->count(child.range.first, child.range.last);
+    if (!scale_) result_.counts[at(child.range.first)] = child.count + beside;
     for (std::size_t c = 0; c < chunks; ++c) {
       const Record* const end = right ? from[c].last : from[c].middle;
       ends_[c * at(options_.parts) + at(child.range.first)] = static_cast<std::size_t>(end - starts_[c]);
@@ -316,17 +270,17 @@ void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) 
   }
 }
 
-void TreeBuilder::reduce_bounds() {
+void TreeBuilder::reduce_bounds(std::span<Node> nodes) {
   std::vector<std::uint64_t> least;
-  least.reserve(next_.size() * q_axes_ * 2);
-  for (const Node& node : next_)
+  least.reserve(nodes.size() * q_axes_ * 2);
+  for (const Node& node : nodes)
     for (std::size_t a = 0; a < q_axes_; ++a) {
       least.push_back(static_cast<std::uint64_t>(node.bounds.lo[a]));
       least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.bounds.hi[a]));
     }
   result_.reductions += all_min_in_messages(comm_, least);
   std::size_t word = 0;
-  for (Node& node : next_)
+  for (Node& node : nodes)
     for (std::size_t a = 0; a < q_axes_; ++a) {
       node.bounds.lo[a] = static_cast<std::int32_t>(least[word++]);
       node.bounds.hi[a] = static_cast<std::int32_t>(QBounds::kNone - static_cast<std::int64_t>(least[word++]));

@@ -22,6 +22,7 @@ class ExactScale {
   ExactScale() = default;
   // largest: the greatest value, > 0; count: how many values are summed, >= 1.
   ExactScale(double largest, std::uint64_t count);
+  explicit ExactScale(int exponent) : exponent_(exponent) {}
   u128 operator()(double value) const;
   int exponent() const { return exponent_; }
 

@@ -35,6 +35,11 @@ std::uint64_t all_min_in_messages(Comm& comm, std::span<std::uint64_t> values) {
   return messages;
 }
 
+u128 threshold_of(const Question& ask) {
+  const Wide wanted = Wide(ask.weight) * ask.left_size;
+  return static_cast<u128>(Wide((wanted + ask.size - 1) / ask.size));
+}
+
 void Selector::select(std::span<Question> nodes, std::span<Span> spans) {
   nodes_ = nodes;
   spans_ = spans;
@@ -67,7 +72,7 @@ void Selector::start(std::size_t node) {
   }
   if (!ask.search) {
     ask.right_empty = true;
-    ask.left_count = ask.count;
+    ask.left_count = ask.below + ask.count;
     ask.left_weight = ask.weight;
     for (Span& span : spans_of(node)) span.middle = span.last;
     return;
@@ -75,13 +80,14 @@ void Selector::start(std::size_t node) {
   state.phase = Phase::count;
   state.lo = ask.bounds.lo[axis_of(node)];
   state.hi = ask.bounds.hi[axis_of(node)];
+  state.below = ask.below;
+  state.weight_below = ask.weight_below;
   if (!weighted()) {
     state.inside = ask.count;
     if (state.inside <= gather_share()) state.phase = Phase::gather;
     return;
   }
-  const Wide wanted = Wide(ask.weight) * ask.left_size;
-  state.threshold = static_cast<u128>(Wide((wanted + ask.size - 1) / ask.size));
+  state.threshold = threshold_of(ask);
   if (state.threshold == 0) {  // no weight: left takes nothing
     state.phase = Phase::neighbour;
     neighbours_.push_back({.node = node, .heavy_before = false, .from_start = true, .bound = {}});

@@ -41,11 +41,14 @@ struct Question {
   // Asked
   bool search = true;  // false: nothing goes right
   AxisOrder axes{0, 1, 2};
-  QBounds bounds;  // of the records' integers, all ranks
-  // without weights: the key of this rank (from 0) among `count`
-  std::uint64_t count = 0;
+  QBounds bounds;           // of the records' integers, all ranks
+  std::uint64_t count = 0;  // records
+  // Particles without a record, known to go left.
+  std::uint64_t below = 0;
+  u128 weight_below = 0;
+  // without weights: the key of this rank (from 0) among `below` and the records
   std::uint64_t rank = 0;
-  // with weights: left takes the prefix nearest to weight * left_size / size
+  // with weights: left takes the prefix nearest to weight * left_size / size; `weight` is that of all, records or not
   u128 weight = 0;
   u128 left_size = 0;
   u128 size = 1;
@@ -53,11 +56,16 @@ struct Question {
   u128 slack = 0;
 
   // Answered
+  bool failed = false;  // particles without a record would have to be asked; the rest is unspecified
   bool right_empty = false;
   KeyWords key{};                // smallest key of the right side
-  std::uint64_t left_count = 0;  // without weights
+  KeyWords witness{};            // least key that the answer rests on, where some particles have no record
+  std::uint64_t left_count = 0;  // without weights; `below` among them
   u128 left_weight = 0;          // with weights
 };
+
+// With weights: left takes at least the particle with which the prefix reaches this.
+u128 threshold_of(const Question& ask);
 
 class Selector {
  public:

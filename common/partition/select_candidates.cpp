@@ -81,7 +81,7 @@ void Selector::gather_group(std::span<const std::size_t> group) {
 void Selector::pick(std::span<const Candidate> candidates) {
   Question& node = nodes_[candidates[0].node];
   node.left_count = node.rank;
-  node.key = candidates[node.rank - states_[candidates[0].node].below].key;
+  node.key = node.witness = candidates[node.rank - states_[candidates[0].node].below].key;
 }
 
 // Left takes the prefix whose weight is nearest to the wanted one; on a tie, and among prefixes of the same weight,
@@ -96,6 +96,7 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     before += candidates[crossing++].weight;
   CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
   const u128 after = before + candidates[crossing].weight;
+  node.witness = candidates[crossing].key;
   const Wide wanted = Wide(node.weight) * node.left_size;
   if (Wide(after) * node.size - wanted < wanted - Wide(before) * node.size) {
     node.left_weight = after;
@@ -107,12 +108,14 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
   }
   node.left_weight = before;
   while (crossing > 0 && candidates[crossing - 1].weight == 0) --crossing;
-  if (crossing > 0 || state.below == 0)
+  if (crossing > 0 || state.below == 0) {
     node.key = candidates[crossing].key;
-  else if (state.weight_below == 0)
+    node.witness = candidates[crossing > 0 ? crossing - 1 : 0].key;
+  } else if (state.weight_below == 0) {
     look_beside({.node = index, .heavy_before = false, .from_start = true, .bound = {}});
-  else
+  } else {
     look_beside({.node = index, .heavy_before = true, .from_start = false, .bound = candidates[0].key});
+  }
 }
 
 void Selector::look_beside(const Neighbour& wanted) {
@@ -130,8 +133,10 @@ void Selector::find_neighbours() {
     std::size_t b = 0;
     for (Neighbour& neighbour : neighbours_) {
       if (!neighbour.heavy_before) continue;
-      CHECK(found[b] != 0, "weight lies below the bracket");
-      neighbour.bound = keys[b++];
+      Question& ask = nodes_[neighbour.node];
+      CHECK(found[b] != 0 || ask.below > 0, "weight lies below the bracket");
+      ask.failed = found[b] == 0;
+      neighbour.bound = ask.witness = keys[b++];
     }
   }
   const std::vector<std::uint8_t> found = nearest(neighbours_, false, keys);
@@ -139,6 +144,10 @@ void Selector::find_neighbours() {
     const std::size_t node = neighbours_[n].node;
     nodes_[node].right_empty = found[n] == 0;
     nodes_[node].key = keys[n];
+    if (neighbours_[n].from_start) {
+      nodes_[node].witness = keys[n];
+      nodes_[node].failed = nodes_[node].below > 0;
+    }
     states_[node].phase = Phase::done;
     for (Span& span : spans_of(node)) {
       span.middle = span.first;

@@ -23,15 +23,15 @@ std::optional<int> band_axis(Method method) {
 }  // namespace
 
 SplitRule::SplitRule(const PartitionOptions& options, int axes)
-    : options_(options), axes_(axes), band_axis_(band_axis(options.method)) {}
+    : options_(&options), axes_(axes), band_axis_(band_axis(options.method)) {}
 
 void SplitRule::set_all(std::uint64_t count, const Point& extents) {
   size_upto_.assign(1, 0);
-  for (const u128 size : exact_sizes(options_.part_sizes, options_.parts))
+  for (const u128 size : exact_sizes(options_->part_sizes, options_->parts))
     size_upto_.push_back(size_upto_.back() + size);
   quota_upto_.clear();
   for (const u128 upto : size_upto_) quota_upto_.push_back(floor_share(count, upto, size_upto_.back()));
-  fixed_axes_ = order_of({0, 0, options_.parts}, extents);
+  fixed_axes_ = order_of({0, 0, options_->parts}, extents);
 }
 
 std::optional<AxisOrder> SplitRule::axes_of(const NodeRange& range, const Extents& extents) const {
@@ -50,16 +50,16 @@ std::optional<AxisOrder> SplitRule::axes_of(const NodeRange& range, const Extent
   }
   if (const int kept = old_axis(range); kept >= 0) {
     const auto axis = static_cast<std::size_t>(kept);
-    const bool stays = least[axis] * options_.axis_hysteresis >= longest_most;
-    const bool goes = most[axis] * options_.axis_hysteresis < longest;
+    const bool stays = least[axis] * options_->axis_hysteresis >= longest_most;
+    const bool goes = most[axis] * options_->axis_hysteresis < longest;
     if (!stays && !goes) return std::nullopt;
   }
   return order_of(range, least);
 }
 
 int SplitRule::old_axis(const NodeRange& range) const {
-  if (options_.axis_hysteresis <= 1 || options_.previous == nullptr) return -1;
-  const Cut* const cut = options_.previous->cut_of(range.first, range.last);
+  if (options_->axis_hysteresis <= 1 || options_->previous == nullptr) return -1;
+  const Cut* const cut = options_->previous->cut_of(range.first, range.last);
   return cut != nullptr && cut->axes[0] < axes_ ? cut->axes[0] : -1;
 }
 
@@ -68,7 +68,7 @@ AxisOrder SplitRule::order_of(const NodeRange& range, const Point& extents) cons
   if (band_axis_) return geometry::with_first(order, *band_axis_, axes_);
   const int kept = axes_ > 0 ? old_axis(range) : -1;
   if (kept >= 0 &&
-      extents[static_cast<std::size_t>(kept)] * options_.axis_hysteresis >= extents[static_cast<std::size_t>(order[0])])
+      extents[static_cast<std::size_t>(kept)] * options_->axis_hysteresis >= extents[static_cast<std::size_t>(order[0])])
     return geometry::with_first(order, kept, axes_);
   return order;
 }

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "common/base/wide.hpp"
@@ -23,6 +24,8 @@ class SplitRule {
   SplitRule(const PartitionOptions& options, int axes);
   // The number and the exact extents of all ranks' particles, once they are known. Local.
   void set_all(std::uint64_t count, const Point& extents);
+  // Other quotas than those of the whole set: the particles of parts [0, p) together, for p = 0..parts. Local.
+  void set_quotas(std::vector<std::uint64_t> upto) { quota_upto_ = std::move(upto); }
 
   // The axis order of a node whose particles have these extents; nullopt where they leave it open. Local.
   std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;
@@ -42,7 +45,7 @@ class SplitRule {
   int old_axis(const NodeRange& range) const;
   AxisOrder order_of(const NodeRange& range, const Point& extents) const;
 
-  const PartitionOptions& options_;
+  const PartitionOptions* options_;  // never null; a pointer, so that a rule can be assigned
   int axes_;
   std::optional<int> band_axis_;
   AxisOrder fixed_axes_{0, 1, 2};
