@@ -196,7 +196,7 @@ bool TreeBuilder::stands(const NodeRange& range, const Question& answer) const {
   const bool any_left = !left.empty(axes_);
   if (answer.right_empty && !right.empty(axes_)) return false;
   if (answer.search && any_left && geometry::image(left.hi[axis]) >= answer.witness[0]) return false;
-  return answer.right_empty || right.empty(axes_) || answer.key[0] < geometry::image(right.lo[axis]);
+  return answer.right_empty || right.empty(axes_) || answer.reach[0] < geometry::image(right.lo[axis]);
 }
 
 void TreeBuilder::give_up(std::size_t node) {
@@ -228,6 +228,7 @@ void TreeBuilder::split(std::span<const Question> answers) {
       continue;
     }
     Cut& cut = result_.tree.cuts[at(node.range.node)];
+    cut = {};
     cut.axes = answer.axes;
     cut.right_empty = answer.right_empty;
     if (!cut.right_empty) {
@@ -238,8 +239,8 @@ void TreeBuilder::split(std::span<const Question> answers) {
     Node right = node;
     left.range = node.range.left();
     right.range = node.range.right();
-    left.count = answer.right_empty ? node.count : answer.left_count - answer.below;
-    left.weight = answer.right_empty ? node.weight : answer.left_weight - answer.weight_below;
+    if (!scale_) left.count = answer.right_empty ? node.count : answer.left_count - answer.below;
+    if (scale_) left.weight = answer.right_empty ? node.weight : answer.left_weight - answer.weight_below;
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};

@@ -169,6 +169,37 @@ LoadSummary summarise_loads(Comm& comm, const particles::ParticleView& particles
   return summary;
 }
 
+LoadSummary moved_loads(Comm& comm, const particles::ParticleView& particles, const LoadSummary& before,
+                        std::span<const std::int32_t> part, std::span<const std::uint64_t> slot,
+                        std::span<const std::int32_t> to, std::span<const double> sizes) {
+  CHECK(slot.size() == to.size() && part.size() == particles.count, "a part for each particle");
+  const std::size_t parts = before.counts.size();
+  const ExactScale scale(before.scale_exponent);
+  // What every part gains and loses in number, then in weight.
+  std::vector<u128> change((before.weighted ? 4 : 2) * parts, 0);
+  for (std::size_t k = 0; k < slot.size(); ++k) {
+    const auto new_part = static_cast<std::size_t>(to[k]);
+    const auto old_part = static_cast<std::size_t>(part[slot[k]]);
+    ++change[new_part];
+    ++change[parts + old_part];
+    if (!before.weighted) continue;
+    const u128 weight = scale(particles.weight[slot[k]]);
+    change[2 * parts + new_part] += weight;
+    change[3 * parts + old_part] += weight;
+  }
+  all_sum_wide(comm, change);
+  LoadSummary summary;
+  summary.weighted = before.weighted;
+  summary.scale_exponent = before.scale_exponent;
+  for (std::size_t p = 0; p < parts; ++p) {
+    summary.counts.push_back(before.counts[p] + static_cast<std::uint64_t>(change[p] - change[parts + p]));
+    summary.loads.push_back(before.weighted ? before.loads[p] + change[2 * parts + p] - change[3 * parts + p]
+                                            : u128{summary.counts[p]});
+  }
+  finish(summary, sizes);
+  return summary;
+}
+
 std::array<std::uint64_t, 2> weight_images(const particles::ParticleView& particles) {
   std::array<std::uint64_t, 2> images{~std::uint64_t{0}, ~std::uint64_t{0}};
   if (particles.weight == nullptr || particles.count == 0) return images;

@@ -68,6 +68,13 @@ struct LoadSummary {
 //   part  [particles.count], each 0..parts-1
 LoadSummary summarise_loads(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
                             std::span<const double> sizes, int parts);
+// The summary after some particles have changed their part, of which that before is known; n and all weights are the
+// same. Collective (one reduction). Cost in proportion to the parts and to those particles.
+//   part  [particles.count], as before
+//   slot  the local ones that change, and to which part
+LoadSummary moved_loads(Comm& comm, const particles::ParticleView& particles, const LoadSummary& before,
+                        std::span<const std::int32_t> part, std::span<const std::uint64_t> slot,
+                        std::span<const std::int32_t> to, std::span<const double> sizes);
 // Local: the summary of known counts, nothing weighted.
 LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes);
 

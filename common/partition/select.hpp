@@ -58,8 +58,10 @@ struct Question {
   // Answered
   bool failed = false;  // particles without a record would have to be asked; the rest is unspecified
   bool right_empty = false;
-  KeyWords key{};                // smallest key of the right side
-  KeyWords witness{};            // least key that the answer rests on, where some particles have no record
+  KeyWords key{};  // smallest key of the right side
+  // The least and the greatest key that the answer rests on, where some particles have no record.
+  KeyWords witness{};
+  KeyWords reach{};
   std::uint64_t left_count = 0;  // without weights; `below` among them
   u128 left_weight = 0;          // with weights
 };

@@ -81,7 +81,7 @@ void Selector::gather_group(std::span<const std::size_t> group) {
 void Selector::pick(std::span<const Candidate> candidates) {
   Question& node = nodes_[candidates[0].node];
   node.left_count = node.rank;
-  node.key = node.witness = candidates[node.rank - states_[candidates[0].node].below].key;
+  node.key = node.witness = node.reach = candidates[node.rank - states_[candidates[0].node].below].key;
 }
 
 // Left takes the prefix whose weight is nearest to the wanted one; on a tie, and among prefixes of the same weight,
@@ -96,12 +96,12 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     before += candidates[crossing++].weight;
   CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
   const u128 after = before + candidates[crossing].weight;
-  node.witness = candidates[crossing].key;
+  node.witness = node.reach = candidates[crossing].key;
   const Wide wanted = Wide(node.weight) * node.left_size;
   if (Wide(after) * node.size - wanted < wanted - Wide(before) * node.size) {
     node.left_weight = after;
     if (crossing + 1 < candidates.size())
-      node.key = candidates[crossing + 1].key;
+      node.key = node.reach = candidates[crossing + 1].key;
     else
       look_beside({.node = index, .heavy_before = false, .from_start = false, .bound = candidates[crossing].key});
     return;
@@ -144,6 +144,7 @@ void Selector::find_neighbours() {
     const std::size_t node = neighbours_[n].node;
     nodes_[node].right_empty = found[n] == 0;
     nodes_[node].key = keys[n];
+    nodes_[node].reach = std::max(nodes_[node].reach, keys[n]);
     if (neighbours_[n].from_start) {
       nodes_[node].witness = keys[n];
       nodes_[node].failed = nodes_[node].below > 0;

@@ -67,8 +67,8 @@ AxisOrder SplitRule::order_of(const NodeRange& range, const Point& extents) cons
   const AxisOrder order = geometry::order_by_extent(extents, axes_);
   if (band_axis_) return geometry::with_first(order, *band_axis_, axes_);
   const int kept = axes_ > 0 ? old_axis(range) : -1;
-  if (kept >= 0 &&
-      extents[static_cast<std::size_t>(kept)] * options_->axis_hysteresis >= extents[static_cast<std::size_t>(order[0])])
+  if (kept >= 0 && extents[static_cast<std::size_t>(kept)] * options_->axis_hysteresis >=
+                       extents[static_cast<std::size_t>(order[0])])
     return geometry::with_first(order, kept, axes_);
   return order;
 }
