@@ -6,18 +6,21 @@
 #include <numeric>
 
 #include "common/base/buffer.hpp"
+#include "common/base/random.hpp"
 #include "common/partition/load.hpp"
 
 namespace rcb::partition {
 namespace {
 
 constexpr double kInfinity = geometry::Box::kInfinity;
-constexpr std::uint64_t kSharedSample = 4096;  // particles of all ranks together, which every rank gets
-constexpr std::uint64_t kOwnSample = 8192;     // of each rank's own, for nodes that it holds alone
+// Sampled particles of all ranks together: some of each part.
+constexpr std::uint64_t kSampleOfPart = 256;
+constexpr std::uint64_t kSampleMin = 4096;
+constexpr std::uint64_t kSampleMax = 16384;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
-// Every stride-th particle, sorted by part.
+// One particle of every `stride`, picked at random, since solvers' orders have periods of their own.
 class Sample {
  public:
   Sample(const particles::ParticleView& particles, std::span<const std::int32_t> part, std::uint64_t stride) {
@@ -25,8 +28,9 @@ class Sample {
     for (std::size_t a = 0; a < at(particles.dims); ++a) x_[a].resize(count);
     part_.resize(count);
     for (std::size_t k = 0; k < count; ++k) {
-      for (std::size_t a = 0; a < at(particles.dims); ++a) x_[a][k] = particles.position[a][k * stride];
-      part_[k] = part[k * stride];
+      const std::size_t i = k * stride + mix64(k) % std::min<std::uint64_t>(stride, particles.count - k * stride);
+      for (std::size_t a = 0; a < at(particles.dims); ++a) x_[a][k] = particles.position[a][i];
+      part_[k] = part[i];
     }
   }
 
@@ -54,42 +58,54 @@ class Sample {
     }
   }
 
-  void sort_by_part(int parts) {
-    ends_.assign(at(parts) + 1, 0);
-    for (const std::int32_t p : part_) ++ends_[at(p) + 1];
-    std::partial_sum(ends_.begin(), ends_.end(), ends_.begin());
-    order_.resize(part_.size());
-    std::vector<std::size_t> next(ends_.begin(), ends_.end() - 1);
-    for (std::size_t k = 0; k < part_.size(); ++k) order_[next[at(part_[k])]++] = static_cast<std::uint32_t>(k);
-  }
-
-  std::size_t count(int first, int last) const { return ends_[at(last)] - ends_[at(first)]; }
-  // The coordinates of parts [first, last).
-  void coordinates(int first, int last, std::size_t axis, std::vector<double>& out) const {
-    out.clear();
-    for (std::size_t k = ends_[at(first)]; k < ends_[at(last)]; ++k) out.push_back(x_[axis][order_[k]]);
-  }
+  std::size_t count() const { return part_.size(); }
+  double x(std::size_t axis, std::uint32_t k) const { return x_[axis][k]; }
+  std::int32_t part(std::uint32_t k) const { return part_[k]; }
 
  private:
   std::array<Buffer<double>, geometry::kDimsMax> x_;
   Buffer<std::int32_t> part_;
-  Buffer<std::uint32_t> order_;
-  std::vector<std::size_t> ends_;
 };
 
+// From the root down, with the sampled particles of each node under the new cuts, as far as they are guessed.
 class Walk {
  public:
   Walk(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
-       const Sample& shared, const Sample& mine, std::vector<geometry::Box>& out)
-      : tree_(tree), own_(own), limits_(limits), shared_(shared), mine_(mine), out_(out) {
+       const Sample& sample, std::vector<geometry::Box>& out)
+      : tree_(tree), own_(own), limits_(limits), sample_(sample), out_(out) {
     upto_.assign(1, 0.0);
     for (const double load : loads) upto_.push_back(upto_.back() + load);
     size_upto_.assign(1, 0.0);
     for (int p = 0; p < tree.parts; ++p)
       size_upto_.push_back(size_upto_.back() + (tree.part_sizes.empty() ? 1.0 : tree.part_sizes[at(p)]));
+    sampled_upto_.assign(at(tree.parts) + 1, 0);
+    for (std::uint32_t k = 0; k < sample.count(); ++k) ++sampled_upto_[at(sample.part(k)) + 1];
+    std::partial_sum(sampled_upto_.begin(), sampled_upto_.end(), sampled_upto_.begin());
   }
 
-  void visit(const NodeRange& range, const geometry::Box& inner) {
+  // The root's particles are those of its parts.
+  void visit_root(const NodeRange& range) {
+    indices_.clear();
+    for (std::uint32_t k = 0; k < sample_.count(); ++k)
+      if (sample_.part(k) >= range.first && sample_.part(k) < range.last) indices_.push_back(k);
+    visit(range, geometry::Box::unbounded(), indices_, load(range.first, range.last));
+  }
+
+ private:
+  struct Guess {
+    double lo = -kInfinity;
+    double at = -kInfinity;
+    double hi = kInfinity;
+  };
+
+  double load(int first, int last) const { return upto_[at(last)] - upto_[at(first)]; }
+  double share(const NodeRange& range) const {
+    return (size_upto_[at(range.middle())] - size_upto_[at(range.first)]) /
+           (size_upto_[at(range.last)] - size_upto_[at(range.first)]);
+  }
+
+  // own: the sampled particles of the node; wanted: its load under the new cuts.
+  void visit(const NodeRange& range, const geometry::Box& inner, std::span<std::uint32_t> own, double wanted) {
     if (range.last <= own_.first || range.first >= own_.last) return;
     if (range.leaf()) {
       out_[at(range.first - own_.first)] = inner;
@@ -97,37 +113,45 @@ class Walk {
     }
     const Cut& cut = tree_.cuts[at(range.node)];
     const auto axis = at(cut.axes[0]);
-    const auto [lo, hi] = bracket(range, cut, axis);
+    const Guess guess = cut.right_empty ? Guess{} : guess_cut(range, own, axis, cut.key.at[0], wanted);
     geometry::Box left = inner;
     geometry::Box right = inner;
-    left.hi[axis] = std::min(left.hi[axis], lo);
-    right.lo[axis] = std::max(right.lo[axis], hi);
-    visit(range.left(), left);
-    visit(range.right(), right);
+    left.hi[axis] = std::min(left.hi[axis], guess.lo);
+    right.lo[axis] = std::max(right.lo[axis], guess.hi);
+    const auto middle =
+        std::partition(own.begin(), own.end(), [&](std::uint32_t k) { return sample_.x(axis, k) < guess.at; });
+    const auto before = static_cast<std::size_t>(middle - own.begin());
+    visit(range.left(), left, own.first(before), wanted * share(range));
+    visit(range.right(), right, own.subspan(before), wanted * (1 - share(range)));
   }
 
- private:
-  struct Bracket {
-    double lo;
-    double hi;
-  };
-
-  Bracket bracket(const NodeRange& range, const Cut& cut, std::size_t axis) {
-    constexpr Bracket kAnywhere{-kInfinity, kInfinity};
-    const bool alone = own_.first <= range.first && range.last <= own_.last;
-    const Sample& sample = alone ? mine_ : shared_;
-    const std::size_t all = sample.count(range.first, range.last);
-    const double load = upto_[at(range.last)] - upto_[at(range.first)];
-    if (cut.right_empty || all == 0 || !(load > 0)) return kAnywhere;
-    const double share = (size_upto_[at(range.middle())] - size_upto_[at(range.first)]) /
-                         (size_upto_[at(range.last)] - size_upto_[at(range.first)]);
-    // Sampled particles that left has too many.
-    const double excess =
-        ((upto_[at(range.middle())] - upto_[at(range.first)]) / load - share) * static_cast<double>(all);
-    const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess)) + limits_.bracket_margin;
-    sample.coordinates(range.first, range.middle(), axis, left_);
-    sample.coordinates(range.middle(), range.last, axis, right_);
-    return {coordinate(std::ceil(excess + margin)), coordinate(std::floor(excess - margin))};
+  Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, std::size_t axis, double old,
+                  double wanted) {
+    left_.clear();
+    right_.clear();
+    // The load before the old cut is that of the left parts, but for what the node has gained and lost, as sampled.
+    double gained = 0;
+    double stayed_left = 0;
+    double stayed = 0;
+    for (const std::uint32_t k : own) {
+      const double x = sample_.x(axis, k);
+      (x < old ? left_ : right_).push_back(x);
+      const std::int32_t part = sample_.part(k);
+      const bool mine = part >= range.first && part < range.last;
+      stayed += mine ? 1 : 0;
+      stayed_left += mine && part < range.middle() ? 1 : 0;
+      gained += !mine && x < old ? 1 : 0;
+    }
+    const auto had = [&](int first, int last) {
+      return static_cast<double>(sampled_upto_[at(last)] - sampled_upto_[at(first)]);
+    };
+    const double lost = had(range.first, range.middle()) - stayed_left;
+    const double load_of_one = upto_.back() / static_cast<double>(sample_.count());
+    if (own.empty() || !(load_of_one > 0)) return {};
+    const double excess = (load(range.first, range.middle()) - wanted * share(range)) / load_of_one + gained - lost;
+    const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess) + gained + lost) + limits_.bracket_margin;
+    return {coordinate(std::ceil(excess + margin)), coordinate(std::round(excess)),
+            coordinate(std::floor(excess - margin))};
   }
 
   // Of the sampled particle that stands so many places before (counted from 1) or, if not positive, behind the cut.
@@ -147,11 +171,12 @@ class Walk {
   const CutTree& tree_;
   OwnParts own_;
   const SearchLimits& limits_;
-  const Sample& shared_;
-  const Sample& mine_;
+  const Sample& sample_;
   std::vector<geometry::Box>& out_;
   std::vector<double> upto_;
   std::vector<double> size_upto_;
+  std::vector<std::size_t> sampled_upto_;
+  std::vector<std::uint32_t> indices_;
   std::vector<double> left_;
   std::vector<double> right_;
 };
@@ -162,15 +187,13 @@ std::vector<geometry::Box> inner_regions(Comm& comm, const particles::ParticleVi
                                          std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
                                          std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
                                          const SearchLimits& limits) {
-  const auto stride = [](std::uint64_t of, std::uint64_t wanted) { return std::max<std::uint64_t>(of / wanted, 1); };
-  Sample shared(particles, part, stride(count, kSharedSample));
-  shared.share(comm, particles.dims);
-  shared.sort_by_part(tree.parts);
-  Sample mine(particles, part, stride(particles.count, kOwnSample));
-  mine.sort_by_part(tree.parts);
+  const std::uint64_t wanted =
+      std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
+  Sample sample(particles, part, std::max<std::uint64_t>(count / wanted, 1));
+  sample.share(comm, particles.dims);
   std::vector<geometry::Box> inner(at(own.last - own.first), geometry::Box::unbounded());
-  Walk walk(tree, loads, own, limits, shared, mine, inner);
-  for (const NodeRange& root : roots) walk.visit(root, geometry::Box::unbounded());
+  Walk walk(tree, loads, own, limits, sample, inner);
+  for (const NodeRange& root : roots) walk.visit_root(root);
   return inner;
 }
 

@@ -128,53 +128,57 @@ class Repartitioning {
 
   // All ranks' shares. False, on every rank, where the few are too many. Collective (one gather).
   bool gather(const OwnSettled& own, Settled& settled) {
-    std::vector<u128> weights(scale_ ? at(options_.parts) : 0, 0);
-    for (const std::uint64_t slot : own.few)
+    // How many of the own parts have settled particles; where these are; then, of parts that some of the few are of,
+    // how many and their weight.
+    std::vector<std::uint64_t> few(at(options_.parts), 0);
+    std::vector<u128> weights(few.size(), 0);
+    for (const std::uint64_t slot : own.few) {
+      ++few[at(standing_.part[slot])];
       if (scale_) weights[at(standing_.part[slot])] += (*scale_)(particles_.weight[slot]);
-    // How many are looked at, how many of the parts follow; then these; then weights of those looked at.
-    std::vector<std::uint64_t> mine{own.few.size(), 0};
-    for (std::size_t p = 0; p < own.counts.size(); ++p) {
-      if (own.counts[p] == 0) continue;
-      ++mine[1];
+    }
+    std::vector<std::uint64_t> mine{0};
+    for (std::size_t p = 0; p < own.boxes.size(); ++p) {
+      if (own.boxes[p].empty(particles_.dims)) continue;
+      ++mine[0];
       mine.push_back(at(standing_.own.first) + p);
-      mine.push_back(own.counts[p]);
       for (const double x : own.boxes[p].lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
       for (const double x : own.boxes[p].hi) mine.push_back(std::bit_cast<std::uint64_t>(x));
     }
-    for (std::size_t p = 0; p < weights.size(); ++p)
-      if (weights[p] != 0)
+    for (std::size_t p = 0; p < few.size(); ++p)
+      if (few[p] > 0)
         mine.insert(mine.end(),
-                    {p, static_cast<std::uint64_t>(weights[p]), static_cast<std::uint64_t>(weights[p] >> 64U)});
+                    {p, few[p], static_cast<std::uint64_t>(weights[p]), static_cast<std::uint64_t>(weights[p] >> 64U)});
     std::vector<std::byte> bytes;
     std::vector<std::size_t> sizes;
     comm_.all_gather(std::as_bytes(std::span(mine)), bytes, sizes);
     std::vector<std::uint64_t> words(bytes.size() / sizeof(std::uint64_t));
     if (!words.empty()) std::memcpy(words.data(), bytes.data(), bytes.size());
 
-    std::vector<std::uint64_t> counts(at(options_.parts), 0);
-    std::vector<u128> stay = scale_ ? standing_.loads.loads : std::vector<u128>{};
+    // Who isn't one of the few has settled.
+    std::vector<std::uint64_t> counts = standing_.loads.counts;
+    std::vector<u128> stay = scale_ ? standing_.loads.loads : std::vector<u128>(counts.size(), 0);
     settled.boxes.assign(at(options_.parts), geometry::Box{});
     const std::uint64_t* word = words.data();
     for (const std::size_t size : sizes) {
       const std::uint64_t* const end = word + size / sizeof(std::uint64_t);
-      result_.looked_at += word[0];
-      std::uint64_t own_parts = word[1];
-      for (word += 2; own_parts > 0; --own_parts) {
-        const std::uint64_t p = word[0];
-        counts[p] = word[1];
+      std::uint64_t boxes = *word++;
+      for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax)
         for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-          settled.boxes[p].lo[a] = std::bit_cast<double>(word[2 + a]);
-          settled.boxes[p].hi[a] = std::bit_cast<double>(word[2 + geometry::kDimsMax + a]);
+          settled.boxes[word[0]].lo[a] = std::bit_cast<double>(word[1 + a]);
+          settled.boxes[word[0]].hi[a] = std::bit_cast<double>(word[1 + geometry::kDimsMax + a]);
         }
-        word += 2 + 2 * geometry::kDimsMax;
+      for (; word < end; word += 4) {
+        counts[word[0]] -= word[1];
+        stay[word[0]] -= word[2] | (u128{word[3]} << 64U);
+        result_.looked_at += word[1];
       }
-      for (; word < end; word += 3) stay[word[0]] -= word[1] | (u128{word[2]} << 64U);
     }
     if (result_.looked_at > n_ / options_.limits.few_share) return false;
     settled.counts_upto.assign(1, 0);
     for (const std::uint64_t count : counts) settled.counts_upto.push_back(settled.counts_upto.back() + count);
     if (scale_) settled.weights_upto.assign(1, 0);
-    for (const u128 weight : stay) settled.weights_upto.push_back(settled.weights_upto.back() + weight);
+    for (std::size_t p = 0; p < stay.size() && scale_; ++p)
+      settled.weights_upto.push_back(settled.weights_upto.back() + stay[p]);
     return true;
   }
 

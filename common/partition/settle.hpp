@@ -11,9 +11,8 @@
 namespace rcb::partition {
 
 struct OwnSettled {
-  Buffer<std::uint64_t> few;          // the others' slots, ascending
-  std::vector<std::uint64_t> counts;  // [own parts]: who stay
-  std::vector<geometry::Box> boxes;   // [own parts]: of those, exact
+  Buffer<std::uint64_t> few;         // the others' slots, ascending
+  std::vector<geometry::Box> boxes;  // [own parts]: of those who stay, exact; empty: nobody does
 };
 
 // inner: of this rank's own parts; a particle strictly inside its part's stays. Those of other parts are among the few.

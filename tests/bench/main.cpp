@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "rcb_bench_commit.hpp"
+#include "tests/bench/drift.hpp"
 #include "tests/bench/driver.hpp"
 #include "tests/bench/dynamic.hpp"
 #include "tests/bench/dynamic_peers.hpp"
@@ -146,7 +147,8 @@ std::string footer() {
          "  rcb_bench dynamic --json dynamic.json --figure dynamic.svg\n"
          "  rcb_bench step --json step.json\n"
          "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n"
-         "  rcb_bench skips --json skips.json\n";
+         "  rcb_bench skips --json skips.json\n"
+         "  rcb_bench drift --json drift.json\n";
 }
 
 int fail(const Status& status) {
@@ -191,12 +193,18 @@ int run_program(int argc, char** argv) {
   const auto* memory = add_memory(app, of_memory);
   SkipsOptions of_skips;
   const auto* skips = add_skips(app, of_skips);
+  DriftOptions of_drift;
+  const auto* drift = add_drift(app, of_drift);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& done) {
     return app.exit(done);
   } catch (const CLI::ParseError& error) {
     return fail(usage(error.what()));
+  }
+  if (drift->parsed()) {
+    const Status status = run_drift(of_drift, start_document("drift", of_drift.repeats));
+    return status.ok() ? 0 : fail(status);
   }
   if (step->parsed()) {
     const Status status = run_step(of_step, start_document("step", of_step.repeats));
@@ -225,6 +233,7 @@ int main(int argc, char** argv) {
   try {
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kWorkerWord) return rcb::bench::run_worker(argc, argv);
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kPeerWord) return rcb::bench::run_peer_worker(argc, argv);
+    if (argc > 1 && std::string(argv[1]) == rcb::bench::kDriftWord) return rcb::bench::run_drift_worker(argc, argv);
     return rcb::bench::run_program(argc, argv);
   } catch (const std::exception& error) {
     fmt::print(stderr, "rcb_bench: {}\n", error.what());
