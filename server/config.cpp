@@ -58,7 +58,7 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_GATEWAY_ONLY");
   app.add_option("--no-skip", config.no_skip,
                  "for measurement only: work that is done although no step needs it, its results dropped: exchange, "
-                 "search, or both with a comma between")
+                 "search, warm, with commas between")
       ->envname("RCBD_NO_SKIP")
       ->check(CLI::Validator(
           [](const std::string& names) {

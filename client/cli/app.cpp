@@ -51,6 +51,8 @@ CLI::Validator part_count() {
 
 CLI::Validator scene_policy() { return CLI::IsMember({"tolerance", "cost"}); }
 
+CLI::Validator scene_recut() { return CLI::IsMember({"all", "subtree"}); }
+
 CLI::Validator scene_method() { return CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}); }
 
 Result<client::Client> connect(const Context& context) {

@@ -63,8 +63,11 @@ CLI::Validator tolerance_number();
 CLI::Validator part_count();
 CLI::Validator scene_method();
 CLI::Validator scene_policy();
+CLI::Validator scene_recut();
 inline constexpr const char* kPolicyHelp =
     "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes";
+inline constexpr const char* kRecutHelp =
+    "what a repartition cuts anew: all, or subtree, the least that brings the error below half the tolerance";
 
 // The service at the endpoint.
 Result<client::Client> connect(const Context& context);

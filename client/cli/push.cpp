@@ -34,6 +34,7 @@ struct ReplayOptions {
   double tolerance = 0.1;
   double axis_hysteresis = 1.2;
   std::string policy = "tolerance";
+  std::string recut = "all";
   std::optional<double> step_seconds;
   std::string history;
 };
@@ -191,6 +192,7 @@ class Replay {
     scene.tolerance = options_.tolerance;
     scene.axis_hysteresis = options_.axis_hysteresis;
     scene.policy = options_.policy;
+    scene.recut = options_.recut;
     scene.replace = true;
     if (Status status = client.create_scene(options_.name, scene); !status) return status;
     auto opened = client.open_scene(options_.name);
@@ -279,6 +281,7 @@ void add_push_commands(CLI::App& app, Context& context) {
       ->capture_default_str()
       ->check(CLI::Range(1.0, 1e300));
   command->add_option("--policy", replay_options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
+  command->add_option("--recut", replay_options->recut, kRecutHelp)->capture_default_str()->check(scene_recut());
   command
       ->add_option("--step-seconds", replay_options->step_seconds,
                    std::string(kStepSecondsHelp) + ", said with each step")

@@ -89,8 +89,8 @@ void print_cuts(const Json& reply) {
 
 void print_stats(const Json& reply) {
   Facts facts;
-  for (const char* field :
-       {"scene", "steps", "repartitions", "bytes", "drifted", "moved", "migrated", "scanned", "rounds", "reductions"})
+  for (const char* field : {"scene", "steps", "repartitions", "bytes", "drifted", "moved", "migrated", "scanned",
+                            "searched", "rounds", "reductions"})
     facts.add(field, text_of(reply, field));
   for (const auto& [name, times] : reply.at("skipped").items()) facts.add("skipped: " + name, text_of(times));
   for (const auto& [name, times] : reply.at("asked").items()) facts.add("asked: " + name, text_of(times));

@@ -14,9 +14,9 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr std::initializer_list<const char*> kColumns = {
-    "scene",         "step",     "epoch",        "n",       "error_before", "error",    "imbalance",
-    "repartitioned", "reason",   "axes_flipped", "drifted", "moved",        "migrated", "inserted",
-    "removed",       "first_id", "scanned",      "rounds",  "reductions",   "skipped",  "bytes"};
+    "scene",   "step",         "epoch",   "n",          "error_before", "error",    "imbalance", "repartitioned",
+    "reason",  "axes_flipped", "drifted", "moved",      "migrated",     "inserted", "removed",   "first_id",
+    "scanned", "searched",     "rounds",  "reductions", "skipped",      "bytes"};
 constexpr std::initializer_list<const char*> kSeconds = {"receive", "exchange", "search", "migrate", "total"};
 
 std::string csv_quoted(const std::string& text) {

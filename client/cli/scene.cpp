@@ -16,6 +16,7 @@ struct CreateOptions {
   double axis_hysteresis = 1.2;
   double cut_tolerance = 0;
   std::string policy = "tolerance";
+  std::string recut = "all";
   std::vector<double> part_sizes;
   bool replace = false;
 };
@@ -33,6 +34,7 @@ void print_scene(const Json& scene) {
                                                                   {"axis_hysteresis", "axis hysteresis"},
                                                                   {"cut_tolerance", "cut tolerance"},
                                                                   {"policy", "policy"},
+                                                                  {"recut", "recut"},
                                                                   {"part_sizes", "part sizes"},
                                                                   {"weights", "weights"},
                                                                   {"ids", "own ids"},
@@ -57,6 +59,7 @@ Status create(const CreateOptions& options, const Context& context) {
                  {"axis_hysteresis", options.axis_hysteresis},
                  {"cut_tolerance", options.cut_tolerance},
                  {"policy", options.policy},
+                 {"recut", options.recut},
                  {"replace", options.replace}};
   if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
   auto reply = ask(*client, "scene.create", arguments);
@@ -140,6 +143,7 @@ void add_scene_commands(CLI::App& app, Context& context) {
       ->capture_default_str()
       ->check(CLI::Range(0.0, 1.0));
   command->add_option("--policy", options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
+  command->add_option("--recut", options->recut, kRecutHelp)->capture_default_str()->check(scene_recut());
   command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
       ->delimiter(',')
       ->check(positive_number());

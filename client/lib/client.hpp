@@ -49,6 +49,7 @@ struct SceneOptions {
   double axis_hysteresis = 1.2;
   double cut_tolerance = 0;          // 0 to 1: how far from its target a search for cuts may leave a part; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than that takes
+  std::string recut = "all";         // or "subtree": a repartition cuts no more than the error makes necessary
   std::vector<double> part_sizes;
   bool replace = false;
 };
@@ -110,6 +111,7 @@ struct StepReport {
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted, where the service chose their ids: they are consecutive
   std::uint64_t scanned = 0;             // particles whose positions came
+  std::uint64_t searched = 0;            // particles that a search for cuts looked at
   std::uint64_t rounds = 0;              // of the search for cuts; 0: none
   std::uint64_t reductions = 0;          // its collectives
   std::vector<std::string> skipped;

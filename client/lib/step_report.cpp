@@ -64,6 +64,7 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("inserted", report.inserted);
   reader.count("removed", report.removed);
   reader.count("scanned", report.scanned);
+  reader.count("searched", report.searched);
   reader.count("rounds", report.rounds);
   reader.count("reductions", report.reductions);
   if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));

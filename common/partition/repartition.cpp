@@ -23,6 +23,7 @@ class Repartitioning {
         particles_(particles),
         options_(options.partition),
         standing_(standing),
+        before_search_of_all_(options.before_search_of_all),
         roots_(options.roots),
         whole_(roots_.empty()),
         rule_(options_, particles.dims) {
@@ -184,6 +185,7 @@ class Repartitioning {
 
   // failed_ among all their particles. Collective.
   void search_all() {
+    if (before_search_of_all_) before_search_of_all_();
     if (whole_ && failed_[0].parts() == options_.parts) {
       result_.looked_at = n_;
       result_.delta = {};
@@ -248,6 +250,7 @@ class Repartitioning {
   const particles::ParticleView& particles_;
   const PartitionOptions& options_;
   const Standing& standing_;
+  const std::function<void()>& before_search_of_all_;
   std::vector<NodeRange> roots_;
   bool whole_;
   SplitRule rule_;

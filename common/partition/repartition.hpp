@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -48,6 +49,8 @@ struct RepartitionOptions {
   // particles are shared among its parts alone. Empty: everything.
   std::vector<NodeRange> roots;
   bool warm = true;  // false: all particles are searched, for comparison
+  // Called before a search among all particles, which needs 16 bytes of each; may be empty.
+  std::function<void()> before_search_of_all;
 };
 
 // Collective. The particles' positions are finite, the parts those of the tree; all ranks pass the same options.

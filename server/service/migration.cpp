@@ -30,10 +30,8 @@ Leavers find_leavers(const partition::Comm& comm, const Scene& scene) {
   return leavers;
 }
 
-}  // namespace
-
-std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first) {
-  Leavers leavers = find_leavers(comm, scene);
+// Collective.
+std::uint64_t migrate_leavers(partition::Comm& comm, Scene& scene, Leavers leavers, bool first) {
   std::uint64_t changed = leavers.slots.size();
   comm.all_sum({&changed, 1});
   if (changed == 0 && !first) return 0;
@@ -41,6 +39,20 @@ std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first) {
   if (changed > 0) partition::exchange_counts(comm, leavers.counts, from);
   hand_over(comm, scene, std::move(leavers), from, changed, first || plan::is_full_change(changed, scene.n));
   return changed;
+}
+
+}  // namespace
+
+std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first) {
+  return migrate_leavers(comm, scene, find_leavers(comm, scene), first);
+}
+
+std::uint64_t migrate_touched(partition::Comm& comm, Scene& scene, std::span<const std::uint64_t> touched) {
+  Leavers leavers;
+  for (const std::uint64_t slot : touched)
+    if (!is_own(comm, scene, scene.part[slot])) leavers.slots.push_back(slot);
+  count_by_rank(comm, scene, leavers);
+  return migrate_leavers(comm, scene, std::move(leavers), false);
 }
 
 std::uint64_t migrate_drifted(partition::Comm& comm, Scene& scene, const Drift& drift, const StepSums& sums) {

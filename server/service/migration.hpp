@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 
 #include "server/service/changes.hpp"
 #include "server/service/context.hpp"
@@ -14,6 +15,10 @@ namespace rcb::service {
 //   first  the scene's first partition: the plan becomes a full one whatever moved
 // Returns how many particles changed their rank, on every rank. Collective.
 std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first);
+
+// The same after a step with new cuts; touched: at least the slots of all whose part isn't that before the step,
+// ascending. Cost in proportion to them. Collective.
+std::uint64_t migrate_touched(partition::Comm& comm, Scene& scene, std::span<const std::uint64_t> touched);
 
 // The same after a step without new cuts: only particles that drifted are looked at. Where sums.migrating
 // is 0 nothing changes. Collective.

@@ -8,8 +8,8 @@
 namespace rcb::service {
 namespace {
 
-constexpr std::pair<const char*, bool NoSkip::*> kNames[] = {{"exchange", &NoSkip::exchange},
-                                                             {"search", &NoSkip::search}};
+constexpr std::pair<const char*, bool NoSkip::*> kNames[] = {
+    {"exchange", &NoSkip::exchange}, {"search", &NoSkip::search}, {"warm", &NoSkip::warm}};
 
 }  // namespace
 

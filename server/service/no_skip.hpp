@@ -11,8 +11,9 @@ namespace rcb::service {
 struct NoSkip {
   bool exchange = false;  // leavers are exchanged where there are none, too
   bool search = false;    // cuts are searched at every step
+  bool warm = false;      // a search looks at all particles, not only at those near the cuts in force
 
-  // names: "exchange", "search", with commas between; empty: none. Errors: usage.
+  // names: "exchange", "search", "warm", with commas between; empty: none. Errors: usage.
   static Result<NoSkip> parse(const std::string& names);
 };
 

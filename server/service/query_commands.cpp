@@ -69,6 +69,7 @@ Response stats(Context& context, const wire::Json& request) {
                {"moved", totals.moved},
                {"migrated", totals.migrated},
                {"scanned", totals.scanned},
+               {"searched", totals.searched},
                {"rounds", totals.rounds},
                {"reductions", totals.reductions},
                {"skipped", totals.skipped},

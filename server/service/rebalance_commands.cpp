@@ -91,7 +91,8 @@ Response rebalance(Context& context, const wire::Json& request) {
                                                       options.parts, &found->tree, std::nullopt));
   } else {
     scene.options = options;
-    adopt(scene, std::move(found).value(), std::move(loads));
+    scene.part = std::move(found->part);
+    adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
     migrate(context.comm, scene, false);
   }
   json["epoch"] = scene.epoch;

@@ -36,6 +36,7 @@ wire::Json to_json(const StepReport& report) {
                   {"inserted", report.inserted},
                   {"removed", report.removed},
                   {"scanned", report.scanned},
+                  {"searched", report.searched},
                   {"rounds", report.rounds},
                   {"reductions", report.reductions},
                   {"skipped", report.skipped},

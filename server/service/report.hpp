@@ -38,6 +38,7 @@ struct StepReport {
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted, where the service chose their ids
   std::uint64_t scanned = 0;             // particles whose positions came and were looked at
+  std::uint64_t searched = 0;            // particles that a search for cuts looked at
   std::uint64_t rounds = 0;              // of the search for cuts; 0: none
   std::uint64_t reductions = 0;          // its collectives
   std::vector<std::string> skipped;

@@ -25,6 +25,10 @@
 
 namespace rcb::service {
 
+// What an automatic repartition cuts anew: everything, or the smallest subtrees that bring the error below half the
+// tolerance.
+enum class Recut { all, subtree };
+
 struct SceneOptions {
   int parts = 1;
   int dims = 3;
@@ -32,6 +36,7 @@ struct SceneOptions {
   double tolerance = 0.1;  // may be infinity
   double axis_hysteresis = 1.2;
   double cut_tolerance = 0;  // of every search for cuts; 0: exact
+  Recut recut = Recut::all;
   Policy policy = Policy::tolerance;
   std::vector<double> part_sizes;
 };
@@ -44,6 +49,7 @@ struct SceneTotals {
   std::uint64_t moved = 0;
   std::uint64_t migrated = 0;
   std::uint64_t scanned = 0;
+  std::uint64_t searched = 0;
   std::uint64_t rounds = 0;
   std::uint64_t reductions = 0;
   std::map<std::string, std::uint64_t> skipped;

@@ -88,6 +88,11 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   const auto policy = read_policy(request);
   if (!policy.ok()) return policy.status();
   options.policy = policy.value();
+  const auto recut = request.contains("recut") ? wire::string_field(request, "recut", 16) : std::string("all");
+  if (!recut.ok()) return recut.status();
+  if (recut.value() != "all" && recut.value() != "subtree")
+    return Status(Code::invalid_argument, fmt::format("unknown recut '{}'", recut.value()), "recut: all, subtree");
+  options.recut = recut.value() == "all" ? Recut::all : Recut::subtree;
   if (const Status status = read_part_sizes(request, options); !status.ok()) return status;
   return options;
 }
@@ -103,6 +108,7 @@ wire::Json describe_scene(const Scene& scene) {
                   {"axis_hysteresis", options.axis_hysteresis},
                   {"cut_tolerance", options.cut_tolerance},
                   {"policy", policy_name(options.policy)},
+                  {"recut", options.recut == Recut::all ? "all" : "subtree"},
                   {"part_sizes", options.part_sizes.empty() ? wire::Json(nullptr) : wire::Json(options.part_sizes)},
                   {"weights", scene.particles.has_weights},
                   {"ids", scene.ids},

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <utility>
 
-#include "common/partition/partition.hpp"
+#include "common/partition/recut.hpp"
+#include "common/partition/repartition.hpp"
 #include "common/plan/plan.hpp"
 #include "server/service/collective.hpp"
 #include "server/service/gather_changes.hpp"
@@ -13,35 +14,13 @@
 namespace rcb::service {
 namespace {
 
-partition::PartitionOptions options_of(const Scene& scene, bool first) {
+partition::PartitionOptions options_of(const Scene& scene) {
   partition::PartitionOptions options;
   options.method = scene.options.method;
   options.parts = scene.options.parts;
   options.part_sizes = scene.options.part_sizes;
   options.cut_tolerance = scene.options.cut_tolerance;
-  if (!first) {
-    options.axis_hysteresis = scene.options.axis_hysteresis;
-    options.previous = &scene.tree;
-  }
   return options;
-}
-
-partition::PartitionResult search(Context& context, const Scene& scene, bool first) {
-  auto result = partition::partition(context.comm, scene.particles.view(), options_of(scene, first));
-  CHECK(result.ok(), result.status().message());  // the options were checked when the scene was made
-  return std::move(result).value();
-}
-
-void note_search(const partition::PartitionResult& found, StepReport& report) {
-  report.rounds = found.rounds;
-  report.reductions = found.reductions;
-}
-
-// The loads under new cuts: counted where the search doesn't know them. Collective.
-partition::LoadSummary loads_of(Context& context, const Scene& scene, const partition::PartitionResult& found) {
-  if (!found.counts.empty()) return partition::summarise_counts(found.counts, scene.options.part_sizes);
-  return partition::summarise_loads(context.comm, scene.particles.view(), found.part.span(), scene.options.part_sizes,
-                                    scene.options.parts);
 }
 
 // Ids and parts of all local particles.
@@ -52,26 +31,32 @@ PartChanges all_changes(const Scene& scene) {
   return changes;
 }
 
-// Of those that drifted, where no cut was changed; before they migrate.
-PartChanges changes_of_drift(const Scene& scene, const Drift& drift) {
-  PartChanges changes;
-  changes.id.resize(drift.count());
-  changes.part.resize(drift.count());
-  for (std::size_t k = 0; k < drift.count(); ++k) {
-    changes.id[k] = scene.particles.id[drift.slot[k]];
-    changes.part[k] = scene.part[drift.slot[k]];
+// Local particles that new cuts have moved.
+struct Moves {
+  Buffer<std::uint64_t> slot;  // ascending
+  Buffer<std::int32_t> old_part;
+};
+
+// Calls visit(slot, the part before the step) for those that drifted or that new cuts moved, in ascending slots.
+template <typename Visit>
+void for_each_touched(const Drift& drift, const Moves& moves, const Visit& visit) {
+  std::size_t d = 0;
+  for (std::size_t m = 0; m < moves.slot.size(); ++m) {
+    for (; d < drift.count() && drift.slot[d] < moves.slot[m]; ++d) visit(drift.slot[d], drift.part[d]);
+    const bool both = d < drift.count() && drift.slot[d] == moves.slot[m];
+    visit(moves.slot[m], both ? drift.part[d++] : moves.old_part[m]);
   }
-  return changes;
+  for (; d < drift.count(); ++d) visit(drift.slot[d], drift.part[d]);
 }
 
-// Of those whose part isn't the old one.
-PartChanges changes_since(const Scene& scene, const Buffer<std::int32_t>& old_part) {
+// Of those whose part isn't that before the step; before they migrate.
+PartChanges changes_of_step(const Scene& scene, const Drift& drift, const Moves& moves) {
   PartChanges changes;
-  for (std::size_t i = 0; i < scene.part.size(); ++i) {
-    if (scene.part[i] == old_part[i]) continue;
-    changes.id.push_back(scene.particles.id[i]);
-    changes.part.push_back(scene.part[i]);
-  }
+  for_each_touched(drift, moves, [&](std::uint64_t slot, std::int32_t old_part) {
+    if (scene.part[slot] == old_part) return;
+    changes.id.push_back(scene.particles.id[slot]);
+    changes.part.push_back(scene.part[slot]);
+  });
   return changes;
 }
 
@@ -83,6 +68,7 @@ void note_skips(const Scene& scene, const PushChanges& what, const NoSkip& no_sk
   if (what.moved != Moved::all) report.skipped.emplace_back("motion");
   if (report.migrated == 0 && !no_skip.exchange) report.skipped.emplace_back("exchange");
   if (report.reductions == 0) report.skipped.emplace_back("search");
+  if (report.reductions > 0 && report.searched < scene.n) report.skipped.emplace_back("far from cuts");
 }
 
 void take_positions(Scene& scene, Staged& staged, Moved moved) {
@@ -104,42 +90,76 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   scene.ids = staged.ids;
   scene.pushed = true;
   const double start = context.clock.seconds();
-  partition::PartitionResult found = search(context, scene, true);
-  note_search(found, report);
-  auto loads = loads_of(context, scene, found);
-  adopt(scene, std::move(found), std::move(loads));
+  auto found = partition::partition(context.comm, scene.particles.view(), options_of(scene));
+  CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
+  report.searched = scene.n;
+  report.rounds = found->rounds;
+  report.reductions = found->reductions;
+  scene.part = std::move(found->part);
+  auto loads = found->counts.empty()
+                   ? partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
+                                                scene.options.part_sizes, scene.options.parts)
+                   : partition::summarise_counts(std::move(found->counts), scene.options.part_sizes);
+  adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
   report.repartitioned = true;
   report.reason = "first positions";
   report.seconds.search = context.clock.seconds() - start;
 }
 
-// Looks for new cuts and adopts them if they help; old_part then has the parts before them. Collective.
-void try_repartition(Context& context, Scene& scene, const Decision& decision, double error_before,
-                     Buffer<std::int32_t>& old_part, StepReport& report) {
-  partition::PartitionResult found = search(context, scene, false);
-  note_search(found, report);
-  auto loads = loads_of(context, scene, found);
-  if ((loads.weighted || scene.options.cut_tolerance > 0) && !(loads.error < error_before)) {
+// The new cuts, and what they would move. Collective.
+partition::Repartition search(Context& context, const Scene& scene, Staged& staged, StepReport& report) {
+  partition::RepartitionOptions options;
+  options.partition = options_of(scene);
+  options.partition.axis_hysteresis = scene.options.axis_hysteresis;
+  options.partition.previous = &scene.tree;
+  options.warm = !context.no_skip.warm;
+  options.before_search_of_all = [&staged] {
+    for (auto& axis : staged.arrays.position) axis.release();  // such a search needs as much memory
+  };
+  if (scene.options.recut == Recut::subtree)
+    options.roots = partition::smallest_roots(scene.tree, scene.loads, scene.options.tolerance / 2);
+  const auto part_begin = [&](int rank) {
+    return static_cast<int>(plan::part_begin(rank, scene.options.parts, context.comm.size()));
+  };
+  const partition::OwnParts own{part_begin(context.comm.rank()), part_begin(context.comm.rank() + 1)};
+  partition::Repartition found = partition::repartition(context.comm, scene.particles.view(), options,
+                                                        {scene.tree, scene.part.span(), scene.loads, own});
+  report.searched = found.looked_at;
+  report.rounds = found.rounds;
+  report.reductions = found.reductions;
+  return found;
+}
+
+// Whether new cuts may turn out not to lower the error.
+bool may_be_vain(const Scene& scene) {
+  return scene.loads.weighted || scene.options.cut_tolerance > 0 || scene.options.recut == Recut::subtree;
+}
+
+// Looks for new cuts and adopts them if they help. Collective.
+void try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,
+                     Moves& moves, StepReport& report) {
+  partition::Repartition found = search(context, scene, staged, report);
+  if (may_be_vain(scene) && !(found.loads.error < error_before)) {
     scene.error_when_not_adopted = error_before;
     scene.costs.start_again(scene.loads.imbalance);
-    report.reason = reason_not_adopted(decision, loads.error);
+    report.reason = reason_not_adopted(decision, found.loads.error);
     return;
   }
   report.repartitioned = true;
-  report.reason = reason_adopted(decision, loads.error);
+  report.reason = reason_adopted(decision, found.loads.error);
   report.axes_flipped = partition::axes_flipped(scene.tree, found.tree);
-  std::uint64_t moved = count_differences(scene.part.span(), found.part.span());
-  context.comm.all_sum({&moved, 1});
-  report.moved = moved;
-  old_part.swap(scene.part);
-  adopt(scene, std::move(found), std::move(loads));
+  report.moved = found.delta.slot.size();
+  context.comm.all_sum({&report.moved, 1});
+  moves.slot = std::move(found.delta.slot);
+  moves.old_part = std::move(found.delta.part);
+  for (std::size_t k = 0; k < moves.slot.size(); ++k) std::swap(scene.part[moves.slot[k]], moves.old_part[k]);
+  adopt(scene, {std::move(found.tree), found.rounds, found.reductions}, std::move(found.loads));
 }
 
 // Whether this step looks for new cuts. Local.
 Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_computed_under) {
   const SceneOptions& options = scene.options;
-  const bool may_be_vain = scene.loads.weighted || options.cut_tolerance > 0;
-  PolicyInput input{scene.loads.error, options.tolerance, may_be_vain, 0, scene.error_when_not_adopted};
+  PolicyInput input{scene.loads.error, options.tolerance, may_be_vain(scene), 0, scene.error_when_not_adopted};
   input.policy = options.policy;
   if (options.policy == Policy::cost && push.step_seconds) {
     scene.costs.computed(*push.step_seconds, imbalance_computed_under);
@@ -165,15 +185,20 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
     change = count_changes(scene, drift);
     context.comm.all_sum(change);
   }
-  for (std::size_t k = 0; k < drift.count(); ++k) std::swap(scene.part[drift.slot[k]], drift.part[k]);
   Edits& edits = staged.edits;
+  const bool same_weights = weighted && !staged.arrays.has_weights && !edits.any();
+  if (same_weights && staged.sums.drifted > 0)
+    scene.loads = partition::moved_loads(context.comm, scene.particles.view(), scene.loads, scene.part.span(),
+                                         drift.slot.span(), drift.part.span(), scene.options.part_sizes);
+  for (std::size_t k = 0; k < drift.count(); ++k) std::swap(scene.part[drift.slot[k]], drift.part[k]);
   if (edits.any()) apply_edits(context.comm, scene, edits, drift);
   if (!weighted && change.empty() && edits.any()) change.resize(scene.loads.counts.size());
   if (!weighted) {
     for (const std::int32_t part : edits.inserted_part) ++change[static_cast<std::size_t>(part)];
     for (const std::int32_t part : edits.removed_parts) --change[static_cast<std::size_t>(part)];
   }
-  if (weighted && (staged.sums.drifted > 0 || staged.arrays.has_weights || edits.any())) {
+  if (same_weights) return;
+  if (weighted) {
     scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
                                              scene.options.part_sizes, scene.options.parts);
   } else if (staged.sums.drifted > 0 || edits.any()) {
@@ -183,7 +208,7 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
   }
 }
 
-void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Buffer<std::int32_t>& old_part,
+void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Moves& moves,
                 StepReport& report) {
   const double imbalance_computed_under = scene.loads.imbalance;
   take_positions(scene, staged, push.what.moved);
@@ -197,12 +222,10 @@ void later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   const Decision decision = decide_step(scene, push, imbalance_computed_under);
   report.reason = decision.reason;
   const double start = context.clock.seconds();
-  if (decision.search) {
-    for (auto& axis : staged.arrays.position) axis.release();  // the search needs as much
-    try_repartition(context, scene, decision, error_before, old_part, report);
-  } else if (context.no_skip.search) {
-    note_search(search(context, scene, false), report);
-  }
+  if (decision.search)
+    try_repartition(context, scene, staged, decision, error_before, moves, report);
+  else if (context.no_skip.search)
+    search(context, scene, staged, report);
   report.seconds.search = context.clock.seconds() - start;
 }
 
@@ -228,6 +251,7 @@ void remember(Scene& scene, const PushRequest& push, const StepReport& report, b
   totals.migrated += report.migrated;
   totals.seconds += report.seconds;
   totals.scanned += report.scanned;
+  totals.searched += report.searched;
   totals.rounds += report.rounds;
   totals.reductions += report.reductions;
   for (const std::string& name : report.skipped) ++totals.skipped[name];
@@ -245,11 +269,10 @@ std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const
   return count;
 }
 
-void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummary loads) {
+void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
   scene.search_rounds = found.rounds;
   scene.search_reductions = found.reductions;
   scene.tree = std::move(found.tree);
-  scene.part = std::move(found.part);
   scene.loads = std::move(loads);
   scene.error_when_not_adopted.reset();
   scene.costs.start_again(scene.loads.imbalance);
@@ -266,11 +289,11 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   report.scanned = push.what.moving(push.n);
   report.seconds.receive = staged.seconds;
 
-  Buffer<std::int32_t> old_part;  // before new cuts; the drift undone, before the step
+  Moves moves;
   if (first) {
     first_step(context, scene, staged, report);
   } else {
-    later_step(context, scene, staged, push, old_part, report);
+    later_step(context, scene, staged, push, moves, report);
   }
   report.n = scene.n;
   report.epoch = scene.epoch;
@@ -280,19 +303,20 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   PartChanges mine;
   const Drift& drift = staged.scan.drift;
   const bool any = first || report.drifted > 0 || report.moved > 0;
-  if (changes != nullptr && any && !first) {
-    if (report.repartitioned)
-      for (std::size_t k = 0; k < drift.count(); ++k) old_part[drift.slot[k]] = drift.part[k];
-    mine = report.repartitioned ? changes_since(scene, old_part) : changes_of_drift(scene, drift);
-  }
-  old_part.release();
-  if (report.repartitioned) staged.scan.drift = {};  // its memory is wanted
+  if (changes != nullptr && any && !first) mine = changes_of_step(scene, drift, moves);
   const double migrating = context.clock.seconds();
   std::uint64_t changed_rank = 0;
-  if (report.repartitioned)
-    changed_rank = first || report.drifted > 0 || report.moved > 0 ? migrate(context.comm, scene, first) : 0;
-  else if (staged.sums.migrating > 0 || context.no_skip.exchange)
+  if (first) {
+    changed_rank = migrate(context.comm, scene, true);
+  } else if (report.moved > 0) {
+    std::vector<std::uint64_t> touched;
+    for_each_touched(drift, moves, [&touched](std::uint64_t slot, std::int32_t) { touched.push_back(slot); });
+    staged.scan.drift = {};  // its memory is wanted
+    moves = {};
+    changed_rank = migrate_touched(context.comm, scene, touched);
+  } else if (staged.sums.migrating > 0 || context.no_skip.exchange) {
     changed_rank = migrate_drifted(context.comm, scene, drift, staged.sums);
+  }
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
   report.migrated = first ? 0 : changed_rank;
   if (report.repartitioned) account_repartition(context, scene, report, first);

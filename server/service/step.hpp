@@ -17,8 +17,15 @@ struct PartChanges {
 // the positions before it in `staged`, whose memory may be used again.
 StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
 
-// Puts a partition in force: cuts, parts, loads, epoch, statistics of the search. The caller migrates. Local.
-void adopt(Scene& scene, partition::PartitionResult found, partition::LoadSummary loads);
+struct NewCuts {
+  partition::CutTree tree;
+  std::uint64_t rounds = 0;
+  std::uint64_t reductions = 0;
+};
+
+// Puts new cuts in force: tree, loads, epoch, statistics of the search. The caller has set scene.part, and migrates.
+// Local.
+void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads);
 
 // Local particles that differ in two assignments.
 std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b);

@@ -3,7 +3,7 @@ import judge
 from support import *
 
 STEP_REPORT = {"scene", "step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason",
-               "axes_flipped", "drifted", "moved", "migrated", "inserted", "removed", "scanned", "rounds", "reductions",
+               "axes_flipped", "drifted", "moved", "migrated", "inserted", "removed", "scanned", "searched", "rounds", "reductions",
                "skipped", "bytes", "seconds"}
 PARTITION = {"n", "dims", "parts", "ranks", "method", "error", "imbalance", "counts", "targets", "hash", "rounds",
              "reductions", "moved", "migrated", "seconds"}

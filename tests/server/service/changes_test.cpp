@@ -264,7 +264,8 @@ class Walk {
 };
 
 Json comparable(Json report) {
-  for (const char* name : {"seconds", "migrated", "skipped", "scene", "bytes"}) report.erase(name);
+  for (const char* name : {"seconds", "migrated", "skipped", "scene", "bytes", "searched", "rounds", "reductions"})
+    report.erase(name);
   return report;
 }
 

@@ -18,7 +18,7 @@ const SteadyClock kClock;
 
 // A report without what tells of the work alone.
 Json outcome(Json report) {
-  for (const char* name : {"seconds", "skipped", "rounds", "reductions"}) report.erase(name);
+  for (const char* name : {"seconds", "skipped", "searched", "rounds", "reductions"}) report.erase(name);
   return report;
 }
 
@@ -35,6 +35,7 @@ TEST(NoSkip, IsParsed) {
   ASSERT_TRUE(both.ok());
   EXPECT_TRUE(both->exchange && both->search);
   EXPECT_FALSE(NoSkip::parse("exchange")->search);
+  EXPECT_TRUE(NoSkip::parse("warm")->warm);
   for (const char* names : {"everything", ",", "search,exchange,x", "Search", " search"})
     EXPECT_FALSE(NoSkip::parse(names).ok()) << names;
   EXPECT_NE(NoSkip::parse("x").status().hint().find("exchange, search"), std::string::npos);
