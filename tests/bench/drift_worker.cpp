@@ -175,7 +175,7 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
 
 int run_drift_worker(int argc, char** argv) {
   keep_freed_memory();
-  return run_as_rank(argc, argv, "rcb_bench", run_cells);
+  return run_as_rank(argc, argv, "rcb_bench", with_plan(run_cells));
 }
 
 }  // namespace rcb::bench
