@@ -14,9 +14,9 @@ namespace {
 
 constexpr double kInfinity = geometry::Box::kInfinity;
 // Sampled particles of all ranks together: some of each part.
-constexpr std::uint64_t kSampleOfPart = 256;
+constexpr std::uint64_t kSampleOfPart = 128;
 constexpr std::uint64_t kSampleMin = 4096;
-constexpr std::uint64_t kSampleMax = 16384;
+constexpr std::uint64_t kSampleMax = 8192;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 

@@ -58,7 +58,7 @@ PartitionResult TreeBuilder::build() {
   lay_out_roots();
   Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
   std::vector<Question> asked;
-  while (!level_.empty()) {
+  while (!level_.empty() && !abandoned()) {
     order_axes();
     asked.clear();
     for (const Node& node : level_) asked.push_back(question(node));
@@ -67,6 +67,7 @@ PartitionResult TreeBuilder::build() {
     level_.swap(next_);
     spans_.swap(next_spans_);
   }
+  if (abandoned()) return {};
   // Parts of no root have no records.
   for (std::size_t c = 0; c < starts_.size(); ++c)
     for (std::size_t p = c * at(options_.parts) + 1; p < (c + 1) * at(options_.parts); ++p)
@@ -172,6 +173,11 @@ Question TreeBuilder::question(const Node& node) const {
 void TreeBuilder::add_settled(const NodeRange& range, Question& ask) const {
   ask.below = settled_->count(range.first, range.middle());
   const std::uint64_t beyond = settled_->count(range.middle(), range.last);
+  // Where the axis flipped hardly any particle stays: not worth a search.
+  if (ask.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && ask.below + beyond > 0) {
+    ask.failed = true;
+    return;
+  }
   if (!scale_) {
     const std::uint64_t most = ask.below + ask.count;
     ask.failed = ask.rank < ask.below || ask.rank > most || (ask.rank == most && beyond > 0);
@@ -202,6 +208,7 @@ bool TreeBuilder::stands(const NodeRange& range, const Question& answer) const {
 void TreeBuilder::give_up(std::size_t node) {
   const NodeRange& range = level_[node].range;
   failed_.push_back(range);
+  failed_count_ += (scale_ ? 0 : level_[node].count) + settled_->count(range.first, range.last);
   const std::size_t chunks = starts_.size();
   for (std::size_t c = 0; c < chunks; ++c)
     for (int p = range.first; p < range.last; ++p)

@@ -32,6 +32,7 @@ struct Start {
   const SplitRule* rule = nullptr;   // decided with all particles; null: only where the one root is the tree's
   std::optional<ExactScale> scale;   // of the weights, if they count
   const Settled* settled = nullptr;  // beside the particles; null: none
+  std::uint64_t failed_max = 0;      // with more particles in nodes that fail, the build ends at once
 };
 
 class TreeBuilder {
@@ -48,6 +49,8 @@ class TreeBuilder {
   // Nodes that can't be cut without their settled particles: the cuts in them are unspecified, and their particles are
   // said to be in their first part.
   const std::vector<NodeRange>& failed() const { return failed_; }
+  // The build ended for too many of them: nothing of its result counts.
+  bool abandoned() const { return start_ != nullptr && failed_count_ > start_->failed_max; }
   const SplitRule& rule() const { return rule_; }
 
  private:
@@ -114,6 +117,7 @@ class TreeBuilder {
   std::vector<Record*> starts_;    // of chunks
   std::vector<std::size_t> ends_;  // [chunk * parts + part]
   std::vector<NodeRange> failed_;
+  std::uint64_t failed_count_ = 0;  // particles in them
 };
 
 }  // namespace rcb::partition

@@ -19,7 +19,8 @@ struct SearchLimits {
   std::uint64_t gather_max = 512;                     // candidates of a node that are gathered at once, >= 1
   std::uint64_t bins_max = 2048;                      // of a histogram, a power of two >= 2
   // Of a repartition: a bracket reaches this many standard deviations of a sampled count, and this many sampled
-  // particles more, to either side; with more than 1 / few_share of all particles in brackets, all are searched.
+  // particles more, to either side; with more than 1 / few_share of all particles in brackets, or in nodes where they
+  // don't suffice, all are searched.
   double bracket_sigmas = 3;
   double bracket_margin = 2;
   std::uint64_t few_share = 3;

@@ -37,7 +37,11 @@ class Repartitioning {
 
   Repartition run(bool warm) {
     if (options_.parts > 1) {
-      if (!warm || options_.cut_tolerance > 0 || !search_few()) failed_ = roots_;
+      const bool tried = warm && options_.cut_tolerance == 0;
+      if (!tried || !search_few()) {
+        failed_ = roots_;
+        result_.in_vain = tried;
+      }
       if (!failed_.empty()) search_all();
       sort_delta();
     }
@@ -71,7 +75,7 @@ class Repartitioning {
   // Particles of this rank, copied, root after root.
   struct Copied {
     particles::ParticleSet particles;
-    std::vector<std::uint64_t> slot;
+    Buffer<std::uint64_t> slot;
     std::vector<std::size_t> ends;  // [roots]
   };
 
@@ -105,6 +109,22 @@ class Repartitioning {
     return out;
   }
 
+  // The few of the whole tree, whose positions are copied already.
+  Copied copy_all(OwnSettled own) const {
+    Copied out;
+    out.ends.assign(1, own.few.size());
+    out.particles.dims = particles_.dims;
+    out.particles.position = std::move(own.position);
+    out.particles.has_weights = particles_.weight != nullptr;
+    out.particles.id.resize(own.few.size());
+    for (std::size_t k = 0; k < own.few.size(); ++k) out.particles.id[k] = particles_.id[own.few[k]];
+    if (out.particles.has_weights) out.particles.weight.resize(own.few.size());
+    for (std::size_t k = 0; k < out.particles.weight.size(); ++k)
+      out.particles.weight[k] = particles_.weight[own.few[k]];
+    out.slot = std::move(own.few);
+    return out;
+  }
+
   // Whether few particles sufficed to search anything; failed_ then has what they left open. Collective.
   bool search_few() {
     std::vector<double> loads(standing_.loads.loads.begin(), standing_.loads.loads.end());
@@ -115,15 +135,17 @@ class Repartitioning {
     Settled settled;
     if (!gather(own, settled)) return false;
     std::vector<std::int32_t> parts;
-    for (const std::uint64_t slot : own.few) parts.push_back(standing_.part[slot]);
-    const Copied few = copy(roots_, own.few.span(), parts);
-    const Start start{roots_, few.ends, &standing_.tree, whole_ ? nullptr : &rule_, scale_, &settled};
+    for (std::size_t k = 0; k < own.few.size() && !whole_; ++k) parts.push_back(standing_.part[own.few[k]]);
+    const Copied few = whole_ ? copy_all(std::move(own)) : copy(roots_, own.few.span(), parts);
+    const Start start{
+        roots_, few.ends, &standing_.tree, whole_ ? nullptr : &rule_, scale_, &settled, n_ / options_.limits.few_share};
     TreeBuilder builder(comm_, few.particles.view(), options_, start);
     PartitionResult found = builder.build();
+    if (builder.abandoned()) return false;
     failed_ = builder.failed();
     std::ranges::sort(failed_, {}, &NodeRange::first);
     rule_ = builder.rule();
-    take(found, few.slot, roots_);
+    take(std::move(found), few.slot.span(), roots_);
     return true;
   }
 
@@ -216,8 +238,8 @@ class Repartitioning {
     }
     result_.delta = std::move(kept);
     const Copied some = copy(failed_, slots, parts);
-    const Start start{failed_, some.ends, &result_.tree, &rule_, scale_, nullptr};
-    take(TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot, failed_);
+    const Start start{failed_, some.ends, &result_.tree, &rule_, scale_, nullptr, 0};
+    take(TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot.span(), failed_);
     for (const NodeRange& root : failed_)
       result_.looked_at += std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
   }

@@ -41,6 +41,7 @@ struct Repartition {
   std::uint64_t reductions = 0;
   std::uint64_t looked_at = 0;  // particles that a search looked at, all ranks
   bool warm = false;            // no search looked at all of them
+  bool in_vain = false;         // few were looked at, and then all: warm would better not have been tried
 };
 
 struct RepartitionOptions {

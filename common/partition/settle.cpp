@@ -4,7 +4,7 @@
 
 #include <algorithm>
 #include <array>
-#include <cstring>
+#include <bit>
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
@@ -13,7 +13,6 @@ namespace rcb::partition {
 namespace {
 
 constexpr std::size_t kBlock = 64;
-constexpr std::uint64_t kAllInside = 0x0101010101010101U;
 constexpr std::size_t kLanes = 4;
 
 // One cache line; the lanes of no axis hold anything.
@@ -25,8 +24,8 @@ struct alignas(64) Bounds {
 class Pass {
  public:
   Pass(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-       std::span<const geometry::Box> inner, OwnParts own, Buffer<std::uint64_t>& few)
-      : particles_(particles), part_(part), inner_(inner), first_(own.first), few_(few) {
+       std::span<const geometry::Box> inner, OwnParts own, OwnSettled& out)
+      : particles_(particles), part_(part), inner_(inner), first_(own.first), out_(out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
     none.hi.fill(geometry::Box::kInfinity);
@@ -39,7 +38,8 @@ class Pass {
   void seed() {
     const std::size_t stride = std::max<std::size_t>(particles_.count / 4096, 1);
     for (std::size_t i = 0; i < particles_.count; i += stride) look(i);
-    few_.clear();
+    out_.few.clear();
+    for (auto& x : out_.position) x.clear();
   }
 
   void run() {
@@ -59,10 +59,10 @@ class Pass {
  private:
   std::size_t axes() const { return static_cast<std::size_t>(particles_.dims); }
   // Of its bounds; all parts of other ranks share one, which holds nobody.
-  std::size_t index(std::size_t i) const {
-    const auto p = static_cast<std::uint32_t>(part_[i] - first_);
-    return std::min<std::size_t>(p, inner_.size());
+  std::size_t index_of(std::int32_t part) const {
+    return std::min<std::size_t>(static_cast<std::uint32_t>(part - first_), inner_.size());
   }
+  std::size_t index(std::size_t i) const { return index_of(part_[i]); }
 
   // One that the bounds so far don't hold.
   void look(std::size_t i) {
@@ -71,7 +71,8 @@ class Pass {
     for (std::size_t a = 0; a < axes() && inside; ++a)
       inside = particles_.position[a][i] > inner_[p].lo[a] && particles_.position[a][i] < inner_[p].hi[a];
     if (!inside) {
-      few_.push_back(i);
+      out_.few.push_back(i);
+      for (std::size_t a = 0; a < axes(); ++a) out_.position[a].push_back(particles_.position[a][i]);
       return;
     }
     for (std::size_t a = 0; a < axes(); ++a) {
@@ -80,65 +81,54 @@ class Pass {
     }
   }
 
+  using Axes = std::array<const double*, geometry::kDimsMax>;
+
   template <bool kAvx2>
   void run_blocks() {
     // Axes that there aren't stand for the first one; their lanes hold anything.
-    std::array<const double*, geometry::kDimsMax> x = particles_.position;
+    Axes x = particles_.position;
     for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
-    std::array<std::uint32_t, kBlock> which;
-    std::array<std::uint8_t, kBlock> inside;
-    inside.fill(1);  // those behind the last particle aren't looked at
     for (std::size_t begin = 0; begin < particles_.count; begin += kBlock) {
       const std::size_t count = std::min(kBlock, particles_.count - begin);
-      std::fill(inside.begin() + static_cast<std::ptrdiff_t>(count), inside.end(), std::uint8_t{1});
-      std::uint32_t other = 0;
-      for (std::size_t i = 0; i < count; ++i) {
-        which[i] = static_cast<std::uint32_t>(index(begin + i));
-        other |= which[i] ^ which[0];
-      }
-      const std::array<const double*, geometry::kDimsMax> at{x[0] + begin, x[1] + begin, x[2] + begin};
-      if (other == 0)
-        same_bounds<kAvx2>(at, bounds_[which[0]], count, inside.data());
-      else
-        own_bounds<kAvx2>(at, bounds_.data(), which.data(), count, inside.data());
-      for (std::size_t k = 0; k < kBlock; k += sizeof(std::uint64_t)) {
-        std::uint64_t eight = 0;
-        std::memcpy(&eight, &inside[k], sizeof eight);
-        if (eight == kAllInside) continue;
-        for (std::size_t i = k; i < k + sizeof eight; ++i)
-          if (inside[i] == 0) look(begin + i);
-      }
+      const std::int32_t* const part = part_.data() + begin;
+      std::int32_t other = 0;
+      for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
+      const Axes at{x[0] + begin, x[1] + begin, x[2] + begin};
+      std::uint64_t beyond =
+          other == 0 ? beyond_same<kAvx2>(at, bounds_[index(begin)], count) : beyond_own<kAvx2>(at, part, count);
+      for (; beyond != 0; beyond &= beyond - 1) look(begin + static_cast<std::size_t>(std::countr_zero(beyond)));
     }
   }
 
-  using Axes = std::array<const double*, geometry::kDimsMax>;
-
-  // inside[i]: 1 where particle i lies within the bounds, else 0.
+  // The particles of a block, a bit each, that don't lie within these bounds; within their part's.
   template <bool kAvx2>
-  static void same_bounds(const Axes& x, const Bounds& box, std::size_t count, std::uint8_t* inside) {
+  std::uint64_t beyond_same(const Axes& x, const Bounds& box, std::size_t count) const {
 #if defined(__x86_64__)
-    if constexpr (kAvx2) return same_bounds_avx2(x, box, count, inside);
+    if constexpr (kAvx2) return beyond_same_avx2(x, box, count);
 #endif
-    for (std::size_t i = 0; i < count; ++i) inside[i] = holds(x, box, i);
+    std::uint64_t beyond = 0;
+    for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box, i) << i;
+    return beyond;
   }
   template <bool kAvx2>
-  static void own_bounds(const Axes& x, const Bounds* bounds, const std::uint32_t* which, std::size_t count,
-                         std::uint8_t* inside) {
+  std::uint64_t beyond_own(const Axes& x, const std::int32_t* part, std::size_t count) const {
 #if defined(__x86_64__)
-    if constexpr (kAvx2) return own_bounds_avx2(x, bounds, which, count, inside);
+    if constexpr (kAvx2) return beyond_own_avx2(x, part, count);
 #endif
-    for (std::size_t i = 0; i < count; ++i) inside[i] = holds(x, bounds[which[i]], i);
+    std::uint64_t beyond = 0;
+    for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, bounds_[index_of(part[i])], i) << i;
+    return beyond;
   }
-  static std::uint8_t holds(const Axes& x, const Bounds& box, std::size_t i) {
+  static std::uint64_t is_beyond(const Axes& x, const Bounds& box, std::size_t i) {
     bool in = true;
     for (std::size_t a = 0; a < x.size(); ++a) in &= (x[a][i] >= box.lo[a]) & (x[a][i] <= box.hi[a]);
-    return static_cast<std::uint8_t>(in);
+    return in ? 0U : 1U;
   }
 
 #if defined(__x86_64__)
   // Four particles at a time, an axis after the other.
-  [[gnu::target("avx2")]] static void same_bounds_avx2(const Axes& x, const Bounds& box, std::size_t count,
-                                                       std::uint8_t* inside) {
+  [[gnu::target("avx2")]] static std::uint64_t beyond_same_avx2(const Axes& x, const Bounds& box, std::size_t count) {
+    std::uint64_t beyond = 0;
     std::size_t i = 0;
     for (; i + kLanes <= count; i += kLanes) {
       __m256d in = _mm256_castsi256_pd(_mm256_set1_epi64x(-1));
@@ -147,22 +137,25 @@ class Pass {
         in = _mm256_and_pd(in, _mm256_cmp_pd(value, _mm256_set1_pd(box.lo[a]), _CMP_GE_OQ));
         in = _mm256_and_pd(in, _mm256_cmp_pd(value, _mm256_set1_pd(box.hi[a]), _CMP_LE_OQ));
       }
-      const int mask = _mm256_movemask_pd(in);
-      for (std::size_t k = 0; k < kLanes; ++k)
-        inside[i + k] = static_cast<std::uint8_t>((static_cast<unsigned>(mask) >> k) & 1U);
+      beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in) ^ 0xF) << i;
     }
-    for (; i < count; ++i) inside[i] = holds(x, box, i);
+    for (; i < count; ++i) beyond |= is_beyond(x, box, i) << i;
+    return beyond;
   }
   // One particle at a time, all axes together.
-  [[gnu::target("avx2")]] static void own_bounds_avx2(const Axes& x, const Bounds* bounds, const std::uint32_t* which,
-                                                      std::size_t count, std::uint8_t* inside) {
+  [[gnu::target("avx2")]] std::uint64_t beyond_own_avx2(const Axes& x, const std::int32_t* part,
+                                                        std::size_t count) const {
+    const Bounds* const bounds = bounds_.data();
+    const auto last = static_cast<std::uint32_t>(inner_.size());
+    std::uint64_t beyond = 0;
     for (std::size_t i = 0; i < count; ++i) {
+      const Bounds& box = bounds[std::min(static_cast<std::uint32_t>(part[i] - first_), last)];
       const __m256d value = _mm256_set_pd(0, x[2][i], x[1][i], x[0][i]);
-      const Bounds& box = bounds[which[i]];
       const __m256d in = _mm256_and_pd(_mm256_cmp_pd(value, _mm256_load_pd(box.lo.data()), _CMP_GE_OQ),
                                        _mm256_cmp_pd(value, _mm256_load_pd(box.hi.data()), _CMP_LE_OQ));
-      inside[i] = static_cast<std::uint8_t>(_mm256_movemask_pd(in) == 0xF);
+      beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in) != 0xF) << i;
     }
+    return beyond;
   }
 #endif
 
@@ -170,7 +163,7 @@ class Pass {
   std::span<const std::int32_t> part_;
   std::span<const geometry::Box> inner_;
   std::int32_t first_;
-  Buffer<std::uint64_t>& few_;
+  OwnSettled& out_;
   std::vector<Bounds> bounds_;  // [own parts + 1]: of those who stay so far
 };
 
@@ -179,8 +172,10 @@ class Pass {
 OwnSettled settle(const particles::ParticleView& particles, std::span<const std::int32_t> part,
                   std::span<const geometry::Box> inner, OwnParts own) {
   OwnSettled out;
-  out.few.reserve(particles.count / 8);
-  Pass pass(particles, part, inner, own, out.few);
+  out.few.reserve(particles.count / 16);
+  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
+    out.position[a].reserve(particles.count / 16);
+  Pass pass(particles, part, inner, own, out);
   pass.seed();
   pass.run();
   for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));

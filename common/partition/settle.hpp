@@ -1,6 +1,7 @@
 // The one pass of a repartition: which particles are expected to stay in their part, and which few are to be looked at.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -11,8 +12,9 @@
 namespace rcb::partition {
 
 struct OwnSettled {
-  Buffer<std::uint64_t> few;         // the others' slots, ascending
-  std::vector<geometry::Box> boxes;  // [own parts]: of those who stay, exact; empty: nobody does
+  Buffer<std::uint64_t> few;                                // the others' slots, ascending
+  std::array<Buffer<double>, geometry::kDimsMax> position;  // and positions
+  std::vector<geometry::Box> boxes;                         // [own parts]: of those who stay, exact; empty: nobody does
 };
 
 // inner: of this rank's own parts; a particle strictly inside its part's stays. Those of other parts are among the few.
