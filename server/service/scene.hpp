@@ -88,7 +88,10 @@ struct Scene {
   partition::LoadSummary loads;                  // after the last order that changed them
   std::optional<double> error_when_not_adopted;  // error_before of the last attempt that was not adopted
   CostAccount costs;                             // kept where the policy is cost
-  std::uint64_t search_rounds = 0;               // of the partition in force
+  // Repartitions that still search all particles, and how many the last failure to do with few is worth.
+  int cold_left = 0;
+  int cold_last = 0;
+  std::uint64_t search_rounds = 0;  // of the partition in force
   std::uint64_t search_reductions = 0;
 
   std::uint64_t plan_version = 0;

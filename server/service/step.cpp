@@ -106,13 +106,15 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   report.seconds.search = context.clock.seconds() - start;
 }
 
+constexpr int kColdMax = 7;
+
 // The new cuts, and what they would move. Collective.
-partition::Repartition search(Context& context, const Scene& scene, Staged& staged, StepReport& report) {
+partition::Repartition search(Context& context, Scene& scene, Staged& staged, StepReport& report) {
   partition::RepartitionOptions options;
   options.partition = options_of(scene);
   options.partition.axis_hysteresis = scene.options.axis_hysteresis;
   options.partition.previous = &scene.tree;
-  options.warm = !context.no_skip.warm;
+  options.warm = !context.no_skip.warm && scene.cold_left == 0;
   options.before_search_of_all = [&staged] {
     for (auto& axis : staged.arrays.position) axis.release();  // such a search needs as much memory
   };
@@ -124,6 +126,11 @@ partition::Repartition search(Context& context, const Scene& scene, Staged& stag
   const partition::OwnParts own{part_begin(context.comm.rank()), part_begin(context.comm.rank() + 1)};
   partition::Repartition found = partition::repartition(context.comm, scene.particles.view(), options,
                                                         {scene.tree, scene.part.span(), scene.loads, own});
+  // What was in vain is tried again later, and ever more seldom.
+  if (options.warm)
+    scene.cold_left = scene.cold_last = found.in_vain ? std::min(2 * scene.cold_last + 1, kColdMax) : 0;
+  else if (scene.cold_left > 0)
+    --scene.cold_left;
   report.searched = found.looked_at;
   report.rounds = found.rounds;
   report.reductions = found.reductions;

@@ -159,6 +159,7 @@ Json row_of(const Case& what, const Side& side, bool on, const Player& player, s
           {"empty_parts", 0},
           {"bytes", report.bytes},
           {"scanned", report.scanned},
+          {"searched", report.searched},
           {"rounds", report.rounds},
           {"reductions", report.reductions},
           {"skipped", report.skipped},
@@ -247,12 +248,13 @@ std::string tables(const Json& rows) {
     if (k == 0 || title(on) != title(rows[k - 2])) {
       if (!lines.empty()) text += table(lines, 4);
       text += "\n" + title(on) + "\n";
-      lines = {
-          {"lacking", "work", "on", "off", "n", "on ms", "off ms", "off/on", "bytes", "scanned", "rounds", "answers"}};
+      lines = {{"lacking", "work", "on", "off", "n", "on ms", "off ms", "off/on", "bytes", "scanned", "searched",
+                "rounds", "answers"}};
     }
     lines.push_back({on["scene"], on["work"], on["variant"], off["variant"], on["n"].dump(), milliseconds(on),
                      milliseconds(off), fmt::format("{:.2f}", on["off_over_on"].get<double>()), both(on, off, "bytes"),
-                     both(on, off, "scanned"), both(on, off, "rounds"), on["same_answers"].is_null() ? "-" : "same"});
+                     both(on, off, "scanned"), both(on, off, "searched"), both(on, off, "rounds"),
+                     on["same_answers"].is_null() ? "-" : "same"});
   }
   if (!lines.empty()) text += table(lines, 4);
   return text;

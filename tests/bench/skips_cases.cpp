@@ -45,6 +45,7 @@ const std::vector<Case>& all_cases() {
        -1,
        100},
       {"search", kStep, {.words = "below tolerance"}, {.words = "searched", .no_skip = "search"}, true, true, 0.1},
+      {"far from cuts", kStep, {.words = "few searched"}, {.words = "all searched", .no_skip = "warm"}, true, true, 0},
       {"ties",
        kFirst,
        {.words = "shaken lattice", .points = "lattice", .jitter = true},
