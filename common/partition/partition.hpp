@@ -24,7 +24,6 @@ struct SearchLimits {
   double bracket_sigmas = 3;
   double bracket_margin = 2;
   std::uint64_t few_share = 3;
-  std::uint64_t warm_min = 100'000;  // of fewer particles all are searched at once
 };
 
 struct PartitionOptions {

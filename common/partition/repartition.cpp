@@ -37,7 +37,7 @@ class Repartitioning {
 
   Repartition run(bool warm) {
     if (options_.parts > 1) {
-      const bool tried = warm && options_.cut_tolerance == 0 && n_ >= options_.limits.warm_min;
+      const bool tried = warm && options_.cut_tolerance == 0;
       if (!tried || !search_few()) {
         failed_ = roots_;
         result_.in_vain = tried;

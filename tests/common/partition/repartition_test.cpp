@@ -139,7 +139,6 @@ TEST(Repartition, GivesTheCutsOfASearchAmongAll) {
           trial.options.limits.bracket_sigmas = static_cast<double>(seed % 4);
           trial.options.limits.bracket_margin = static_cast<double>(seed % 3);
           trial.options.limits.few_share = 1;
-          trial.options.limits.warm_min = 0;
           warm += check(trial);
           if (HasFailure()) return;
         }
@@ -150,7 +149,6 @@ TEST(Repartition, LooksAtFewWhereLittleHasMoved) {
   Case trial{make_scene(Shape::uniform, Weights::none, 3, 40000, false, kSeed), {}, 0.01, kSeed};
   trial.options.parts = 4;
   trial.options.axis_hysteresis = 1.5;
-  trial.options.limits.warm_min = 40000;
   const CutTree before = drift(trial);
   on_ranks([&](Comm& comm) {
     OwnParts own;
@@ -185,7 +183,6 @@ TEST(Repartition, CutsSomeSubtreesAnew) {
     const NodeRange root = before.root();
     RepartitionOptions options{trial.options, {root.left().left(), root.right()}, seed % 2 == 0};
     options.partition.limits.few_share = 1;
-    options.partition.limits.warm_min = 0;
     options.partition.limits.bracket_sigmas = 1;
     on_ranks([&](Comm& comm) {
       OwnParts own;
