@@ -145,7 +145,8 @@ class Repartitioning {
     failed_ = builder.failed();
     std::ranges::sort(failed_, {}, &NodeRange::first);
     rule_ = builder.rule();
-    take(std::move(found), few.slot.span(), roots_);
+    take(
+        std::move(found), few.slot.size(), [&few](std::size_t k) { return few.slot[k]; }, roots_);
     return true;
   }
 
@@ -211,10 +212,9 @@ class Repartitioning {
     if (whole_ && failed_[0].parts() == options_.parts) {
       result_.looked_at = n_;
       result_.delta = {};
-      PartitionResult found = TreeBuilder(comm_, particles_, options_, particles_.dims).build();
-      std::vector<std::uint64_t> all(particles_.count);
-      std::iota(all.begin(), all.end(), std::uint64_t{0});
-      take(found, all, roots_);
+      take(
+          TreeBuilder(comm_, particles_, options_, particles_.dims).build(), particles_.count,
+          [](std::size_t k) { return k; }, roots_);
       return;
     }
     // Where the few went for now; all others are where they were.
@@ -239,16 +239,25 @@ class Repartitioning {
     result_.delta = std::move(kept);
     const Copied some = copy(failed_, slots, parts);
     const Start start{failed_, some.ends, &result_.tree, &rule_, scale_, nullptr, 0};
-    take(TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot.span(), failed_);
+    take(
+        TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot.size(),
+        [&some](std::size_t k) { return some.slot[k]; }, failed_);
     for (const NodeRange& root : failed_)
       result_.looked_at += std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
   }
 
-  // What a search among the particles of these slots found.
-  void take(PartitionResult found, std::span<const std::uint64_t> slots, std::span<const NodeRange> roots) {
-    for (std::size_t k = 0; k < slots.size(); ++k) {
-      if (found.part[k] == standing_.part[slots[k]]) continue;
-      result_.delta.slot.push_back(slots[k]);
+  // What a search found, among `count` particles of these slots.
+  template <typename SlotOf>
+  void take(PartitionResult found, std::size_t count, const SlotOf& slot_of, std::span<const NodeRange> roots) {
+    // Counted first: lists that grow would take twice their memory.
+    std::size_t changed = result_.delta.slot.size();
+    for (std::size_t k = 0; k < count; ++k) changed += found.part[k] == standing_.part[slot_of(k)] ? 0U : 1U;
+    result_.delta.slot.reserve(changed);
+    result_.delta.part.reserve(changed);
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::uint64_t slot = slot_of(k);
+      if (found.part[k] == standing_.part[slot]) continue;
+      result_.delta.slot.push_back(slot);
       result_.delta.part.push_back(found.part[k]);
     }
     if (!scale_)

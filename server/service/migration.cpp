@@ -47,10 +47,10 @@ std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first) {
   return migrate_leavers(comm, scene, find_leavers(comm, scene), first);
 }
 
-std::uint64_t migrate_touched(partition::Comm& comm, Scene& scene, std::span<const std::uint64_t> touched) {
+std::uint64_t migrate_touched(partition::Comm& comm, Scene& scene, std::vector<std::uint64_t> touched) {
   Leavers leavers;
-  for (const std::uint64_t slot : touched)
-    if (!is_own(comm, scene, scene.part[slot])) leavers.slots.push_back(slot);
+  leavers.slots = std::move(touched);
+  std::erase_if(leavers.slots, [&](std::uint64_t slot) { return is_own(comm, scene, scene.part[slot]); });
   count_by_rank(comm, scene, leavers);
   return migrate_leavers(comm, scene, std::move(leavers), false);
 }

@@ -2,7 +2,7 @@
 #pragma once
 
 #include <cstdint>
-#include <span>
+#include <vector>
 
 #include "server/service/changes.hpp"
 #include "server/service/context.hpp"
@@ -18,7 +18,7 @@ std::uint64_t migrate(partition::Comm& comm, Scene& scene, bool first);
 
 // The same after a step with new cuts; touched: at least the slots of all whose part isn't that before the step,
 // ascending. Cost in proportion to them. Collective.
-std::uint64_t migrate_touched(partition::Comm& comm, Scene& scene, std::span<const std::uint64_t> touched);
+std::uint64_t migrate_touched(partition::Comm& comm, Scene& scene, std::vector<std::uint64_t> touched);
 
 // The same after a step without new cuts: only particles that drifted are looked at. Where sums.migrating
 // is 0 nothing changes. Collective.

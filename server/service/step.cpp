@@ -52,6 +52,8 @@ void for_each_touched(const Drift& drift, const Moves& moves, const Visit& visit
 // Of those whose part isn't that before the step; before they migrate.
 PartChanges changes_of_step(const Scene& scene, const Drift& drift, const Moves& moves) {
   PartChanges changes;
+  changes.id.reserve(drift.count() + moves.slot.size());
+  changes.part.reserve(drift.count() + moves.slot.size());
   for_each_touched(drift, moves, [&](std::uint64_t slot, std::int32_t old_part) {
     if (scene.part[slot] == old_part) return;
     changes.id.push_back(scene.particles.id[slot]);
@@ -317,10 +319,11 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
     changed_rank = migrate(context.comm, scene, true);
   } else if (report.moved > 0) {
     std::vector<std::uint64_t> touched;
+    touched.reserve(drift.count() + moves.slot.size());
     for_each_touched(drift, moves, [&touched](std::uint64_t slot, std::int32_t) { touched.push_back(slot); });
     staged.scan.drift = {};  // its memory is wanted
     moves = {};
-    changed_rank = migrate_touched(context.comm, scene, touched);
+    changed_rank = migrate_touched(context.comm, scene, std::move(touched));
   } else if (staged.sums.migrating > 0 || context.no_skip.exchange) {
     changed_rank = migrate_drifted(context.comm, scene, drift, staged.sums);
   }
