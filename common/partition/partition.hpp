@@ -23,7 +23,7 @@ struct SearchLimits {
   // don't suffice, all are searched.
   double bracket_sigmas = 3;
   double bracket_margin = 2;
-  std::uint64_t few_share = 3;
+  std::uint64_t few_share = 5;
 };
 
 struct PartitionOptions {

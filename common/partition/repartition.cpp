@@ -130,7 +130,10 @@ class Repartitioning {
     std::vector<double> loads(standing_.loads.loads.begin(), standing_.loads.loads.end());
     const auto inner = inner_regions(comm_, particles_, standing_.part, standing_.tree, n_, loads, roots_,
                                      standing_.own, options_.limits);
-    OwnSettled own = settle(particles_, standing_.part, inner, standing_.own);
+    // A rank may hold nothing but particles that have just left others.
+    const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
+    OwnSettled own = settle(particles_, standing_.part, inner, standing_.own,
+                            std::max<std::uint64_t>(particles_.count, mean) / options_.limits.few_share);
     result_.reductions += 2;
     Settled settled;
     if (!gather(own, settled)) return false;
@@ -152,18 +155,18 @@ class Repartitioning {
 
   // All ranks' shares. False, on every rank, where the few are too many. Collective (one gather).
   bool gather(const OwnSettled& own, Settled& settled) {
-    // How many of the own parts have settled particles; where these are; then, of parts that some of the few are of,
-    // how many and their weight.
+    // Whether this rank has too many; how many of the own parts have settled particles; where these are; then, of parts
+    // that some of the few are of, how many and their weight.
     std::vector<std::uint64_t> few(at(options_.parts), 0);
     std::vector<u128> weights(few.size(), 0);
     for (const std::uint64_t slot : own.few) {
       ++few[at(standing_.part[slot])];
       if (scale_) weights[at(standing_.part[slot])] += (*scale_)(particles_.weight[slot]);
     }
-    std::vector<std::uint64_t> mine{0};
+    std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
     for (std::size_t p = 0; p < own.boxes.size(); ++p) {
       if (own.boxes[p].empty(particles_.dims)) continue;
-      ++mine[0];
+      ++mine[1];
       mine.push_back(at(standing_.own.first) + p);
       for (const double x : own.boxes[p].lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
       for (const double x : own.boxes[p].hi) mine.push_back(std::bit_cast<std::uint64_t>(x));
@@ -182,9 +185,11 @@ class Repartitioning {
     std::vector<std::uint64_t> counts = standing_.loads.counts;
     std::vector<u128> stay = scale_ ? standing_.loads.loads : std::vector<u128>(counts.size(), 0);
     settled.boxes.assign(at(options_.parts), geometry::Box{});
+    bool too_many = false;
     const std::uint64_t* word = words.data();
     for (const std::size_t size : sizes) {
       const std::uint64_t* const end = word + size / sizeof(std::uint64_t);
+      too_many |= *word++ != 0;
       std::uint64_t boxes = *word++;
       for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax)
         for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
@@ -197,7 +202,7 @@ class Repartitioning {
         result_.looked_at += word[1];
       }
     }
-    if (result_.looked_at > n_ / options_.limits.few_share) return false;
+    if (too_many || result_.looked_at > n_ / options_.limits.few_share) return false;
     settled.counts_upto.assign(1, 0);
     for (const std::uint64_t count : counts) settled.counts_upto.push_back(settled.counts_upto.back() + count);
     if (scale_) settled.weights_upto.assign(1, 0);

@@ -24,8 +24,8 @@ struct alignas(64) Bounds {
 class Pass {
  public:
   Pass(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-       std::span<const geometry::Box> inner, OwnParts own, OwnSettled& out)
-      : particles_(particles), part_(part), inner_(inner), first_(own.first), out_(out) {
+       std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max, OwnSettled& out)
+      : particles_(particles), part_(part), inner_(inner), first_(own.first), few_max_(few_max), out_(out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
     none.hi.fill(geometry::Box::kInfinity);
@@ -88,7 +88,7 @@ class Pass {
     // Axes that there aren't stand for the first one; their lanes hold anything.
     Axes x = particles_.position;
     for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
-    for (std::size_t begin = 0; begin < particles_.count; begin += kBlock) {
+    for (std::size_t begin = 0; begin < particles_.count && out_.few.size() <= few_max_; begin += kBlock) {
       const std::size_t count = std::min(kBlock, particles_.count - begin);
       const std::int32_t* const part = part_.data() + begin;
       std::int32_t other = 0;
@@ -163,6 +163,7 @@ class Pass {
   std::span<const std::int32_t> part_;
   std::span<const geometry::Box> inner_;
   std::int32_t first_;
+  std::size_t few_max_;
   OwnSettled& out_;
   std::vector<Bounds> bounds_;  // [own parts + 1]: of those who stay so far
 };
@@ -170,14 +171,15 @@ class Pass {
 }  // namespace
 
 OwnSettled settle(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                  std::span<const geometry::Box> inner, OwnParts own) {
+                  std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max) {
   OwnSettled out;
   out.few.reserve(particles.count / 16);
   for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
     out.position[a].reserve(particles.count / 16);
-  Pass pass(particles, part, inner, own, out);
+  Pass pass(particles, part, inner, own, few_max, out);
   pass.seed();
   pass.run();
+  out.too_many = out.few.size() > few_max;
   for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));
   return out;
 }

@@ -12,14 +12,15 @@
 namespace rcb::partition {
 
 struct OwnSettled {
+  bool too_many = false;                                    // the pass ended at few_max; nothing below counts
   Buffer<std::uint64_t> few;                                // the others' slots, ascending
   std::array<Buffer<double>, geometry::kDimsMax> position;  // and positions
   std::vector<geometry::Box> boxes;                         // [own parts]: of those who stay, exact; empty: nobody does
 };
 
 // inner: of this rank's own parts; a particle strictly inside its part's stays. Those of other parts are among the few.
-// Local. One read of the positions.
+// Local. One read of the positions; ends once more than few_max are to be looked at, since they are copied.
 OwnSettled settle(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                  std::span<const geometry::Box> inner, OwnParts own);
+                  std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max);
 
 }  // namespace rcb::partition
