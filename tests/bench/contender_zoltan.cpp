@@ -11,28 +11,10 @@
 #include <zoltan.h>
 
 #include "tests/bench/contender.hpp"
+#include "tests/bench/zoltan_parts.hpp"
 
 namespace rcb::bench {
 namespace {
-
-struct Lists {
-  int count = 0;
-  ZOLTAN_ID_PTR global = nullptr;
-  ZOLTAN_ID_PTR local = nullptr;
-  int* rank = nullptr;
-  int* part = nullptr;
-
-  void release() {
-    Zoltan_LB_Free_Part(&global, &local, &rank, &part);
-    count = 0;
-  }
-};
-
-// What travels with a particle besides its id.
-struct Cargo {
-  std::array<double, 3> at;
-  std::int64_t part;
-};
 
 class ZoltanContender final : public Contender {
  public:
@@ -45,30 +27,14 @@ class ZoltanContender final : public Contender {
     zoltan_ = Zoltan_Create(MPI_COMM_WORLD);
     if (zoltan_ == nullptr) return {Code::internal, "Zoltan_Create failed"};
     MPI_Comm_rank(MPI_COMM_WORLD, &rank_);
-    const std::string parts = std::to_string(problem.parts);
-    const std::pair<const char*, const char*> parameters[] = {{"DEBUG_LEVEL", "0"},
-                                                              {"LB_METHOD", setting().method.c_str()},
-                                                              {"NUM_GID_ENTRIES", "1"},
-                                                              {"NUM_LID_ENTRIES", "1"},
-                                                              {"OBJ_WEIGHT_DIM", "0"},
-                                                              {"NUM_GLOBAL_PARTS", parts.c_str()},
-                                                              {"RETURN_LISTS", "ALL"},
-                                                              {"REMAP", "0"},
-                                                              {"CHECK_GEOM", "0"},
-                                                              {"IMBALANCE_TOL", "1.0"},
-                                                              {"AUTO_MIGRATE", "FALSE"},
-                                                              {"MIGRATE_ONLY_PROC_CHANGES", "1"},
-                                                              {"KEEP_CUTS", keep_cuts_ ? "1" : "0"}};
-    for (const auto& [name, value] : parameters) {
-      // HSFC knows no CHECK_GEOM; a parameter unknown to a method is ignored with a warning's code.
-      if (Zoltan_Set_Param(zoltan_, name, value) == ZOLTAN_FATAL)
-        return {Code::internal, fmt::format("Zoltan refused {}={}", name, value)};
-    }
+    if (Status status = set_zoltan(zoltan_, setting().method, problem.parts, {{"KEEP_CUTS", keep_cuts_ ? "1" : "0"}});
+        !status.ok())
+      return status;
     Zoltan_Set_Num_Obj_Fn(zoltan_, count_of, this);
     Zoltan_Set_Obj_List_Fn(zoltan_, list_of, this);
     Zoltan_Set_Num_Geom_Fn(zoltan_, dims_of, this);
     Zoltan_Set_Geom_Multi_Fn(zoltan_, positions_of, this);
-    Zoltan_Set_Obj_Size_Multi_Fn(zoltan_, sizes_of, this);
+    Zoltan_Set_Obj_Size_Multi_Fn(zoltan_, zoltan_sizes, this);
     Zoltan_Set_Pack_Obj_Multi_Fn(zoltan_, pack, this);
     Zoltan_Set_Mid_Migrate_PP_Fn(zoltan_, remove_leavers, this);
     Zoltan_Set_Unpack_Obj_Multi_Fn(zoltan_, unpack, this);
@@ -92,12 +58,12 @@ class ZoltanContender final : public Contender {
     int result = Zoltan_LB_Partition(zoltan_, &changes, &gid_entries, &lid_entries, &import_.count, &import_.global,
                                      &import_.local, &import_.rank, &import_.part, &export_.count, &export_.global,
                                      &export_.local, &export_.rank, &export_.part);
-    if (failed(result)) return {Code::internal, fmt::format("Zoltan_LB_Partition returned {}", result)};
+    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_LB_Partition returned {}", result)};
     if (!migrates()) return {};
     fill_parts();
     result = Zoltan_Migrate(zoltan_, import_.count, import_.global, import_.local, import_.rank, import_.part,
                             export_.count, export_.global, export_.local, export_.rank, export_.part);
-    if (failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
+    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
     return {};
   }
 
@@ -115,13 +81,12 @@ class ZoltanContender final : public Contender {
       geometry::Point point = problem_.particles.point(i);
       int rank = -1;
       int part = -1;
-      if (!failed(Zoltan_LB_Point_PP_Assign(zoltan_, point.data(), &rank, &part))) owners[i] = part;
+      if (!zoltan_failed(Zoltan_LB_Point_PP_Assign(zoltan_, point.data(), &rank, &part))) owners[i] = part;
     }
     return owners;
   }
 
  private:
-  static bool failed(int result) { return result != ZOLTAN_OK && result != ZOLTAN_WARN; }
   bool migrates() const { return setting().work == kPartitionMigrate; }
   std::size_t axes() const { return static_cast<std::size_t>(problem_.particles.dims); }
 
@@ -168,16 +133,12 @@ class ZoltanContender final : public Contender {
       for (int a = 0; a < dims; ++a) *out++ = held.position[static_cast<std::size_t>(a)][local[k]];
     *error = ZOLTAN_OK;
   }
-  static void sizes_of(void*, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR, int* sizes, int* error) {
-    std::fill_n(sizes, count, static_cast<int>(sizeof(Cargo)));
-    *error = ZOLTAN_OK;
-  }
   static void pack(void* data, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR local, int*, int*, int* offset,
                    char* buffer, int* error) {
     const auto& me = self(data);
     for (int k = 0; k < count; ++k) {
       const std::size_t i = local[k];
-      Cargo cargo{me.held_.point(i), me.part_[i]};
+      ZoltanCargo cargo{me.held_.point(i), me.part_[i]};
       std::memcpy(buffer + offset[k], &cargo, sizeof cargo);
     }
     *error = ZOLTAN_OK;
@@ -202,7 +163,7 @@ class ZoltanContender final : public Contender {
     const std::size_t old = me.part_.size();
     me.resize(old + static_cast<std::size_t>(count));
     for (int k = 0; k < count; ++k) {
-      Cargo cargo;
+      ZoltanCargo cargo;
       std::memcpy(&cargo, buffer + offset[k], sizeof cargo);
       const std::size_t i = old + static_cast<std::size_t>(k);
       for (std::size_t a = 0; a < me.axes(); ++a) me.at_[a][i] = cargo.at[a];
@@ -226,8 +187,8 @@ class ZoltanContender final : public Contender {
   std::array<std::vector<double>, 3> at_;
   std::vector<particles::Id> ids_;
   std::vector<std::int32_t> part_;
-  Lists import_;
-  Lists export_;
+  ZoltanLists import_;
+  ZoltanLists export_;
 };
 
 }  // namespace

@@ -9,30 +9,10 @@
 #include "common/base/clock.hpp"
 #include "common/partition/load.hpp"
 #include "tests/bench/dynamic_peers.hpp"
+#include "tests/bench/zoltan_parts.hpp"
 
 namespace rcb::bench {
 namespace {
-
-struct Lists {
-  int count = 0;
-  ZOLTAN_ID_PTR global = nullptr;
-  ZOLTAN_ID_PTR local = nullptr;
-  int* rank = nullptr;
-  int* part = nullptr;
-
-  void release() {
-    Zoltan_LB_Free_Part(&global, &local, &rank, &part);
-    count = 0;
-  }
-};
-
-// What travels with a particle besides its id.
-struct Cargo {
-  std::array<double, 3> at;
-  std::int64_t part;
-};
-
-bool failed(int result) { return result != ZOLTAN_OK && result != ZOLTAN_WARN; }
 
 // This rank's particles, and what Zoltan knows of them.
 class Field {
@@ -49,24 +29,14 @@ class Field {
   Status start(std::uint64_t n) {
     zoltan_ = Zoltan_Create(MPI_COMM_WORLD);
     if (zoltan_ == nullptr) return {Code::internal, "Zoltan_Create failed"};
-    const std::string parts = std::to_string(parts_);
-    const std::pair<const char*, const char*> parameters[] = {
-        {"DEBUG_LEVEL", "0"},      {"LB_METHOD", "RCB"},
-        {"NUM_GID_ENTRIES", "1"},  {"NUM_LID_ENTRIES", "1"},
-        {"OBJ_WEIGHT_DIM", "0"},   {"NUM_GLOBAL_PARTS", parts.c_str()},
-        {"RETURN_LISTS", "ALL"},   {"REMAP", "0"},
-        {"CHECK_GEOM", "0"},       {"IMBALANCE_TOL", "1.0"},
-        {"AUTO_MIGRATE", "FALSE"}, {"MIGRATE_ONLY_PROC_CHANGES", "1"},
-        {"KEEP_CUTS", "1"},        {"RCB_REUSE", "1"}};
-    for (const auto& [name, value] : parameters)
-      if (Zoltan_Set_Param(zoltan_, name, value) == ZOLTAN_FATAL)
-        return {Code::internal, fmt::format("Zoltan refused {}={}", name, value)};
+    if (Status status = set_zoltan(zoltan_, "RCB", parts_, {{"KEEP_CUTS", "1"}, {"RCB_REUSE", "1"}}); !status.ok())
+      return status;
     Zoltan_Set_Num_Obj_Fn(zoltan_, count_of, this);
     Zoltan_Set_Obj_List_Fn(zoltan_, list_of, this);
     Zoltan_Set_Part_Multi_Fn(zoltan_, parts_of, this);
     Zoltan_Set_Num_Geom_Fn(zoltan_, dims_of, this);
     Zoltan_Set_Geom_Multi_Fn(zoltan_, positions_of, this);
-    Zoltan_Set_Obj_Size_Multi_Fn(zoltan_, sizes_of, this);
+    Zoltan_Set_Obj_Size_Multi_Fn(zoltan_, zoltan_sizes, this);
     Zoltan_Set_Pack_Obj_Multi_Fn(zoltan_, pack, this);
     Zoltan_Set_Mid_Migrate_PP_Fn(zoltan_, remove_leavers, this);
     Zoltan_Set_Unpack_Obj_Multi_Fn(zoltan_, unpack, this);
@@ -97,7 +67,7 @@ class Field {
       std::array<double, 3> point{at_[0][i], at_[1][i], at_[2][i]};
       int owner = rank_;
       int part = part_[i];
-      if (failed(Zoltan_LB_Point_PP_Assign(zoltan_, point.data(), &owner, &part)) || part == part_[i]) continue;
+      if (zoltan_failed(Zoltan_LB_Point_PP_Assign(zoltan_, point.data(), &owner, &part)) || part == part_[i]) continue;
       ++drifted;
       part_[i] = part;
       if (owner != rank_) leavers_.push_back({static_cast<ZOLTAN_ID_TYPE>(i), owner});
@@ -118,7 +88,7 @@ class Field {
     }
     const int result = Zoltan_Migrate(zoltan_, -1, nullptr, nullptr, nullptr, nullptr, static_cast<int>(global.size()),
                                       global.data(), local.data(), to_rank.data(), to_part.data());
-    if (failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
+    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
     return {};
   }
 
@@ -130,7 +100,7 @@ class Field {
     const int result = Zoltan_LB_Partition(
         zoltan_, &changes, &gid_entries, &lid_entries, &import_.count, &import_.global, &import_.local, &import_.rank,
         &import_.part, &export_.count, &export_.global, &export_.local, &export_.rank, &export_.part);
-    if (failed(result)) return {Code::internal, fmt::format("Zoltan_LB_Partition returned {}", result)};
+    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_LB_Partition returned {}", result)};
     moved_ = 0;
     for (int k = 0; k < export_.count; ++k) {
       int& part = part_[export_.local[k]];
@@ -150,7 +120,7 @@ class Field {
   Status follow_lists() {
     const int result = Zoltan_Migrate(zoltan_, import_.count, import_.global, import_.local, import_.rank, import_.part,
                                       export_.count, export_.global, export_.local, export_.rank, export_.part);
-    if (failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
+    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
     return {};
   }
 
@@ -176,8 +146,8 @@ class Field {
     for (int p = 0; p < parts_; ++p) {
       int dims = 3;
       Box& box = boxes_[static_cast<std::size_t>(p)];
-      if (failed(Zoltan_RCB_Box(zoltan_, p, &dims, &box.lo[0], &box.lo[1], &box.lo[2], &box.hi[0], &box.hi[1],
-                                &box.hi[2])))
+      if (zoltan_failed(Zoltan_RCB_Box(zoltan_, p, &dims, &box.lo[0], &box.lo[1], &box.lo[2], &box.hi[0], &box.hi[1],
+                                       &box.hi[2])))
         box = {{1, 1, 1}, {0, 0, 0}};  // nothing is inside: all are asked
     }
   }
@@ -218,16 +188,12 @@ class Field {
       for (int a = 0; a < dims; ++a) *out++ = me.at_[static_cast<std::size_t>(a)][local[k]];
     *error = ZOLTAN_OK;
   }
-  static void sizes_of(void*, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR, int* sizes, int* error) {
-    std::fill_n(sizes, count, static_cast<int>(sizeof(Cargo)));
-    *error = ZOLTAN_OK;
-  }
   static void pack(void* data, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR local, int*, int*, int* offset,
                    char* buffer, int* error) {
     const Field& me = self(data);
     for (int k = 0; k < count; ++k) {
       const std::size_t i = local[k];
-      const Cargo cargo{{me.at_[0][i], me.at_[1][i], me.at_[2][i]}, me.part_[i]};
+      const ZoltanCargo cargo{{me.at_[0][i], me.at_[1][i], me.at_[2][i]}, me.part_[i]};
       std::memcpy(buffer + offset[k], &cargo, sizeof cargo);
     }
     *error = ZOLTAN_OK;
@@ -256,7 +222,7 @@ class Field {
     const std::size_t old = me.part_.size();
     me.resize(old + static_cast<std::size_t>(count));
     for (int k = 0; k < count; ++k) {
-      Cargo cargo;
+      ZoltanCargo cargo;
       std::memcpy(&cargo, buffer + offset[k], sizeof cargo);
       const std::size_t i = old + static_cast<std::size_t>(k);
       for (std::size_t a = 0; a < 3; ++a) me.at_[a][i] = cargo.at[a];
@@ -275,8 +241,8 @@ class Field {
   std::vector<int> part_;
   std::vector<Box> boxes_;  // of the parts; empty: new cuts since
   std::vector<Leaver> leavers_;
-  Lists import_;
-  Lists export_;
+  ZoltanLists import_;
+  ZoltanLists export_;
   std::uint64_t moved_ = 0;
 };
 

@@ -8,7 +8,8 @@ import unittest
 
 BIN = os.environ["RCBD_BIN_DIR"]
 BENCH = os.path.join(BIN, "rcb_bench")
-SKIPS = ["dimension", "weights", "ids", "motion", "exchange", "search", "far from cuts", "ties", "double precision", "questions"]
+SKIPS = ["dimension", "weights", "ids", "motion", "exchange", "search", "far from cuts", "ties",
+         "double precision", "questions"]
 N = 6000
 
 

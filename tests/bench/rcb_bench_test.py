@@ -167,5 +167,29 @@ class Refusals(unittest.TestCase):
         return found
 
 
+class Drift(unittest.TestCase):
+    def test_few_searched_and_all_searched_agree(self):
+        document, text = measure("drift", "--scenes", "plane", "--parts", "8", "--ranks", "2", "--repeats", "1")
+        row, = document["rows"]
+        ways = {way["way"]: way for way in row["ways"]}
+        self.assertEqual(len(ways), 4)
+        self.assertAlmostEqual(row["crossed"], 0.01, delta=0.002)
+        for name in ways:
+            self.assertIn(name, text)
+        for warm, cold in (("warm", "cold"), ("warm, pure rule", "cold, pure rule")):
+            self.assertEqual(ways[warm]["hash"], ways[cold]["hash"])
+            self.assertEqual(ways[warm]["moved"], ways[cold]["moved"])
+            self.assertEqual(ways[cold]["looked_at"], row["n"])
+        self.assertTrue(ways["warm"]["warm"])
+        self.assertLess(ways["warm"]["looked_at"], row["n"] / 5)
+        self.assertLessEqual(ways["warm"]["moved"], 2 * row["crossed"] * row["n"])
+
+    def test_bad_arguments(self):
+        for arguments in (["--scenes", "nope"], ["--crossed", "2"], ["--parts", "1"], ["--ranks", "0"], ["--repeats", "0"]):
+            done = bench("drift", *arguments)
+            self.assertEqual(done.returncode, 2, arguments)
+            self.assertIn(arguments[0], done.stderr)
+
+
 if __name__ == "__main__":
     unittest.main(verbosity=2)
