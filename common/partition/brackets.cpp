@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <numeric>
 
 #include "common/base/buffer.hpp"
 #include "common/base/random.hpp"
-#include "common/partition/load.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -132,13 +132,11 @@ class Walk {
     // The load before the old cut is that of the left parts, but for what the node has gained and lost, as sampled.
     double gained = 0;
     double stayed_left = 0;
-    double stayed = 0;
     for (const std::uint32_t k : own) {
       const double x = sample_.x(axis, k);
       (x < old ? left_ : right_).push_back(x);
       const std::int32_t part = sample_.part(k);
       const bool mine = part >= range.first && part < range.last;
-      stayed += mine ? 1 : 0;
       stayed_left += mine && part < range.middle() ? 1 : 0;
       gained += !mine && x < old ? 1 : 0;
     }

@@ -2,13 +2,12 @@
 
 #include <algorithm>
 #include <bit>
-#include <cstring>
 #include <numeric>
 #include <tuple>
 
 #include "common/partition/build_tree.hpp"
+#include "common/partition/gather_words.hpp"
 #include "common/partition/settle.hpp"
-#include "common/partition/wide_sum.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -25,7 +24,7 @@ class Repartitioning {
         standing_(standing),
         before_search_of_all_(options.before_search_of_all),
         roots_(options.roots),
-        whole_(roots_.empty()),
+        whole_(roots_.empty() || roots_[0].parts() == standing.tree.parts),
         rule_(options_, particles.dims) {
     if (whole_) roots_.assign(1, standing.tree.root());
     if (standing.loads.weighted) scale_.emplace(standing.loads.scale_exponent);
@@ -97,15 +96,9 @@ class Repartitioning {
     out.slot.resize(count);
     for (std::size_t k = 0; k < slots.size(); ++k)
       if (const std::size_t root = root_of[at(parts[k])]; root != kNone) out.slot[next[root]++] = slots[k];
-    out.particles.dims = particles_.dims;
-    out.particles.has_weights = particles_.weight != nullptr;
-    out.particles.resize(count);
-    const auto take = [&](auto& to, const auto* from) {
-      for (std::size_t k = 0; k < count; ++k) to[k] = from[out.slot[k]];
-    };
-    for (std::size_t a = 0; a < at(particles_.dims); ++a) take(out.particles.position[a], particles_.position[a]);
-    take(out.particles.id, particles_.id);
-    if (out.particles.has_weights) take(out.particles.weight, particles_.weight);
+    for (std::size_t a = 0; a < at(particles_.dims); ++a)
+      copy_array(particles_.position[a], out.slot, out.particles.position[a]);
+    copy_rest(out);
     return out;
   }
 
@@ -113,16 +106,24 @@ class Repartitioning {
   Copied copy_all(OwnSettled own) const {
     Copied out;
     out.ends.assign(1, own.few.size());
-    out.particles.dims = particles_.dims;
-    out.particles.position = std::move(own.position);
-    out.particles.has_weights = particles_.weight != nullptr;
-    out.particles.id.resize(own.few.size());
-    for (std::size_t k = 0; k < own.few.size(); ++k) out.particles.id[k] = particles_.id[own.few[k]];
-    if (out.particles.has_weights) out.particles.weight.resize(own.few.size());
-    for (std::size_t k = 0; k < out.particles.weight.size(); ++k)
-      out.particles.weight[k] = particles_.weight[own.few[k]];
     out.slot = std::move(own.few);
+    out.particles.position = std::move(own.position);
+    copy_rest(out);
     return out;
+  }
+
+  // Everything but positions.
+  void copy_rest(Copied& out) const {
+    out.particles.dims = particles_.dims;
+    out.particles.has_weights = particles_.weight != nullptr;
+    copy_array(particles_.id, out.slot, out.particles.id);
+    if (out.particles.has_weights) copy_array(particles_.weight, out.slot, out.particles.weight);
+  }
+
+  template <typename T>
+  static void copy_array(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
+    to.resize(slot.size());
+    for (std::size_t k = 0; k < slot.size(); ++k) to[k] = from[slot[k]];
   }
 
   // Whether few particles sufficed to search anything; failed_ then has what they left open. Collective.
@@ -175,20 +176,16 @@ class Repartitioning {
       if (few[p] > 0)
         mine.insert(mine.end(),
                     {p, few[p], static_cast<std::uint64_t>(weights[p]), static_cast<std::uint64_t>(weights[p] >> 64U)});
-    std::vector<std::byte> bytes;
-    std::vector<std::size_t> sizes;
-    comm_.all_gather(std::as_bytes(std::span(mine)), bytes, sizes);
-    std::vector<std::uint64_t> words(bytes.size() / sizeof(std::uint64_t));
-    if (!words.empty()) std::memcpy(words.data(), bytes.data(), bytes.size());
+    const GatheredWords all = gather_words(comm_, mine);
 
     // Who isn't one of the few has settled.
     std::vector<std::uint64_t> counts = standing_.loads.counts;
     std::vector<u128> stay = scale_ ? standing_.loads.loads : std::vector<u128>(counts.size(), 0);
     settled.boxes.assign(at(options_.parts), geometry::Box{});
     bool too_many = false;
-    const std::uint64_t* word = words.data();
-    for (const std::size_t size : sizes) {
-      const std::uint64_t* const end = word + size / sizeof(std::uint64_t);
+    const std::uint64_t* word = all.words.data();
+    for (const std::size_t count : all.counts) {
+      const std::uint64_t* const end = word + count;
       too_many |= *word++ != 0;
       std::uint64_t boxes = *word++;
       for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax)
@@ -214,7 +211,7 @@ class Repartitioning {
   // failed_ among all their particles. Collective.
   void search_all() {
     if (before_search_of_all_) before_search_of_all_();
-    if (whole_ && failed_[0].parts() == options_.parts) {
+    if (failed_[0].parts() == options_.parts) {
       result_.looked_at = n_;
       result_.delta = {};
       take(

@@ -1,25 +1,16 @@
 // The end of a search: the few candidates of each node are gathered with their whole keys and selected at once. With
 // weights the key wanted may lie just outside the bracket; then it is looked for among all of the node's particles.
 #include <algorithm>
-#include <cstring>
 
 #include <boost/multiprecision/cpp_int.hpp>
 
+#include "common/partition/gather_words.hpp"
 #include "common/partition/select.hpp"
 
 namespace rcb::partition {
 namespace {
 
 using Wide = boost::multiprecision::uint512_t;
-
-std::vector<std::uint64_t> gather_words(Comm& comm, std::span<const std::uint64_t> mine) {
-  std::vector<std::byte> bytes;
-  std::vector<std::size_t> sizes;
-  comm.all_gather(std::as_bytes(mine), bytes, sizes);
-  std::vector<std::uint64_t> words(bytes.size() / sizeof(std::uint64_t));
-  if (!bytes.empty()) std::memcpy(words.data(), bytes.data(), bytes.size());
-  return words;
-}
 
 }  // namespace
 
@@ -50,7 +41,7 @@ void Selector::gather_group(std::span<const std::size_t> group) {
         mine.push_back(static_cast<std::uint64_t>(weight));
         mine.push_back(static_cast<std::uint64_t>(weight >> 64U));
       }
-  const std::vector<std::uint64_t> all = gather_words(comm_, mine);
+  const std::vector<std::uint64_t> all = gather_words(comm_, mine).words;
   ++reductions_;
   std::vector<Candidate> candidates;
   candidates.reserve(all.size() / record_words());
@@ -186,7 +177,7 @@ std::vector<std::uint8_t> Selector::nearest(std::span<const Neighbour> wanted, b
       mine.push_back(n);
       mine.insert(mine.end(), keys[n].begin(), keys[n].begin() + static_cast<std::ptrdiff_t>(words_));
     }
-    const std::vector<std::uint64_t> all = gather_words(comm_, mine);
+    const std::vector<std::uint64_t> all = gather_words(comm_, mine).words;
     ++reductions_;
     for (std::size_t at = 0; at < all.size(); at += record) {
       KeyWords key{};

@@ -215,6 +215,30 @@ TEST(Repartition, CutsSomeSubtreesAnew) {
   }
 }
 
+// The root as the one subtree is everything: bands order their other axes by the extents of the whole set.
+TEST(Repartition, TheRootAsASubtreeIsEverything) {
+  for (const Method method : {Method::rcb, Method::bands_x}) {
+    Case trial{make_scene(Shape::uniform, Weights::none, 3, 5000, false, kSeed), {}, 0.02, kSeed};
+    for (double& z : trial.scene.x[2]) z *= 3;  // longer than y, so their order isn't that of their numbers
+    trial.options.parts = 5;
+    trial.options.method = method;
+    const CutTree before = drift(trial);
+    on_ranks([&](Comm& comm) {
+      OwnParts own;
+      std::vector<std::int32_t> part;
+      const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+      const particles::ParticleView view = share.particles.view();
+      const LoadSummary loads = summarise_loads(comm, view, part, {}, 5);
+      const Result<PartitionResult> cold = partition(comm, view, trial.options);
+      for (const bool warm : {true, false}) {
+        const RepartitionOptions options{trial.options, {before.root()}, warm, {}};
+        const Repartition got = repartition(comm, view, options, {before, part, loads, own});
+        EXPECT_EQ(got.tree.hash(), cold->tree.hash());
+      }
+    });
+  }
+}
+
 LoadSummary loads_of(std::vector<std::uint64_t> counts) { return summarise_counts(std::move(counts), {}); }
 
 std::vector<std::pair<int, int>> roots_of(const std::vector<std::uint64_t>& counts, double wanted,
