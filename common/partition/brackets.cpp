@@ -2,12 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <functional>
 #include <numeric>
 
-#include "common/base/buffer.hpp"
-#include "common/base/random.hpp"
+#include "common/partition/sample.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -19,53 +17,6 @@ constexpr std::uint64_t kSampleMin = 4096;
 constexpr std::uint64_t kSampleMax = 8192;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
-
-// One particle of every `stride`, picked at random, since solvers' orders have periods of their own.
-class Sample {
- public:
-  Sample(const particles::ParticleView& particles, std::span<const std::int32_t> part, std::uint64_t stride) {
-    const std::size_t count = (particles.count + stride - 1) / stride;
-    for (std::size_t a = 0; a < at(particles.dims); ++a) x_[a].resize(count);
-    part_.resize(count);
-    for (std::size_t k = 0; k < count; ++k) {
-      const std::size_t i = k * stride + mix64(k) % std::min<std::uint64_t>(stride, particles.count - k * stride);
-      for (std::size_t a = 0; a < at(particles.dims); ++a) x_[a][k] = particles.position[a][i];
-      part_[k] = part[i];
-    }
-  }
-
-  // Every rank's. Collective.
-  void share(Comm& comm, int dims) {
-    Buffer<std::byte> mine;
-    for (std::size_t a = 0; a < at(dims); ++a) mine.append(std::as_bytes(x_[a].span()));
-    mine.append(std::as_bytes(part_.span()));
-    std::vector<std::byte> all;
-    std::vector<std::size_t> sizes;
-    comm.all_gather(mine.span(), all, sizes);
-    for (auto& x : x_) x.clear();
-    part_.clear();
-    const std::byte* from = all.data();
-    for (const std::size_t size : sizes) {
-      const std::size_t count = size / (at(dims) * sizeof(double) + sizeof(std::int32_t));
-      const auto take = [&](auto& values) {
-        const std::size_t had = values.size();
-        values.resize(had + count);
-        if (count > 0) std::memcpy(values.data() + had, from, count * sizeof(values[0]));
-        from += count * sizeof(values[0]);
-      };
-      for (std::size_t a = 0; a < at(dims); ++a) take(x_[a]);
-      take(part_);
-    }
-  }
-
-  std::size_t count() const { return part_.size(); }
-  double x(std::size_t axis, std::uint32_t k) const { return x_[axis][k]; }
-  std::int32_t part(std::uint32_t k) const { return part_[k]; }
-
- private:
-  std::array<Buffer<double>, geometry::kDimsMax> x_;
-  Buffer<std::int32_t> part_;
-};
 
 // From the root down, with the sampled particles of each node under the new cuts, as far as they are guessed.
 class Walk {
@@ -79,7 +30,7 @@ class Walk {
     for (int p = 0; p < tree.parts; ++p)
       size_upto_.push_back(size_upto_.back() + (tree.part_sizes.empty() ? 1.0 : tree.part_sizes[at(p)]));
     sampled_upto_.assign(at(tree.parts) + 1, 0);
-    for (std::uint32_t k = 0; k < sample.count(); ++k) ++sampled_upto_[at(sample.part(k)) + 1];
+    for (std::uint32_t k = 0; k < sample.count(); ++k) ++sampled_upto_[at(sample.part[k]) + 1];
     std::partial_sum(sampled_upto_.begin(), sampled_upto_.end(), sampled_upto_.begin());
   }
 
@@ -87,7 +38,7 @@ class Walk {
   void visit_root(const NodeRange& range) {
     indices_.clear();
     for (std::uint32_t k = 0; k < sample_.count(); ++k)
-      if (sample_.part(k) >= range.first && sample_.part(k) < range.last) indices_.push_back(k);
+      if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
     visit(range, geometry::Box::unbounded(), indices_, load(range.first, range.last));
   }
 
@@ -135,7 +86,7 @@ class Walk {
     for (const std::uint32_t k : own) {
       const double x = sample_.x(axis, k);
       (x < old ? left_ : right_).push_back(x);
-      const std::int32_t part = sample_.part(k);
+      const std::int32_t part = sample_.part[k];
       const bool mine = part >= range.first && part < range.last;
       stayed_left += mine && part < range.middle() ? 1 : 0;
       gained += !mine && x < old ? 1 : 0;
@@ -187,8 +138,8 @@ std::vector<geometry::Box> inner_regions(Comm& comm, const particles::ParticleVi
                                          const SearchLimits& limits) {
   const std::uint64_t wanted =
       std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
-  Sample sample(particles, part, std::max<std::uint64_t>(count / wanted, 1));
-  sample.share(comm, particles.dims);
+  const Sample sample =
+      share_sample(comm, particles, part.data(), pick(particles.count, std::max<std::uint64_t>(count / wanted, 1)));
   std::vector<geometry::Box> inner(at(own.last - own.first), geometry::Box::unbounded());
   Walk walk(tree, loads, own, limits, sample, inner);
   for (const NodeRange& root : roots) walk.visit_root(root);

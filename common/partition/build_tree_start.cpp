@@ -74,8 +74,9 @@ void TreeBuilder::measure_all() {
   for (std::size_t r = 0; r < level_.size(); ++r) {
     level_[r].range = start_ == nullptr ? result_.tree.root() : start_->roots[r];
     level_[r].count = sums[samples + r];
-    count += sums[samples + r];
+    result_.searched += sums[samples + r];
   }
+  count += result_.searched;
   if (start_ == nullptr || start_->rule == nullptr) {
     geometry::Box all = settled_ == nullptr ? geometry::Box{} : settled_->box(0, options_.parts);
     if (!none) all.extend(lo_, axes_), all.extend(hi_, axes_);

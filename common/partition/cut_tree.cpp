@@ -1,4 +1,5 @@
-// CutTree: who owns what, asked of the tree alone. The bytes (encode, hash) are in cut_tree_codec.cpp.
+// CutTree: who owns what, asked of the tree alone. Many particles at once are in cut_tree_classify.cpp, the bytes
+// (encode, hash) in cut_tree_codec.cpp.
 #include "common/partition/cut_tree.hpp"
 
 #include <algorithm>
@@ -11,18 +12,6 @@ namespace {
 using geometry::Box;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
-
-// What the descent reads of a node: an inner node at its number, part p at inner nodes + p. A part leads to itself, so
-// that all particles take the same number of steps and no branch depends on where one goes.
-struct Step {
-  double value;     // on the cut axis; infinite where nothing goes right
-  const double* x;  // the particles' coordinates on that axis
-  std::array<std::int32_t, 2>
-      child;  // left and right; picked by index, since a branch would be guessed wrong half the time
-};
-
-// Particles that step together: their chains of loads overlap.
-constexpr std::size_t kBlock = 512;
 
 // Calls visit(range) for every inner node, in preorder.
 template <typename Visit>
@@ -110,38 +99,6 @@ int CutTree::part_of(const Point& position, Id id) const {
   NodeRange range = root();
   while (!range.leaf()) range = goes_right(cuts[at(range.node)], position, id, dims) ? range.right() : range.left();
   return range.first;
-}
-
-void CutTree::classify(const particles::ParticleView& particles, std::span<std::int32_t> out) const {
-  CHECK(particles.dims == dims && out.size() == particles.count, "a part for each particle of the tree's dimensions");
-  const int inner = parts - 1;
-  const auto label = [inner](const NodeRange& range) { return range.leaf() ? inner + range.first : range.node; };
-  std::vector<Step> steps(at(inner) + at(parts));
-  for (std::int32_t p = inner; p < inner + parts; ++p) steps[at(p)] = {Box::kInfinity, particles.position[0], {p, p}};
-  int depth = 0;
-  for_each_inner(root(), [&](const NodeRange& range) {
-    const Cut& cut = cuts[at(range.node)];
-    steps[at(range.node)] = {cut.right_empty ? Box::kInfinity : cut.key.at[0],
-                             particles.position[at(cut.axes[0])],
-                             {label(range.left()), label(range.right())}};
-  });
-  for (NodeRange range = root(); !range.leaf(); range = range.left()) ++depth;  // the left side is never shallower
-  const std::int32_t first = label(root());
-  for (std::size_t begin = 0; begin < particles.count; begin += kBlock) {
-    const std::size_t end = std::min(begin + kBlock, particles.count);
-    std::fill(out.begin() + static_cast<std::ptrdiff_t>(begin), out.begin() + static_cast<std::ptrdiff_t>(end), first);
-    std::array<std::uint8_t, kBlock> tied{};
-    for (int level = 0; level < depth; ++level)
-      for (std::size_t i = begin; i < end; ++i) {
-        const Step& step = steps[at(out[i])];
-        const double x = step.x[i];
-        tied[i - begin] |= static_cast<std::uint8_t>(x == step.value);
-        out[i] = step.child[static_cast<std::size_t>(x > step.value)];
-      }
-    // On a cut's plane the rest of the key decides.
-    for (std::size_t i = begin; i < end; ++i)
-      out[i] = tied[i - begin] != 0 ? part_of(particles.point(i), particles.id[i]) : out[i] - inner;
-  }
 }
 
 std::vector<int> CutTree::candidates(const Point& position) const {

@@ -1,4 +1,4 @@
-// The entry points: what is asked is checked here; the levels are in build_tree.cpp.
+// The entry points: what is asked is checked here; the levels are in build_tree.cpp, large sets go through guess.cpp.
 #include "common/partition/partition.hpp"
 
 #include <algorithm>
@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "common/partition/build_tree.hpp"
+#include "common/partition/guess.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -98,6 +99,7 @@ Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& par
   if (options.method == Method::equal_boxes || options.method == Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
                   "choose rcb, bands-x, bands-y or bands-z");
+  if (auto found = partition_from_guess(comm, particles, options)) return *std::move(found);
   return TreeBuilder(comm, particles, options, particles.dims).build();
 }
 

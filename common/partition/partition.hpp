@@ -13,6 +13,21 @@
 
 namespace rcb::partition {
 
+// When a partition begins with the tree of a sample (guess.hpp).
+struct GuessLimits {
+  std::uint64_t count_min = std::uint64_t{3} << 18U;  // particles a rank
+  int parts_min = 4;
+  int parts_max = 8;
+  std::uint64_t stride = 128;  // one particle of so many is sampled, within these numbers
+  std::uint64_t sample_min = 4096;
+  std::uint64_t sample_max = 65536;
+  // A node's particles are taken to reach beyond its sampled ones by this fraction of their extent at most, to either
+  // side.
+  double reach = 0.05;
+  // Where a greater share of a node's sampled particles has the cut's coordinate, all with it would be searched.
+  double tied = 0.01;
+};
+
 // How cuts are searched; no answer depends on it.
 struct SearchLimits {
   std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles handled by 32-bit numbers together
@@ -24,6 +39,7 @@ struct SearchLimits {
   double bracket_sigmas = 3;
   double bracket_margin = 2;
   std::uint64_t few_share = 5;
+  GuessLimits guess;
 };
 
 struct PartitionOptions {
@@ -41,6 +57,7 @@ struct PartitionResult {
   CutTree tree;
   Buffer<std::int32_t> part;          // [local count], the part of each local particle
   std::vector<std::uint64_t> counts;  // of each part, all ranks; empty where weights count
+  std::uint64_t searched = 0;         // particles that a search looked at, all ranks
   std::uint64_t rounds = 0;           // search rounds (a round: one histogram reduction for a group of nodes)
   std::uint64_t reductions = 0;       // all collectives used
 };

@@ -190,8 +190,9 @@ class Repartitioning {
       std::uint64_t boxes = *word++;
       for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax)
         for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-          settled.boxes[word[0]].lo[a] = std::bit_cast<double>(word[1 + a]);
-          settled.boxes[word[0]].hi[a] = std::bit_cast<double>(word[1 + geometry::kDimsMax + a]);
+          geometry::Box& box = settled.boxes[word[0]];
+          box.lo[a] = std::min(box.lo[a], std::bit_cast<double>(word[1 + a]));
+          box.hi[a] = std::max(box.hi[a], std::bit_cast<double>(word[1 + geometry::kDimsMax + a]));
         }
       for (; word < end; word += 4) {
         counts[word[0]] -= word[1];

@@ -94,7 +94,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   const double start = context.clock.seconds();
   auto found = partition::partition(context.comm, scene.particles.view(), options_of(scene));
   CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
-  report.searched = scene.n;
+  report.searched = found->searched;
   report.rounds = found->rounds;
   report.reductions = found->reductions;
   scene.part = std::move(found->part);

@@ -109,7 +109,7 @@ TEST(Partition, BandsHaveOneOrder) {
 
 TEST(Partition, PartSizes) {
   std::uint64_t seed = 4 * kSeed;
-  for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::coincident})
+  for (const Shape shape : {Shape::uniform, Shape::coincident})
     for (const Weights weights : {Weights::none, Weights::uniform, Weights::zeros}) {
       ++seed;
       JudgeOptions asked;
@@ -186,6 +186,29 @@ TEST(Partition, RoundsAreBounded) {
       });
       EXPECT_EQ(hashes.size(), 1U);
     }
+}
+
+// A large set begins with the tree of a sample; the answer is that of a search among all particles.
+TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
+  for (const Shape shape : {Shape::uniform, Shape::coincident}) {
+    const Scene scene = make_scene(shape, Weights::none, 3, 200000, false, kSeed);
+    SCOPED_TRACE(scene.name);
+    PartitionOptions options;
+    options.parts = 4;
+    PartitionOptions guessed = options;
+    guessed.limits.guess.count_min = 0;
+    guessed.limits.guess.stride = 32;
+    on_ranks([&](Comm& comm) {
+      const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+      const PartitionResult all = partition(comm, share.particles.view(), options).value();
+      const PartitionResult few = partition(comm, share.particles.view(), guessed).value();
+      EXPECT_EQ(few.searched < scene.count() / 4, shape != Shape::coincident) << few.searched;
+      EXPECT_EQ(all.searched, scene.count());
+      EXPECT_EQ(few.tree.hash(), all.tree.hash());
+      EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
+      EXPECT_EQ(few.counts, all.counts);
+    });
+  }
 }
 
 TEST(Partition, RefusesBadOptions) {
