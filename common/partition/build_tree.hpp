@@ -92,7 +92,7 @@ class TreeBuilder {
   void reduce_bounds(std::span<Node> nodes);
 
   Comm& comm_;
-  const particles::ParticleView& particles_;
+  particles::ParticleView particles_;
   const PartitionOptions& options_;
   int axes_;
   std::size_t q_axes_;  // coordinates in a record

@@ -15,7 +15,7 @@ namespace {
 constexpr std::size_t kBlock = 64;
 constexpr std::size_t kLanes = 4;
 
-// One cache line; the lanes of no axis hold anything.
+// One cache line; the lanes of no axis hold anything finite.
 struct alignas(64) Bounds {
   std::array<double, kLanes> lo;
   std::array<double, kLanes> hi;
@@ -142,19 +142,38 @@ class Pass {
     for (; i < count; ++i) beyond |= is_beyond(x, box, i) << i;
     return beyond;
   }
-  // One particle at a time, all axes together.
+  // Four particles at a time, each with all axes in one vector.
   [[gnu::target("avx2")]] std::uint64_t beyond_own_avx2(const Axes& x, const std::int32_t* part,
                                                         std::size_t count) const {
     const Bounds* const bounds = bounds_.data();
     const auto last = static_cast<std::uint32_t>(inner_.size());
     std::uint64_t beyond = 0;
-    for (std::size_t i = 0; i < count; ++i) {
-      const Bounds& box = bounds[std::min(static_cast<std::uint32_t>(part[i] - first_), last)];
-      const __m256d value = _mm256_set_pd(0, x[2][i], x[1][i], x[0][i]);
-      const __m256d in = _mm256_and_pd(_mm256_cmp_pd(value, _mm256_load_pd(box.lo.data()), _CMP_GE_OQ),
-                                       _mm256_cmp_pd(value, _mm256_load_pd(box.hi.data()), _CMP_LE_OQ));
-      beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in) != 0xF) << i;
+    std::size_t i = 0;
+    for (; i + kLanes <= count; i += kLanes) {
+      const __m256d x0 = _mm256_loadu_pd(x[0] + i);
+      const __m256d x1 = _mm256_loadu_pd(x[1] + i);
+      const __m256d x2 = _mm256_loadu_pd(x[2] + i);
+      // Of particles 0 and 2, and of 1 and 3. The last lane holds anything.
+      const __m256d even = _mm256_unpacklo_pd(x0, x1);
+      const __m256d odd = _mm256_unpackhi_pd(x0, x1);
+      const __m256d even_rest = _mm256_unpacklo_pd(x2, x2);
+      const __m256d odd_rest = _mm256_unpackhi_pd(x2, x2);
+      const __m256d point[kLanes] = {
+          _mm256_permute2f128_pd(even, even_rest, 0x20), _mm256_permute2f128_pd(odd, odd_rest, 0x20),
+          _mm256_permute2f128_pd(even, even_rest, 0x31), _mm256_permute2f128_pd(odd, odd_rest, 0x31)};
+      __m256d in[kLanes];
+      for (std::size_t k = 0; k < kLanes; ++k) {
+        const Bounds& box = bounds[std::min(static_cast<std::uint32_t>(part[i + k] - first_), last)];
+        in[k] = _mm256_and_pd(_mm256_cmp_pd(point[k], _mm256_load_pd(box.lo.data()), _CMP_GE_OQ),
+                              _mm256_cmp_pd(point[k], _mm256_load_pd(box.hi.data()), _CMP_LE_OQ));
+      }
+      // Mostly all do.
+      const __m256d all = _mm256_and_pd(_mm256_and_pd(in[0], in[1]), _mm256_and_pd(in[2], in[3]));
+      if (_mm256_movemask_pd(all) == 0xF) continue;
+      for (std::size_t k = 0; k < kLanes; ++k)
+        beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in[k]) != 0xF) << (i + k);
     }
+    for (; i < count; ++i) beyond |= is_beyond(x, bounds[index_of(part[i])], i) << i;
     return beyond;
   }
 #endif

@@ -38,6 +38,8 @@ Status check(const DynamicOptions& options) {
   for (const double hysteresis : options.hystereses)
     if (!(hysteresis >= 1) || std::isinf(hysteresis))
       return usage(fmt::format("--axis-hysteresis {}: give finite numbers >= 1", hysteresis));
+  for (const std::string& recut : options.recuts)
+    if (recut != "all" && recut != "subtree") return usage(fmt::format("--recut {}: give all, subtree or both", recut));
   if (options.repeats < 1 || options.repeats > kRepeatsMax)
     return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
   if (!(options.points >= 0 && options.points <= 1e9) || options.points != std::floor(options.points))
@@ -69,6 +71,7 @@ Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSet
           {"policy", setting.cost ? "cost" : "tolerance"},
           {"tolerance", tolerance},
           {"axis_hysteresis", peer ? Json() : Json(setting.axis_hysteresis)},
+          {"recut", peer ? Json() : Json(setting.recut)},
           {"steps", trajectory.solver_seconds.size() - 1},
           {"seconds", run.seconds},
           {"seconds_min", runs.front().seconds},
@@ -99,10 +102,11 @@ Status measure_service(const DynamicOptions& options, const Trajectory& trajecto
   auto client = launch::reach(service->endpoint(), "rcb_bench");
   if (!client) return service->explain(client.status());
   std::vector<DynamicSetting> settings;
-  for (const double hysteresis : options.hystereses) {
-    for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis});
-    settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis});
-  }
+  for (const double hysteresis : options.hystereses)
+    for (const std::string& recut : options.recuts) {
+      for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis, recut});
+      settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis, recut});
+    }
   for (const int parts : options.parts) {
     fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, trajectory.scene, trajectory.points, parts);
     std::vector<std::vector<DynamicRun>> runs(settings.size());
@@ -138,7 +142,7 @@ Status measure_peer(const DynamicOptions& options, const Trajectory& trajectory,
       std::vector<DynamicRun> own;
       for (const PeerRun& run : runs)
         if (run.parts == parts && run.tolerance == tolerance) own.push_back(run.run);
-      if (!own.empty()) rows.push_back(row_of(trajectory, parts, ranks, {false, tolerance}, true, own));
+      if (!own.empty()) rows.push_back(row_of(trajectory, parts, ranks, {.tolerance = tolerance}, true, own));
     }
   return status;
 }
@@ -175,6 +179,7 @@ CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
   list(command->add_option("--parts", options.parts, "numbers of parts"));
   list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
   list(command->add_option("--axis-hysteresis", options.hystereses, "of our scenes"));
+  list(command->add_option("--recut", options.recuts, "what our new cuts cut anew: all, subtree"));
   command->add_flag("!--no-peers", options.peers, "leave Zoltan out");
   command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
   command->add_option("--points", options.points, "points of every scene, instead of its own number");

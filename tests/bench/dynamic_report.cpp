@@ -27,6 +27,7 @@ std::string tool_of(const Json& row, const Json& head) {
   std::string name = row["tool"].get<std::string>() + " " + row["method"].get<std::string>();
   if (!is_peer(row) && row["axis_hysteresis"] != head["axis_hysteresis"])
     name += fmt::format(", hysteresis {:g}", row["axis_hysteresis"].get<double>());
+  if (!is_peer(row) && row["recut"] != head["recut"]) name += ", recut " + row["recut"].get<std::string>();
   return name;
 }
 
@@ -61,7 +62,7 @@ std::string panel_of(const std::vector<const Json*>& group, const std::string& n
   const Json& head = *group.front();
   std::string by_tolerance, by_cost, by_peer;
   for (const Json* row : group) {
-    if (!is_peer(*row) && (*row)["axis_hysteresis"] != head["axis_hysteresis"]) continue;
+    if (!is_peer(*row) && tool_of(*row, head) != tool_of(head, head)) continue;
     (is_peer(*row)                ? by_peer
      : (*row)["policy"] == "cost" ? by_cost
                                   : by_tolerance) +=

@@ -12,6 +12,7 @@
 #include "tests/bench/dynamic.hpp"
 #include "tests/bench/dynamic_peers.hpp"
 #include "tests/bench/figure.hpp"
+#include "tests/bench/idle.hpp"
 #include "tests/bench/memory.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
@@ -148,7 +149,8 @@ std::string footer() {
          "  rcb_bench step --json step.json\n"
          "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n"
          "  rcb_bench skips --json skips.json\n"
-         "  rcb_bench drift --json drift.json\n";
+         "  rcb_bench drift --json drift.json\n"
+         "  rcb_bench idle --ranks 8\n";
 }
 
 int fail(const Status& status) {
@@ -195,12 +197,18 @@ int run_program(int argc, char** argv) {
   const auto* skips = add_skips(app, of_skips);
   DriftOptions of_drift;
   const auto* drift = add_drift(app, of_drift);
+  IdleOptions of_idle;
+  const auto* idle = add_idle(app, of_idle);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& done) {
     return app.exit(done);
   } catch (const CLI::ParseError& error) {
     return fail(usage(error.what()));
+  }
+  if (idle->parsed()) {
+    const Status status = run_idle(of_idle, start_document("idle", 1));
+    return status.ok() ? 0 : fail(status);
   }
   if (drift->parsed()) {
     const Status status = run_drift(of_drift, start_document("drift", of_drift.repeats));

@@ -119,9 +119,24 @@ class Hysteresis(unittest.TestCase):
         self.assertLess(rows[0]["moved"], rows[1]["moved"])  # the spheres' longest axis turns as they collide
 
 
+class Recut(unittest.TestCase):
+    def test_subtrees_hold_the_tolerance_too(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "result.json")
+            done = bench("dynamic", "--scenes", "two_spheres", "--points", "2003", "--steps", "60", "--ranks", "2", "--repeats",
+                         "1", "--tolerances", "0.05", "--recut", "all,subtree", "--no-peers", "--json", path)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("rcbd rcb, recut subtree", done.stdout)
+            with open(path) as file:
+                whole, part = [row for row in json.load(file)["rows"] if row["policy"] == "tolerance"]
+        self.assertEqual([whole["recut"], part["recut"]], ["all", "subtree"])
+        self.assertLess(part["error_max"], 0.05)
+        self.assertNotEqual(part["moved"], whole["moved"])  # other cuts; not fewer particles as a rule
+
+
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in (["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--parts", "0"], ["--repeats", "0"],
+        for arguments in (["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--recut", "some"], ["--parts", "0"], ["--repeats", "0"],
                           ["--points", "1.5"], ["--ranks", "x"]):
             done = bench("dynamic", *arguments)
             self.assertEqual(done.returncode, 2, arguments)

@@ -213,6 +213,31 @@ class Members(unittest.TestCase):
         self.push_all(team, 0, halves, self.walk[0], attempt=1)
         self.assertEqual(self.state("late")[0]["step"], 0)
 
+    def test_a_step_beyond_its_deadline_goes_on(self):
+        with Service(2) as service:
+            control = Client(service.endpoint[5:])
+            self.addCleanup(control.close)
+            control.ask("scene.create", scene="slow", parts=2)
+            team = [Member(service.endpoint[5:], "slow", k, 2) for k in range(2)]
+            for one in team:
+                self.addCleanup(one.close)
+            halves = np.array_split(np.arange(600), 2)
+            first = control.ask("status")[0]["pid"]
+            other, = [pid for pid, line in processes_of(service.dir)
+                      if line.split()[0].endswith("/rcbd") and pid != first]
+            os.kill(other, signal.SIGSTOP)  # the engine waits for it in the step's first collective
+            try:
+                for one, ids in zip(team, halves):
+                    one.start(0, ids, self.walk[0], deadline_seconds=1)
+                for one in team:
+                    self.refused(one, "deadline_exceeded", "step 0", "it goes on")
+            finally:
+                os.kill(other, signal.SIGCONT)
+            for answer, _ in self.push_all(team, 0, halves, self.walk[0], attempt=1):
+                self.assertEqual(answer["report"]["step"], 0)
+            self.assertEqual(control.ask("scene.show", scene="slow")[0]["step"], 0)
+            self.push_all(team, 1, halves, self.walk[1])
+
     def test_waiting_members_are_told_for_whom(self):
         self.create("told")
         team = self.team("told", 2)

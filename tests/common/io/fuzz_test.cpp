@@ -25,6 +25,8 @@ using testing::joined;
 using testing::npy;
 using testing::refusal;
 
+constexpr std::string_view kMeaningful = "0123456789,; \n\r\t#\"'-+.eEdDnNaAxX(){}:L";  // to some format
+
 std::string damaged(Random& random, std::string bytes) {
   if (random.below(3) == 0) bytes.resize(random.below(bytes.size() + 1));
   const std::uint64_t flips = random.below(6);
@@ -38,7 +40,7 @@ std::string damaged(Random& random, std::string bytes) {
         byte = static_cast<char>(random.next());
         break;
       case 2:
-        byte = "0123456789,; \n\r\t#\"'-+.eEdDnNaAxX(){}:L"[random.below(40)];
+        byte = kMeaningful[random.below(kMeaningful.size())];
         break;
       default:
         byte = random.below(2) == 0 ? '\xFF' : '\0';
