@@ -14,20 +14,22 @@ namespace {
 
 using geometry::Box;
 
-// Particles of a rank beyond the sampled ones; more would cost more than they tell.
-constexpr std::size_t kOutermostMax = 8192;
+// The particles beyond the sampled ones are gathered, about a stride of them at each side, while a stride is no longer
+// than this; a rank sends so many strides at most, since more mean that the sample is odd.
+constexpr std::uint64_t kStrideMax = 32768;
+constexpr std::uint64_t kStridesMax = 16;
 
 std::size_t at(int index) { return static_cast<std::size_t>(index); }
 
-// Of the particles beyond this box on some axis, no more than kOutermostMax.
-std::vector<std::size_t> slots_beyond(const particles::ParticleView& particles, const Box& box) {
+// Of the particles beyond this box on some axis, about `most` at most.
+std::vector<std::size_t> slots_beyond(const particles::ParticleView& particles, const Box& box, std::uint64_t most) {
   constexpr std::size_t kBlock = 64;
   std::vector<std::size_t> slots;
   for (std::size_t a = 0; a < at(particles.dims); ++a) {
     const double* const x = particles.position[a];
     const double lo = box.lo[a];
     const double hi = box.hi[a];
-    for (std::size_t begin = 0; begin < particles.count && slots.size() < kOutermostMax; begin += kBlock) {
+    for (std::size_t begin = 0; begin < particles.count && slots.size() < most; begin += kBlock) {
       const std::size_t end = std::min(begin + kBlock, particles.count);
       bool any = false;
       for (std::size_t i = begin; i < end; ++i) any |= (x[i] < lo) | (x[i] > hi);
@@ -146,13 +148,13 @@ std::optional<PartitionResult> partition_from_guess(Comm& comm, const particles:
   if (count[0] / static_cast<std::uint64_t>(comm.size()) < limits.count_min) return std::nullopt;
 
   const std::uint64_t wanted = std::clamp(count[0] / limits.stride, limits.sample_min, limits.sample_max);
-  Guess guess(
-      share_sample(comm, particles, nullptr, pick(particles.count, std::max<std::uint64_t>(count[0] / wanted, 1))),
-      options);
+  const std::uint64_t stride = std::max<std::uint64_t>(count[0] / wanted, 1);
+  Guess guess(share_sample(comm, particles, nullptr, pick(particles.count, stride)), options);
   Guess::Verdict verdict = guess.make();
   std::uint64_t reductions = 2;
-  if (verdict == Guess::Verdict::axes_open) {
-    guess.add_outermost(share_sample(comm, particles, nullptr, slots_beyond(particles, guess.sampled_box())));
+  if (verdict == Guess::Verdict::axes_open && stride <= kStrideMax) {
+    const auto slots = slots_beyond(particles, guess.sampled_box(), kStridesMax * (stride + 64));
+    guess.add_outermost(share_sample(comm, particles, nullptr, slots));
     ++reductions;
     verdict = guess.make();
   }

@@ -163,8 +163,8 @@ void Selector::count_round() {
   const std::size_t least_bins = std::min(kBinsMin, most_bins);
   const std::size_t bins = std::clamp(std::bit_floor(std::max<std::size_t>(fit, 1)), least_bins, most_bins);
   const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
-  const std::size_t node_words = (bins * cell_words_ + per_word_ - 1) / per_word_;
-  const std::size_t group = std::max<std::size_t>(kMessageWordsMax / node_words, 1);
+  const auto words_of = [this](std::size_t count) { return (count * cell_words_ + per_word_ - 1) / per_word_; };
+  const std::size_t group = std::max<std::size_t>(kMessageWordsMax / words_of(bins), 1);
   for (std::size_t first = 0; first < asked.size(); first += group) {
     const auto own = std::span(asked).subspan(first, std::min(group, asked.size() - first));
     const auto shift = [&](std::size_t node) {
@@ -173,11 +173,16 @@ void Selector::count_round() {
       const unsigned least = state.keyed ? 0 : zeros_of(node, 0);
       return std::max(shift_to(static_cast<std::uint64_t>(state.hi - state.lo), bin_bits), least);
     };
-    message_.resize(own.size() * node_words);
+    // Where keys take few values, most bins stay empty.
+    std::size_t used = 1;
+    for (const std::size_t node : own)
+      used = std::max(used, (static_cast<std::size_t>(states_[node].hi - states_[node].lo) >> shift(node)) + 1);
+    const std::size_t words = words_of(used);
+    message_.resize(own.size() * words);
     std::fill(message_.begin(), message_.end(), 0);
-    for (std::size_t n = 0; n < own.size(); ++n) count_node(own[n], shift(own[n]), bins, n * node_words);
+    for (std::size_t n = 0; n < own.size(); ++n) count_node(own[n], shift(own[n]), used, n * words);
     sum_message();
-    for (std::size_t n = 0; n < own.size(); ++n) take_count(own[n], shift(own[n]), bins, n * node_words);
+    for (std::size_t n = 0; n < own.size(); ++n) take_count(own[n], shift(own[n]), used, n * words);
   }
 }
 
@@ -268,20 +273,25 @@ std::array<std::uint64_t, 2> Selector::word_bounds(std::size_t node, std::size_t
     return {static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
             ~static_cast<std::uint64_t>(bounds.hi[axis] >> zeros)};
   }
+  const auto look = [&](std::uint64_t own) {
+    least = std::min(least, own);
+    other = std::min(other, ~own);
+  };
   for (const Span& span : spans_of(node)) {
     if (span.open().empty()) continue;
-    // Mostly all are equal, or the search would not have come here.
-    const std::uint64_t first = word_of(node, word, span.base + span.middle->index);
-    std::uint64_t differ = 0;
-    for (const Record& record : span.open()) differ |= word_of(node, word, span.base + record.index) ^ first;
-    least = std::min(least, first);
-    other = std::min(other, ~first);
-    if (differ == 0) continue;
-    for (const Record& record : span.open()) {
-      const std::uint64_t own = word_of(node, word, span.base + record.index);
-      least = std::min(least, own);
-      other = std::min(other, ~own);
+    if (word == axes_) {
+      const Id* const id = particles_.id + span.base;
+      for (const Record& record : span.open()) look(static_cast<std::uint64_t>(id[record.index]));
+      continue;
     }
+    // Mostly all are equal, or the search would not have come here.
+    const double* const x = particles_.position[static_cast<std::size_t>(nodes_[node].axes[word])] + span.base;
+    const double first = x[span.middle->index];
+    look(geometry::image(first));
+    bool same = true;
+    for (const Record& record : span.open()) same &= x[record.index] == first;
+    if (same) continue;
+    for (const Record& record : span.open()) look(geometry::image(x[record.index]));
   }
   return {least, other};
 }
@@ -297,14 +307,19 @@ void Selector::rekey() {
       state.single_value = state.lo;
     }
     // One integer that tells the coordinate decides it.
-    if (state.lo == state.hi && (state.keyed ? state.shift == 0 : told(node, 0))) ++state.word;
+    if (state.lo == state.hi && (state.keyed ? state.shift == 0 : told(node, 0))) state.word += state.words;
+    state.words = 1;
     CHECK(state.word < words_, "two particles have the same id");
     if (state.word > 0 && told(node, state.word)) {
-      const auto axis = static_cast<std::size_t>(nodes_[node].axes[state.word]);
-      const QBounds& bounds = nodes_[node].bounds;
-      const unsigned zeros = zeros_of(node, state.word);
-      enter(node, static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
-            static_cast<std::uint64_t>(bounds.hi[axis] >> zeros));
+      const Steps own = steps_of(node, state.word);
+      const std::uint64_t both =
+          told(node, state.word + 1) ? own.count * steps_of(node, state.word + 1).count : ~std::uint64_t{0};
+      if (both <= std::uint64_t{1} << kKeyBits) {
+        state.words = 2;
+        enter(node, 0, both - 1);
+      } else {
+        enter(node, own.first, own.first + own.count - 1);
+      }
     } else {
       measured.push_back(node);
     }
@@ -340,6 +355,23 @@ void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
   write_words(node);
 }
 
+Selector::Steps Selector::steps_of(std::size_t node, std::size_t word) const {
+  const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
+  const unsigned zeros = zeros_of(node, word);
+  const std::int32_t first = nodes_[node].bounds.lo[axis] >> zeros;
+  const std::int32_t last = nodes_[node].bounds.hi[axis] >> zeros;
+  return {axis, zeros, static_cast<std::uint64_t>(first), static_cast<std::uint64_t>(last - first) + 1};
+}
+
+// Two words as one number.
+void Selector::write_both(Span& span, std::size_t axis, const Steps& one, const Steps& other) {
+  const auto factor = static_cast<std::uint32_t>(other.count);
+  const auto base = static_cast<std::uint32_t>(one.first) * factor + static_cast<std::uint32_t>(other.first);
+  for (Record& record : span.open())
+    record.q[axis] = static_cast<std::int32_t>(static_cast<std::uint32_t>(record.q[one.axis] >> one.zeros) * factor +
+                                               static_cast<std::uint32_t>(record.q[other.axis] >> other.zeros) - base);
+}
+
 void Selector::write_words(std::size_t node) {
   State& state = states_[node];
   const std::size_t axis = axis_of(node);
@@ -350,7 +382,9 @@ void Selector::write_words(std::size_t node) {
       span.keyed = span.middle;
       span.keyed_last = span.upper;
     }
-    if (told(node, state.word))
+    if (state.words == 2)
+      write_both(span, axis, steps_of(node, state.word), steps_of(node, state.word + 1));
+    else if (told(node, state.word))
       for (Record& record : span.open())
         record.q[axis] = (record.q[from] >> zeros) - static_cast<std::int32_t>(state.base);
     else

@@ -100,6 +100,7 @@ class Selector {
     std::int32_t single_value = 0;
     bool keyed = false;  // the integers stand for a key word: (its value - base) >> shift
     std::size_t word = 0;
+    std::size_t words = 1;  // of the key that the integers stand for, from `word` on
     unsigned shift = 0;
     std::uint64_t base = 0;
     int rounds = 0;  // since the integers have stood for this word
@@ -142,6 +143,15 @@ class Selector {
   void rekey();
   // Least word and complement of the greatest among a node's open records. Local.
   std::array<std::uint64_t, 2> word_bounds(std::size_t node, std::size_t word) const;
+  // The values of a word that integers tell: these many from the first on, a step being 2^zeros of the integers.
+  struct Steps {
+    std::size_t axis;
+    unsigned zeros;
+    std::uint64_t first;
+    std::uint64_t count;
+  };
+  Steps steps_of(std::size_t node, std::size_t word) const;
+  static void write_both(Span& span, std::size_t axis, const Steps& one, const Steps& other);
   void write_words(std::size_t node);
   void restore(std::size_t node);
   void sum_message();
