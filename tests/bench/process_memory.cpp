@@ -6,6 +6,7 @@
 #include <fstream>
 #include <map>
 #include <string>
+#include <string_view>
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -17,13 +18,15 @@ constexpr auto kBetweenSamples = std::chrono::milliseconds(5);
 
 std::string proc(pid_t pid, const char* file) { return fmt::format("/proc/{}/{}", pid, file); }
 
-// The bytes of a line "Name:   N kB"; 0 where there is none.
-std::uint64_t field(const std::string& path, const std::string& name) {
+// The bytes of the lines "Name:   N kB" of these names together; 0 where there is none.
+std::uint64_t fields(const std::string& path, std::initializer_list<std::string_view> names) {
   std::ifstream in(path);
-  std::string line;
-  while (std::getline(in, line))
-    if (line.starts_with(name + ":")) return std::stoull(line.substr(name.size() + 1)) * 1024;
-  return 0;
+  std::uint64_t sum = 0;
+  for (std::string line; std::getline(in, line);)
+    for (const std::string_view name : names)
+      if (line.starts_with(name) && line.size() > name.size() && line[name.size()] == ':')
+        sum += std::stoull(line.substr(name.size() + 1)) * 1024;
+  return sum;
 }
 
 }  // namespace
@@ -68,7 +71,7 @@ MemoryWatch::~MemoryWatch() {
 
 std::uint64_t MemoryWatch::sample() {
   std::uint64_t sum = 0;
-  for (const pid_t pid : pids_) sum += field(proc(pid, "smaps_rollup"), "Pss");
+  for (const pid_t pid : pids_) sum += fields(proc(pid, "smaps_rollup"), {"Pss_Anon", "Pss_Shmem"});
   const std::lock_guard lock(mutex_);
   pss_peak_ = std::max(pss_peak_, sum);
   return sum;
@@ -89,10 +92,10 @@ Result<MemoryReading> MemoryWatch::read() {
   MemoryReading reading;
   reading.pss = sample();
   for (const pid_t pid : pids_) {
-    const std::uint64_t rss = field(proc(pid, "status"), "VmRSS");
+    const std::uint64_t rss = fields(proc(pid, "status"), {"VmRSS"});
     if (rss == 0) return Status(Code::io_error, fmt::format("process {} of the service is gone", pid));
     reading.rss += rss;
-    reading.peak += field(proc(pid, "status"), "VmHWM");
+    reading.peak += fields(proc(pid, "status"), {"VmHWM"});
   }
   const std::lock_guard lock(mutex_);
   reading.pss_peak = pss_peak_;

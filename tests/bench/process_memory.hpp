@@ -2,8 +2,8 @@
 //
 // Invariants
 // 1. `pss`, `rss` and `peak` are sums over the processes. A page that several processes share counts in pss once, in
-// rss
-//    and peak in each of them: less the same sums of the empty service both tell what the particles take.
+//    the others in each of them: less the same sums of the empty service both tell what the particles take. pss leaves
+//    out pages of files, programs and libraries, whose share changes with whatever other processes use them.
 // 2. `pss_peak` is the greatest sum that was sampled since the last mark(); `peak` is the sum of each process's own
 //    greatest resident memory since then, which no sampling misses but which need not have been at one time.
 #pragma once
