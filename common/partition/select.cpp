@@ -261,39 +261,47 @@ void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool f
   state.hi = hi;
 }
 
-std::array<std::uint64_t, 2> Selector::word_bounds(std::size_t node, std::size_t word) const {
-  std::uint64_t least = kNone;
-  std::uint64_t other = kNone;
-  if (told(node, word)) {
-    QBounds bounds;
-    for (const Span& span : spans_of(node)) widen(bounds, span.open());
-    const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
-    if (bounds.empty()) return {least, other};
-    const unsigned zeros = zeros_of(node, word);
-    return {static_cast<std::uint64_t>(bounds.lo[axis] >> zeros),
-            ~static_cast<std::uint64_t>(bounds.hi[axis] >> zeros)};
-  }
-  const auto look = [&](std::uint64_t own) {
-    least = std::min(least, own);
-    other = std::min(other, ~own);
+void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) const {
+  const std::size_t from = states_[node].word;
+  const auto look = [bounds](std::size_t word, std::uint64_t own) {
+    bounds[2 * word] = std::min(bounds[2 * word], own);
+    bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
   };
   for (const Span& span : spans_of(node)) {
-    if (span.open().empty()) continue;
-    if (word == axes_) {
-      const Id* const id = particles_.id + span.base;
-      for (const Record& record : span.open()) look(static_cast<std::uint64_t>(id[record.index]));
-      continue;
+    const std::span<const Record> open = span.open();
+    if (open.empty()) continue;
+    QBounds integers;
+    widen(integers, open);
+    std::array<const double*, geometry::kDimsMax> x{};
+    std::array<double, geometry::kDimsMax> first{};
+    std::array<bool, geometry::kDimsMax> same{true, true, true};
+    for (std::size_t w = from; w < axes_; ++w) {
+      const auto axis = static_cast<std::size_t>(nodes_[node].axes[w]);
+      if (told(node, w)) {
+        look(w, static_cast<std::uint64_t>(integers.lo[axis] >> zeros_of(node, w)));
+        look(w, static_cast<std::uint64_t>(integers.hi[axis] >> zeros_of(node, w)));
+        continue;
+      }
+      x[w] = particles_.position[axis] + span.base;
+      first[w] = x[w][open[0].index];
+      look(w, geometry::image(first[w]));
     }
-    // Mostly all are equal, or the search would not have come here.
-    const double* const x = particles_.position[static_cast<std::size_t>(nodes_[node].axes[word])] + span.base;
-    const double first = x[span.middle->index];
-    look(geometry::image(first));
-    bool same = true;
-    for (const Record& record : span.open()) same &= x[record.index] == first;
-    if (same) continue;
-    for (const Record& record : span.open()) look(geometry::image(x[record.index]));
+    // Mostly all are equal, or the search would not have come here: one pass tells.
+    if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
+      for (const Record& record : open) {
+        same[0] &= x[0][record.index] == first[0];
+        same[1] &= x[1][record.index] == first[1];
+        same[2] &= x[2][record.index] == first[2];
+      }
+    } else {
+      for (std::size_t w = from; w < axes_; ++w)
+        for (std::size_t i = 0; i < open.size() && x[w] != nullptr; ++i) same[w] &= x[w][open[i].index] == first[w];
+    }
+    for (std::size_t w = from; w < axes_; ++w)
+      for (std::size_t i = 0; i < open.size() && !same[w]; ++i) look(w, geometry::image(x[w][open[i].index]));
+    const Id* const id = particles_.id + span.base;
+    for (const Record& record : open) look(axes_, static_cast<std::uint64_t>(id[record.index]));
   }
-  return {least, other};
 }
 
 // Words of one value are decided; the integers then stand for the first that isn't. The bounds of words that integers
@@ -329,13 +337,17 @@ void Selector::rekey() {
   Buffer<std::uint64_t> bounds(measured.size() * words_ * 2);
   std::fill(bounds.begin(), bounds.end(), kNone);
   for (std::size_t m = 0; m < measured.size(); ++m)
-    for (std::size_t w = states_[measured[m]].word; w < words_; ++w)
-      std::ranges::copy(word_bounds(measured[m], w), &bounds[(m * words_ + w) * 2]);
+    measure_words(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
   reductions_ += all_min_in_messages(comm_, bounds.span());
   for (std::size_t m = 0; m < measured.size(); ++m) {
     State& state = states_[measured[m]];
     const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
     const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
+    // One coordinate has one integer.
+    if (axes_ > 0 && !state.keyed && lo() == hi() && !told(measured[m], 0)) {
+      state.single = true;
+      state.single_value = maps_[axis_of(measured[m])](geometry::value_of_image(lo()));
+    }
     while (lo() == hi()) {
       CHECK(state.word + 1 < words_, "two particles have the same id");
       ++state.word;

@@ -141,8 +141,8 @@ class Selector {
   bool take_near(std::size_t node, unsigned shift, std::size_t bin, const Cell& cell);
   void narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few);
   void rekey();
-  // Least word and complement of the greatest among a node's open records. Local.
-  std::array<std::uint64_t, 2> word_bounds(std::size_t node, std::size_t word) const;
+  // Of each word from the node's own on: the least among the open records, and the complement of the greatest. Local.
+  void measure_words(std::size_t node, std::span<std::uint64_t> bounds) const;
   // The values of a word that integers tell: these many from the first on, a step being 2^zeros of the integers.
   struct Steps {
     std::size_t axis;
