@@ -25,6 +25,13 @@ struct Box {
       hi[a] = std::max(hi[a], point[a]);
     }
   }
+  // Nothing where `other` is empty.
+  void extend(const Box& other) {
+    for (std::size_t a = 0; a < kDimsMax; ++a) {
+      lo[a] = std::min(lo[a], other.lo[a]);
+      hi[a] = std::max(hi[a], other.hi[a]);
+    }
+  }
 };
 
 }  // namespace rcb::geometry

@@ -17,7 +17,8 @@
 
 namespace rcb::partition {
 
-// Parts [first, last) of which all particles are on this rank, but for some that have just entered them.
+// The parts [first, last) that this rank's particles are of, but for some that have just left them. Where particles lie
+// anywhere that is all parts, on every rank.
 struct OwnParts {
   int first = 0;
   int last = 0;

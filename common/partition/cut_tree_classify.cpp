@@ -29,6 +29,7 @@ struct Top {
   std::array<const double*, 7> x;
   alignas(32) std::array<std::int32_t, 8> label;  // of the nodes below
 
+  Top() = default;
   Top(std::span<const Step> steps, std::int32_t root) {
     std::array<std::int32_t, 15> node{root};
     for (std::size_t k = 0; k < value.size(); ++k) {
@@ -54,6 +55,7 @@ class Descent {
       steps_[at(p)] = {geometry::Box::kInfinity, particles.position[0], {p, p}};
     root_ = label(tree.root());
     add(tree, particles, tree.root(), 0);
+    top_ = Top(steps_, root_);
   }
 
   // out: the labels of particles [begin, end) at the end of their paths.
@@ -64,7 +66,7 @@ class Descent {
     if (avx2) {
       // A tail of fewer than four starts at the root too.
       const std::size_t whole = begin + (end - begin) / 4 * 4;
-      descend_top(Top(steps_, root_), begin, whole, out, tied);
+      descend_top(top_, begin, whole, out, tied);
       std::fill(out + whole, out + end, root_);
       for (; level < Top::kLevels; ++level) step(whole, end, begin, out, tied);
     }
@@ -131,6 +133,7 @@ class Descent {
   std::int32_t root_ = 0;
   int depth_ = 0;
   std::vector<Step> steps_;
+  Top top_;
 };
 
 }  // namespace

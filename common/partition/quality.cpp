@@ -59,10 +59,8 @@ class BoxTree {
     const Box left = build(range.left());
     const Box right = build(range.right());
     Box& box = inner_[at(range.node)];
-    for (std::size_t a = 0; a < dims_; ++a) {
-      box.lo[a] = std::min(left.lo[a], right.lo[a]);
-      box.hi[a] = std::max(left.hi[a], right.hi[a]);
-    }
+    box = left;
+    box.extend(right);
     return box;
   }
   template <typename Visit>

@@ -5,11 +5,9 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
 
 #include "common/base/check.hpp"
+#include "common/partition/four_points.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -67,16 +65,8 @@ template <bool kTell>
   __m128i bits = _mm_setzero_si128();
   std::size_t i = 0;
   for (; i + 4 <= out.size(); i += 4) {
-    const __m256d x0 = _mm256_loadu_pd(even.x[0] + i);
-    const __m256d x1 = _mm256_loadu_pd(even.x[1] + i);
-    const __m256d x2 = _mm256_loadu_pd(even.x[2] + i);
-    const __m256d low = _mm256_unpacklo_pd(x0, x1);
-    const __m256d high = _mm256_unpackhi_pd(x0, x1);
-    const __m256d low_rest = _mm256_unpacklo_pd(x2, x2);
-    const __m256d high_rest = _mm256_unpackhi_pd(x2, x2);
-    const __m256d point[4] = {
-        _mm256_permute2f128_pd(low, low_rest, 0x20), _mm256_permute2f128_pd(high, high_rest, 0x20),
-        _mm256_permute2f128_pd(low, low_rest, 0x31), _mm256_permute2f128_pd(high, high_rest, 0x31)};
+    __m256d point[4];
+    load_four_points(even.x, i, point);
     for (std::size_t k = 0; k < 4; ++k) {
       const __m128i q = _mm256_cvttpd_epi32(_mm256_mul_pd(_mm256_sub_pd(_mm256_mul_pd(point[k], half), base), scale));
       if constexpr (kTell) {

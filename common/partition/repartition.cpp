@@ -188,12 +188,14 @@ class Repartitioning {
       const std::uint64_t* const end = word + count;
       too_many |= *word++ != 0;
       std::uint64_t boxes = *word++;
-      for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax)
+      for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax) {
+        geometry::Box box;
         for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-          geometry::Box& box = settled.boxes[word[0]];
-          box.lo[a] = std::min(box.lo[a], std::bit_cast<double>(word[1 + a]));
-          box.hi[a] = std::max(box.hi[a], std::bit_cast<double>(word[1 + geometry::kDimsMax + a]));
+          box.lo[a] = std::bit_cast<double>(word[1 + a]);
+          box.hi[a] = std::bit_cast<double>(word[1 + geometry::kDimsMax + a]);
         }
+        settled.boxes[word[0]].extend(box);
+      }
       for (; word < end; word += 4) {
         counts[word[0]] -= word[1];
         stay[word[0]] -= word[2] | (u128{word[3]} << 64U);

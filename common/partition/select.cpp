@@ -267,11 +267,13 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
     bounds[2 * word] = std::min(bounds[2 * word], own);
     bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
   };
+  bool any_told = false;
+  for (std::size_t w = from; w < axes_; ++w) any_told |= told(node, w);
   for (const Span& span : spans_of(node)) {
     const std::span<const Record> open = span.open();
     if (open.empty()) continue;
     QBounds integers;
-    widen(integers, open);
+    if (any_told) widen(integers, open);
     std::array<const double*, geometry::kDimsMax> x{};
     std::array<double, geometry::kDimsMax> first{};
     std::array<bool, geometry::kDimsMax> same{true, true, true};

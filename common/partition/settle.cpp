@@ -5,9 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <bit>
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
+
+#include "common/partition/four_points.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -150,17 +149,8 @@ class Pass {
     std::uint64_t beyond = 0;
     std::size_t i = 0;
     for (; i + kLanes <= count; i += kLanes) {
-      const __m256d x0 = _mm256_loadu_pd(x[0] + i);
-      const __m256d x1 = _mm256_loadu_pd(x[1] + i);
-      const __m256d x2 = _mm256_loadu_pd(x[2] + i);
-      // Of particles 0 and 2, and of 1 and 3. The last lane holds anything.
-      const __m256d even = _mm256_unpacklo_pd(x0, x1);
-      const __m256d odd = _mm256_unpackhi_pd(x0, x1);
-      const __m256d even_rest = _mm256_unpacklo_pd(x2, x2);
-      const __m256d odd_rest = _mm256_unpackhi_pd(x2, x2);
-      const __m256d point[kLanes] = {
-          _mm256_permute2f128_pd(even, even_rest, 0x20), _mm256_permute2f128_pd(odd, odd_rest, 0x20),
-          _mm256_permute2f128_pd(even, even_rest, 0x31), _mm256_permute2f128_pd(odd, odd_rest, 0x31)};
+      __m256d point[kLanes];
+      load_four_points(x, i, point);
       __m256d in[kLanes];
       for (std::size_t k = 0; k < kLanes; ++k) {
         const Bounds& box = bounds[std::min(static_cast<std::uint32_t>(part[i + k] - first_), last)];

@@ -31,13 +31,7 @@ struct Settled {
   }
   geometry::Box box(int first, int last) const {
     geometry::Box all;
-    for (int p = first; p < last; ++p) {
-      const geometry::Box& own = boxes[static_cast<std::size_t>(p)];
-      for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-        all.lo[a] = std::min(all.lo[a], own.lo[a]);
-        all.hi[a] = std::max(all.hi[a], own.hi[a]);
-      }
-    }
+    for (int p = first; p < last; ++p) all.extend(boxes[static_cast<std::size_t>(p)]);
     return all;
   }
 };

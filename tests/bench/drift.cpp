@@ -98,8 +98,7 @@ Status run_drift(const DriftOptions& options, Json document) {
   for (Json& row : rows) same = compare(row) && same;
   print(tables(rows));
   document["rows"] = std::move(rows);
-  if (!options.json.empty())
-    if (Status written = write_file(options.json, document.dump(1) + "\n"); !written.ok()) return written;
+  if (Status written = write_result(options.json, document); !written.ok()) return written;
   if (status.ok() && !same)
     status = {Code::internal, "cuts from those in force differ from those of a search among all"};
   return status;

@@ -195,8 +195,7 @@ Status run_dynamic(const DynamicOptions& options, Json document) {
   document["rows"] = Json::array();
   const Status measured = measure_all(options, document["rows"]);
   print(dynamic_tables(document));
-  if (!options.json.empty())
-    if (Status status = write_file(options.json, document.dump(1) + "\n"); !status.ok()) return status;
+  if (Status status = write_result(options.json, document); !status.ok()) return status;
   if (!measured.ok() || options.figure.empty()) return measured;
   return draw_dynamic(document, options.figure);
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -175,8 +176,7 @@ Status run_idle(const IdleOptions& options, Json document) {
     if (status.ok()) status = measure(options, ranks, rows);
   print(table_of(rows));
   document["rows"] = std::move(rows);
-  if (!options.json.empty())
-    if (Status written = write_file(options.json, document.dump(1) + "\n"); !written.ok()) return written;
+  if (Status written = write_result(options.json, document); !written.ok()) return written;
   return status;
 }
 

@@ -101,8 +101,7 @@ Status tell(const std::string& bench, const Options& options, nlohmann::ordered_
   document["rows"] = result.rows;
   document["summary"] = bench == "static" ? summarise_static(result.rows) : summarise_scaling(result.rows);
   print(bench == "static" ? static_tables(document) : scaling_tables(document));
-  if (!options.json.empty())
-    if (Status status = write_file(options.json, document.dump(1) + "\n"); !status.ok()) return status;
+  if (Status status = write_result(options.json, document); !status.ok()) return status;
   if (!result.status.ok()) return result.status;
   if (!options.figure.empty())
     if (Status status = draw(document, options.figure); !status.ok()) return status;
@@ -159,6 +158,8 @@ int fail(const Status& status) {
   return exit_code(status.code());
 }
 
+int ended(const Status& status) { return status.ok() ? 0 : fail(status); }
+
 int run_program(int argc, char** argv) {
   CLI::App app("Times the partitioner beside its peers: starts mpirun itself, runs the contenders in turn.",
                "rcb_bench");
@@ -206,32 +207,13 @@ int run_program(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return fail(usage(error.what()));
   }
-  if (idle->parsed()) {
-    const Status status = run_idle(of_idle, start_document("idle", 1));
-    return status.ok() ? 0 : fail(status);
-  }
-  if (drift->parsed()) {
-    const Status status = run_drift(of_drift, start_document("drift", of_drift.repeats));
-    return status.ok() ? 0 : fail(status);
-  }
-  if (step->parsed()) {
-    const Status status = run_step(of_step, start_document("step", of_step.repeats));
-    return status.ok() ? 0 : fail(status);
-  }
-  if (memory->parsed()) {
-    const Status status = run_memory(of_memory, start_document("memory", 1));
-    return status.ok() ? 0 : fail(status);
-  }
-  if (skips->parsed()) {
-    const Status status = run_skips(of_skips, start_document("skips", of_skips.repeats));
-    return status.ok() ? 0 : fail(status);
-  }
-  if (dynamic->parsed()) {
-    const Status status = run_dynamic(of_dynamic, start_document("dynamic", of_dynamic.repeats));
-    return status.ok() ? 0 : fail(status);
-  }
-  const Status status = statics->parsed() ? run("static", of_static) : run("scaling", of_scaling);
-  return status.ok() ? 0 : fail(status);
+  if (idle->parsed()) return ended(run_idle(of_idle, start_document("idle", 1)));
+  if (drift->parsed()) return ended(run_drift(of_drift, start_document("drift", of_drift.repeats)));
+  if (step->parsed()) return ended(run_step(of_step, start_document("step", of_step.repeats)));
+  if (memory->parsed()) return ended(run_memory(of_memory, start_document("memory", 1)));
+  if (skips->parsed()) return ended(run_skips(of_skips, start_document("skips", of_skips.repeats)));
+  if (dynamic->parsed()) return ended(run_dynamic(of_dynamic, start_document("dynamic", of_dynamic.repeats)));
+  return ended(statics->parsed() ? run("static", of_static) : run("scaling", of_scaling));
 }
 
 }  // namespace

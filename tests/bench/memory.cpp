@@ -230,8 +230,7 @@ Status run_memory(const MemoryOptions& options, Json document) {
   print(table_of(rows));
   if (status.ok()) status = verdict_of(rows, options);
   document["rows"] = std::move(rows);
-  if (!options.json.empty())
-    if (Status written = write_file(options.json, document.dump(1) + "\n"); !written.ok()) return written;
+  if (Status written = write_result(options.json, document); !written.ok()) return written;
   return status;
 }
 

@@ -273,6 +273,10 @@ Status write_file(const std::string& path, const std::string& text) {
   return {Code::io_error, path + ": can't be written", "does its folder exist?"};
 }
 
+Status write_result(const std::string& path, const Json& document) {
+  return path.empty() ? Status() : write_file(path, document.dump(1) + "\n");
+}
+
 Status verdict(const Json& document) {
   std::map<std::string, std::string> hashes;
   for (const Json& row : document["rows"]) {

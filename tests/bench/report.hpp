@@ -24,6 +24,8 @@ std::string table(const std::vector<std::vector<std::string>>& lines, std::size_
 void print(const std::string& text);
 // Through a file beside it and a rename. Errors: io_error.
 Status write_file(const std::string& path, const std::string& text);
+// The same of a bench's result; nothing where no path was given.
+Status write_result(const std::string& path, const nlohmann::ordered_json& document);
 
 // internal if a run of ours failed, or if its hash isn't the same for every number of ranks.
 Status verdict(const nlohmann::ordered_json& document);

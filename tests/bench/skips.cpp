@@ -337,8 +337,7 @@ Status run_skips(const SkipsOptions& options, Json document) {
   document["rows"] = Json::array();
   const Status measured = measure_all(options, document["rows"]);
   print(tables(document["rows"]));
-  if (!options.json.empty())
-    if (Status status = write_file(options.json, document.dump(1) + "\n"); !status.ok()) return status;
+  if (Status status = write_result(options.json, document); !status.ok()) return status;
   return measured;
 }
 

@@ -281,8 +281,7 @@ Status run_step(const StepBenchOptions& options, Json document) {
         if (status.ok()) status = run_cell(scene, motion, parts, ranks, options, rows);
   }
   document["rows"] = std::move(rows);
-  if (!options.json.empty())
-    if (Status written = write_file(options.json, document.dump(1) + "\n"); !written.ok()) return written;
+  if (Status written = write_result(options.json, document); !written.ok()) return written;
   return status;
 }
 

@@ -130,8 +130,7 @@ Status run(Options& options) {
       if (status.ok()) status = run_method(options, folder.path(), method, ranks, document["rows"]);
   compare_ranks(document["rows"]);
   print(stress_table(document));
-  if (!options.json.empty())
-    if (Status written = write_file(options.json, document.dump(1) + "\n"); !written.ok()) return written;
+  if (Status written = write_result(options.json, document); !written.ok()) return written;
   return status.ok() ? stress_verdict(document) : status;
 }
 
