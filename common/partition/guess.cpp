@@ -1,8 +1,7 @@
 #include "common/partition/guess.hpp"
 
 #include <algorithm>
-#include <array>
-#include <limits>
+#include <numeric>
 
 #include "common/partition/build_tree.hpp"
 #include "common/partition/repartition.hpp"
@@ -54,14 +53,11 @@ class Guess {
   // All particles beyond the sampled ones: they weigh nothing, but tell the extents.
   void add_outermost(const Sample& sample) {
     const std::size_t had = set_.count();
-    const auto append = [](auto& to, const auto& from) { to.append(from.span()); };
-    for (std::size_t a = 0; a < at(dims()); ++a) append(set_.position[a], sample.particles.position[a]);
-    append(set_.weight, sample.particles.weight);
-    append(set_.id, sample.particles.id);
-    for (std::size_t k = had; k < set_.count(); ++k) {
-      set_.weight[k] = 0;
-      set_.id[k] = static_cast<particles::Id>(k);
-    }
+    for (std::size_t a = 0; a < at(dims()); ++a) set_.position[a].append(sample.particles.position[a].span());
+    set_.id.resize(had + sample.count());
+    set_.weight.resize(set_.count());
+    std::iota(set_.id.begin(), set_.id.end(), particles::Id{0});
+    std::fill(set_.weight.begin() + had, set_.weight.end(), 0.0);
     outermost_ = true;
   }
 
@@ -82,11 +78,7 @@ class Guess {
 
   Box box_of(const NodeRange& range) const {
     Box all;
-    for (int p = range.first; p < range.last; ++p)
-      for (std::size_t a = 0; a < at(dims()); ++a) {
-        all.lo[a] = std::min(all.lo[a], boxes_[at(p)].lo[a]);
-        all.hi[a] = std::max(all.hi[a], boxes_[at(p)].hi[a]);
-      }
+    for (int p = range.first; p < range.last; ++p) all.extend(boxes_[at(p)]);
     return all;
   }
 
@@ -138,20 +130,22 @@ class Guess {
 }  // namespace
 
 std::optional<PartitionResult> partition_from_guess(Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options) {
+                                                    const PartitionOptions& options, std::uint64_t& reductions) {
+  reductions = 0;
   const GuessLimits& limits = options.limits.guess;
   if (options.parts < limits.parts_min || options.parts > limits.parts_max) return std::nullopt;
   // A tree before this one has a say in the axes, and cuts within a tolerance depend on where a search begins.
   if (options.cut_tolerance > 0 || (options.previous != nullptr && options.axis_hysteresis > 1)) return std::nullopt;
   std::vector<std::uint64_t> count{particles.count};
   comm.all_sum(count);
+  ++reductions;
   if (count[0] / static_cast<std::uint64_t>(comm.size()) < limits.count_min) return std::nullopt;
 
   const std::uint64_t wanted = std::clamp(count[0] / limits.stride, limits.sample_min, limits.sample_max);
   const std::uint64_t stride = std::max<std::uint64_t>(count[0] / wanted, 1);
   Guess guess(share_sample(comm, particles, nullptr, pick(particles.count, stride)), options);
   Guess::Verdict verdict = guess.make();
-  std::uint64_t reductions = 2;
+  ++reductions;
   if (verdict == Guess::Verdict::axes_open && stride <= kStrideMax) {
     const auto slots = slots_beyond(particles, guess.sampled_box(), kStridesMax * (stride + 64));
     guess.add_outermost(share_sample(comm, particles, nullptr, slots));
@@ -174,7 +168,8 @@ std::optional<PartitionResult> partition_from_guess(Comm& comm, const particles:
   if (!exact.loads.weighted) result.counts = std::move(exact.loads.counts);
   result.searched = exact.looked_at;
   result.rounds = exact.rounds;
-  result.reductions = reductions + exact.reductions;
+  reductions += exact.reductions;
+  result.reductions = reductions;
   return result;
 }
 

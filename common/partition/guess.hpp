@@ -16,7 +16,8 @@
 namespace rcb::partition {
 
 // nullopt, on all ranks, where options.limits or the sample speak against it. The options are checked. Collective.
+//   reductions  becomes the number of collectives used, whatever comes of them
 std::optional<PartitionResult> partition_from_guess(Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options);
+                                                    const PartitionOptions& options, std::uint64_t& reductions);
 
 }  // namespace rcb::partition

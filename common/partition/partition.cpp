@@ -99,8 +99,11 @@ Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& par
   if (options.method == Method::equal_boxes || options.method == Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
                   "choose rcb, bands-x, bands-y or bands-z");
-  if (auto found = partition_from_guess(comm, particles, options)) return *std::move(found);
-  return TreeBuilder(comm, particles, options, particles.dims).build();
+  std::uint64_t reductions = 0;
+  if (auto found = partition_from_guess(comm, particles, options, reductions)) return *std::move(found);
+  PartitionResult result = TreeBuilder(comm, particles, options, particles.dims).build();
+  result.reductions += reductions;
+  return result;
 }
 
 Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles,

@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/support/agreement.hpp"
+#include "tests/support/forwarding_comm.hpp"
 #include "tests/support/judge.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/scenes.hpp"
@@ -188,6 +189,12 @@ TEST(Partition, RoundsAreBounded) {
     }
 }
 
+struct CountingComm final : testing::ForwardingComm {
+  using ForwardingComm::ForwardingComm;
+  void before() override { ++collectives; }
+  std::uint64_t collectives = 0;
+};
+
 // A large set begins with the tree of a sample; the answer is that of a search among all particles.
 TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
   for (const Shape shape : {Shape::uniform, Shape::coincident}) {
@@ -201,7 +208,9 @@ TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
     on_ranks([&](Comm& comm) {
       const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
       const PartitionResult all = partition(comm, share.particles.view(), options).value();
-      const PartitionResult few = partition(comm, share.particles.view(), guessed).value();
+      CountingComm counting(comm);
+      const PartitionResult few = partition(counting, share.particles.view(), guessed).value();
+      EXPECT_EQ(few.reductions, counting.collectives);
       EXPECT_EQ(few.searched < scene.count() / 4, shape != Shape::coincident) << few.searched;
       EXPECT_EQ(all.searched, scene.count());
       EXPECT_EQ(few.tree.hash(), all.tree.hash());
