@@ -75,6 +75,7 @@ class Repartitioning {
   struct Copied {
     particles::ParticleSet particles;
     Buffer<std::uint64_t> slot;
+    Buffer<std::int32_t> part;      // in force
     std::vector<std::size_t> ends;  // [roots]
   };
 
@@ -96,29 +97,17 @@ class Repartitioning {
     out.slot.resize(count);
     for (std::size_t k = 0; k < slots.size(); ++k)
       if (const std::size_t root = root_of[at(parts[k])]; root != kNone) out.slot[next[root]++] = slots[k];
-    for (std::size_t a = 0; a < at(particles_.dims); ++a)
-      copy_array(particles_.position[a], out.slot, out.particles.position[a]);
-    copy_rest(out);
-    return out;
-  }
-
-  // The few of the whole tree, whose positions are copied already.
-  Copied copy_all(OwnSettled own) const {
-    Copied out;
-    out.ends.assign(1, own.few.size());
-    out.slot = std::move(own.few);
-    out.particles.position = std::move(own.position);
-    copy_rest(out);
-    return out;
-  }
-
-  // Everything but positions.
-  void copy_rest(Copied& out) const {
+    out.part.resize(count);
+    for (std::size_t k = 0; k < count; ++k) out.part[k] = standing_.part[out.slot[k]];
     out.particles.dims = particles_.dims;
     out.particles.has_weights = particles_.weight != nullptr;
+    for (std::size_t a = 0; a < at(particles_.dims); ++a)
+      copy_array(particles_.position[a], out.slot, out.particles.position[a]);
     copy_array(particles_.id, out.slot, out.particles.id);
     if (out.particles.has_weights) copy_array(particles_.weight, out.slot, out.particles.weight);
+    return out;
   }
+
 
   template <typename T>
   static void copy_array(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
@@ -133,14 +122,15 @@ class Repartitioning {
                                      standing_.own, options_.limits);
     // A rank may hold nothing but particles that have just left others.
     const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
-    OwnSettled own = settle(particles_, standing_.part, inner, standing_.own,
+    OwnSettled own = settle(particles_, standing_.blocks, standing_.part, inner, standing_.own,
                             std::max<std::uint64_t>(particles_.count, mean) / options_.limits.few_share);
     result_.reductions += 2;
     Settled settled;
     if (!gather(own, settled)) return false;
-    std::vector<std::int32_t> parts;
-    for (std::size_t k = 0; k < own.few.size() && !whole_; ++k) parts.push_back(standing_.part[own.few[k]]);
-    const Copied few = whole_ ? copy_all(std::move(own)) : copy(roots_, own.few.span(), parts);
+    const std::size_t count = own.slot.size();
+    if (!whole_) own.few = {};
+    const Copied few = whole_ ? Copied{std::move(own.few), std::move(own.slot), std::move(own.part), {count}}
+                              : copy(roots_, own.slot.span(), own.part.span());
     const Start start{
         roots_, few.ends, &standing_.tree, whole_ ? nullptr : &rule_, scale_, &settled, n_ / options_.limits.few_share};
     TreeBuilder builder(comm_, few.particles.view(), options_, start);
@@ -149,8 +139,7 @@ class Repartitioning {
     failed_ = builder.failed();
     std::ranges::sort(failed_, {}, &NodeRange::first);
     rule_ = builder.rule();
-    take(
-        std::move(found), few.slot.size(), [&few](std::size_t k) { return few.slot[k]; }, roots_);
+    take(std::move(found), few.slot.span(), few.part.span(), roots_);
     return true;
   }
 
@@ -160,9 +149,9 @@ class Repartitioning {
     // that some of the few are of, how many and their weight.
     std::vector<std::uint64_t> few(at(options_.parts), 0);
     std::vector<u128> weights(few.size(), 0);
-    for (const std::uint64_t slot : own.few) {
-      ++few[at(standing_.part[slot])];
-      if (scale_) weights[at(standing_.part[slot])] += (*scale_)(particles_.weight[slot]);
+    for (std::size_t k = 0; k < own.part.size(); ++k) {
+      ++few[at(own.part[k])];
+      if (scale_) weights[at(own.part[k])] += (*scale_)(own.few.weight[k]);
     }
     std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
     for (std::size_t p = 0; p < own.boxes.size(); ++p) {
@@ -217,9 +206,7 @@ class Repartitioning {
     if (failed_[0].parts() == options_.parts) {
       result_.looked_at = n_;
       result_.delta = {};
-      take(
-          TreeBuilder(comm_, particles_, options_, particles_.dims).build(), particles_.count,
-          [](std::size_t k) { return k; }, roots_);
+      take(TreeBuilder(comm_, particles_, options_, particles_.dims).build(), {}, standing_.part, roots_);
       return;
     }
     // Where the few went for now; all others are where they were.
@@ -244,25 +231,23 @@ class Repartitioning {
     result_.delta = std::move(kept);
     const Copied some = copy(failed_, slots, parts);
     const Start start{failed_, some.ends, &result_.tree, &rule_, scale_, nullptr, 0};
-    take(
-        TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot.size(),
-        [&some](std::size_t k) { return some.slot[k]; }, failed_);
+    take(TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot.span(), some.part.span(),
+         failed_);
     for (const NodeRange& root : failed_)
       result_.looked_at += std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
   }
 
-  // What a search found, among `count` particles of these slots.
-  template <typename SlotOf>
-  void take(PartitionResult found, std::size_t count, const SlotOf& slot_of, std::span<const NodeRange> roots) {
+  // What a search found among particles that are of these parts in force. slots: theirs; empty: all in order.
+  void take(PartitionResult found, std::span<const std::uint64_t> slots, std::span<const std::int32_t> part,
+            std::span<const NodeRange> roots) {
     // Counted first: lists that grow would take twice their memory.
     std::size_t changed = result_.delta.slot.size();
-    for (std::size_t k = 0; k < count; ++k) changed += found.part[k] == standing_.part[slot_of(k)] ? 0U : 1U;
+    for (std::size_t k = 0; k < part.size(); ++k) changed += found.part[k] == part[k] ? 0U : 1U;
     result_.delta.slot.reserve(changed);
     result_.delta.part.reserve(changed);
-    for (std::size_t k = 0; k < count; ++k) {
-      const std::uint64_t slot = slot_of(k);
-      if (found.part[k] == standing_.part[slot]) continue;
-      result_.delta.slot.push_back(slot);
+    for (std::size_t k = 0; k < part.size(); ++k) {
+      if (found.part[k] == part[k]) continue;
+      result_.delta.slot.push_back(slots.empty() ? k : slots[k]);
       result_.delta.part.push_back(found.part[k]);
     }
     if (!scale_)

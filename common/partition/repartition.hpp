@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "common/base/buffer.hpp"
+#include "common/particles/block_ranges.hpp"
 #include "common/partition/brackets.hpp"
 #include "common/partition/load.hpp"
 #include "common/partition/partition.hpp"
@@ -25,6 +26,7 @@ struct Standing {
   std::span<const std::int32_t> part;  // of the local particles, under the tree
   const LoadSummary& loads;            // of those parts, all ranks
   OwnParts own;
+  const particles::BlockRanges* blocks = nullptr;  // of the local particles; null: not known
 };
 
 // Local particles whose part changes.

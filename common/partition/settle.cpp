@@ -11,7 +11,7 @@
 namespace rcb::partition {
 namespace {
 
-constexpr std::size_t kBlock = 64;
+using particles::kBlock;
 constexpr std::size_t kLanes = 4;
 
 // One cache line; the lanes of no axis hold anything finite.
@@ -22,9 +22,16 @@ struct alignas(64) Bounds {
 
 class Pass {
  public:
-  Pass(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-       std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max, OwnSettled& out)
-      : particles_(particles), part_(part), inner_(inner), first_(own.first), few_max_(few_max), out_(out) {
+  Pass(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
+       std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max,
+       OwnSettled& out)
+      : particles_(particles),
+        blocks_(blocks),
+        part_(part),
+        inner_(inner),
+        first_(own.first),
+        few_max_(few_max),
+        out_(out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
     none.hi.fill(geometry::Box::kInfinity);
@@ -37,8 +44,9 @@ class Pass {
   void seed() {
     const std::size_t stride = std::max<std::size_t>(particles_.count / 4096, 1);
     for (std::size_t i = 0; i < particles_.count; i += stride) look(i);
-    out_.few.clear();
-    for (auto& x : out_.position) x.clear();
+    out_.few.resize(0);
+    out_.slot.clear();
+    out_.part.clear();
   }
 
   void run() {
@@ -70,8 +78,11 @@ class Pass {
     for (std::size_t a = 0; a < axes() && inside; ++a)
       inside = particles_.position[a][i] > inner_[p].lo[a] && particles_.position[a][i] < inner_[p].hi[a];
     if (!inside) {
-      out_.few.push_back(i);
-      for (std::size_t a = 0; a < axes(); ++a) out_.position[a].push_back(particles_.position[a][i]);
+      out_.slot.push_back(i);
+      out_.part.push_back(part_[i]);
+      for (std::size_t a = 0; a < axes(); ++a) out_.few.position[a].push_back(particles_.position[a][i]);
+      out_.few.id.push_back(particles_.id[i]);
+      if (out_.few.has_weights) out_.few.weight.push_back(particles_.weight[i]);
       return;
     }
     for (std::size_t a = 0; a < axes(); ++a) {
@@ -87,16 +98,29 @@ class Pass {
     // Axes that there aren't stand for the first one; their lanes hold anything.
     Axes x = particles_.position;
     for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
-    for (std::size_t begin = 0; begin < particles_.count && out_.few.size() <= few_max_; begin += kBlock) {
+    for (std::size_t begin = 0; begin < particles_.count && out_.slot.size() <= few_max_; begin += kBlock) {
       const std::size_t count = std::min(kBlock, particles_.count - begin);
       const std::int32_t* const part = part_.data() + begin;
       std::int32_t other = 0;
       for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
+      if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index(begin))) continue;
       const Axes at{x[0] + begin, x[1] + begin, x[2] + begin};
       std::uint64_t beyond =
           other == 0 ? beyond_same<kAvx2>(at, bounds_[index(begin)], count) : beyond_own<kAvx2>(at, part, count);
       for (; beyond != 0; beyond &= beyond - 1) look(begin + static_cast<std::size_t>(std::countr_zero(beyond)));
     }
+  }
+
+  // Whether the ranges of a block of part p tell that all of it stays.
+  bool stays(std::size_t block, std::size_t p) {
+    bool inside = p < inner_.size();
+    for (std::size_t a = 0; a < axes() && inside; ++a)
+      inside = blocks_->of[a][block].strictly_inside(inner_[p].lo[a], inner_[p].hi[a]);
+    for (std::size_t a = 0; a < axes() && inside; ++a) {
+      bounds_[p].lo[a] = std::min(bounds_[p].lo[a], blocks_->of[a][block].lo);
+      bounds_[p].hi[a] = std::max(bounds_[p].hi[a], blocks_->of[a][block].hi);
+    }
+    return inside;
   }
 
   // The particles of a block, a bit each, that don't lie within these bounds; within their part's.
@@ -169,6 +193,7 @@ class Pass {
 #endif
 
   const particles::ParticleView& particles_;
+  const particles::BlockRanges* blocks_;
   std::span<const std::int32_t> part_;
   std::span<const geometry::Box> inner_;
   std::int32_t first_;
@@ -179,16 +204,21 @@ class Pass {
 
 }  // namespace
 
-OwnSettled settle(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                  std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max) {
+OwnSettled settle(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
+                  std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
+                  std::size_t few_max) {
   OwnSettled out;
-  out.few.reserve(particles.count / 16);
-  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
-    out.position[a].reserve(particles.count / 16);
-  Pass pass(particles, part, inner, own, few_max, out);
-  pass.seed();
+  out.few.dims = particles.dims;
+  out.few.has_weights = particles.weight != nullptr;
+  const std::size_t room = particles.count / 16;
+  out.few.resize(room);
+  out.few.resize(0);
+  out.slot.reserve(room);
+  out.part.reserve(room);
+  Pass pass(particles, blocks, part, inner, own, few_max, out);
+  if (blocks == nullptr) pass.seed();  // blocks that stay as a whole soon do as much
   pass.run();
-  out.too_many = out.few.size() > few_max;
+  out.too_many = out.slot.size() > few_max;
   for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));
   return out;
 }

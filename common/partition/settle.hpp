@@ -1,26 +1,30 @@
 // The one pass of a repartition: which particles are expected to stay in their part, and which few are to be looked at.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
 
 #include "common/base/buffer.hpp"
+#include "common/particles/block_ranges.hpp"
 #include "common/partition/brackets.hpp"
 
 namespace rcb::partition {
 
 struct OwnSettled {
-  bool too_many = false;                                    // the pass ended at few_max; nothing below counts
-  Buffer<std::uint64_t> few;                                // the others' slots, ascending
-  std::array<Buffer<double>, geometry::kDimsMax> position;  // and positions
-  std::vector<geometry::Box> boxes;                         // [own parts]: of those who stay, exact; empty: nobody does
+  bool too_many = false;             // the pass ended at few_max; nothing below counts
+  particles::ParticleSet few;        // the others, copied
+  Buffer<std::uint64_t> slot;        // their slots, ascending
+  Buffer<std::int32_t> part;         // and parts
+  std::vector<geometry::Box> boxes;  // [own parts]: of those who stay, exact; empty: nobody does
 };
 
 // inner: of this rank's own parts; a particle strictly inside its part's stays. Those of other parts are among the few.
-// Local. One read of the positions; ends once more than few_max are to be looked at, since they are copied.
-OwnSettled settle(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                  std::span<const geometry::Box> inner, OwnParts own, std::size_t few_max);
+//   blocks  of these positions; null: not known
+// Local. One read of the positions, but for blocks whose ranges tell that they stay; ends once more than few_max are to
+// be looked at, since they are copied.
+OwnSettled settle(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
+                  std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
+                  std::size_t few_max);
 
 }  // namespace rcb::partition

@@ -3,39 +3,42 @@
 #include <algorithm>
 #include <utility>
 
-#include "server/service/inside.hpp"
-#include "server/service/scan.hpp"
-
 namespace rcb::service {
+
+using particles::kBlock;
+using particles::Range;
+
 Arrival::Arrival(std::shared_ptr<Loan> loan) : loan_(std::move(loan)), count_(loan_->part.size()) {
-  const std::size_t blocks = (count_ + kScanBlock - 1) / kScanBlock;
-  marks_.assign(blocks, 0);
-  block_part_.assign(blocks, kUnknown);
+  marks_.assign(particles::blocks_of(count_), 0);
+  block_part_.assign(marks_.size(), kUnknown);
+  ranges_.reset(loan_->dims, count_);
 }
 
 std::int32_t Arrival::part_of_block(std::size_t block) {
   std::int32_t& known = block_part_[block];
   if (known != kUnknown) return known;
-  const std::size_t begin = block * kScanBlock;
-  const auto parts = loan_->part.subspan(begin, std::min(kScanBlock, count_ - begin));
+  const std::size_t begin = block * kBlock;
+  const auto parts = loan_->part.subspan(begin, std::min(kBlock, count_ - begin));
   std::int32_t other = 0;
   for (const std::int32_t part : parts) other |= part ^ parts[0];
   return known = other == 0 ? parts[0] : kMixed;
 }
 
-// Of the values that are the block's.
 bool Arrival::any_outside(std::size_t axis, std::size_t block, std::uint64_t first, std::span<const double> values) {
-  const std::uint64_t begin = std::max<std::uint64_t>(first, block * kScanBlock);
-  const std::uint64_t end = std::min<std::uint64_t>(first + values.size(), (block + 1) * kScanBlock);
-  const double* const x = values.data() + (begin - first);
+  const std::uint64_t begin = std::max<std::uint64_t>(first, block * kBlock);
+  const std::uint64_t end = std::min<std::uint64_t>(first + values.size(), (block + 1) * kBlock);
+  const auto x = values.subspan(begin - first, end - begin);
   const std::int32_t part = part_of_block(block);
+  Range& range = ranges_.of[axis][block];
   if (part != kMixed) {
+    range.extend(particles::range_of(x));
     const PartBounds& bounds = loan_->bounds[static_cast<std::size_t>(part - loan_->first_part)];
-    return !all_inside(x, end - begin, bounds.lo[axis], bounds.hi[axis]);
+    return !range.strictly_inside(bounds.lo[axis], bounds.hi[axis]);
   }
+  range = Range::everything();
   const std::int32_t* const parts = loan_->part.data() + begin;
   bool inside = true;
-  for (std::size_t i = 0; i < end - begin; ++i) {
+  for (std::size_t i = 0; i < x.size(); ++i) {
     const PartBounds& bounds = loan_->bounds[static_cast<std::size_t>(parts[i] - loan_->first_part)];
     inside &= (x[i] > bounds.lo[axis]) & (x[i] < bounds.hi[axis]);
   }
@@ -49,15 +52,15 @@ void Arrival::add(std::size_t axis, std::uint64_t first, std::span<const double>
            values.size() <= count_ - first;
   if (!whole_) return;
   seen_[axis] += values.size();
-  for (std::size_t block = first / kScanBlock; block * kScanBlock < seen_[axis]; ++block)
+  for (std::size_t block = first / kBlock; block * kBlock < seen_[axis]; ++block)
     marks_[block] |= static_cast<std::uint8_t>(any_outside(axis, block, first, values));
 }
 
-std::span<const std::uint8_t> Arrival::marks(const Loan* loan) const {
-  if (!whole_ || loan != loan_.get()) return {};
+bool Arrival::holds(const Loan* loan) const {
+  if (!whole_ || loan != loan_.get()) return false;
   for (std::size_t axis = 0; axis < static_cast<std::size_t>(loan->dims); ++axis)
-    if (seen_[axis] != count_) return {};
-  return marks_;
+    if (seen_[axis] != count_) return false;
+  return true;
 }
 
 void Loans::lend(const Scene& scene, std::int32_t first_part) {

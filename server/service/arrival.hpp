@@ -1,5 +1,5 @@
 // Arrival: the pass over a slice's positions while they arrive, so that they are read in the cache and, when the step
-// is ordered, only the blocks of particles that showed something are looked at again.
+// is ordered, only the blocks of particles that showed something are looked at again, by it or by a repartition.
 //
 // Invariants
 // 1. Parts and regions of a scene are read between lend() and take_back() alone, under the loan's lock, a piece of the
@@ -7,7 +7,8 @@
 //    sockets do meanwhile, nothing is read while it changes.
 // 2. What an arrival tells holds for the loan it was begun with. Another one, a piece that is missing or out of order,
 //    or one that came after the loan was taken back: it tells nothing, and the whole slice is looked at.
-// 3. A block that isn't marked holds particles strictly inside their parts' regions, hence finite (scan.hpp).
+// 3. Ranges are known of blocks whose particles are all of one part; of others they are everything.
+// 4. A block that isn't marked holds particles strictly inside their parts' regions, hence finite (scan.hpp).
 #pragma once
 
 #include <array>
@@ -19,6 +20,7 @@
 #include <string>
 #include <vector>
 
+#include "common/particles/block_ranges.hpp"
 #include "server/service/scene.hpp"
 
 namespace rcb::service {
@@ -40,15 +42,19 @@ class Arrival {
 
   // The values of an axis from slot `first` on. Each axis in ascending slots.
   void add(std::size_t axis, std::uint64_t first, std::span<const double> values);
-  // A byte for each block of kScanBlock particles, not 0 where one may be outside its region; empty where that isn't
-  // known of this loan.
-  std::span<const std::uint8_t> marks(const Loan* loan) const;
+  // Whether it tells anything of this loan. If so,
+  bool holds(const Loan* loan) const;
+  // a byte for each block, not 0 where a particle may be outside its region,
+  std::span<const std::uint8_t> marks() const { return marks_; }
+  // and where the blocks are.
+  const particles::BlockRanges& ranges() const { return ranges_; }
 
  private:
   static constexpr std::int32_t kUnknown = -2;
   static constexpr std::int32_t kMixed = -1;
 
   std::int32_t part_of_block(std::size_t block);
+  // Of the values that are the block's.
   bool any_outside(std::size_t axis, std::size_t block, std::uint64_t first, std::span<const double> values);
 
   std::shared_ptr<Loan> loan_;
@@ -56,6 +62,7 @@ class Arrival {
   std::array<std::uint64_t, 3> seen_{};  // particles, by axis
   bool whole_ = true;                    // so far
   std::vector<std::uint8_t> marks_;
+  particles::BlockRanges ranges_;
   std::vector<std::int32_t> block_part_;  // where all have the same
 };
 

@@ -7,10 +7,12 @@
 
 #include "common/base/check.hpp"
 #include "common/plan/plan.hpp"
-#include "server/service/inside.hpp"
 
 namespace rcb::service {
 namespace {
+
+using particles::kBlock;
+using particles::Range;
 
 constexpr std::size_t kPending = 2048;  // particles that are asked of the tree together; their copies stay in the cache
 
@@ -79,18 +81,24 @@ bool is_inside(const std::array<const double*, 3>& x, const PartBounds& bounds, 
 template <std::size_t kDims>
 void scan_blocks(const std::array<const double*, 3>& x, std::size_t count, const std::int32_t* part,
                  std::span<const PartBounds> bounds, std::int32_t first, std::span<const std::uint8_t> marks,
-                 Pending& pending) {
-  for (std::size_t begin = 0; begin < count; begin += kScanBlock) {
-    if (!marks.empty() && marks[begin / kScanBlock] == 0) continue;
-    const std::size_t size = std::min(kScanBlock, count - begin);
+                 particles::BlockRanges& ranges, Pending& pending) {
+  for (std::size_t begin = 0; begin < count; begin += kBlock) {
+    const std::size_t block = begin / kBlock;
+    if (!marks.empty() && marks[block] == 0) continue;
+    const std::size_t size = std::min(kBlock, count - begin);
     const std::int32_t* const parts = part + begin;
     std::int32_t other = 0;
     for (std::size_t i = 0; i < size; ++i) other |= parts[i] ^ parts[0];
     bool inside = true;
-    if (other == 0) {
+    if (other == 0 && marks.empty()) {
       const PartBounds& of_all = bounds[static_cast<std::size_t>(parts[0] - first)];
-      for (std::size_t a = 0; a < kDims; ++a) inside &= all_inside(x[a] + begin, size, of_all.lo[a], of_all.hi[a]);
+      for (std::size_t a = 0; a < kDims; ++a) {
+        Range& range = ranges.of[a][block];
+        range = particles::range_of({x[a] + begin, size});
+        inside &= range.strictly_inside(of_all.lo[a], of_all.hi[a]);
+      }
     } else {
+      for (std::size_t a = 0; a < kDims && marks.empty(); ++a) ranges.of[a][block] = Range::everything();
       for (std::size_t i = 0; i < size; ++i)
         inside &= is_inside<kDims>(x, bounds[static_cast<std::size_t>(parts[i] - first)], begin + i);
     }
@@ -132,19 +140,25 @@ Scan scan_positions(Scene& scene, const particles::ParticleView& view, std::span
                     int ranks) {
   Scan scan;
   if (view.count == 0) return scan;
-  CHECK(marks.empty() || marks.size() == (view.count + kScanBlock - 1) / kScanBlock, "a mark a block");
+  CHECK(marks.empty() || marks.size() == particles::blocks_of(view.count), "a mark a block");
+  if (marks.empty())
+    for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
+      scan.ranges.of[a].resize(particles::blocks_of(view.count));
   refresh_bounds(scene, rank, ranks);
   const auto first = static_cast<std::int32_t>(plan::part_begin(rank, scene.options.parts, ranks));
   Pending pending(scene, view, scan);
   switch (view.dims) {
     case 1:
-      scan_blocks<1>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, pending);
+      scan_blocks<1>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, scan.ranges,
+                     pending);
       break;
     case 2:
-      scan_blocks<2>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, pending);
+      scan_blocks<2>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, scan.ranges,
+                     pending);
       break;
     default:
-      scan_blocks<3>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, pending);
+      scan_blocks<3>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, scan.ranges,
+                     pending);
       break;
   }
   pending.flush();

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "common/base/buffer.hpp"
+#include "common/particles/block_ranges.hpp"
 #include "common/partition/comm.hpp"
 #include "server/service/scene.hpp"
 
@@ -25,12 +26,11 @@ struct Drift {
   std::size_t count() const { return slot.size(); }
 };
 
-// Particles that are looked at together.
-inline constexpr std::size_t kScanBlock = 64;
-
 struct Scan {
   bool fault = false;  // a value that isn't finite, or a weight < 0; the rest is then unspecified
   Drift drift;         // to the new parts
+  // Of blocks whose particles were all of one part, if the pass looked at all positions; of others everything.
+  particles::BlockRanges ranges;
 };
 
 // The regions of this rank's parts, kept as long as the cuts are in force. Local.
@@ -38,7 +38,8 @@ void refresh_bounds(Scene& scene, int rank, int ranks);
 
 // Local. view: the new positions (and weights, if any) of the scene's particles, with its ids.
 //   marks  what the pass at arrival found (arrival.hpp): blocks with 0 are passed over; empty: all are looked at
-// Cost: one read of the positions, without marks; no memory but for particles near or beyond their region's bounds.
+// Cost: one read of the positions, without marks; no memory but a byte a particle, and for those near or beyond their
+// region's bounds.
 Scan scan_positions(Scene& scene, const particles::ParticleView& view, std::span<const std::uint8_t> marks, int rank,
                     int ranks);
 

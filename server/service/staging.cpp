@@ -342,7 +342,8 @@ Status check_later(Context& context, Scene& scene, Moved moved, const Status& re
     view.count = scene.particles.count();
     view.id = scene.particles.id.data();
   }
-  const auto seen = staged.arrival ? staged.arrival->marks(context.loan.get()) : std::span<const std::uint8_t>();
+  if (staged.arrival && !staged.arrival->holds(context.loan.get())) staged.arrival = nullptr;
+  const auto seen = staged.arrival ? staged.arrival->marks() : std::span<const std::uint8_t>();
   if (ready.ok())
     staged.scan = all ? scan_positions(scene, view, seen, comm.rank(), comm.size())
                       : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());

@@ -30,13 +30,19 @@ struct Staged {
   std::uint64_t n = 0;
   bool ids = false;                        // ids aren't 0..n-1
   particles::ParticleSet arrays;           // this rank's; ids only at a first push, weights only if they came with it
-  std::shared_ptr<const Arrival> arrival;  // what was seen of `arrays` as they came
+  std::shared_ptr<const Arrival> arrival;  // what was seen of `arrays` as they came, if it holds; or null
   Subset subset;                           // moved some: the slots of `arrays`, which has their ids then
   Edits edits;
   std::uint64_t bytes = 0;  // of all arrays as received
   double seconds = 0;       // to receive and stage
   Scan scan;                // of a later step
   StepSums sums;
+
+  // Where the particles are, by block; null where no pass over all has told.
+  const particles::BlockRanges* ranges() const {
+    if (arrival) return &arrival->ranges();
+    return scan.ranges.of[0].empty() ? nullptr : &scan.ranges;
+  }
 };
 
 // Local. Errors: invalid_argument.

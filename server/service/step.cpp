@@ -126,8 +126,10 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
     return static_cast<int>(plan::part_begin(rank, scene.options.parts, context.comm.size()));
   };
   const partition::OwnParts own{part_begin(context.comm.rank()), part_begin(context.comm.rank() + 1)};
+  // Those inserted and removed have changed the slots.
+  const particles::BlockRanges* ranges = staged.edits.any() ? nullptr : staged.ranges();
   partition::Repartition found = partition::repartition(context.comm, scene.particles.view(), options,
-                                                        {scene.tree, scene.part.span(), scene.loads, own});
+                                                        {scene.tree, scene.part.span(), scene.loads, own, ranges});
   // What was in vain is tried again later, and ever more seldom.
   if (options.warm)
     scene.cold_left = scene.cold_last = found.in_vain ? std::min(2 * scene.cold_last + 1, kColdMax) : 0;

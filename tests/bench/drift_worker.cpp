@@ -119,6 +119,8 @@ Json run_cell(partition::Comm& comm, const SceneKind& kind, const Cell& cell, do
   const partition::LoadSummary loads = partition::summarise_loads(comm, view, part.span(), {}, cell.parts);
   const partition::OwnParts own{static_cast<int>(plan::part_begin(comm.rank(), cell.parts, comm.size())),
                                 static_cast<int>(plan::part_begin(comm.rank() + 1, cell.parts, comm.size()))};
+  // As a step makes them while the positions arrive.
+  const particles::BlockRanges blocks = particles::ranges_of(view);
   std::vector<Repartition> found(std::size(kWays));
   std::vector<std::vector<double>> seconds(std::size(kWays));
   for (int repeat = -1; repeat < repeats; ++repeat)
@@ -130,7 +132,7 @@ Json run_cell(partition::Comm& comm, const SceneKind& kind, const Cell& cell, do
       options.partition.previous = &held.scene.tree;
       options.warm = kWays[w].warm;
       const double took = timed(comm, [&] {
-        found[w] = partition::repartition(comm, view, options, {held.scene.tree, part.span(), loads, own});
+        found[w] = partition::repartition(comm, view, options, {held.scene.tree, part.span(), loads, own, &blocks});
       });
       if (repeat >= 0) seconds[w].push_back(took);
     }

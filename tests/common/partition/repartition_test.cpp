@@ -57,9 +57,10 @@ CutTree drift(Case& trial) {
   return tree;
 }
 
-// Every particle on the rank that owns its part, but for one in `stray`, as after a drift.
+// Every particle on the rank that owns its part, but for one in 23, as after a drift. by_part: part after part, so that
+// particles side by side in the arrays are side by side in space.
 Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnParts& own,
-           std::vector<std::int32_t>& part) {
+           std::vector<std::int32_t>& part, bool by_part = false) {
   const auto begin = [&](int r) { return static_cast<int>(std::int64_t{r} * tree.parts / ranks); };
   own = {begin(rank), begin(rank + 1)};
   std::vector<std::size_t> rows;
@@ -72,6 +73,15 @@ Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnPart
       rows.push_back(i);
       part.push_back(owner);
     }
+  }
+  if (by_part) {
+    std::vector<std::size_t> order(rows.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::ranges::stable_sort(order, {}, [&part](std::size_t k) { return part[k]; });
+    std::vector<std::size_t> sorted;
+    for (const std::size_t k : order) sorted.push_back(rows[k]);
+    rows = std::move(sorted);
+    std::ranges::sort(part);
   }
   return testing::take(scene, std::move(rows));
 }
@@ -91,15 +101,17 @@ std::uint64_t check(Case trial) {
   on_ranks([&](Comm& comm) {
     OwnParts own;
     std::vector<std::int32_t> part;
-    const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+    const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part, trial.seed % 2 == 0);
     const particles::ParticleView view = share.particles.view();
+    const particles::BlockRanges blocks = particles::ranges_of(view);
     const auto& sizes = trial.options.part_sizes;
     RepartitionOptions options{trial.options, {}, true};
     options.partition.previous = &before;
     const LoadSummary loads = summarise_loads(comm, view, part, sizes, before.parts);
     const Result<PartitionResult> cold = partition(comm, view, options.partition);
     ASSERT_TRUE(cold.ok());
-    const Repartition got = repartition(comm, view, options, {before, part, loads, own});
+    const Repartition got =
+        repartition(comm, view, options, {before, part, loads, own, trial.seed % 3 == 0 ? nullptr : &blocks});
     EXPECT_TRUE(got.tree.cuts == cold->tree.cuts);
     EXPECT_EQ(got.tree.hash(), cold->tree.hash());
     std::vector<std::int32_t> parts = part;

@@ -15,7 +15,7 @@ namespace rcb::testing {
 namespace {
 
 using service::Arrival;
-using service::kScanBlock;
+using particles::kBlock;
 using service::Loan;
 using service::Loans;
 using service::PartBounds;
@@ -29,7 +29,7 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 // Three blocks and a bit; parts 4 and 5 lie side by side along x, and from slot 100 on they take turns.
 class ArrivalTest : public ::testing::Test {
  protected:
-  static constexpr std::size_t kCount = 3 * kScanBlock + 5;
+  static constexpr std::size_t kCount = 3 * kBlock + 5;
 
   ArrivalTest() {
     scene_ = Scene::create("s", {.parts = 8, .dims = 2});
@@ -53,8 +53,8 @@ class ArrivalTest : public ::testing::Test {
   }
   // What it tells at the order that ends the loan.
   std::vector<int> marks(const Arrival& arrival) {
-    const auto told = arrival.marks(loans_.take_back("s").get());
-    std::vector<int> list(told.begin(), told.end());
+    std::vector<int> list;
+    if (arrival.holds(loans_.take_back("s").get())) list.assign(arrival.marks().begin(), arrival.marks().end());
     loans_.lend(scene_, 4);
     return list;
   }
@@ -66,15 +66,15 @@ class ArrivalTest : public ::testing::Test {
 
 TEST_F(ArrivalTest, MarksTheBlocksOfWhatMayBeOutside) {
   const std::vector<int> none(4, 0);
-  for (const std::size_t piece : {kCount, kScanBlock, kScanBlock + 1, std::size_t{7}, std::size_t{1}}) {
+  for (const std::size_t piece : {kCount, kBlock, kBlock + 1, std::size_t{7}, std::size_t{1}}) {
     // Each slot, beyond its part by one axis alone, at its bound, or not a number.
     struct Case {
       std::size_t slot, axis;
       double value;
     };
     std::vector<Case> cases;
-    for (const std::size_t slot : {std::size_t{0}, kScanBlock - 1, kScanBlock, std::size_t{99}, std::size_t{100},
-                                   std::size_t{101}, 3 * kScanBlock - 1, 3 * kScanBlock, kCount - 1}) {
+    for (const std::size_t slot : {std::size_t{0}, kBlock - 1, kBlock, std::size_t{99}, std::size_t{100},
+                                   std::size_t{101}, 3 * kBlock - 1, 3 * kBlock, kCount - 1}) {
       cases.push_back({slot, 0, scene_.part[slot] == 4 ? 1.25 : 0.75});
       cases.push_back({slot, 0, 1});
       cases.push_back({slot, 1, -1});
@@ -84,13 +84,29 @@ TEST_F(ArrivalTest, MarksTheBlocksOfWhatMayBeOutside) {
     }
     for (const Case& c : cases) {
       std::vector<int> expected = none;
-      expected[c.slot / kScanBlock] = 1;
+      expected[c.slot / kBlock] = 1;
       const double kept = std::exchange(values_[c.axis][c.slot], c.value);
       EXPECT_EQ(marks(*arrive(piece)), expected)
           << "slot " << c.slot << " axis " << c.axis << " value " << c.value << " pieces of " << piece;
       values_[c.axis][c.slot] = kept;
     }
     EXPECT_EQ(marks(*arrive(piece)), none);
+  }
+}
+
+TEST_F(ArrivalTest, TellsWhereTheBlocksOfOnePartAre) {
+  values_[0][3] = 0.25;
+  values_[0][kBlock - 1] = 0.75;
+  values_[1][kBlock - 1] = -0.5;
+  for (const std::size_t piece : {kCount, kBlock + 1, std::size_t{7}}) {
+    const auto arrival = arrive(piece);
+    const auto& of = arrival->ranges().of;
+    EXPECT_EQ(of[0][0].lo, 0.25);
+    EXPECT_EQ(of[0][0].hi, 0.75);
+    EXPECT_EQ(of[1][0].lo, -0.5);
+    EXPECT_EQ(of[1][0].hi, 2);
+    EXPECT_EQ(of[0][1].lo, -kInfinity);  // of two parts
+    EXPECT_EQ(of[1][1].hi, kInfinity);
   }
 }
 
@@ -118,7 +134,7 @@ TEST_F(ArrivalTest, WhatWasTakenBackIsNotReadAnyMore) {
   scene_.part = {};
   scene_.bounds = {};
   arrival->add(1, 0, values_[1]);
-  EXPECT_TRUE(arrival->marks(loan.get()).empty());
+  EXPECT_FALSE(arrival->holds(loan.get()));
   EXPECT_EQ(loans_.begin("s", 2, kCount), nullptr);
   EXPECT_EQ(loans_.take_back("s"), nullptr);
 }
