@@ -32,17 +32,10 @@ bool Arrival::any_outside(std::size_t axis, std::size_t block, std::uint64_t fir
   Range& range = ranges_.of[axis][block];
   if (part != kMixed) {
     range.extend(particles::range_of(x));
-    const PartBounds& bounds = loan_->bounds[static_cast<std::size_t>(part - loan_->first_part)];
-    return !range.strictly_inside(bounds.lo[axis], bounds.hi[axis]);
+    return !loan_->regions->hold(axis, part, range);
   }
   range = Range::everything();
-  const std::int32_t* const parts = loan_->part.data() + begin;
-  bool inside = true;
-  for (std::size_t i = 0; i < x.size(); ++i) {
-    const PartBounds& bounds = loan_->bounds[static_cast<std::size_t>(parts[i] - loan_->first_part)];
-    inside &= (x[i] > bounds.lo[axis]) & (x[i] < bounds.hi[axis]);
-  }
-  return !inside;
+  return loan_->regions->outside(axis, x, loan_->part.data() + begin) != 0;
 }
 
 void Arrival::add(std::size_t axis, std::uint64_t first, std::span<const double> values) {
@@ -63,12 +56,11 @@ bool Arrival::holds(const Loan* loan) const {
   return true;
 }
 
-void Loans::lend(const Scene& scene, std::int32_t first_part) {
+void Loans::lend(const Scene& scene) {
   take_back(scene.name);
   auto loan = std::make_shared<Loan>();
   loan->part = scene.part.span();
-  loan->bounds = scene.bounds;
-  loan->first_part = first_part;
+  loan->regions = &scene.regions;
   loan->dims = scene.options.dims;
   const std::lock_guard lock(mutex_);
   loans_[scene.name] = std::move(loan);

@@ -27,11 +27,10 @@ namespace rcb::service {
 
 // What is lent of one scene, until it is taken back.
 struct Loan {
-  std::mutex mutex;  // of `part` and `bounds`
+  std::mutex mutex;  // of `part` and `regions`
   bool lent = true;
   std::span<const std::int32_t> part;  // by slot
-  std::span<const PartBounds> bounds;  // of this rank's parts
-  std::int32_t first_part = 0;
+  const Regions* regions = nullptr;    // the scene's
   int dims = 3;
 };
 
@@ -70,7 +69,7 @@ class Arrival {
 class Loans {
  public:
   // Engine thread. The scene's parts and regions stay as they are until take_back(). Instead of what it lent before.
-  void lend(const Scene& scene, std::int32_t first_part);
+  void lend(const Scene& scene);
   // Engine thread. The loan, which names what an arrival was held against; null: there was none.
   std::shared_ptr<const Loan> take_back(const std::string& scene);
   void take_back_all();

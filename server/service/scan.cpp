@@ -1,6 +1,7 @@
 #include "server/service/scan.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <span>
@@ -71,49 +72,69 @@ class Pending {
   Buffer<std::int32_t> part_;
 };
 
-template <std::size_t kDims>
-bool is_inside(const std::array<const double*, 3>& x, const PartBounds& bounds, std::size_t i) {
-  bool inside = true;
-  for (std::size_t a = 0; a < kDims; ++a) inside &= (x[a][i] > bounds.lo[a]) & (x[a][i] < bounds.hi[a]);
-  return inside;
-}
+class Pass {
+ public:
+  Pass(const Scene& scene, const particles::ParticleView& view, Scan& scan)
+      : regions_(scene.regions), part_(scene.part.data()), view_(view), scan_(scan), pending_(scene, view, scan) {}
 
-template <std::size_t kDims>
-void scan_blocks(const std::array<const double*, 3>& x, std::size_t count, const std::int32_t* part,
-                 std::span<const PartBounds> bounds, std::int32_t first, std::span<const std::uint8_t> marks,
-                 particles::BlockRanges& ranges, Pending& pending) {
-  for (std::size_t begin = 0; begin < count; begin += kBlock) {
-    const std::size_t block = begin / kBlock;
-    if (!marks.empty() && marks[block] == 0) continue;
-    const std::size_t size = std::min(kBlock, count - begin);
-    const std::int32_t* const parts = part + begin;
-    std::int32_t other = 0;
-    for (std::size_t i = 0; i < size; ++i) other |= parts[i] ^ parts[0];
-    bool inside = true;
-    if (other == 0 && marks.empty()) {
-      const PartBounds& of_all = bounds[static_cast<std::size_t>(parts[0] - first)];
-      for (std::size_t a = 0; a < kDims; ++a) {
-        Range& range = ranges.of[a][block];
-        range = particles::range_of({x[a] + begin, size});
-        inside &= range.strictly_inside(of_all.lo[a], of_all.hi[a]);
+  void run_blocks(std::span<const std::uint8_t> marks) {
+    if (marks.empty())
+      for (std::size_t a = 0; a < axes(); ++a) scan_.ranges.of[a].resize(particles::blocks_of(view_.count));
+    for (std::size_t begin = 0; begin < view_.count; begin += kBlock) {
+      if (marks.empty() ? stays(begin) : marks[begin / kBlock] == 0) continue;
+      for (std::uint64_t bits = outside(begin, part_ + begin); bits != 0; bits &= bits - 1) {
+        const std::size_t i = begin + static_cast<std::size_t>(std::countr_zero(bits));
+        pending_.add(i, i);
       }
-    } else {
-      for (std::size_t a = 0; a < kDims && marks.empty(); ++a) ranges.of[a][block] = Range::everything();
-      for (std::size_t i = 0; i < size; ++i)
-        inside &= is_inside<kDims>(x, bounds[static_cast<std::size_t>(parts[i] - first)], begin + i);
     }
-    if (inside) continue;
-    for (std::size_t i = begin; i < begin + size; ++i)
-      if (!is_inside<kDims>(x, bounds[static_cast<std::size_t>(part[i] - first)], i)) pending.add(i, i);
+    pending_.flush();
   }
-}
 
-template <std::size_t kDims>
-void scan_each(const std::array<const double*, 3>& x, std::span<const std::uint64_t> slots, const std::int32_t* part,
-               std::span<const PartBounds> bounds, std::int32_t first, Pending& pending) {
-  for (std::size_t k = 0; k < slots.size(); ++k)
-    if (!is_inside<kDims>(x, bounds[static_cast<std::size_t>(part[slots[k]] - first)], k)) pending.add(k, slots[k]);
-}
+  void run_each(std::span<const std::uint64_t> slots) {
+    std::array<std::int32_t, kBlock> part;
+    for (std::size_t begin = 0; begin < view_.count; begin += kBlock) {
+      for (std::size_t k = 0; k < size_at(begin); ++k) part[k] = part_[slots[begin + k]];
+      for (std::uint64_t bits = outside(begin, part.data()); bits != 0; bits &= bits - 1) {
+        const std::size_t k = begin + static_cast<std::size_t>(std::countr_zero(bits));
+        pending_.add(k, slots[k]);
+      }
+    }
+    pending_.flush();
+  }
+
+ private:
+  std::size_t axes() const { return static_cast<std::size_t>(view_.dims); }
+  std::size_t size_at(std::size_t begin) const { return std::min(kBlock, view_.count - begin); }
+  std::span<const double> values(std::size_t axis, std::size_t begin) const {
+    return {view_.position[axis] + begin, size_at(begin)};
+  }
+
+  // Whether the block is of one part and within its region. Makes its ranges.
+  bool stays(std::size_t begin) {
+    const std::int32_t* const part = part_ + begin;
+    std::int32_t other = 0;
+    for (std::size_t i = 0; i < size_at(begin); ++i) other |= part[i] ^ part[0];
+    bool inside = other == 0;
+    for (std::size_t a = 0; a < axes(); ++a) {
+      Range& range = scan_.ranges.of[a][begin / kBlock];
+      range = other == 0 ? particles::range_of(values(a, begin)) : Range::everything();
+      inside = inside && regions_.hold(a, part[0], range);
+    }
+    return inside;
+  }
+
+  std::uint64_t outside(std::size_t begin, const std::int32_t* part) const {
+    std::uint64_t bits = 0;
+    for (std::size_t a = 0; a < axes(); ++a) bits |= regions_.outside(a, values(a, begin), part);
+    return bits;
+  }
+
+  const Regions& regions_;
+  const std::int32_t* part_;
+  const particles::ParticleView& view_;
+  Scan& scan_;
+  Pending pending_;
+};
 
 bool bad_weights(const double* weight, std::size_t count) {
   std::uint64_t bad = 0;
@@ -124,16 +145,14 @@ bool bad_weights(const double* weight, std::size_t count) {
 
 }  // namespace
 
-void refresh_bounds(Scene& scene, int rank, int ranks) {
-  if (scene.bounds_epoch == scene.epoch) return;
+void refresh_regions(Scene& scene, int rank, int ranks) {
+  if (scene.regions_epoch == scene.epoch) return;
   const std::int64_t begin = plan::part_begin(rank, scene.options.parts, ranks);
   const std::int64_t end = plan::part_begin(rank + 1, scene.options.parts, ranks);
-  scene.bounds.resize(static_cast<std::size_t>(end - begin));
-  for (std::int64_t p = begin; p < end; ++p) {
-    const geometry::Box box = scene.tree.region(static_cast<int>(p));
-    scene.bounds[static_cast<std::size_t>(p - begin)] = {box.lo, box.hi};
-  }
-  scene.bounds_epoch = scene.epoch;
+  std::vector<geometry::Box> boxes;
+  for (std::int64_t p = begin; p < end; ++p) boxes.push_back(scene.tree.region(static_cast<int>(p)));
+  scene.regions = Regions(static_cast<std::int32_t>(begin), boxes);
+  scene.regions_epoch = scene.epoch;
 }
 
 Scan scan_positions(Scene& scene, const particles::ParticleView& view, std::span<const std::uint8_t> marks, int rank,
@@ -141,27 +160,8 @@ Scan scan_positions(Scene& scene, const particles::ParticleView& view, std::span
   Scan scan;
   if (view.count == 0) return scan;
   CHECK(marks.empty() || marks.size() == particles::blocks_of(view.count), "a mark a block");
-  if (marks.empty())
-    for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
-      scan.ranges.of[a].resize(particles::blocks_of(view.count));
-  refresh_bounds(scene, rank, ranks);
-  const auto first = static_cast<std::int32_t>(plan::part_begin(rank, scene.options.parts, ranks));
-  Pending pending(scene, view, scan);
-  switch (view.dims) {
-    case 1:
-      scan_blocks<1>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, scan.ranges,
-                     pending);
-      break;
-    case 2:
-      scan_blocks<2>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, scan.ranges,
-                     pending);
-      break;
-    default:
-      scan_blocks<3>(view.position, view.count, scene.part.data(), scene.bounds, first, marks, scan.ranges,
-                     pending);
-      break;
-  }
-  pending.flush();
+  refresh_regions(scene, rank, ranks);
+  Pass(scene, view, scan).run_blocks(marks);
   if (view.weight != nullptr) scan.fault |= bad_weights(view.weight, view.count);
   return scan;
 }
@@ -170,16 +170,8 @@ Scan scan_subset(Scene& scene, const particles::ParticleView& view, std::span<co
                  int ranks) {
   Scan scan;
   if (slots.empty()) return scan;
-  refresh_bounds(scene, rank, ranks);
-  const auto first = static_cast<std::int32_t>(plan::part_begin(rank, scene.options.parts, ranks));
-  Pending pending(scene, view, scan);
-  if (view.dims == 1)
-    scan_each<1>(view.position, slots, scene.part.data(), scene.bounds, first, pending);
-  else if (view.dims == 2)
-    scan_each<2>(view.position, slots, scene.part.data(), scene.bounds, first, pending);
-  else
-    scan_each<3>(view.position, slots, scene.part.data(), scene.bounds, first, pending);
-  pending.flush();
+  refresh_regions(scene, rank, ranks);
+  Pass(scene, view, scan).run_each(slots);
   return scan;
 }
 

@@ -34,7 +34,7 @@ struct Scan {
 };
 
 // The regions of this rank's parts, kept as long as the cuts are in force. Local.
-void refresh_bounds(Scene& scene, int rank, int ranks);
+void refresh_regions(Scene& scene, int rank, int ranks);
 
 // Local. view: the new positions (and weights, if any) of the scene's particles, with its ids.
 //   marks  what the pass at arrival found (arrival.hpp): blocks with 0 are passed over; empty: all are looked at

@@ -21,6 +21,7 @@
 #include "common/partition/cut_tree.hpp"
 #include "common/partition/load.hpp"
 #include "server/service/policy.hpp"
+#include "server/service/regions.hpp"
 #include "server/service/report.hpp"
 
 namespace rcb::service {
@@ -57,12 +58,6 @@ struct SceneTotals {
   StepSeconds seconds;
 };
 
-// The region of a part, one cache line.
-struct alignas(64) PartBounds {
-  geometry::Point lo;
-  geometry::Point hi;
-};
-
 // Where this rank holds which id; made at a scene's first need, then kept up with the particles.
 struct IdIndex {
   boost::unordered_flat_map<particles::Id, std::uint64_t> slot;
@@ -83,8 +78,8 @@ struct Scene {
 
   partition::CutTree tree;
   std::uint64_t epoch = 0;
-  std::vector<PartBounds> bounds;  // of this rank's parts under the cuts of bounds_epoch
-  std::uint64_t bounds_epoch = 0;
+  Regions regions;  // under the cuts of regions_epoch
+  std::uint64_t regions_epoch = 0;
   partition::LoadSummary loads;                  // after the last order that changed them
   std::optional<double> error_when_not_adopted;  // error_before of the last attempt that was not adopted
   CostAccount costs;                             // kept where the policy is cost

@@ -50,9 +50,8 @@ struct Service::State {
     Response response = command.run(context, request);
     const auto scene = name.ok() ? scenes.find(*name) : scenes.end();
     if (scene == scenes.end() || !scene->second.pushed) return response;
-    refresh_bounds(scene->second, comm.rank(), comm.size());
-    const auto first_part = plan::part_begin(comm.rank(), scene->second.options.parts, comm.size());
-    loans->lend(scene->second, static_cast<std::int32_t>(first_part));
+    refresh_regions(scene->second, comm.rank(), comm.size());
+    loans->lend(scene->second);
     return response;
   }
 };

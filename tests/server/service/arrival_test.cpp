@@ -18,7 +18,6 @@ using service::Arrival;
 using particles::kBlock;
 using service::Loan;
 using service::Loans;
-using service::PartBounds;
 using service::Scene;
 using service::Service;
 
@@ -35,13 +34,14 @@ class ArrivalTest : public ::testing::Test {
     scene_ = Scene::create("s", {.parts = 8, .dims = 2});
     scene_.part.resize(kCount);
     for (std::size_t i = 0; i < kCount; ++i) scene_.part[i] = i < 100 || i % 2 == 0 ? 4 : 5;
-    scene_.bounds.push_back(PartBounds{{-kInfinity, -1, 0}, {1, kInfinity, 0}});
-    scene_.bounds.push_back(PartBounds{{1, -1, 0}, {kInfinity, kInfinity, 0}});
+    const std::vector<geometry::Box> boxes{{{-kInfinity, -1, 0}, {1, kInfinity, 0}},
+                                           {{1, -1, 0}, {kInfinity, kInfinity, 0}}};
+    scene_.regions = service::Regions(4, boxes);
     for (std::size_t i = 0; i < kCount; ++i) {
       values_[0].push_back(scene_.part[i] == 4 ? 0.5 : 1.5);
       values_[1].push_back(2);
     }
-    loans_.lend(scene_, 4);
+    loans_.lend(scene_);
   }
   // In pieces of this many particles, axis after axis.
   std::shared_ptr<Arrival> arrive(std::size_t piece) {
@@ -55,7 +55,7 @@ class ArrivalTest : public ::testing::Test {
   std::vector<int> marks(const Arrival& arrival) {
     std::vector<int> list;
     if (arrival.holds(loans_.take_back("s").get())) list.assign(arrival.marks().begin(), arrival.marks().end());
-    loans_.lend(scene_, 4);
+    loans_.lend(scene_);
     return list;
   }
 
@@ -132,7 +132,7 @@ TEST_F(ArrivalTest, WhatWasTakenBackIsNotReadAnyMore) {
   arrival->add(0, 0, values_[0]);
   const auto loan = loans_.take_back("s");
   scene_.part = {};
-  scene_.bounds = {};
+  scene_.regions = {};
   arrival->add(1, 0, values_[1]);
   EXPECT_FALSE(arrival->holds(loan.get()));
   EXPECT_EQ(loans_.begin("s", 2, kCount), nullptr);
