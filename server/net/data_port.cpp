@@ -219,6 +219,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     wire::BulkChecksum checksum;
     std::uint64_t left = frame.header.bulk_bytes;
     const PushTerms& terms = push->ticket.terms;
+    Buffer<std::byte> floats;  // a piece that stays in the cache
     if (push->have == 0 && watch && terms.moved == Moved::all) push->observer = watch(terms);
     for (std::size_t a = 0; left > 0; ++a) {
       const bool axis = a < static_cast<std::size_t>(terms.dims);
@@ -231,11 +232,12 @@ struct DataPort::State : std::enable_shared_from_this<State> {
         Buffer<std::byte> array = std::move(push->arrays[a]);
         const bool single = terms.single && axis;
         const std::span<std::byte> place = array.span().subspan(at, size);
-        const std::span<std::byte> piece = single ? place.last(size / 2) : place;
+        if (single) floats.resize(size / 2);
+        const std::span<std::byte> piece = single ? floats.span() : place;
         const Status status = co_await connection->read_bulk(piece);
         if (!status.ok()) co_return status;
         if (checked) checksum.add(piece);
-        if (single) widen(place);
+        if (single) widen(piece, place);
         if (axis && push->observer)
           push->observer->arrived(a, at / 8, {reinterpret_cast<const double*>(place.data()), size / 8});
         if (!push->over) push->arrays[a] = std::move(array);

@@ -235,14 +235,13 @@ Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, co
                                                     name_of(slice.rank), names, slice.count));
 }
 
-void widen(std::span<std::byte> doubles) {
+void widen(std::span<const std::byte> floats, std::span<std::byte> doubles) {
   constexpr std::size_t kBlock = 1024;
   std::array<float, kBlock> block;
   const std::size_t count = doubles.size() / sizeof(double);
-  const std::byte* from = doubles.data() + count * sizeof(float);
   for (std::size_t i = 0; i < count; i += kBlock) {  // a block is written no further than it was read
     const std::size_t size = std::min(kBlock, count - i);
-    std::memcpy(block.data(), from + i * sizeof(float), size * sizeof(float));
+    std::memcpy(block.data(), floats.data() + i * sizeof(float), size * sizeof(float));
     auto* to = reinterpret_cast<double*>(doubles.data()) + i;
     for (std::size_t k = 0; k < size; ++k) to[k] = static_cast<double>(block[k]);
   }

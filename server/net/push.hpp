@@ -79,8 +79,8 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
 Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,
                          std::uint64_t count);
 
-// float32 values in the last half of `doubles` become doubles in all of it. Exact.
-void widen(std::span<std::byte> doubles);
+// float32 values become as many doubles. Exact. They may be the last half of `doubles`.
+void widen(std::span<const std::byte> floats, std::span<std::byte> doubles);
 
 // What has come of a push.
 class PushSlices {

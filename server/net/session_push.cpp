@@ -160,7 +160,7 @@ awaitable<Status> Session::receive(const Frame& frame, const std::shared_ptr<Ope
       const Status status = co_await connection_->read_bulk(piece);
       if (!status.ok()) co_return status;
       if (checked) checksum.add(piece);
-      if (single) widen(room_made);
+      if (single) widen(piece, room_made);
       left -= piece.size();
     }
     if (single) array.dtype = "<f8";
