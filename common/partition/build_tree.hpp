@@ -69,6 +69,7 @@ class TreeBuilder {
   std::size_t root_begin(std::size_t root) const { return root == 0 ? 0 : root_end(root - 1); }
   std::size_t root_end(std::size_t root) const { return start_ == nullptr ? particles_.count : start_->ends[root]; }
   void choose_maps(std::span<const std::uint64_t> samples);
+  std::vector<std::size_t> sampled_slots() const;
   std::vector<std::uint64_t> sample_maps() const;
   // Collective (one reduction at most).
   void make_records();

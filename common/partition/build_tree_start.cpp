@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/base/random.hpp"
 #include "common/partition/build_tree.hpp"
 #include "common/partition/wide_sum.hpp"
 
@@ -104,16 +105,30 @@ void TreeBuilder::weigh_roots() {
   for (std::size_t r = 0; r < level_.size(); ++r) level_[r].weight = weights[r];
 }
 
-// How some of the particles spread over an axis, in equal steps of the value and of the image: where the former puts
+// Some of the particles. Where the answer depends on the map, since cuts lie between its bins, they must be the same ones
+// however the particles are dealt out: those of every 64th id, at random.
+std::vector<std::size_t> TreeBuilder::sampled_slots() const {
+  std::vector<std::size_t> slots;
+  if (options_.cut_tolerance > 0) {
+    for (std::size_t i = 0; i < particles_.count; ++i)
+      if (mix64(static_cast<std::uint64_t>(particles_.id[i])) % 64 == 0) slots.push_back(i);
+    return slots;
+  }
+  const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
+  for (std::size_t i = 0; i < particles_.count; i += stride) slots.push_back(i);
+  return slots;
+}
+
+// How they spread over an axis, in equal steps of the value and of the image: where the former puts
 // most of them into one place, and the latter doesn't, the image suits the axis (many decades of scale).
 std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
   // By axis: the bins of both maps, and how many ranks have a value that its integer does not tell.
   std::vector<std::uint64_t> counts(at(axes_) * kSampleWords, 0);
-  const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
+  const std::vector<std::size_t> slots = sampled_slots();
   std::vector<double> sample;
   for (std::size_t a = 0; a < at(axes_); ++a) {
     sample.clear();
-    for (std::size_t i = 0; i < particles_.count; i += stride) sample.push_back(particles_.position[a][i]);
+    for (const std::size_t i : slots) sample.push_back(particles_.position[a][i]);
     const std::array maps{AxisMap::by_value(lo_[a], hi_[a]), AxisMap::by_image(lo_[a], hi_[a])};
     for (std::size_t m = 0; m < maps.size(); ++m) {
       const auto top = static_cast<std::uint64_t>(std::max(maps[m](hi_[a]), 1));

@@ -76,6 +76,21 @@ TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
   }
 }
 
+// The bins are equal steps of the value or of its image, as a sample of the particles suggests: scenes for which that
+// hangs in the balance.
+TEST(CutTolerance, TheBinsAreTheSameHoweverTheParticlesAreDealt) {
+  for (int step = 0; step < 60; ++step) {
+    Scene scene = make_scene(Shape::uniform, Weights::none, 1, 20000, true, kSeed + static_cast<std::uint64_t>(step));
+    for (double& x : scene.x[0]) x = std::pow(10.0, -0.1 * step * x);
+    PartitionOptions options;
+    options.parts = 5;
+    options.cut_tolerance = 0.2;
+    Met met;
+    run(scene, options, met);
+    EXPECT_EQ(met.hashes.size(), 1U) << "decades " << 0.1 * step;
+  }
+}
+
 TEST(CutTolerance, SavesMessagesAndLosesExactness) {
   const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 20000, false, kSeed);
   PartitionOptions options;
