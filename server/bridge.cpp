@@ -55,9 +55,16 @@ net::DataPort::Watch watch_arrivals(service::Loans& loans) {
 }
 
 std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request) {
-  const auto number = request.find("staged");
-  if (number == request.end()) return {};
-  return convert(data.take(number->get<std::uint64_t>()));
+  const auto staged = request.find("staged");
+  if (staged == request.end()) return {};
+  if (!staged->is_array()) return convert(data.take(staged->get<std::uint64_t>()));
+  std::vector<service::PushSlice> slices;
+  for (std::size_t member = 0; member < staged->size(); ++member)
+    for (service::PushSlice& slice : convert(data.take((*staged)[member].get<std::uint64_t>()))) {
+      slice.rank = static_cast<int>(member);
+      slices.push_back(std::move(slice));
+    }
+  return slices;
 }
 
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {

@@ -30,7 +30,8 @@ class Bridge final : public net::Engine {
 // Lets the engine's service see slices as they come.
 net::DataPort::Watch watch_arrivals(service::Loans& loans);
 
-// The slice that this rank received for an order, if the order is of a direct push. On the I/O thread.
+// The slice that this rank received for an order, if the order is of a direct push, or what members' pushes brought it,
+// each with its member for a rank. On the I/O thread.
 std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request);
 
 // Ends the process if the engine is so far past its order's deadline that it will never come back. Called every

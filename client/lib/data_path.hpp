@@ -17,6 +17,9 @@
 
 namespace rcb::client {
 
+// Smaller pushes are one write to the endpoint; the ranks need not be told of them.
+inline constexpr std::size_t kDirectBytesMin = std::size_t{1} << 18U;
+
 class DataPath {
  public:
   // One connection a rank, said hello to, in the order of the ranks.

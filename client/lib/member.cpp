@@ -1,4 +1,5 @@
-// MemberScene: the seat, kept over lost connections, and a member's share of a step.
+// MemberScene: the seat, kept over lost connections, and a member's share of a step: straight to the ranks where this
+// member and all others know the places of what they hold, else by ids.
 #include "client/lib/member.hpp"
 
 #include <algorithm>
@@ -7,6 +8,8 @@
 
 #include <fmt/format.h>
 
+#include "client/lib/data_path.hpp"
+#include "client/lib/member_places.hpp"
 #include "client/lib/push_source.hpp"
 #include "client/lib/session.hpp"
 #include "client/lib/step_report.hpp"
@@ -48,9 +51,15 @@ struct MemberScene::State {
   Status open(double deadline_seconds);
   Status ready(const Deadline& deadline);
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
+  // Whether pushes shall go straight to the ranks; all members decide alike, unless they are told other paths.
+  Result<bool> wants_direct(const Deadline& deadline) const;
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                      const MemberStepOptions& with, const Deadline& deadline);
+  Result<Frame> push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
+                              std::span<const Column> columns, const std::string& what, const Deadline& deadline);
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with);
+  Status read_follow(const Frame& answer, const wire::Json& json, MemberStep& result);
+  Status read_places(const Frame& answer, const wire::Json& json, const MemberStep& result);
 
   std::shared_ptr<Client::State> client;
   std::string name;
@@ -58,7 +67,13 @@ struct MemberScene::State {
   std::uint64_t connection = 0;  // that holds the seat
   std::uint64_t seat = 0;        // its generation; 0: never had it
   int dims = 3;
+  std::uint64_t n = 0;  // of the scene; 0: not known yet
   std::optional<std::int64_t> last_step;
+  // After last_step, with follow:
+  MemberPlaces places;
+  wire::Json plan;
+  std::uint64_t epoch = 0;
+  bool directly = false;  // the push under way
 };
 
 Status MemberScene::State::open(double deadline_seconds) {
@@ -76,12 +91,16 @@ Status MemberScene::State::open(double deadline_seconds) {
   const auto generation = wire::integer_field(*found, "generation", 1, kLarge);
   const auto axes = wire::integer_field(*json, "dims", 1, 3);
   const auto step = wire::integer_field_or(*json, "step", 0, kLarge, -1);
-  for (const Status& status : {generation.status(), axes.status(), step.status()})
+  const auto count = wire::integer_field_or(*json, "n", 0, wire::kParticlesMax, 0);
+  for (const Status& status : {generation.status(), axes.status(), step.status(), count.status()})
     if (!status) return odd_answer(status.message());
   connection = session().generation();
   seat = static_cast<std::uint64_t>(*generation);
   dims = static_cast<int>(*axes);
-  last_step = *step >= 0 ? std::optional(*step) : std::nullopt;
+  n = static_cast<std::uint64_t>(*count);
+  const auto step_now = *step >= 0 ? std::optional(*step) : std::nullopt;
+  if (step_now != last_step) places.forget();
+  last_step = step_now;
   return {};
 }
 
@@ -117,8 +136,46 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
   return {};
 }
 
+Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
+  const Path path = session().path();
+  const bool large = n == 0 || n * static_cast<std::uint64_t>(dims) * sizeof(double) >= kDirectBytesMin;
+  if (!options.follow || path == Path::gateway || (path == Path::automatic && !large)) return false;
+  if (session().data(deadline) != nullptr) return true;
+  if (path == Path::automatic) return false;
+  return Status(Code::unavailable, fmt::format("{} has no direct path to its ranks", session().endpoint()),
+                "leave the path to the library, or start the service without --gateway-only");
+}
+
+Result<Frame> MemberScene::State::push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
+                                                std::span<const Column> columns, const std::string& what,
+                                                const Deadline& deadline) {
+  begin["command"] = "push.begin";
+  begin["path"] = "direct";
+  begin["order"] = "plan";
+  begin["plan"] = plan;
+  begin["epoch"] = epoch;
+  begin["base_step"] = *last_step;
+  begin["slices"] = 0;
+  begin["counts"] = wire::Json::array();
+  RankRows of_rank;
+  for (const auto& mine : rows) {
+    begin["counts"].push_back(mine.size());
+    of_rank.emplace_back(mine);
+  }
+  wire::Json slice{{"command", "push.slice"}};
+  for (const char* field : {"scene", "session", "step", "attempt", "plan"}) slice[field] = begin.at(field);
+  wire::FrameHeader header;
+  header.request = session().next_request();
+  return session().exchange_directly(header.request, wire::encode_frame(header, wire::dump_json(begin)), slice, of_rank,
+                                     columns, what, deadline);
+}
+
 Result<Frame> MemberScene::State::push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                                        const MemberStepOptions& with, const Deadline& deadline) {
+  const auto direct = wants_direct(deadline);
+  if (!direct) return direct.status();
+  const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
+  directly = rows != nullptr;
   wire::Json begin{{"scene", name},
                    {"session", session().number()},
                    {"step", step},
@@ -128,19 +185,22 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"plan", nullptr},
                    {"dtype", positions.single() ? "<f4" : "<f8"},
                    {"weights", !with.weights.empty()},
-                   {"ids", true},
+                   {"ids", !directly},
                    {"changes", with.want_changes},
+                   {"places", *direct},
                    {"deadline_seconds", std::clamp(with.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
   std::vector<Column> columns;
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) columns.push_back(axis_column(positions, a));
   if (!with.weights.empty()) columns.push_back({"w", "<f8", with.weights.data(), 1});
+  const std::string what = fmt::format("push of step {} to scene '{}'", step, name);
+  if (directly) return push_directly(std::move(begin), *rows, columns, what, deadline);
   columns.push_back({"id", "<i8", ids.data(), 1});
   // One slice with all rows, as they are.
   const plan::Plan all = plan::Plan::blocks(positions.count, 1, {});
   const std::uint64_t request = session().next_request();
   PushSource source(begin, request, all_rows(all), std::move(columns));
-  return session().exchange(request, source, fmt::format("push of step {} to scene '{}'", step, name), deadline);
+  return session().exchange(request, source, what, deadline);
 }
 
 Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t step, const MemberStepOptions& with) {
@@ -159,7 +219,13 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
     if (!id || !part || id->size() != part->size()) return odd_answer("its changes are not as the protocol says");
     for (std::size_t i = 0; i < id->size(); ++i) result.changes.push_back({(*id)[i], (*part)[i]});
   }
+  n = result.report.n;
   if (!options.follow) return result;
+  if (Status status = read_follow(answer, *json, result); !status) return status;
+  return result;
+}
+
+Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& json, MemberStep& result) {
   const auto leave_id = column<std::int64_t>(answer, "leave_id", "<i8");
   const auto leave_to = column<std::int32_t>(answer, "leave_to", "<i4");
   const auto enter_id = column<std::int64_t>(answer, "enter_id", "<i8");
@@ -175,7 +241,33 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   for (std::size_t i = 0; i < leave_id->size(); ++i) result.leave.push_back({(*leave_id)[i], (*leave_to)[i]});
   for (std::size_t i = 0; i < enter_id->size(); ++i)
     result.enter.push_back({(*enter_id)[i], (*enter_from)[i], (*enter_part)[i]});
-  return result;
+  return read_places(answer, json, result);
+}
+
+// Where the answer tells all that is needed the next push goes straight to the ranks.
+Status MemberScene::State::read_places(const Frame& answer, const wire::Json& json, const MemberStep& result) {
+  const auto repeated = wire::bool_field_or(json, "repeated", false);
+  // That of a push that this one repeats tells changes from what nobody may have learnt.
+  if (wire::find_array(answer.arrays, "place_id") == nullptr || !repeated || *repeated || !json.contains("plan")) {
+    places.forget();
+    return {};
+  }
+  const auto id = column<std::int64_t>(answer, "place_id", "<i8");
+  const auto rank = column<std::int32_t>(answer, "place_rank", "<i4");
+  const auto slot = column<std::uint64_t>(answer, "place_slot", "<u8");
+  const auto is_rank = [this](std::int32_t r) { return r >= 0 && r < session().ranks(); };
+  if (!id || !rank || !slot || id->size() != rank->size() || id->size() != slot->size() ||
+      !std::all_of(rank->begin(), rank->end(), is_rank))
+    return odd_answer("its places are not as the protocol says");
+  std::vector<std::int64_t> left;
+  for (const Leaving& leaving : result.leave) left.push_back(leaving.id);
+  if (directly)
+    places.change(left, {*id, *rank, *slot});
+  else
+    places.take_all({*id, *rank, *slot}, session().ranks());
+  plan = json.at("plan");
+  epoch = static_cast<std::uint64_t>(result.report.epoch);
+  return {};
 }
 
 MemberScene::MemberScene(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -200,14 +292,23 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
     return Status(Code::invalid_argument, "there is no step number left");
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
   if (Status status = state_->check(positions, ids, options); !status) return status;
-  for (bool mended = false;; mended = true) {
+  bool seat_mended = false;
+  bool data_mended = false;
+  for (;;) {
     Status status = state_->ready(deadline);
     if (status) {
       const auto answer = state_->push(positions, ids, *step, options, deadline);
       if (answer) return state_->read(*answer, *step, options);
       status = answer.status();
     }
-    if (status.code() != Code::unavailable || state_->session().connected() || mended) return status;
+    const bool seat_lost = status.code() == Code::unavailable && !state_->session().connected() && !seat_mended;
+    const bool data_lost = status.code() == Code::aborted && state_->session().data_lost() && !data_mended;
+    // Parts or plan are others than this member knows, or another member doesn't know them: by ids, then.
+    const bool stale = state_->directly && (status.code() == Code::stale_plan || status.code() == Code::base_lost);
+    if (!seat_lost && !data_lost && !stale) return status;
+    if (!seat_lost) state_->places.forget();
+    seat_mended = seat_mended || seat_lost;
+    data_mended = data_mended || data_lost;
   }
 }
 

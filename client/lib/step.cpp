@@ -17,9 +17,6 @@ namespace {
 
 constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max();
 
-// Smaller pushes are one write to the endpoint; the ranks need not be told of them.
-constexpr std::size_t kDirectBytesMin = std::size_t{1} << 18U;
-
 constexpr const char* kAxisNames[] = {"x", "y", "z"};
 
 wire::Json plan_json(const plan::Plan& plan) {

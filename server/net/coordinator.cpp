@@ -167,23 +167,38 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   const auto scene = snapshot_->scenes.find(terms.id.scene);
   std::vector<std::uint64_t> counts;
   if (scene != snapshot_->scenes.end() && scene->second.step) counts = scene->second.rank_counts;
-  if (terms.moved == Moved::some) counts = terms.counts;
+  if (!terms.counts.empty()) counts = terms.counts;
   if (counts.empty())  // the first push: blocks by row
     for (std::uint64_t r = 0; r < ranks; ++r)
       counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
   CHECK(counts.size() == ranks, "a count for each rank");
-  data_->open({push->number, terms}, counts);
+  const bool share = push->together != nullptr;
+  for (std::size_t r = 0; share && r < ranks; ++r) push->whole[r] = counts[r] == 0;
+  data_->open({push->number, terms, share}, counts);
+}
+
+std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {
+  if (number == 0) return nullptr;
+  for (const auto& [name, gate] : gates_) {
+    if (!gate.push) continue;
+    if (gate.push->number == number) return gate.push;
+    if (!gate.push->together) continue;
+    for (const auto& share : gate.push->together->shares)
+      if (share && share->number == number) return share;
+  }
+  return nullptr;
 }
 
 void Coordinator::slice_ended(int rank, std::uint64_t number, const Status& status) {
-  for (const auto& [name, gate] : gates_) {
-    if (!gate.push || gate.push->number != number || number == 0) continue;
-    const std::shared_ptr<OpenPush> push = gate.push;
-    if (!status.ok()) return give_up(push, status);
-    push->whole[static_cast<std::size_t>(rank)] = true;
-    if (push->ready()) push->when_whole();
-    return;
-  }
+  const std::shared_ptr<OpenPush> push = find_push(number);
+  if (!push) return;
+  if (!status.ok()) return give_up(push, status);
+  push->whole[static_cast<std::size_t>(rank)] = true;
+  if (!push->ready()) return;
+  if (push->together)
+    groups_.share_whole(push);
+  else
+    push->when_whole();
 }
 
 void Coordinator::refuse_directly(const PushId& id) {

@@ -115,7 +115,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   MemberGroups& groups() { return groups_; }
   // The open push, or share of one, with this id, if this connection opened it.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
-  // Tells the ranks to take the slices of a push that goes directly; when_whole is called when all have them.
+  // Tells the ranks to take the slices of a push, or share of one, that goes directly. When all have them when_whole is
+  // called, or the members' groups are told.
   void receive_directly(const std::shared_ptr<OpenPush>& push);
   void slice_ended(int rank, std::uint64_t number, const Status& status);
   // The ranks drop what comes for a push that will not be opened.
@@ -144,6 +145,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void shut_down(const std::string& why, std::function<void()> told);
 
  private:
+  // The open push, or share of one, of this number.
+  std::shared_ptr<OpenPush> find_push(std::uint64_t number) const;
   void complete(Answer answer, const OrderOptions& order, const std::shared_ptr<Pending>& pending);
   void say_goodbye();
 

@@ -14,7 +14,9 @@ DataHub::DataHub(DoorbellHub& doorbells, DataPort& own, Control& control, int ra
 
 void DataHub::open(const PushTicket& ticket, std::span<const std::uint64_t> counts) {
   for (int rank = 1; rank < ranks_; ++rank)
-    doorbells_.tell(rank, ticket_json(ticket, counts[static_cast<std::size_t>(rank)]));
+    if (const std::uint64_t count = counts[static_cast<std::size_t>(rank)]; count > 0 || !ticket.share)
+      doorbells_.tell(rank, ticket_json(ticket, count));
+  if (counts[0] == 0 && ticket.share) return;
   PushTicket mine = ticket;
   mine.terms.n = counts[0];
   own_.open(std::move(mine));

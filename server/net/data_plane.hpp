@@ -4,7 +4,8 @@
 // Invariants
 // 1. Every push.begin that names the direct path leads to exactly one open() or drop(); an open() to exactly one
 //    order that takes the slices, or one drop().
-// 2. After open() every rank reports once: its slice is whole, or why it won't be. After drop() nothing is awaited.
+// 2. After open() every rank that was told reports once: its slice is whole, or why it won't be. After drop() nothing
+//    is awaited.
 // Everything runs on rank 0's I/O thread.
 #pragma once
 
@@ -23,6 +24,7 @@ namespace rcb::net {
 struct PushTicket {
   std::uint64_t number = 0;  // the service's own
   PushTerms terms;           // n: the particles of this rank alone
+  bool share = false;        // of a member: ranks to which it brings nothing aren't told, and don't report
 };
 
 wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count);

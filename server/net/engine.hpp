@@ -56,7 +56,8 @@ struct Snapshot {
 };
 
 struct Order {
-  // "command" and its arguments; with "staged", a number, where each rank has its slice of that direct push.
+  // "command" and its arguments; with "staged", a number, where each rank has its slice of that direct push, or such
+  // numbers, one a member, where each has what the members' pushes bring it.
   wire::Json request;
   std::string text;  // the same, at most kJsonBytesMax bytes
   std::vector<Slice> slices;

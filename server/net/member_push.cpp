@@ -20,11 +20,13 @@ bool asked(const Json& begin, const char* name) {
   return value.ok() && *value;
 }
 
-// A copy for one who is told; changes only where they were asked for.
+// A copy for one who is told: changes and places only where they were asked for.
 std::vector<wire::Array> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
   std::vector<wire::Array> copy;
   for (const wire::Array& array : arrays)
-    if (asked(begin, "changes") || !array.name.starts_with("changed_")) copy.push_back(array);
+    if ((asked(begin, "changes") || !array.name.starts_with("changed_")) &&
+        (asked(begin, "places") || !array.name.starts_with("place_")))
+      copy.push_back(array);
   return copy;
 }
 
@@ -43,7 +45,10 @@ Status MemberGroups::begin(ShareBegin begin) {
   const auto info = coordinator_.snapshot().scenes.find(scene);
   if (info == coordinator_.snapshot().scenes.end()) return coordinator_.unknown_scene(scene);
   if (info->second.step && begin.id.step <= *info->second.step) {
-    if (answer_again(*group, member, begin)) return {};
+    if (answer_again(*group, member, begin)) {
+      if (begin.json.value("path", Json()) == "direct") coordinator_.refuse_directly(begin.id);
+      return {};
+    }
     return {
         Code::stale_step,
         fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
@@ -59,7 +64,10 @@ Status MemberGroups::begin(ShareBegin begin) {
     return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
   auto terms = read_terms(begin, info->second, step.get());
   if (!terms.ok()) return terms.status();
+  if (terms->direct && !group->follow)
+    return {Code::unsupported, "members that don't follow their parts push in order \"id\""};
   if (Status room = coordinator_.take_bytes(terms->bytes()); !room.ok()) return room;
+  if (step && step->direct() && !terms->direct) withdraw_direct(*step, member);
   if (!step) {
     auto opened = open_step(scene, begin.id.step, *group);
     if (!opened.ok()) return opened.status();
@@ -77,7 +85,41 @@ Status MemberGroups::begin(ShareBegin begin) {
     step->end = begin.end;
     coordinator_.arm(step->front.lock(), begin.end);
   }
-  if (share->slices.whole()) share_whole(share);
+  if (share->slices.terms().direct) {
+    coordinator_.receive_directly(share);
+    if (Status counted = check_counts(*step); !counted.ok()) give_up(step, nullptr, counted);
+  }
+  if (share->ready() && !share->given_up) share_whole(share);
+  return {};
+}
+
+void MemberGroups::withdraw_direct(MemberPush& step, std::size_t because_of) {
+  const Status why(Code::stale_plan,
+                   fmt::format("step {} of scene '{}': {} pushes by ids, so all members do", step.step, step.scene,
+                               name(step.scene, because_of)),
+                   "push this step in order \"id\"");
+  for (auto& one : step.shares) {
+    if (!one) continue;
+    const auto share = std::exchange(one, nullptr);
+    share->given_up = true;
+    coordinator_.give_bytes(share->slices.terms().bytes());
+    coordinator_.refuse_directly(share->slices.terms().id);
+    share->connection->send(FrameType::failure, share->request, wire::failure_json(why));
+  }
+}
+
+Status MemberGroups::check_counts(const MemberPush& step) const {
+  if (std::find(step.shares.begin(), step.shares.end(), nullptr) != step.shares.end()) return {};
+  const auto& held = coordinator_.snapshot().scenes.at(step.scene).rank_counts;
+  for (std::size_t rank = 0; rank < held.size(); ++rank) {
+    std::uint64_t count = 0;
+    for (const auto& share : step.shares) count += share->slices.terms().counts[rank];
+    if (count != held[rank])
+      return {Code::stale_plan,
+              fmt::format("step {} of scene '{}': the members push {} particles of rank {}, which holds {}", step.step,
+                          step.scene, count, rank, held[rank]),
+              "push this step in order \"id\""};
+  }
   return {};
 }
 
@@ -98,15 +140,13 @@ Result<std::shared_ptr<MemberPush>> MemberGroups::open_step(const std::string& s
 
 Result<PushTerms> MemberGroups::read_terms(const ShareBegin& begin, const SceneInfo& info,
                                            const MemberPush* step) const {
-  SceneInfo free = info;  // a share has any number of particles, and no plan
-  free.step.reset();
-  auto terms =
-      read_push_terms(begin.json, begin.id, free, coordinator_.options().ranks, coordinator_.options().bulk_bytes_max);
+  auto terms = read_push_terms(begin.json, begin.id, info, coordinator_.options().ranks,
+                               coordinator_.options().bulk_bytes_max, Pusher::member);
   if (!terms.ok()) return terms.status();
-  if (terms->direct || !terms->by_id || !terms->ids)
-    return Status(Code::unsupported, "members push by the path \"gateway\", in order \"id\", with \"ids\" true");
-  if (terms->moved != Moved::all || terms->edit_slices() > 0)
-    return Status(Code::unsupported, "members push all their particles, and neither insert nor remove any");
+  if (step != nullptr && terms->direct && !step->direct())
+    return Status(Code::stale_plan,
+                  fmt::format("other members push step {} of scene '{}' by ids, so all do", begin.id.step, step->scene),
+                  "push this step in order \"id\"");
   if (step != nullptr)
     for (const auto& share : step->shares)
       if (share && share->slices.terms().weights != terms->weights)
@@ -130,20 +170,24 @@ bool MemberGroups::answer_again(const Group& group, std::size_t member, const Sh
 void MemberGroups::share_whole(const std::shared_ptr<OpenPush>& share) {
   const auto step = share->together;
   const bool all =
-      std::all_of(step->shares.begin(), step->shares.end(), [](const auto& one) { return one && one->slices.whole(); });
+      std::all_of(step->shares.begin(), step->shares.end(), [](const auto& one) { return one && one->ready(); });
   if (all) order(step);
 }
 
 void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
-  Json request{{"command", "push.members"}, {"scene", step->scene}, {"session", "members"},
-               {"step", step->step},        {"order", "id"},        {"ids", true}};
+  const bool direct = step->direct();
+  Json request{{"command", "push.members"},       {"scene", step->scene}, {"session", "members"}, {"step", step->step},
+               {"order", direct ? "plan" : "id"}, {"ids", !direct}};
   OrderOptions order;
   std::uint64_t n = 0;
   bool changes = false;
+  bool places = find(step->scene)->follow;  // all ask for them: who has none could not use the direct path next
   double seconds = -1;
   for (const auto& share : step->shares) {
     n += share->slices.terms().n;
     changes = changes || asked(share->begin, "changes");
+    places = places && asked(share->begin, "places");
+    if (direct) request["staged"].push_back(share->number);
     if (share->begin.contains("step_seconds") && share->begin["step_seconds"].is_number())
       seconds = std::max(seconds, share->begin["step_seconds"].get<double>());
     order.staged_bytes += share->slices.terms().bytes();
@@ -153,7 +197,9 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     }
   }
   request["n"] = n;
+  if (direct) request["plan"] = step->shares.front()->begin["plan"];
   request["changes"] = changes;
+  request["places"] = places;
   request["weights"] = step->shares.front()->slices.terms().weights;
   request["members"] = step->shares.size();
   request["follow"] = find(step->scene)->follow;
@@ -168,7 +214,10 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   step->ordered = true;
   const auto pending = coordinator_.order(std::move(request), std::move(order));
   coordinator_.tidy(step->scene);
-  if (!pending.ok()) answered(step, {pending.status(), Json::object(), {}, nullptr});
+  if (pending.ok()) return;
+  for (const auto& share : step->shares)
+    if (direct) coordinator_.refuse_directly(share->slices.terms().id);
+  answered(step, {pending.status(), Json::object(), {}, nullptr});
 }
 
 void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answer) {
@@ -212,6 +261,7 @@ void MemberGroups::give_up(const std::shared_ptr<MemberPush>& step, const OpenPu
   for (const auto& one : std::exchange(step->shares, {})) {
     if (!one) continue;
     one->given_up = true;
+    if (one->number != 0) coordinator_.refuse_directly(one->slices.terms().id);
     coordinator_.give_bytes(one->slices.terms().bytes());
     one->connection->send(FrameType::failure, one->request, wire::failure_json(named));
   }

@@ -39,8 +39,12 @@ Result<std::optional<Membership>> read_membership(const Json& request) {
 
 std::string MemberPush::progress() const {
   const auto whole =
-      std::count_if(shares.begin(), shares.end(), [](const auto& share) { return share && share->slices.whole(); });
+      std::count_if(shares.begin(), shares.end(), [](const auto& share) { return share && share->ready(); });
   return fmt::format("{} of {} members", whole, shares.size());
+}
+
+bool MemberPush::direct() const {
+  return std::any_of(shares.begin(), shares.end(), [](const auto& share) { return share && share->number != 0; });
 }
 
 MemberGroups::Group* MemberGroups::find(const std::string& scene) {
@@ -159,7 +163,7 @@ std::string MemberGroups::missing(const MemberPush& step) const {
   constexpr std::size_t kNamedMax = 8;
   std::vector<std::string> names;
   for (std::size_t k = 0; k < step.shares.size(); ++k)
-    if (!step.shares[k] || !step.shares[k]->slices.whole()) names.push_back(name(step.scene, k));
+    if (!step.shares[k] || !step.shares[k]->ready()) names.push_back(name(step.scene, k));
   const std::size_t more = names.size() - std::min(names.size(), kNamedMax);
   names.resize(names.size() - more);
   return fmt::format("{}{}", fmt::join(names, ", "), more > 0 ? fmt::format(" and {} more", more) : "");

@@ -52,6 +52,8 @@ struct MemberPush {
   bool ordered = false;
   bool over = false;  // every share has its answer
 
+  // Its shares go to the ranks: all of them do, or none.
+  bool direct() const;
   std::string progress() const;  // "2 of 4 members"
 };
 
@@ -118,6 +120,10 @@ class MemberGroups {
   std::string missing(const MemberPush& step) const;
   bool answer_again(const Group& group, std::size_t member, const ShareBegin& begin);
   Result<PushTerms> read_terms(const ShareBegin& begin, const SceneInfo& info, const MemberPush* step) const;
+  // A member pushes by ids: those that push directly shall do so, too.
+  void withdraw_direct(MemberPush& step, std::size_t because_of);
+  // All members have begun directly: they must have the particles of each rank between them.
+  Status check_counts(const MemberPush& step) const;
   Result<std::shared_ptr<MemberPush>> open_step(const std::string& scene, std::int64_t step, const Group& group);
   void order(const std::shared_ptr<MemberPush>& step);
   void answered(const std::shared_ptr<MemberPush>& step, Answer answer);

@@ -58,13 +58,14 @@ std::string name_of(int rank) {
   return fmt::format("rank {}", rank);
 }
 
-// "counts" of a push of few: how many each slice has.
+// "counts": how many particles each slice has.
 Status read_counts(const wire::Json& request, PushTerms& terms) {
   const auto counts = wire::numbers_field_or_empty(request, "counts", static_cast<std::size_t>(terms.ranks));
   if (!counts.ok()) return counts.status();
   const std::size_t slices = terms.by_id ? 1 : static_cast<std::size_t>(terms.ranks);
   if (counts->size() != slices)
     return {Code::invalid_argument, fmt::format("field 'counts': expected {} numbers, got {}", slices, counts->size())};
+  terms.moving = 0;
   for (const double count : *counts) {
     if (!(count >= 0 && count <= static_cast<double>(terms.n - terms.moving)))
       return {Code::invalid_argument, fmt::format("field 'counts': more than the {} particles of the push", terms.n)};
@@ -124,6 +125,35 @@ Status check_base(const wire::Json& request, const SceneInfo& scene) {
           "push all particles"};
 }
 
+// What a member's push must be; one that goes directly rests on the plan and the parts after the last step.
+Status check_share(const wire::Json& request, const SceneInfo& scene, PushTerms& terms) {
+  if (terms.moved != Moved::all || terms.edit_slices() > 0)
+    return {Code::unsupported, "members push all their particles, and neither insert nor remove any"};
+  if (terms.direct ? terms.ids : !terms.by_id || !terms.ids)
+    return {Code::unsupported,
+            "members push in order \"id\", with \"ids\" true, or by the path \"direct\" without ids"};
+  if (!terms.direct) return {};
+  if (!scene.step) return {Code::stale_plan, "the scene has no plan yet", "push in order \"id\""};
+  const auto epoch = wire::integer_field(request, "epoch", 0, std::numeric_limits<std::int64_t>::max());
+  if (!epoch.ok()) return epoch.status();
+  if (static_cast<std::uint64_t>(*epoch) != scene.epoch)
+    return {Code::stale_plan, fmt::format("the push follows epoch {}, the scene is at {}", *epoch, scene.epoch),
+            "push in order \"id\""};
+  if (!request.contains("base_step") || request["base_step"].is_null())
+    return {Code::invalid_argument, "field 'base_step': a member's direct push names the last step"};
+  if (Status counts = read_counts(request, terms); !counts.ok()) return counts;
+  if (terms.moving != terms.n)
+    return {Code::invalid_argument,
+            fmt::format("field 'counts': {} particles together, the push has {}", terms.moving, terms.n)};
+  for (std::size_t rank = 0; rank < terms.counts.size(); ++rank)
+    if (terms.counts[rank] > scene.rank_counts[rank])
+      return {Code::stale_plan,
+              fmt::format("the push has {} particles of rank {}, which holds {}", terms.counts[rank], rank,
+                          scene.rank_counts[rank]),
+              "push in order \"id\""};
+  return {};
+}
+
 }  // namespace
 
 Result<PushId> read_push_id(const wire::Json& request, const std::string& session) {
@@ -158,7 +188,7 @@ std::uint64_t PushTerms::bytes() const {
 }
 
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
-                                  std::uint64_t bytes_max) {
+                                  std::uint64_t bytes_max, Pusher pusher) {
   PushTerms terms{.id = id, .ranks = ranks, .dims = scene.dims};
   const auto n = wire::integer_field(request, "n", 0, wire::kParticlesMax);
   if (!n.ok()) return n.status();
@@ -196,7 +226,9 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
     return Status(Code::invalid_argument, "a push without slices for the ranks can't go to them",
                   "push by the path \"gateway\"");
   if (Status counted = check_slice_count(terms); !counted.ok()) return counted;
-  if (scene.step && !repeated && terms.n != scene.n)
+  if (pusher == Pusher::member)
+    if (Status share = check_share(request, scene, terms); !share.ok()) return share;
+  if (pusher == Pusher::client && scene.step && !repeated && terms.n != scene.n)
     return Status(Code::invalid_argument,
                   fmt::format("the push has {} particles, scene '{}' has {}", terms.n, id.scene, scene.n),
                   "create the scene anew for another number of particles");

@@ -55,9 +55,10 @@ struct PushTerms {
   bool ids = false;
   bool direct = false;  // the slices go to the ranks themselves
   Moved moved = Moved::all;
-  bool single = false;                // positions come as float32
-  std::uint64_t moving = 0;           // particles whose positions come
-  std::vector<std::uint64_t> counts;  // moved some: of each rank; order "id": of the one slice
+  bool single = false;       // positions come as float32
+  std::uint64_t moving = 0;  // particles whose positions come
+  // Of each rank, where few moved or a member pushes directly; order "id": of the one slice.
+  std::vector<std::uint64_t> counts;
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
   bool inserted_ids = false;   // the solver's own
@@ -68,11 +69,14 @@ struct PushTerms {
   std::uint64_t bytes() const;  // of all arrays in memory; at most 2^55
 };
 
+// Who pushes: one client all particles, or a member of a parallel solver its own.
+enum class Pusher { client, member };
+
 // Reads a push.begin and holds it against what is known of its scene. A step that isn't above the scene's last is let
 // through: it may be one that is committed already, and only the service knows its report.
-// Errors: invalid_argument, stale_plan, too_large.
+// Errors: invalid_argument, base_lost, stale_plan, too_large, unsupported.
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
-                                  std::uint64_t bytes_max);
+                                  std::uint64_t bytes_max, Pusher pusher = Pusher::client);
 
 // A slice of `count` particles whose arrays, still without bytes, are those that the terms demand.
 // Errors: invalid_argument, protocol_error (the connection must end).

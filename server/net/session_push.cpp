@@ -68,12 +68,17 @@ awaitable<void> Session::begin_share(Request& request, const PushId& id) {
   const auto ready = [&gate] { return gate.changes_unfinished == 0 && !gate.push; };
   const auto joins = [&gate] { return gate.push && gate.push->together; };
   Status status = co_await wait_turn(request, id.scene, ready, joins);
+  const bool direct = request.json.value("path", Json()) == "direct";
+  if (status.ok() && direct && coordinator_->data_addresses(endpoint_).empty())
+    status = Status(Code::unsupported, "this endpoint has no direct path", "push in order \"id\"");
   if (status.ok())
     status =
         coordinator_->groups().begin({id, connection_, client_, request.number, std::move(request.json), request.end});
   coordinator_->gate(id.scene).wake();
   coordinator_->tidy(id.scene);
-  if (!status.ok()) fail(request.number, status);
+  if (status.ok()) co_return;
+  if (direct) coordinator_->refuse_directly(id);
+  fail(request.number, status);
 }
 
 awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {

@@ -1,17 +1,16 @@
-// A step that the members of a parallel solver push together, each its own particles with their ids. Rank 0 puts the
-// shares into one order by id and pushes them as one; afterwards it tells every member what concerns it.
+// A step that the members of a parallel solver push together, each its own particles. Where they come with their ids
+// rank 0 puts the shares into one order by id and pushes them as one; where they came straight to the ranks each has
+// its slice. Afterwards rank 0 tells every member what concerns it.
 //
-// Invariants
-// 1. The scene that results is the one that a single client's push of the same particles would leave.
-// 2. Who has which particle is read from each push alone: the service remembers nothing of it.
+// Invariant: the scene that results is the one that a single client's push of the same particles would leave.
 #include <algorithm>
 #include <numeric>
 
 #include <fmt/format.h>
 
-#include "common/plan/plan.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/collective.hpp"
+#include "server/service/member_news.hpp"
 #include "server/service/step.hpp"
 
 namespace rcb::service {
@@ -19,8 +18,7 @@ namespace {
 
 struct MemberRequest {
   PushRequest push;
-  int members = 1;
-  bool follow = false;
+  NewsTerms news;
 };
 
 Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
@@ -30,14 +28,12 @@ Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
   if (!members.ok()) return members.status();
   const auto follow = wire::bool_field_or(request, "follow", false);
   if (!follow.ok()) return follow.status();
-  return MemberRequest{std::move(*push), static_cast<int>(*members), *follow};
+  const auto places = wire::bool_field_or(request, "places", false);
+  if (!places.ok()) return places.status();
+  if (push->staged) push->members = static_cast<int>(*members);
+  const bool changes = push->changes;
+  return MemberRequest{std::move(*push), {static_cast<int>(*members), changes, *follow, *follow && *places}};
 }
-
-// All members' particles in ascending id. On rank 0 alone.
-struct Joined {
-  Buffer<particles::Id> id;
-  Buffer<std::int32_t> member;
-};
 
 std::span<const particles::Id> ids_of(const PushSlice& slice) {
   return {reinterpret_cast<const particles::Id*>(slice.arrays.back().bytes.data()), slice.count};
@@ -45,10 +41,10 @@ std::span<const particles::Id> ids_of(const PushSlice& slice) {
 
 Status check_shares(const std::vector<PushSlice>& slices, const Scene& scene, const MemberRequest& request) {
   const std::size_t arrays = static_cast<std::size_t>(scene.options.dims) + (request.push.weights ? 1U : 0U) + 1U;
-  std::vector<bool> seen(static_cast<std::size_t>(request.members), false);
+  std::vector<bool> seen(static_cast<std::size_t>(request.news.members), false);
   std::uint64_t count = 0;
   for (const PushSlice& slice : slices) {
-    if (slice.rank < 0 || slice.rank >= request.members || seen[static_cast<std::size_t>(slice.rank)])
+    if (slice.rank < 0 || slice.rank >= request.news.members || seen[static_cast<std::size_t>(slice.rank)])
       return {Code::invalid_argument, fmt::format("two shares of member {}, or no such member", slice.rank)};
     seen[static_cast<std::size_t>(slice.rank)] = true;
     bool fits = slice.arrays.size() == arrays && slice.arrays.back().name == "id";
@@ -77,7 +73,7 @@ Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
 }
 
 // The shares become one slice in ascending id, and `joined` says whose each particle was.
-Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Joined& joined) {
+Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Whereabouts& joined) {
   std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.rank < b.rank; });
   Buffer<particles::Id> ids;
   Buffer<std::int32_t> members;
@@ -122,7 +118,7 @@ Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Joined& join
 }
 
 // The pushed ids are the scene's, no more and no fewer. scene_ids: ascending; empty where they are 0..n-1.
-Status check_ids(const Scene& scene, const Joined& joined, const Buffer<particles::Id>& scene_ids) {
+Status check_ids(const Scene& scene, const Whereabouts& joined, const Buffer<particles::Id>& scene_ids) {
   for (std::uint64_t k = 0; k < std::max<std::uint64_t>(scene.n, joined.id.size()); ++k) {
     const bool there = k < joined.id.size();
     const bool known = k < scene.n;
@@ -142,7 +138,7 @@ Status check_ids(const Scene& scene, const Joined& joined, const Buffer<particle
 
 // Afterwards context.slices is what a client that pushes everything by id would have sent, and `push` says so.
 // Collective. Errors: what the shares have wrong, on every rank.
-Status merge(Context& context, const Scene& scene, MemberRequest& request, Joined& joined) {
+Status merge(Context& context, const Scene& scene, MemberRequest& request, Whereabouts& joined) {
   Buffer<particles::Id> scene_ids;
   if (scene.pushed && scene.ids) {
     scene_ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
@@ -167,99 +163,38 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, Joine
   return {};
 }
 
-// The part of every particle in ascending id. On rank 0 alone. Collective.
-Buffer<std::int32_t> parts_by_id(Context& context, const Scene& scene) {
-  const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
-  const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
-  Buffer<std::int32_t> sorted(parts.size());
-  if (!context.root()) return sorted;
-  if (!scene.ids) {  // ids are places
-    for (std::size_t k = 0; k < ids.size(); ++k) sorted[static_cast<std::size_t>(ids[k])] = parts[k];
-    return sorted;
-  }
-  const Buffer<std::uint64_t> order = order_by_id(ids);
-  for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = parts[order[k]];
-  return sorted;
-}
-
-template <typename T>
-void add_array(std::vector<wire::Array>& to, const char* name, const char* dtype, Buffer<T>& values) {
-  const std::uint64_t count = values.size();
-  to.push_back(make_array(name, dtype, count, values.template release_as<std::byte>()));
-}
-
-// What one member is told, each list in ascending id.
-struct MemberNews {
-  Buffer<particles::Id> changed_id, leave_id, enter_id;
-  Buffer<std::int32_t> changed_part, leave_to, enter_from, enter_part;
-};
-
-// For each member in turn: changed_id, changed_part, where changes were asked for; leave_id, leave_to, enter_id,
-// enter_from, enter_part with follow. parts: by ascending id, with follow.
-std::vector<wire::Array> news(const Scene& scene, const MemberRequest& request, const Joined& joined,
-                              const PartChanges& changes, const Buffer<std::int32_t>& parts) {
-  std::vector<MemberNews> of(static_cast<std::size_t>(request.members));
-  std::size_t place = 0;
-  for (std::size_t k = 0; k < changes.id.size(); ++k) {
-    while (joined.id[place] != changes.id[k]) ++place;
-    MemberNews& mine = of[static_cast<std::size_t>(joined.member[place])];
-    mine.changed_id.push_back(changes.id[k]);
-    mine.changed_part.push_back(changes.part[k]);
-  }
-  for (std::size_t k = 0; k < parts.size(); ++k) {
-    const int from = joined.member[k];
-    const int to = plan::rank_of_part(parts[k], scene.options.parts, request.members);
-    if (from == to) continue;
-    MemberNews& loser = of[static_cast<std::size_t>(from)];
-    loser.leave_id.push_back(joined.id[k]);
-    loser.leave_to.push_back(to);
-    MemberNews& winner = of[static_cast<std::size_t>(to)];
-    winner.enter_id.push_back(joined.id[k]);
-    winner.enter_from.push_back(from);
-    winner.enter_part.push_back(parts[k]);
-  }
-  std::vector<wire::Array> arrays;
-  for (MemberNews& mine : of) {
-    if (request.push.changes) {
-      add_array(arrays, "changed_id", "<i8", mine.changed_id);
-      add_array(arrays, "changed_part", "<i4", mine.changed_part);
-    }
-    if (request.follow) {
-      add_array(arrays, "leave_id", "<i8", mine.leave_id);
-      add_array(arrays, "leave_to", "<i4", mine.leave_to);
-      add_array(arrays, "enter_id", "<i8", mine.enter_id);
-      add_array(arrays, "enter_from", "<i4", mine.enter_from);
-      add_array(arrays, "enter_part", "<i4", mine.enter_part);
-    }
-  }
-  return arrays;
-}
-
 Response push_members(Context& context, const wire::Json& request) {
   const auto scene = find_scene(context, request);
   if (!scene.ok()) return failed(scene.status());
   auto members = read_member_push(request, context.comm.size());
   if (!members.ok()) return failed(members.status());
+  Scene& of = *scene.value();
+  PushRequest& push = members->push;
   const double start = context.clock.seconds();
-  Joined joined;
-  if (Status merged = merge(context, *scene.value(), *members, joined); !merged.ok()) return failed(merged);
+  Whereabouts known;
+  std::optional<PlacesBefore> before;
+  if (push.staged) {
+    before.emplace(of);
+  } else if (Status merged = merge(context, of, *members, known); !merged.ok()) {
+    return failed(merged);
+  }
   context.received_seconds += context.clock.seconds() - start;
-  auto staged = prepare(context, *scene.value(), members->push);
+  auto staged = prepare(context, of, push);
   if (!staged.ok()) return failed(staged.status());
-  if (!members->push.ids) staged->bytes += 8 * members->push.n;  // ids came all the same
+  if (!push.staged && !push.ids) staged->bytes += 8 * push.n;  // ids came all the same
   PartChanges changes;
-  const std::optional<std::int64_t> previous_step = scene.value()->step;
-  const StepReport report =
-      commit(context, *scene.value(), *staged, members->push, members->push.changes ? &changes : nullptr);
-  context.spares.push_back({scene.value()->name, {}});
-  Buffer<std::int32_t> parts;
-  if (members->follow) parts = parts_by_id(context, *scene.value());
+  const std::optional<std::int64_t> previous_step = of.step;
+  const StepReport report = commit(context, of, *staged, push, push.changes ? &changes : nullptr);
+  give_back(context, of, push, *staged);
+  if (push.staged && (report.drifted > 0 || report.moved > 0))
+    known = find_changed(context, of, *before, members->news.members);
+  else if (!push.staged && members->news.follow)
+    find_all(context, of, known);
   if (!context.root()) return {};
-  Response response = done(
-      {{"report", to_json(report)},
-       {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
-       {"plan", {{"version", scene.value()->plan_version}, {"checksum", wire::hex64(scene.value()->plan_checksum)}}}});
-  response.arrays = news(*scene.value(), *members, joined, changes, parts);
+  Response response = done({{"report", to_json(report)},
+                            {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
+                            {"plan", {{"version", of.plan_version}, {"checksum", wire::hex64(of.plan_checksum)}}}});
+  response.arrays = member_news(of, members->news, context.comm.size(), known, changes);
   return response;
 }
 

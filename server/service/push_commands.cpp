@@ -46,18 +46,6 @@ Response answer(const Scene& scene, const StepReport& report, const PushRequest&
   return response;
 }
 
-// What the commit swapped out is what the next push is received into, so that a step touches no fresh memory.
-void give_back(Context& context, const Scene& scene, const PushRequest& push, Staged& staged) {
-  if (push.what.moved == Moved::none) return;  // what is kept stays for the next that moves
-  Spare spare{scene.name, {}};
-  if (push.staged) {
-    for (auto& axis : staged.arrays.position)
-      if (axis.capacity() > 0) spare.buffers.push_back(axis.release_as<std::byte>());
-    if (spare.buffers.empty()) return;
-  }
-  context.spares.push_back(std::move(spare));
-}
-
 Response push(Context& context, const wire::Json& request) {
   const auto scene = find_scene(context, request);
   if (!scene.ok()) return failed(scene.status());

@@ -10,6 +10,7 @@
 #include "common/plan/plan.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/collective.hpp"
+#include "server/service/member_slices.hpp"
 
 namespace rcb::service {
 namespace {
@@ -376,6 +377,17 @@ std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) 
   return held;
 }
 
+void give_back(Context& context, const Scene& scene, const PushRequest& push, Staged& staged) {
+  if (push.what.moved == Moved::none) return;  // what is kept stays for the next that moves
+  Spare spare{scene.name, {}};
+  if (push.staged) {
+    for (auto& axis : staged.arrays.position)
+      if (axis.capacity() > 0) spare.buffers.push_back(axis.release_as<std::byte>());
+    if (spare.buffers.empty()) return;
+  }
+  context.spares.push_back(std::move(spare));
+}
+
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) {
   const double start = context.clock.seconds();
   partition::Comm& comm = context.comm;
@@ -401,7 +413,9 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
         receive_subset(context, scene, push.what, push.by_id, push.staged, staged.arrays, staged.subset, ready);
     if (!status.ok()) return status;
   } else if (push.staged) {
-    ready = check_own_slice(context, scene, push, mine);
+    if (push.members > 0)
+      ready = join_member_slices(comm, scene, push.members, array_names(scene, push), context.slices);
+    if (ready.ok()) ready = check_own_slice(context, scene, push, mine);
     if (ready.ok()) take_own_slice(context, push, staged);
     if (!scene.pushed)
       if (Status status = agree_status(comm, ready); !status.ok()) return status;

@@ -22,6 +22,7 @@ struct PushRequest {
   bool ids = false;
   bool changes = false;
   bool staged = false;                 // every rank has its slice already
+  int members = 0;                     // that brought it, each its own; 0: it came from one client
   std::optional<double> step_seconds;  // the solver's own, since its last push
   PushChanges what;
 };
@@ -54,6 +55,9 @@ std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks);
 // Collective. The scene is as it was, but for what it keeps about its regions. Errors: what the push has wrong, the
 // same on every rank. A later step whose slices are staged costs one pass and one reduction.
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
+
+// What the commit swapped out is what the next push is received into, so that a step touches no fresh memory. Local.
+void give_back(Context& context, const Scene& scene, const PushRequest& push, Staged& staged);
 
 // Collective. Finite positions and weights, weights >= 0, ids >= 0; the first offender is named: at a first push by its
 // row (`first_row` is this rank's first), later by its id.
