@@ -9,6 +9,7 @@
 
 #include "common/base/clock.hpp"
 #include "tests/server/service/driver.hpp"
+#include "tests/server/service/members.hpp"
 #include "tests/support/on_ranks.hpp"
 
 namespace rcb::testing {
@@ -28,31 +29,11 @@ Split random_split(std::uint64_t seed, std::size_t n, int members) {
   return split;
 }
 
-std::int64_t id_of(const Particles& particles, std::size_t row) {
-  return particles.ids.empty() ? static_cast<std::int64_t>(row) : particles.ids[row];
-}
-
-template <typename T>
-wire::Array array_of(const char* name, const char* dtype, const std::vector<T>& values) {
-  wire::Array array{name, dtype, {values.size()}, {}};
-  array.bytes.assign(std::as_bytes(std::span(values)));
-  return array;
-}
-
 std::vector<PushSlice> shares(const Particles& particles, const Split& split) {
   std::vector<PushSlice> slices;
   for (std::size_t k = 0; k < split.size(); ++k) {
     if (split[k].empty()) continue;
-    PushSlice slice{static_cast<int>(k), split[k].size(), {}};
-    constexpr const char* kNames[] = {"x", "y", "z"};
-    const auto column = [&](const std::vector<double>& values) {
-      std::vector<double> own;
-      for (const std::size_t row : split[k]) own.push_back(values[row]);
-      return own;
-    };
-    for (std::size_t a = 0; a < particles.position.size(); ++a)
-      slice.arrays.push_back(array_of(kNames[a], "<f8", column(particles.position[a])));
-    if (!particles.weights.empty()) slice.arrays.push_back(array_of("w", "<f8", column(particles.weights)));
+    PushSlice slice = slice_of_rows(particles, static_cast<int>(k), split[k]);
     std::vector<std::int64_t> ids;
     for (const std::size_t row : split[k]) ids.push_back(id_of(particles, row));
     slice.arrays.push_back(array_of("id", "<i8", ids));
@@ -75,13 +56,6 @@ Response push_members(partition::Comm& comm, service::Service& service, const Pa
                      {"members", split.size()},
                      {"follow", follow}};
   return service.execute(request, comm.rank() == 0 ? shares(particles, split) : std::vector<PushSlice>());
-}
-
-template <typename T>
-std::vector<T> values(const wire::Array& array) {
-  std::vector<T> out(array.bytes.size() / sizeof(T));
-  if (!out.empty()) std::memcpy(out.data(), array.bytes.data(), array.bytes.size());
-  return out;
 }
 
 // After the hand-over each member has exactly the particles of its parts.
