@@ -10,9 +10,11 @@ namespace {
 
 constexpr int kDigitBits = 11;
 constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
-constexpr int kSlotBits = 40;  // a place as one number: the rank above the slot
-
 }  // namespace
+
+MemberPlaces::Place MemberPlaces::place_of(std::int32_t rank, std::uint64_t slot) {
+  return (static_cast<Place>(rank) << kSlotBits) + slot;
+}
 
 Buffer<std::uint32_t> ascending(std::span<const std::int64_t> keys) {
   struct Entry {
@@ -42,69 +44,108 @@ Buffer<std::uint32_t> ascending(std::span<const std::int64_t> keys) {
 }
 
 void MemberPlaces::take_all(const List& all, int ranks) {
-  id_.assign(all.id);
-  rank_.assign(all.rank);
-  slot_.assign(all.slot);
-  order_.resize(static_cast<std::size_t>(ranks));
-  rows_.resize(order_.size());
-  ordered_ = false;
+  const std::size_t n = all.id.size();
+  ids_.assign(all.id.begin(), all.id.end());
+  places_.resize(n);
+  for (std::size_t k = 0; k < n; ++k) places_[k] = place_of(all.rank[k], all.slot[k]);
+  left_.clear();
+  placed_ = {};
+  touched_.assign(kTouched, 0);
+  row_at_.resize(static_cast<std::size_t>(ranks));
+  rows_.resize(row_at_.size());
   known_ = true;
 }
 
 void MemberPlaces::change(std::span<const std::int64_t> left, const List& placed) {
-  if (left.empty() && placed.id.empty()) return;
-  Buffer<std::int64_t> id;
-  Buffer<std::int32_t> rank;
-  Buffer<std::uint64_t> slot;
-  id.reserve(id_.size() + placed.id.size());
-  rank.reserve(id_.size() + placed.id.size());
-  slot.reserve(id_.size() + placed.id.size());
-  std::size_t l = 0, p = 0;
-  const auto put_placed = [&] {
-    id.push_back(placed.id[p]);
-    rank.push_back(placed.rank[p]);
-    slot.push_back(placed.slot[p++]);
-  };
-  for (std::size_t k = 0; k < id_.size(); ++k) {
-    while (p < placed.id.size() && placed.id[p] < id_[k]) put_placed();
-    while (l < left.size() && left[l] < id_[k]) ++l;
-    if (p < placed.id.size() && placed.id[p] == id_[k]) {
-      put_placed();
-    } else if (l == left.size() || left[l] != id_[k]) {
-      id.push_back(id_[k]);
-      rank.push_back(rank_[k]);
-      slot.push_back(slot_[k]);
-    }
-  }
-  while (p < placed.id.size()) put_placed();
-  id_.swap(id);
-  rank_.swap(rank);
-  slot_.swap(slot);
-  ordered_ = false;
+  CHECK(left_.empty() && placed_.id.empty(), "changes of a step that was not pushed from here");
+  const auto touch = [this](std::int64_t id) { touched_[static_cast<std::size_t>(id) % kTouched] = 1; };
+  left_.assign(left.begin(), left.end());
+  placed_.id.assign(placed.id.begin(), placed.id.end());
+  for (std::size_t k = 0; k < placed.id.size(); ++k) placed_.place.push_back(place_of(placed.rank[k], placed.slot[k]));
+  for (const std::int64_t id : left) touch(id);
+  for (const std::int64_t id : placed.id) touch(id);
 }
 
-void MemberPlaces::order_places() {
-  Buffer<std::int64_t> keys(id_.size());
-  for (std::size_t k = 0; k < keys.size(); ++k)
-    keys[k] = (std::int64_t{rank_[k]} << kSlotBits) + static_cast<std::int64_t>(slot_[k]);
-  for (auto& of_rank : order_) of_rank.clear();
-  for (const std::uint32_t k : ascending(keys.span())) order_[static_cast<std::size_t>(rank_[k])].push_back(k);
-  ordered_ = true;
+// Gives every id its place in next_; false where they aren't exactly those held. Rows mostly keep their order from step
+// to step, so both lists are walked side by side, and only what doesn't fit is sorted.
+bool MemberPlaces::align(std::span<const std::int64_t> ids) {
+  std::vector<std::uint32_t> open;  // rows whose place isn't found yet
+  std::vector<std::uint8_t> used(placed_.id.size(), 0);
+  Pool pool;  // particles whose row isn't found yet
+  next_.resize(ids.size());
+  std::size_t old = 0;
+  // The place of a particle that was there already; false if it has left.
+  const auto place_now = [&](std::size_t k, Place& place) {
+    place = places_[k];
+    if (!may_have_changed(ids_[k])) return true;
+    if (std::binary_search(left_.begin(), left_.end(), ids_[k])) return false;
+    const auto found = std::lower_bound(placed_.id.begin(), placed_.id.end(), ids_[k]);
+    if (found == placed_.id.end() || *found != ids_[k]) return true;
+    used[static_cast<std::size_t>(found - placed_.id.begin())] = 1;
+    place = placed_.place[static_cast<std::size_t>(found - placed_.id.begin())];
+    return true;
+  };
+  Place place = 0;
+  for (std::size_t row = 0; row < ids.size(); ++row) {
+    while (old < ids_.size() && ids_[old] != ids[row] && !place_now(old, place)) ++old;
+    if (old < ids_.size() && ids_[old] == ids[row] && place_now(old, place)) {
+      next_[row] = place;
+      ++old;
+    } else {
+      open.push_back(static_cast<std::uint32_t>(row));
+    }
+  }
+  for (; old < ids_.size(); ++old) {
+    if (!place_now(old, place)) continue;
+    pool.id.push_back(ids_[old]);
+    pool.place.push_back(place);
+  }
+  for (std::size_t k = 0; k < used.size(); ++k) {
+    if (used[k] != 0) continue;
+    pool.id.push_back(placed_.id[k]);
+    pool.place.push_back(placed_.place[k]);
+  }
+  return match(ids, open, pool);
+}
+
+bool MemberPlaces::match(std::span<const std::int64_t> ids, std::span<const std::uint32_t> open, const Pool& pool) {
+  if (open.size() != pool.id.size()) return false;
+  std::vector<std::int64_t> open_ids;
+  for (const std::uint32_t row : open) open_ids.push_back(ids[row]);
+  const Buffer<std::uint32_t> order = ascending(open_ids);
+  const Buffer<std::uint32_t> order_of_pool = ascending(pool.id);
+  for (std::size_t k = 0; k < open.size(); ++k) {
+    if (open_ids[order[k]] != pool.id[order_of_pool[k]]) return false;
+    next_[open[order[k]]] = pool.place[order_of_pool[k]];
+  }
+  return true;
+}
+
+void MemberPlaces::list_by_rank() {
+  constexpr std::uint32_t kNone = ~std::uint32_t{0};
+  for (auto& table : row_at_) std::fill(table.begin(), table.end(), kNone);
+  for (std::size_t row = 0; row < places_.size(); ++row) {
+    auto& table = row_at_[static_cast<std::size_t>(places_[row] >> kSlotBits)];
+    const std::uint64_t slot = places_[row] % (Place{1} << kSlotBits);
+    if (slot >= table.size()) table.resize(slot + 1 + slot / 16, kNone);
+    table[slot] = static_cast<std::uint32_t>(row);
+  }
+  for (std::size_t rank = 0; rank < rows_.size(); ++rank) {
+    rows_[rank].clear();
+    for (const std::uint32_t row : row_at_[rank])
+      if (row != kNone) rows_[rank].push_back(row);
+  }
 }
 
 const std::vector<std::vector<std::uint64_t>>* MemberPlaces::rows(std::span<const std::int64_t> ids) {
-  if (!known_ || ids.size() != id_.size()) return nullptr;
-  if (ids_.size() != ids.size() || !std::equal(ids.begin(), ids.end(), ids_.begin())) {
-    ids_.assign(ids);
-    row_by_id_ = ascending(ids);
-  }
-  for (std::size_t k = 0; k < ids.size(); ++k)
-    if (ids[row_by_id_[k]] != id_[k]) return nullptr;
-  if (!ordered_) order_places();
-  for (std::size_t rank = 0; rank < order_.size(); ++rank) {
-    rows_[rank].resize(order_[rank].size());
-    for (std::size_t k = 0; k < rows_[rank].size(); ++k) rows_[rank][k] = row_by_id_[order_[rank][k]];
-  }
+  if (!known_ || !align(ids)) return nullptr;
+  ids_.assign(ids.begin(), ids.end());
+  places_.swap(next_);
+  for (const std::int64_t id : left_) touched_[static_cast<std::size_t>(id) % kTouched] = 0;
+  for (const std::int64_t id : placed_.id) touched_[static_cast<std::size_t>(id) % kTouched] = 0;
+  left_.clear();
+  placed_ = {};
+  list_by_rank();
   return &rows_;
 }
 

@@ -25,25 +25,42 @@ class MemberPlaces {
   void forget() { *this = MemberPlaces(); }
   // All particles that the member holds from now on. ranks: of the service.
   void take_all(const List& all, int ranks);
-  // What a step changed: those that left, and the new places of others, some of which were not there before.
+  // What a step changed: the ids that left, ascending, and the new places of others, some of which were not there
+  // before. Once after each rows() that gave any.
   void change(std::span<const std::int64_t> left, const List& placed);
 
   // For each rank the rows, by which `ids` are given, of its particles in ascending slots. Null where the ids aren't
   // exactly those that are held here. Valid until the next call.
-  // Cost: a sort of the ids unless they are those of the last call; one of the places after they changed.
+  // Cost: few passes; what stands in another order than at the last call, but for what left or came, is sorted.
   const std::vector<std::vector<std::uint64_t>>* rows(std::span<const std::int64_t> ids);
 
  private:
-  void order_places();
+  // A rank and a slot as one number; so many bits are the slot's.
+  using Place = std::uint64_t;
+  static constexpr int kSlotBits = 40;
+
+  struct Pool {
+    std::vector<std::int64_t> id;
+    std::vector<Place> place;
+  };
+  static Place place_of(std::int32_t rank, std::uint64_t slot);
+  bool may_have_changed(std::int64_t id) const { return touched_[static_cast<std::size_t>(id) % kTouched] != 0; }
+  bool align(std::span<const std::int64_t> ids);
+  bool match(std::span<const std::int64_t> ids, std::span<const std::uint32_t> open, const Pool& pool);
+  void list_by_rank();
+
+  static constexpr std::size_t kTouched = std::size_t{1} << 16U;
 
   bool known_ = false;
-  Buffer<std::int64_t> id_;  // ascending
-  Buffer<std::int32_t> rank_;
-  Buffer<std::uint64_t> slot_;
-  std::vector<std::vector<std::uint32_t>> order_;  // by rank: which of the above, in ascending slots
-  bool ordered_ = false;
-  Buffer<std::int64_t> ids_;         // as they were given last
-  Buffer<std::uint32_t> row_by_id_;  // their rows in ascending id
+  std::vector<std::int64_t> ids_;  // by row, as they were given last
+  std::vector<Place> places_;
+  // Since then:
+  std::vector<std::int64_t> left_;     // ascending
+  Pool placed_;                        // ascending id
+  std::vector<std::uint8_t> touched_;  // 0: no id of this remainder has left or was placed
+
+  std::vector<Place> next_;                         // of the ids given now
+  std::vector<std::vector<std::uint32_t>> row_at_;  // by rank and slot
   std::vector<std::vector<std::uint64_t>> rows_;
 };
 
