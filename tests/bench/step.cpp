@@ -17,6 +17,7 @@
 #include "tests/bench/floor.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
+#include "tests/bench/step_members.hpp"
 
 namespace rcb::bench {
 namespace {
@@ -24,8 +25,10 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr int kWarmUps = 3;
-// The last three: float32 by axes, every hundredth particle moved, none moved.
-constexpr std::array kVariants{"plan", "axes", "rows", "gateway", "float32", "subset", "unmoved"};
+// The last five: a parallel solver's members with the particles of their parts, the same by the gateway, float32 by
+// axes, every hundredth particle moved, none moved.
+constexpr std::array kVariants{"plan",    "axes",   "rows",   "gateway", "members", "members-gateway",
+                               "float32", "subset", "unmoved"};
 constexpr std::size_t kSubset = 100;
 constexpr const char* kPoints[] = {"slope", "plane"};  // of `moving` and `moving-2d`
 
@@ -74,7 +77,8 @@ struct Motion {
 // One variant's scene, and its positions the way the variant has them.
 class Pusher {
  public:
-  Pusher(std::string variant, const Motion& motion) : variant_(std::move(variant)), motion_(motion) {
+  Pusher(std::string variant, const Motion& motion, int members) : variant_(std::move(variant)), motion_(motion) {
+    if (variant_.starts_with("members")) team_.emplace(motion.axes, motion.dims, members);
     if (variant_ == "subset")
       for (std::size_t row = 0; row < motion.n; row += kSubset) moved_.push_back(row);
   }
@@ -82,7 +86,7 @@ class Pusher {
   Status open(const std::string& endpoint, int parts) {
     client::ConnectOptions options;
     options.endpoint = endpoint;
-    options.path = variant_ == "gateway" ? client::Path::gateway : client::Path::direct;
+    options.path = variant_.ends_with("gateway") ? client::Path::gateway : client::Path::direct;
     auto client = client::Client::connect(options);
     if (!client.ok()) return client.status();
     client_.emplace(std::move(*client));
@@ -92,6 +96,7 @@ class Pusher {
     scene.tolerance = std::numeric_limits<double>::infinity();
     scene.replace = true;
     if (Status status = client_->create_scene("step-" + variant_, scene); !status.ok()) return status;
+    if (team_) return team_->open(endpoint, "step-" + variant_, options.path);
     auto opened = client_->open_scene("step-" + variant_);
     if (!opened.ok()) return opened.status();
     scene_.emplace(std::move(*opened));
@@ -100,6 +105,7 @@ class Pusher {
 
   // The seconds of one step.
   Result<double> step(int phase, client::StepReport& report) {
+    if (team_) return team_->step(phase, report);
     auto positions = prepare(phase);
     if (!positions.ok()) return positions.status();
     const SteadyClock clock;
@@ -138,6 +144,7 @@ class Pusher {
   std::vector<std::uint64_t> moved_;
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
+  std::optional<MemberTeam> team_;  // instead
   std::array<std::vector<double>, 3> ordered_;
   std::vector<std::array<const double*, 3>> ranks_;
 };
@@ -201,7 +208,7 @@ Status run_cell(const std::string& scene, const Motion& motion, int parts, int r
   }
   std::vector<Pusher> pushers;
   for (const std::string& variant : variants) {
-    pushers.emplace_back(variant, motion);
+    pushers.emplace_back(variant, motion, options.members);
     if (Status status = pushers.back().open(service->endpoint(), parts); !status.ok()) return service->explain(status);
   }
   std::map<std::size_t, std::vector<double>> floor_seconds;
@@ -226,7 +233,7 @@ Status run_cell(const std::string& scene, const Motion& motion, int parts, int r
     const double least = median(floor_seconds[motion.bytes(variants[v])]);
     rows.push_back(row_of(scene, motion, parts, ranks, variants[v], seconds[v], least, reports[v]));
     fmt::print(
-        "{:<10} {:>2} ranks  {:<8} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  (last: receive and pass {:.2f}, "
+        "{:<10} {:>2} ranks  {:<15} {:8.2f} ms  floor {:6.2f} ms  ratio {:5.2f}  (last: receive and pass {:.2f}, "
         "exchange {:.2f}, all {:.2f} ms)\n",
         scene, ranks, variants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least,
         1e3 * reports[v].seconds_receive, 1e3 * reports[v].seconds_exchange, 1e3 * reports[v].seconds_total);
@@ -247,6 +254,8 @@ Status check(const StepBenchOptions& options) {
   };
   if (!between(options.parts, 1 << 20) || !between(options.ranks, 256))
     return {Code::usage, "--parts takes 1 to 1048576, --ranks 1 to 256", "rcb_bench step --help"};
+  if (options.members < 1 || options.members > 256)
+    return {Code::usage, "--members takes 1 to 256", "rcb_bench step --help"};
   if (options.repeats < 1 || options.repeats > 1000)
     return {Code::usage, "--repeats takes 1 to 1000", "rcb_bench step --help"};
   if (!(options.points >= 1 && options.points <= 1e9) || options.points != std::floor(options.points))
@@ -263,6 +272,7 @@ CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
   list(command->add_option("--variants", options.variants, "ways to push"));
   list(command->add_option("--parts", options.parts, "numbers of parts"));
   list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  command->add_option("--members", options.members, "of the parallel solver")->capture_default_str();
   command->add_option("--repeats", options.repeats, "timed steps of each variant")->capture_default_str();
   command->add_option("--points", options.points, "particles of every scene")->capture_default_str();
   command->add_option("--json", options.json, "write the result to this file");

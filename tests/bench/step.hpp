@@ -22,6 +22,7 @@ struct StepBenchOptions {
   std::vector<std::string> variants{"plan", "axes", "rows", "gateway", "float32", "subset", "unmoved"};
   std::vector<int> parts{8};
   std::vector<int> ranks{2, 8};
+  int members = 4;
   int repeats = 15;
   double points = 1'068'285;
   std::string json;
