@@ -298,7 +298,11 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
     Status status = state_->ready(deadline);
     if (status) {
       const auto answer = state_->push(positions, ids, *step, options, deadline);
-      if (answer) return state_->read(*answer, *step, options);
+      if (answer) {
+        auto result = state_->read(*answer, *step, options);
+        if (!result) state_->places.forget();  // the step is committed, and what it changed isn't known
+        return result;
+      }
       status = answer.status();
     }
     const bool seat_lost = status.code() == Code::unavailable && !state_->session().connected() && !seat_mended;

@@ -1,0 +1,282 @@
+// Members whose shares go straight to the ranks: all of them or none, given up together, ordered when every rank has
+// what every member brings it. The ranks are a plane that only notes what it is told.
+#include <mutex>
+
+#include <gtest/gtest.h>
+
+#include "tests/server/net/harness.hpp"
+
+namespace rcb::net::testing {
+namespace {
+
+using wire::FrameType;
+using wire::Json;
+
+constexpr const char* kSessions[] = {"00000000000000aa", "00000000000000bb"};
+constexpr int kRanks = 3;
+
+// Knows one scene, of ten particles on three ranks; notes the members' pushes.
+class OneScene final : public Engine {
+ public:
+  void submit(Order order, std::function<void(Answer)> done) override {
+    auto snapshot = std::make_shared<Snapshot>();
+    snapshot->scenes["s"] = {.n = 10,
+                             .dims = 2,
+                             .step = last_step,
+                             .epoch = 3,
+                             .plan_version = 2,
+                             .plan_checksum = 5,
+                             .rank_counts = {4, 3, 3}};
+    Answer answer;
+    if (order.request.contains("membership")) answer.json["membership"] = order.request["membership"];
+    if (order.request["command"] == "push.members") {
+      const std::lock_guard lock(mutex);
+      last_step = order.request["step"].get<std::int64_t>();
+      snapshot->scenes["s"].step = last_step;
+      pushed.push_back(order.request);
+      for (int k = 0; k < 2; ++k)
+        for (const char* name : {"leave_id", "place_id"}) answer.arrays.push_back({name, "<i8", {0}, {}});
+    }
+    answer.snapshot = std::move(snapshot);
+    done(std::move(answer));
+  }
+
+  std::mutex mutex;
+  std::int64_t last_step = 7;
+  std::vector<Json> pushed;
+};
+
+class Notes final : public DataPlane {
+ public:
+  struct Opened {
+    PushTicket ticket;
+    std::vector<std::uint64_t> counts;
+  };
+  void open(const PushTicket& ticket, std::span<const std::uint64_t> counts) override {
+    const std::lock_guard lock(mutex);
+    opened.push_back({ticket, {counts.begin(), counts.end()}});
+  }
+  void drop(const PushId& id) override {
+    const std::lock_guard lock(mutex);
+    dropped.push_back(id);
+  }
+  std::mutex mutex;
+  std::vector<Opened> opened;
+  std::vector<PushId> dropped;
+};
+
+class MemberDirect : public ::testing::Test {
+ protected:
+  MemberDirect() {
+    ControlOptions options = TestService::defaults();
+    options.ranks = kRanks;
+    control_ = std::make_unique<Control>(loop_, options, engine_);
+    EXPECT_TRUE(control_->listen_unix(path()).ok());
+    control_->serve_data(plane_, "unix:" + path(), {"unix:/a", "unix:/b", "unix:/c"});
+    control_->start();
+    loop_.start();
+  }
+  ~MemberDirect() override { loop_.stop(); }
+  std::string path() const { return directory_.file("s"); }
+
+  void join(bool follow = true) {
+    for (int k = 0; k < 2; ++k) {
+      team_[k] = Client::on_unix(path());
+      EXPECT_EQ(team_[k].hello("member", kSessions[k]).json["data"].size(), 3U);
+      team_[k].call("scene.create", {{"scene", "s"}});  // now the scene is known
+      Received opened =
+          team_[k].call("scene.open", {{"scene", "s"}, {"member", k}, {"members", 2}, {"follow", follow}});
+      EXPECT_EQ(opened.json["membership"]["member"], k);
+    }
+  }
+  void direct(int k, const std::vector<std::uint64_t>& counts, Json more = Json::object(), std::int64_t step = 8) {
+    std::uint64_t n = 0;
+    for (const std::uint64_t count : counts) n += count;
+    Json begin{{"slices", 0},      {"order", "plan"},
+               {"path", "direct"}, {"counts", counts},
+               {"epoch", 3},       {"base_step", 7},
+               {"ids", false},     {"places", true},
+               {"attempt", 1},     {"plan", {{"version", 2}, {"checksum", wire::hex64(5)}}}};
+    begin.update(more);
+    team_[k].begin(kSessions[k], step, n, begin);
+  }
+  void by_ids(int k, std::uint64_t n, std::int64_t attempt = 2) {
+    team_[k].begin(kSessions[k], 8, n, {{"ids", true}, {"attempt", attempt}});
+    Json ids{{"attempt", attempt},
+             {"arrays",
+              {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {n}}},
+               {{"name", "y"}, {"dtype", "<f8"}, {"shape", {n}}},
+               {{"name", "id"}, {"dtype", "<i8"}, {"shape", {n}}}}},
+             {"command", "push.slice"},
+             {"scene", "s"},
+             {"session", kSessions[k]},
+             {"step", 8},
+             {"rank", 0},
+             {"count", n}};
+    team_[k].send(FrameType::request, ids, std::string(24 * n, '\0'));
+  }
+  void whole(int rank, std::uint64_t number, const Status& status = {}) {
+    loop_.run([&] { control_->slice_ended(rank, number, status); });
+  }
+  // Waits until what the members have sent was read.
+  void settle() {
+    for (Client& one : team_) EXPECT_EQ(one.call("status").type, FrameType::reply);
+  }
+  void refused(int k, const std::string& code, const std::string& word) {
+    const Received answer = team_[k].receive_but_notices();
+    EXPECT_EQ(answer.code(), code) << answer.message();
+    EXPECT_NE(answer.message().find(word), std::string::npos) << answer.message();
+  }
+  std::size_t pushed() {
+    const std::lock_guard lock(engine_.mutex);
+    return engine_.pushed.size();
+  }
+
+  IoLoop loop_;
+  Directory directory_;
+  OneScene engine_;
+  Notes plane_;
+  std::unique_ptr<Control> control_;
+  Client team_[2];
+};
+
+TEST_F(MemberDirect, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
+  join();
+  direct(0, {4, 0, 1});
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 1U);
+  const PushTicket& ticket = plane_.opened[0].ticket;
+  EXPECT_TRUE(ticket.share);
+  EXPECT_EQ(ticket.terms.id, (PushId{"s", kSessions[0], 8, 1}));
+  EXPECT_EQ(ticket.terms.plan, (PlanId{2, 5}));
+  EXPECT_EQ(plane_.opened[0].counts, (std::vector<std::uint64_t>{4, 0, 1}));
+  const std::uint64_t first = ticket.number;
+  whole(0, first);
+  whole(2, first);
+  direct(1, {0, 3, 2}, {{"step_seconds", 0.5}});
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 2U);
+  const std::uint64_t second = plane_.opened[1].ticket.number;
+  whole(1, second);
+  EXPECT_EQ(pushed(), 0U);
+  whole(2, second);
+  for (Client& one : team_) {
+    const Received answer = one.receive_but_notices();
+    EXPECT_EQ(answer.type, FrameType::reply) << answer.message();
+    EXPECT_EQ(answer.json["arrays"].size(), 2U);
+  }
+  ASSERT_EQ(pushed(), 1U);
+  const Json& order = engine_.pushed[0];
+  EXPECT_EQ(order["staged"], Json({first, second}));
+  EXPECT_EQ(order["order"], "plan");
+  EXPECT_EQ(order["plan"]["version"], 2);
+  EXPECT_EQ(order["n"], 10);
+  EXPECT_EQ(order["ids"], false);
+  EXPECT_EQ(order["places"], true);
+  EXPECT_EQ(order["step_seconds"], 0.5);
+  EXPECT_TRUE(plane_.dropped.empty());
+  // The answer is lost: it is given again, and what comes to the ranks is dropped.
+  direct(0, {4, 0, 1}, {{"attempt", 2}});
+  EXPECT_EQ(team_[0].receive_but_notices().json["repeated"], true);
+  settle();
+  ASSERT_EQ(plane_.dropped.size(), 1U);
+  EXPECT_EQ(plane_.dropped[0].attempt, 2);
+  EXPECT_EQ(plane_.opened.size(), 2U);
+}
+
+TEST_F(MemberDirect, PlacesAreToldWhereAllAskForThem) {
+  join();
+  direct(0, {4, 3, 3}, {{"places", false}});
+  direct(1, {0, 0, 0});
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 2U);
+  for (int rank = 0; rank < kRanks; ++rank) whole(rank, plane_.opened[0].ticket.number);
+  EXPECT_EQ(team_[0].receive_but_notices().json["arrays"].size(), 1U);
+  team_[1].receive_but_notices();
+  EXPECT_EQ(engine_.pushed.at(0)["places"], false);
+}
+
+TEST_F(MemberDirect, OneThatPushesByIdsBringsAllToDoSo) {
+  join();
+  direct(0, {4, 0, 1});
+  settle();
+  by_ids(1, 5);
+  refused(0, "stale_plan", "member 1");
+  settle();
+  ASSERT_EQ(plane_.dropped.size(), 1U);
+  EXPECT_EQ(plane_.dropped[0], (PushId{"s", kSessions[0], 8, 1}));
+  whole(0, plane_.opened[0].ticket.number);  // too late to matter
+  direct(0, {4, 0, 1}, {{"attempt", 3}});
+  refused(0, "stale_plan", "by ids");
+  by_ids(0, 5, 4);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  settle();
+  EXPECT_FALSE(engine_.pushed.at(0).contains("staged"));
+  EXPECT_EQ(engine_.pushed.at(0)["order"], "id");
+  EXPECT_EQ(plane_.dropped.size(), 2U);
+}
+
+TEST_F(MemberDirect, WhatDoesNotFitTheSceneIsRefusedAlone) {
+  join();
+  direct(1, {0, 3, 2});
+  settle();
+  const std::vector<std::uint64_t> mine{4, 0, 1};
+  const Json other_plan{{"version", 1}, {"checksum", wire::hex64(5)}};
+  direct(0, mine, {{"plan", other_plan}});
+  refused(0, "stale_plan", "plan 1");
+  direct(0, mine, {{"epoch", 2}});
+  refused(0, "stale_plan", "epoch 2");
+  direct(0, mine, {{"base_step", 6}});
+  refused(0, "base_lost", "step 6");
+  direct(0, mine, {{"base_step", nullptr}});
+  refused(0, "invalid_argument", "base_step");
+  direct(0, mine, {{"n", 6}});
+  refused(0, "invalid_argument", "5 particles");
+  direct(0, {4, 0});
+  refused(0, "invalid_argument", "counts");
+  direct(0, {4, 0, 4});
+  refused(0, "stale_plan", "4 particles of rank 2");
+  direct(0, mine, {{"ids", true}});
+  refused(0, "unsupported", "without ids");
+  direct(0, mine, {{"moved", "some"}});
+  refused(0, "unsupported", "all their particles");
+  settle();
+  EXPECT_EQ(plane_.dropped.size(), 9U);  // the other member's is not among them
+  EXPECT_EQ(plane_.opened.size(), 1U);
+  direct(0, {3, 0, 1});  // one of rank 0 is nobody's
+  for (int k = 0; k < 2; ++k) refused(k, "stale_plan", "3 particles of rank 0");
+  settle();
+  EXPECT_EQ(plane_.dropped.size(), 11U);
+  EXPECT_EQ(pushed(), 0U);
+}
+
+TEST_F(MemberDirect, AShareThatARankLosesEndsTheStepForAll) {
+  join();
+  direct(0, {4, 0, 1});
+  direct(1, {0, 3, 2});
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 2U);
+  const std::uint64_t number =
+      plane_.opened[plane_.opened[0].ticket.terms.id.session == kSessions[1] ? 0 : 1].ticket.number;
+  whole(1, number, {Code::aborted, "the data connection to rank 1 was lost"});
+  for (int k = 0; k < 2; ++k) refused(k, "aborted", "member 1");
+  settle();
+  EXPECT_EQ(plane_.dropped.size(), 2U);
+  // Then a member goes in the midst of its slices.
+  direct(0, {4, 0, 1}, {{"attempt", 2}});
+  direct(1, {0, 3, 2}, {{"attempt", 2}});
+  settle();
+  team_[1].close();
+  refused(0, "aborted", "member 1");
+  team_[0].call("status");
+  EXPECT_EQ(plane_.dropped.size(), 4U);
+}
+
+TEST_F(MemberDirect, MembersThatDoNotFollowPushByIds) {
+  join(false);
+  direct(0, {4, 0, 1});
+  refused(0, "unsupported", "follow");
+}
+
+}  // namespace
+}  // namespace rcb::net::testing
