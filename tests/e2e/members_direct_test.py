@@ -1,0 +1,300 @@
+"""Members of a parallel solver that push straight to the ranks: the same scenes, reports and lists as by ids, whatever the
+numbers of members and ranks; what breaks ends the step for all."""
+import signal as signals
+import time
+
+import members_test
+from protocol_client import REQUEST, Client, Refused, frame
+from support import *
+
+MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
+RANKS, PARTS, POINTS = 3, 7, 900
+LISTS = ("changed_id", "changed_part", "leave_id", "leave_to", "enter_id", "enter_from", "enter_part")
+
+
+class DirectMember(members_test.Member):
+    """Follows its parts, and knows the places of what it holds from the answers, by PROTOCOL.md alone."""
+
+    def __init__(self, path, scene, member, members, **kwargs):
+        super().__init__(path, scene, member, members, follow=True, **kwargs)
+        self.links = [Client(address[5:], session=self.session) for address in self.hello["data"]]
+        self.places = None  # of each id its rank and slot
+
+    def start(self, step, ids, points, attempt=0, **more):
+        self.directly = False
+        super().start(step, ids, points, attempt, places=True, **more)
+
+    def begin_directly(self, step, points, attempt=0, **more):
+        self.directly = True
+        slots = [sorted((slot, i) for i, (at, slot) in self.places.items() if at == rank)
+                 for rank in range(len(self.links))]
+        self.rows = [np.array([i for _, i in of_rank], int) for of_rank in slots]
+        self.push_id = {"scene": self.scene, "session": self.session, "step": step, "attempt": attempt,
+                        "plan": self.plan}
+        self.send({"command": "push.begin", **self.push_id, "n": len(self.places), "slices": 0, "order": "plan",
+                   "path": "direct", "counts": [len(rows) for rows in self.rows], "epoch": self.epoch,
+                   "base_step": self.step, "places": True, "changes": True, "deadline_seconds": 20, **more})
+        self.begun = self.number
+
+    def slices(self, points, each=70):
+        """(connection, frame) for all that goes to the ranks."""
+        for rank, rows in enumerate(self.rows):
+            for first in range(0, len(rows), each):
+                part = points[rows[first: first + each]]
+                arrays = [{"name": "xyz"[k], "dtype": "<f8", "shape": [len(part)]} for k in range(points.shape[1])]
+                yield self.links[rank].socket, frame(
+                    REQUEST, self.number, {"command": "push.slice", **self.push_id, "rank": rank, "first": first,
+                                           "count": len(part), "arrays": arrays},
+                    part.T.astype("<f8").tobytes(), flags=first % 2)
+
+    def start_directly(self, step, points, attempt=0, **more):
+        self.begin_directly(step, points, attempt, **more)
+        for link, data in self.slices(points):
+            link.sendall(data)
+
+    def finish(self):
+        answer, news = super().finish()
+        if not self.directly:
+            self.places = {}
+        for i in news["leave_id"].tolist():
+            self.places.pop(i, None)
+        self.places.update(zip(news["place_id"].tolist(), zip(news["place_rank"].tolist(), news["place_slot"].tolist())))
+        self.step, self.epoch, self.plan = answer["report"]["step"], answer["report"]["epoch"], answer["plan"]
+        return answer, news
+
+    def close(self):
+        for link in self.links:
+            link.close()
+        super().close()
+
+
+class MembersDirect(unittest.TestCase):
+    create, state, refused = members_test.Members.create, members_test.Members.state, members_test.Members.refused
+
+    @classmethod
+    def setUpClass(cls):
+        cls.service = Service(RANKS)
+        cls.addClassCleanup(cls.service.stop)
+        cls.path = cls.service.endpoint[5:]
+        rng = np.random.default_rng(11)
+        points = rng.random((POINTS, 3)) * [2, 1, 1]
+        cls.walk = [points]
+        for step in range(1, 9):  # a slow crowding to one side, a jump, and rest
+            points = points + rng.normal(0, 2e-3, points.shape) if step != 7 else points
+            points = points * [0.97, 1, 1] if step != 5 else rng.random((POINTS, 3)) ** 2
+            cls.walk.append(points)
+        cls.control = Client(cls.path)
+        cls.addClassCleanup(cls.control.close)
+
+    def team(self, scene, members):
+        team = [DirectMember(self.path, scene, k, members) for k in range(members)]
+        for one in team:
+            self.addCleanup(one.close)
+        return team
+
+    def blocks(self, members):
+        return [np.arange(k * POINTS // members, (k + 1) * POINTS // members) for k in range(members)]
+
+    def push_by_ids(self, team, step, held=None, attempt=0):
+        held = held or [np.array(sorted(one.places)) for one in team]
+        for one, ids in zip(team, held):
+            one.start(step, ids, self.walk[step], attempt)
+        return [one.finish() for one in team]
+
+    def push_directly(self, team, step, attempt=0):
+        for one in team:
+            one.start_directly(step, self.walk[step], attempt)
+        return [one.finish() for one in team]
+
+    def begun(self, scene, members, parts=PARTS):
+        """A team that has pushed step 0."""
+        self.create(scene, parts)
+        team = self.team(scene, members)
+        self.push_by_ids(team, 0, self.blocks(members))
+        return team
+
+    def test_the_same_scenes_reports_and_lists_as_by_ids(self):
+        for members in (RANKS, 2, 5, 1, 8):
+            ids = self.begun("ids", members)
+            direct = self.begun("direct", members)
+            repartitions = drifted = 0
+            for step in range(1, len(self.walk)):
+                expected = self.push_by_ids(ids, step)
+                got = self.push_directly(direct, step)
+                for k, ((answer, lists), (same_answer, same_lists)) in enumerate(zip(got, expected)):
+                    for name in LISTS:
+                        np.testing.assert_array_equal(lists[name], same_lists[name], f"{name}, member {k}, step {step}")
+                    self.assertEqual(direct[k].places, ids[k].places)
+                    self.assertEqual(answer["plan"], same_answer["plan"])
+                    self.assertEqual(answer["report"]["bytes"], 24 * POINTS)
+                repartitions += got[0][0]["report"]["repartitioned"]
+                drifted += got[0][0]["report"]["drifted"] > 0
+                self.assertEqual(self.state("direct"), self.state("ids"), f"{members} members, step {step}")
+                fetched = self.control.ask("fetch", scene="direct")[1]
+                self.assertEqual(fetched, self.control.ask("fetch", scene="ids")[1])
+            self.assertGreater(repartitions, 1)
+            self.assertGreater(drifted, 4)
+            for one in ids + direct:
+                one.close()
+
+    def test_a_member_that_is_killed_in_the_midst_of_its_slices(self):
+        for members in (RANKS, 2, 5):
+            team = self.begun("killed", members)
+            before = self.state("killed")
+            last = team[-1]
+            child = os.fork()
+            if child == 0:  # holds the member's sockets, once this process has closed its own
+                try:
+                    last.begin_directly(1, self.walk[1])
+                    link, data = next(last.slices(self.walk[1]))
+                    link.sendall(data[: len(data) // 2])
+                    time.sleep(60)
+                finally:
+                    os._exit(1)
+            for one in (last, *last.links):
+                one.socket.close()
+            for one in team[:-1]:
+                one.start_directly(1, self.walk[1])
+            time.sleep(0.2)
+            os.kill(child, signals.SIGKILL)
+            os.waitpid(child, 0)
+            for one in team[:-1]:
+                self.refused(one, "aborted", f"member {members - 1}")
+            self.assertEqual(self.state("killed"), before)
+            held = [np.array(sorted(one.places)) for one in team]
+            team[-1] = DirectMember(self.path, "killed", members - 1, members)
+            self.addCleanup(team[-1].close)
+            # The others know their places still, the one that is new doesn't: all push by ids, once.
+            team[0].start_directly(1, self.walk[1], attempt=1)
+            self.control.ask("status")
+            team[-1].start(1, held[-1], self.walk[1], attempt=1)
+            self.refused(team[0], "stale_plan", f"member {members - 1}", "by ids")
+            for one, ids in zip(team[:-1], held):
+                one.start(1, ids, self.walk[1], attempt=2)
+            for one in team:
+                self.assertEqual(one.finish()[0]["report"]["step"], 1)
+            self.assertEqual(self.push_directly(team, 2)[0][0]["report"]["step"], 2)
+            for one in team:
+                one.close()
+
+    def test_a_plan_or_parts_that_are_stale(self):
+        team = self.begun("stale", 5)
+        self.push_directly(team, 1)
+        # On one rank or another parts have changed now, perhaps no plan.
+        self.control.ask("rebalance", scene="stale", method="bands-x")
+        before = self.state("stale")
+        for one in team:
+            one.start_directly(2, self.walk[2])
+            self.refused(one, "stale_plan")
+        for one in team:
+            plan = self.control.ask("scene.show", scene="stale")[0]["plan"]
+            one.plan = plan
+            one.start_directly(2, self.walk[2], attempt=1)
+            self.refused(one, "stale_plan", "epoch")
+        self.assertEqual(self.state("stale"), before)
+        self.push_by_ids(team, 2, attempt=2)
+        self.push_directly(team, 3)
+        self.push_by_ids(team, 4)
+        team[2].step = 3
+        team[2].start_directly(5, self.walk[5])
+        self.refused(team[2], "base_lost", "step 3")
+
+    def test_what_is_wrong_in_a_slice_ends_the_step_for_all(self):
+        team = self.begun("wrong", 4)
+        before = self.state("wrong")
+
+        def refuse_all(code, *words):
+            for one in team:
+                self.refused(one, code, *words)
+            self.assertEqual(self.state("wrong"), before)
+
+        bad = self.walk[1].copy()
+        bad[123, 1] = np.nan
+        for one in team:
+            one.start_directly(1, bad)
+        refuse_all("not_finite", "123")
+        for one in team[:-1]:
+            one.start_directly(1, self.walk[1], attempt=1)
+        team[-1].begin_directly(1, self.walk[1], attempt=1)
+        frames = list(team[-1].slices(self.walk[1]))
+        frames[-1][0].sendall(frames[-1][1])  # not the first slots of its rank
+        refuse_all("invalid_argument", "member 3", "slot")
+        for one in team:
+            one.begin_directly(1, self.walk[1], attempt=2, deadline_seconds=1 if one is team[0] else 20)
+        for one in team[:2]:
+            for link, data in one.slices(self.walk[1]):
+                link.sendall(data)
+        refuse_all("deadline_exceeded", "member 2", "member 3")
+        self.push_directly(team, 1, attempt=3)
+
+    def test_a_member_that_lost_its_answer(self):
+        team = self.begun("again", 3)
+        answers = self.push_directly(team, 1)
+        team[1].step = 0  # as if it had not come
+        team[1].start_directly(1, self.walk[1], attempt=1)
+        answer, lists = team[1].finish()
+        self.assertTrue(answer["repeated"])
+        for name in LISTS:
+            np.testing.assert_array_equal(lists[name], answers[1][1][name])
+        self.push_directly(team, 2)
+
+    def solve(self, service, processes, scene, path, *more, wait=True, steps=8):
+        command = [MPIRUN, str(processes), os.path.join(BIN, "slope_mpi"), "--points", "1500", "--interval", "0.3",
+                   "--parts", "6", "--tolerance", "0.02", "--steps", str(steps), "--scene", scene, "--json", *more]
+        environment = dict(os.environ, RCBD_ENDPOINT=service.endpoint, RCBD_PATH=path)
+        running = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE, text=True)
+        if not wait:
+            return running
+        out, errors = running.communicate(timeout=120)
+        self.assertEqual(running.returncode, 0, out + errors)
+        solved = json.loads(out)
+        sizes = [report.pop("bytes") // 1500 for report in solved["reports"]]
+        for report in solved["reports"]:
+            report.pop("seconds"), report.pop("scene")
+        return solved, sizes
+
+    def test_the_library_goes_to_the_ranks_by_itself(self):
+        for processes in (RANKS, 2, 5):
+            by_ids, sizes = self.solve(self.service, processes, "gateway", "gateway")
+            self.assertEqual(sizes, [32] * 9)
+            direct, sizes = self.solve(self.service, processes, "direct", "direct", "--check")
+            self.assertEqual(sizes, [32] + [24] * 8)  # ids came at the first step alone
+            for name in ("reports", "held", "handed_over", "repartitions"):
+                self.assertEqual(direct[name], by_ids[name])
+            self.assertGreater(direct["repartitions"], 1)
+            self.assertEqual(self.state("direct"), self.state("gateway"))
+
+    def test_the_library_pushes_by_ids_where_it_must(self):
+        running = self.solve(self.service, 4, "shaken", "direct", wait=False, steps=60)
+        rebalanced = 0
+        try:
+            while running.poll() is None:
+                try:
+                    if self.control.ask("scene.show", scene="shaken")[0]["step"] is not None:
+                        self.control.ask("rebalance", scene="shaken", method=("bands-x", "rcb")[rebalanced % 2])
+                        rebalanced += 1
+                except Refused as refused:
+                    self.assertIn(refused.args[0], ("not_found", "busy"))
+                time.sleep(0.02)
+        finally:
+            out, errors = running.communicate(timeout=120)
+        self.assertEqual(running.returncode, 0, out + errors)
+        sizes = [report["bytes"] // 1500 for report in json.loads(out)["reports"]]
+        self.assertEqual(sum(json.loads(out)["held"]), 1500)
+        self.assertGreater(rebalanced, 1)
+        self.assertGreater(sizes[1:].count(32), 0)
+        self.assertGreater(sizes.count(24), 0)
+        os.environ["RCBD_GATEWAY_ONLY"] = "1"
+        try:
+            with Service(2) as service:
+                self.assertEqual(self.solve(service, 2, "slope", "automatic")[1], [32] * 9)
+                running = self.solve(service, 2, "slope", "direct", wait=False)
+                self.assertIn("--gateway-only", running.communicate(timeout=120)[1])
+                self.assertEqual(running.returncode, 3)
+        finally:
+            del os.environ["RCBD_GATEWAY_ONLY"]
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
