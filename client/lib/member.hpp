@@ -4,6 +4,10 @@
 //   auto result = scene->step(rcb::client::Positions::axes(axes, n), ids);
 //   // then, with follow: send the particles result->leave, and receive result->enter
 //
+// With follow, a member that has handed over as told pushes straight to the ranks, without ids: the library remembers
+// where its particles stand, and pushes by ids where it isn't sure. It costs least where rows keep their order, but for
+// those that leave and come. RCBD_PATH and ConnectOptions::path choose as for a Scene.
+//
 // A step returns when every member has pushed it and it is committed, or with the name of the member that is missing or
 // was lost; then the previous step stands and all may push again. The service decides alone: members need not talk to
 // one another. A lost connection is mended once in each step; a process that was started again opens the scene and goes
