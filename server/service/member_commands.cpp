@@ -189,7 +189,7 @@ Response push_members(Context& context, const wire::Json& request) {
   if (push.staged && (report.drifted > 0 || report.moved > 0))
     known = find_changed(context, of, *before, members->news.members);
   else if (!push.staged && members->news.follow)
-    find_all(context, of, known);
+    find_all(context, of, members->news.places, known);
   if (!context.root()) return {};
   Response response = done({{"report", to_json(report)},
                             {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},

@@ -46,22 +46,23 @@ Buffer<std::uint64_t> changed_slots(const Scene& scene, const PlacesBefore& befo
 
 }  // namespace
 
-void find_all(Context& context, const Scene& scene, Whereabouts& all) {
+void find_all(Context& context, const Scene& scene, bool places, Whereabouts& all) {
   const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
   const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
   if (!context.root()) return;
-  Buffer<std::uint64_t> slots(ids.size());
-  std::size_t at = 0;
-  for (int rank = 0; rank < context.comm.size(); ++rank) {
-    const std::uint64_t count = held_by(scene, scene.n, rank, context.comm.size());
-    for (std::uint64_t slot = 0; slot < count; ++slot) slots[at++] = slot;
-  }
   Buffer<std::uint64_t> order(ids.size());
   if (scene.ids)
     order = order_by_id(ids);
   else  // ids are places
     for (std::size_t k = 0; k < ids.size(); ++k) order[static_cast<std::size_t>(ids[k])] = k;
   all.part = in_order(parts, order);
+  if (!places) return;
+  Buffer<std::uint64_t> slots(ids.size());
+  std::size_t at = 0;
+  for (int rank = 0; rank < context.comm.size(); ++rank) {
+    const std::uint64_t count = held_by(scene, scene.n, rank, context.comm.size());
+    for (std::uint64_t slot = 0; slot < count; ++slot) slots[at++] = slot;
+  }
   all.slot = in_order(slots, order);
 }
 

@@ -23,8 +23,8 @@ struct Whereabouts {
   Buffer<std::uint64_t> slot;
 };
 
-// Fills in part and slot of all particles; id and member are there. Collective.
-void find_all(Context& context, const Scene& scene, Whereabouts& all);
+// Fills in the part of all particles, and, with places, the slot; id and member are there. Collective.
+void find_all(Context& context, const Scene& scene, bool places, Whereabouts& all);
 
 // A rank's particles before a step.
 struct PlacesBefore {

@@ -179,7 +179,7 @@ TEST(MemberSceneDirect, PushesByIdsWhereItsKnowledgeIsRefusedOrLacking) {
       begin = TwoRanks::by_ids(peer);
       begun.push_back(begin.json);
       // A step that was committed before this try: its places were told to another one.
-      peer.reply(begin, answer_of(1, {{"repeated", true}}), news({3}, {1}, {5}));
+      peer.reply(begin, answer_of(1, {{"repeated", true}}), news({3, 7, 900}, {1, 0, 1}, {5, 0, 2}));
       begin = TwoRanks::by_ids(peer);
       begun.push_back(begin.json);
       // Somebody else didn't ask for places, so nobody is told any.
