@@ -157,10 +157,11 @@ Result<Frame> MemberScene::State::push_directly(wire::Json begin, const std::vec
   begin["base_step"] = *last_step;
   begin["slices"] = 0;
   begin["counts"] = wire::Json::array();
+  const bool none = begin.at("moved") == "none";
   RankRows of_rank;
   for (const auto& mine : rows) {
     begin["counts"].push_back(mine.size());
-    of_rank.emplace_back(mine);
+    of_rank.push_back(none ? std::span<const std::uint64_t>() : mine);
   }
   wire::Json slice{{"command", "push.slice"}};
   for (const char* field : {"scene", "session", "step", "attempt", "plan"}) slice[field] = begin.at(field);
@@ -188,6 +189,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"ids", !directly},
                    {"changes", with.want_changes},
                    {"places", *direct},
+                   {"moved", directly && with.unmoved && with.weights.empty() ? "none" : "all"},
                    {"deadline_seconds", std::clamp(with.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
   std::vector<Column> columns;

@@ -39,7 +39,10 @@ struct MemberStepOptions {
   std::optional<std::int64_t> step;    // default: the scene's last step + 1, 0 at first
   std::span<const double> weights;     // [count]; empty: none, or unchanged. All members give them, or none
   std::optional<double> step_seconds;  // what this member computed since its last push
-  bool want_changes = false;           // fill MemberStep::changes
+  // No particle has moved since this member's last step: nothing is sent where it would push straight to the ranks, and
+  // without weights. Elsewhere the positions are sent all the same.
+  bool unmoved = false;
+  bool want_changes = false;  // fill MemberStep::changes
   double deadline_seconds = 60;
 };
 

@@ -173,7 +173,8 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
       counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
   CHECK(counts.size() == ranks, "a count for each rank");
   const bool share = push->together != nullptr;
-  for (std::size_t r = 0; share && r < ranks; ++r) push->whole[r] = counts[r] == 0;
+  for (std::size_t r = 0; share && r < ranks; ++r) push->whole[r] = counts[r] == 0 || terms.moved == Moved::none;
+  if (terms.moved == Moved::none) return;  // nothing will come
   data_->open({push->number, terms, share}, counts);
 }
 

@@ -182,12 +182,14 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   std::uint64_t n = 0;
   bool changes = false;
   bool places = find(step->scene)->follow;  // all ask for them: who has none could not use the direct path next
+  Json unmoved = Json::array();
   double seconds = -1;
   for (const auto& share : step->shares) {
     n += share->slices.terms().n;
     changes = changes || asked(share->begin, "changes");
     places = places && asked(share->begin, "places");
     if (direct) request["staged"].push_back(share->number);
+    if (share->slices.terms().moved == Moved::none) unmoved.push_back(share->member);
     if (share->begin.contains("step_seconds") && share->begin["step_seconds"].is_number())
       seconds = std::max(seconds, share->begin["step_seconds"].get<double>());
     order.staged_bytes += share->slices.terms().bytes();
@@ -197,7 +199,12 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     }
   }
   request["n"] = n;
-  if (direct) request["plan"] = step->shares.front()->begin["plan"];
+  if (direct) {
+    request["plan"] = step->shares.front()->begin["plan"];
+    request["base_step"] = step->shares.front()->begin["base_step"];
+    request["moved"] = unmoved.size() == step->shares.size() ? "none" : "all";
+    request["unmoved"] = std::move(unmoved);
+  }
   request["changes"] = changes;
   request["places"] = places;
   request["weights"] = step->shares.front()->slices.terms().weights;

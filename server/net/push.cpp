@@ -127,8 +127,9 @@ Status check_base(const wire::Json& request, const SceneInfo& scene) {
 
 // What a member's push must be; one that goes directly rests on the plan and the parts after the last step.
 Status check_share(const wire::Json& request, const SceneInfo& scene, PushTerms& terms) {
-  if (terms.moved != Moved::all || terms.edit_slices() > 0)
-    return {Code::unsupported, "members push all their particles, and neither insert nor remove any"};
+  if (terms.moved != Moved::all && !(terms.moved == Moved::none && terms.direct && !terms.weights))
+    return {Code::unsupported, "members push all their particles, or directly none, without weights"};
+  if (terms.edit_slices() > 0) return {Code::unsupported, "members neither insert nor remove particles"};
   if (terms.direct ? terms.ids : !terms.by_id || !terms.ids)
     return {Code::unsupported,
             "members push in order \"id\", with \"ids\" true, or by the path \"direct\" without ids"};
@@ -145,6 +146,7 @@ Status check_share(const wire::Json& request, const SceneInfo& scene, PushTerms&
   if (terms.moving != terms.n)
     return {Code::invalid_argument,
             fmt::format("field 'counts': {} particles together, the push has {}", terms.moving, terms.n)};
+  if (terms.moved == Moved::none) terms.moving = 0;
   for (std::size_t rank = 0; rank < terms.counts.size(); ++rank)
     if (terms.counts[rank] > scene.rank_counts[rank])
       return {Code::stale_plan,
@@ -222,7 +224,7 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
     if (Status base = check_base(request, scene); !base.ok()) return base;
   if (Status changes = read_changes(request, terms); !changes.ok()) return changes;
   terms.scene_weights = scene.weights;
-  if (terms.direct && terms.moved == Moved::none)
+  if (terms.direct && terms.moved == Moved::none && pusher == Pusher::client)
     return Status(Code::invalid_argument, "a push without slices for the ranks can't go to them",
                   "push by the path \"gateway\"");
   if (Status counted = check_slice_count(terms); !counted.ok()) return counted;

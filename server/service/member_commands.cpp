@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "common/plan/plan.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/collective.hpp"
 #include "server/service/member_news.hpp"
@@ -31,6 +32,16 @@ Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
   const auto places = wire::bool_field_or(request, "places", false);
   if (!places.ok()) return places.status();
   if (push->staged) push->members = static_cast<int>(*members);
+  const auto unmoved = wire::numbers_field_or_empty(request, "unmoved", static_cast<std::size_t>(*members));
+  if (!unmoved.ok()) return unmoved.status();
+  push->unmoved.assign(static_cast<std::size_t>(*members), false);
+  for (const double k : *unmoved) {
+    if (!(k >= 0 && k < static_cast<double>(*members)))
+      return Status(Code::invalid_argument, fmt::format("field 'unmoved': there is no member {}", k));
+    push->unmoved[static_cast<std::size_t>(k)] = true;
+  }
+  if (!unmoved->empty() && push->weights)
+    return Status(Code::invalid_argument, "weights are replaced all together", "push all particles with their weights");
   const bool changes = push->changes;
   return MemberRequest{std::move(*push), {static_cast<int>(*members), changes, *follow, *follow && *places}};
 }
@@ -163,6 +174,15 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, Where
   return {};
 }
 
+// Of what members did not bring, since it has not moved.
+std::uint64_t bytes_left_out(const Scene& scene, const PushRequest& push) {
+  std::uint64_t particles = 0;
+  for (int p = 0; p < scene.options.parts; ++p)
+    if (push.unmoved[static_cast<std::size_t>(plan::rank_of_part(p, scene.options.parts, push.members))])
+      particles += scene.loads.counts[static_cast<std::size_t>(p)];
+  return particles * static_cast<std::uint64_t>(scene.options.dims) * sizeof(double);
+}
+
 Response push_members(Context& context, const wire::Json& request) {
   const auto scene = find_scene(context, request);
   if (!scene.ok()) return failed(scene.status());
@@ -182,6 +202,7 @@ Response push_members(Context& context, const wire::Json& request) {
   auto staged = prepare(context, of, push);
   if (!staged.ok()) return failed(staged.status());
   if (!push.staged && !push.ids) staged->bytes += 8 * push.n;  // ids came all the same
+  if (push.staged && push.what.moved == Moved::all) staged->bytes -= bytes_left_out(of, push);
   PartChanges changes;
   const std::optional<std::int64_t> previous_step = of.step;
   const StepReport report = commit(context, of, *staged, push, push.changes ? &changes : nullptr);

@@ -20,13 +20,14 @@ std::vector<std::uint64_t> counts_by_member(const Scene& scene, std::int64_t par
 
 }  // namespace
 
-Status join_member_slices(const partition::Comm& comm, const Scene& scene, int members,
+Status join_member_slices(const partition::Comm& comm, const Scene& scene, const std::vector<bool>& unmoved,
                           std::span<const std::string> names, std::vector<PushSlice>& slices) {
   const int rank = comm.rank();
+  const int members = static_cast<int>(unmoved.size());
   const std::int64_t first_part = plan::part_begin(rank, scene.options.parts, comm.size());
   const std::int64_t end_part = plan::part_begin(rank + 1, scene.options.parts, comm.size());
   std::vector<std::uint64_t> missing = counts_by_member(scene, first_part, end_part, members);
-  std::vector<std::size_t> slice_of(static_cast<std::size_t>(members), 0);
+  std::vector<std::size_t> slice_of(static_cast<std::size_t>(members), slices.size());  // the last: the scene's own
   bool fits = true;
   for (std::size_t s = 0; s < slices.size() && fits; ++s) {
     const auto member = static_cast<std::size_t>(slices[s].rank);
@@ -35,12 +36,12 @@ Status join_member_slices(const partition::Comm& comm, const Scene& scene, int m
     if (fits) missing[member] = 0;
     if (fits) slice_of[member] = s;
   }
-  for (const std::uint64_t count : missing) fits = fits && count == 0;
+  for (std::size_t k = 0; k < missing.size(); ++k) fits = fits && (missing[k] == 0 || unmoved[k]);
   if (!fits)
     return {Code::stale_plan, fmt::format("what the members bring to rank {} isn't what their parts have there", rank),
             "push this step in order \"id\""};
   PushSlice whole{rank, scene.part.size(), {}};
-  if (slices.size() == 1) {
+  if (slices.size() == 1 && slices.front().count == whole.count) {
     slices.front().rank = rank;
     return {};
   }
@@ -55,8 +56,12 @@ Status join_member_slices(const partition::Comm& comm, const Scene& scene, int m
     joined.resize(whole.count);
     std::vector<const double*> next;
     for (const PushSlice& slice : slices) next.push_back(reinterpret_cast<const double*>(slice.arrays[a].bytes.data()));
-    for (std::size_t i = 0; i < joined.size(); ++i)
-      joined[i] = *next[slice_of_part[static_cast<std::size_t>(scene.part[i] - first_part)]]++;
+    const bool axis = a < static_cast<std::size_t>(scene.options.dims);  // who brings weights has moved
+    const double* own = axis ? scene.particles.position[a].data() : nullptr;
+    for (std::size_t i = 0; i < joined.size(); ++i) {
+      const std::size_t slice = slice_of_part[static_cast<std::size_t>(scene.part[i] - first_part)];
+      joined[i] = slice < slices.size() ? *next[slice]++ : own[i];
+    }
     for (PushSlice& slice : slices) slice.arrays[a].bytes.release();
     whole.arrays.push_back({names[a], "<f8", {whole.count}, joined.release_as<std::byte>()});
   }

@@ -17,9 +17,10 @@ namespace rcb::service {
 
 // slices: one for each member with particles here, its rank the member's number. Afterwards the one of this rank, in
 // the plan's order; a member's that is all of it stays where it lies. Cost: else one pass over each array. Local.
-//   names  of the arrays that each must have
+//   unmoved  by member: brings nothing, since its particles stand where they stood
+//   names    of the arrays that each slice must have
 // Errors: stale_plan, where a member brings more or fewer than its parts have here; too_large.
-Status join_member_slices(const partition::Comm& comm, const Scene& scene, int members,
+Status join_member_slices(const partition::Comm& comm, const Scene& scene, const std::vector<bool>& unmoved,
                           std::span<const std::string> names, std::vector<PushSlice>& slices);
 
 }  // namespace rcb::service

@@ -414,7 +414,7 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
     if (!status.ok()) return status;
   } else if (push.staged) {
     if (push.members > 0)
-      ready = join_member_slices(comm, scene, push.members, array_names(scene, push), context.slices);
+      ready = join_member_slices(comm, scene, push.unmoved, array_names(scene, push), context.slices);
     if (ready.ok()) ready = check_own_slice(context, scene, push, mine);
     if (ready.ok()) take_own_slice(context, push, staged);
     if (!scene.pushed)

@@ -23,6 +23,7 @@ struct PushRequest {
   bool changes = false;
   bool staged = false;                 // every rank has its slice already
   int members = 0;                     // that brought it, each its own; 0: it came from one client
+  std::vector<bool> unmoved;           // by member: brings nothing, its particles stand where they stood
   std::optional<double> step_seconds;  // the solver's own, since its last push
   PushChanges what;
 };

@@ -137,6 +137,34 @@ class MembersDirect(unittest.TestCase):
             for one in ids + direct:
                 one.close()
 
+    def test_members_that_have_not_moved(self):
+        for members in (RANKS, 2, 5):
+            ids, direct = self.begun("ids", members), self.begun("direct", members)
+            points = self.walk[0]
+            resting = ((), (0,), (1,), (0, 1), tuple(range(members)), (members - 1,))
+            for step, still in enumerate(resting, 1):
+                points = points.copy()
+                moved = [i for k, one in enumerate(direct) if k not in still for i in one.places]
+                points[moved] = points[moved] * [0.95, 1, 1]
+                for one in ids:
+                    one.start(step, np.array(sorted(one.places)), points)
+                expected = [one.finish() for one in ids]
+                for k, one in enumerate(direct):
+                    if k in still:
+                        one.begin_directly(step, points, moved="none")
+                    else:
+                        one.start_directly(step, points)
+                for (answer, lists), (_, same_lists) in zip([one.finish() for one in direct], expected):
+                    for name in LISTS:
+                        np.testing.assert_array_equal(lists[name], same_lists[name])
+                    self.assertEqual(answer["report"]["bytes"], 24 * len(moved))
+                    self.assertEqual("motion" in answer["report"]["skipped"], not moved)
+                for name in ("assign", "fetch"):
+                    self.assertEqual(self.control.ask(name, scene="direct")[1], self.control.ask(name, scene="ids")[1])
+                self.assertEqual(self.state("direct")[0], self.state("ids")[0])
+            for one in ids + direct:
+                one.close()
+
     def test_a_member_that_is_killed_in_the_midst_of_its_slices(self):
         for members in (RANKS, 2, 5):
             team = self.begun("killed", members)

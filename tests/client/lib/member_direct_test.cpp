@@ -167,6 +167,33 @@ TEST(MemberSceneDirect, GoesToTheRanksOnceItKnowsThePlaces) {
   }
 }
 
+TEST(MemberSceneDirect, SendsNothingOfWhatHasNotMoved) {
+  std::vector<Json> begun;
+  TwoRanks service([&begun](Peer& peer) {
+    auto begin = TwoRanks::by_ids(peer);  // nobody knows yet where they stood
+    begun.push_back(begin.json);
+    peer.reply(begin, answer_of(0), news({3, 7, 900}, {1, 0, 1}, {5, 0, 2}));
+    begin = *peer.receive();
+    begun.push_back(begin.json);
+    peer.reply(begin, answer_of(1), news({}, {}, {}));
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint(), .path = Path::direct});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    for (int k = 0; k < 2; ++k) {
+      MemberStepOptions options;
+      options.unmoved = true;
+      EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, options).ok());
+    }
+  }
+  EXPECT_TRUE(service.slices().empty());
+  ASSERT_EQ(begun.size(), 2U);
+  EXPECT_EQ(begun[0]["moved"], "all");
+  EXPECT_EQ(begun[1]["moved"], "none");
+  EXPECT_EQ(begun[1]["path"], "direct");
+  EXPECT_EQ(begun[1]["counts"], Json({1, 2}));
+}
+
 TEST(MemberSceneDirect, PushesByIdsWhereItsKnowledgeIsRefusedOrLacking) {
   for (const Code code : {Code::stale_plan, Code::base_lost}) {
     std::vector<Json> begun;

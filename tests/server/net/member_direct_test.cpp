@@ -196,6 +196,28 @@ TEST_F(MemberDirect, PlacesAreToldWhereAllAskForThem) {
   EXPECT_EQ(engine_.pushed.at(0)["places"], false);
 }
 
+TEST_F(MemberDirect, OneThatHasNotMovedBringsNothing) {
+  join();
+  direct(0, {4, 3, 0}, {{"moved", "none"}, {"weights", true}});
+  refused(0, "unsupported", "without weights");
+  direct(0, {4, 3, 0}, {{"moved", "none"}});
+  direct(1, {0, 0, 3});
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 1U);
+  EXPECT_EQ(plane_.opened[0].ticket.terms.id.session, kSessions[1]);
+  whole(2, plane_.opened[0].ticket.number);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  EXPECT_EQ(engine_.pushed.at(0)["unmoved"], Json({0}));
+  EXPECT_EQ(engine_.pushed.at(0)["moved"], "all");
+  EXPECT_EQ(engine_.pushed.at(0)["base_step"], 7);
+  for (int k = 0; k < 2; ++k)
+    direct(k, k == 0 ? std::vector<std::uint64_t>{4, 3, 0} : std::vector<std::uint64_t>{0, 0, 3},
+           {{"moved", "none"}, {"base_step", 8}}, 9);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  EXPECT_EQ(engine_.pushed.at(1)["moved"], "none");
+  EXPECT_EQ(plane_.opened.size(), 1U);
+}
+
 TEST_F(MemberDirect, OneThatPushesByIdsBringsAllToDoSo) {
   join();
   direct(0, {4, 0, 1});
