@@ -198,6 +198,7 @@ class Members(unittest.TestCase):
         for one in team:
             one.ask("scene.close", scene="seats")
         third = Member(self.path, "seats", 2, 3)
+        third.ask("scene.close", scene="seats")  # a connection's end is noticed in its own time
         third.close()
         self.create("seats")
 
