@@ -37,7 +37,7 @@ class Memory(unittest.TestCase):
             self.assertGreaterEqual(row["bytes"], 36 * N * 0.95, row)
             self.assertLessEqual(row["bytes"], row["bytes_peak"])
             self.assertLessEqual(row["bytes_peak"], row["bytes_peaks"])
-            self.assertLess(row["bytes_peaks"], 4 * 36 * N, row)
+            self.assertLess(row["bytes_peaks"], 4 * 36 * N + 2 * (8 << 20), row)  # and a round of the hand-over
             self.assertAlmostEqual(row["peak_over_particles"], row["bytes_peak"] / (32 * N))
             self.assertGreater(row["bytes_empty"], 0)
 
