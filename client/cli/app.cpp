@@ -43,6 +43,10 @@ CLI::Validator tolerance_number() {
   return number_check("a number of at least 0, or inf", [](double v) { return v >= 0; });
 }
 
+CLI::Validator hysteresis_number() {
+  return number_check("a number of at least 1", [](double v) { return std::isfinite(v) && v >= 1; });
+}
+
 CLI::Validator part_count() {
   return number_check(fmt::format("a whole number of 1 to {}", wire::kPartsMax), [](double v) {
     return v >= 1 && v <= static_cast<double>(wire::kPartsMax) && std::trunc(v) == v;

@@ -60,6 +60,7 @@ void add_completion_command(CLI::App& app, Context& context);  // completion
 CLI::Validator positive_number();
 CLI::Validator number_from_zero();
 CLI::Validator tolerance_number();
+CLI::Validator hysteresis_number();
 CLI::Validator part_count();
 CLI::Validator scene_method();
 CLI::Validator scene_policy();

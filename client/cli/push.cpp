@@ -90,8 +90,15 @@ Status push(const PushOptions& options, const Context& context) {
   };
   const auto points = read(options.file);
   if (!points) return points.status();
-  const auto inserted = read(options.inserted);
+  if (points->count == 0 && !options.file.path.empty()) note(options.file.path + ": holds no points");
+  FileOptions new_file = options.inserted;
+  new_file.weights = options.file.weights;
+  const auto inserted = read(new_file);
   if (!inserted) return inserted.status();
+  if (inserted->count > 0 && inserted->weight.empty() && shown->at("weights").get<bool>())
+    return {Code::invalid_argument,
+            fmt::format("{}: no weights, and scene '{}' has them", options.inserted.path, options.name),
+            "name the file's column: --weights w"};
   if (options.subset && points->id.size() != points->count)
     return {Code::invalid_argument, fmt::format("{}: no column 'id' says which particles moved", options.file.path),
             "name the columns, as in \"id,x,y,z\""};
@@ -254,7 +261,8 @@ void add_push_commands(CLI::App& app, Context& context) {
       ->add_flag("--subset", push_options->subset, "FILE holds the particles that moved alone, and their ids: id,x,y,z")
       ->needs(file);
   command->add_option("--insert", push_options->inserted.path,
-                      "a file of particles to add; ids of its own, or the service chooses them");
+                      "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both "
+                      "files");
   command->add_option("--remove", push_options->removed, "ids of particles to remove, with commas between")
       ->delimiter(',')
       ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
@@ -279,7 +287,7 @@ void add_push_commands(CLI::App& app, Context& context) {
   command
       ->add_option("--axis-hysteresis", replay_options->axis_hysteresis, "how much longer another axis must be; 1: any")
       ->capture_default_str()
-      ->check(CLI::Range(1.0, 1e300));
+      ->check(hysteresis_number());
   command->add_option("--policy", replay_options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
   command->add_option("--recut", replay_options->recut, kRecutHelp)->capture_default_str()->check(scene_recut());
   command

@@ -136,7 +136,7 @@ void add_scene_commands(CLI::App& app, Context& context) {
       ->check(tolerance_number());
   command->add_option("--axis-hysteresis", options->axis_hysteresis, "how much longer another axis must be; 1: any")
       ->capture_default_str()
-      ->check(CLI::Range(1.0, 1e300));
+      ->check(hysteresis_number());
   command
       ->add_option("--cut-tolerance", options->cut_tolerance,
                    "stop a search once no part can be off its target by more than this fraction; 0: exact")

@@ -90,7 +90,8 @@ Status Scene::State::check(const Ask& ask) const {
                      "ids belong to rows, which insertions and removals alone change; leave them out after the first "
                      "push");
   if (pushed_ && has_ids_ && ids_.empty() && options.ids.empty() && count_ > 0 && ask.whole())
-    return wrong("the scene has ids of its own, and the push gives none", "give StepOptions::ids at the first step");
+    return wrong("the scene has ids of its own, and the push gives none",
+                 "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
   if (options.step && *options.step < 0)
     return wrong(fmt::format("step {}", *options.step), "steps are numbered from 0");
   if (options.step_seconds && !(*options.step_seconds >= 0 && std::isfinite(*options.step_seconds)))

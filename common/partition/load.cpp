@@ -40,10 +40,15 @@ double rounded(Wide numerator, Wide denominator, int exponent) {
 
 bool small(u128 value) { return value < (u128{1} << 53U); }
 
+// Whether a double holds a * b, and every whole number below it.
+bool fit_together(u128 a, u128 b) {
+  constexpr u128 half = u128{1} << 64U;
+  return a < half && b < half && small(a * b);
+}
+
 // a * b / (c * d) * 2^exponent, rounded once; c and d > 0.
 double quotient_of_products(u128 a, u128 b, u128 c, u128 d, int exponent) {
-  constexpr u128 half = u128{1} << 64U;
-  if (exponent == 0 && a < half && b < half && c < half && d < half && small(a * b) && small(c * d))
+  if (exponent == 0 && fit_together(a, b) && fit_together(c, d))
     return static_cast<double>(a * b) / static_cast<double>(c * d);  // both exact: one rounding
   return rounded(Wide(a) * b, Wide(c) * d, exponent);
 }
@@ -63,18 +68,8 @@ void finish(LoadSummary& summary, std::span<const double> sizes) {
   if (total == 0) return;
   summary.imbalance = 0;
   for (std::size_t p = 0; p < count; ++p) {
-    const Wide load = Wide(summary.loads[p]) * all;
-    const Wide share = Wide(total) * shares[p];
-    const bool plain = small(total) && small(all) && load <= Wide(u128{1} << 53U) && share < Wide(u128{1} << 53U);
-    const Wide off = load > share ? load - share : share - load;
-    if (plain) {
-      const auto below = static_cast<double>(static_cast<std::uint64_t>(share));
-      summary.part_errors[p] = static_cast<double>(static_cast<std::uint64_t>(off)) / below;
-      summary.imbalance = std::max(summary.imbalance, static_cast<double>(static_cast<std::uint64_t>(load)) / below);
-    } else {
-      summary.part_errors[p] = rounded(off, share, 0);
-      summary.imbalance = std::max(summary.imbalance, rounded(load, share, 0));
-    }
+    summary.part_errors[p] = relative_error(summary.loads[p], total, shares[p], all);
+    summary.imbalance = std::max(summary.imbalance, quotient_of_products(summary.loads[p], all, total, shares[p], 0));
     // Rounding keeps the order, so the greatest of the rounded is the greatest, rounded.
     summary.error = std::max(summary.error, summary.part_errors[p]);
     summary.targets[p] = quotient_of_products(total, shares[p], all, 1, -summary.scale_exponent);
@@ -216,6 +211,17 @@ std::optional<WeightRange> weight_range(Comm& comm, const particles::ParticleVie
   std::array<std::uint64_t, 2> images = weight_images(particles);
   comm.all_min(images);
   return weight_range_of_images(images);
+}
+
+double relative_error(u128 load, u128 total, u128 size, u128 all) {
+  if (fit_together(load, all) && fit_together(total, size)) {
+    const u128 has = load * all;
+    const u128 should = total * size;
+    return static_cast<double>(has > should ? has - should : should - has) / static_cast<double>(should);
+  }
+  const Wide has = Wide(load) * all;
+  const Wide should = Wide(total) * size;
+  return rounded(has > should ? has - should : should - has, should, 0);
 }
 
 double quotient(u128 numerator, u128 denominator) {

@@ -26,7 +26,7 @@ struct Walk {
       size += sizes[p];
     }
     if (total == 0) return 0;
-    return std::abs(quotient(load, total) / quotient(size, all_sizes) - 1);
+    return relative_error(load, total, size, all_sizes);
   }
 
   // Whether some part of the node is off, and no root in the node covers it yet.

@@ -43,6 +43,12 @@ std::string MemberPush::progress() const {
   return fmt::format("{} of {} members", whole, shares.size());
 }
 
+bool MemberPush::awaits(const Connection* connection) const {
+  return std::any_of(shares.begin(), shares.end(), [connection](const auto& share) {
+    return share && share->connection.get() == connection && !share->ready();
+  });
+}
+
 bool MemberPush::direct() const {
   return std::any_of(shares.begin(), shares.end(), [](const auto& share) { return share && share->number != 0; });
 }

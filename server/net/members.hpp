@@ -54,6 +54,8 @@ struct MemberPush {
 
   // Its shares go to the ranks: all of them do, or none.
   bool direct() const;
+  // Whether this connection has begun a share that isn't whole: what it reads next must be that.
+  bool awaits(const Connection* connection) const;
   std::string progress() const;  // "2 of 4 members"
 };
 

@@ -130,6 +130,11 @@ Status check_share(const wire::Json& request, const SceneInfo& scene, PushTerms&
   if (terms.moved != Moved::all && !(terms.moved == Moved::none && terms.direct && !terms.weights))
     return {Code::unsupported, "members push all their particles, or directly none, without weights"};
   if (terms.edit_slices() > 0) return {Code::unsupported, "members neither insert nor remove particles"};
+  if (request.contains("step_seconds") && !request["step_seconds"].is_null())
+    if (const auto seconds =
+            wire::number_field_or(request, "step_seconds", 0, std::numeric_limits<double>::max(), 0);
+        !seconds.ok())
+      return seconds.status();
   if (terms.direct ? terms.ids : !terms.by_id || !terms.ids)
     return {Code::unsupported,
             "members push in order \"id\", with \"ids\" true, or by the path \"direct\" without ids"};
@@ -170,7 +175,7 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
     auto given = wire::string_field(request, "session", 16);
     if (!given.ok()) return given.status();
     const auto number = wire::parse_hex64(*given);
-    if (!number.ok()) return number.status();
+    if (!number.ok()) return Status(number.status().code(), "field 'session': " + number.status().message());
     id.session = wire::hex64(*number);
   }
   constexpr std::int64_t kMax = std::numeric_limits<std::int64_t>::max();

@@ -194,7 +194,11 @@ awaitable<void> Session::scene_change(Request& request) {
   const bool drops = request.command == "scene.drop" || flag(request.json, "replace");
   const bool waits = request.command != "scene.create" || drops;
   Status turn;
-  if (gate.push && gate.push->connection == connection_)
+  const auto own_is_open = [this, &gate] {
+    if (!gate.push) return false;
+    return gate.push->together ? gate.push->together->awaits(connection_.get()) : gate.push->connection == connection_;
+  };
+  if (own_is_open())
     turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
   else
     turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });

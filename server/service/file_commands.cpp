@@ -24,9 +24,18 @@ struct LoadRequest {
   std::int64_t step = 0;
 };
 
+// A path on the machine of the ranks, whose working directory is nobody's business.
+Result<std::string> absolute_path_field(const wire::Json& request, const char* name) {
+  auto path = wire::string_field(request, name);
+  if (path.ok() && !std::filesystem::path(*path).is_absolute())
+    return Status(Code::invalid_argument, fmt::format("field '{}': \"{}\" is not an absolute path", name, *path),
+                  "the service doesn't work in your directory");
+  return path;
+}
+
 Result<LoadRequest> read_load(const wire::Json& request) {
   LoadRequest load;
-  const auto path = wire::string_field(request, "path");
+  const auto path = absolute_path_field(request, "path");
   if (!path.ok()) return path.status();
   load.path = path.value();
   const auto dims = wire::integer_field_or(request, "dims", 1, 3, 0);
@@ -154,7 +163,7 @@ Response write_parts(Context& context, const wire::Json& request) {
   const auto found = find_pushed_scene(context, request);
   if (!found.ok()) return failed(found.status());
   const Scene& scene = *found.value();
-  const auto directory = wire::string_field(request, "directory");
+  const auto directory = absolute_path_field(request, "directory");
   if (!directory.ok()) return failed(directory.status());
   const auto prefix = request.contains("prefix") ? wire::string_field(request, "prefix", 128) : std::string("part");
   if (!prefix.ok()) return failed(prefix.status());

@@ -52,6 +52,27 @@ class Commands(unittest.TestCase):
         self.assertEqual(self.service.json("push", "p", self.file, "--step", 9)["step"], 9)
         self.assertEqual(len(self.service.json("history", "p", "--last", 2)), 2)
 
+    def test_insert_into_a_scene_with_weights(self):
+        some, more = self.path("some.csv"), self.path("more.csv")
+        for name, rows in ((some, "0,0,0,1\n1,1,1,2\n"), (more, ".5,.5,.5,4\n")):
+            with open(name, "w") as file:
+                file.write("x,y,z,w\n" + rows)
+        self.service.json("scene", "create", "w", "--parts", 2, "--replace")
+        self.service.json("push", "w", some, "--weights", "w")
+        self.assertIn("--weights", self.service.failure("push", "w", "--insert", more)["hint"])
+        self.assertEqual(self.service.json("push", "w", "--insert", more, "--weights", "w")["inserted"], 1)
+        self.assertEqual(sum(self.service.json("scene", "show", "w")["loads"]), 7)
+
+    def test_files_of_the_service_have_absolute_paths(self):
+        from protocol_client import Client, Refused
+        client = Client(self.service.endpoint[5:])
+        self.addCleanup(client.close)
+        for command, field in (("write_parts", "directory"), ("load", "path")):
+            with self.assertRaises(Refused) as caught:
+                client.ask(command, scene="s", **{field: "somewhere"})
+            self.assertEqual(caught.exception.args[0], "invalid_argument")
+            self.assertIn("absolute", caught.exception.args[1])
+
     def test_policy_cost(self):
         self.service.json("scene", "create", "c", "--parts", 4, "--policy", "cost", "--replace")
         self.assertEqual(self.service.json("scene", "show", "c")["policy"], "cost")

@@ -344,6 +344,10 @@ class Members(unittest.TestCase):
         more = np.concatenate([self.walk[0], self.walk[0]])
         both("invalid_argument", ("id 700", "member 1"), ids[:300], np.append(ids[300:], 700), more, step=1)
         team[0].begin(1, ids[:300])
+        # What it sends next must be its slice: a change of the scene would keep that waiting.
+        with self.assertRaises(Refused) as caught:
+            team[0].ask("rebalance", scene="wrong")
+        self.assertEqual(caught.exception.args[0], "busy")
         self.control.ask("status")
         team[1].begin(2, ids[300:])
         self.refused(team[1], "invalid_argument", "step 2", "step 1")

@@ -75,6 +75,11 @@ class SlopeMpi(unittest.TestCase):
 
     def test_usage_and_no_service(self):
         self.assertEqual(solver(self.service, 2, "--parts", 0).returncode, 2)
+        for wrong in ("-1", "nan"):
+            refused = solver(self.service, 2, "--tolerance", wrong)
+            self.assertEqual(refused.returncode, 2, refused.stderr)
+        done = solver(self.service, 2, "--steps", 1, "--tolerance", "inf", "--parts", "4.0")
+        self.assertEqual(done.returncode, 0, done.stderr)
         nowhere = solver(self.service, 2, "--endpoint", "unix:/nowhere/s")
         self.assertEqual(nowhere.returncode, 3, nowhere.stderr)
         self.assertEqual(nowhere.stderr.count("no service answers"), 1, nowhere.stderr)

@@ -48,14 +48,34 @@ struct Record {
   double seconds_physics = 0, seconds_service = 0, seconds_exchange = 0;
 };
 
+// Numbers as the other solvers read them: 8.0 and 1e6 are whole, a tolerance may be inf.
+CLI::Validator whole(std::int64_t low, std::int64_t high) {
+  const auto read = [low, high](std::string& text) {
+    const auto value = parse_whole(text, low, high);
+    if (value) text = std::to_string(*value);
+    return value ? std::string() : value.status().message();
+  };
+  return {read, "NUMBER"};
+}
+
+CLI::Validator tolerance() {
+  const auto read = [](std::string& text) {
+    const auto value = parse_number(text);
+    if (!value) return value.status().message();
+    return *value >= 0 ? std::string() : fmt::format("{} is below 0; give 0 or more, or inf", text);
+  };
+  return {read, "NUMBER"};
+}
+
 void declare(CLI::App& app, Options& o) {
   app.option_defaults()->always_capture_default();
-  app.add_option("--points", o.slope.points, "material points, of all processes")->check(CLI::Range(1.0, 1e8));
-  app.add_option("--steps", o.steps, "steps after step 0")->check(CLI::Range(0.0, 1e7));
+  app.add_option("--points", o.slope.points, "material points, of all processes")
+      ->transform(whole(1, 100'000'000));
+  app.add_option("--steps", o.steps, "steps after step 0")->transform(whole(0, 10'000'000));
   app.add_option("--parts", o.parts, "parts; process k of M keeps those from kP/M to (k+1)P/M")
-      ->check(CLI::Range(1, 1'048'576));
+      ->transform(whole(1, 1'048'576));
   app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
-      ->check(CLI::NonNegativeNumber);
+      ->check(tolerance());
   app.add_option("--scene", o.scene, "name of the scene; one of that name is replaced")->type_name("NAME");
   app.add_option("--endpoint", o.endpoint, "where the service is: unix:PATH or HOST:PORT")->type_name("E");
   app.add_option("--trajectory", o.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")

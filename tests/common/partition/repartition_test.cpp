@@ -273,6 +273,9 @@ TEST(Recut, FindsTheSmallestSubtreesThatHelp) {
   EXPECT_EQ(roots_of({110, 100, 90, 100}, 0.05), (Roots{{0, 4}}));
   EXPECT_EQ(roots_of({110, 90, 100, 100, 100, 100, 80, 120}, 0.05), (Roots{{0, 2}, {6, 8}}));
   EXPECT_EQ(roots_of({110, 100, 90, 100, 100, 100, 100, 100}, 0.05), (Roots{{0, 4}}));
+  // Nodes that are off by exactly as much as is wanted, as the parts' errors are reckoned.
+  EXPECT_EQ(roots_of({8, 8, 12, 12}, 0.2), (Roots{{0, 4}}));
+  EXPECT_EQ(roots_of({9, 9, 10, 11, 9, 12}, 0.1), (Roots{{0, 3}, {3, 6}}));
   EXPECT_EQ(roots_of({110, 90, 100, 100}, 0.05, Method::bands_x), (Roots{{0, 4}}));
 }
 
