@@ -97,23 +97,16 @@ class Repartitioning {
     out.slot.resize(count);
     for (std::size_t k = 0; k < slots.size(); ++k)
       if (const std::size_t root = root_of[at(parts[k])]; root != kNone) out.slot[next[root]++] = slots[k];
-    out.part.resize(count);
-    for (std::size_t k = 0; k < count; ++k) out.part[k] = standing_.part[out.slot[k]];
+    copy_of(standing_.part.data(), out.slot, out.part);
     out.particles.dims = particles_.dims;
     out.particles.has_weights = particles_.weight != nullptr;
     for (std::size_t a = 0; a < at(particles_.dims); ++a)
-      copy_array(particles_.position[a], out.slot, out.particles.position[a]);
-    copy_array(particles_.id, out.slot, out.particles.id);
-    if (out.particles.has_weights) copy_array(particles_.weight, out.slot, out.particles.weight);
+      copy_of(particles_.position[a], out.slot, out.particles.position[a]);
+    copy_of(particles_.id, out.slot, out.particles.id);
+    if (out.particles.has_weights) copy_of(particles_.weight, out.slot, out.particles.weight);
     return out;
   }
 
-
-  template <typename T>
-  static void copy_array(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
-    to.resize(slot.size());
-    for (std::size_t k = 0; k < slot.size(); ++k) to[k] = from[slot[k]];
-  }
 
   // Whether few particles sufficed to search anything; failed_ then has what they left open. Collective.
   bool search_few() {

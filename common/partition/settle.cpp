@@ -81,8 +81,6 @@ class Pass {
       out_.slot.push_back(i);
       out_.part.push_back(part_[i]);
       for (std::size_t a = 0; a < axes(); ++a) out_.few.position[a].push_back(particles_.position[a][i]);
-      out_.few.id.push_back(particles_.id[i]);
-      if (out_.few.has_weights) out_.few.weight.push_back(particles_.weight[i]);
       return;
     }
     for (std::size_t a = 0; a < axes(); ++a) {
@@ -219,6 +217,11 @@ OwnSettled settle(const particles::ParticleView& particles, const particles::Blo
   if (blocks == nullptr) pass.seed();  // blocks that stay as a whole soon do as much
   pass.run();
   out.too_many = out.slot.size() > few_max;
+  if (!out.too_many) {
+    // Apart from the pass, which doesn't wait for memory that it doesn't read in order.
+    copy_of(particles.id, out.slot, out.few.id);
+    if (out.few.has_weights) copy_of(particles.weight, out.slot, out.few.weight);
+  }
   for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));
   return out;
 }

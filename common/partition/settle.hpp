@@ -11,6 +11,13 @@
 
 namespace rcb::partition {
 
+// to[k] = from[slot[k]].
+template <typename T>
+void copy_of(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
+  to.resize(slot.size());
+  for (std::size_t k = 0; k < slot.size(); ++k) to[k] = from[slot[k]];
+}
+
 struct OwnSettled {
   bool too_many = false;             // the pass ended at few_max; nothing below counts
   particles::ParticleSet few;        // the others, copied
