@@ -93,7 +93,7 @@ class Repartitioning {
     std::partial_sum(out.ends.begin(), out.ends.end(), out.ends.begin());
     const std::size_t count = roots.empty() ? 0 : out.ends.back();
     std::vector<std::size_t> next(roots.size(), 0);
-    std::copy(out.ends.begin(), out.ends.end() - 1, next.begin() + 1);
+    for (std::size_t r = 1; r < roots.size(); ++r) next[r] = out.ends[r - 1];
     out.slot.resize(count);
     for (std::size_t k = 0; k < slots.size(); ++k)
       if (const std::size_t root = root_of[at(parts[k])]; root != kNone) out.slot[next[root]++] = slots[k];
