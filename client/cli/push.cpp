@@ -260,9 +260,10 @@ void add_push_commands(CLI::App& app, Context& context) {
   command
       ->add_flag("--subset", push_options->subset, "FILE holds the particles that moved alone, and their ids: id,x,y,z")
       ->needs(file);
-  command->add_option("--insert", push_options->inserted.path,
-                      "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both "
-                      "files");
+  command->add_option(
+      "--insert", push_options->inserted.path,
+      "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both "
+      "files");
   command->add_option("--remove", push_options->removed, "ids of particles to remove, with commas between")
       ->delimiter(',')
       ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));

@@ -105,8 +105,8 @@ void TreeBuilder::weigh_roots() {
   for (std::size_t r = 0; r < level_.size(); ++r) level_[r].weight = weights[r];
 }
 
-// Some of the particles. Where the answer depends on the map, since cuts lie between its bins, they must be the same ones
-// however the particles are dealt out: those of every 64th id, at random.
+// Some of the particles. Where the answer depends on the map, since cuts lie between its bins, they must be the same
+// ones however the particles are dealt out: those of every 64th id, at random.
 std::vector<std::size_t> TreeBuilder::sampled_slots() const {
   std::vector<std::size_t> slots;
   if (options_.cut_tolerance > 0) {

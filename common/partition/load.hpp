@@ -78,8 +78,8 @@ LoadSummary moved_loads(Comm& comm, const particles::ParticleView& particles, co
 // Local: the summary of known counts, nothing weighted.
 LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes);
 
-// abs(load * all - total * size) / (total * size), rounded once: the error of what has this size of all sizes together and
-// this load of the total. total and size > 0.
+// abs(load * all - total * size) / (total * size), rounded once: the error of what has this size of all sizes together
+// and this load of the total. total and size > 0.
 double relative_error(u128 load, u128 total, u128 size, u128 all);
 // numerator / denominator rounded once to the nearest double (ties to even); denominator > 0.
 double quotient(u128 numerator, u128 denominator);

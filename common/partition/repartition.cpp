@@ -107,7 +107,6 @@ class Repartitioning {
     return out;
   }
 
-
   // Whether few particles sufficed to search anything; failed_ then has what they left open. Collective.
   bool search_few() {
     std::vector<double> loads(standing_.loads.loads.begin(), standing_.loads.loads.end());

@@ -131,8 +131,7 @@ Status check_share(const wire::Json& request, const SceneInfo& scene, PushTerms&
     return {Code::unsupported, "members push all their particles, or directly none, without weights"};
   if (terms.edit_slices() > 0) return {Code::unsupported, "members neither insert nor remove particles"};
   if (request.contains("step_seconds") && !request["step_seconds"].is_null())
-    if (const auto seconds =
-            wire::number_field_or(request, "step_seconds", 0, std::numeric_limits<double>::max(), 0);
+    if (const auto seconds = wire::number_field_or(request, "step_seconds", 0, std::numeric_limits<double>::max(), 0);
         !seconds.ok())
       return seconds.status();
   if (terms.direct ? terms.ids : !terms.by_id || !terms.ids)

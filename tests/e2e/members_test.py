@@ -351,6 +351,8 @@ class Members(unittest.TestCase):
         self.control.ask("status")
         team[1].begin(2, ids[300:])
         self.refused(team[1], "invalid_argument", "step 2", "step 1")
+        team[1].begin(1, ids[300:], step_seconds=-1)
+        self.refused(team[1], "invalid_argument", "step_seconds")
         team[1].begin(1, ids[300:], weights=True)
         self.refused(team[1], "invalid_argument", "weights")
         self.assertEqual(self.state("wrong"), before)

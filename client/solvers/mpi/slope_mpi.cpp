@@ -69,8 +69,7 @@ CLI::Validator tolerance() {
 
 void declare(CLI::App& app, Options& o) {
   app.option_defaults()->always_capture_default();
-  app.add_option("--points", o.slope.points, "material points, of all processes")
-      ->transform(whole(1, 100'000'000));
+  app.add_option("--points", o.slope.points, "material points, of all processes")->transform(whole(1, 100'000'000));
   app.add_option("--steps", o.steps, "steps after step 0")->transform(whole(0, 10'000'000));
   app.add_option("--parts", o.parts, "parts; process k of M keeps those from kP/M to (k+1)P/M")
       ->transform(whole(1, 1'048'576));

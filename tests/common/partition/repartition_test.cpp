@@ -59,8 +59,8 @@ CutTree drift(Case& trial) {
 
 // Every particle on the rank that owns its part, but for one in 23, as after a drift. by_part: part after part, so that
 // particles side by side in the arrays are side by side in space.
-Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnParts& own,
-           std::vector<std::int32_t>& part, bool by_part = false) {
+Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnParts& own, std::vector<std::int32_t>& part,
+           bool by_part = false) {
   const auto begin = [&](int r) { return static_cast<int>(std::int64_t{r} * tree.parts / ranks); };
   own = {begin(rank), begin(rank + 1)};
   std::vector<std::size_t> rows;

@@ -14,8 +14,8 @@
 namespace rcb::testing {
 namespace {
 
-using service::Arrival;
 using particles::kBlock;
+using service::Arrival;
 using service::Loan;
 using service::Loans;
 using service::Scene;
