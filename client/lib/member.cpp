@@ -250,7 +250,8 @@ Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& js
 Status MemberScene::State::read_places(const Frame& answer, const wire::Json& json, const MemberStep& result) {
   const auto repeated = wire::bool_field_or(json, "repeated", false);
   // That of a push that this one repeats tells changes from what nobody may have learnt.
-  if (wire::find_array(answer.arrays, "place_id") == nullptr || !repeated || *repeated || !json.contains("plan")) {
+  if (wire::find_array(answer.arrays, "place_id") == nullptr || !repeated || *repeated || !json.contains("plan") ||
+      n >= MemberPlaces::kSlotsMax) {
     places.forget();
     return {};
   }
@@ -258,8 +259,9 @@ Status MemberScene::State::read_places(const Frame& answer, const wire::Json& js
   const auto rank = column<std::int32_t>(answer, "place_rank", "<i4");
   const auto slot = column<std::uint64_t>(answer, "place_slot", "<u8");
   const auto is_rank = [this](std::int32_t r) { return r >= 0 && r < session().ranks(); };
+  const auto is_slot = [this](std::uint64_t s) { return s < n; };
   if (!id || !rank || !slot || id->size() != rank->size() || id->size() != slot->size() ||
-      !std::all_of(rank->begin(), rank->end(), is_rank))
+      !std::all_of(rank->begin(), rank->end(), is_rank) || !std::all_of(slot->begin(), slot->end(), is_slot))
     return odd_answer("its places are not as the protocol says");
   std::vector<std::int64_t> left;
   for (const Leaving& leaving : result.leave) left.push_back(leaving.id);

@@ -10,6 +10,8 @@ namespace {
 
 constexpr int kDigitBits = 11;
 constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
+constexpr std::uint32_t kNone = ~std::uint32_t{0};  // no row
+
 }  // namespace
 
 MemberPlaces::Place MemberPlaces::place_of(std::int32_t rank, std::uint64_t slot) {
@@ -122,7 +124,6 @@ bool MemberPlaces::match(std::span<const std::int64_t> ids, std::span<const std:
 }
 
 void MemberPlaces::list_by_rank() {
-  constexpr std::uint32_t kNone = ~std::uint32_t{0};
   for (auto& table : row_at_) std::fill(table.begin(), table.end(), kNone);
   for (std::size_t row = 0; row < places_.size(); ++row) {
     auto& table = row_at_[static_cast<std::size_t>(places_[row] >> kSlotBits)];
@@ -138,7 +139,7 @@ void MemberPlaces::list_by_rank() {
 }
 
 const std::vector<std::vector<std::uint64_t>>* MemberPlaces::rows(std::span<const std::int64_t> ids) {
-  if (!known_ || !align(ids)) return nullptr;
+  if (!known_ || ids.size() >= kNone || !align(ids)) return nullptr;
   ids_.assign(ids.begin(), ids.end());
   places_.swap(next_);
   for (const std::int64_t id : left_) touched_[static_cast<std::size_t>(id) % kTouched] = 0;

@@ -13,7 +13,11 @@
 namespace rcb::client {
 
 class MemberPlaces {
+  static constexpr int kSlotBits = 40;
+
  public:
+  static constexpr std::uint64_t kSlotsMax = std::uint64_t{1} << kSlotBits;  // of a rank
+
   // Particles in ascending id.
   struct List {
     std::span<const std::int64_t> id;
@@ -30,14 +34,12 @@ class MemberPlaces {
   void change(std::span<const std::int64_t> left, const List& placed);
 
   // For each rank the rows, by which `ids` are given, of its particles in ascending slots. Null where the ids aren't
-  // exactly those that are held here. Valid until the next call.
+  // exactly those that are held here, or 2^32 - 1 or more. Valid until the next call.
   // Cost: few passes; what stands in another order than at the last call, but for what left or came, is sorted.
   const std::vector<std::vector<std::uint64_t>>* rows(std::span<const std::int64_t> ids);
 
  private:
-  // A rank and a slot as one number; so many bits are the slot's.
-  using Place = std::uint64_t;
-  static constexpr int kSlotBits = 40;
+  using Place = std::uint64_t;  // a rank and a slot as one number
 
   struct Pool {
     std::vector<std::int64_t> id;

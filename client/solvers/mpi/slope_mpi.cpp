@@ -55,7 +55,7 @@ CLI::Validator whole(std::int64_t low, std::int64_t high) {
     if (value) text = std::to_string(*value);
     return value ? std::string() : value.status().message();
   };
-  return {read, "NUMBER"};
+  return {read, ""};
 }
 
 CLI::Validator tolerance() {
@@ -64,7 +64,7 @@ CLI::Validator tolerance() {
     if (!value) return value.status().message();
     return *value >= 0 ? std::string() : fmt::format("{} is below 0; give 0 or more, or inf", text);
   };
-  return {read, "NUMBER"};
+  return {read, ""};
 }
 
 void declare(CLI::App& app, Options& o) {

@@ -256,8 +256,9 @@ TEST(MemberSceneDirect, ABadAnswerIsNamed) {
   TwoRanks service([](Peer& peer) {
     peer.reply(TwoRanks::by_ids(peer), answer_of(0), news({3, 7, 900}, {1, 0, 2}, {5, 0, 2}));  // of two ranks
     peer.reply(TwoRanks::by_ids(peer), answer_of(1), news({3, 7, 900}, {1, 0}, {5, 0, 2}));
+    peer.reply(TwoRanks::by_ids(peer), answer_of(2), news({3, 7, 900}, {1, 0, 1}, {5, 0, 30}));  // of 30 particles
   });
-  for (const Status& status : push(service.endpoint(), 2)) {
+  for (const Status& status : push(service.endpoint(), 3)) {
     EXPECT_EQ(status.code(), Code::protocol_error);
     EXPECT_NE(status.message().find("places"), std::string::npos) << status.message();
   }
