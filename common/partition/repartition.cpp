@@ -139,9 +139,9 @@ class Repartitioning {
   bool gather(const OwnSettled& own, Settled& settled) {
     // Whether this rank has too many; how many of the own parts have settled particles; where these are; then, of parts
     // that some of the few are of, how many and their weight.
-    std::vector<std::uint64_t> few(at(options_.parts), 0);
+    std::vector<std::uint64_t> few(at(options_.parts), 0);  // none where they are too many
     std::vector<u128> weights(few.size(), 0);
-    for (std::size_t k = 0; k < own.part.size(); ++k) {
+    for (std::size_t k = 0; k < own.part.size() && !own.too_many; ++k) {
       ++few[at(own.part[k])];
       if (scale_) weights[at(own.part[k])] += (*scale_)(own.few.weight[k]);
     }

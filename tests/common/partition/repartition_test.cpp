@@ -147,10 +147,10 @@ TEST(Repartition, GivesTheCutsOfASearchAmongAll) {
           if (seed % 5 == 0) trial.options.method = Method::bands_x;
           if (seed % 7 == 0)
             for (int p = 0; p < parts; ++p) trial.options.part_sizes.push_back(1 + static_cast<double>(p % 3));
-          // From a good guess to none; any number may be looked at.
+          // From a good guess to none; mostly any number may be looked at.
           trial.options.limits.bracket_sigmas = static_cast<double>(seed % 4);
           trial.options.limits.bracket_margin = static_cast<double>(seed % 3);
-          trial.options.limits.few_share = 1;
+          trial.options.limits.few_share = seed % 4 == 0 ? 5 : 1;
           warm += check(trial);
           if (HasFailure()) return;
         }
