@@ -16,7 +16,26 @@ struct UpOptions {
   std::string data_dir;
   bool foreground = false;
   double deadline = 60;
+  // What rcbd itself is told, at this start and at each that follows a death.
+  std::vector<std::string> files_below;
+  std::string keep_reports;
+  std::string log_level;
+  std::string bulk_bytes;
 };
+
+// An option of rcbd that `up` takes too is added here and in add_up_options. rcbd checks the values.
+std::vector<std::string> service_arguments(const UpOptions& options) {
+  std::vector<std::string> arguments;
+  const auto add = [&arguments](const char* name, const std::string& value) {
+    if (!value.empty()) arguments.insert(arguments.end(), {name, value});
+  };
+  for (const std::string& folder : options.files_below)
+    add("--files-below", std::filesystem::absolute(folder).lexically_normal().string());
+  add("--keep-reports", options.keep_reports);
+  add("--log-level", options.log_level);
+  add("--bulk-bytes", options.bulk_bytes);
+  return arguments;
+}
 
 Status up(const UpOptions& options, const Context& context) {
   launch::SuperviseOptions service;
@@ -25,6 +44,7 @@ Status up(const UpOptions& options, const Context& context) {
   service.endpoint = endpoint->text();
   service.ranks = options.ranks > 0 ? options.ranks : launch::default_ranks();
   service.ready_seconds = options.deadline;
+  service.service_arguments = service_arguments(options);
   auto running = launch::reach(service.endpoint, "rcbctl up");
   if (running || running.status().code() == Code::not_authorised)
     return {Code::already_exists, "a service already answers at " + service.endpoint,
@@ -106,6 +126,26 @@ Status status(const Context& context) {
   return {};
 }
 
+void add_up_options(CLI::App& command, UpOptions& options) {
+  command.add_option("-n,--ranks", options.ranks, "MPI ranks (default: one a core, at most 8)")
+      ->check(CLI::Range(1, kRanksMax));
+  command.add_option("--data-dir", options.data_dir, "for log, token and what lasts (default: one an endpoint)");
+  command.add_option("--deadline", options.deadline, "seconds to wait for its first answer")
+      ->capture_default_str()
+      ->check(positive_number());
+  command.add_flag("--foreground", options.foreground,
+                   "stay and supervise it here until SIGTERM or SIGINT, as a systemd unit wants it");
+  command
+      .add_option("--files-below", options.files_below,
+                  "a folder below which commands may read and write files; may be given more than once")
+      ->type_name("DIR");
+  command.add_option("--keep-reports", options.keep_reports, "step reports of a scene that are kept in memory")
+      ->type_name("K");
+  command.add_option("--log-level", options.log_level, "how much is logged: trace, debug, info, warn, error or off");
+  command.add_option("--bulk-bytes", options.bulk_bytes,
+                     "most bytes of arrays that all pushes together may hold, such as 4gb");
+}
+
 }  // namespace
 
 void add_service_commands(CLI::App& app, Context& context) {
@@ -114,14 +154,7 @@ void add_service_commands(CLI::App& app, Context& context) {
                                   {"up", "Starts a local service on the endpoint and waits until it answers",
                                    "  rcbctl up -n 8\n  rcbctl up --endpoint unix:/tmp/mine.sock --data-dir /tmp/mine"},
                                   [up_options, &context] { return up(*up_options, context); });
-  command->add_option("-n,--ranks", up_options->ranks, "MPI ranks (default: one a core, at most 8)")
-      ->check(CLI::Range(1, kRanksMax));
-  command->add_option("--data-dir", up_options->data_dir, "for log, token and what lasts (default: one an endpoint)");
-  command->add_option("--deadline", up_options->deadline, "seconds to wait for its first answer")
-      ->capture_default_str()
-      ->check(positive_number());
-  command->add_flag("--foreground", up_options->foreground,
-                    "stay and supervise it here until SIGTERM or SIGINT, as a systemd unit wants it");
+  add_up_options(*command, *up_options);
 
   auto deadline = std::make_shared<double>(30);
   command = add_command(app, context,

@@ -212,7 +212,11 @@ Result<Embedded> Embedded::start(int ranks, const Progress& progress) {
   if (!directory) return directory.status();
   service.directory_ = *directory;
   service.endpoint_ = "unix:" + join_path(*directory, "s");
-  SuperviseOptions options{.endpoint = service.endpoint_, .data_dir = *directory, .ranks = ranks, .embedded = true};
+  SuperviseOptions options;
+  options.endpoint = service.endpoint_;
+  options.data_dir = *directory;
+  options.ranks = ranks;
+  options.embedded = true;
   auto started = fork_supervisor(options);
   if (!started) {
     rmdir(directory->c_str());

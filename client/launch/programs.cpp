@@ -89,6 +89,7 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
   else
     arguments.insert(arguments.end(), {"--listen", spec.endpoint});
   arguments.insert(arguments.end(), {"--data-dir", spec.data_dir});
+  arguments.insert(arguments.end(), spec.service_arguments.begin(), spec.service_arguments.end());
   return arguments;
 }
 

@@ -21,7 +21,8 @@ struct JobSpec {
   std::string endpoint;  // unix:PATH or HOST:PORT
   std::string data_dir;
   int ranks = 1;
-  std::string shm_dir;  // for the ranks' shared memory; empty: Open MPI's default place
+  std::string shm_dir;                         // for the ranks' shared memory; empty: Open MPI's default place
+  std::vector<std::string> service_arguments;  // more of rcbd's options, as given to it
   // Another MPI program with its arguments; empty: rcbd on `endpoint` with `data_dir`.
   std::vector<std::string> command;
 };

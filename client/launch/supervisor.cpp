@@ -121,7 +121,12 @@ Status Supervisor::run() {
   }
   const std::string shm =
       fmt::format("/dev/shm/rcbd-{}-{:016x}", geteuid(), std::hash<std::string>{}(options_.data_dir));
-  Job job({options_.endpoint, options_.data_dir, options_.ranks, shm}, join_path(options_.data_dir, "tmp"), log_fd_);
+  Job job({.endpoint = options_.endpoint,
+           .data_dir = options_.data_dir,
+           .ranks = options_.ranks,
+           .shm_dir = shm,
+           .service_arguments = options_.service_arguments},
+          join_path(options_.data_dir, "tmp"), log_fd_);
   Status status = start(job, false);
   if (status) status = await_first_answer(job);
   if (!status) {

@@ -9,6 +9,7 @@
 
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "common/base/status.hpp"
 
@@ -18,6 +19,8 @@ struct SuperviseOptions {
   std::string endpoint;  // unix:PATH or HOST:PORT
   std::string data_dir;  // made if missing; one supervisor at a time
   int ranks = 1;
+  // More of rcbd's options, at every start. rcbd runs in /, so paths must be absolute.
+  std::vector<std::string> service_arguments;
   bool embedded = false;  // nothing in it lasts: no restart, and its end is a kill
   double ready_seconds = 60;
   // One byte kReady is written here when the service answers first, or kFailed and the reason's code, message and

@@ -143,7 +143,8 @@ TEST_F(Launch, AnEmbeddedServiceDiesWithItsProgramHoweverThatEnds) {
 TEST_F(Launch, MpirunIsCalledAsOneNodeNeedsIt) {
   program("exit 0");
   EXPECT_EQ(find_rcbd().value(), (folder_ / "bin" / "rcbd").string());
-  const auto line = mpirun_arguments({"127.0.0.1:7470", "/data", 3, ""});
+  const auto line = mpirun_arguments(
+      {.endpoint = "127.0.0.1:7470", .data_dir = "/data", .ranks = 3, .service_arguments = {"--log-level", "debug"}});
   ASSERT_TRUE(line.ok());
   const auto follows = [&](const std::string& first, const std::string& second) {
     const auto at = std::find(line->begin(), line->end(), first);
@@ -154,6 +155,7 @@ TEST_F(Launch, MpirunIsCalledAsOneNodeNeedsIt) {
   EXPECT_TRUE(follows("-n", "3"));
   EXPECT_TRUE(follows("--listen", "127.0.0.1:7470"));
   EXPECT_TRUE(follows("--data-dir", "/data"));
+  EXPECT_TRUE(follows("--log-level", "debug"));
   EXPECT_NE(std::find(line->begin(), line->end(), "--oversubscribe"), line->end());
   EXPECT_EQ(std::find(line->begin(), line->end(), "--allow-run-as-root") != line->end(), geteuid() == 0);
 }
