@@ -1,82 +1,24 @@
 """Steps that are more or less than all positions: few moved, none, float32, particles inserted and removed. By every
 path and in every order they lead to the scene that full pushes of the same states lead to."""
-import socket
 import time
 
-from protocol_client import REQUEST, Client, Refused, frame
+from protocol_client import Client, Refused
+from push_client import WAYS, PushClient, Step
 from support import *
 
-ORDERS = ("by-id", "gateway", "direct")
 
-
-class Changing(Client):
-    """A client from PROTOCOL.md alone. It fetches the plan before every push."""
-
-    def __init__(self, path, how, **kwargs):
-        super().__init__(path, **kwargs)
-        self.how, self.links, self.attempts = how, [], 0
-        if how == "direct":
-            self.links = [Client(address[5:], session=self.session) for address in self.hello["data"]]
-
-    def close(self):
-        for link in self.links:
-            link.close()
-        super().close()
-
-    def slice(self, count, columns, **more):
-        types = {"x": self.dtype, "y": self.dtype, "z": self.dtype, "slot": "<u8", "id": "<i8", "w": "<f8"}
-        arrays = [{"name": name, "dtype": types[name], "shape": [count]} for name in columns]
-        bulk = b"".join(np.asarray(column).astype(types[name]).tobytes() for name, column in columns.items())
-        return frame(REQUEST, self.number, {"command": "push.slice", **self.push_id, "count": count,
-                                            "arrays": arrays, **more}, bulk, flags=1)
-
+class Changing(PushClient):
     def change(self, scene, step, model, moved=None, base=None, dtype="<f8", insert=None, own_ids=None, remove=(),
                send=True):
-        """moved: ids; None: all. model: id -> position, as they are after the move."""
-        self.dtype = dtype
-        answer, bulk = self.ask("plan", scene=scene)
-        n, ids = len(model), np.frombuffer(bulk[: 8 * len(model)], "<i8")
-        held = np.split(ids, np.cumsum(answer["counts"])[:-1])
-        by_id = self.how == "by-id"
-        if by_id:
-            held = [np.sort(ids)]
-        slots = [np.arange(len(of)) if moved is None else np.flatnonzero(np.isin(of, moved)) for of in held]
-        chosen = [of[s] for of, s in zip(held, slots)]
-        some = moved is not None and sum(map(len, chosen)) > 0
-        direct = self.how == "direct" and (some or moved is None)
-        self.attempts += 1
-        self.push_id = {"scene": scene, "session": self.session, "step": step, "attempt": self.attempts,
-                        "plan": answer["plan"]}
-        edits = (insert is not None) + (len(remove) > 0)
-        begin = {"command": "push.begin", **self.push_id, "n": n, "order": "id" if by_id else "plan", "changes": True,
-                 "path": "direct" if direct else "gateway", "dtype": dtype, "base_step": base,
-                 "moved": "all" if moved is None else "some" if some else "none",
-                 "counts": [len(of) for of in chosen] if some else None,
-                 "inserted": 0 if insert is None else len(insert), "removed": len(remove),
-                 "inserted_ids": own_ids is not None,
-                 "slices": edits + (0 if direct else sum(1 for of in chosen if len(of)))}
-        self.send(begin)
-        frames = [[] for _ in held]
-        for rank, of in enumerate(chosen):
-            if len(of):
-                points = np.array([model[int(i)] for i in of])
-                columns = {name: points[:, k] for k, name in enumerate("xyz"[: points.shape[1]])}
-                if some:
-                    columns["id" if by_id else "slot"] = of if by_id else slots[rank]
-                frames[rank].append(self.slice(len(of), columns, rank=rank))
-        if insert is not None:
-            columns = {name: insert[:, k] for k, name in enumerate("xyz"[: insert.shape[1]])}
-            if own_ids is not None:
-                columns["id"] = own_ids
-            self.socket.sendall(self.slice(len(insert), columns, holds="inserted"))
-        if len(remove):
-            self.socket.sendall(self.slice(len(remove), {"id": remove}, holds="removed"))
-        if not send:
-            return None
-        for rank, parts in enumerate(frames):
-            for part in parts:
-                (self.links[rank] if direct else self).socket.sendall(part)
-        return self.answer()
+        """moved: ids; None: all. model: id -> position, as they are after the move. send: all, not only what edits."""
+        ids = np.array(sorted(model))
+        begin, edits, slices = self.frames(scene, step, Step(
+            ids, np.array([model[i] for i in sorted(model)]), moved=moved, base_step=base, dtype=dtype, inserted=insert,
+            inserted_ids=own_ids, removed=remove))
+        self.socket.sendall(begin)
+        for link, data in edits + (slices if send else []):
+            link.sendall(data)
+        return self.answer() if send else None
 
 
 class Changes(unittest.TestCase):
@@ -123,12 +65,12 @@ class Changes(unittest.TestCase):
         for seed, dims, tolerance in ((1, 3, 0.2), (2, 2, 0.05), (3, 1, "inf")):
             rng = np.random.default_rng(seed)
             model = {i: rng.random(dims) for i in range(500)}
-            clients = {how: Changing(self.path, how) for how in ORDERS}
+            clients = {how: Changing(self.path, how) for how in WAYS}
             reference = f"full-{seed}"
             with Client(self.path) as client:
                 client.ask("scene.create", scene=reference, parts=7, dims=dims, tolerance=tolerance)
                 self.full(client, reference, 0, model)
-                for how in ORDERS:
+                for how in WAYS:
                     client.ask("scene.create", scene=f"{how}-{seed}", parts=7, dims=dims, tolerance=tolerance)
                     self.full(client, f"{how}-{seed}", 0, model)
                 same = True  # as long as nothing was inserted or removed
@@ -141,7 +83,7 @@ class Changes(unittest.TestCase):
             with Client(self.path) as client:
                 client.ask("scene.create", scene="cold", parts=7, dims=dims, replace=True)
                 self.full(client, "cold", 0, model, first=True)
-                for how in ORDERS:
+                for how in WAYS:
                     client.ask("rebalance", scene=f"{how}-{seed}")
                     warm, cold = (self.state(scene)[0] for scene in (f"{how}-{seed}", "cold"))
                     self.assertEqual([warm[k] for k in ("hash", "counts", "n")], [cold[k] for k in ("hash", "counts", "n")])
@@ -200,7 +142,7 @@ class Changes(unittest.TestCase):
 
     def test_what_is_refused_changes_nothing(self):
         model = {i: np.random.default_rng(5).random((300, 3))[i] for i in range(300)}
-        for how in ORDERS:
+        for how in WAYS:
             scene = "refused-" + how
             with Changing(self.path, how) as client:
                 client.ask("scene.create", scene=scene, parts=5)
@@ -244,7 +186,7 @@ class Changes(unittest.TestCase):
 
     def test_a_client_that_dies_leaves_the_previous_step(self):
         model = {i: np.random.default_rng(6).random((300, 3))[i] for i in range(300)}
-        for how in ORDERS:
+        for how in WAYS:
             scene = "dies-" + how
             with Changing(self.path, how) as client:
                 client.ask("scene.create", scene=scene, parts=5)

@@ -4,68 +4,13 @@ import signal as signals
 import time
 
 import members_test
-from protocol_client import REQUEST, Client, Refused, frame
+from member_client import DirectMember
+from protocol_client import Client, Refused
 from support import *
 
 MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 RANKS, PARTS, POINTS = 3, 7, 900
 LISTS = ("changed_id", "changed_part", "leave_id", "leave_to", "enter_id", "enter_from", "enter_part")
-
-
-class DirectMember(members_test.Member):
-    """Follows its parts, and knows the places of what it holds from the answers, by PROTOCOL.md alone."""
-
-    def __init__(self, path, scene, member, members, **kwargs):
-        super().__init__(path, scene, member, members, follow=True, **kwargs)
-        self.links = [Client(address[5:], session=self.session) for address in self.hello["data"]]
-        self.places = None  # of each id its rank and slot
-
-    def start(self, step, ids, points, attempt=0, **more):
-        self.directly = False
-        super().start(step, ids, points, attempt, places=True, **more)
-
-    def begin_directly(self, step, points, attempt=0, **more):
-        self.directly = True
-        slots = [sorted((slot, i) for i, (at, slot) in self.places.items() if at == rank)
-                 for rank in range(len(self.links))]
-        self.rows = [np.array([i for _, i in of_rank], int) for of_rank in slots]
-        self.push_id = {"scene": self.scene, "session": self.session, "step": step, "attempt": attempt,
-                        "plan": self.plan}
-        self.send({"command": "push.begin", **self.push_id, "n": len(self.places), "slices": 0, "order": "plan",
-                   "path": "direct", "counts": [len(rows) for rows in self.rows], "epoch": self.epoch,
-                   "base_step": self.step, "places": True, "changes": True, "deadline_seconds": 20, **more})
-        self.begun = self.number
-
-    def slices(self, points, each=70):
-        """(connection, frame) for all that goes to the ranks."""
-        for rank, rows in enumerate(self.rows):
-            for first in range(0, len(rows), each):
-                part = points[rows[first: first + each]]
-                arrays = [{"name": "xyz"[k], "dtype": "<f8", "shape": [len(part)]} for k in range(points.shape[1])]
-                yield self.links[rank].socket, frame(
-                    REQUEST, self.number, {"command": "push.slice", **self.push_id, "rank": rank, "first": first,
-                                           "count": len(part), "arrays": arrays},
-                    part.T.astype("<f8").tobytes(), flags=first % 2)
-
-    def start_directly(self, step, points, attempt=0, **more):
-        self.begin_directly(step, points, attempt, **more)
-        for link, data in self.slices(points):
-            link.sendall(data)
-
-    def finish(self):
-        answer, news = super().finish()
-        if not self.directly:
-            self.places = {}
-        for i in news["leave_id"].tolist():
-            self.places.pop(i, None)
-        self.places.update(zip(news["place_id"].tolist(), zip(news["place_rank"].tolist(), news["place_slot"].tolist())))
-        self.step, self.epoch, self.plan = answer["report"]["step"], answer["report"]["epoch"], answer["plan"]
-        return answer, news
-
-    def close(self):
-        for link in self.links:
-            link.close()
-        super().close()
 
 
 class MembersDirect(unittest.TestCase):

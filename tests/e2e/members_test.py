@@ -1,54 +1,9 @@
 """Parallel solvers: M members push a scene together, wait for one another, die and return."""
 import threading
 
-from protocol_client import FAILURE, NOTICE, REPLY, Client, Refused
+from member_client import Member
+from protocol_client import NOTICE, Client, Refused
 from support import *
-
-
-class Member(Client):
-    """Member k of M, from PROTOCOL.md alone."""
-
-    def __init__(self, path, scene, member, members, **kwargs):
-        self.more = {k: kwargs.pop(k) for k in ("follow", "generation") if k in kwargs}
-        super().__init__(path, **kwargs)
-        self.scene, self.member = scene, member
-        self.opened = self.ask("scene.open", scene=scene, member=member, members=members, **self.more)[0]
-
-    def begin(self, step, ids, attempt=0, **more):
-        self.push_id = {"scene": self.scene, "session": self.session, "step": step, "attempt": attempt}
-        self.send({"command": "push.begin", **self.push_id, "n": len(ids), "slices": int(len(ids) > 0), "order": "id",
-                   "ids": True, "changes": True, "deadline_seconds": 20, **more})
-        self.begun = self.number
-
-    def slice(self, ids, points, cut=None):
-        if len(ids) == 0:
-            return
-        arrays = [{"name": "xyz"[k], "dtype": "<f8", "shape": [len(ids)]} for k in range(points.shape[1])]
-        arrays.append({"name": "id", "dtype": "<i8", "shape": [len(ids)]})
-        document = {"command": "push.slice", **self.push_id, "rank": 0, "count": len(ids), "arrays": arrays}
-        bulk = np.ascontiguousarray(points[ids].T, "<f8").tobytes() + np.asarray(ids, "<i8").tobytes()
-        if cut is None:
-            return self.send(document, bulk)
-        from protocol_client import REQUEST, frame
-        self.socket.sendall(frame(REQUEST, self.number + 1, document, bulk)[:-cut])
-
-    def start(self, step, ids, points, attempt=0, **more):
-        self.begin(step, ids, attempt, **more)
-        self.slice(ids, points)
-
-    def finish(self):
-        """(answer with its arrays, by name)."""
-        last, self.number = self.number, self.begun
-        try:
-            answer, bulk = self.answer()
-        finally:
-            self.number = last
-        arrays, at = {}, 0
-        for spec in answer["arrays"]:
-            size = spec["shape"][0] * int(spec["dtype"][2])
-            arrays[spec["name"]] = np.frombuffer(bulk[at: at + size], spec["dtype"])
-            at += size
-        return answer, arrays
 
 
 def owner(parts, count, members):

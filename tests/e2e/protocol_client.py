@@ -6,6 +6,8 @@ import os
 import socket
 import struct
 
+import numpy as np
+
 _xxh = ctypes.CDLL(ctypes.util.find_library("xxhash") or "libxxhash.so.0")
 _xxh.XXH3_64bits.restype = ctypes.c_uint64
 _xxh.XXH3_64bits.argtypes = [ctypes.c_char_p, ctypes.c_size_t]
@@ -24,32 +26,80 @@ def frame(kind, request, document, bulk=b"", flags=0):
     return head + struct.pack("<Q", xxh3(head + text)) + text + bulk + tail
 
 
+def described(columns, dtypes={}):
+    """(the `arrays` of a message, their bulk); positions are <f8 unless said otherwise, `id` is <i8."""
+    default = {"id": "<i8", "slot": "<u8"}
+    arrays, bulk = [], []
+    for name, column in columns.items():
+        dtype = dtypes.get(name) or default.get(name, "<f8")
+        arrays.append({"name": name, "dtype": dtype, "shape": [len(column)]})
+        bulk.append(np.ascontiguousarray(column, dtype).tobytes())
+    return arrays, b"".join(bulk)
+
+
+def arrays_of(document, bulk):
+    """The arrays of an answer, by name."""
+    arrays, at = {}, 0
+    for spec in document.get("arrays", ()):
+        size = int(np.prod(spec["shape"])) * np.dtype(spec["dtype"]).itemsize
+        arrays[spec["name"]] = np.frombuffer(bulk[at: at + size], spec["dtype"])
+        at += size
+    assert at == len(bulk), (document.get("arrays"), len(bulk))
+    return arrays
+
+
 class Refused(Exception):
-    pass
+    """The service answered with a failure: its code and its message."""
+
+
+def connected(address, timeout):
+    """A socket to a path, `unix:PATH` or `HOST:PORT`."""
+    if address.startswith(("/", "unix:")):
+        made = socket.socket(socket.AF_UNIX)
+        made.settimeout(timeout)
+        place = address.removeprefix("unix:")
+    else:
+        made = socket.socket(socket.AF_INET6 if address.startswith("[") else socket.AF_INET)
+        made.settimeout(timeout)
+        host, port = address.rsplit(":", 1)
+        place = (host.strip("[]"), int(port))
+    try:
+        made.connect(place)
+    except OSError:
+        made.close()
+        raise
+    return made
 
 
 class Client:
-    def __init__(self, path, session=None, hello=True, timeout=30):
-        self.socket = socket.socket(socket.AF_UNIX)
-        self.socket.settimeout(timeout)
-        self.socket.connect(path)
+    """One connection, opened with hello unless told otherwise. `token` is for TCP."""
+
+    def __init__(self, address, session=None, hello=True, timeout=30, token=None):
+        self.socket = connected(address, timeout)
+        self.token = token
         self.number = 0
         self.session = session or os.urandom(8).hex()
         kind, _, self.welcome, _ = self.receive()
         assert kind == WELCOME
         if hello:
-            self.number += 1
-            self.socket.sendall(frame(HELLO, self.number, {"protocol": 1, "client": "e2e", "session": self.session}))
-            self.hello = self.answer()[0]
+            self.say_hello()
+
+    def say_hello(self):
+        document = {"protocol": 1, "client": "e2e", "session": self.session}
+        if self.welcome["authentication"] == "token":
+            document["token"] = self.token
+        self.number += 1
+        self.socket.sendall(frame(HELLO, self.number, document))
+        self.hello = self.answer()[0]
 
     def exactly(self, count):
-        data = b""
+        data = bytearray()
         while len(data) < count:
-            chunk = self.socket.recv(count - len(data))
+            chunk = self.socket.recv(min(count - len(data), 1 << 20))
             if not chunk:
                 raise EOFError
             data += chunk
-        return data
+        return bytes(data)
 
     def receive(self):
         head = self.exactly(40)

@@ -1,0 +1,96 @@
+"""Members of a parallel solver, from PROTOCOL.md alone."""
+import numpy as np
+from protocol_client import REQUEST, Client, arrays_of, described, frame
+
+
+class Member(Client):
+    """Member k of M, from PROTOCOL.md alone."""
+
+    def __init__(self, path, scene, member, members, **kwargs):
+        self.more = {k: kwargs.pop(k) for k in ("follow", "generation") if k in kwargs}
+        super().__init__(path, **kwargs)
+        self.scene, self.member = scene, member
+        self.opened = self.ask("scene.open", scene=scene, member=member, members=members, **self.more)[0]
+
+    def begin(self, step, ids, attempt=0, **more):
+        self.push_id = {"scene": self.scene, "session": self.session, "step": step, "attempt": attempt}
+        self.send({"command": "push.begin", **self.push_id, "n": len(ids), "slices": int(len(ids) > 0), "order": "id",
+                   "ids": True, "changes": True, "deadline_seconds": 20, **more})
+        self.begun = self.number
+
+    def slice(self, ids, points, cut=None):
+        if len(ids) == 0:
+            return
+        arrays, bulk = described({**dict(zip("xyz", points[ids].T)), "id": ids})
+        document = {"command": "push.slice", **self.push_id, "rank": 0, "count": len(ids), "arrays": arrays}
+        if cut is None:
+            return self.send(document, bulk)
+        self.socket.sendall(frame(REQUEST, self.number + 1, document, bulk)[:-cut])
+
+    def start(self, step, ids, points, attempt=0, **more):
+        self.begin(step, ids, attempt, **more)
+        self.slice(ids, points)
+
+    def finish(self):
+        """(answer with its arrays, by name)."""
+        last, self.number = self.number, self.begun
+        try:
+            answer, bulk = self.answer()
+        finally:
+            self.number = last
+        return answer, arrays_of(answer, bulk)
+
+
+class DirectMember(Member):
+    """Follows its parts, and knows the places of what it holds from the answers, by PROTOCOL.md alone."""
+
+    def __init__(self, path, scene, member, members, **kwargs):
+        super().__init__(path, scene, member, members, follow=True, **kwargs)
+        self.links = [Client(place, session=self.session, token=self.token) for place in self.hello["data"]]
+        self.places = None  # of each id its rank and slot
+
+    def start(self, step, ids, points, attempt=0, **more):
+        self.directly = False
+        super().start(step, ids, points, attempt, places=True, **more)
+
+    def begin_directly(self, step, points, attempt=0, **more):
+        self.directly = True
+        slots = [sorted((slot, i) for i, (at, slot) in self.places.items() if at == rank)
+                 for rank in range(len(self.links))]
+        self.rows = [np.array([i for _, i in of_rank], int) for of_rank in slots]
+        self.push_id = {"scene": self.scene, "session": self.session, "step": step, "attempt": attempt,
+                        "plan": self.plan}
+        self.send({"command": "push.begin", **self.push_id, "n": len(self.places), "slices": 0, "order": "plan",
+                   "path": "direct", "counts": [len(rows) for rows in self.rows], "epoch": self.epoch,
+                   "base_step": self.step, "places": True, "changes": True, "deadline_seconds": 20, **more})
+        self.begun = self.number
+
+    def slices(self, points, each=70):
+        """(connection, frame) for all that goes to the ranks."""
+        for rank, rows in enumerate(self.rows):
+            for first in range(0, len(rows), each):
+                part = points[rows[first: first + each]]
+                arrays, bulk = described(dict(zip("xyz", part.T)))
+                yield self.links[rank].socket, frame(
+                    REQUEST, self.number, {"command": "push.slice", **self.push_id, "rank": rank, "first": first,
+                                           "count": len(part), "arrays": arrays}, bulk, flags=first % 2)
+
+    def start_directly(self, step, points, attempt=0, **more):
+        self.begin_directly(step, points, attempt, **more)
+        for link, data in self.slices(points):
+            link.sendall(data)
+
+    def finish(self):
+        answer, news = super().finish()
+        if not self.directly:
+            self.places = {}
+        for i in news["leave_id"].tolist():
+            self.places.pop(i, None)
+        self.places.update(zip(news["place_id"].tolist(), zip(news["place_rank"].tolist(), news["place_slot"].tolist())))
+        self.step, self.epoch, self.plan = answer["report"]["step"], answer["report"]["epoch"], answer["plan"]
+        return answer, news
+
+    def close(self):
+        for link in self.links:
+            link.close()
+        super().close()
