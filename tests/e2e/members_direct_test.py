@@ -240,13 +240,14 @@ class MembersDirect(unittest.TestCase):
 
     def test_the_library_pushes_by_ids_where_it_must(self):
         running = self.solve(self.service, 4, "shaken", "direct", wait=False, steps=60)
-        rebalanced = 0
+        rebalanced, next_step = 0, 0  # every few steps, so that members push straight to the ranks in between
         try:
             while running.poll() is None:
                 try:
-                    if self.control.ask("scene.show", scene="shaken")[0]["step"] is not None:
+                    step = self.control.ask("scene.show", scene="shaken")[0]["step"]
+                    if step is not None and step >= next_step:
                         self.control.ask("rebalance", scene="shaken", method=("bands-x", "rcb")[rebalanced % 2])
-                        rebalanced += 1
+                        rebalanced, next_step = rebalanced + 1, step + 5
                 except Refused as refused:
                     self.assertIn(refused.args[0], ("not_found", "busy"))
                 time.sleep(0.02)
