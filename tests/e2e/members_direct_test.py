@@ -8,7 +8,6 @@ from member_client import DirectMember
 from protocol_client import Client, Refused
 from support import *
 
-MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 RANKS, PARTS, POINTS = 3, 7, 900
 LISTS = ("changed_id", "changed_part", "leave_id", "leave_to", "enter_id", "enter_from", "enter_part")
 

@@ -4,7 +4,6 @@ import time
 
 from support import *
 
-MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 POINTS, STEPS = 1500, 8
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 BIN = os.environ.get("RCBD_BIN_DIR") or os.path.join(os.path.dirname(__file__), "..", "..", "build", "release", "bin")
 RCBCTL = os.path.join(BIN, "rcbctl")
+MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 
 
 def run(*args, endpoint=None, timeout=120, program=RCBCTL, cwd=None, env=None):
@@ -108,5 +109,5 @@ def processes_of(text):
     return found
 
 
-__all__ = ["BIN", "RCBCTL", "Service", "hard_scenes", "json", "np", "os", "processes_of", "run", "shutil", "signal",
+__all__ = ["BIN", "MPIRUN", "RCBCTL", "Service", "hard_scenes", "json", "np", "os", "processes_of", "run", "shutil", "signal",
            "subprocess", "sys", "tempfile", "unittest"]

@@ -1,0 +1,96 @@
+"""What happens to the service's processes and its disk."""
+import os
+import signal
+import time
+
+from actor import Actor, Gone
+from protocol_client import Refused
+from support import processes_of
+from world import KNOWN
+
+
+class Stops(Actor):
+    expects = "a rank, mpirun or the supervisor that stands still for 10 ms to 3 s delays answers and does nothing else"
+    pause_seconds = 1.5
+
+    def turn(self):
+        kinds = ["rank"] * 6 + ["supervisor"] + (["mpirun"] if "stopped-mpirun" not in KNOWN else [])
+        kind = self.random.choice(kinds)
+        if kind == "rank":
+            pids = self.world.rank_pids()
+        else:
+            pids = [pid for pid, line in processes_of(self.world.data) if self.is_a(kind, line)]
+        if not pids:
+            return
+        pid = self.random.choice(pids)
+        seconds = 10 ** self.random.uniform(-2, 0.48)
+        try:
+            os.kill(pid, signal.SIGSTOP)
+            time.sleep(max(0, min(seconds, self.world.left())))
+        except ProcessLookupError:
+            self.expect(self.excused(), kind, pid, "is gone")
+        finally:
+            try:
+                os.kill(pid, signal.SIGCONT)
+            except ProcessLookupError:
+                self.expect(self.excused(), kind, pid, "is gone")
+        self.count("stopped " + kind)
+
+    def is_a(self, kind, line):
+        program = os.path.basename(line.split()[0])
+        return program == ("mpirun" if kind == "mpirun" else "rcbctl")
+
+
+class Disk(Actor):
+    """The data directory is a small file system of its own, see `stress.py`."""
+
+    expects = "a data directory without room delays nothing and loses nothing"
+    pause_seconds = 4
+
+    def turn(self):
+        path = os.path.join(self.world.data, "filling")
+        try:
+            with open(path, "wb") as file:
+                try:
+                    while True:
+                        file.write(b"\0" * 65536)
+                        file.flush()
+                except OSError:
+                    pass
+            self.count("filled")
+            with self.connect(keep=False) as client:
+                scene = self.create(client, parts=2)
+                self.ask(client, "scene.drop", scene=scene)
+                self.scenes.remove(scene)
+            time.sleep(max(0, min(self.random.uniform(0.1, 3), self.world.left())))
+        finally:
+            os.unlink(path)
+
+
+class Kills(Actor):
+    expects = "a rank that is killed takes the service down for seconds; everybody goes on"
+    pause_seconds = 20
+
+    def turn(self):
+        pids = self.world.rank_pids()
+        pid = self.random.choice(pids)
+        with self.world.deaths.get_lock():
+            self.world.deaths.value += 1
+        os.kill(pid, signal.SIGKILL)
+        self.count("killed")
+        end = time.monotonic() + 120 * self.world.patience
+        while True:
+            try:
+                now = self.world.rank_pids()
+                if len(now) == self.world.ranks and not set(now) & set(pids):
+                    with self.connect(keep=False) as client:
+                        client.ask("status")
+                    break
+            except (OSError, EOFError, Refused):
+                pass
+            if time.monotonic() > end:
+                raise Gone("the service is not started again after a rank was killed")
+            time.sleep(0.2)
+        with self.world.deaths.get_lock():
+            self.world.deaths.value += 1
+        self.known_deaths = self.world.deaths.value

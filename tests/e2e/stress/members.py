@@ -1,0 +1,140 @@
+"""Members of a parallel solver that join, push, die in the midst of a slice and come back."""
+import numpy as np
+from actor import Actor
+from member_client import DirectMember, Member
+from model import Model, check_report, check_scene
+from protocol_client import Refused
+
+TURNS = 25  # then another team
+
+
+class Members(Actor):
+    expects = "a step is everybody's or nobody's; who died comes back with a higher generation; the scene is the model's"
+
+    def start(self):
+        self.control = self.connect()
+        self.drop_all(self.control)
+        rng = self.rng
+        self.count_of_members, self.parts = int(rng.integers(1, 6)), int(rng.integers(1, 12))
+        self.direct = bool(rng.integers(2))
+        self.model = Model.random(rng, int(rng.choice([40, 900, 3000])), int(rng.integers(1, 4)), False, False)
+        self.scene = self.create(self.control, parts=self.parts, dims=self.model.points.shape[1],
+                                 tolerance=float(rng.choice([0.02, 0.1])))
+        self.number, self.turns, self.attempt = 0, 0, 0
+        n, count = len(self.model.ids), self.count_of_members
+        self.held = [np.arange(k * n // count, (k + 1) * n // count) for k in range(count)]
+        self.team = [self.join(k) for k in range(count)]
+        self.push(by_ids=True)
+
+    def join(self, member, **options):
+        kind = DirectMember if self.direct else Member
+        return self.connect(kind, self.scene, member, self.count_of_members, **options)
+
+    def turn(self):
+        self.turns += 1
+        if self.turns > TURNS:
+            self.close_all()
+            return self.start()
+        scale = float(self.rng.choice([1e-3, 0.02, 0.3]))
+        self.model.points = self.model.points * self.rng.choice([1, 0.98]) + self.rng.normal(
+            0, scale, self.model.points.shape)
+        self.number += 1
+        happens = self.rng.integers(8)
+        came_back = False
+        if happens == 0:
+            self.die()
+            came_back = True
+        elif happens == 1:
+            self.take_seat()
+            came_back = True
+        self.push(by_ids=came_back or not self.direct or self.rng.integers(6) == 0)
+        if self.turns % 6 == 0:
+            check_scene(self, self.control, self.scene, self.model)
+            self.count("checks")
+
+    def begin_push(self, one, ids, by_ids):
+        self.attempt += 1
+        options = {"deadline_seconds": self.world.answer_seconds}
+        if by_ids:
+            one.start(self.number, ids, self.model.points, self.attempt, **options)
+        else:
+            one.start_directly(self.number, self.model.points, self.attempt, **options)
+
+    def push(self, by_ids):
+        """One step of all, again as long as the service is busy."""
+        for _ in range(100):
+            for one, ids in zip(self.team, self.held):
+                self.begin_push(one, ids, by_ids)
+            refusals, answers = self.answers(self.team)
+            if not refusals:
+                return self.take(answers)
+            self.expect(all(code in ("busy", "aborted") for code, _ in refusals), "a step of all members", refusals)
+            self.count("busy")
+        self.expect(False, "busy a hundred times", refusals)
+
+    def answers(self, team):
+        refusals, answers = [], []
+        for one in team:
+            try:
+                answers.append(one.finish())
+            except Refused as refused:
+                refusals.append(refused.args)
+        return refusals, answers
+
+    def take(self, answers):
+        self.count("steps")
+        self.model.parts = self.model.parts.copy()
+        for answer, arrays in answers:
+            check_report(self, answer["report"], self.scene, self.number, len(self.model.ids))
+            self.model.parts[arrays["changed_id"]] = arrays["changed_part"]
+        if not self.direct:
+            return
+        left = sum(len(arrays["leave_id"]) for _, arrays in answers)
+        entered = sum(len(arrays["enter_id"]) for _, arrays in answers)
+        self.expect(left == entered, "members hand over", left, "and are handed", entered)
+        self.held = [np.union1d(np.setdiff1d(ids, arrays["leave_id"]), arrays["enter_id"])
+                     for ids, (_, arrays) in zip(self.held, answers)]
+        together = np.sort(np.concatenate(self.held))
+        self.expect(np.array_equal(together, self.model.ids), "particles of all members together")
+
+    def die(self):
+        """A member dies, between two steps or in one, and comes back."""
+        victim = int(self.rng.integers(self.count_of_members))
+        one = self.team[victim]
+        generation = one.opened["membership"]["generation"]
+        if self.rng.integers(2) and len(self.held[victim]):  # else its begin would be the whole of its push
+            self.die_in_a_step(victim)
+        one.close()
+        self.count("deaths")
+        self.team[victim] = self.join(victim)
+        now = self.team[victim].opened["membership"]["generation"]
+        self.expect(now > generation, "generation", now, "after", generation)
+
+    def die_in_a_step(self, victim):
+        """The others are told, and the previous step stands."""
+        before = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
+        others = [one for k, one in enumerate(self.team) if k != victim]
+        for k, one in enumerate(self.team):
+            if k != victim:
+                self.begin_push(one, self.held[k], by_ids=True)
+        self.attempt += 1
+        one = self.team[victim]
+        one.begin(self.number, self.held[victim], self.attempt, **({"places": True} if self.direct else {}))
+        one.slice(self.held[victim], self.model.points, cut=int(self.rng.integers(1, 25)))
+        one.close()
+        refusals, answers = self.answers(others)
+        self.expect(not answers, "a step without member", victim, answers[:1])
+        self.expect(all(code in ("aborted", "busy") for code, _ in refusals), "members of one that died", refusals)
+        after = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
+        self.expect(before == after, "a step that was given up counts", before, after)
+
+    def take_seat(self):
+        """A member comes back before its older connection has ended."""
+        victim = int(self.rng.integers(self.count_of_members))
+        old = self.team[victim]
+        generation = old.opened["membership"]["generation"]
+        new = self.join(victim, generation=generation + 1)
+        self.expect(new.opened["membership"]["generation"] == generation + 1, "generation", new.opened["membership"])
+        old.close()
+        self.team[victim] = new
+        self.count("seats taken")

@@ -1,0 +1,97 @@
+"""The service of a run: started as a user would, with the sanitizers' options; stopped, with a look at what is left."""
+import glob
+import os
+import re
+import signal
+import socket
+import subprocess
+import time
+
+from fuzz import listeners
+from support import processes_of
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+PATIENCE = {"": 1, "address,undefined": 4, "thread": 8}
+
+
+def sanitizers_of(build):
+    """What a build folder was configured with, as -fsanitize takes it."""
+    with open(os.path.join(build, "CMakeCache.txt")) as file:
+        found = re.search(r"^RCB_SANITIZE:\w+=(.*)$", file.read(), re.M)
+    return found.group(1) if found else ""
+
+
+def sanitizer_environment(folder):
+    """Findings go to files, a program goes on after one, and Open MPI's own are left out."""
+    common = f"log_path={folder}/report:halt_on_error=0:print_stacktrace=1:print_suppressions=0"
+    return {
+        "ASAN_OPTIONS": f"{common}:detect_leaks=1:quarantine_size_mb=16:allocator_release_to_os_interval_ms=1000",
+        "UBSAN_OPTIONS": common,
+        "LSAN_OPTIONS": f"suppressions={HERE}/suppressions/leak.txt",
+        "TSAN_OPTIONS": f"{common}:suppressions={HERE}/suppressions/thread.txt:second_deadlock_stack=1",
+    }
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Service:
+    def __init__(self, programs, folder, data, ranks, patience):
+        self.programs, self.folder, self.data, self.ranks, self.patience = programs, folder, data, ranks, patience
+        self.endpoint = f"unix:{folder}/s"
+        self.tcp = f"127.0.0.1:{free_port()}"
+        self.reports = os.path.join(folder, "sanitizer")
+        os.makedirs(self.reports)
+        self.environment = {**os.environ, **sanitizer_environment(self.reports), "RCBD_ENDPOINT": self.endpoint,
+                            "RCBD_LISTEN": self.tcp, "RCBD_BIN_DIR": programs,
+                            "RCBD_SILENCE_SECONDS": str(15 * patience), "RCBD_STALL_SECONDS": str(120 * patience)}
+        self.places = set()  # outside its own folder, that it has to remove
+
+    def ctl(self, *arguments):
+        return subprocess.run([os.path.join(self.programs, "rcbctl"), *map(str, arguments)], env=self.environment,
+                              cwd=self.folder, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                              timeout=120 * self.patience)
+
+    def start(self):
+        up = self.ctl("up", "-n", self.ranks, "--data-dir", self.data, "--deadline", 60 * self.patience,
+                      *self.service_options())
+        if up.returncode != 0:
+            raise RuntimeError(f"rcbctl up: exit {up.returncode}: {up.stdout}{up.stderr}")
+
+    def service_options(self):
+        known = subprocess.run([os.path.join(self.programs, "rcbd"), "--help"], capture_output=True, text=True).stdout
+        options = {"--keep-reports": 200, "--files-below": self.folder}
+        return [word for name, value in options.items() if name in known for word in (name, value)]
+
+    def note_places(self, pids):
+        """Folders and sockets outside its own folder that the running service uses."""
+        for place in listeners(pids):
+            if place.startswith("unix:") and not place.startswith(self.endpoint):
+                self.places.add(os.path.dirname(place[5:]) if "rcbd" in os.path.dirname(place) else place[5:])
+        for _, line in processes_of(self.data):
+            self.places |= set(re.findall(r"/dev/shm/\S+", line))
+
+    def stop(self):
+        """Stops it cleanly. Returns what was not as it should be."""
+        wrong = []
+        down = self.ctl("down", "--deadline", 60 * self.patience)
+        if down.returncode != 0:
+            wrong.append(f"rcbctl down: exit {down.returncode}: {down.stdout}{down.stderr}")
+        end = time.monotonic() + 20 * self.patience
+        while processes_of(self.data) and time.monotonic() < end:
+            time.sleep(0.1)
+        for pid, line in processes_of(self.data):
+            wrong.append(f"still running: {pid} {line}")
+            os.kill(pid, signal.SIGKILL)
+        return wrong + self.left_behind()
+
+    def left_behind(self):
+        """Sockets and files that nobody needs any more."""
+        left = glob.glob(f"{self.folder}/s") + glob.glob(f"{self.folder}/s.*")
+        left += [place for place in sorted(self.places) if os.path.exists(place)]
+        left += [name for name in os.listdir(self.data)
+                 if not re.fullmatch(r"rcbd\.log(\.\d+)?|clean-shutdown|lock|launch\.lock|token", name)]
+        return [f"left behind: {path}" for path in left]
