@@ -3,8 +3,12 @@
 #include <memory>
 #include <utility>
 
+#include "server/api/commands.hpp"
+
 namespace rcb::server {
 namespace {
+
+constexpr std::uint64_t kBytesAheadMax = std::uint64_t{64} << 20U;
 
 std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
   auto to = std::make_shared<net::Snapshot>();
@@ -67,7 +71,30 @@ std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::J
   return slices;
 }
 
+Bridge::Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data, int ranks)
+    : engine_(engine), doorbells_(doorbells), data_(data), credits_(ranks - 1, kOrdersAheadMax, kBytesAheadMax) {}
+
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
+  const auto* command = api::find_command(order.request.value("command", ""));
+  const bool root_alone = command != nullptr && command->runs_on == api::RunsOn::root;
+  Waiting next{std::move(order), std::move(done), !root_alone};
+  if (waiting_.empty() && may_go(next))
+    send(std::move(next));
+  else
+    waiting_.push_back(std::move(next));
+}
+
+void Bridge::executed(int rank, std::uint64_t orders) {
+  credits_.executed(rank, orders);
+  while (!waiting_.empty() && may_go(waiting_.front())) {
+    Waiting next = std::move(waiting_.front());
+    waiting_.pop_front();
+    send(std::move(next));
+  }
+}
+
+void Bridge::send(Waiting next) {
+  net::Order& order = next.order;
   ranks::EngineOrder out;
   out.number = ++number_;
   out.slices = staged_slices(data_, order.request);
@@ -75,11 +102,14 @@ void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;
   out.deadline_seconds = order.deadline_seconds;
-  out.done = [done = std::move(done)](service::Response response, const service::Snapshot& snapshot) {
+  out.cancelled = std::move(order.cancelled);
+  out.done = [done = std::move(next.done)](service::Response response, const service::Snapshot& snapshot) {
     done({std::move(response.status), std::move(response.json), std::move(response.arrays), convert(snapshot)});
   };
   // This rank's engine wakes while the others are rung: a command that needs none of them is answered meanwhile.
   CHECK(engine_.push(std::move(out)), "the engine's queue is full");
+  if (!next.on_all_ranks) return;
+  credits_.sent(order.text.size());
   doorbells_.ring(number_, order.text);
 }
 

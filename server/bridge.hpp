@@ -1,11 +1,16 @@
-// Bridge: rank 0's engine as the sessions see it. An order gets its number here, goes to all ranks, and its answer
-// comes back.
+// Bridge: rank 0's engine as the sessions see it. An order gets its number here, goes to rank 0's engine and, unless
+// that one can answer it alone, to all other ranks; its answer comes back.
+//
+// Invariant: orders go out in the order of submit(). They wait here while a rank is too far behind (net::Credits).
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <functional>
+#include <string>
 #include <vector>
 
+#include "server/net/credits.hpp"
 #include "server/net/data_port.hpp"
 #include "server/net/doorbell.hpp"
 #include "server/net/engine.hpp"
@@ -14,16 +19,32 @@
 
 namespace rcb::server {
 
+// Orders that a rank may have in its queue: those that Credits lets through, and the shutdown.
+inline constexpr std::size_t kOrdersAheadMax = 128;
+// A rank says after so many orders, and with every sign of life, how many it has executed.
+inline constexpr std::uint64_t kExecutedWordEvery = 16;
+
 class Bridge final : public net::Engine {
  public:
-  Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data)
-      : engine_(engine), doorbells_(doorbells), data_(data) {}
+  Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data, int ranks);
   void submit(net::Order order, std::function<void(net::Answer)> done) override;
+  // I/O thread. The rank has executed so many orders in all.
+  void executed(int rank, std::uint64_t orders);
 
  private:
+  struct Waiting {
+    net::Order order;
+    std::function<void(net::Answer)> done;
+    bool on_all_ranks = true;
+  };
+  bool may_go(const Waiting& next) const { return !next.on_all_ranks || credits_.room(next.order.text.size()); }
+  void send(Waiting next);
+
   ranks::EngineLoop& engine_;
   net::DoorbellHub& doorbells_;
   net::DataPort& data_;
+  net::Credits credits_;
+  std::deque<Waiting> waiting_;  // at most as many as the coordinator lets be unfinished
   std::uint64_t number_ = 0;
 };
 

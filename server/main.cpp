@@ -1,6 +1,7 @@
 // rcbd: wiring only. Rank 0 opens the sockets, tells the others through MPI where its doorbell is, and all ranks
 // execute orders until one says shutdown.
 #include <algorithm>
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <memory>
@@ -34,7 +35,8 @@ namespace {
 constexpr double kStartSeconds = 30;
 constexpr double kGoodbyeSeconds = 5;
 constexpr unsigned kFinalizeSeconds = 30;
-constexpr std::size_t kQueueOrders = wire::kOrdersMax + 1;  // and the shutdown
+// Rank 0 has at most the unfinished orders, the others those that credits let through; and the shutdown.
+constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax, kOrdersAheadMax) + 1;
 
 // The other ranks can't be told any more; mpirun takes the job down when one rank ends like this.
 [[noreturn]] void die(const std::string& why) {
@@ -147,7 +149,7 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
   root.doorbells = std::move(*doorbells);
   root.token = options.token;
   root.port = std::make_unique<net::DataPort>(loop, data_options(options.token, options.bulk_bytes_max, 0));
-  root.bridge = std::make_unique<Bridge>(engine, *root.doorbells, *root.port);
+  root.bridge = std::make_unique<Bridge>(engine, *root.doorbells, *root.port, ranks);
   root.control = std::make_unique<net::Control>(loop, options, *root.bridge);
   if (!config.socket.empty()) {
     const Status status = root.control->listen_unix(config.socket);
@@ -191,12 +193,18 @@ void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi, 
       places.push_back(endpoint.starts_with("unix:") ? endpoint : host_of(endpoint));
   mpi.share(data_text(places, root.token));
   const auto addresses = open_data(mpi, *root.port, places);
-  root.hub = std::make_unique<net::DataHub>(*root.doorbells, *root.port, *root.control, mpi.size());
+  root.hub = std::make_unique<net::DataHub>(*root.doorbells, *root.port, mpi.size());
+  root.doorbells->on_news([&root](int rank, const wire::Json& news) {
+    if (const auto orders = news.find("executed"); orders != news.end())
+      root.bridge->executed(rank, orders->get<std::uint64_t>());
+    if (news.contains("number")) root.control->slice_reported(rank, net::read_report(news));
+  });
+  root.control->ask_for_silence([&root] { return root.doorbells->silent(); });
   for (std::size_t i = 0; i < places.size(); ++i)
     if (!addresses[i].empty()) root.control->serve_data(*root.hub, root.endpoints[i], addresses[i]);
-  root.port->start([control = root.control.get()](std::uint64_t number,
-                                                  const Status& status) { control->slice_ended(0, number, status); },
-                   watch_arrivals(loans));
+  root.port->start(
+      [control = root.control.get()](const net::SliceReport& report) { control->slice_reported(0, report); },
+      watch_arrivals(loans));
 }
 
 int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
@@ -204,15 +212,19 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   net::IoLoop loop;
   Root root;
   // Its orders hold timers of the loop.
-  ranks::EngineLoop engine(
-      kQueueOrders, [&root](service::Spare spare) { root.port->recycle(spare.scene, std::move(spare.buffers)); });
+  ranks::EngineLoop engine(kQueueOrders, {.spare = [&root](service::Spare spare) {
+                             root.port->recycle(spare.scene, std::move(spare.buffers));
+                           }});
   const Status opened = open_root(root, config, mpi.size(), loop, engine);
   if (!opened.ok()) say_failure(opened);
   mpi.share(opened.ok() ? root.doorbells->address().path : "refused");
   if (!opened.ok()) return 1;
   mpi.share(root.doorbells->address().secret);
   open_direct_path(root, config, mpi, loans);
-  watch(loop, engine, config, [hub = root.doorbells.get()] { hub->tick(); });
+  watch(loop, engine, config, [&root] {
+    root.doorbells->tick();
+    root.port->tick();
+  });
   loop.start();
   const Status connected = root.doorbells->wait_connected(kStartSeconds);
   if (!connected.ok()) die(connected.message());
@@ -250,8 +262,15 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   net::DataPort port(loop, data_options(token, net::bulk_bytes_default(), mpi.rank()));
   open_data(mpi, port, places);
   // Its orders hold timers of the loop.
-  ranks::EngineLoop engine(kQueueOrders,
-                           [&port](service::Spare spare) { port.recycle(spare.scene, std::move(spare.buffers)); });
+  std::unique_ptr<net::Doorbell> doorbell;
+  std::atomic<std::uint64_t> executed = 0;
+  const auto word = [&executed] { return wire::Json{{"executed", executed.load()}}; };
+  ranks::EngineLoop engine(
+      kQueueOrders, {.spare = [&port](service::Spare spare) { port.recycle(spare.scene, std::move(spare.buffers)); },
+                     .executed =
+                         [&] {
+                           if (++executed % kExecutedWordEvery == 0) loop.post([&] { doorbell->tell(word()); });
+                         }});
   auto ordered = [&engine, &port](std::uint64_t number, wire::Json request) {
     ranks::EngineOrder order;
     order.number = number;
@@ -262,13 +281,15 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
     order.request = std::move(request);
     CHECK(engine.push(std::move(order)), "the engine's queue is full");
   };
-  auto doorbell = net::Doorbell::connect(loop, mpi.rank(), address, config.silence_seconds, ordered, die);
-  if (!doorbell.ok()) die(doorbell.status().message());
-  (*doorbell)->on_news([&port](int, const wire::Json& news) { net::follow_hub(port, news); });
-  port.start([bell = doorbell->get()](std::uint64_t number,
-                                      const Status& status) { bell->tell(net::report_json(number, status)); },
-             watch_arrivals(loans));
-  watch(loop, engine, config, [bell = doorbell->get()] { bell->tick(); });
+  auto connected = net::Doorbell::connect(loop, mpi.rank(), address, config.silence_seconds, ordered, die);
+  if (!connected.ok()) die(connected.status().message());
+  doorbell = std::move(*connected);
+  doorbell->on_news([&port](int, const wire::Json& news) { net::follow_hub(port, news); });
+  port.start([&](const net::SliceReport& report) { doorbell->tell(net::report_json(report)); }, watch_arrivals(loans));
+  watch(loop, engine, config, [&] {
+    doorbell->tick(word());
+    port.tick();
+  });
   loop.start();
   const SteadyClock clock;
   {
@@ -276,7 +297,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
     engine.run(service);
   }
   loop.run([&] { port.finish(); });
-  (*doorbell)->finish(2 * kGoodbyeSeconds);
+  doorbell->finish(2 * kGoodbyeSeconds);
   loop.stop();
   mpi.finish(kFinalizeSeconds);
   return 0;

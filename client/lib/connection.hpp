@@ -44,7 +44,7 @@ struct Frame {
   std::string text;  // the JSON, not parsed: some answers are large and only passed on
   std::vector<wire::Array> arrays;
 
-  Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax); }
+  Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax, wire::kReplyJsonBytesMax); }
 };
 
 using Bytes = std::span<const std::byte>;

@@ -9,6 +9,7 @@ namespace {
 
 class Builder final : public nlohmann::json_sax<Json> {
  public:
+  explicit Builder(std::size_t values_max) : values_left_(values_max) {}
   bool null() override { return place(nullptr); }
   bool boolean(bool value) override { return place(value); }
   bool number_integer(number_integer_t value) override { return place(value); }
@@ -45,6 +46,7 @@ class Builder final : public nlohmann::json_sax<Json> {
 
   // Where the next value goes: the root, the key just read, or the end of the open array.
   Json* put(Json value) {
+    --values_left_;
     if (open_.empty()) {
       root_ = std::move(value);
       return &root_;
@@ -60,6 +62,7 @@ class Builder final : public nlohmann::json_sax<Json> {
   template <typename T>
   bool place(T&& value) {
     if (open_.empty()) return fail("it isn't an object");
+    if (values_left_ == 0) return fail("too many values");
     put(Json(std::forward<T>(value)));
     return true;
   }
@@ -68,6 +71,7 @@ class Builder final : public nlohmann::json_sax<Json> {
     if (open_.empty() && !value.is_object()) return fail("it isn't an object");
     if (open_.size() >= static_cast<std::size_t>(kJsonDepthMax))
       return fail(fmt::format("nested more than {} deep", kJsonDepthMax));
+    if (values_left_ == 0) return fail("too many values");
     open_.push_back(put(std::move(value)));
     return true;
   }
@@ -81,17 +85,18 @@ class Builder final : public nlohmann::json_sax<Json> {
   // The objects and arrays not yet closed. A pointer stays good: its parent grows only after it is closed.
   std::vector<Json*> open_;
   Json* slot_ = nullptr;
+  std::size_t values_left_;
   std::string fault_;
 };
 
 }  // namespace
 
-Result<Json> parse_json(std::string_view text, std::size_t bytes_max) {
+Result<Json> parse_json(std::string_view text, std::size_t bytes_max, std::size_t values_max) {
   if (text.size() > bytes_max)
     return Status(Code::protocol_error, fmt::format("JSON: {} bytes, at most {} are taken", text.size(), bytes_max));
   // The parser takes a zero byte for the end and would believe what stands before it.
   if (text.find('\0') != std::string_view::npos) return Status(Code::protocol_error, "JSON: a zero byte inside");
-  Builder builder;
+  Builder builder(values_max);
   if (!Json::sax_parse(text.begin(), text.end(), &builder))
     return Status(Code::protocol_error, "JSON: " + builder.fault(), "a frame carries one JSON object in UTF-8");
   return builder.take();

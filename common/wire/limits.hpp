@@ -6,8 +6,9 @@
 
 namespace rcb::wire {
 
-inline constexpr std::size_t kJsonBytesMax = 1U << 24U;       // of a request (part sizes of a million parts)
-inline constexpr std::size_t kReplyJsonBytesMax = 1U << 30U;  // of a reply (cuts of a million parts)
+inline constexpr std::size_t kJsonBytesMax = 1U << 24U;            // of a request (part sizes of a million parts)
+inline constexpr std::size_t kReplyJsonBytesMax = 1U << 30U;       // of a reply (cuts of a million parts)
+inline constexpr std::size_t kJsonValuesMax = (1U << 20U) + 4096;  // of a request, each of which takes memory
 inline constexpr int kJsonDepthMax = 32;
 inline constexpr std::size_t kArraysMax = 16;          // in a frame
 inline constexpr std::size_t kArrayDimensionsMax = 8;  // of a shape

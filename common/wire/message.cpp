@@ -27,7 +27,8 @@ Result<ArraySpec> array_spec(const Json& entry, std::size_t index) {
   if (name == nullptr || name->empty() || name->size() > kArrayNameMax)
     return bad_array(index, fmt::format("'name' must be a string of 1 to {} bytes", kArrayNameMax));
   const std::string* dtype = text_of(entry, "dtype");
-  if (dtype == nullptr || dtype_bytes(*dtype) == 0) return bad_array(index, "'dtype' must be <f8, <f4, <i8, <i4 or <u8");
+  if (dtype == nullptr || dtype_bytes(*dtype) == 0)
+    return bad_array(index, "'dtype' must be <f8, <f4, <i8, <i4 or <u8");
   const auto shape = entry.find("shape");
   if (shape == entry.end() || !shape->is_array() || shape->empty() || shape->size() > kArrayDimensionsMax)
     return bad_array(index, fmt::format("'shape' must be a list of 1 to {} lengths", kArrayDimensionsMax));

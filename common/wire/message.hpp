@@ -40,8 +40,10 @@ struct ArraySpec {
 // Bytes of one element; 0 for an unknown dtype.
 std::size_t dtype_bytes(std::string_view dtype);
 
-// Parses a frame's JSON: an object, no duplicate keys, depth and size bounded. Errors: protocol_error.
-Result<Json> parse_json(std::string_view text, std::size_t bytes_max = kJsonBytesMax);
+// Parses a frame's JSON: an object, no duplicate keys; depth, size and number of values bounded. Errors:
+// protocol_error.
+Result<Json> parse_json(std::string_view text, std::size_t bytes_max = kJsonBytesMax,
+                        std::size_t values_max = kJsonValuesMax);
 // Compact JSON; bytes that aren't UTF-8 become U+FFFD.
 std::string dump_json(const Json& json);
 // The "arrays" of a frame, checked against its bulk length (sizes may not overflow). Errors: protocol_error.

@@ -12,7 +12,8 @@
 namespace rcb::net {
 namespace {
 
-constexpr std::size_t kPieceBytes = std::size_t{4} << 20U;  // of one read or write call
+constexpr std::size_t kPieceBytes = std::size_t{4} << 20U;      // of one read or write call
+constexpr std::size_t kTextPieceBytes = std::size_t{1} << 20U;  // room made for JSON before its bytes are there
 
 }  // namespace
 
@@ -60,6 +61,7 @@ awaitable<Status> Connection::refill() {
   auto [error, bytes] = co_await socket_.async_read_some(asio::buffer(inbox_.data(), inbox_.size()), kAwait);
   if (error) co_return read_failed(error);
   inbox_end_ = bytes;
+  bytes_received_ += bytes;
   co_return Status();
 }
 
@@ -78,6 +80,7 @@ awaitable<Status> Connection::read_exactly(std::span<std::byte> into) {
       const std::size_t piece = std::min(into.size(), kPieceBytes);
       auto [error, bytes] = co_await socket_.async_read_some(asio::buffer(into.data(), piece), kAwait);
       if (error) co_return read_failed(error);
+      bytes_received_ += bytes;
       into = into.subspan(bytes);
     }
     touch_reading();
@@ -101,15 +104,40 @@ awaitable<Result<Frame>> Connection::read_frame(std::uint64_t json_bytes_max, st
   if (!header.ok()) co_return header.status();
   status = wire::check_lengths(*header, json_bytes_max, bulk_bytes_max);
   if (!status.ok()) co_return status;
-  std::string text(header->json_bytes, '\0');
-  status = co_await read_exactly(std::as_writable_bytes(std::span(text.data(), text.size())));
+  const bool large = header->json_bytes >= LargeJson::kBytesMin;
+  auto& large_json = asio::use_service<LargeJson>(asio::query(socket_.get_executor(), asio::execution::context));
+  LargeJson::Place place;
+  if (large) {
+    read_end_ = TimePoint::max();  // it isn't the peer who is late
+    place = co_await large_json.take_place();
+    limit_reading(now() + frame_time_);  // of all of it: others wait
+  }
+  std::string text;
+  status = co_await read_text(text, header->json_bytes);
+  if (large) limit_reading(TimePoint::max());
   if (!status.ok()) co_return status;
   status = wire::verify_checksum(bytes, text);
   if (!status.ok()) co_return status;
-  Result<wire::Json> json = wire::parse_json(text);
+  read_end_ = TimePoint::max();
+  Result<wire::Json> json = wire::Json();
+  if (large)
+    json = co_await large_json.parse(text);
+  else
+    json = wire::parse_json(text);
   if (!json.ok()) co_return json.status();
-  if (header->bulk_bytes == 0) read_end_ = TimePoint::max();
-  co_return Frame{*header, std::move(*json)};
+  if (header->bulk_bytes > 0) touch_reading();
+  co_return Frame{*header, std::move(*json), std::move(place)};
+}
+
+// Room grows with what arrives: an announcement alone costs nothing.
+awaitable<Status> Connection::read_text(std::string& text, std::size_t bytes) {
+  Status status;
+  while (status.ok() && text.size() < bytes) {
+    const std::size_t old = text.size();
+    text.resize(std::min(bytes, old + kTextPieceBytes));
+    status = co_await read_exactly(std::as_writable_bytes(std::span(text.data(), text.size()).subspan(old)));
+  }
+  co_return status;
 }
 
 awaitable<Status> Connection::read_bulk(std::span<std::byte> into) {

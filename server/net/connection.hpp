@@ -19,12 +19,14 @@
 #include "common/wire/frame.hpp"
 #include "common/wire/message.hpp"
 #include "server/net/asio.hpp"
+#include "server/net/large_json.hpp"
 
 namespace rcb::net {
 
 struct Frame {
   wire::FrameHeader header;
   wire::Json json;
+  LargeJson::Place place = nullptr;  // of a large JSON, to be kept as long as it is
   // header.bulk_bytes (and 8 more with kFlagBulkChecksum) are still to be read.
 };
 
@@ -53,6 +55,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   // make the kernel throw it away): waits, for a second at most, for the peer to close.
   awaitable<void> end_gently();
   void close();
+  std::uint64_t bytes_received() const { return bytes_received_; }
   bool broken() const { return broken_; }
   Socket& socket() { return socket_; }
 
@@ -63,6 +66,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   };
 
   awaitable<Status> read_exactly(std::span<std::byte> into);
+  awaitable<Status> read_text(std::string& text, std::size_t bytes);
   awaitable<Status> refill();
   awaitable<void> write_all();
   awaitable<bool> write_span(std::span<const std::byte> bytes);
@@ -86,6 +90,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   std::array<std::byte, 16384> inbox_;
   std::size_t inbox_begin_ = 0;
   std::size_t inbox_end_ = 0;
+  std::uint64_t bytes_received_ = 0;
 };
 
 }  // namespace rcb::net

@@ -109,9 +109,11 @@ void Control::serve_data(DataPlane& plane, const std::string& endpoint, std::vec
   state_->coordinator->serve_data(plane, endpoint, std::move(addresses));
 }
 
-void Control::slice_ended(int rank, std::uint64_t number, const Status& status) {
-  state_->coordinator->slice_ended(rank, number, status);
+void Control::ask_for_silence(std::function<std::vector<SilentRank>()> ask) {
+  state_->coordinator->ask_for_silence(std::move(ask));
 }
+
+void Control::slice_reported(int rank, const SliceReport& report) { state_->coordinator->slice_reported(rank, report); }
 
 void Control::start() {
   if (state_->unix_acceptor) state_->accept(*state_->unix_acceptor, "unix:" + state_->unix_path, false);

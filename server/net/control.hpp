@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -27,6 +28,12 @@ struct ControlOptions {
   int orders_max = wire::kOrdersMax;
 };
 
+// A rank that has said nothing for longer than its signs of life are apart.
+struct SilentRank {
+  int rank;
+  double seconds;
+};
+
 class Control {
  public:
   Control(IoLoop& loop, ControlOptions options, Engine& engine);
@@ -39,8 +46,10 @@ class Control {
   // Before the loop starts: where clients of each endpoint find the ranks' data listeners, by rank.
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
   void start();
-  // I/O thread: what came of a rank's slice of an open push.
-  void slice_ended(int rank, std::uint64_t number, const Status& status);
+  // Before the loop starts: who knows which ranks say nothing.
+  void ask_for_silence(std::function<std::vector<SilentRank>()> ask);
+  // I/O thread: what a rank says of its slice of an open push.
+  void slice_reported(int rank, const SliceReport& report);
 
   // Any thread: orders the end, as the command `shutdown` does.
   void shut_down(const std::string& why);

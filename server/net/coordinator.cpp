@@ -1,6 +1,7 @@
 #include "server/net/coordinator.hpp"
 
 #include <algorithm>
+#include <numeric>
 #include <utility>
 
 #include <fmt/format.h>
@@ -28,6 +29,34 @@ void Coordinator::leave(Session* session) {
   groups_.leave_all(session->connection().get());
 }
 
+class Coordinator::Unfinished {
+ public:
+  Unfinished(std::shared_ptr<Coordinator> of, OrderOptions order) : of_(std::move(of)), order_(std::move(order)) {
+    ++of_->orders_unfinished_;
+    if (!order_.changes.empty()) ++of_->gate(order_.changes).changes_unfinished;
+  }
+  Unfinished(const Unfinished&) = delete;
+  Unfinished& operator=(const Unfinished&) = delete;
+  // On the I/O thread, as everything here.
+  ~Unfinished() { end(); }
+  void end() {
+    if (std::exchange(ended_, true)) return;
+    --of_->orders_unfinished_;
+    of_->charged_bytes_ -= order_.charged_bytes;
+    if (order_.changes.empty()) return;
+    SceneGate& gate = of_->gate(order_.changes);
+    --gate.changes_unfinished;
+    gate.wake();
+    of_->tidy(order_.changes);
+  }
+  const OrderOptions& order() const { return order_; }
+
+ private:
+  std::shared_ptr<Coordinator> of_;
+  OrderOptions order_;
+  bool ended_ = false;
+};
+
 Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions order) {
   std::string text = wire::dump_json(request);
   Status refused;
@@ -39,34 +68,31 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
   else if (text.size() > wire::kJsonBytesMax)  // 1e9 grows to 1000000000.0
     refused = Status(Code::too_large, fmt::format("the command has {} bytes, written out in full", text.size()));
   if (!refused.ok()) {
-    staged_bytes_ -= order.staged_bytes;
+    charged_bytes_ -= order.charged_bytes;
     return refused;
   }
-  ++orders_unfinished_;
-  if (!order.changes.empty()) ++gate(order.changes).changes_unfinished;
   auto pending = std::make_shared<Pending>(context_);
-  Order out{std::move(request), std::move(text), std::move(order.slices), order.received_seconds,
-            order.deadline_seconds};
-  order.slices.clear();
-  auto done = [self = shared_from_this(), order = std::move(order), pending](Answer answer) mutable {
+  Order out{std::move(request),     std::move(text),        std::exchange(order.slices, {}),
+            order.received_seconds, order.deadline_seconds, order.cancelled};
+  auto unfinished = std::make_shared<Unfinished>(shared_from_this(), std::move(order));
+  auto done = [self = shared_from_this(), unfinished, pending](Answer answer) mutable {
     // A function object must be copyable, and moved work must not be: hence the shared answer.
     auto shared = std::make_shared<Answer>(std::move(answer));
-    asio::post(self->context_, [self, order, pending, shared] { self->complete(std::move(*shared), order, pending); });
+    asio::post(self->context_, [self, unfinished = std::move(unfinished), pending, shared] {
+      self->complete(std::move(*shared), unfinished, pending);
+    });
   };
+  unfinished.reset();  // from here on with whoever answers
   engine_.submit(std::move(out), std::move(done));
   return pending;
 }
 
-void Coordinator::complete(Answer answer, const OrderOptions& order, const std::shared_ptr<Pending>& pending) {
-  --orders_unfinished_;
-  staged_bytes_ -= order.staged_bytes;
+void Coordinator::complete(Answer answer, const std::shared_ptr<Unfinished>& unfinished,
+                           const std::shared_ptr<Pending>& pending) {
   if (answer.snapshot) snapshot_ = answer.snapshot;
-  if (!order.changes.empty()) {
-    --gate(order.changes).changes_unfinished;
-    gate(order.changes).wake();
-    tidy(order.changes);
-    groups_.scene_changed(order.changes);
-  }
+  const OrderOptions& order = unfinished->order();
+  unfinished->end();
+  if (!order.changes.empty()) groups_.scene_changed(order.changes);
   if (order.then) return order.then(std::move(answer));
   pending->answer = std::move(answer);
   pending->signal.cancel();
@@ -79,9 +105,8 @@ void Coordinator::tidy(const std::string& scene) {
   if (!gate.push && gate.changes_unfinished == 0 && gate.queue.empty()) gates_.erase(found);
 }
 
-Result<std::shared_ptr<OpenPush>> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
-                                                         std::string client, double deadline_seconds) {
-  if (Status room = take_bytes(terms.bytes()); !room.ok()) return room;
+std::shared_ptr<OpenPush> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
+                                                 std::string client, double deadline_seconds) {
   auto push = std::make_shared<OpenPush>(context_, std::move(terms));
   push->connection = std::move(connection);
   push->client = std::move(client);
@@ -90,27 +115,49 @@ Result<std::shared_ptr<OpenPush>> Coordinator::open_push(PushTerms terms, std::s
   return push;
 }
 
-Status Coordinator::take_bytes(std::uint64_t bytes) {
-  if (bytes > options_.bulk_bytes_max - std::min(staged_bytes_, options_.bulk_bytes_max))
-    return {Code::busy,
-            fmt::format("other pushes take {} of {} bytes, and this one has {}", staged_bytes_, options_.bulk_bytes_max,
-                        bytes),
-            "try again when they are done"};
-  staged_bytes_ += bytes;
-  return {};
+void Coordinator::charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes) {
+  const std::uint64_t room = options_.bulk_bytes_max - std::min(charged_bytes_, options_.bulk_bytes_max);
+  charged_bytes_ += bytes;
+  push->charged_bytes += bytes;
+  if (bytes <= room) return;
+  give_up(push, {Code::busy,
+                 fmt::format("all pushes together have brought more than the {} bytes that the service takes",
+                             options_.bulk_bytes_max),
+                 "try again when the others are done"});
 }
 
 void Coordinator::arm(const std::shared_ptr<OpenPush>& push, TimePoint end) {
   push->end = end;
-  push->deadline.expires_at(end);
+  push->look_at = now() + duration_of(options_.frame_seconds);
+  watch_arrival(push);
+}
+
+void Coordinator::watch_arrival(const std::shared_ptr<OpenPush>& push) {
+  push->deadline.expires_at(std::min(push->end, push->look_at));
   push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
-    const auto late = weak.lock();
-    if (error || !late || now() < late->end) return;
-    if (late->together) return self->groups_.give_up(late->together, nullptr, self->groups_.late(*late->together));
-    self->give_up(late,
-                  {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", late->progress()),
+    const auto open = weak.lock();
+    if (error || !open || open->given_up) return;
+    if (now() >= open->end)
+      return self->give_up_late(
+          open, {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", open->progress()),
+                 "the previous step stands; push again"});
+    if (now() >= open->look_at) {
+      const std::uint64_t seen = std::exchange(open->progress_seen, open->bytes_arrived());
+      if (!open->ready() && open->progress_seen - seen < kProgressBytes)
+        return self->give_up(
+            open, {Code::deadline_exceeded,
+                   fmt::format("the push stopped arriving: {} bytes in {} s ({})", open->progress_seen - seen,
+                               self->options_.frame_seconds, open->progress()),
                    "the previous step stands; push again"});
+      open->look_at = now() + duration_of(self->options_.frame_seconds);
+    }
+    self->watch_arrival(open);
   });
+}
+
+void Coordinator::give_up_late(const std::shared_ptr<OpenPush>& push, const Status& why) {
+  if (push->together) return groups_.give_up(push->together, nullptr, groups_.late(*push->together));
+  give_up(push, why);
 }
 
 std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connection* connection) {
@@ -145,13 +192,18 @@ void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
   const PushId id = push->slices.terms().id;
   spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());
   close_push(push);
-  staged_bytes_ -= push->slices.terms().bytes();
+  give_back(*push);
   tidy(id.scene);
   if (push->number != 0) data_->drop(id);
   push->connection->send(FrameType::failure, push->request, wire::failure_json(why));
 }
 
 bool OpenPush::ready() const { return slices.whole() && std::find(whole.begin(), whole.end(), false) == whole.end(); }
+
+std::uint64_t OpenPush::bytes_arrived() const {
+  const std::uint64_t here = connection ? connection->bytes_received() : 0;
+  return std::accumulate(arrived_bytes.begin(), arrived_bytes.end(), here);
+}
 
 std::string OpenPush::progress() const {
   if (together) return together->progress();
@@ -164,6 +216,7 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   push->number = ++pushes_numbered_;
   const auto ranks = static_cast<std::uint64_t>(options_.ranks);
   push->whole.assign(ranks, false);
+  push->arrived_bytes.assign(ranks, 0);
   const auto scene = snapshot_->scenes.find(terms.id.scene);
   std::vector<std::uint64_t> counts;
   if (scene != snapshot_->scenes.end() && scene->second.step) counts = scene->second.rank_counts;
@@ -190,10 +243,14 @@ std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {
   return nullptr;
 }
 
-void Coordinator::slice_ended(int rank, std::uint64_t number, const Status& status) {
-  const std::shared_ptr<OpenPush> push = find_push(number);
+void Coordinator::slice_reported(int rank, const SliceReport& report) {
+  const std::shared_ptr<OpenPush> push = find_push(report.number);
   if (!push) return;
-  if (!status.ok()) return give_up(push, status);
+  if (!report.status.ok()) return give_up(push, report.status);
+  std::uint64_t& known = push->arrived_bytes[static_cast<std::size_t>(rank)];
+  const std::uint64_t before = std::exchange(known, std::max(known, report.bytes));
+  charge(push, known - before);
+  if (!report.whole || push->given_up) return;
   push->whole[static_cast<std::size_t>(rank)] = true;
   if (!push->ready()) return;
   if (push->together)
@@ -258,8 +315,24 @@ Json Coordinator::status_json() const {
           {"empty", snapshot_->scenes.empty()},
           {"restarted", options_.restarted},
           {"sessions", sessions_.size()},
+          {"silent", silent_json()},
           {"scenes", scenes_json()},
           {"steps", snapshot_->steps}};
+}
+
+Json Coordinator::silent_json() const {
+  Json silent = Json::array();
+  if (!silent_ranks_) return silent;
+  for (const SilentRank& one : silent_ranks_()) silent.push_back({{"rank", one.rank}, {"seconds", one.seconds}});
+  return silent;
+}
+
+std::string Coordinator::engine_in_words() const {
+  std::string words;
+  if (silent_ranks_)
+    for (const SilentRank& one : silent_ranks_())
+      words += fmt::format("{}rank {}, silent for {:.0f} s", words.empty() ? "" : ", ", one.rank, one.seconds);
+  return words.empty() ? "the engine" : words;
 }
 
 Json Coordinator::welcome_json(bool with_token) const {

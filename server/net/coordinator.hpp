@@ -5,10 +5,14 @@
 // 2. A scene has one open push at most. Commands that change a scene wait for its end; what comes later waits behind
 //    them, first come, first served (SceneGate::queue).
 // 3. The snapshot is the one of the last order that was answered, and is in place before that answer leaves.
-// 4. All arrays of open and unfinished pushes together have at most `bulk_bytes_max` bytes.
+// 4. What has arrived of the arrays of open and unfinished pushes has about `bulk_bytes_max` bytes at most; what is
+// only
+//    announced takes nothing from others. An open push must go on arriving (kProgressBytes in `frame_seconds`).
+// 5. What an order has taken is given back when it ends, however it ends (Coordinator::Unfinished).
 // Everything runs on the I/O thread.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -17,6 +21,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/base/status.hpp"
@@ -32,6 +37,9 @@ namespace rcb::net {
 
 class Session;
 
+// What an open push must bring, at least, in `frame_seconds`.
+inline constexpr std::uint64_t kProgressBytes = std::uint64_t{64} << 10U;
+
 // A push that is being received.
 struct OpenPush {
   OpenPush(asio::io_context& context, PushTerms terms) : slices(std::move(terms)), deadline(context) {}
@@ -44,15 +52,20 @@ struct OpenPush {
   TimePoint end;
   Timer deadline;
   bool given_up = false;
+  std::uint64_t charged_bytes = 0;  // of the budget: what has arrived
+  std::uint64_t progress_seen = 0;  // at the last look
+  TimePoint look_at;                // when it must have gone on
   // On the direct path:
-  std::uint64_t number = 0;          // 0: not on it
-  std::vector<bool> whole;           // by rank
-  std::function<void()> when_whole;  // all ranks have their slices
+  std::uint64_t number = 0;                  // 0: not on it
+  std::vector<bool> whole;                   // by rank
+  std::vector<std::uint64_t> arrived_bytes;  // by rank, as far as they have said
+  std::function<void()> when_whole;          // all ranks have their slices
   // Of a parallel solver: the step that this is a member's share of, or (-1), in the gate, stands for.
   std::shared_ptr<MemberPush> together;
   int member = -1;
 
   bool ready() const;  // nothing of it is still to come
+  std::uint64_t bytes_arrived() const;
   std::string progress() const;
 };
 
@@ -76,8 +89,9 @@ struct OrderOptions {
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
-  std::string changes;               // the scene it changes; empty: none
-  std::uint64_t staged_bytes = 0;    // given back when it is answered
+  std::string changes;              // the scene it changes; empty: none
+  std::uint64_t charged_bytes = 0;  // given back when it is answered
+  std::shared_ptr<const std::atomic<bool>> cancelled;
   std::function<void(Answer)> then;  // gets the answer at once; nobody waits for it
 };
 
@@ -90,6 +104,10 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   const Snapshot& snapshot() const { return *snapshot_; }
   bool shutting_down() const { return shutting_down_; }
   std::size_t session_count() const { return sessions_.size(); }
+  // Before the loop starts: who knows which ranks say nothing.
+  void ask_for_silence(std::function<std::vector<SilentRank>()> ask) { silent_ranks_ = std::move(ask); }
+  // What an unfinished order waits for: "the engine", or the ranks that say nothing.
+  std::string engine_in_words() const;
   void add_endpoint(std::string endpoint) { endpoints_.push_back(std::move(endpoint)); }
 
   void join(Session* session) { sessions_.insert(session); }
@@ -103,22 +121,21 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   SceneGate& gate(const std::string& scene) { return gates_[scene]; }
   void tidy(const std::string& scene);
 
-  // Takes the push's bytes from the budget and starts its deadline. The gate must be free.
-  // Errors: busy (budget).
-  Result<std::shared_ptr<OpenPush>> open_push(PushTerms terms, std::shared_ptr<Connection> connection,
-                                              std::string client, double deadline_seconds);
-  // At this moment the push is given up. Replaces what was said before.
+  // Starts the push's deadline. The gate must be free.
+  std::shared_ptr<OpenPush> open_push(PushTerms terms, std::shared_ptr<Connection> connection, std::string client,
+                                      double deadline_seconds);
+  // At this moment the push is given up, and before it if it stops arriving. Replaces what was said before.
   void arm(const std::shared_ptr<OpenPush>& push, TimePoint end);
-  // Room for a push's arrays, and its return. Errors: busy (budget).
-  Status take_bytes(std::uint64_t bytes);
-  void give_bytes(std::uint64_t bytes) { staged_bytes_ -= bytes; }
+  // So many more bytes of the push have arrived. Where that is too much the push is given up.
+  void charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes);
+  void give_back(OpenPush& push) { charged_bytes_ -= std::exchange(push.charged_bytes, 0); }
   MemberGroups& groups() { return groups_; }
   // The open push, or share of one, with this id, if this connection opened it.
   std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
   // Tells the ranks to take the slices of a push, or share of one, that goes directly. When all have them when_whole is
   // called, or the members' groups are told.
   void receive_directly(const std::shared_ptr<OpenPush>& push);
-  void slice_ended(int rank, std::uint64_t number, const Status& status);
+  void slice_reported(int rank, const SliceReport& report);
   // The ranks drop what comes for a push that will not be opened.
   void refuse_directly(const PushId& id);
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
@@ -137,6 +154,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::string restart_hint() const;
 
   wire::Json status_json() const;
+  wire::Json silent_json() const;
   wire::Json scenes_json() const;
   wire::Json welcome_json(bool with_token) const;
 
@@ -147,7 +165,12 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
  private:
   // The open push, or share of one, of this number.
   std::shared_ptr<OpenPush> find_push(std::uint64_t number) const;
-  void complete(Answer answer, const OrderOptions& order, const std::shared_ptr<Pending>& pending);
+  // What an order has taken: its place among the unfinished, its scene's gate, bytes of the budget.
+  class Unfinished;
+  void complete(Answer answer, const std::shared_ptr<Unfinished>& unfinished, const std::shared_ptr<Pending>& pending);
+  void watch_arrival(const std::shared_ptr<OpenPush>& push);
+  // What is late, ends: the push, or the members' step that it is of.
+  void give_up_late(const std::shared_ptr<OpenPush>& push, const Status& why);
   void say_goodbye();
 
   asio::io_context& context_;
@@ -161,8 +184,9 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   MemberGroups groups_{*this};
   std::map<std::string, SceneGate> gates_;
   std::vector<std::string> endpoints_;
+  std::function<std::vector<SilentRank>()> silent_ranks_;
   std::vector<std::function<void()>> told_;
-  std::uint64_t staged_bytes_ = 0;
+  std::uint64_t charged_bytes_ = 0;
   int orders_unfinished_ = 0;
   bool shutting_down_ = false;
   bool ended_ = false;

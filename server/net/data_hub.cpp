@@ -4,13 +4,7 @@
 
 namespace rcb::net {
 
-DataHub::DataHub(DoorbellHub& doorbells, DataPort& own, Control& control, int ranks)
-    : doorbells_(doorbells), own_(own), ranks_(ranks) {
-  doorbells_.on_news([&control](int from, const wire::Json& news) {
-    control.slice_ended(from, news.value("number", std::uint64_t{0}),
-                        news.contains("failure") ? wire::status_from_failure(news) : Status());
-  });
-}
+DataHub::DataHub(DoorbellHub& doorbells, DataPort& own, int ranks) : doorbells_(doorbells), own_(own), ranks_(ranks) {}
 
 void DataHub::open(const PushTicket& ticket, std::span<const std::uint64_t> counts) {
   for (int rank = 1; rank < ranks_; ++rank)
@@ -39,12 +33,6 @@ void follow_hub(DataPort& port, const wire::Json& news) {
     CHECK(id.ok(), id.status().message());
     port.drop(*id);
   }
-}
-
-wire::Json report_json(std::uint64_t number, const Status& status) {
-  wire::Json json = status.ok() ? wire::Json::object() : wire::failure_json(status);
-  json["number"] = number;
-  return json;
 }
 
 }  // namespace rcb::net

@@ -9,8 +9,7 @@ namespace rcb::net {
 
 class DataHub final : public DataPlane {
  public:
-  // Before the loop starts; `control` hears what becomes of the slices.
-  DataHub(DoorbellHub& doorbells, DataPort& own, Control& control, int ranks);
+  DataHub(DoorbellHub& doorbells, DataPort& own, int ranks);
   void open(const PushTicket& ticket, std::span<const std::uint64_t> counts) override;
   void drop(const PushId& id) override;
 
@@ -22,7 +21,5 @@ class DataHub final : public DataPlane {
 
 // What another rank's port does with rank 0's words.
 void follow_hub(DataPort& port, const wire::Json& news);
-// What it reports to rank 0.
-wire::Json report_json(std::uint64_t number, const Status& status);
 
 }  // namespace rcb::net

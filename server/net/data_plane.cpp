@@ -2,6 +2,17 @@
 
 namespace rcb::net {
 
+wire::Json report_json(const SliceReport& report) {
+  wire::Json json = report.status.ok() ? wire::Json::object() : wire::failure_json(report.status);
+  json.update({{"number", report.number}, {"bytes", report.bytes}, {"whole", report.whole}});
+  return json;
+}
+
+SliceReport read_report(const wire::Json& json) {
+  return {json.value("number", std::uint64_t{0}), json.value("bytes", std::uint64_t{0}), json.value("whole", false),
+          json.contains("failure") ? wire::status_from_failure(json) : Status()};
+}
+
 wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count) {
   const PushTerms& terms = ticket.terms;
   return {{"push", "open"},

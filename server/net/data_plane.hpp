@@ -27,6 +27,16 @@ struct PushTicket {
   bool share = false;        // of a member: ranks to which it brings nothing aren't told, and don't report
 };
 
+// What a rank says of its slice of a push.
+struct SliceReport {
+  std::uint64_t number = 0;  // of the push
+  std::uint64_t bytes = 0;   // that have arrived
+  bool whole = false;
+  Status status;  // why it won't be whole
+};
+
+wire::Json report_json(const SliceReport& report);
+SliceReport read_report(const wire::Json& json);
 wire::Json ticket_json(const PushTicket& ticket, std::uint64_t count);
 Result<PushTicket> read_ticket(const wire::Json& json);
 

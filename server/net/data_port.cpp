@@ -19,6 +19,7 @@
 namespace rcb::net {
 namespace {
 
+constexpr std::uint64_t kTellBytes = std::uint64_t{64} << 20U;   // after so many more the coordinator is told
 constexpr std::size_t kEndedMax = 256;                           // pushes remembered after their end
 constexpr std::uint64_t kReadBytes = std::uint64_t{512} << 10U;  // are still in the cache when they are looked at
 
@@ -29,6 +30,8 @@ struct Incoming {
   std::shared_ptr<SliceObserver> observer;
   std::uint64_t have = 0;                  // particles
   const Connection* connection = nullptr;  // that brings them
+  std::uint64_t connection_bytes = 0;      // that it had received before
+  std::uint64_t told_bytes = 0;            // of those that have come
   bool over = false;                       // reported, or dropped
 };
 
@@ -67,8 +70,18 @@ struct DataPort::State : std::enable_shared_from_this<State> {
 
   void end(const std::shared_ptr<Incoming>& push, const Status& status) {
     if (std::exchange(push->over, true)) return;
+    const std::uint64_t bytes = push->arrays.size() * push->ticket.terms.n * 8;
     if (!status.ok()) push->arrays.clear();
-    report(push->ticket.number, status);
+    report({push->ticket.number, bytes, status.ok(), status});
+  }
+
+  // Tells how much has come, if that is `more` than was told before.
+  void tell(Incoming& push, std::uint64_t more) {
+    if (push.over || push.connection == nullptr) return;
+    const std::uint64_t bytes = push.connection->bytes_received() - push.connection_bytes;
+    if (bytes < push.told_bytes + more) return;
+    push.told_bytes = bytes;
+    report({push.ticket.number, bytes, false, {}});
   }
 
   void remember(const PushId& id) {
@@ -178,6 +191,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
       end(push, {Code::invalid_argument, fmt::format("two connections bring the slice of rank {}", options.rank)});
       co_return co_await connection->skip_bulk(frame, frame.header.bulk_bytes);
     }
+    if (push->connection == nullptr) push->connection_bytes = connection->bytes_received();
     push->connection = connection.get();
     const auto slice = check(frame, *push);
     if (!slice.ok()) {
@@ -241,6 +255,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
         if (axis && push->observer)
           push->observer->arrived(a, at / 8, {reinterpret_cast<const double*>(place.data()), size / 8});
         if (!push->over) push->arrays[a] = std::move(array);
+        tell(*push, kTellBytes);
         at += size;
         left -= piece.size();
       }
@@ -339,6 +354,10 @@ void DataPort::open(PushTicket ticket) {
   else if (terms.n == 0)
     state_->end(push, {});
   state_->wake();
+}
+
+void DataPort::tick() {
+  for (const auto& [number, push] : state_->pushes) state_->tell(*push, 1);
 }
 
 void DataPort::drop(const PushId& id) {

@@ -6,7 +6,7 @@
 //    belongs to another, unknown or ended push is read and dropped; a slice that comes before its push is opened waits
 //    unread, for a minute at most.
 // 2. Memory is taken at a push's opening, of the size that the coordinator has admitted; pages come with the bytes.
-// 3. An opened push ends in one report: whole, or why not.
+// 3. An opened push ends in one report: whole, or why not. Before it others tell how much has come.
 // Everything but recycle() runs on the I/O thread.
 #pragma once
 
@@ -37,8 +37,7 @@ struct DataOptions {
 
 class DataPort {
  public:
-  // status: ok where this rank's slice is whole.
-  using Report = std::function<void(std::uint64_t number, const Status& status)>;
+  using Report = std::function<void(const SliceReport& report)>;
 
   // Who sees the slice of such a push, asked for when its first bytes are there; may be nobody (null).
   using Watch = std::function<std::shared_ptr<SliceObserver>(const PushTerms& terms)>;
@@ -55,6 +54,8 @@ class DataPort {
 
   void open(PushTicket ticket);
   void drop(const PushId& id);
+  // Every kTickSeconds: tells how much has come of slices that aren't whole.
+  void tick();
   // The slice of an order; empty if there is none.
   std::vector<Slice> take(std::uint64_t number);
 

@@ -19,7 +19,7 @@
 namespace rcb::net {
 namespace {
 
-constexpr double kFrameSeconds = 10;
+constexpr double kFrameSeconds = 3600;  // the rule about silence decides, and comes first
 constexpr std::size_t kNewsBytesMax = std::size_t{64} << 10U;
 
 int silent_ticks_max(double seconds) { return std::max(2, static_cast<int>(std::ceil(seconds / kTickSeconds))); }
@@ -178,6 +178,15 @@ void DoorbellHub::tick() {
   }
 }
 
+std::vector<SilentRank> DoorbellHub::silent() const {
+  constexpr int kTicks = 2;  // more than a rank that lives may miss
+  std::vector<SilentRank> list;
+  for (std::size_t i = 1; i < state_->peers.size(); ++i)
+    if (const State::Peer& peer = state_->peers[i]; peer.silent_ticks > kTicks && !peer.goodbye)
+      list.push_back({static_cast<int>(i), peer.silent_ticks * kTickSeconds});
+  return list;
+}
+
 void DoorbellHub::finish(double seconds) {
   State& state = *state_;
   state.loop.run([&] {
@@ -207,10 +216,7 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
       silent_ticks = 0;
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { goodbye = true; });
       if (frame->header.type == wire::FrameType::notice) {
-        if (frame->json.empty())
-          connection->send_text(wire::FrameType::notice, 0, "{}");
-        else if (news)
-          news(0, frame->json);
+        if (!frame->json.empty() && news) news(0, frame->json);
       }
       if (frame->header.type == wire::FrameType::request) ordered(frame->header.request, std::move(frame->json));
     }
@@ -252,8 +258,9 @@ void Doorbell::on_news(NewsHandler handler) { state_->news = std::move(handler);
 
 void Doorbell::tell(const wire::Json& news) { state_->connection->send(wire::FrameType::notice, 0, news); }
 
-void Doorbell::tick() {
+void Doorbell::tick(const wire::Json& word) {
   if (state_->goodbye || state_->finished) return;
+  tell(word);
   if (++state_->silent_ticks <= state_->ticks_max) return;
   state_->finished = true;
   state_->lost(fmt::format("rank 0 has been silent for {} s", state_->ticks_max * kTickSeconds));

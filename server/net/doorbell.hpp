@@ -2,8 +2,9 @@
 //
 // Invariants
 // 1. Every rank gets the same orders in the same order.
-// 2. A rank that is silent for `silence_seconds`, or whose connection ends without a goodbye, is given as lost, once.
-//    Silence is counted in the listener's own ticks, so a machine that was asleep loses nobody.
+// 2. Both sides send a sign of life every kTickSeconds of their own accord, so that none waits behind an order that is
+//    being read. A rank that is silent for `silence_seconds`, or whose connection ends without a goodbye, is given as
+//    lost, once. Silence is counted in the listener's own ticks, so a machine that was asleep loses nobody.
 // 3. Once all ranks are connected nothing of it is left in the file system.
 #pragma once
 
@@ -11,9 +12,11 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/base/status.hpp"
 #include "common/wire/message.hpp"
+#include "server/net/control.hpp"
 #include "server/net/io_loop.hpp"
 
 namespace rcb::net {
@@ -47,6 +50,8 @@ class DoorbellHub {
   void tell(int rank, const wire::Json& news);
   // I/O thread, every kTickSeconds.
   void tick();
+  // I/O thread. The ranks that have said nothing for longer than their signs of life are apart.
+  std::vector<SilentRank> silent() const;
   // Any thread but the I/O thread: says goodbye and waits for the others' goodbyes.
   void finish(double seconds);
 
@@ -68,7 +73,8 @@ class Doorbell {
   void on_news(NewsHandler handler);
   // I/O thread.
   void tell(const wire::Json& news);
-  void tick();
+  // I/O thread, every kTickSeconds: a sign of life, which takes `word` along.
+  void tick(const wire::Json& word);
   void finish(double seconds);
 
  private:

@@ -6,6 +6,7 @@
 // 2. Every submitted order is answered exactly once, with a snapshot that already shows its effect.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -63,6 +64,8 @@ struct Order {
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
+  // Set once nobody waits for the answer any more: a long command may end early. May be null.
+  std::shared_ptr<const std::atomic<bool>> cancelled;
 };
 
 struct Answer {

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include <boost/asio/executor_work_guard.hpp>
+#include <spdlog/spdlog.h>
 
 #include "server/net/asio.hpp"
 
@@ -43,7 +44,17 @@ IoLoop::IoLoop() : state_(std::make_unique<State>()) {}
 IoLoop::~IoLoop() { stop(); }
 
 void IoLoop::start() {
-  state_->thread = std::thread([this] { state_->context.run(); });
+  state_->thread = std::thread([this] {
+    // A handler's exception is a bug, or the end of memory: what it served is lost, the others go on.
+    for (bool ended = false; !ended;) {
+      try {
+        state_->context.run();
+        ended = true;
+      } catch (const std::exception& fault) {
+        spdlog::error("an internal fault on the I/O thread: {}", fault.what());
+      }
+    }
+  });
 }
 
 void IoLoop::post(std::function<void()> task) { asio::post(state_->context, std::move(task)); }

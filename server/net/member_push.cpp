@@ -35,10 +35,13 @@ std::vector<wire::Array> copy_for(const Json& begin, const std::vector<wire::Arr
 Status MemberGroups::begin(ShareBegin begin) {
   const std::string& scene = begin.id.scene;
   Group* group = find(scene);
-  CHECK(group != nullptr, "a member without a group");
-  const auto seat = std::find_if(group->seats.begin(), group->seats.end(),
-                                 [&](const Seat& one) { return one.connection == begin.connection.get(); });
-  if (seat == group->seats.end())
+  // While this push.begin waited for its turn the seat may have been taken, or the scene dropped.
+  const auto nobody = std::vector<Seat>::iterator();
+  const auto seat =
+      group == nullptr ? nobody : std::find_if(group->seats.begin(), group->seats.end(), [&](const Seat& one) {
+        return one.connection == begin.connection.get();
+      });
+  if (group == nullptr || seat == group->seats.end())
     return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
             "open the scene again with a higher generation"};
   const auto member = static_cast<std::size_t>(seat - group->seats.begin());
@@ -66,13 +69,8 @@ Status MemberGroups::begin(ShareBegin begin) {
   if (!terms.ok()) return terms.status();
   if (terms->direct && !group->follow)
     return {Code::unsupported, "members that don't follow their parts push in order \"id\""};
-  if (Status room = coordinator_.take_bytes(terms->bytes()); !room.ok()) return room;
   if (step && step->direct() && !terms->direct) withdraw_direct(*step, member);
-  if (!step) {
-    auto opened = open_step(scene, begin.id.step, *group);
-    if (!opened.ok()) return opened.status();
-    step = std::move(*opened);
-  }
+  if (!step) step = open_step(scene, begin.id.step, *group);
   auto share = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
   share->connection = std::move(begin.connection);
   share->client = std::move(begin.client);
@@ -89,7 +87,11 @@ Status MemberGroups::begin(ShareBegin begin) {
     coordinator_.receive_directly(share);
     if (Status counted = check_counts(*step); !counted.ok()) give_up(step, nullptr, counted);
   }
-  if (share->ready() && !share->given_up) share_whole(share);
+  if (share->given_up) return {};
+  if (share->ready())
+    share_whole(share);
+  else
+    coordinator_.arm(share, begin.end);
   return {};
 }
 
@@ -102,7 +104,7 @@ void MemberGroups::withdraw_direct(MemberPush& step, std::size_t because_of) {
     if (!one) continue;
     const auto share = std::exchange(one, nullptr);
     share->given_up = true;
-    coordinator_.give_bytes(share->slices.terms().bytes());
+    coordinator_.give_back(*share);
     coordinator_.refuse_directly(share->slices.terms().id);
     share->connection->send(FrameType::failure, share->request, wire::failure_json(why));
   }
@@ -123,17 +125,16 @@ Status MemberGroups::check_counts(const MemberPush& step) const {
   return {};
 }
 
-Result<std::shared_ptr<MemberPush>> MemberGroups::open_step(const std::string& scene, std::int64_t step,
-                                                            const Group& group) {
+std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {
   PushTerms none;
   none.id.scene = scene;
   none.id.step = step;
-  auto front = coordinator_.open_push(std::move(none), nullptr, "the members of the scene", wire::kDeadlineSecondsMax);
-  if (!front.ok()) return front.status();
+  const auto front =
+      coordinator_.open_push(std::move(none), nullptr, "the members of the scene", wire::kDeadlineSecondsMax);
   auto together = std::make_shared<MemberPush>(coordinator_.context(), scene, step);
   together->shares.resize(group.seats.size());
-  together->front = *front;
-  (*front)->together = together;
+  together->front = front;
+  front->together = together;
   asio::co_spawn(coordinator_.context(), watch(coordinator_.shared_from_this(), together), asio::detached);
   return together;
 }
@@ -192,7 +193,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     if (share->slices.terms().moved == Moved::none) unmoved.push_back(share->member);
     if (share->begin.contains("step_seconds") && share->begin["step_seconds"].is_number())
       seconds = std::max(seconds, share->begin["step_seconds"].get<double>());
-    order.staged_bytes += share->slices.terms().bytes();
+    order.charged_bytes += std::exchange(share->charged_bytes, 0);
     for (Slice& slice : share->slices.take()) {
       slice.rank = share->member;
       order.slices.push_back(std::move(slice));
@@ -269,7 +270,7 @@ void MemberGroups::give_up(const std::shared_ptr<MemberPush>& step, const OpenPu
     if (!one) continue;
     one->given_up = true;
     if (one->number != 0) coordinator_.refuse_directly(one->slices.terms().id);
-    coordinator_.give_bytes(one->slices.terms().bytes());
+    coordinator_.give_back(*one);
     one->connection->send(FrameType::failure, one->request, wire::failure_json(named));
   }
   coordinator_.tidy(step->scene);

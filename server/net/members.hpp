@@ -126,7 +126,7 @@ class MemberGroups {
   void withdraw_direct(MemberPush& step, std::size_t because_of);
   // All members have begun directly: they must have the particles of each rank between them.
   Status check_counts(const MemberPush& step) const;
-  Result<std::shared_ptr<MemberPush>> open_step(const std::string& scene, std::int64_t step, const Group& group);
+  std::shared_ptr<MemberPush> open_step(const std::string& scene, std::int64_t step, const Group& group);
   void order(const std::shared_ptr<MemberPush>& step);
   void answered(const std::shared_ptr<MemberPush>& step, Answer answer);
   awaitable<void> watch(std::shared_ptr<Coordinator> self, std::shared_ptr<MemberPush> step);

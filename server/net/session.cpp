@@ -17,17 +17,9 @@ using wire::Json;
 
 namespace {
 
-// Commands of the inside, which no client may send.
-bool is_internal(const std::string& command) { return command == "push" || command == "push.members"; }
-
 bool flag(const Json& request, const char* name) {
   const auto value = wire::bool_field_or(request, name, false);
   return value.ok() && *value;  // a wrong type is refused by the service
-}
-
-bool changes_scene(const std::string& command, const Json& request) {
-  return command == "scene.create" || command == "scene.drop" || command == "load" ||
-         (command == "rebalance" && !flag(request, "dry_run"));
 }
 
 // A place in a scene's queue, given back whatever happens.
@@ -125,12 +117,18 @@ awaitable<Status> Session::serve(Frame frame) {
   }
   const auto deadline = wire::number_field_or(frame.json, "deadline_seconds", 0, wire::kDeadlineSecondsMax,
                                               wire::kDeadlineSecondsDefault);
-  if (!command.ok() || !deadline.ok()) {
-    fail(frame.header.request, !command.ok() ? command.status() : deadline.status());
+  const api::CommandInfo* info = command.ok() ? api::find_command(*command) : nullptr;
+  if (info == nullptr || !deadline.ok()) {
+    fail(frame.header.request, !command.ok() ? command.status()
+                               : info == nullptr
+                                   ? Status(Code::unsupported, fmt::format("unknown command '{}'", *command),
+                                            "the service may be older than the client: see 'status'")
+                                   : deadline.status());
     co_return Status();
   }
-  Request request{frame.header.request, std::move(*command), std::move(frame.json), *deadline,
-                  now() + duration_of(*deadline)};
+  api::keep_known_fields(frame.json, *info);
+  Request request{frame.header.request,  info,      std::move(*command),
+                  std::move(frame.json), *deadline, now() + duration_of(*deadline)};
   co_await dispatch(request);
   co_return Status();
 }
@@ -144,13 +142,10 @@ awaitable<void> Session::dispatch(Request& request) {
   }
   if (request.command == "push.begin") co_return co_await push_begin(request);
   if (request.command == "scene.open") co_return co_await open_scene(request);
-  if (is_internal(request.command)) {
-    fail(request.number, {Code::unsupported, fmt::format("unknown command '{}'", request.command)});
-    co_return;
-  }
-  if (changes_scene(request.command, request.json)) co_return co_await scene_change(request);
+  if (api::changes_scene(request.json, *request.info)) co_return co_await scene_change(request);
   OrderOptions plain;
   plain.deadline_seconds = request.deadline_seconds;
+  plain.cancelled = request.cancelled;
   co_await order_and_reply(request, std::move(plain));
 }
 
@@ -214,9 +209,9 @@ awaitable<void> Session::scene_change(Request& request) {
     coordinator_->tidy(*scene);
     co_return;
   }
-  if (request.command == "load" && !request.json.contains("session")) request.json["session"] = number_;
   OrderOptions order;
   order.deadline_seconds = request.deadline_seconds;
+  order.cancelled = request.cancelled;
   order.changes = *scene;
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
   coordinator_->gate(*scene).wake();
@@ -235,7 +230,6 @@ awaitable<void> Session::open_scene(Request& request) {
     fail(request.number, scene.status());
     co_return;
   }
-  request.json.erase("membership");  // ours to say
   auto membership = read_membership(request.json);
   if (membership.ok() && *membership && !coordinator_->snapshot().scenes.contains(*scene))
     membership = coordinator_->unknown_scene(*scene);
@@ -275,13 +269,15 @@ awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
 awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pending> pending) {
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
   ++answering_;
-  while (!pending->answer && now() < request.end) co_await nap(pending->signal, request, notice_at, "the engine");
+  while (!pending->answer && now() < request.end && !connection_->broken())
+    co_await nap(pending->signal, request, notice_at, coordinator_->engine_in_words());
   if (pending->answer) {
     Answer answer = std::move(*pending->answer);
     pending->answer.emplace();
     pending->answer->status = answer.status;
     reply(request, std::move(answer));
   } else {
+    if (request.cancelled) request.cancelled->store(true);
     fail(request.number,
          {Code::deadline_exceeded,
           fmt::format("'{}' wasn't done within {} s; it goes on", request.command, request.deadline_seconds),
@@ -330,7 +326,7 @@ awaitable<Status> Session::wait_turn(const Request& request, const std::string& 
   co_return status;
 }
 
-awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& notice_at, const char* what) {
+awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what) {
   timer.expires_at(std::min(request.end, notice_at));
   co_await timer.async_wait(kAwait);
   if (now() < notice_at) co_return;

@@ -6,12 +6,14 @@
 // 3. Every request has a deadline; a client that waits long is told what for.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <set>
 #include <string>
 
+#include "server/api/commands.hpp"
 #include "server/net/coordinator.hpp"
 
 namespace rcb::net {
@@ -37,10 +39,13 @@ class Session : public std::enable_shared_from_this<Session> {
  private:
   struct Request {
     std::uint64_t number = 0;
+    const api::CommandInfo* info = nullptr;
     std::string command;
     wire::Json json;
     double deadline_seconds = 0;
     TimePoint end;
+    // Set once its client waits no longer: a long command may end early.
+    std::shared_ptr<std::atomic<bool>> cancelled = std::make_shared<std::atomic<bool>>(false);
   };
 
   awaitable<Status> hello();
@@ -70,10 +75,11 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // Waits until it is this request's turn at the scene and `ready` holds. Errors: deadline_exceeded, unavailable.
   // Where `at_once` holds, others' turns don't matter.
-  awaitable<Status> wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready,
-                              std::function<bool()> at_once = [] { return false; });
+  awaitable<Status> wait_turn(
+      const Request& request, const std::string& scene, std::function<bool()> ready,
+      std::function<bool()> at_once = [] { return false; });
   // Sleeps until the timer is cancelled, the request's end, or the next notice (which it then sends).
-  awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, const char* what);
+  awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what);
 
   void fail(std::uint64_t request, const Status& why);
 

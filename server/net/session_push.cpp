@@ -91,9 +91,12 @@ awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
   // The session goes on reading, so that it hears of the client's end; the answer comes when the ranks are ready.
   push->when_whole = [self = shared_from_this(), weak = std::weak_ptr(push)] {
     const auto ready = weak.lock();
-    if (ready)
-      asio::co_spawn(
-          self->coordinator_->context(), [self, ready] { return self->order_push(ready); }, asio::detached);
+    if (!ready) return;
+    asio::co_spawn(
+        self->coordinator_->context(), [self, ready] { return self->order_push(ready); },
+        [self](const std::exception_ptr& fault) {  // its client hears of it by the end of its connection
+          if (fault) self->connection_->close();
+        });
   };
   coordinator_->receive_directly(push);
 }
@@ -112,9 +115,8 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
     return Status(Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\"");
   const double left = std::chrono::duration<double>(request.end - now()).count();
   auto push = coordinator_->open_push(std::move(*terms), connection_, client_, left);
-  if (!push.ok()) return push.status();
-  (*push)->request = request.number;
-  (*push)->begin = request.json;
+  push->request = request.number;
+  push->begin = request.json;
   return push;
 }
 
@@ -164,6 +166,7 @@ awaitable<Status> Session::receive(const Frame& frame, const std::shared_ptr<Ope
       const std::span<std::byte> piece = single ? room_made.last(room_made.size() / 2) : room_made;
       const Status status = co_await connection_->read_bulk(piece);
       if (!status.ok()) co_return status;
+      if (!push->given_up) coordinator_->charge(push, room_made.size());
       if (checked) checksum.add(piece);
       if (single) widen(piece, room_made);
       left -= piece.size();
@@ -181,19 +184,16 @@ awaitable<Status> Session::receive(const Frame& frame, const std::shared_ptr<Ope
 
 awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
   const PushTerms& terms = push->slices.terms();
-  Request request{push->request, "push", std::move(push->begin), 0, push->end};
+  Request request{push->request, api::find_command("push.begin"), "push", std::move(push->begin), 0, push->end};
   request.deadline_seconds = std::chrono::duration<double>(push->end - push->started).count();
   request.json["command"] = "push";
   request.json["session"] = terms.id.session;
-  if (push->number != 0)
-    request.json["staged"] = push->number;
-  else
-    request.json.erase("staged");
+  if (push->number != 0) request.json["staged"] = push->number;
   OrderOptions order;
   order.slices = push->slices.take();
   order.received_seconds = seconds_since(push->started);
   order.deadline_seconds = request.deadline_seconds;
-  order.staged_bytes = terms.bytes();
+  order.charged_bytes = std::exchange(push->charged_bytes, 0);
   order.changes = terms.id.scene;  // what is pushed next waits for the commit
   coordinator_->close_push(push);
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));

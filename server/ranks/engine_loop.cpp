@@ -28,11 +28,15 @@ void EngineLoop::run(service::Service& service) {
     deadline_running_.store(order.deadline_seconds, std::memory_order_relaxed);
     number_running_.store(order.number, std::memory_order_relaxed);
     service::Response response;
-    if (!last) response = service.execute(order.request, std::move(order.slices), order.received_seconds);
+    const std::chrono::duration<double> waited = std::chrono::steady_clock::now() - order.ordered;
+    if (!last)
+      response = service.execute(order.request, std::move(order.slices),
+                                 {order.received_seconds, order.deadline_seconds - waited.count(), order.cancelled});
     number_running_.store(0, std::memory_order_relaxed);
     for (service::Spare& spare : service.take_spares())
-      if (spare_) spare_(std::move(spare));
+      if (handlers_.spare) handlers_.spare(std::move(spare));
     if (order.done) order.done(std::move(response), service.snapshot());
+    if (handlers_.executed) handlers_.executed();
     if (last) return;
   }
 }

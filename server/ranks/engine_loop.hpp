@@ -7,6 +7,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
@@ -25,15 +26,21 @@ struct EngineOrder {
   std::vector<service::PushSlice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
+  std::chrono::steady_clock::time_point ordered = std::chrono::steady_clock::now();
+  std::shared_ptr<const std::atomic<bool>> cancelled;  // nobody waits for the answer any more; may be null
   // Called on the engine thread when it is done, with the state after it; may be empty.
   std::function<void(service::Response, service::Snapshot)> done;
 };
 
 class EngineLoop {
  public:
-  // spare: called on the engine thread with memory for a scene's next slice (service.hpp); may be empty.
-  using SpareHandler = std::function<void(service::Spare)>;
-  explicit EngineLoop(std::size_t capacity, SpareHandler spare = {}) : capacity_(capacity), spare_(std::move(spare)) {}
+  // Called on the engine thread; may be empty.
+  struct Handlers {
+    std::function<void(service::Spare)> spare;  // with memory for a scene's next slice (service.hpp)
+    std::function<void()> executed;             // after every order
+  };
+  explicit EngineLoop(std::size_t capacity, Handlers handlers = {})
+      : capacity_(capacity), handlers_(std::move(handlers)) {}
 
   // Any thread. False if the queue is full, which the coordinator must have prevented.
   [[nodiscard]] bool push(EngineOrder order);
@@ -48,7 +55,7 @@ class EngineLoop {
   EngineOrder next();
 
   const std::size_t capacity_;
-  SpareHandler spare_;
+  Handlers handlers_;
   std::mutex mutex_;
   std::condition_variable filled_;
   std::deque<EngineOrder> queue_;

@@ -1,11 +1,11 @@
 #include "server/service/service.hpp"
 
-#include <set>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include "common/plan/plan.hpp"
+#include "server/api/commands.hpp"
 #include "server/service/context.hpp"
 #include "server/service/staging.hpp"
 
@@ -18,7 +18,6 @@ struct Service::State {
   std::map<std::string, Scene> scenes;
   NoSkip no_skip;
   std::map<std::string, Command> commands;
-  std::set<std::string> readers = {};  // of the commands: they change no scene
   std::vector<Spare> spares = {};
   // A scene's particles by rank, as of this (epoch, step, plan version).
   struct RankCounts {
@@ -41,7 +40,9 @@ struct Service::State {
 
   // What the scene lends is taken back for the time of an order that may change it.
   Response run(const Command& command, const wire::Json& request, Context& context) {
-    if (loans == nullptr || readers.contains(command.name)) return command.run(context, request);
+    const api::CommandInfo* known = api::find_command(command.name);
+    const bool reads = known != nullptr && known->effect == api::Effect::reads;
+    if (loans == nullptr || reads) return command.run(context, request);
     const auto name = wire::string_field(request, "scene", 256);
     if (name.ok())
       context.loan = loans->take_back(*name);
@@ -61,8 +62,6 @@ Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip, Loan
   for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(),
                            rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
-  for (const auto table : {query_commands(), quality_commands()})
-    for (const Command& command : table) state_->readers.insert(command.name);
 }
 
 Service::~Service() {
@@ -81,15 +80,15 @@ void note_question(Context& context, const wire::Json& request, const std::strin
 
 }  // namespace
 
-Response Service::execute(const wire::Json& request, std::vector<PushSlice> slices, double received_seconds) {
+Response Service::execute(const wire::Json& request, std::vector<PushSlice> slices, const OrderTerms& terms) {
   const auto name = wire::string_field(request, "command", 64);
   if (!name.ok()) return failed(name.status());
   const auto command = state_->commands.find(name.value());
   if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{state_->comm,     state_->clock,  state_->scenes,  std::move(slices),
-                  received_seconds, state_->spares, state_->no_skip, nullptr};
+  Context context{state_->comm,           state_->clock,  state_->scenes,  std::move(slices),
+                  terms.received_seconds, state_->spares, state_->no_skip, nullptr};
   Response response = state_->run(command->second, request, context);
   if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};

@@ -6,6 +6,7 @@
 // 3. The response is complete on rank 0 alone; elsewhere it is empty.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -45,6 +46,13 @@ struct Response {
   std::vector<wire::Array> arrays;
 };
 
+// What comes with an order beside its request. Of rank 0's alone counts what is said here.
+struct OrderTerms {
+  double received_seconds = 0;                                   // how long a push took to arrive; for the report
+  double seconds_left = wire::kDeadlineSecondsMax;               // to the client's deadline, when the order is begun
+  std::shared_ptr<const std::atomic<bool>> cancelled = nullptr;  // set once nobody waits for the answer; may be null
+};
+
 // What the I/O thread may know of a scene while the engine is busy.
 struct SceneSummary {
   std::string name;
@@ -76,8 +84,8 @@ class Service {
   // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.
   // A push arrives as {"command":"push", ...the fields of push.begin} with its slices on rank 0 or, where the request
   // has a field "staged", with each rank's slice on that rank.
-  // `received_seconds`: how long the push took to arrive (rank 0; for the report).
-  Response execute(const wire::Json& request, std::vector<PushSlice> slices = {}, double received_seconds = 0);
+  // Commands that run on rank 0 alone (server/api/commands.hpp) aren't collective.
+  Response execute(const wire::Json& request, std::vector<PushSlice> slices = {}, const OrderTerms& terms = {});
 
   // Local. What the orders since the last call gave up, in their order.
   std::vector<Spare> take_spares();

@@ -39,9 +39,12 @@ class DataPortTest : public ::testing::Test {
     EXPECT_TRUE(tcp.ok());
     tcp_ = tcp.ok() ? *tcp : "";
     port_->start(
-        [this](std::uint64_t number, const Status& status) {
+        [this](const SliceReport& report) {
           const std::lock_guard lock(mutex_);
-          reports_.emplace_back(number, status);
+          if (report.whole || !report.status.ok())
+            reports_.emplace_back(report.number, report.status);
+          else
+            arrived_.emplace_back(report.number, report.bytes);
           changed_.notify_all();
         },
         [this](const PushTerms& terms) {
@@ -113,6 +116,7 @@ class DataPortTest : public ::testing::Test {
   std::mutex mutex_;
   std::condition_variable changed_;
   std::vector<std::pair<std::uint64_t, Status>> reports_;
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> arrived_;
   std::vector<std::int64_t> watched_;  // steps; on the I/O thread
 };
 

@@ -46,10 +46,11 @@ struct Rank {
 
 class Bells : public ::testing::Test {
  protected:
-  void start(int ranks) {
+  void start(int ranks, NewsHandler news = {}) {
     auto opened = DoorbellHub::open(loop_, ranks, 6, [this](const std::string& what) { lost_.add(what); });
     ASSERT_TRUE(opened.ok());
     hub_ = std::move(*opened);
+    hub_->on_news(std::move(news));
     loop_.start();
     for (int r = 1; r < ranks; ++r) {
       ranks_.push_back(std::make_unique<Rank>());
@@ -128,8 +129,12 @@ TEST_F(Bells, ADeadCoordinatorIsMissed) {
 TEST_F(Bells, SilenceIsCountedInTicks) {
   start(2);
   ranks_[0]->loop.stop();  // as a stopped process: connected, and dumb
+  EXPECT_TRUE(hub_->silent().empty());
   for (int i = 0; i < 3; ++i) loop_.run([&] { hub_->tick(); });
   EXPECT_TRUE(lost_.lines().empty());
+  ASSERT_EQ(hub_->silent().size(), 1U);
+  EXPECT_EQ(hub_->silent()[0].rank, 1);
+  EXPECT_EQ(hub_->silent()[0].seconds, 3 * kTickSeconds);
   loop_.run([&] { hub_->tick(); });
   ASSERT_EQ(lost_.lines().size(), 1U);
   EXPECT_NE(lost_.lines()[0].find("silent"), std::string::npos);
@@ -137,13 +142,15 @@ TEST_F(Bells, SilenceIsCountedInTicks) {
   EXPECT_EQ(lost_.lines().size(), 1U);  // once
 }
 
-TEST_F(Bells, AHeartbeatIsAnswered) {
-  start(2);
-  for (int i = 0; i < 30; ++i) {
+TEST_F(Bells, SignsOfLifeAreSentUnasked) {
+  Log words;
+  start(2, [&words](int from, const wire::Json& word) { words.add(std::to_string(from) + word.dump()); });
+  for (std::size_t i = 1; i <= 30; ++i) {
+    ranks_[0]->loop.run([&] { ranks_[0]->bell->tick({{"executed", i}}); });
+    ASSERT_TRUE(words.wait_for(i));
     loop_.run([&] { hub_->tick(); });
-    ranks_[0]->loop.run([] {});
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
   }
+  EXPECT_EQ(words.lines().back(), R"(1{"executed":30})");
   EXPECT_TRUE(lost_.lines().empty());
 }
 

@@ -14,8 +14,8 @@
 
 namespace rcb::net::testing {
 
-// Executes orders one by one on its own thread. Knows scene.create, scene.drop, push and "numbers" (an answer with
-// `count` doubles); anything else is answered with {"echo": command}.
+// Executes orders one by one on its own thread. Knows scene.create, scene.drop, push and fetch (an answer with as many
+// doubles as the scene's name says: "n1000"); anything else is answered with {"echo": command}.
 class FakeEngine final : public Engine {
  public:
   FakeEngine();
@@ -29,6 +29,8 @@ class FakeEngine final : public Engine {
   void wait_for_orders(std::size_t count);
   // Commands executed so far, "push step 3" with its step.
   std::vector<std::string> executed() const;
+  // The last order's request.
+  wire::Json request() const;
   // The slices of the last push.
   std::vector<Slice> slices() const;
 

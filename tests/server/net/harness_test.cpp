@@ -35,6 +35,7 @@ struct FakeEngine::State {
   bool held = false;
   bool ended = false;
   std::vector<std::string> executed;
+  Json request;
   std::vector<Slice> slices;
   Snapshot snapshot;
   std::thread thread;
@@ -45,6 +46,7 @@ struct FakeEngine::State {
     Answer answer;
     answer.json = {{"echo", command}};
     executed.push_back(command);
+    request = order.request;
     if (command == "scene.create") {
       snapshot.scenes[scene] = {.dims = order.request.value("dims", 3)};
     } else if (command == "scene.drop" || command == "scene.show") {
@@ -61,8 +63,8 @@ struct FakeEngine::State {
       ++snapshot.steps;
       slices = std::move(order.slices);
       answer.json = {{"report", {{"step", step}}}};
-    } else if (command == "numbers") {
-      const auto count = order.request.value("count", std::uint64_t{0});
+    } else if (command == "fetch") {
+      const std::uint64_t count = std::stoull(scene.substr(1));
       Buffer<std::byte> bytes(count * 8);
       std::memset(bytes.data(), 0, bytes.size());
       answer.arrays.push_back({"x", "<f8", {count}, std::move(bytes)});
@@ -124,6 +126,11 @@ void FakeEngine::wait_for_orders(std::size_t count) {
 std::vector<std::string> FakeEngine::executed() const {
   const std::lock_guard lock(state_->mutex);
   return state_->executed;
+}
+
+Json FakeEngine::request() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->request;
 }
 
 std::vector<Slice> FakeEngine::slices() const {

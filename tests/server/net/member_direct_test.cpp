@@ -116,7 +116,7 @@ class MemberDirect : public ::testing::Test {
     team_[k].send(FrameType::request, ids, std::string(24 * n, '\0'));
   }
   void whole(int rank, std::uint64_t number, const Status& status = {}) {
-    loop_.run([&] { control_->slice_ended(rank, number, status); });
+    loop_.run([&] { control_->slice_reported(rank, {number, 0, status.ok(), status}); });
   }
   // Waits until what the members have sent was read.
   void settle() {

@@ -211,19 +211,48 @@ TEST_F(Push, AStepThatIsNotAboveTheLastIsLeftToTheService) {
   EXPECT_EQ(service_.engine().executed().size(), 3U);
 }
 
-TEST_F(Push, TooLargeIsAnErrorAndSoIsTooMuchAtOnce) {
-  anna_.begin(kAnna, 0, std::uint64_t{1} << 47U);
-  EXPECT_EQ(anna_.receive().code(), "too_large");
-  anna_.begin(kAnna, 0, 3000000);  // 48 of 64 MiB, announced
-  anna_.call("status");
-  bert_.call("scene.create", {{"scene", "t"}, {"dims", 2}});
-  bert_.begin(kBert, 0, 3000000, {{"scene", "t"}});
-  EXPECT_EQ(bert_.receive().code(), "busy");
-  anna_.close();
-  while (bert_.call("status").json["sessions"] != 1) {
-  }
-  bert_.begin(kBert, 0, 3000000, {{"scene", "t"}, {"deadline_seconds", 0.1}});
-  EXPECT_EQ(bert_.receive().code(), "deadline_exceeded");
+TEST(PushBudget, WhatIsAnnouncedTakesNothingWhatHasArrivedDoes) {
+  ControlOptions options = TestService::defaults();
+  options.bulk_bytes_max = std::uint64_t{4} << 20U;
+  TestService service(options);
+  Client anna = service.client("anna", kAnna);
+  Client bert = service.client("bert", kBert);
+  for (const char* scene : {"s", "t", "u"}) anna.call("scene.create", {{"scene", scene}, {"dims", 2}});
+  anna.begin(kAnna, 0, std::uint64_t{1} << 40U);
+  EXPECT_EQ(anna.receive().code(), "too_large");
+  constexpr std::uint64_t kCount = 180000;  // 2.9 MB
+  anna.begin(kAnna, 0, kCount, {{"scene", "t"}});
+  anna.call("status");
+  bert.begin(kBert, 0, kCount, {{"scene", "u"}});
+  bert.slice(kBert, 0, kCount, 0, {{"scene", "u"}});
+  EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);  // Anna's announcement is in nobody's way
+  service.engine().hold();
+  bert.begin(kBert, 1, kCount, {{"scene", "u"}});
+  bert.slice(kBert, 1, kCount, 0, {{"scene", "u"}});
+  service.engine().wait_for_orders(1);  // arrived, and kept until it is answered
+  anna.slice(kAnna, 0, kCount, 0, {{"scene", "t"}});
+  EXPECT_EQ(anna.receive_but_notices().code(), "busy");
+  service.engine().release();
+  EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 1);
+  anna.begin(kAnna, 0, kCount, {{"scene", "t"}});  // all was given back
+  anna.slice(kAnna, 0, kCount, 0, {{"scene", "t"}});
+  EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
+}
+
+TEST(PushBudget, APushThatStopsArrivingIsGivenUp) {
+  ControlOptions options = TestService::defaults();
+  options.frame_seconds = 0.3;
+  TestService service(options);
+  Client anna = service.client("anna", kAnna);
+  Client bert = service.client("bert", kBert);
+  anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
+  anna.begin(kAnna, 0, 1000000, {{"deadline_seconds", 3600}});
+  const Received failure = anna.receive_but_notices();
+  EXPECT_EQ(failure.code(), "deadline_exceeded");
+  EXPECT_NE(failure.message().find("stopped arriving"), std::string::npos) << failure.message();
+  bert.begin(kBert, 0, 4);
+  bert.slice(kBert, 0, 4);
+  EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);
 }
 
 TEST_F(Push, ADropWaitsForTheOpenPushAndLaterPushesWaitBehindIt) {

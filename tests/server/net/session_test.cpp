@@ -1,4 +1,6 @@
 // Sessions: who gets in, what a broken frame does, and who may have which scene.
+#include <thread>
+
 #include <gtest/gtest.h>
 
 #include "common/base/random.hpp"
@@ -277,11 +279,75 @@ TEST(Session, ASlowReaderLosesItsConnectionOnly) {
   options.frame_seconds = 0.3;
   TestService service(options);
   Client slow = service.client("slow");
-  slow.request("numbers", {{"count", 4 << 20}});  // 32 MiB: more than any socket buffer
+  slow.request("fetch", {{"scene", "n4194304"}});  // 32 MiB: more than any socket buffer
   Client other = service.client("other");
   while (other.call("status").json["sessions"] != 1) {
   }
-  EXPECT_EQ(other.call("numbers", {{"count", 1 << 20}}).bulk.size(), std::size_t{8} << 20U);
+  EXPECT_EQ(other.call("fetch", {{"scene", "n1048576"}}).bulk.size(), std::size_t{8} << 20U);
+}
+
+TEST(Session, FieldsOfTheInsideDontComeFromOutside) {
+  TestService service;
+  Client anna = service.client("anna", kAnna);
+  anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
+  for (int i = 0; i < 100; ++i) {  // more than may be unfinished: nothing is leaked
+    const Json staged = i % 2 == 0 ? Json(i) : Json::object();
+    const Json inside{{"scene", "s"}, {"staged", staged}, {"membership", {{"member", 0}}}, {"unmoved", {0}}};
+    EXPECT_EQ(anna.call("rebalance", inside).type, FrameType::reply);
+    EXPECT_EQ(service.engine().request(), (Json{{"command", "rebalance"}, {"scene", "s"}}));
+  }
+  anna.begin(kAnna, 0, 4, {{"staged", 7}});
+  anna.slice(kAnna, 0, 4);
+  EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
+  EXPECT_FALSE(service.engine().request().contains("staged"));
+  for (const char* command : {"push", "push.members", "nonsense", ""})
+    EXPECT_EQ(anna.call(command, {{"scene", "s"}, {"staged", 1}}).code(), "unsupported") << command;
+}
+
+// A request of `bytes` that takes long to parse: many small values, or one long text.
+std::string large_request(std::uint64_t number, std::size_t bytes, bool numbers) {
+  std::string text = R"({"command":"scene.create","scene":"s","part_sizes":)";
+  if (!numbers) return frame(FrameType::request, number, text + '"' + std::string(bytes, 'a') + "\"}");
+  text += "[1";
+  while (text.size() < bytes) text += ",1";
+  return frame(FrameType::request, number, text + "]}");
+}
+
+TEST(Session, LargeRequestsHoldUpNobodyElse) {
+  TestService service;
+  std::vector<Client> large;
+  for (int i = 0; i < 12; ++i) {
+    large.push_back(service.client("large", kAnna));
+    std::thread([&] { large.back().send_bytes(large_request(9, std::size_t{2} << 20U, true)); }).join();
+  }
+  Client other = service.client("other", kBert);
+  EXPECT_EQ(other.call("status").type, FrameType::reply);
+  EXPECT_LT(service.engine().executed().size(), 12U) << "they were parsed first";
+  for (Client& one : large) EXPECT_EQ(one.receive_but_notices().request, 9U);
+}
+
+TEST(Session, ALargeRequestThatDoesNotComeFreesItsPlace) {
+  ControlOptions options = TestService::defaults();
+  options.frame_seconds = 0.3;
+  TestService service(options);
+  std::vector<Client> silent;
+  for (int i = 0; i < 6; ++i) {  // more than there are places
+    silent.push_back(service.client("silent", kAnna));
+    silent.back().send_bytes(large_request(9, std::size_t{4} << 20U, false).substr(0, 100));
+  }
+  Client other = service.client("other", kBert);
+  other.send_bytes(large_request(9, std::size_t{1} << 17U, false));
+  EXPECT_EQ(other.receive_but_notices().json["echo"], "scene.create");
+  for (Client& one : silent) EXPECT_EQ(last_failure(one), "deadline_exceeded");
+}
+
+TEST(Session, ManyValuesAreRefused) {
+  TestService service;
+  Client client = service.client("c", kAnna);
+  std::thread sender([&] { client.send_bytes(large_request(9, std::size_t{3} << 20U, true)); });
+  EXPECT_EQ(last_failure(client), "protocol_error");
+  sender.join();
+  expect_alive(service);
 }
 
 TEST(Session, ShutdownIsAnsweredThenEveryoneGetsGoodbye) {

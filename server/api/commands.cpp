@@ -1,0 +1,84 @@
+#include "server/api/commands.hpp"
+
+#include <algorithm>
+#include <array>
+
+namespace rcb::api {
+namespace {
+
+using enum RunsOn;
+using enum Effect;
+using Fields = std::string_view;
+
+constexpr std::array<Fields, 1> kScene{"scene"};
+constexpr std::array<Fields, 11> kCreate{"scene",     "parts",           "dims",          "method",
+                                         "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
+                                         "recut",     "part_sizes",      "replace"};
+constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
+constexpr std::array<Fields, 22> kPushBegin{"scene",    "session",      "step",    "attempt",     "n",     "slices",
+                                            "order",    "plan",         "moved",   "base_step",   "dtype", "weights",
+                                            "ids",      "changes",      "path",    "counts",      "epoch", "places",
+                                            "inserted", "inserted_ids", "removed", "step_seconds"};
+constexpr std::array<Fields, 2> kHistory{"scene", "last"};
+constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};
+constexpr std::array<Fields, 3> kBox{"scene", "lo", "hi"};
+constexpr std::array<Fields, 2> kAssign{"scene", "checksum"};
+constexpr std::array<Fields, 2> kQuality{"scene", "ghost_width"};
+constexpr std::array<Fields, 4> kCompare{"scene", "parts", "ghost_width", "methods"};
+constexpr std::array<Fields, 5> kRebalance{"scene", "method", "parts", "tolerance", "dry_run"};
+constexpr std::array<Fields, 5> kLoad{"scene", "path", "step", "dims", "weights"};
+constexpr std::array<Fields, 3> kWriteParts{"scene", "directory", "prefix"};
+
+constexpr std::array kCommands{
+    CommandInfo{"status", session, reads, {}},
+    CommandInfo{"shutdown", session, changes, {}},
+    CommandInfo{"scene.list", session, reads, {}},
+    CommandInfo{"scene.close", session, reads, kScene},
+    CommandInfo{"scene.open", root, reads, kOpen},
+    CommandInfo{"scene.show", root, reads, kScene},
+    CommandInfo{"error", root, reads, kScene},
+    CommandInfo{"counts", root, reads, kScene},
+    CommandInfo{"cuts", root, reads, kScene},
+    CommandInfo{"history", root, reads, kHistory},
+    CommandInfo{"stats", root, reads, kScene},
+    CommandInfo{"owner", root, reads, kOwner},
+    CommandInfo{"box", root, reads, kBox},
+    CommandInfo{"plan", ranks, reads, kScene},
+    CommandInfo{"assign", ranks, reads, kAssign},
+    CommandInfo{"fetch", ranks, reads, kScene},
+    CommandInfo{"quality", ranks, reads, kQuality},
+    CommandInfo{"compare", ranks, reads, kCompare},
+    CommandInfo{"write_parts", ranks, reads, kWriteParts},
+    CommandInfo{"scene.create", ranks, changes, kCreate},
+    CommandInfo{"scene.drop", ranks, changes, kScene},
+    CommandInfo{"push.begin", ranks, changes, kPushBegin},
+    CommandInfo{"rebalance", ranks, changes, kRebalance},
+    CommandInfo{"load", ranks, changes, kLoad},
+};
+
+}  // namespace
+
+std::span<const CommandInfo> commands() { return kCommands; }
+
+const CommandInfo* find_command(std::string_view name) {
+  const auto* found =
+      std::find_if(kCommands.begin(), kCommands.end(), [name](const auto& command) { return command.name == name; });
+  return found == kCommands.end() ? nullptr : found;
+}
+
+void keep_known_fields(wire::Json& request, const CommandInfo& command) {
+  for (auto entry = request.begin(); entry != request.end();) {
+    const std::string_view key = entry.key();
+    const bool known = key == "command" || key == "deadline_seconds" ||
+                       std::find(command.fields.begin(), command.fields.end(), key) != command.fields.end();
+    entry = known ? std::next(entry) : request.erase(entry);
+  }
+}
+
+bool changes_scene(const wire::Json& request, const CommandInfo& command) {
+  if (command.effect == Effect::reads) return false;
+  const auto dry_run = wire::bool_field_or(request, "dry_run", false);
+  return !(dry_run.ok() && *dry_run);  // a wrong type is refused by the service
+}
+
+}  // namespace rcb::api
