@@ -26,6 +26,15 @@ def frame(kind, request, document, bulk=b"", flags=0):
     return head + struct.pack("<Q", xxh3(head + text)) + text + bulk + tail
 
 
+def reframed(data, change):
+    """The frame with its JSON changed by a function, and a checksum that holds."""
+    _, _, kind, flags, text, request, bulk = struct.unpack("<4sHHIIQQ", data[:32])
+    document = json.loads(data[40: 40 + text])
+    change(document)
+    tail = data[40 + text:]
+    return frame(kind, request, document, tail[:bulk], flags)
+
+
 def described(columns, dtypes={}):
     """(the `arrays` of a message, their bulk); positions are <f8 unless said otherwise, `id` is <i8."""
     default = {"id": "<i8", "slot": "<u8"}
@@ -80,6 +89,8 @@ class Client:
         self.number = 0
         self.session = session or os.urandom(8).hex()
         kind, _, self.welcome, _ = self.receive()
+        if kind == FAILURE:
+            raise Refused(self.welcome["failure"]["code"], self.welcome["failure"]["message"])
         assert kind == WELCOME
         if hello:
             self.say_hello()

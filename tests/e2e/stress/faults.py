@@ -1,5 +1,8 @@
 """What happens to the service's processes and its disk."""
+import contextlib
+import itertools
 import os
+import shutil
 import signal
 import time
 
@@ -7,6 +10,8 @@ from actor import Actor, Gone
 from protocol_client import Refused
 from support import processes_of
 from world import KNOWN
+
+FILLING = "filling"  # a folder that takes all the room there is
 
 
 class Stops(Actor):
@@ -48,23 +53,36 @@ class Disk(Actor):
     pause_seconds = 4
 
     def turn(self):
-        path = os.path.join(self.world.data, "filling")
         try:
-            with open(path, "wb") as file:
-                try:
-                    while True:
-                        file.write(b"\0" * 65536)
-                        file.flush()
-                except OSError:
-                    pass
-            self.count("filled")
+            self.fill()
             with self.connect(keep=False) as client:
                 scene = self.create(client, parts=2)
                 self.ask(client, "scene.drop", scene=scene)
                 self.scenes.remove(scene)
             time.sleep(max(0, min(self.random.uniform(0.1, 3), self.world.left())))
         finally:
-            os.unlink(path)
+            shutil.rmtree(self.path())
+
+    def end(self):
+        """The service is also stopped with a full disk."""
+        super().end()
+        self.fill()
+
+    def path(self):
+        return os.path.join(self.world.data, FILLING)
+
+    def fill(self):
+        """Takes every byte, then every inode."""
+        os.mkdir(self.path())
+        with contextlib.suppress(OSError), open(os.path.join(self.path(), "bytes"), "wb", buffering=0) as file:
+            for size in (1 << 16, 1):
+                with contextlib.suppress(OSError):
+                    while file.write(b"\0" * size):
+                        pass
+        with contextlib.suppress(OSError):
+            for k in itertools.count():
+                open(os.path.join(self.path(), str(k)), "x").close()
+        self.count("filled")
 
 
 class Kills(Actor):

@@ -1,8 +1,8 @@
 """Pushes of a single client, by every way."""
 import numpy as np
-from actor import Actor
+from actor import LOST, Actor
 from model import Model, check_cut_anew, check_report, check_scene
-from protocol_client import arrays_of
+from protocol_client import Refused, arrays_of, reframed
 from push_client import WAYS, PushClient, Step
 
 SAME = ("step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason", "axes_flipped", "drifted",
@@ -121,3 +121,63 @@ class Quitters(Actor):
             self.count("pushes cut")
         finally:
             client.close()
+
+
+class Liars(Actor):
+    """Pushes of which one field of one frame isn't true."""
+
+    expects = "a push that contradicts itself is refused, and the previous step stands"
+
+    VALUES = (None, True, "", "x", "id", "plan", "direct", "some", "none", "<f4", "<i8", 0, 1, -1, 2, 7, 0.5, 2**31, 2**40,
+              2**53 + 1, 2**63 - 1, -2**63, 2**64 - 1, 1e300, [], [1], [-1, 2, 3], [2**63 - 1] * 3, [2**62] * 4, [0.5] * 3,
+              {}, {"version": 1, "checksum": "0" * 16}, {"version": 2**64, "checksum": 7})
+
+    def start(self):
+        self.control = self.connect()
+        self.drop_all(self.control)
+        self.dims, self.parts = int(self.rng.integers(1, 4)), int(self.rng.integers(1, 8))
+        self.points = self.rng.random((300, self.dims))
+        self.scene, self.number = self.create(self.control, parts=self.parts, dims=self.dims), 0
+        with self.connect(PushClient, keep=False) as client:
+            self.patiently(client.push_step, self.scene, 0, Step(np.arange(300), self.points))
+
+    def turn(self):
+        before = self.ask(self.control, "scene.show", scene=self.scene)[0]
+        answered = self.lie()
+        after = self.ask(self.control, "scene.show", scene=self.scene)[0]
+        self.count("believed" if answered else "refused")
+        if answered:
+            return self.start()
+        before.pop("members"), after.pop("members")
+        self.expect(before == after, "a push that was refused changed the scene", before, after)
+
+    def lie(self):
+        """True if the push was answered all the same."""
+        step = Step(np.arange(300), self.points, base_step=0)
+        if self.rng.integers(2):
+            step.moved = np.sort(self.rng.permutation(300)[:20])
+        if self.rng.integers(3) == 0:
+            step.inserted, step.removed = self.rng.random((4, self.dims)), np.array([3, 7])
+        with self.connect(PushClient, self.random.choice(WAYS), keep=False) as client:
+            begin, edits, slices = client.frames(self.scene, 1, step, each=70, deadline_seconds=2)
+            frames = [(client.socket, begin), *edits, *slices]
+            k = self.random.randrange(len(frames)) if self.rng.integers(3) == 0 else 0
+            frames[k] = (frames[k][0], reframed(frames[k][1], self.change))
+            try:
+                for link, data in frames:
+                    link.sendall(data)
+                client.answer()
+                return True
+            except Refused as refused:
+                self.expect(refused.args[0] != "internal", self.changed, refused.args)
+            except LOST:
+                self.count("closed")
+        return False
+
+    def change(self, document):
+        name = self.random.choice([name for name in document if name not in ("command", "scene", "session")])
+        self.changed = (name, document[name])
+        document[name] = self.random.choice(self.VALUES)
+        if name == "arrays" and self.rng.integers(2):
+            document[name] = self.random.sample(self.changed[1], len(self.changed[1]))
+        self.changed = (*self.changed, document[name])

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import time
 
+from faults import FILLING
 from fuzz import listeners
 from support import processes_of
 
@@ -93,5 +94,5 @@ class Service:
         left = glob.glob(f"{self.folder}/s") + glob.glob(f"{self.folder}/s.*")
         left += [place for place in sorted(self.places) if os.path.exists(place)]
         left += [name for name in os.listdir(self.data)
-                 if not re.fullmatch(r"rcbd\.log(\.\d+)?|clean-shutdown|lock|launch\.lock|token", name)]
+                 if not re.fullmatch(rf"rcbd\.log(\.\d+)?|clean-shutdown|lock|launch\.lock|token|{FILLING}", name)]
         return [f"left behind: {path}" for path in left]

@@ -17,7 +17,7 @@ import tempfile
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.normpath(os.path.join(HERE, "..", "..", ".."))
 INSIDE = "RCB_STRESS_INSIDE"  # set in the mount namespace that this program makes for itself
-DISK_BYTES = 24 << 20
+DISK_BYTES, DISK_FILES = 24 << 20, 500
 ONLY_LONG_SECONDS = 300
 sys.path.append(os.path.dirname(HERE))
 TWICE = ("ways", "members", "readers", "fuzz")  # in the long form
@@ -33,6 +33,7 @@ def parse():
     parser.add_argument("--ranks", type=int, default=3, help="of the service (default: %(default)s)")
     parser.add_argument("--only", metavar="LIST", help="these actors alone, with commas between")
     parser.add_argument("--without", metavar="LIST", default="", help="actors to leave out")
+    parser.add_argument("--dare", metavar="LIST", default="", help="do also what the service is known not to stand")
     parser.add_argument("--kill", action="store_true", help="kill ranks, too; the service is started again")
     parser.add_argument("--keep", action="store_true", help="leave the work directory")
     parser.add_argument("--list", action="store_true", help="print the actors and what they expect, no more")
@@ -48,7 +49,7 @@ def actor_classes():
     import scenes
     import solvers
     return {
-        "ways": pushers.Ways, "quitters": pushers.Quitters, "members": members.Members,
+        "ways": pushers.Ways, "quitters": pushers.Quitters, "liars": pushers.Liars, "members": members.Members,
         "spheres": solvers.TwoSpheres, "slope": solvers.SlopeMembers,
         "readers": queries.Readers, "pipelined": queries.Pipelined, "flood": queries.Flood, "rude": queries.Rude,
         "costly": queries.Costly, "crowd": queries.Crowd, "fuzz": fuzz.Fuzz,
@@ -60,6 +61,8 @@ def actor_classes():
 def chosen(arguments, classes):
     """[(name, class)] of what this run does."""
     import world
+    for name in filter(None, arguments.dare.split(",")):
+        world.KNOWN.pop(name)
     names = arguments.only.split(",") if arguments.only else list(classes)
     unknown = [name for name in [*names, *filter(None, arguments.without.split(","))] if name not in classes]
     if unknown:
@@ -91,7 +94,7 @@ def data_directory(folder):
     data = os.path.join(folder, "data")
     os.makedirs(data, mode=0o700)
     if os.environ.get(INSIDE) == "1":
-        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES},mode=0700", "none", data], check=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES},nr_inodes={DISK_FILES},mode=0700", "none", data], check=True)
     return data
 
 
@@ -122,8 +125,9 @@ def main():
 
 def leave(folder, data, keep):
     if keep:
+        import faults
         kept = os.path.join(folder, "data-kept")
-        shutil.copytree(data, kept, ignore=shutil.ignore_patterns("filling", "tmp"))  # it ends with the namespace
+        shutil.copytree(data, kept, ignore=shutil.ignore_patterns(faults.FILLING, "tmp"))  # it ends with the namespace
         print(f"\nlogs and reports: {folder}")
     if os.environ.get(INSIDE) == "1":
         subprocess.run(["umount", "-l", data], check=False)
