@@ -78,7 +78,7 @@ void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   const auto* command = api::find_command(order.request.value("command", ""));
   const bool root_alone = command != nullptr && command->runs_on == api::RunsOn::root;
   Waiting next{std::move(order), std::move(done), !root_alone};
-  if (waiting_.empty() && may_go(next))
+  if (root_alone || (waiting_.empty() && may_go(next)))
     send(std::move(next));
   else
     waiting_.push_back(std::move(next));

@@ -1,7 +1,8 @@
 // Bridge: rank 0's engine as the sessions see it. An order gets its number here, goes to rank 0's engine and, unless
 // that one can answer it alone, to all other ranks; its answer comes back.
 //
-// Invariant: orders go out in the order of submit(). They wait here while a rank is too far behind (net::Credits).
+// Invariant: orders for all ranks go out in the order of submit(). They wait here while a rank is too far behind
+// (net::Credits); what rank 0 answers alone doesn't.
 #pragma once
 
 #include <cstdint>
@@ -37,7 +38,7 @@ class Bridge final : public net::Engine {
     std::function<void(net::Answer)> done;
     bool on_all_ranks = true;
   };
-  bool may_go(const Waiting& next) const { return !next.on_all_ranks || credits_.room(next.order.text.size()); }
+  bool may_go(const Waiting& next) const { return credits_.room(next.order.text.size()); }
   void send(Waiting next);
 
   ranks::EngineLoop& engine_;

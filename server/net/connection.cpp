@@ -6,6 +6,7 @@
 
 #include <boost/asio/buffer.hpp>
 #include <fmt/format.h>
+#include <poll.h>
 
 #include "common/wire/limits.hpp"
 
@@ -246,6 +247,12 @@ awaitable<void> Connection::end_gently() {
     if (!status.ok() || inbox_end_ == 0) break;
   }
   close();
+}
+
+bool Connection::peer_has_gone() {
+  if (broken_) return true;
+  pollfd watched{socket_.native_handle(), POLLRDHUP, 0};
+  return ::poll(&watched, 1, 0) > 0 && (watched.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
 }
 
 void Connection::close() {

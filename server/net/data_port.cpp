@@ -99,13 +99,15 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     for (Timer* timer : waiting) timer->cancel();
   }
 
-  // The push of a slice, once it is opened; null if it has ended or never comes.
-  awaitable<std::shared_ptr<Incoming>> await_push(const PushId& id) {
+  // The push of a slice, once it is opened; null if it has ended or never comes, or its client has gone, which nobody
+  // would notice by reading while the slice stays unread.
+  awaitable<std::shared_ptr<Incoming>> await_push(const PushId& id, Connection& connection) {
     const TimePoint late = now() + duration_of(options.unknown_seconds);
     while (true) {
       if (auto push = find(id)) co_return push;
-      if (std::find(ended.begin(), ended.end(), id) != ended.end() || now() >= late) co_return nullptr;
-      Timer timer(context(), late);
+      if (std::find(ended.begin(), ended.end(), id) != ended.end() || now() >= late || connection.peer_has_gone())
+        co_return nullptr;
+      Timer timer(context(), std::min(late, now() + std::chrono::seconds(1)));
       const auto place = waiting.insert(waiting.end(), &timer);
       co_await timer.async_wait(kAwait);
       waiting.erase(place);
@@ -185,7 +187,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
       co_return Status(Code::protocol_error, "a data connection takes push.slice alone");
     const auto id = read_push_id(frame.json, "");
     if (!id.ok()) co_return Status(Code::protocol_error, id.status().message());
-    const auto push = co_await await_push(*id);
+    const auto push = co_await await_push(*id, *connection);
     if (!push || push->over) co_return co_await connection->skip_bulk(frame, frame.header.bulk_bytes);
     if (push->connection != nullptr && push->connection != connection.get()) {
       end(push, {Code::invalid_argument, fmt::format("two connections bring the slice of rank {}", options.rank)});
