@@ -111,7 +111,7 @@ class Quitters(Actor):
         try:
             moved = None if self.rng.integers(2) else self.model.ids[::3]
             step = Step(self.model.ids, self.model.points + 1, moved=moved, base_step=self.number)
-            begin, edits, slices = client.frames(self.scene, self.number + 1, step, each=100)
+            begin, edits, slices = self.patiently(client.frames, self.scene, self.number + 1, step, each=100)
             left = int(self.rng.integers(0, len(begin) + sum(len(data) for _, data in slices)))
             for link, data in [(client.socket, begin), *edits, *slices]:
                 link.sendall(data[:left])
@@ -159,7 +159,7 @@ class Liars(Actor):
         if self.rng.integers(3) == 0:
             step.inserted, step.removed = self.rng.random((4, self.dims)), np.array([3, 7])
         with self.connect(PushClient, self.random.choice(WAYS), keep=False) as client:
-            begin, edits, slices = client.frames(self.scene, 1, step, each=70, deadline_seconds=2)
+            begin, edits, slices = self.patiently(client.frames, self.scene, 1, step, each=70, deadline_seconds=2)
             frames = [(client.socket, begin), *edits, *slices]
             k = self.random.randrange(len(frames)) if self.rng.integers(3) == 0 else 0
             frames[k] = (frames[k][0], reframed(frames[k][1], self.change))

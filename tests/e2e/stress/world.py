@@ -5,16 +5,15 @@ import time
 
 # What the service is known not to stand yet, and what happens then. It is left out of a run. Empty in the end.
 KNOWN = {
-    "flood": "more commands that rank 0 answers alone than a stopped rank's queue holds end the service",
-    "internal-fields": "a rebalance with `staged` leaks the scene's gate and an order",
     "compare-repeated": "`compare` with a method thousands of times runs past every deadline",
-    "large-json": "several requests of 16 MiB of JSON stop the heartbeats",
     "many-cuts": "`cuts` of a million parts takes gigabytes and seconds of everybody",
     "announced-bulk": "a push that announces gigabytes and sends nothing makes all others busy",
     "silent-connections": "connections that never say hello take all seats",
     "stopped-mpirun": "a stopped mpirun blocks the log, and with it rank 0",
     "full-disk": "with a full disk the service cannot be stopped",
     "kills": "solvers end where a rank is killed",
+    "busy-solvers": "the library gives a step up where the service is busy for a moment",
+    "dead-data-connections": "a data connection that ended while its slices wait is kept for minutes",
     "quoting": "control characters in names stand in messages and in the log as they came",
 }
 
