@@ -109,8 +109,7 @@ class Run:
                 status = client.ask("status")[0]
                 left = {"sessions": status["sessions"] - 1, "scenes": len(status["scenes"])}
             after = self.descriptors()
-            if "dead-data-connections" not in KNOWN:
-                left["descriptors"] = max((after[pid] - self.before.get(pid, after[pid]) for pid in after), default=0)
+            left["descriptors"] = max((after[pid] - self.before.get(pid, after[pid]) for pid in after), default=0)
             if not any(count > 0 for count in left.values()):
                 return
             if time.monotonic() > end:

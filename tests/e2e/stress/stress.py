@@ -68,7 +68,7 @@ def chosen(arguments, classes):
     if unknown:
         sys.exit(f"no such actors: {', '.join(unknown)}; --list names them")
     left_out = set(arguments.without.split(","))
-    if not arguments.kill or "kills" in world.KNOWN:
+    if not arguments.kill:
         left_out.add("kills")
     if "disk" in names and (os.environ.get(INSIDE) != "1" or "full-disk" in world.KNOWN):
         if os.environ.get(INSIDE) != "1":

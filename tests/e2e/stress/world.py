@@ -11,9 +11,8 @@ KNOWN = {
     "silent-connections": "connections that never say hello take all seats",
     "stopped-mpirun": "a stopped mpirun blocks the log, and with it rank 0",
     "full-disk": "with a full disk the service cannot be stopped",
-    "kills": "solvers end where a rank is killed",
+    "outliving": "solvers end where a rank is killed",
     "busy-solvers": "the library gives a step up where the service is busy for a moment",
-    "dead-data-connections": "a data connection that ended while its slices wait is kept for minutes",
     "quoting": "control characters in names stand in messages and in the log as they came",
 }
 
