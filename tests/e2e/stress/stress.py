@@ -41,6 +41,7 @@ def parse():
 
 
 def actor_classes():
+    import commands
     import faults
     import fuzz
     import members
@@ -52,7 +53,7 @@ def actor_classes():
         "ways": pushers.Ways, "quitters": pushers.Quitters, "liars": pushers.Liars, "members": members.Members,
         "spheres": solvers.TwoSpheres, "slope": solvers.SlopeMembers,
         "readers": queries.Readers, "pipelined": queries.Pipelined, "flood": queries.Flood, "rude": queries.Rude,
-        "costly": queries.Costly, "crowd": queries.Crowd, "fuzz": fuzz.Fuzz,
+        "costly": queries.Costly, "crowd": queries.Crowd, "commands": commands.Commands, "fuzz": fuzz.Fuzz,
         "scenes": scenes.Scenes, "files": scenes.Files,
         "stops": faults.Stops, "disk": faults.Disk, "kills": faults.Kills,
     }
