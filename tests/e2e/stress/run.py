@@ -11,7 +11,8 @@ import time
 import watcher
 from actor import run_actor
 from protocol_client import Client
-from service import PATIENCE, Service, sanitizers_of
+from sanitizers import PATIENCE, of_build
+from service import Service
 from world import KNOWN, World
 
 PR_SET_PDEATHSIG = 1
@@ -21,7 +22,7 @@ SHOWN_MAX = 3  # failures of an actor that are printed in full
 class Run:
     def __init__(self, build, seed, ranks, folder, data, seconds, interval):
         self.seed, self.folder, self.seconds, self.interval = seed, folder, seconds, interval
-        self.sanitizers = sanitizers_of(build)
+        self.sanitizers = of_build(build)
         patience = PATIENCE[self.sanitizers]
         programs = os.path.join(build, "bin")
         self.service = Service(programs, folder, data, ranks, patience)
@@ -49,7 +50,8 @@ class Run:
         finally:
             self.end_actors()
             self.wrong += self.service.stop()
-            self.watcher.read_findings()
+            self.watcher.read_findings()  # leaks are told at a program's end
+            self.wrong += [f"sanitizer report {path}:\n{text[:3000]}" for path, text in self.watcher.findings.items()]
         return self.report()
 
     def start_actors(self, classes):

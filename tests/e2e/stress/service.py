@@ -9,29 +9,8 @@ import time
 
 from faults import FILLING
 from fuzz import listeners
+from sanitizers import environment
 from support import processes_of
-
-HERE = os.path.dirname(os.path.abspath(__file__))
-PATIENCE = {"": 1, "address,undefined": 4, "thread": 8}
-
-
-def sanitizers_of(build):
-    """What a build folder was configured with, as -fsanitize takes it."""
-    with open(os.path.join(build, "CMakeCache.txt")) as file:
-        found = re.search(r"^RCB_SANITIZE:\w+=(.*)$", file.read(), re.M)
-    return found.group(1) if found else ""
-
-
-def sanitizer_environment(folder):
-    """Findings go to files, a program goes on after one, and Open MPI's own are left out."""
-    common = f"log_path={folder}/report:halt_on_error=0:print_stacktrace=1:print_suppressions=0"
-    return {
-        "ASAN_OPTIONS": f"{common}:detect_leaks=1:quarantine_size_mb=16:allocator_release_to_os_interval_ms=1000",
-        "UBSAN_OPTIONS": common,
-        "LSAN_OPTIONS": f"suppressions={HERE}/suppressions/leak.txt",
-        "TSAN_OPTIONS": f"{common}:suppressions={HERE}/suppressions/thread.txt:second_deadlock_stack=1",
-    }
-
 
 def free_port():
     with socket.socket() as probe:
@@ -46,7 +25,7 @@ class Service:
         self.tcp = f"127.0.0.1:{free_port()}"
         self.reports = os.path.join(folder, "sanitizer")
         os.makedirs(self.reports)
-        self.environment = {**os.environ, **sanitizer_environment(self.reports), "RCBD_ENDPOINT": self.endpoint,
+        self.environment = {**os.environ, **environment(self.reports), "RCBD_ENDPOINT": self.endpoint,
                             "RCBD_LISTEN": self.tcp, "RCBD_BIN_DIR": programs,
                             "RCBD_SILENCE_SECONDS": str(15 * patience), "RCBD_STALL_SECONDS": str(120 * patience)}
         self.places = set()  # outside its own folder, that it has to remove
