@@ -12,13 +12,12 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
-#include <sys/prctl.h>
 #include <unistd.h>
 
 #include "common/base/clock.hpp"
 #include "common/base/paths.hpp"
+#include "common/base/socket_file.hpp"
 #include "server/bridge.hpp"
 #include "server/config.hpp"
 #include "server/net/control.hpp"
@@ -26,6 +25,8 @@
 #include "server/net/data_hub.hpp"
 #include "server/net/doorbell.hpp"
 #include "server/net/io_loop.hpp"
+#include "server/net/log_sink.hpp"
+#include "server/orphan.hpp"
 #include "server/ranks/engine_loop.hpp"
 #include "server/ranks/mpi_session.hpp"
 
@@ -41,22 +42,21 @@ constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax, kOr
 // The other ranks can't be told any more; mpirun takes the job down when one rank ends like this.
 [[noreturn]] void die(const std::string& why) {
   spdlog::critical("{}; this rank ends", why);
-  spdlog::shutdown();
+  remove_traces();
   ::_exit(1);
 }
 
 void set_up_log(const Config& config, int rank) {
-  auto log = std::make_shared<spdlog::logger>("rcbd", std::make_shared<spdlog::sinks::stderr_sink_mt>());
+  auto log = std::make_shared<spdlog::logger>("rcbd", std::make_shared<net::LogSink>(STDERR_FILENO));
   spdlog::set_default_logger(log);
   spdlog::set_level(spdlog::level::from_str(config.log_level));
   spdlog::set_pattern(fmt::format("%Y-%m-%dT%H:%M:%S.%e%z rank {} %l: %v", rank));
-  spdlog::flush_on(spdlog::level::trace);
 }
 
 // Signals reach all ranks at once; only rank 0 acts on them, through its I/O thread.
 void set_up_signals(int rank) {
   std::signal(SIGPIPE, SIG_IGN);
-  if (ranks::started_by_mpirun()) ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (ranks::started_by_mpirun()) end_with_mpirun(rank);
   if (rank == 0) return;
   for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
 }
@@ -102,13 +102,9 @@ std::vector<std::vector<std::string>> open_data(ranks::MpiSession& mpi, net::Dat
   return found;
 }
 
-// The sockets that a larger service, which crashed, has left beside this one's.
-void remove_stale_data_sockets(const std::string& socket, int ranks) {
-  for (int rank = ranks; ::unlink(fmt::format("{}.{}", socket, rank).c_str()) == 0;) ++rank;
-}
-
 // What rank 0 has and the others don't.
 struct Root {
+  std::vector<LockFile> endpoint_locks;  // unless its supervisor has them
   std::optional<net::DataDirectory> data;
   std::vector<net::OfferedToken> offered;
   std::unique_ptr<net::DoorbellHub> doorbells;
@@ -129,9 +125,31 @@ net::DataOptions data_options(const std::string& token, std::uint64_t bulk_bytes
   return options;
 }
 
+// One service an endpoint; what a service that was killed has left of its sockets is removed.
+Status take_endpoint(Root& root, const std::string& endpoint, EndpointNote note) {
+  note.endpoint = endpoint;
+  auto lock = rcb::take_endpoint(note);
+  if (lock.ok())
+    root.endpoint_locks.push_back(std::move(*lock));
+  else if (!held_by_supervisor(endpoint_lock_path(endpoint)))
+    return lock.status();
+  if (endpoint.starts_with("unix:")) remove_dead_sockets(endpoint.substr(5));
+  return {};
+}
+
 Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop, ranks::EngineLoop& engine) {
   const std::string directory = config.data_dir.empty() ? data_directory_for(config.endpoint()) : config.data_dir;
-  auto data = net::DataDirectory::open(directory, !config.data_dir.empty(), "rcbd at " + config.endpoint());
+  EndpointNote note;
+  note.process = ProcessId::self();
+  note.program = "rcbd";
+  note.data_dir = directory;
+  note.endpoint = config.endpoint();
+  if (!config.socket.empty())
+    if (Status status = take_endpoint(root, "unix:" + config.socket, note); !status.ok()) return status;
+  for (const std::string& where : config.listen)
+    if (!where.ends_with(":0"))
+      if (Status status = take_endpoint(root, where, note); !status.ok()) return status;
+  auto data = net::DataDirectory::open(directory, !config.data_dir.empty(), note);
   if (!data.ok()) return data.status();
   root.data.emplace(std::move(*data));
   net::ControlOptions options;
@@ -155,7 +173,6 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
     const Status status = root.control->listen_unix(config.socket);
     if (!status.ok()) return status;
     root.endpoints.push_back("unix:" + config.socket);
-    remove_stale_data_sockets(config.socket, ranks);
     spdlog::info("listening on unix:{}", config.socket);
   }
   for (const std::string& where : config.listen) {
@@ -181,6 +198,7 @@ void say_failure(const Status& status) {
 void watch(net::IoLoop& loop, const ranks::EngineLoop& engine, const Config& config, std::function<void()> beat) {
   loop.every(net::kTickSeconds, [beat = std::move(beat), dog = Watchdog(engine, config.stall_seconds)]() mutable {
     beat();
+    spdlog::default_logger()->flush();
     if (dog.tick()) die(fmt::format("a command has run for {} s, far past its deadline", dog.seconds()));
   });
 }
@@ -217,7 +235,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
                            }});
   const Status opened = open_root(root, config, mpi.size(), loop, engine);
   if (!opened.ok()) say_failure(opened);
-  mpi.share(opened.ok() ? root.doorbells->address().path : "refused");
+  mpi.share(opened.ok() ? root.doorbells->address().name : "refused");
   if (!opened.ok()) return 1;
   mpi.share(root.doorbells->address().secret);
   open_direct_path(root, config, mpi, loans);
@@ -241,16 +259,18 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   root.doorbells->finish(kGoodbyeSeconds);
   loop.stop();
   mpi.finish(kFinalizeSeconds);
+  // The exit code says it too: a disk may be full, the directory gone.
   const Status marked = root.data->leave_clean_marker();
-  if (!marked.ok()) say_failure(marked);
+  if (!marked.ok()) spdlog::warn("no clean-shutdown marker: {}", marked.message());
   spdlog::info("ended cleanly");
-  return marked.ok() ? 0 : 1;
+  end_in_order();
+  return 0;
 }
 
 int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
   net::DoorbellAddress address;
-  address.path = mpi.share({});
-  if (address.path == "refused") return 1;
+  address.name = mpi.share({});
+  if (address.name == "refused") return 1;
   address.secret = mpi.share({});
   std::istringstream shared(mpi.share({}));
   std::string token;

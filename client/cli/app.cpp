@@ -60,7 +60,9 @@ CLI::Validator scene_recut() { return CLI::IsMember({"all", "subtree"}); }
 CLI::Validator scene_method() { return CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}); }
 
 Result<client::Client> connect(const Context& context) {
-  return launch::reach(context.endpoint, "rcbctl " RCB_VERSION);
+  auto client = launch::reach(context.endpoint, "rcbctl " RCB_VERSION);
+  if (!client) return launch::explain_absence(context.endpoint, client.status());
+  return client;
 }
 
 Result<Session> Session::open(const Context& context, int ranks) {

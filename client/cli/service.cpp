@@ -4,6 +4,7 @@
 #include "client/cli/app.hpp"
 #include "client/cli/output.hpp"
 #include "client/lib/endpoint.hpp"
+#include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 
 namespace rcb::cli {
@@ -16,6 +17,7 @@ struct UpOptions {
   std::string data_dir;
   bool foreground = false;
   double deadline = 60;
+  double answer_seconds = 30;
   // What rcbd itself is told, at this start and at each that follows a death.
   std::vector<std::string> files_below;
   std::string keep_reports;
@@ -44,6 +46,8 @@ Status up(const UpOptions& options, const Context& context) {
   service.endpoint = endpoint->text();
   service.ranks = options.ranks > 0 ? options.ranks : launch::default_ranks();
   service.ready_seconds = options.deadline;
+  service.silence_seconds = options.answer_seconds;
+  service.ask_seconds = std::min(service.ask_seconds, options.answer_seconds / 3);
   service.service_arguments = service_arguments(options);
   auto running = launch::reach(service.endpoint, "rcbctl up");
   if (running || running.status().code() == Code::not_authorised)
@@ -54,7 +58,7 @@ Status up(const UpOptions& options, const Context& context) {
     if (Status status = make_private_directory(service.data_dir); !status) return status;
   } else {
     service.data_dir = std::filesystem::absolute(options.data_dir).lexically_normal().string();
-    if (Status status = make_directory(service.data_dir); !status) return status;
+    if (Status status = make_own_directory(service.data_dir); !status) return status;
   }
   if (options.foreground) {
     note(fmt::format("{} ranks on {}; log: {}", service.ranks, service.endpoint, launch::log_path(service.data_dir)));
@@ -80,17 +84,12 @@ Status up(const UpOptions& options, const Context& context) {
 }
 
 Status down(double deadline, const Context& context) {
-  std::string endpoint;
-  {
-    auto running = connect(context);
-    if (!running) return running.status();
-    endpoint = running->endpoint();
-  }
-  if (Status status = launch::stop_service(endpoint, deadline); !status) return status;
+  const auto stopped = launch::stop_service(context.endpoint, deadline);
+  if (!stopped) return stopped.status();
   if (context.json)
-    print_json({{"endpoint", endpoint}, {"stopped", true}});
+    print_json({{"endpoint", stopped->endpoint}, {"stopped", true}, {"said", stopped->said}});
   else
-    print_line("stopped " + endpoint);
+    print_line(stopped->said);
   return {};
 }
 
@@ -133,6 +132,11 @@ void add_up_options(CLI::App& command, UpOptions& options) {
   command.add_option("--deadline", options.deadline, "seconds to wait for its first answer")
       ->capture_default_str()
       ->check(positive_number());
+  command
+      .add_option("--answer-seconds", options.answer_seconds,
+                  "a service that has not answered for so long is killed and started again")
+      ->capture_default_str()
+      ->check(CLI::Range(1.0, 86400.0));
   command.add_flag("--foreground", options.foreground,
                    "stay and supervise it here until SIGTERM or SIGINT, as a systemd unit wants it");
   command
@@ -150,16 +154,17 @@ void add_up_options(CLI::App& command, UpOptions& options) {
 
 void add_service_commands(CLI::App& app, Context& context) {
   auto up_options = std::make_shared<UpOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"up", "Starts a local service on the endpoint and waits until it answers",
-                                   "  rcbctl up -n 8\n  rcbctl up --endpoint unix:/tmp/mine.sock --data-dir /tmp/mine"},
-                                  [up_options, &context] { return up(*up_options, context); });
+  CLI::App* command =
+      add_command(app, context,
+                  {"up", "Starts a local service on the endpoint and waits until it answers",
+                   "  rcbctl up -n 8\n  rcbctl up --endpoint unix:$HOME/run/rcbd.sock --data-dir $HOME/run/rcbd"},
+                  [up_options, &context] { return up(*up_options, context); });
   add_up_options(*command, *up_options);
 
   auto deadline = std::make_shared<double>(30);
   command = add_command(app, context,
                         {"down", "Stops the service cleanly and waits until it is gone",
-                         "  rcbctl down\n  rcbctl down --endpoint unix:/tmp/mine.sock"},
+                         "  rcbctl down\n  rcbctl down --endpoint unix:$HOME/run/rcbd.sock"},
                         [deadline, &context] { return down(*deadline, context); });
   command->add_option("--deadline", *deadline, "seconds to wait before it is ended by force")
       ->capture_default_str()

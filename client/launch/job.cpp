@@ -3,7 +3,6 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <string_view>
 #include <vector>
@@ -12,9 +11,10 @@
 #include <fmt/format.h>
 #include <signal.h>
 #include <sys/prctl.h>
-#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
+
+#include "common/base/paths.hpp"
 
 extern char** environ;
 
@@ -27,16 +27,19 @@ constexpr int kKillRoundsMax = 500;  // of 10 ms
 bool of_outer_job(std::string_view entry) {
   for (const std::string_view prefix :
        {"PMIX_", "OMPI_COMM_WORLD_", "OMPI_MCA_ess", "OMPI_MCA_orte_", "OMPI_MCA_pmix", "OMPI_UNIVERSE", "OMPI_APP_CTX",
-        "OMPI_FIRST_RANKS", "OMPI_NUM_APP", "ORTE_", "RCBD_ENDPOINT=", "RCBD_RESTARTED=", "TMPDIR="})
+        "OMPI_FIRST_RANKS", "OMPI_NUM_APP", "ORTE_",
+        "RCBD_ENDPOINT=", "RCBD_RESTARTED=", "RCBD_SUPERVISOR=", "RCBD_JOB_FOLDER=", "TMPDIR="})
     if (entry.starts_with(prefix)) return true;
   return false;
 }
 
-std::vector<std::string> job_environment(const std::string& tmp_dir, bool restarted) {
+std::vector<std::string> job_environment(const std::string& folder, bool restarted) {
   std::vector<std::string> environment;
   for (char** entry = environ; *entry != nullptr; ++entry)
     if (!of_outer_job(*entry)) environment.emplace_back(*entry);
-  environment.push_back("TMPDIR=" + tmp_dir);
+  environment.push_back("TMPDIR=" + folder);
+  environment.push_back(fmt::format("{}={}", kJobFolderVariable, folder));
+  environment.push_back(fmt::format("{}={}", kSupervisorVariable, ProcessId::self().text()));
   if (restarted) environment.emplace_back("RCBD_RESTARTED=1");
   return environment;
 }
@@ -56,33 +59,32 @@ std::vector<pid_t> children() {
   return list;
 }
 
-std::string ending(int status) {
-  if (WIFSIGNALED(status)) return fmt::format("signal {}", WTERMSIG(status));
-  return fmt::format("exit code {}", WEXITSTATUS(status));
+JobEnd ending(int status) {
+  if (WIFSIGNALED(status)) return {false, fmt::format("signal {}", WTERMSIG(status))};
+  return {WEXITSTATUS(status) == 0, fmt::format("exit code {}", WEXITSTATUS(status))};
 }
 
 }  // namespace
 
-Job::Job(JobSpec spec, std::string tmp_dir, int log_fd)
-    : spec_(std::move(spec)), tmp_dir_(std::move(tmp_dir)), log_fd_(log_fd) {}
+Job::Job(JobSpec spec, std::string fallback, int output_fd)
+    : spec_(std::move(spec)), fallback_(std::move(fallback)), output_fd_(output_fd) {}
 
 Job::~Job() { kill(); }
 
-void Job::clean() const {
-  std::error_code ignored;
-  std::filesystem::remove_all(tmp_dir_, ignored);
-  if (!spec_.shm_dir.empty()) std::filesystem::remove_all(spec_.shm_dir, ignored);
-}
-
-Status Job::start(bool restarted) {
-  clean();
-  if (mkdir(tmp_dir_.c_str(), 0700) != 0)
-    return {Code::io_error, fmt::format("{}: can't be made: {}", tmp_dir_, std::strerror(errno))};
-  // Without room of its own in shared memory the job uses Open MPI's default place.
-  if (!spec_.shm_dir.empty() && mkdir(spec_.shm_dir.c_str(), 0700) != 0) spec_.shm_dir.clear();
+Status Job::start(bool restarted, bool temporary_data) {
+  folder_.reset();
+  auto folder = JobFolder::make(fallback_, spec_.ranks);
+  if (!folder.ok()) return folder.status();
+  folder_.emplace(std::move(*folder));
+  EndpointNote owner;
+  owner.process = ProcessId::self();
+  owner.endpoint = spec_.endpoint;
+  owner.data_dir = spec_.data_dir;
+  folder_->sign(owner, temporary_data);
+  spec_.folder = folder_->path();
   auto arguments = mpirun_arguments(spec_);
   if (!arguments) return arguments.status();
-  std::vector<std::string> environment = job_environment(tmp_dir_, restarted);
+  std::vector<std::string> environment = job_environment(folder_->path(), restarted);
   const std::vector<char*> argv = pointers(*arguments);
   const std::vector<char*> envp = pointers(environment);
   const pid_t parent = getpid();
@@ -93,7 +95,7 @@ Status Job::start(bool restarted) {
     if (getppid() != parent) _exit(127);
     setpgid(0, 0);
     const int null_fd = open("/dev/null", O_RDONLY);
-    if (dup2(null_fd, STDIN_FILENO) < 0 || dup2(log_fd_, STDOUT_FILENO) < 0 || dup2(log_fd_, STDERR_FILENO) < 0)
+    if (dup2(null_fd, STDIN_FILENO) < 0 || dup2(output_fd_, STDOUT_FILENO) < 0 || dup2(output_fd_, STDERR_FILENO) < 0)
       _exit(127);
     close_range(3, ~0U, 0);
     sigset_t none;
@@ -106,7 +108,7 @@ Status Job::start(bool restarted) {
   return {};
 }
 
-std::optional<std::string> Job::poll() {
+std::optional<JobEnd> Job::poll() {
   if (pid_ <= 0) return std::nullopt;
   int status = 0;
   for (;;) {
@@ -132,7 +134,7 @@ void Job::kill() {
     if (ended < 0 && errno == ECHILD) break;
     usleep(10'000);
   }
-  clean();
+  folder_.reset();
 }
 
 }  // namespace rcb::launch

@@ -1,8 +1,8 @@
-// Job: one run of mpirun, and the folders it may fill.
+// Job: one run of mpirun after another, each with a folder of its own.
 //
 // Invariants
 // 1. mpirun dies with the process that started it, and the ranks with their mpirun.
-// 2. After kill() no process of the job is left, and nothing of Open MPI's in its folders.
+// 2. After kill() no process of the job is left, nor its folder.
 // 3. mpirun is never sent SIGTERM: it would take two seconds and end with an exit code that tells nothing.
 #pragma once
 
@@ -11,35 +11,40 @@
 
 #include <sys/types.h>
 
+#include "client/launch/job_folder.hpp"
 #include "client/launch/programs.hpp"
 #include "common/base/status.hpp"
 
 namespace rcb::launch {
 
+// How mpirun ended.
+struct JobEnd {
+  bool clean = false;  // exit code 0: every rank ended as told
+  std::string text;    // "exit code 1", "signal 9"
+};
+
 class Job {
  public:
-  // tmp_dir: a folder of the job's own, made here and removed with the job; Open MPI's session files go there.
-  // log_fd: the job's standard output and error. The calling process must be a child subreaper, and have no other
-  // children.
-  Job(JobSpec spec, std::string tmp_dir, int log_fd);
+  // fallback: where the job's folder is made if not in /dev/shm. output_fd: the job's standard output and error.
+  // The calling process must be a child subreaper, and have no other children.
+  Job(JobSpec spec, std::string fallback, int output_fd);
   ~Job();
   Job(const Job&) = delete;
   Job& operator=(const Job&) = delete;
 
-  // Clears what an earlier job left in the folders, and starts mpirun.
-  Status start(bool restarted);
+  // temporary_data: the data directory goes with the job's owner (JobFolder::sign).
+  Status start(bool restarted, bool temporary_data = false);
   bool running() const { return pid_ > 0; }
   pid_t pid() const { return pid_; }
-  // How mpirun ended, in words, once it has; without waiting.
-  std::optional<std::string> poll();
+  // Once mpirun has ended; without waiting.
+  std::optional<JobEnd> poll();
   void kill();
 
  private:
-  void clean() const;
-
   JobSpec spec_;
-  std::string tmp_dir_;
-  int log_fd_;
+  std::string fallback_;
+  int output_fd_;
+  std::optional<JobFolder> folder_;
   pid_t pid_ = -1;
 };
 

@@ -18,6 +18,7 @@
 
 #include "client/launch/log_tail.hpp"
 #include "common/base/clock.hpp"
+#include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 
 namespace rcb::launch {
@@ -178,7 +179,8 @@ Status await_verdict(const Started& started, double deadline_seconds, const Prog
 Result<std::string> temporary_directory() {
   const char* named = std::getenv("TMPDIR");
   std::string parent = named != nullptr && *named == '/' ? named : "/tmp";
-  if (parent.size() > kTemporaryPathMax) parent = "/tmp";
+  // A folder that others could fill is none for the files of a service.
+  if (parent.size() > kTemporaryPathMax || !check_parent_directory(parent)) parent = "/tmp";
   std::string pattern = join_path(parent, "rcb-XXXXXX");
   if (mkdtemp(pattern.data()) == nullptr)
     return Status(Code::io_error, fmt::format("{}: no folder can be made: {}", parent, std::strerror(errno)),
@@ -242,7 +244,7 @@ Embedded::~Embedded() {
 
 Status Embedded::explain(Status status) const {
   if (status.code() != Code::unavailable) return status;
-  const std::string tail = log_tail(log_path(directory_), 0);
+  const std::string tail = log_tail(log_path(directory_));
   if (tail.empty()) return status;
   return {Code::internal, fmt::format("{}; the embedded service's log ends:\n{}", status.message(), tail),
           status.hint()};

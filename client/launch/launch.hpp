@@ -44,8 +44,18 @@ class Embedded {
   pid_t supervisor_ = -1;
 };
 
-// Stops the service at `endpoint` and waits until its processes and its socket are gone. Clean; after
-// `deadline_seconds` by force where its supervisor is known. Errors: unavailable, deadline_exceeded.
-Status stop_service(const std::string& endpoint, double deadline_seconds);
+struct Stopped {
+  std::string endpoint;
+  std::string said;  // what was ended or removed, in words
+};
+// Stops the service at the endpoint (empty: as the client library finds it) and waits until its processes and its
+// socket are gone. Clean; after `deadline_seconds` by force where its supervisor is known. Also ends a supervisor that
+// waits to start its service again, and removes what a service that was killed has left. Errors: unavailable (nothing
+// of all this), deadline_exceeded.
+Result<Stopped> stop_service(const std::string& given, double deadline_seconds);
+
+// To the failure of a call that found no service: whether a supervisor looks after one there, and what it is about to
+// do.
+Status explain_absence(const std::string& given, Status status);
 
 }  // namespace rcb::launch

@@ -1,8 +1,9 @@
 #include "client/launch/log_tail.hpp"
 
 #include <algorithm>
-#include <filesystem>
+#include <cstdint>
 #include <fstream>
+#include <sstream>
 #include <string_view>
 #include <vector>
 
@@ -26,16 +27,8 @@ std::string joined(const std::vector<std::string>& lines) {
 
 }  // namespace
 
-std::uint64_t file_bytes(const std::string& path) {
-  std::error_code error;
-  const std::uintmax_t bytes = std::filesystem::file_size(path, error);
-  return error ? 0 : bytes;
-}
-
-std::string log_tail(const std::string& path, std::uint64_t from) {
-  const std::uint64_t bytes = file_bytes(path);
-  std::ifstream in(path, std::ios::binary);
-  in.seekg(static_cast<std::streamoff>(std::max(from, bytes - std::min(bytes, kReadBytesMax))));
+std::string telling_lines(const std::string& text) {
+  std::istringstream in(text);
   std::vector<std::string> own;
   std::vector<std::string> of_mpirun;
   bool in_frame = false;
@@ -51,6 +44,16 @@ std::string log_tail(const std::string& path, std::uint64_t from) {
       lines.push_back(line);
   }
   return joined(own.empty() ? of_mpirun : own);
+}
+
+std::string log_tail(const std::string& path) {
+  std::ifstream in(path, std::ios::binary | std::ios::ate);
+  if (!in) return {};
+  const auto bytes = static_cast<std::uint64_t>(in.tellg());
+  in.seekg(static_cast<std::streamoff>(bytes - std::min(bytes, kReadBytesMax)));
+  std::ostringstream text;
+  text << in.rdbuf();
+  return telling_lines(text.str());
 }
 
 }  // namespace rcb::launch

@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include <fmt/format.h>
 #include <sched.h>
 #include <unistd.h>
 
@@ -58,13 +59,15 @@ Result<std::string> find_rcbd() {
   if (named != nullptr && *named != '\0') {
     const fs::path path = fs::path(named) / "rcbd";
     if (runnable(path)) return fs::absolute(path).string();
+    return Status(Code::not_found, fmt::format("RCBD_BIN_DIR is {}, where there is no program rcbd", named),
+                  "set it to the folder of rcbd, or unset it");
   }
   std::error_code error;
   const fs::path self = fs::read_symlink("/proc/self/exe", error);
   if (!error && runnable(self.parent_path() / "rcbd")) return (self.parent_path() / "rcbd").string();
   const std::string found = search(path_variable(), "rcbd");
   if (found.empty())
-    return Status(Code::not_found, "rcbd was found neither in RCBD_BIN_DIR, nor beside this program, nor in PATH",
+    return Status(Code::not_found, "rcbd was found neither beside this program nor in PATH",
                   "build it (target rcbd), or set RCBD_BIN_DIR to its folder");
   return found;
 }
@@ -75,7 +78,7 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
   std::vector<std::string> arguments{*mpirun, "--bind-to", "none", "--oversubscribe"};
   if (geteuid() == 0) arguments.emplace_back("--allow-run-as-root");
   arguments.insert(arguments.end(), {"--mca", "btl", "vader,self"});
-  if (!spec.shm_dir.empty()) arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.shm_dir});
+  if (!spec.folder.empty()) arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.folder});
   arguments.insert(arguments.end(), {"-n", std::to_string(spec.ranks)});
   if (!spec.command.empty()) {
     arguments.insert(arguments.end(), spec.command.begin(), spec.command.end());

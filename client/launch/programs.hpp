@@ -12,7 +12,8 @@ namespace rcb::launch {
 // As many ranks as this process may use cores, at most 8.
 int default_ranks();
 
-// rcbd by RCBD_BIN_DIR, then beside this program, then in PATH. Errors: not_found, naming the places.
+// rcbd in RCBD_BIN_DIR, where that is set; else beside this program, then in PATH. Errors: not_found, naming the
+// places.
 Result<std::string> find_rcbd();
 // Errors: not_found.
 Result<std::string> find_in_path(const std::string& program);
@@ -21,7 +22,7 @@ struct JobSpec {
   std::string endpoint;  // unix:PATH or HOST:PORT
   std::string data_dir;
   int ranks = 1;
-  std::string shm_dir;                         // for the ranks' shared memory; empty: Open MPI's default place
+  std::string folder;                          // for the ranks' shared memory; empty: Open MPI's default place
   std::vector<std::string> service_arguments;  // more of rcbd's options, as given to it
   // Another MPI program with its arguments; empty: rcbd on `endpoint` with `data_dir`.
   std::vector<std::string> command;

@@ -1,133 +1,162 @@
-// How a running service is stopped, and how one sees that it is gone.
-#include <charconv>
-#include <fstream>
+// How a service is stopped, and how one sees that it is gone: one that answers, one that is silent or waits to be
+// started again, and what one that was killed has left.
+#include <algorithm>
 #include <string>
 #include <vector>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
-#include <poll.h>
+#include <fmt/ranges.h>
 #include <signal.h>
-#include <sys/stat.h>
-#include <sys/syscall.h>
 #include <unistd.h>
 
+#include "client/launch/job_folder.hpp"
 #include "client/launch/launch.hpp"
+#include "client/launch/processes.hpp"
 #include "client/launch/reach.hpp"
+#include "client/lib/endpoint.hpp"
 #include "common/base/clock.hpp"
-#include "common/base/paths.hpp"
+#include "common/base/endpoint_lock.hpp"
+#include "common/base/socket_file.hpp"
 
 namespace rcb::launch {
 namespace {
 
 constexpr double kForceSeconds = 30;
-constexpr int kAncestorsMax = 2;  // mpirun and its supervisor
+constexpr double kKillSeconds = 5;
+constexpr double kLookSeconds = 0.05;
 
-// A process by a handle that no later process of the same number can be mistaken for.
-struct Process {
-  pid_t pid = -1;
-  int handle = -1;
-  bool supervisor = false;
-};
-
-struct ProcessInfo {
-  std::string name;
-  pid_t parent = 0;
-};
-
-ProcessInfo process_info(pid_t pid) {
-  ProcessInfo info;
-  std::ifstream in(fmt::format("/proc/{}/status", pid));
-  for (std::string line; std::getline(in, line);) {
-    if (line.starts_with("Name:\t")) info.name = line.substr(6);
-    if (line.starts_with("PPid:\t")) info.parent = std::atoi(line.c_str() + 6);
-  }
-  return info;
-}
-
-Process opened(pid_t pid, bool supervisor) {
-  return {pid, static_cast<int>(syscall(SYS_pidfd_open, pid, 0)), supervisor};
-}
-
-// Rank 0, its mpirun and that one's supervisor, as far as they are of this machine.
-std::vector<Process> processes_of(pid_t rank0) {
-  std::vector<Process> list;
-  if (rank0 <= 1 || !process_info(rank0).name.starts_with("rcbd")) return list;
-  list.push_back(opened(rank0, false));
-  pid_t pid = process_info(rank0).parent;
-  for (int i = 0; i < kAncestorsMax && pid > 1; ++i) {
-    const ProcessInfo info = process_info(pid);
-    const bool mpirun = info.name == "mpirun" || info.name == "orterun" || info.name == "prterun";
-    if (!mpirun && !(i > 0 && info.name == kSupervisorName)) break;
-    list.push_back(opened(pid, !mpirun));
-    pid = info.parent;
-  }
-  return list;
-}
-
-bool ended(const Process& process, double seconds) {
-  if (process.handle < 0) return kill(process.pid, 0) != 0;
-  pollfd fd{process.handle, POLLIN, 0};
-  return poll(&fd, 1, static_cast<int>(seconds * 1000)) > 0;
-}
-
-// The service runs on this machine, so that its process ids mean something here.
+// The service runs on this machine, so that its process numbers mean something here.
 bool is_local(const std::string& endpoint) {
   return endpoint.starts_with("unix:") || endpoint.starts_with("127.") || endpoint.starts_with("localhost:") ||
          endpoint.starts_with("[::1]:");
 }
 
-bool socket_gone(const std::string& endpoint) {
-  if (!endpoint.starts_with("unix:")) return true;
-  struct stat info {};
-  return lstat(endpoint.c_str() + 5, &info) != 0;
-}
+// What of a service is known on this machine: its supervisor (or, where it has none, nobody) first, its mpirun, rank 0.
+class Running {
+ public:
+  Running(std::string endpoint, pid_t rank0) : endpoint_(std::move(endpoint)) {
+    const auto holder = endpoint_holder(endpoint_);
+    if (holder && holder->process.exists() && process_info(holder->process.pid).name == kSupervisorName)
+      add(holder->process);
+    if (rank0 <= 1 || !is_local(endpoint_) || !process_info(rank0).name.starts_with("rcbd")) return;
+    const pid_t parent = process_info(rank0).parent;
+    const std::string name = process_info(parent).name;
+    if (name == "mpirun" || name == "orterun" || name == "prterun") add(ProcessId::of(parent));
+    add(ProcessId::of(rank0));
+  }
 
-// All processes and the socket are gone.
-bool await_gone(const std::vector<Process>& processes, const std::string& endpoint, double seconds) {
-  const SteadyClock clock;
-  const double deadline = clock.seconds() + seconds;
-  for (const Process& process : processes)
-    while (!ended(process, 0.05))
+  const std::string& endpoint() const { return endpoint_; }
+  bool known() const { return !processes_.empty(); }
+  void signal_first(int number) const {
+    if (known()) processes_.front().signal(number);
+  }
+  void signal_all(int number) const {
+    for (const Process& process : processes_) process.signal(number);
+  }
+  // All processes are gone, and nobody listens any more.
+  bool await_end(double seconds) const {
+    const SteadyClock clock;
+    const double deadline = clock.seconds() + seconds;
+    for (const Process& process : processes_)
+      while (!process.ended(kLookSeconds))
+        if (clock.seconds() > deadline) return false;
+    while (endpoint_.starts_with("unix:") && socket_state(endpoint_.substr(5)) == SocketState::live) {
       if (clock.seconds() > deadline) return false;
-  while (!socket_gone(endpoint)) {
-    if (clock.seconds() > deadline) return false;
-    usleep(20'000);
+      usleep(static_cast<useconds_t>(1e6 * kLookSeconds));
+    }
+    return true;
   }
-  return true;
+  std::vector<pid_t> left() const {
+    std::vector<pid_t> pids;
+    for (const Process& process : processes_)
+      if (!process.ended(0)) pids.push_back(process.pid());
+    return pids;
+  }
+
+ private:
+  void add(const ProcessId& id) { processes_.emplace_back(id); }
+  std::string endpoint_;
+  std::vector<Process> processes_;
+};
+
+// What a service that was killed has left at the endpoint, or anywhere.
+std::vector<std::string> remove_leftovers(const std::string& endpoint) {
+  std::vector<std::string> removed = JobFolder::sweep("");
+  if (!endpoint.starts_with("unix:")) return removed;
+  EndpointNote note;
+  note.process = ProcessId::self();
+  note.program = "rcbctl down";
+  note.endpoint = endpoint;
+  const auto lock = take_endpoint(note);
+  if (lock.ok())
+    for (const std::string& path : remove_dead_sockets(endpoint.substr(5))) removed.push_back(path);
+  return removed;
 }
 
-Status stop(client::Client& client, std::vector<Process>& processes, double deadline_seconds) {
-  const std::string endpoint = client.endpoint();
-  auto status = client.call("status", "{}", deadline_seconds);
-  if (status) {
-    const auto json = nlohmann::json::parse(status->json, nullptr, false);
-    if (json.is_object() && json.contains("pid") && json["pid"].is_number_integer() && is_local(endpoint))
-      processes = processes_of(json["pid"].get<pid_t>());
-  }
+// First the supervisor is asked to end its service, then all is killed.
+Status end_by_force(const Running& running) {
+  running.signal_first(SIGTERM);
+  if (running.await_end(kForceSeconds)) return {};
+  running.signal_all(SIGKILL);
+  const bool ended = running.await_end(kKillSeconds);
+  (void)remove_leftovers(running.endpoint());
+  if (ended) return {};
+  return {
+      Code::deadline_exceeded,
+      fmt::format("the service at {} has not ended; processes: {}", running.endpoint(), fmt::join(running.left(), " ")),
+      "end them by hand (kill -9)"};
+}
+
+Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) {
+  const Running running(client.endpoint(), rank0_of(client, deadline_seconds));
   const Status told = client.shutdown_service();
   // A service that ends may close the connection before its answer is read.
   if (!told && told.code() != Code::unavailable && told.code() != Code::deadline_exceeded) return told;
-  if (await_gone(processes, endpoint, deadline_seconds)) return {};
-  for (const Process& process : processes)
-    if (process.supervisor) kill(process.pid, SIGTERM);
-  if (await_gone(processes, endpoint, kForceSeconds)) return {};
-  std::string pids;
-  for (const Process& process : processes)
-    if (!ended(process, 0)) pids += fmt::format(" {}", process.pid);
-  return {Code::deadline_exceeded, fmt::format("the service at {} has not ended; processes:{}", endpoint, pids),
-          "end them by hand (kill -9)"};
+  running.signal_all(SIGCONT);  // what is stopped could not end
+  if (!running.await_end(deadline_seconds))
+    if (Status ended = end_by_force(running); !ended) return ended;
+  return Stopped{running.endpoint(), "stopped " + running.endpoint()};
+}
+
+// Its supervisor lives, but the service doesn't answer: it hangs, or is about to be started again.
+Result<Stopped> stop_silent(const EndpointNote& holder) {
+  const Running running(holder.endpoint, holder.program == "rcbd" ? holder.process.pid : -1);
+  if (!running.known())
+    return Status(Code::unavailable,
+                  fmt::format("{} is served by {}, which can't be reached", holder.endpoint, describe(holder)));
+  running.signal_all(SIGCONT);
+  if (Status ended = end_by_force(running); !ended) return ended;
+  return Stopped{holder.endpoint,
+                 fmt::format("stopped {}, which did not answer: ended {}", holder.endpoint, describe(holder))};
 }
 
 }  // namespace
 
-Status stop_service(const std::string& endpoint, double deadline_seconds) {
-  auto client = reach(endpoint, "rcbctl down");
-  if (!client) return client.status();
-  std::vector<Process> processes;
-  const Status status = stop(*client, processes, deadline_seconds);
-  for (const Process& process : processes)
-    if (process.handle >= 0) close(process.handle);
+Result<Stopped> stop_service(const std::string& given, double deadline_seconds) {
+  auto client = reach(given, "rcbctl down");
+  if (client.ok()) return stop_answering(*client, deadline_seconds);
+  if (client.status().code() != Code::unavailable && client.status().code() != Code::deadline_exceeded)
+    return client.status();
+  const auto endpoints = client::endpoints_to_try(given);
+  if (!endpoints.ok()) return endpoints.status();
+  for (const client::Endpoint& endpoint : *endpoints)
+    if (const auto holder = endpoint_holder(endpoint.text())) return stop_silent(*holder);
+  for (const client::Endpoint& endpoint : *endpoints)
+    if (const auto removed = remove_leftovers(endpoint.text()); !removed.empty())
+      return Stopped{endpoint.text(),
+                     fmt::format("no service ran any more at {}; removed what one that was killed has left: {}",
+                                 endpoint.text(), fmt::join(removed, ", "))};
+  return client.status();
+}
+
+Status explain_absence(const std::string& given, Status status) {
+  if (status.code() != Code::unavailable && status.code() != Code::deadline_exceeded) return status;
+  const auto endpoints = client::endpoints_to_try(given);
+  if (!endpoints.ok()) return status;
+  for (const client::Endpoint& endpoint : *endpoints)
+    if (const auto holder = endpoint_holder(endpoint.text()))
+      return {status.code(), fmt::format("{}; it is looked after by {}", status.message(), describe(*holder)),
+              "wait for it, or stop it: rcbctl down"};
   return status;
 }
 

@@ -1,107 +1,117 @@
 #include "client/launch/supervisor.hpp"
 
-#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <ctime>
 #include <filesystem>
-#include <fstream>
-#include <functional>
+#include <optional>
 
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <poll.h>
 #include <signal.h>
-#include <sys/file.h>
 #include <sys/prctl.h>
 #include <sys/signalfd.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "client/launch/job.hpp"
-#include "client/launch/log_tail.hpp"
+#include "client/launch/processes.hpp"
 #include "client/launch/reach.hpp"
+#include "client/launch/restarts.hpp"
+#include "client/launch/service_log.hpp"
 #include "common/base/clock.hpp"
+#include "common/base/endpoint_lock.hpp"
+#include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
+#include "common/base/socket_file.hpp"
 
 namespace rcb::launch {
 namespace {
 
 constexpr double kProbeSeconds = 0.05;
-constexpr double kQuickSeconds = 10;  // a job that lived shorter failed quickly
-constexpr int kQuickFailuresMax = 5;
-constexpr double kBackoffFirstSeconds = 0.5;
-constexpr double kBackoffMaxSeconds = 30;
+constexpr double kProbeDeadlineSeconds = 1;
+constexpr double kAskDeadlineSeconds = 5;
 constexpr double kStopSeconds = 20;
-constexpr std::uint64_t kLogBytesMax = 16 << 20;
-
-// The endpoint that a supervisor left in its lock.
-std::string lock_holder(const std::string& path) {
-  std::string endpoint;
-  std::ifstream(path) >> endpoint;
-  return endpoint;
-}
+constexpr int kReadsMax = 64;  // then a look at what else there is
 
 class Supervisor {
  public:
   explicit Supervisor(const SuperviseOptions& options)
       : options_(options),
-        log_path_(launch::log_path(options.data_dir)),
-        marker_(join_path(options.data_dir, kCleanShutdownFile)) {}
+        log_(launch::log_path(options.data_dir)),
+        marker_(join_path(options.data_dir, kCleanShutdownFile)),
+        backoff_(options.pause_first_seconds, options.pause_most_seconds,
+                 mix64(static_cast<std::uint64_t>(getpid()) ^ ProcessId::self().start << 32U)),
+        silence_(options.ask_seconds, options.silence_seconds) {}
   ~Supervisor();
 
   Status run();
 
  private:
   enum class Event { none, child, stop };
+  enum class Outcome { running, ended, stopped, died, displaced };
 
   Status open();
+  Status open_pipes();
+  Status serve(Job& job);
   Status await_first_answer(Job& job);
   Status keep(Job& job);
-  Status restart(Job& job, const std::string& end);
-  void stop(Job& job);
-  Event wait(double seconds);
-  std::string reason(const std::string& end) const;
-  void note(const std::string& text) const;
-  void notify(const Status& status) const;
+  Outcome watch(Job& job, std::string& why);
+  Outcome start_again(Job& job, std::string why);
+  bool pause(double seconds);
   Status start(Job& job, bool restarted);
-  bool left_marker() const { return std::filesystem::exists(marker_); }
+  void stop(Job& job);
+  bool answers(double deadline_seconds) const;
+  bool is_ours(client::Client& client, const Job& job) const;
+  Status keep_place();
+  bool is_displaced(const Status& status) const { return status.code() == Code::busy && !endpoint_lock_->in_place(); }
+  Event wait(double seconds);
+  void drain();
+  std::string reason(const std::string& end);
+  void tell_state(double start_at_unix);
+  void notify(const Status& status);
 
   SuperviseOptions options_;
-  std::string log_path_;
+  ServiceLog log_;
   std::string marker_;
   SteadyClock clock_;
-  int log_fd_ = -1;
-  int lock_fd_ = -1;
+  Backoff backoff_;
+  Silence silence_;
+  EndpointNote note_;
+  std::optional<LockFile> endpoint_lock_;
+  std::optional<LockFile> data_lock_;
+  int output_[2] = {-1, -1};  // the job's, from its other end to the log
   int signal_fd_ = -1;
   sigset_t signals_before_{};
-  std::uint64_t log_from_ = 0;
   double started_ = 0;
-  int quick_failures_ = 0;
-  bool stopping_ = false;
+  std::string last_complaint_;
 };
 
 Supervisor::~Supervisor() {
-  for (const int fd : {log_fd_, lock_fd_, signal_fd_})
+  for (const int fd : {output_[0], output_[1], signal_fd_})
     if (fd >= 0) close(fd);
   if (signal_fd_ >= 0) sigprocmask(SIG_SETMASK, &signals_before_, nullptr);
 }
 
 Status Supervisor::open() {
-  if (Status status = make_directory(options_.data_dir); !status) return status;
-  const std::string lock = join_path(options_.data_dir, kLaunchLockFile);
-  lock_fd_ = ::open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-  if (lock_fd_ < 0) return {Code::io_error, fmt::format("{}: {}", lock, std::strerror(errno))};
-  if (flock(lock_fd_, LOCK_EX | LOCK_NB) != 0)
-    return {Code::already_exists,
-            fmt::format("the data directory {} is in use by the service {}", options_.data_dir, lock_holder(lock)),
-            "stop that one (rcbctl down), or name another --data-dir"};
-  if (ftruncate(lock_fd_, 0) != 0 || dprintf(lock_fd_, "%s %d\n", options_.endpoint.c_str(), getpid()) < 0)
-    return {Code::io_error, fmt::format("{}: {}", lock, std::strerror(errno))};
-  std::error_code error;
-  if (file_bytes(log_path_) > kLogBytesMax) std::filesystem::rename(log_path_, log_path_ + ".1", error);
-  log_fd_ = ::open(log_path_.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
-  if (log_fd_ < 0) return {Code::io_error, fmt::format("{}: {}", log_path_, std::strerror(errno))};
+  note_.process = ProcessId::self();
+  note_.program = "rcbctl up";
+  note_.endpoint = options_.endpoint;
+  note_.data_dir = options_.data_dir;
+  auto endpoint = take_endpoint(note_);
+  if (!endpoint.ok()) return endpoint.status();
+  endpoint_lock_.emplace(std::move(*endpoint));
+  if (Status made = make_own_directory(options_.data_dir); !made.ok()) return made;
+  auto data = take_data_directory(note_);
+  if (!data.ok()) return data.status();
+  data_lock_.emplace(std::move(*data));
+  if (Status opened = log_.open(); !opened.ok()) return opened;
+  return open_pipes();
+}
+
+Status Supervisor::open_pipes() {
+  if (pipe2(output_, O_CLOEXEC) != 0) return {Code::internal, fmt::format("pipe: {}", std::strerror(errno))};
+  fcntl(output_[0], F_SETFL, O_NONBLOCK);
   sigset_t set;
   sigemptyset(&set);
   for (const int number : {SIGCHLD, SIGTERM, SIGINT, SIGHUP}) sigaddset(&set, number);
@@ -119,103 +129,183 @@ Status Supervisor::run() {
     notify(status);
     return status;
   }
-  const std::string shm =
-      fmt::format("/dev/shm/rcbd-{}-{:016x}", geteuid(), std::hash<std::string>{}(options_.data_dir));
+  for (const std::string& path : JobFolder::sweep(options_.data_dir))
+    log_.note("removed what a killed service has left: " + path);
   Job job({.endpoint = options_.endpoint,
            .data_dir = options_.data_dir,
            .ranks = options_.ranks,
-           .shm_dir = shm,
            .service_arguments = options_.service_arguments},
-          join_path(options_.data_dir, "tmp"), log_fd_);
+          options_.data_dir, output_[1]);
+  const Status status = serve(job);
+  job.kill();
+  drain();
+  if (options_.endpoint.starts_with("unix:") && endpoint_lock_->in_place())
+    remove_dead_sockets(options_.endpoint.substr(5));
+  log_.note(status ? "the service has ended" : "given up: " + status.message());
+  return status;
+}
+
+Status Supervisor::serve(Job& job) {
   Status status = start(job, false);
   if (status) status = await_first_answer(job);
   if (!status) {
     job.kill();
     notify(status);
-    return status;
   }
-  if (!stopping_) {
-    notify({});
-    status = keep(job);
-  }
-  job.kill();
-  if (options_.endpoint.starts_with("unix:")) {
-    const std::string socket = options_.endpoint.substr(5);
-    unlink(socket.c_str());
-    for (int rank = 0; rank < options_.ranks; ++rank) unlink(fmt::format("{}.{}", socket, rank).c_str());
-  }
-  note(status ? "the service has ended" : "given up: " + status.message());
-  return status;
+  if (!status || !job.running()) return status;
+  (void)silence_.heard(true, clock_.seconds(), clock_.seconds());
+  notify({});
+  return keep(job);
 }
 
 Status Supervisor::start(Job& job, bool restarted) {
   std::error_code ignored;
   std::filesystem::remove(marker_, ignored);
-  note(fmt::format("{} {} ranks on {}", restarted ? "starting again" : "starting", options_.ranks, options_.endpoint));
-  log_from_ = file_bytes(log_path_);
+  log_.note(
+      fmt::format("{} {} ranks on {}", restarted ? "starting again" : "starting", options_.ranks, options_.endpoint));
+  log_.begin_job();
   started_ = clock_.seconds();
-  return job.start(restarted);
+  silence_.begin(started_, options_.ready_seconds);
+  return job.start(restarted, options_.embedded);
 }
 
-// Ok when it answers or a stop was asked for (stopping_).
+// Ok when it answers, or when a stop was asked for: then the job doesn't run any more.
 Status Supervisor::await_first_answer(Job& job) {
   const double deadline = clock_.seconds() + options_.ready_seconds;
   while (clock_.seconds() < deadline) {
     if (wait(kProbeSeconds) == Event::stop) {
-      stopping_ = true;
+      job.kill();
       return {};
     }
-    if (const auto end = job.poll()) return {Code::aborted, reason(*end), "the whole log: " + log_path_};
-    if (auto client = reach(options_.endpoint, "rcbctl up", 1);
-        client || client.status().code() == Code::not_authorised)
-      return {};
+    if (const auto end = job.poll()) return {Code::aborted, reason(end->text), "the whole log: " + log_.path()};
+    auto client = reach(options_.endpoint, "rcbctl up", kProbeDeadlineSeconds);
+    if (client.ok() ? is_ours(*client, job) : client.status().code() == Code::not_authorised) return {};
   }
   return {Code::deadline_exceeded,
           fmt::format("the service did not answer within {} s of its start", options_.ready_seconds),
-          "its log: " + log_path_};
+          "its log: " + log_.path()};
+}
+
+// Somebody else may have taken a TCP port while this job was about to.
+bool Supervisor::is_ours(client::Client& client, const Job& job) const {
+  const pid_t rank0 = rank0_of(client, kProbeDeadlineSeconds);
+  return rank0 > 0 && is_descendant(rank0, job.pid());
 }
 
 // Until the service ends for good.
 Status Supervisor::keep(Job& job) {
   for (;;) {
-    if (wait(-1) == Event::stop) {
-      stop(job);
-      return {};
+    std::string why;
+    Outcome outcome = watch(job, why);
+    if (outcome == Outcome::died && !options_.embedded) outcome = start_again(job, why);
+    switch (outcome) {
+      case Outcome::running:
+        continue;
+      case Outcome::ended:
+        return {};
+      case Outcome::stopped:
+        stop(job);
+        return {};
+      case Outcome::died:
+        // The starter reads the log first; then its lifeline ends.
+        while (wait(-1) != Event::stop) continue;
+        return {};
+      case Outcome::displaced:
+        return {Code::aborted, fmt::format("another service has taken {} meanwhile", options_.endpoint)};
     }
-    const auto end = job.poll();
-    if (!end) continue;
-    if (left_marker()) return {};
-    if (options_.embedded) {
-      // The starter reads the log first; then its lifeline ends.
-      while (wait(-1) != Event::stop) continue;
-      return {};
-    }
-    if (Status status = restart(job, *end); !status || stopping_) return status;
   }
 }
 
-Status Supervisor::restart(Job& job, const std::string& end) {
-  quick_failures_ = clock_.seconds() - started_ < kQuickSeconds ? quick_failures_ + 1 : 1;
-  if (quick_failures_ > kQuickFailuresMax)
-    return {Code::aborted, fmt::format("{} failures in a row; {}", quick_failures_, reason(end)),
-            "the whole log: " + log_path_};
-  double backoff = kBackoffFirstSeconds;
-  for (int i = 1; i < quick_failures_; ++i) backoff = std::min(backoff * 2, kBackoffMaxSeconds);
-  note(fmt::format("the service died ({}); it is started again in {} s", end, backoff));
-  job.kill();
-  const double due = clock_.seconds() + backoff;
-  for (double left = backoff; left > 0; left = due - clock_.seconds())
-    if (wait(left) == Event::stop) {
-      stopping_ = true;
-      return {};
+// Sleeps until the service ends, is to be asked, or is silent for too long. why: of a death.
+Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
+  for (;;) {
+    const double left = options_.embedded ? -1 : std::max(0.0, silence_.due() - clock_.seconds());
+    if (wait(left) == Event::stop) return Outcome::stopped;
+    if (const auto end = job.poll()) {
+      why = reason(end->text);
+      return end->clean || std::filesystem::exists(marker_) ? Outcome::ended : Outcome::died;
     }
-  return start(job, true);
+    if (options_.embedded || clock_.seconds() < silence_.due()) continue;
+    if (Status status = keep_place(); !status) {
+      if (is_displaced(status)) return Outcome::displaced;
+      if (status.message() != last_complaint_) log_.note(status.message());
+      last_complaint_ = status.message();
+    }
+    const double asked_at = clock_.seconds();
+    if (silence_.heard(answers(kAskDeadlineSeconds), asked_at, clock_.seconds())) {
+      why = fmt::format("it has not answered for {:.0f} s", silence_.silent_seconds(clock_.seconds()));
+      return Outcome::died;
+    }
+    if (clock_.seconds() - started_ > options_.steady_seconds && silence_.answered()) backoff_.reset();
+  }
+}
+
+// Pauses and starts the job, until one runs.
+Supervisor::Outcome Supervisor::start_again(Job& job, std::string why) {
+  for (;;) {
+    job.kill();
+    drain();
+    ++note_.deaths;
+    const double seconds = backoff_.next();
+    note_.failures = backoff_.failures();
+    note_.last_reason = why;
+    log_.note(fmt::format("the service has died ({}), {} times so far, {} in a row; it is started again in {:.1f} s",
+                          why, note_.deaths, note_.failures, seconds));
+    tell_state(static_cast<double>(std::time(nullptr)) + seconds);
+    if (!pause(seconds)) return Outcome::stopped;
+    Status status = keep_place();
+    if (is_displaced(status)) return Outcome::displaced;
+    if (status) status = start(job, true);
+    if (status) {
+      tell_state(0);
+      return Outcome::running;
+    }
+    why = status.message();
+  }
+}
+
+bool Supervisor::pause(double seconds) {
+  const double due = clock_.seconds() + seconds;
+  for (double left = seconds; left > 0; left = due - clock_.seconds())
+    if (wait(left) == Event::stop) return false;
+  return true;
+}
+
+void Supervisor::tell_state(double start_at_unix) {
+  note_.start_at_unix = start_at_unix;
+  (void)endpoint_lock_->write(note_.text());  // in place, so that a full disk is no obstacle
+}
+
+// What somebody has removed is made again: data directory, locks, log. Errors: that can't be; another has the endpoint.
+Status Supervisor::keep_place() {
+  if (!endpoint_lock_->in_place()) {
+    auto lock = take_endpoint(note_);
+    if (!lock.ok()) return lock.status();
+    *endpoint_lock_ = std::move(*lock);
+    log_.note(fmt::format("{} had been removed, and is made again", endpoint_lock_->path()));
+  }
+  if (!data_lock_->in_place()) {
+    if (Status made = make_own_directory(options_.data_dir); !made.ok()) return made;
+    auto lock = take_data_directory(note_);
+    if (!lock.ok()) return lock.status();
+    *data_lock_ = std::move(*lock);
+    if (Status refreshed = log_.refresh(); !refreshed.ok()) return refreshed;
+    log_.note(fmt::format("the data directory {} had been removed, and is made again", options_.data_dir));
+  }
+  return log_.refresh();
+}
+
+// Any word counts, a refusal too.
+bool Supervisor::answers(double deadline_seconds) const {
+  const auto client = reach(options_.endpoint, "rcbctl up", deadline_seconds);
+  const Code code = client.status().code();
+  return code != Code::unavailable && code != Code::deadline_exceeded;
 }
 
 // A clean end within the deadline; run() kills what is left after it.
 void Supervisor::stop(Job& job) {
-  if (options_.embedded) return;  // nothing in it lasts
-  note("stopping");
+  if (options_.embedded || !job.running()) return;  // nothing in an embedded one lasts
+  log_.note("stopping");
   const double deadline = clock_.seconds() + kStopSeconds;
   auto client = reach(options_.endpoint, "rcbctl up", 2);
   if (!client || !client->shutdown_service()) return;
@@ -225,49 +315,54 @@ void Supervisor::stop(Job& job) {
   }
 }
 
-// Sleeps until a child ended, a stop was asked for, or the time is over (negative: none).
+// Sleeps until a child ended, a stop was asked for, or the time is over (negative: none). The job's output is read
+// meanwhile.
 Supervisor::Event Supervisor::wait(double seconds) {
-  pollfd fds[2] = {{signal_fd_, POLLIN, 0}, {options_.lifeline_fd, POLLIN, 0}};
-  const int timeout_ms = seconds < 0 ? -1 : static_cast<int>(seconds * 1000) + 1;
-  if (poll(fds, options_.lifeline_fd >= 0 ? 2 : 1, timeout_ms) <= 0) return Event::none;
-  Event event = Event::none;
-  signalfd_siginfo info{};
-  while (read(signal_fd_, &info, sizeof info) == sizeof info) {
-    if (info.ssi_signo == SIGCHLD) event = event == Event::none ? Event::child : event;
-    if (info.ssi_signo == SIGTERM || info.ssi_signo == SIGINT) event = Event::stop;
+  const double end = clock_.seconds() + seconds;
+  for (;;) {
+    pollfd fds[3] = {{signal_fd_, POLLIN, 0}, {output_[0], POLLIN, 0}, {options_.lifeline_fd, POLLIN, 0}};
+    const double left = std::max(0.0, end - clock_.seconds());
+    if (poll(fds, 3, seconds < 0 ? -1 : static_cast<int>(left * 1000) + 1) <= 0) return Event::none;
+    if (fds[1].revents != 0) drain();
+    Event event = Event::none;
+    signalfd_siginfo info{};
+    while (read(signal_fd_, &info, sizeof info) == sizeof info) {
+      if (info.ssi_signo == SIGCHLD) event = event == Event::none ? Event::child : event;
+      if (info.ssi_signo == SIGTERM || info.ssi_signo == SIGINT) event = Event::stop;
+    }
+    if (options_.lifeline_fd >= 0 && fds[2].revents != 0) {
+      char byte = 0;
+      if (read(options_.lifeline_fd, &byte, 1) <= 0) return Event::stop;
+      options_.lifeline_fd = -1;
+    }
+    if (event != Event::none) return event;
   }
-  if (options_.lifeline_fd >= 0 && fds[1].revents != 0) {
-    char byte = 0;
-    if (read(options_.lifeline_fd, &byte, 1) <= 0) return Event::stop;
-    options_.lifeline_fd = -1;
-  }
-  return event;
 }
 
-std::string Supervisor::reason(const std::string& end) const {
-  const std::string tail = log_tail(log_path_, log_from_);
+// What the job has written, to the log.
+void Supervisor::drain() {
+  char bytes[64 * 1024];
+  for (int i = 0; i < kReadsMax; ++i) {
+    const ssize_t got = read(output_[0], bytes, sizeof bytes);
+    if (got <= 0) return;
+    log_.add({bytes, static_cast<std::size_t>(got)});
+  }
+}
+
+std::string Supervisor::reason(const std::string& end) {
+  drain();
+  const std::string tail = log_.tail();
   return fmt::format("the service ended ({}){}", end, tail.empty() ? "" : ":\n" + tail);
 }
 
-// A line of the supervisor's own in the log.
-void Supervisor::note(const std::string& text) const {
-  if (log_fd_ < 0) return;
-  const std::time_t now = std::time(nullptr);
-  std::tm utc{};
-  gmtime_r(&now, &utc);
-  char stamp[32] = {};
-  std::strftime(stamp, sizeof stamp, "%Y-%m-%dT%H:%M:%SZ", &utc);
-  dprintf(log_fd_, "%s", fmt::format("{} rcbctl up: {}\n", stamp, text).c_str());
-}
-
-void Supervisor::notify(const Status& status) const {
+void Supervisor::notify(const Status& status) {
   if (options_.notify_fd < 0) return;
   std::string text(1, status ? kReady : kFailed);
   if (!status)
     for (const std::string& field : {std::string(code_name(status.code())), status.message(), status.hint()})
       text.append(field).push_back('\0');
   // A starter that is gone needs no answer.
-  if (write(options_.notify_fd, text.data(), text.size()) < 0) note("the starter has gone");
+  if (write(options_.notify_fd, text.data(), text.size()) < 0) log_.note("the starter has gone");
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/own_files.hpp"
 #include "common/base/random.hpp"
 
 namespace rcb {
@@ -75,25 +76,15 @@ std::string data_directory_for(std::string_view endpoint) {
 }
 
 Status make_private_directory(const std::string& path) {
-  std::error_code error;
-  const fs::path parent = fs::path(path).parent_path();
-  if (!parent.empty()) fs::create_directories(parent, error);
-  if (::mkdir(path.c_str(), 0700) != 0 && errno != EEXIST)
-    return {Code::io_error, fmt::format("can't make the directory {}: {}", path, std::strerror(errno)),
-            "check the permissions of the directory above it, or name another place"};
   struct stat info {};
-  if (::lstat(path.c_str(), &info) != 0)
-    return {Code::io_error, fmt::format("can't examine {}: {}", path, std::strerror(errno))};
-  if (!S_ISDIR(info.st_mode))
-    return {Code::io_error, fmt::format("{} is not a directory", path), "remove it, or name another place"};
-  if (info.st_uid != ::geteuid())
-    return {Code::not_authorised,
-            fmt::format("{} belongs to user {}, not to this one ({})", path, info.st_uid, ::geteuid()),
-            "name another place"};
-  if ((info.st_mode & 0077) != 0 && ::chmod(path.c_str(), 0700) != 0)
-    return {Code::not_authorised, fmt::format("{} is open to other users: {}", path, std::strerror(errno)),
-            fmt::format("chmod 0700 {}", path)};
-  return {};
+  if (::lstat(path.c_str(), &info) == 0) {
+    if (!S_ISDIR(info.st_mode))
+      return {Code::io_error, fmt::format("{} is not a directory", path), "remove it, or name another place"};
+    if (info.st_uid == ::geteuid() && (info.st_mode & 0077) != 0 && ::chmod(path.c_str(), 0700) != 0)
+      return {Code::not_authorised, fmt::format("{} is open to other users: {}", path, std::strerror(errno)),
+              fmt::format("chmod 0700 {}", path)};
+  }
+  return make_own_directory(path);
 }
 
 Status make_directory(const std::string& path) {

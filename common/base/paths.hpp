@@ -16,8 +16,12 @@ namespace rcb {
 // In the data directory.
 inline constexpr std::string_view kTokenFile = "token";                   // 64 hex digits, mode 0600
 inline constexpr std::string_view kCleanShutdownFile = "clean-shutdown";  // left by a service that ended as told
-inline constexpr std::string_view kLogFile = "rcbd.log";                  // the launcher sends rcbd's stderr here
-inline constexpr std::string_view kLockFile = "lock";                     // flock'ed while in use; holds the pid
+inline constexpr std::string_view kLogFile = "rcbd.log";                  // the launcher writes rcbd's stderr here
+inline constexpr std::string_view kLockFile = "lock";                     // LockFile, an EndpointNote in it
+
+// Names the job's own folder in the environment of its ranks: Open MPI's session files and the shared memory.
+inline constexpr const char* kJobFolderVariable = "RCBD_JOB_FOLDER";
+inline constexpr std::string_view kJobFolderPrefix = "rcbd-";  // of the folder's own name
 
 // The longest path that fits a socket address.
 inline constexpr std::size_t kSocketPathMax = 107;
@@ -31,10 +35,11 @@ std::string default_socket_path();
 // path counts as unix:) with every character outside [A-Za-z0-9._-] escaped. A relative path is made absolute first.
 std::string data_directory_for(std::string_view endpoint);
 
-// Makes `path` (parents too) with mode 0700 if it isn't there; one that is there is closed to others, and refused if
-// it is a link, no directory, or another user's. Errors: io_error, not_authorised.
+// As make_own_directory() (own_files.hpp), for a directory that only we use: one that is there is closed to others, and
+// refused if it is a link. Errors: io_error, not_authorised.
 Status make_private_directory(const std::string& path);
-// Makes `path` and its parents if they aren't there; takes a directory that is there as it is. Errors: io_error.
+// For what the user asks to be written: makes `path` and its parents if they aren't there; takes a directory that is
+// there as it is. Errors: io_error.
 Status make_directory(const std::string& path);
 
 // dir + "/" + name.

@@ -66,14 +66,17 @@ struct Control::State : std::enable_shared_from_this<State> {
 
   void stop_listening() {
     error_code ignored;
-    if (unix_acceptor) unix_acceptor->close(ignored);
+    if (unix_listener) {
+      unix_listener->name.remove();
+      unix_listener->acceptor.close(ignored);
+    }
     for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
   }
 
   static constexpr int kRefusingMax = 64;
   IoLoop& loop;
   std::shared_ptr<Coordinator> coordinator;
-  std::optional<UnixAcceptor> unix_acceptor;
+  std::optional<UnixListener> unix_listener;
   std::string unix_path;
   std::list<TcpAcceptor> tcp_acceptors;
   int refusing = 0;
@@ -82,15 +85,12 @@ struct Control::State : std::enable_shared_from_this<State> {
 Control::Control(IoLoop& loop, ControlOptions options, Engine& engine)
     : state_(std::make_shared<State>(loop, std::move(options), engine)) {}
 
-Control::~Control() {
-  state_->stop_listening();
-  if (!state_->unix_path.empty()) ::unlink(state_->unix_path.c_str());
-}
+Control::~Control() { state_->stop_listening(); }
 
 Status Control::listen_unix(const std::string& path) {
-  Result<UnixAcceptor> acceptor = net::listen_unix(state_->loop.context(), path);
-  if (!acceptor.ok()) return acceptor.status();
-  state_->unix_acceptor.emplace(std::move(*acceptor));
+  Result<UnixListener> listener = net::listen_unix(state_->loop.context(), path);
+  if (!listener.ok()) return listener.status();
+  state_->unix_listener.emplace(std::move(*listener));
   state_->unix_path = path;
   state_->coordinator->add_endpoint("unix:" + path);
   return {};
@@ -116,7 +116,7 @@ void Control::ask_for_silence(std::function<std::vector<SilentRank>()> ask) {
 void Control::slice_reported(int rank, const SliceReport& report) { state_->coordinator->slice_reported(rank, report); }
 
 void Control::start() {
-  if (state_->unix_acceptor) state_->accept(*state_->unix_acceptor, "unix:" + state_->unix_path, false);
+  if (state_->unix_listener) state_->accept(state_->unix_listener->acceptor, "unix:" + state_->unix_path, false);
   for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor, bound_address(acceptor), true);
 }
 

@@ -8,11 +8,11 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/file.h>
 #include <sys/random.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 
 namespace rcb::net {
@@ -41,13 +41,12 @@ bool write_whole(int file, std::string_view text) {
 
 // A file of ours, open to nobody else, that holds a token.
 std::string private_token(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
-  if (file < 0) return "";
+  const auto file = open_own_file(path, O_RDONLY);
+  if (!file.ok()) return "";
   struct stat info {};
   std::string token;
-  if (::fstat(file, &info) == 0 && S_ISREG(info.st_mode) && info.st_uid == ::geteuid() && (info.st_mode & 0077) == 0)
-    token = read_small(file);
-  ::close(file);
+  if (::fstat(*file, &info) == 0 && (info.st_mode & 0077) == 0) token = read_small(*file);
+  ::close(*file);
   while (!token.empty() && token.back() == '\n') token.pop_back();
   const bool whole =
       token.size() == 2 * kTokenBytes && token.find_first_not_of("0123456789abcdef") == std::string::npos;
@@ -87,41 +86,20 @@ bool same_secret(std::string_view a, std::string_view b) {
   return difference == 0;
 }
 
-Result<DataDirectory> DataDirectory::open(const std::string& path, bool named_by_user, const std::string& who) {
-  const Status made = named_by_user ? make_directory(path) : make_private_directory(path);
+Result<DataDirectory> DataDirectory::open(const std::string& path, bool named_by_user, EndpointNote who) {
+  const Status made = named_by_user ? make_own_directory(path) : make_private_directory(path);
   if (!made.ok()) return made;
-  const std::string lock_path = join_path(path, kLockFile);
-  const int lock = ::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
-  if (lock < 0)
-    return Status(Code::io_error, fmt::format("can't write in the data directory {}: {}", path, reason()),
-                  "name another with --data-dir");
-  DataDirectory directory(path, lock);
-  if (::flock(lock, LOCK_EX | LOCK_NB) != 0) {
-    const std::string holder = read_small(lock);
-    return Status(Code::busy,
-                  fmt::format("the data directory {} is in use by a live service: {}", path,
-                              holder.empty() ? "it hasn't said which" : holder),
-                  "stop that service, or give this one another --data-dir");
-  }
-  if (::ftruncate(lock, 0) != 0 || !write_whole(lock, fmt::format("pid {}, {}", ::getpid(), who)))
-    return Status(Code::io_error, fmt::format("can't write {}: {}", lock_path, reason()));
+  who.data_dir = path;
+  DataDirectory directory(path);
+  auto lock = take_data_directory(who);
+  if (lock.ok())
+    directory.lock_.emplace(std::move(*lock));
+  else if (!held_by_supervisor(join_path(path, kLockFile)))
+    return lock.status();
   const std::string marker = join_path(path, kCleanShutdownFile);
   if (::unlink(marker.c_str()) != 0 && errno != ENOENT)
     return Status(Code::io_error, fmt::format("can't remove {}: {}", marker, reason()));
   return directory;
-}
-
-DataDirectory::DataDirectory(DataDirectory&& other) noexcept
-    : path_(std::move(other.path_)), lock_(std::exchange(other.lock_, -1)) {}
-
-DataDirectory& DataDirectory::operator=(DataDirectory&& other) noexcept {
-  std::swap(path_, other.path_);
-  std::swap(lock_, other.lock_);
-  return *this;
-}
-
-DataDirectory::~DataDirectory() {
-  if (lock_ >= 0) ::close(lock_);
 }
 
 Result<std::string> DataDirectory::token() const {

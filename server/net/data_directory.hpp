@@ -1,24 +1,23 @@
 // DataDirectory: the directory of one service: lock, token, clean-shutdown marker.
 //
 // Invariants
-// 1. While this lives no other service has the directory: `lock` is flock'ed, and the kernel frees it with the process.
+// 1. While this lives no other service has the directory: its lock is held, here or by this rank's supervisor.
 // 2. The marker is absent from open() to leave_clean_marker().
 #pragma once
 
+#include <optional>
 #include <string>
 
+#include "common/base/endpoint_lock.hpp"
 #include "common/base/status.hpp"
 
 namespace rcb::net {
 
 class DataDirectory {
  public:
-  // Makes `path` where it isn't there, private unless `named_by_user`. `who` is written into the lock file for the
-  // one who is refused. Errors: busy (names the live service), io_error, not_authorised.
-  static Result<DataDirectory> open(const std::string& path, bool named_by_user, const std::string& who);
-  DataDirectory(DataDirectory&& other) noexcept;
-  DataDirectory& operator=(DataDirectory&& other) noexcept;
-  ~DataDirectory();
+  // Makes `path` where it isn't there; closes it to others unless `named_by_user`. `who` is written into the lock file
+  // for the one who is refused. Errors: busy (names the live service), io_error, not_authorised.
+  static Result<DataDirectory> open(const std::string& path, bool named_by_user, EndpointNote who);
 
   const std::string& path() const { return path_; }
   // The token in it, made where there is none that is private and whole: a service that is started again keeps it.
@@ -27,9 +26,9 @@ class DataDirectory {
   Status leave_clean_marker() const;
 
  private:
-  DataDirectory(std::string path, int lock) : path_(std::move(path)), lock_(lock) {}
+  explicit DataDirectory(std::string path) : path_(std::move(path)) {}
   std::string path_;
-  int lock_ = -1;
+  std::optional<LockFile> lock_;  // none where the supervisor has it
 };
 
 // A copy of a service's token where clients on this machine look for it: in its endpoint's default data directory, for

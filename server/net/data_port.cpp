@@ -277,9 +277,11 @@ struct DataPort::State : std::enable_shared_from_this<State> {
 
   void stop() {
     error_code ignored;
-    if (unix_acceptor) unix_acceptor->close(ignored);
+    if (unix_listener) {
+      unix_listener->name.remove();
+      unix_listener->acceptor.close(ignored);
+    }
     for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
-    if (!unix_path.empty()) ::unlink(std::exchange(unix_path, "").c_str());
     for (const auto& connection : std::set(connections)) connection->close();
   }
 
@@ -287,8 +289,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   DataOptions options;
   Report report;
   Watch watch;
-  std::optional<UnixAcceptor> unix_acceptor;
-  std::string unix_path;
+  std::optional<UnixListener> unix_listener;
   std::list<TcpAcceptor> tcp_acceptors;
   std::set<std::shared_ptr<Connection>> connections;
   std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes;  // by the service's number
@@ -302,10 +303,9 @@ DataPort::DataPort(IoLoop& loop, DataOptions options) : state_(std::make_shared<
 DataPort::~DataPort() { state_->stop(); }
 
 Status DataPort::listen_unix(const std::string& path) {
-  Result<UnixAcceptor> acceptor = net::listen_unix(state_->context(), path);
-  if (!acceptor.ok()) return acceptor.status();
-  state_->unix_acceptor.emplace(std::move(*acceptor));
-  state_->unix_path = path;
+  Result<UnixListener> listener = net::listen_unix(state_->context(), path);
+  if (!listener.ok()) return listener.status();
+  state_->unix_listener.emplace(std::move(*listener));
   return {};
 }
 
@@ -325,8 +325,8 @@ void DataPort::start(Report report, Watch watch) {
     return
         [state, with_token](Socket socket, const Status& peer) { state->welcome(std::move(socket), with_token, peer); };
   };
-  if (state_->unix_acceptor)
-    asio::co_spawn(context, accept_all(context, *state_->unix_acceptor, taker(false)), asio::detached);
+  if (state_->unix_listener)
+    asio::co_spawn(context, accept_all(context, state_->unix_listener->acceptor, taker(false)), asio::detached);
   for (TcpAcceptor& acceptor : state_->tcp_acceptors)
     asio::co_spawn(context, accept_all(context, acceptor, taker(true)), asio::detached);
 }

@@ -2,14 +2,11 @@
 
 #include <cmath>
 #include <condition_variable>
-#include <filesystem>
 #include <mutex>
 #include <utility>
 #include <vector>
 
 #include <fmt/format.h>
-#include <stdlib.h>
-#include <unistd.h>
 
 #include "common/wire/limits.hpp"
 #include "server/net/connection.hpp"
@@ -58,19 +55,13 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
         peers(static_cast<std::size_t>(ranks)),
         ticks_max(silent_ticks_max(silence_seconds)),
         lost(std::move(handler)) {}
-  ~State() { remove_files(); }
-
-  void remove_files() {
-    acceptor.reset();
-    std::error_code ignored;
-    if (!directory.empty()) std::filesystem::remove_all(std::exchange(directory, ""), ignored);
-  }
 
   awaitable<void> accept() {
     while (acceptor) {
       asio::local::stream_protocol::socket socket(loop.context());
       auto [error] = co_await acceptor->async_accept(socket, kAwait);
       if (error) co_return;
+      if (!check_peer_user(socket.native_handle()).ok()) continue;
       auto connection = std::make_shared<Connection>(Socket(std::move(socket)), kFrameSeconds);
       asio::co_spawn(
           loop.context(), [self = shared_from_this(), connection] { return self->serve(connection); }, asio::detached);
@@ -87,7 +78,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
     Peer& peer = peers[index];
     if (peer.connection) co_return connection->close();
     peer.connection = connection;
-    if (connected + 2 == peers.size()) remove_files();  // the last one
+    if (connected + 2 == peers.size()) acceptor.reset();  // the last one
     gathering.change([&] { ++connected; });
     while (true) {
       Result<Frame> frame = co_await connection->read_frame(kNewsBytesMax, 0);
@@ -112,7 +103,6 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
 
   IoLoop& loop;
   DoorbellAddress address;
-  std::string directory;
   std::optional<UnixAcceptor> acceptor;
   std::vector<Peer> peers;  // [0] is this rank, unused
   std::size_t connected = 0;
@@ -130,12 +120,8 @@ Result<std::unique_ptr<DoorbellHub>> DoorbellHub::open(IoLoop& loop, int ranks, 
                                                        LostHandler lost) {
   auto state = std::make_shared<State>(loop, ranks, silence_seconds, std::move(lost));
   if (ranks > 1) {
-    std::string place = "/tmp/rcbd-doorbell-XXXXXX";  // short on purpose: a socket path holds 107 bytes
-    if (::mkdtemp(place.data()) == nullptr)
-      return Status(Code::io_error, fmt::format("can't make a directory in /tmp: {}", std::strerror(errno)));
-    state->directory = place;
-    state->address = {place + "/bell", random_hex(32)};
-    Result<UnixAcceptor> acceptor = listen_unix(loop.context(), state->address.path);
+    state->address = {"rcbd-doorbell-" + random_hex(16), random_hex(32)};
+    Result<UnixAcceptor> acceptor = listen_nameless(loop.context(), state->address.name);
     if (!acceptor.ok()) return acceptor.status();
     state->acceptor.emplace(std::move(*acceptor));
     asio::co_spawn(
@@ -199,7 +185,7 @@ void DoorbellHub::finish(double seconds) {
     if (!all) state.lost("a rank didn't say goodbye in time");
     for (State::Peer& peer : state.peers)
       if (peer.connection) peer.connection->close();
-    state.remove_files();
+    state.acceptor.reset();
   });
 }
 
@@ -245,7 +231,7 @@ Result<std::unique_ptr<Doorbell>> Doorbell::connect(IoLoop& loop, int rank, cons
   state->lost = std::move(lost);
   asio::local::stream_protocol::socket socket(loop.context());
   error_code error;
-  socket.connect({address.path}, error);
+  socket.connect({nameless_address(address.name)}, error);
   if (error) return Status(Code::unavailable, fmt::format("rank {} can't reach rank 0: {}", rank, error.message()));
   state->connection = std::make_shared<Connection>(Socket(std::move(socket)), kFrameSeconds);
   state->connection->send(wire::FrameType::hello, 0, {{"rank", rank}, {"secret", address.secret}});

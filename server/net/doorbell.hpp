@@ -5,7 +5,7 @@
 // 2. Both sides send a sign of life every kTickSeconds of their own accord, so that none waits behind an order that is
 //    being read. A rank that is silent for `silence_seconds`, or whose connection ends without a goodbye, is given as
 //    lost, once. Silence is counted in the listener's own ticks, so a machine that was asleep loses nobody.
-// 3. Once all ranks are connected nothing of it is left in the file system.
+// 3. It has no name in the file system, so nothing of it can stay there, however the ranks end.
 #pragma once
 
 #include <cstdint>
@@ -25,7 +25,7 @@ inline constexpr double kTickSeconds = 2;
 
 // Told to the other ranks through MPI.
 struct DoorbellAddress {
-  std::string path;
+  std::string name;  // of a nameless socket (listen.hpp)
   std::string secret;
 };
 

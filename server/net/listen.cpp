@@ -3,64 +3,35 @@
 #include <cerrno>
 #include <charconv>
 #include <cstring>
-#include <filesystem>
-#include <thread>
 #include <utility>
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/file.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/base/paths.hpp"
+#include "common/base/socket_file.hpp"
 
 namespace rcb::net {
 namespace {
 
-// Holds the directory's flock, so that two services that find the same stale socket don't remove each other's.
-class DirectoryLock {
- public:
-  explicit DirectoryLock(const std::string& path) : file_(::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
-  DirectoryLock(const DirectoryLock&) = delete;
-  DirectoryLock& operator=(const DirectoryLock&) = delete;
-  ~DirectoryLock() {
-    if (file_ >= 0) ::close(file_);
-  }
-  bool exists() const { return file_ >= 0; }
-  bool take() const {
-    constexpr int kTries = 40;  // 2 s
-    for (int i = 0; i < kTries; ++i) {
-      if (::flock(file_, LOCK_EX | LOCK_NB) == 0) return true;
-      std::this_thread::sleep_for(std::chrono::milliseconds(50));
-    }
-    return false;
-  }
-
- private:
-  int file_;
-};
-
 // Removes a socket that nobody listens on. Errors: busy, io_error.
-Status remove_stale(asio::io_context& context, const std::string& path) {
-  struct stat info {};
-  if (::lstat(path.c_str(), &info) != 0) return {};
-  if (!S_ISSOCK(info.st_mode))
-    return {Code::io_error, fmt::format("{} is there and is not a socket", path), "name another place with --socket"};
-  asio::local::stream_protocol::socket probe(context);
-  error_code error;
-  probe.open({}, error);
-  if (!error) probe.non_blocking(true, error);  // a service with a full backlog would block the connect
-  if (!error) probe.connect({path}, error);
-  if (!error || error == asio::error::would_block || error == asio::error::try_again)
-    return {Code::busy, fmt::format("a service already answers at unix:{}", path),
-            "stop it ('rcbctl down'), or give this one another --socket"};
-  if (error != asio::error::connection_refused)
-    return {Code::io_error, fmt::format("can't tell whether {} is in use: {}", path, error.message())};
-  if (::unlink(path.c_str()) != 0)
-    return {Code::io_error, fmt::format("can't remove the stale socket {}: {}", path, std::strerror(errno))};
-  return {};
+Status remove_stale(const std::string& path) {
+  switch (socket_state(path)) {
+    case SocketState::absent:
+      return {};
+    case SocketState::live:
+      return {Code::busy, fmt::format("a service already answers at unix:{}", path),
+              "stop it ('rcbctl down'), or give this one another --socket"};
+    case SocketState::foreign:
+      return {Code::io_error, fmt::format("{} is there and is no socket of this user", path),
+              "name another place with --socket"};
+    case SocketState::dead:
+      break;
+  }
+  if (::unlink(path.c_str()) == 0 || errno == ENOENT) return {};
+  return {Code::io_error, fmt::format("can't remove the stale socket {}: {}", path, std::strerror(errno))};
 }
 
 struct HostPort {
@@ -83,35 +54,39 @@ Result<HostPort> split(const std::string& where) {
 
 }  // namespace
 
-Result<UnixAcceptor> listen_unix(asio::io_context& context, const std::string& path) {
+Result<UnixListener> listen_unix(asio::io_context& context, const std::string& path) {
   if (path.empty() || path.size() > kSocketPathMax)
     return Status(
         Code::invalid_argument,
         fmt::format("the socket path has {} bytes, 1 to {} are possible: {}", path.size(), kSocketPathMax, path),
         "name a shorter one with --socket");
-  if (path == default_socket_path()) {
-    const Status made = make_private_directory(default_socket_directory());
-    if (!made.ok()) return made;
-  }
-  std::string parent = std::filesystem::path(path).parent_path().string();
-  if (parent.empty()) parent = ".";
-  const DirectoryLock lock(parent);
-  if (!lock.exists())
-    return Status(Code::io_error, fmt::format("can't open the socket's directory {}: {}", parent, std::strerror(errno)),
-                  "make it, or name another place with --socket");
-  if (!lock.take()) return Status(Code::busy, fmt::format("another program keeps the directory {} locked", parent));
-  Status status = remove_stale(context, path);
-  if (!status.ok()) return status;
+  if (Status status = remove_stale(path); !status.ok()) return status;
   UnixAcceptor acceptor(context);
   error_code error;
   acceptor.open({}, error);
   const mode_t mask = ::umask(0177);
   if (!error) acceptor.bind({path}, error);
   ::umask(mask);
-  if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
+  if (error)
+    return Status(Code::io_error, fmt::format("can't listen on unix:{}: {}", path, error.message()),
+                  "make the socket's directory, or name another place with --socket");
+  SocketName name(path);
+  acceptor.listen(asio::socket_base::max_listen_connections, error);
   if (error) return Status(Code::io_error, fmt::format("can't listen on unix:{}: {}", path, error.message()));
+  return UnixListener{std::move(acceptor), std::move(name)};
+}
+
+Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name) {
+  UnixAcceptor acceptor(context);
+  error_code error;
+  acceptor.open({}, error);
+  if (!error) acceptor.bind({nameless_address(name)}, error);
+  if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
+  if (error) return Status(Code::io_error, fmt::format("can't listen at {}: {}", name, error.message()));
   return acceptor;
 }
+
+std::string nameless_address(const std::string& name) { return std::string(1, '\0') + name; }
 
 Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where) {
   Result<HostPort> parts = split(where);

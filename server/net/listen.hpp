@@ -1,7 +1,9 @@
 // Listening sockets: the control sockets of rank 0, every rank's data sockets.
 //
 // Invariants
-// 1. A socket on which a live service answers is never taken; a stale one is replaced.
+// 1. A socket on which a live service answers is never taken; a stale one is replaced. Whoever listens on an endpoint
+// has
+//    its lock (endpoint_lock.hpp), so that two services that find the same stale socket don't remove each other's.
 // 2. A Unix socket is 0600 from the moment it exists.
 #pragma once
 
@@ -13,14 +15,23 @@
 
 #include "common/base/status.hpp"
 #include "server/net/asio.hpp"
+#include "server/net/socket_name.hpp"
 
 namespace rcb::net {
 
 using UnixAcceptor = asio::local::stream_protocol::acceptor;
 using TcpAcceptor = asio::ip::tcp::acceptor;
 
-// Errors: invalid_argument (path too long), busy (a live service), io_error, not_authorised.
-Result<UnixAcceptor> listen_unix(asio::io_context& context, const std::string& path);
+struct UnixListener {
+  UnixAcceptor acceptor;
+  SocketName name;  // goes before the acceptor, whose end frees the socket's number
+};
+// Errors: invalid_argument (path too long), busy (a live service), io_error.
+Result<UnixListener> listen_unix(asio::io_context& context, const std::string& path);
+// On a socket that has no name in the file system (Linux's abstract ones), so that nothing of it can stay. Any user of
+// the machine can connect: check_peer_user(). Errors: io_error.
+Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name);
+std::string nameless_address(const std::string& name);
 // where: HOST:PORT or [V6]:PORT; port 0 takes a free one. Errors: invalid_argument, busy, io_error.
 Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where);
 // "127.0.0.1:7470", as it was bound.

@@ -36,8 +36,8 @@ Status await(launch::Job& job, const std::string& rows, double stall_seconds) {
   std::uintmax_t size = 0;
   for (;;) {
     if (const auto ending = job.poll()) {
-      if (*ending == "exit code 0") return {};
-      return {Code::internal, "the MPI job ended with " + *ending, "its last words are above"};
+      if (ending->clean) return {};
+      return {Code::internal, "the MPI job ended with " + ending->text, "its last words are above"};
     }
     if (g_interrupted) return {Code::aborted, "interrupted"};
     std::error_code error;
@@ -112,7 +112,7 @@ Status run_job(const std::string& folder, const char* word, int ranks, double st
   spec.command = {fs::read_symlink("/proc/self/exe", ignored).string(), word, folder + "/plan", rows_path};
   Status status;
   {
-    launch::Job job(spec, folder + "/mpi", STDERR_FILENO);
+    launch::Job job(spec, folder, STDERR_FILENO);
     status = job.start(false);
     if (status.ok()) status = await(job, rows_path, stall_seconds);
   }

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 
 import numpy as np
@@ -28,12 +29,12 @@ def run(*args, endpoint=None, timeout=120, program=RCBCTL, cwd=None, env=None):
 class Service:
     """A real rcbd under mpirun on a socket of its own."""
 
-    def __init__(self, ranks, tcp=None):
+    def __init__(self, ranks, tcp=None, options=(), env=None):
         self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
         self.endpoint = tcp or "unix:" + os.path.join(self.dir, "s")
         self.data = os.path.join(self.dir, "data")
         self.ranks = ranks
-        up = run("up", "-n", ranks, "--data-dir", self.data, endpoint=self.endpoint)
+        up = run("up", "-n", ranks, "--data-dir", self.data, *options, endpoint=self.endpoint, env=env)
         if up.returncode != 0:
             raise RuntimeError(f"rcbctl up: {up.stdout}{up.stderr}")
 
@@ -57,6 +58,10 @@ class Service:
         if not failure["message"] or failure["message"] not in done.stderr:
             raise AssertionError(f"stderr doesn't say {failure['message']!r}: {done.stderr!r}")
         return failure
+
+    def processes(self, name):
+        """The service's running processes of that name: rcbd-supervisor, mpirun, rcbd; the lowest number first."""
+        return sorted(pid for pid, _ in processes_of(self.dir) if process_name(pid) == name)
 
     def stop(self):
         down = self.ctl("down")
@@ -109,5 +114,23 @@ def processes_of(text):
     return found
 
 
-__all__ = ["BIN", "MPIRUN", "RCBCTL", "Service", "hard_scenes", "json", "np", "os", "processes_of", "run", "shutil", "signal",
-           "subprocess", "sys", "tempfile", "unittest"]
+def process_name(pid):
+    try:
+        with open(f"/proc/{pid}/comm") as file:
+            return file.read().strip()
+    except OSError:
+        return ""
+
+
+def wait_for(condition, seconds=30):
+    """Until the condition holds; False where it doesn't within the time, which is a limit and no claim."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+__all__ = ["BIN", "MPIRUN", "RCBCTL", "Service", "hard_scenes", "json", "np", "os", "process_name", "processes_of",
+           "run", "shutil", "signal", "subprocess", "sys", "tempfile", "time", "unittest", "wait_for"]

@@ -7,16 +7,16 @@
 #include <fstream>
 #include <string>
 
-#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <signal.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include "client/launch/log_tail.hpp"
 #include "client/launch/programs.hpp"
+#include "common/base/endpoint_lock.hpp"
+#include "common/base/own_files.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -87,7 +87,6 @@ TEST_F(Launch, TellsTheReasonOfAFailedStart) {
   EXPECT_EQ(status.code(), Code::aborted);
   EXPECT_NE(status.message().find("the moon is in the wrong phase"), std::string::npos) << status.message();
   EXPECT_NE(status.hint().find("rcbd.log"), std::string::npos) << status.hint();
-  EXPECT_FALSE(fs::exists(o.data_dir + "/tmp"));
 }
 
 TEST_F(Launch, GivesUpOnAServiceThatNeverAnswersAndLeavesNothing) {
@@ -95,21 +94,58 @@ TEST_F(Launch, GivesUpOnAServiceThatNeverAnswersAndLeavesNothing) {
   const Status status = start_detached(options(), {});
   EXPECT_EQ(status.code(), Code::deadline_exceeded) << status.message();
   EXPECT_TRUE(all_gone());
-  EXPECT_FALSE(fs::exists(options().data_dir + "/tmp"));
 }
 
 TEST_F(Launch, TakesNoDataDirectoryTwice) {
   program(hanging());
   const SuperviseOptions o = options();
-  fs::create_directories(o.data_dir);
-  const std::string lock = o.data_dir + "/" + std::string(kLaunchLockFile);
-  const int fd = open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-  ASSERT_EQ(flock(fd, LOCK_EX | LOCK_NB), 0);
+  ASSERT_TRUE(make_own_directory(o.data_dir).ok());
+  EndpointNote other;
+  other.process = ProcessId::self();
+  other.endpoint = "unix:/elsewhere";
+  other.data_dir = o.data_dir;
+  const auto lock = take_data_directory(other);
+  ASSERT_TRUE(lock.ok());
   const Status status = start_detached(o, {});
-  close(fd);
-  EXPECT_EQ(status.code(), Code::already_exists);
-  EXPECT_NE(status.message().find(o.data_dir), std::string::npos) << status.message();
+  EXPECT_EQ(status.code(), Code::busy);
+  for (const std::string& said : {o.data_dir, other.endpoint})
+    EXPECT_NE(status.message().find(said), std::string::npos) << status.message();
   EXPECT_EQ(started(), 0);
+}
+
+TEST_F(Launch, TakesNoEndpointTwiceWhateverTheDataDirectory) {
+  program(hanging());
+  EndpointNote other;
+  other.process = ProcessId::self();
+  other.endpoint = options().endpoint;
+  other.data_dir = "/another";
+  auto lock = take_endpoint(other);
+  ASSERT_TRUE(lock.ok()) << lock.status().message();
+  const Status status = start_detached(options(), {});
+  EXPECT_EQ(status.code(), Code::busy);
+  EXPECT_NE(status.message().find("/another"), std::string::npos) << status.message();
+  EXPECT_EQ(started(), 0);
+  EXPECT_TRUE(lock->in_place());
+}
+
+TEST_F(Launch, RefusesALogThatLeadsElsewhere) {
+  program(hanging());
+  const SuperviseOptions o = options();
+  ASSERT_TRUE(make_own_directory(o.data_dir).ok());
+  std::ofstream(folder_ / "precious") << "precious";
+  fs::create_symlink(folder_ / "precious", log_path(o.data_dir));
+  const Status status = start_detached(o, {});
+  EXPECT_EQ(status.code(), Code::not_authorised) << status.message();
+  EXPECT_NE(status.message().find(log_path(o.data_dir)), std::string::npos) << status.message();
+  EXPECT_EQ(fs::file_size(folder_ / "precious"), 8U);
+  EXPECT_EQ(started(), 0);
+}
+
+TEST_F(Launch, AFolderWithoutRcbdIsNotPassedOver) {
+  setenv("RCBD_BIN_DIR", "/nowhere", 1);
+  const auto found = find_rcbd();
+  EXPECT_EQ(found.status().code(), Code::not_found);
+  EXPECT_NE(found.status().message().find("RCBD_BIN_DIR is /nowhere"), std::string::npos);
 }
 
 TEST_F(Launch, AFailedEmbeddedServiceLeavesNoFolder) {
@@ -160,15 +196,14 @@ TEST_F(Launch, MpirunIsCalledAsOneNodeNeedsIt) {
   EXPECT_EQ(std::find(line->begin(), line->end(), "--allow-run-as-root") != line->end(), geteuid() == 0);
 }
 
-TEST_F(Launch, TheLogsTailIsWhatTheProgramSaidSinceItsStart) {
+TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
   const std::string path = folder_ / "log";
-  std::ofstream(path) << "an earlier run\n";
-  const auto from = file_bytes(path);
-  std::ofstream(path, std::ios::app) << "error: port taken\nerror: port taken\n"
-                                     << std::string(70, '-') << "\nmpirun noticed something\n"
-                                     << std::string(70, '-') << "\n";
-  EXPECT_EQ(log_tail(path, from), "error: port taken");
-  EXPECT_EQ(log_tail(path + ".none", 0), "");
+  const std::string rule = std::string(70, '-') + "\n";
+  const std::string mpirun = rule + "mpirun noticed something\n" + rule;
+  std::ofstream(path) << "error: port taken\nerror: port taken\n" << mpirun;
+  EXPECT_EQ(log_tail(path), "error: port taken");
+  EXPECT_EQ(telling_lines(mpirun), "mpirun noticed something");
+  EXPECT_EQ(log_tail(path + ".none"), "");
 }
 
 }  // namespace

@@ -1,12 +1,15 @@
 // What lies in the file system: socket, lock, token, marker.
 #include <filesystem>
 #include <fstream>
+#include <memory>
 
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
 #include "common/base/paths.hpp"
+#include "common/base/socket_file.hpp"
 #include "server/net/data_directory.hpp"
+#include "server/net/socket_name.hpp"
 #include "tests/server/net/harness.hpp"
 
 namespace rcb::net::testing {
@@ -18,6 +21,14 @@ unsigned mode_of(const std::string& path) {
   struct stat info {};
   EXPECT_EQ(::lstat(path.c_str(), &info), 0) << path;
   return info.st_mode & 0777U;
+}
+
+EndpointNote rcbd_at(const std::string& endpoint) {
+  EndpointNote note;
+  note.process = ProcessId::self();
+  note.program = "rcbd";
+  note.endpoint = endpoint;
+  return note;
 }
 
 struct Listener {
@@ -52,6 +63,49 @@ TEST(Socket, ALiveOneIsRefusedAStaleOneReplaced) {
   EXPECT_TRUE(three.control.listen_unix(directory.file("stale")).ok());
 }
 
+TEST(Socket, AnothersThatHasTakenThePlaceStays) {
+  const Directory directory;
+  const std::string path = directory.file("s");
+  auto one = std::make_unique<Listener>();
+  ASSERT_TRUE(one->control.listen_unix(path).ok());
+  fs::remove(path);  // as somebody does who believes it stale
+  Listener two;
+  ASSERT_TRUE(two.control.listen_unix(path).ok());
+  one.reset();
+  EXPECT_EQ(socket_state(path), SocketState::live);
+}
+
+TEST(Socket, NamesAreRemovedTogetherWhereAProcessEndsAtOnce) {
+  const Directory directory;
+  Listener one;
+  ASSERT_TRUE(one.control.listen_unix(directory.file("s")).ok());
+  Listener two;
+  ASSERT_TRUE(two.control.listen_unix(directory.file("t")).ok());
+  fs::remove(directory.file("t"));
+  std::ofstream(directory.file("t")) << "precious";
+  SocketName::remove_all();
+  EXPECT_FALSE(fs::exists(directory.file("s")));
+  EXPECT_TRUE(fs::exists(directory.file("t")));
+}
+
+TEST(Socket, WhatNobodyListensOnIsRemovedTheRestStays) {
+  const Directory directory;
+  const std::string path = directory.file("s");
+  {
+    Listener dead;
+    ASSERT_TRUE(dead.control.listen_unix(path).ok());
+    for (const char* name : {"s.0", "s.17", "s.1x", "other"}) fs::create_hard_link(path, directory.file(name));
+  }
+  Listener live;
+  ASSERT_TRUE(live.control.listen_unix(directory.file("s.2")).ok());
+  std::ofstream(directory.file("s.3")) << "precious";
+  fs::rename(directory.file("other"), path);
+  EXPECT_EQ(socket_state(path), SocketState::dead);
+  EXPECT_EQ(remove_dead_sockets(path).size(), 3U);
+  for (const char* name : {"s.1x", "s.2", "s.3"}) EXPECT_TRUE(fs::exists(directory.file(name))) << name;
+  for (const char* name : {"s", "s.0", "s.17"}) EXPECT_FALSE(fs::exists(directory.file(name))) << name;
+}
+
 TEST(Socket, WhatIsNoSocketStays) {
   const Directory directory;
   std::ofstream(directory.file("s")) << "precious";
@@ -80,31 +134,31 @@ TEST(Socket, TcpAddressesAreChecked) {
 
 TEST(DataDirectory, HasOneServiceAtATime) {
   const Directory directory;
-  auto first = DataDirectory::open(directory.path(), true, "rcbd at unix:/somewhere");
+  auto first = DataDirectory::open(directory.path(), true, rcbd_at("unix:/somewhere"));
   ASSERT_TRUE(first.ok());
-  const auto second = DataDirectory::open(directory.path(), true, "rcbd at elsewhere");
+  const auto second = DataDirectory::open(directory.path(), true, rcbd_at("unix:/elsewhere"));
   EXPECT_EQ(second.status().code(), Code::busy);
   EXPECT_NE(second.status().message().find("unix:/somewhere"), std::string::npos) << second.status().message();
   { const DataDirectory gone = std::move(*first); }
-  EXPECT_TRUE(DataDirectory::open(directory.path(), true, "rcbd").ok());
+  EXPECT_TRUE(DataDirectory::open(directory.path(), true, rcbd_at("unix:/s")).ok());
 }
 
 TEST(DataDirectory, MarkerStandsOnlyAfterACleanEnd) {
   const Directory directory;
   const std::string marker = directory.file(std::string(kCleanShutdownFile));
   {
-    const auto data = DataDirectory::open(directory.path(), true, "rcbd");
+    const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
     ASSERT_TRUE(data.ok());
     EXPECT_TRUE(data->leave_clean_marker().ok());
     EXPECT_TRUE(fs::exists(marker));
   }
-  const auto data = DataDirectory::open(directory.path(), true, "rcbd");
+  const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
   EXPECT_FALSE(fs::exists(marker));
 }
 
 TEST(DataDirectory, TokenIsPrivateAndLasts) {
   const Directory directory;
-  const auto data = DataDirectory::open(directory.path(), true, "rcbd");
+  const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
   ASSERT_TRUE(data.ok());
   const auto token = data->token();
   ASSERT_TRUE(token.ok());
@@ -121,11 +175,23 @@ TEST(DataDirectory, TokenIsPrivateAndLasts) {
 
 TEST(DataDirectory, IsMadePrivateUnlessTheUserNamedIt) {
   const Directory directory;
-  ASSERT_TRUE(DataDirectory::open(directory.file("a/b"), false, "rcbd").ok());
+  ASSERT_TRUE(DataDirectory::open(directory.file("a/b"), false, rcbd_at("unix:/s")).ok());
   EXPECT_EQ(mode_of(directory.file("a/b")), 0700U);
   fs::create_symlink(directory.path(), directory.file("link"));
-  EXPECT_FALSE(DataDirectory::open(directory.file("link"), false, "rcbd").ok());
-  EXPECT_TRUE(DataDirectory::open(directory.file("link"), true, "rcbd").ok());
+  EXPECT_FALSE(DataDirectory::open(directory.file("link"), false, rcbd_at("unix:/s")).ok());
+  EXPECT_TRUE(DataDirectory::open(directory.file("link"), true, rcbd_at("unix:/s")).ok());
+}
+
+TEST(DataDirectory, IsTheSupervisorsWhereARankHasOne) {
+  const Directory directory;
+  EndpointNote supervisor = rcbd_at("unix:/s");
+  supervisor.data_dir = directory.path();
+  const auto lock = take_data_directory(supervisor);
+  ASSERT_TRUE(lock.ok());
+  EXPECT_EQ(DataDirectory::open(directory.path(), true, rcbd_at("unix:/s")).status().code(), Code::busy);
+  ::setenv(kSupervisorVariable, supervisor.process.text().c_str(), 1);
+  EXPECT_TRUE(DataDirectory::open(directory.path(), true, rcbd_at("unix:/s")).ok());
+  ::unsetenv(kSupervisorVariable);
 }
 
 TEST(Secrets, AreComparedWhole) {

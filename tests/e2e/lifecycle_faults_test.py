@@ -1,0 +1,217 @@
+"""What the supervisor survives: processes that are stopped, a service that fails again and again, a data directory that is
+removed, a full disk; and that `down` ends what there is and tells the truth."""
+import re
+
+from protocol_client import Client, Refused
+from support import *
+
+REAL_RCBD = os.path.abspath(os.path.join(BIN, "rcbd"))
+
+
+class FailingService(Service):
+    """Its rcbd ends at once as long as there is the file `broken`."""
+
+    def __init__(self, ranks, **kwargs):
+        self.programs = tempfile.mkdtemp(prefix="rcb-e2e-bin-")
+        self.broken = os.path.join(self.programs, "broken")
+        program = os.path.join(self.programs, "rcbd")
+        with open(program, "w") as file:
+            file.write(f"#!/bin/sh\n[ -e {self.broken} ] && {{ echo 'error: the moon is wrong' >&2; exit 3; }}\n"
+                       f"exec {REAL_RCBD} \"$@\"\n")
+        os.chmod(program, 0o755)
+        super().__init__(ranks, env={"RCBD_BIN_DIR": self.programs}, **kwargs)
+
+    def failures(self):
+        """In a row, as the supervisor's note says."""
+        with open(f"{self.endpoint[5:]}.lock") as note:
+            return int(re.search(r"^failures (\d+)$", note.read(), re.M)[1])
+
+    def fail(self):
+        open(self.broken, "w").close()
+        os.kill(self.processes("rcbd")[-1], signal.SIGKILL)
+
+    def stop(self):
+        down = super().stop()
+        shutil.rmtree(self.programs)
+        return down
+
+
+class Faults(unittest.TestCase):
+    def assert_nothing_left(self, service):
+        self.assertTrue(wait_for(lambda: not processes_of(service.dir)), processes_of(service.dir))
+        self.assertEqual([name for name in os.listdir(service.dir) if name.startswith("s")], [])
+
+    def test_down_ends_a_supervisor_that_waits(self):
+        with FailingService(2) as service:
+            service.fail()
+
+            def waiting():
+                done = service.ctl("status", "--json")
+                return done.returncode == 3 and "starts it again" in done.stdout
+            self.assertTrue(wait_for(waiting))
+            # A long pause, so that the state that is asked for below lasts.
+            self.assertTrue(wait_for(lambda: service.failures() >= 4))
+            self.assertTrue(wait_for(waiting))
+            message = service.failure("status")["message"]
+            self.assertRegex(message, r"starts it again in \d+ s \(it has died \d+ times, at last: .*the moon is wrong")
+            second = run("up", "--data-dir", service.data + "2", endpoint=service.endpoint)
+            self.assertEqual(second.returncode, 1)
+            self.assertIn(f"pid {service.processes('rcbd-supervisor')[0]}", second.stderr)
+            down = service.ctl("down")
+            self.assertEqual(down.returncode, 0, down.stderr)
+            self.assertIn("which starts it again", down.stdout)
+            self.assert_nothing_left(service)
+            self.assertEqual(service.ctl("down").returncode, 3)
+
+    def test_many_failures_are_no_reason_to_give_up(self):
+        with FailingService(1) as service:
+            service.fail()
+            self.assertTrue(wait_for(lambda: service.failures() >= 6, 120))
+            self.assertTrue(service.processes("rcbd-supervisor"))
+            os.remove(service.broken)
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
+            self.assertTrue(service.json("status")["restarted"])
+
+    def test_a_stopped_mpirun_or_supervisor_stops_nobody(self):
+        for name in ("mpirun", "rcbd-supervisor"):
+            with self.subTest(name), Service(2) as service:
+                victim = service.processes(name)[0]
+                os.kill(victim, signal.SIGSTOP)
+                refused(service, 3000)
+                self.assertEqual(service.ctl("status").returncode, 0)
+                down = service.ctl("down")
+                self.assertEqual(down.returncode, 0, down.stderr)
+                self.assert_nothing_left(service)
+
+    def test_a_death_behind_a_stopped_mpirun_is_noticed(self):
+        with Service(2, options=("--answer-seconds", 3)) as service:
+            ranks = service.processes("rcbd")
+            os.kill(service.processes("mpirun")[0], signal.SIGSTOP)
+            os.kill(ranks[0], signal.SIGKILL)
+            self.assertTrue(wait_for(lambda: not set(ranks) & set(service.processes("rcbd")), 60))
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
+
+    def test_a_service_that_does_not_answer_is_started_again(self):
+        with Service(1, options=("--answer-seconds", 3)) as service:
+            victim = service.processes("rcbd")[0]
+            os.kill(victim, signal.SIGSTOP)
+            self.assertTrue(wait_for(lambda: not os.path.exists(f"/proc/{victim}"), 60))
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
+            with open(os.path.join(service.data, "rcbd.log")) as log:
+                self.assertIn("it has not answered for", log.read())
+
+    def test_down_ends_what_hangs(self):
+        with Service(1) as service:
+            os.kill(service.processes("rcbd")[0], signal.SIGSTOP)
+            down = service.ctl("down", "--deadline", 5)
+            self.assertEqual(down.returncode, 0, down.stderr)
+            self.assert_nothing_left(service)
+
+    def test_a_removed_data_directory_is_made_again(self):
+        with Service(2, options=("--answer-seconds", 3)) as service:
+            before = service.processes("rcbd")
+            shutil.rmtree(service.data)
+            self.assertTrue(wait_for(lambda: os.path.exists(os.path.join(service.data, "rcbd.log"))))
+            os.kill(before[0], signal.SIGKILL)
+            self.assertTrue(wait_for(lambda: not set(before) & set(service.processes("rcbd"))))
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0))
+            # A clean end needs no marker either.
+            shutil.rmtree(service.data)
+            self.assertEqual(service.ctl("down").returncode, 0)
+            self.assert_nothing_left(service)
+
+    def test_a_removed_socket_is_made_again(self):
+        with Service(2, options=("--answer-seconds", 3)) as service:
+            for name in os.listdir(service.dir):
+                if name != "data":
+                    os.remove(os.path.join(service.dir, name))
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
+            self.assertEqual(service.ctl("down").returncode, 0)
+            self.assert_nothing_left(service)
+
+    def test_a_full_disk(self):
+        if os.geteuid() != 0:
+            print("SKIPPED: only root can mount a disk to fill", file=sys.stderr)
+            self.skipTest("only root can mount a disk to fill")
+        done = subprocess.run(["unshare", "--mount", "--propagation", "private", sys.executable, __file__, "--full-disk"],
+                              capture_output=True, text=True, timeout=240)
+        if done.returncode == 77:
+            print("SKIPPED:", done.stderr, file=sys.stderr)
+            self.skipTest(done.stderr)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+
+
+def refused(service, count):
+    """Commands on one connection that are refused, each of which is worth a line in the log."""
+    client = Client(service.endpoint[5:])
+    for _ in range(count):
+        try:
+            client.ask("error", scene="none")
+        except Refused:
+            pass
+    client.socket.close()
+
+
+def fill(folder):
+    """Not a byte and not a file more."""
+    with open(os.path.join(folder, "fill"), "ab", buffering=0) as file:
+        try:
+            while file.write(bytes(4096)):
+                pass
+        except OSError:
+            pass
+    try:
+        for i in range(10_000):
+            open(os.path.join(folder, f"fill.{i}"), "a").close()
+    except OSError:
+        pass
+
+
+def on_a_full_disk():
+    """Runs in a mount namespace of its own; an assertion that fails is the test's failure."""
+    folder = tempfile.mkdtemp(prefix="rcb-e2e-disk-")
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m,nr_inodes=200", "none", folder], capture_output=True)
+    if mounted.returncode != 0:
+        print(mounted.stderr.decode(), file=sys.stderr)
+        return 77
+    data, endpoint = os.path.join(folder, "data"), f"unix:{folder}/s"
+
+    def ctl(*args):
+        return run(*args, endpoint=endpoint)
+
+    def left():
+        return [entry for entry in processes_of(folder) if process_name(entry[0]) in ("rcbd", "mpirun", "rcbd-supervisor")]
+    try:
+        assert ctl("up", "-n", 2, "--data-dir", data).returncode == 0
+        fill(folder)
+        first = [pid for pid, _ in left() if process_name(pid) == "rcbd"]
+        os.kill(first[0], signal.SIGKILL)  # it comes back without a byte of disk
+        assert wait_for(lambda: not any(pid in first for pid, _ in left()))
+        assert wait_for(lambda: ctl("status").returncode == 0), ctl("status").stderr
+        down = ctl("down")
+        assert down.returncode == 0, down.stderr
+        assert not left(), left()
+        assert ctl("status").returncode == 3
+        fill(folder)  # what the service has given back
+        up = ctl("up", "-n", 2, "--data-dir", data)
+        assert up.returncode == 1 and "No space left on device" in up.stderr, (up.returncode, up.stdout, up.stderr)
+        assert not left(), left()
+        for name in os.listdir(folder):
+            if name.startswith("fill"):
+                os.remove(os.path.join(folder, name))
+        up = ctl("up", "-n", 2, "--data-dir", data)
+        assert up.returncode == 0, up.stderr
+        assert ctl("down").returncode == 0
+        assert not left(), left()
+    finally:
+        for pid, _ in left():
+            os.kill(pid, signal.SIGKILL)
+        subprocess.run(["umount", "-l", folder])
+        os.rmdir(folder)
+    return 0
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["--full-disk"]:
+        sys.exit(on_a_full_disk())
+    unittest.main(verbosity=2)

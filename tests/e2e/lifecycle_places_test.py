@@ -1,0 +1,168 @@
+"""One service an endpoint, whose sockets are its own; places that another user has made are refused; and after a kill
+nothing stays."""
+import fcntl
+import threading
+
+from support import *
+
+STRANGER = 12345
+
+
+def only_root(test):
+    """Skips aloud where this user can't make what belongs to another one."""
+    def run_test(self):
+        if os.geteuid() != 0:
+            print(f"SKIPPED: {test.__name__} needs root", file=sys.stderr)
+            self.skipTest("needs root")
+        test(self)
+    return run_test
+
+
+class Places(unittest.TestCase):
+    def setUp(self):
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.endpoint = f"unix:{self.dir}/s"
+
+    def tearDown(self):
+        run("down", endpoint=self.endpoint)
+        shutil.rmtree(self.dir)
+
+    def up(self, data="data", ranks=2, **kwargs):
+        return run("up", "-n", ranks, "--data-dir", os.path.join(self.dir, data), endpoint=self.endpoint, **kwargs)
+
+    def named(self, name):
+        return sorted(pid for pid, _ in processes_of(self.dir) if process_name(pid) == name)
+
+    def job_folders(self):
+        found = []
+        for pid in self.named("rcbd"):
+            with open(f"/proc/{pid}/environ") as file:
+                found += [entry.split("=", 1)[1] for entry in file.read().split("\0") if entry.startswith("RCBD_JOB_FOLDER=")]
+        return set(found)
+
+    def test_of_two_ups_at_once_one_wins(self):
+        for _ in range(3):
+            done = [None, None]
+
+            def start(i):
+                done[i] = self.up(f"data{i}", ranks=i + 1)
+            threads = [threading.Thread(target=start, args=(i,)) for i in range(2)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            self.assertEqual(sorted(one.returncode for one in done), [0, 1], [one.stderr for one in done])
+            winner = next(i for i in range(2) if done[i].returncode == 0)
+            self.assertIn(f"{self.dir}/s", done[1 - winner].stderr)
+            self.assertEqual(len(self.named("rcbd-supervisor")), 1)
+            status = run("status", "--json", endpoint=self.endpoint)
+            self.assertEqual(json.loads(status.stdout)["ranks"], winner + 1, status.stderr)
+            self.assertEqual(len([name for name in os.listdir(self.dir) if name.startswith("s.") and name != "s.lock"]),
+                             winner + 1)
+            self.assertEqual(run("down", endpoint=self.endpoint).returncode, 0)
+            self.assertEqual([name for name in os.listdir(self.dir) if name.startswith("s")], [])
+
+    def test_one_that_is_run_by_hand_keeps_off(self):
+        self.assertEqual(self.up().returncode, 0)
+        before = {name: os.stat(os.path.join(self.dir, name)).st_ino for name in os.listdir(self.dir)}
+        done = run(1, os.path.join(BIN, "rcbd"), "--socket", f"{self.dir}/s", "--data-dir", f"{self.dir}/other",
+                   program=MPIRUN)
+        self.assertNotEqual(done.returncode, 0)
+        self.assertIn("is served already, by pid", done.stderr)
+        after = {name: os.stat(os.path.join(self.dir, name)).st_ino for name in os.listdir(self.dir)}
+        self.assertEqual(before, {name: after[name] for name in before})
+        self.assertEqual(run("status", endpoint=self.endpoint).returncode, 0)
+
+    def test_a_foreign_lock_on_the_folder_is_no_obstacle(self):
+        folder = os.open(self.dir, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            up = self.up()
+            self.assertEqual(up.returncode, 0, up.stderr)
+        finally:
+            os.close(folder)
+
+    def test_a_killed_supervisor_leaves_nothing(self):
+        """Also where a rank is stopped at that moment, which nobody is left to continue."""
+        for stop in (False, True):
+            with self.subTest(stop=stop):
+                self.assertEqual(self.up(ranks=3).returncode, 0)
+                folders = self.job_folders()
+                self.assertEqual(len(folders), 1)
+                if stop:
+                    os.kill(self.named("rcbd")[1], signal.SIGSTOP)
+                os.kill(self.named("rcbd-supervisor")[0], signal.SIGKILL)
+
+                def gone():
+                    sockets = [name for name in os.listdir(self.dir) if name.startswith("s") and name != "s.lock"]
+                    return not processes_of(self.dir) and not sockets and not any(map(os.path.exists, folders))
+                self.assertTrue(wait_for(gone), (processes_of(self.dir), os.listdir(self.dir), folders))
+                self.assertEqual(self.up(ranks=3).returncode, 0)
+                self.assertEqual(run("down", endpoint=self.endpoint).returncode, 0)
+
+    def kill_all(self):
+        folders = self.job_folders()
+        everybody = [pid for name in ("rcbd-supervisor", "mpirun", "rcbd") for pid in self.named(name)]
+        for pid in everybody:
+            os.kill(pid, signal.SIGSTOP)  # so that nobody cleans up after another
+        for pid in reversed(everybody):
+            os.kill(pid, signal.SIGKILL)
+        self.assertTrue(wait_for(lambda: not processes_of(self.dir)))
+        self.assertTrue(os.path.exists(f"{self.dir}/s"))
+        self.assertTrue(all(map(os.path.exists, folders)))
+        return folders
+
+    def test_what_was_killed_altogether_is_removed_by_down(self):
+        self.assertEqual(self.up(ranks=2).returncode, 0)
+        folders = self.kill_all()
+        down = run("down", endpoint=self.endpoint)
+        self.assertEqual(down.returncode, 0, down.stderr)
+        for name in (f"{self.dir}/s", f"{self.dir}/s.0", f"{self.dir}/s.1", *folders):
+            self.assertIn(name, down.stdout)
+            self.assertFalse(os.path.exists(name), name)
+        self.assertEqual(run("down", endpoint=self.endpoint).returncode, 3)
+
+    def test_what_was_killed_altogether_is_removed_by_the_next_start_anywhere(self):
+        self.assertEqual(self.up(ranks=2).returncode, 0)
+        folders = self.kill_all()
+        with Service(1):
+            for name in (f"{self.dir}/s", f"{self.dir}/s.0", f"{self.dir}/s.1", *folders):
+                self.assertFalse(os.path.exists(name), name)
+
+    @only_root
+    def test_a_folder_of_another_user_is_refused(self):
+        theirs = os.path.join(self.dir, "theirs")
+        precious = os.path.join(self.dir, "precious")
+        with open(precious, "w") as file:
+            file.write("precious")
+        os.mkdir(theirs)
+        os.symlink(precious, os.path.join(theirs, "rcbd.log"))
+        os.symlink(precious, os.path.join(theirs, "lock"))
+        os.chown(theirs, STRANGER, STRANGER)
+        for data in ("theirs", "theirs/data"):
+            up = self.up(data)
+            self.assertNotEqual(up.returncode, 0)
+            self.assertIn(f"{theirs} belongs to user {STRANGER}", up.stderr)
+        with open(precious) as file:
+            self.assertEqual(file.read(), "precious")
+        self.assertEqual(sorted(os.listdir(theirs)), ["lock", "rcbd.log"])
+        # Files in a folder of our own that lead elsewhere.
+        os.mkdir(os.path.join(self.dir, "ours"), 0o700)
+        os.symlink(precious, os.path.join(self.dir, "ours", "rcbd.log"))
+        up = self.up("ours")
+        self.assertNotEqual(up.returncode, 0)
+        self.assertIn("is a symbolic link", up.stderr)
+        self.assertEqual(processes_of(self.dir), [])
+
+    @only_root
+    def test_another_users_lock_is_not_taken_for_ours(self):
+        open(f"{self.dir}/s.lock", "w").close()
+        os.chown(f"{self.dir}/s.lock", STRANGER, STRANGER)
+        up = self.up()
+        self.assertNotEqual(up.returncode, 0)
+        self.assertIn(f"{self.dir}/s.lock", up.stderr)
+        os.remove(f"{self.dir}/s.lock")
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
