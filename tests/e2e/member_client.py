@@ -82,6 +82,9 @@ class DirectMember(Member):
 
     def finish(self):
         answer, news = super().finish()
+        if "place_id" not in news:  # not all have asked for them
+            self.places = None
+            return answer, news
         if not self.directly:
             self.places = {}
         for i in news["leave_id"].tolist():

@@ -4,6 +4,7 @@ from actor import Actor
 from member_client import DirectMember, Member
 from model import Model, check_report, check_scene
 from protocol_client import Refused
+from pushers import UNTRUE
 
 TURNS = 25  # then another team
 
@@ -47,14 +48,19 @@ class Members(Actor):
         elif happens == 1:
             self.take_seat()
             came_back = True
+        elif happens == 2:
+            if self.lie():
+                self.close_all()
+                return self.start()
+            came_back = True
         self.push(by_ids=came_back or not self.direct or self.rng.integers(6) == 0)
         if self.turns % 6 == 0:
             check_scene(self, self.control, self.scene, self.model)
             self.count("checks")
 
-    def begin_push(self, one, ids, by_ids):
+    def begin_push(self, one, ids, by_ids, deadline_seconds=None):
         self.attempt += 1
-        options = {"deadline_seconds": self.world.answer_seconds}
+        options = {"deadline_seconds": deadline_seconds or self.world.answer_seconds}
         if by_ids:
             one.start(self.number, ids, self.model.points, self.attempt, **options)
         else:
@@ -127,6 +133,35 @@ class Members(Actor):
         self.expect(all(code in ("aborted", "busy") for code, _ in refusals), "members of one that died", refusals)
         after = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
         self.expect(before == after, "a step that was given up counts", before, after)
+
+    def lie(self):
+        """One member's begin says one thing that isn't so. True if the step was committed all the same. The liar's
+        connections are of no use then: ranks wait for what it says of its slices."""
+        before = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
+        k = self.random.randrange(self.count_of_members)
+        self.team[k].send = self.lying(self.team[k])
+        by_ids = not self.direct or any(one.places is None for one in self.team)
+        for one, ids in zip(self.team, self.held):
+            self.begin_push(one, ids, by_ids, deadline_seconds=2 * self.world.patience)
+        refusals, answers = self.answers(self.team)
+        self.team[k].close()
+        self.team[k] = self.join(k)
+        self.count("lies")
+        self.expect(all(code != "internal" for code, _ in refusals), self.said, refusals)
+        if answers:
+            return True
+        after = self.ask(self.control, "scene.show", scene=self.scene)[0]["step"]
+        self.expect(before == after, "a step that was refused counts", self.said, refusals, before, after)
+        return False
+
+    def lying(self, one):
+        """Sends the next message with one field changed."""
+        def send(document, *rest):
+            del one.send
+            fields = [name for name in document if name not in ("command", "scene", "session", "deadline_seconds")]
+            self.said = (self.random.choice(fields), self.random.choice(UNTRUE))
+            one.send({**document, self.said[0]: self.said[1]}, *rest)
+        return send
 
     def take_seat(self):
         """A member comes back before its older connection has ended."""

@@ -9,6 +9,11 @@ SAME = ("step", "epoch", "n", "error_before", "error", "imbalance", "repartition
         "moved", "migrated", "inserted", "removed", "scanned", "skipped")
 TURNS = 40  # then other scenes
 
+# What a field of a push may say that isn't so.
+UNTRUE = (None, True, "", "x", "id", "plan", "direct", "some", "none", "<f4", "<i8", 0, 1, -1, 2, 7, 0.5, 2**31, 2**40,
+          2**53 + 1, 2**63 - 1, -2**63, 2**64 - 1, 1e300, [], [1], [-1, 2, 3], [2**63 - 1] * 3, [2**62] * 4, [0.5] * 3,
+          {}, {"version": 1, "checksum": "0" * 16}, {"version": 2**64, "checksum": 7})
+
 
 class Ways(Actor):
     """One model, a scene for each way of pushing."""
@@ -128,10 +133,6 @@ class Liars(Actor):
 
     expects = "a push that contradicts itself is refused, and the previous step stands"
 
-    VALUES = (None, True, "", "x", "id", "plan", "direct", "some", "none", "<f4", "<i8", 0, 1, -1, 2, 7, 0.5, 2**31, 2**40,
-              2**53 + 1, 2**63 - 1, -2**63, 2**64 - 1, 1e300, [], [1], [-1, 2, 3], [2**63 - 1] * 3, [2**62] * 4, [0.5] * 3,
-              {}, {"version": 1, "checksum": "0" * 16}, {"version": 2**64, "checksum": 7})
-
     def start(self):
         self.control = self.connect()
         self.drop_all(self.control)
@@ -177,7 +178,7 @@ class Liars(Actor):
     def change(self, document):
         name = self.random.choice([name for name in document if name not in ("command", "scene", "session")])
         self.changed = (name, document[name])
-        document[name] = self.random.choice(self.VALUES)
+        document[name] = self.random.choice(UNTRUE)
         if name == "arrays" and self.rng.integers(2):
             document[name] = self.random.sample(self.changed[1], len(self.changed[1]))
         self.changed = (*self.changed, document[name])
