@@ -8,6 +8,7 @@ find_package(CLI11 REQUIRED)
 find_package(fmt REQUIRED)
 find_package(spdlog REQUIRED)
 find_package(HDF5 REQUIRED COMPONENTS C)
+find_package(OpenSSL REQUIRED COMPONENTS Crypto)
 find_package(ZLIB REQUIRED)  # comes with HDF5, whose deflated chunks are checked with it
 
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)

@@ -21,6 +21,9 @@ std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
                         .step = scene.step,
                         .step_session = scene.step_session,
                         .epoch = scene.epoch,
+                        .error = scene.error,
+                        .imbalance = scene.imbalance,
+                        .mean_step_seconds = scene.mean_step_seconds,
                         .plan_version = scene.plan_version,
                         .plan_checksum = scene.plan_checksum,
                         .rank_counts = scene.rank_counts};

@@ -1,6 +1,6 @@
 #include "server/config.hpp"
 
-#include <limits>
+#include <cstdlib>
 #include <sstream>
 
 #include <CLI/CLI.hpp>
@@ -14,6 +14,29 @@ std::string Config::endpoint() const { return socket.empty() ? listen.front() : 
 
 namespace {
 
+void add_file_options(CLI::App& app, Config& config) {
+  app.add_option("--files-below", config.files_below,
+                 "folder below which commands may have the service read and write files (load, write_parts). May be "
+                 "given more than once [default: for clients of the Unix socket the working directory, for those over "
+                 "TCP none; RCBD_FILES_BELOW: folders with colons between]")
+      ->type_name("DIR");
+  app.add_option("--local-files-below", config.local_files_below,
+                 "the same for clients of the Unix socket alone, instead of the working directory")
+      ->type_name("DIR");
+}
+
+// Which folders hold, once everything was said.
+void complete_file_options(Config& config) {
+  const char* folders = std::getenv("RCBD_FILES_BELOW");
+  if (config.files_below.empty() && folders != nullptr) {
+    std::istringstream list(folders);
+    for (std::string folder; std::getline(list, folder, ':');)
+      if (!folder.empty()) config.files_below.push_back(folder);
+  }
+  if (config.files_below.empty() && config.local_files_below.empty() && !config.socket.empty())
+    config.local_files_below = {"."};
+}
+
 void add_options(CLI::App& app, Config& config) {
   app.set_version_flag("--version", "rcbd " RCB_VERSION);
   app.set_config("--config", "", "configuration file: the options below without dashes, as name = value")
@@ -23,15 +46,20 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_SOCKET")
       ->type_name("PATH");
   app.add_option("--listen", config.listen,
-                 "TCP address to listen on, HOST:PORT; clients must show the token in the data directory. May be given "
+                 "TCP address to listen on, HOST:PORT; clients must know the token in the data directory. May be given "
                  "more than once; port 0 takes a free one")
       ->envname("RCBD_LISTEN")
       ->type_name("HOST:PORT");
+  app.add_flag("--trusted-network", config.trusted_network,
+               "let --listen take addresses that other machines reach: positions and commands travel unencrypted, so "
+               "anybody on the network can read and alter them")
+      ->envname("RCBD_TRUSTED_NETWORK");
   app.add_option("--data-dir", config.data_dir,
                  "directory for lock, token and clean-shutdown marker [default: one for each endpoint, below "
                  "$XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
       ->envname("RCBD_DATA_DIR")
       ->type_name("DIR");
+  add_file_options(app, config);
   app.add_option("--log-level", config.log_level, "how much is logged to standard error")
       ->envname("RCBD_LOG_LEVEL")
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
@@ -91,6 +119,7 @@ ParsedConfig parse_config(int argc, const char* const* argv) {
     return parsed;
   }
   if (parsed.config.socket.empty() && parsed.config.listen.empty()) parsed.config.socket = default_socket_path();
+  complete_file_options(parsed.config);
   parsed.run = true;
   return parsed;
 }

@@ -10,7 +10,11 @@ namespace rcb::server {
 struct Config {
   std::vector<std::string> listen;  // HOST:PORT
   std::string socket;               // with neither: the default socket
+  bool trusted_network = false;     // a TCP listener may be reached from other machines
   std::string data_dir;             // empty: the endpoint's own
+  // Where clients may have the service read and write files.
+  std::vector<std::string> files_below;        // clients of every listener
+  std::vector<std::string> local_files_below;  // clients of the Unix socket alone, where the other is empty
   std::string log_level = "info";
   std::uint64_t bulk_bytes = 0;  // 0: half of the memory
   double silence_seconds = 15;

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <span>
@@ -18,6 +19,7 @@
 #include "common/base/clock.hpp"
 #include "common/base/paths.hpp"
 #include "common/base/socket_file.hpp"
+#include "common/io/roots.hpp"
 #include "server/bridge.hpp"
 #include "server/config.hpp"
 #include "server/net/control.hpp"
@@ -26,6 +28,7 @@
 #include "server/net/doorbell.hpp"
 #include "server/net/io_loop.hpp"
 #include "server/net/log_sink.hpp"
+#include "server/net/process_memory.hpp"
 #include "server/orphan.hpp"
 #include "server/ranks/engine_loop.hpp"
 #include "server/ranks/mpi_session.hpp"
@@ -118,7 +121,6 @@ struct Root {
 
 net::DataOptions data_options(const std::string& token, std::uint64_t bulk_bytes, int rank) {
   net::DataOptions options;
-  options.version = RCB_VERSION;
   options.rank = rank;
   options.token = token;
   options.bulk_bytes_max = bulk_bytes;
@@ -156,9 +158,12 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
   options.version = RCB_VERSION;
   options.ranks = ranks;
   options.restarted = config.restarted;
+  options.data_dir = root.data->path();
   options.bulk_bytes_max = config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
+  options.network = config.trusted_network ? net::Network::trusted : net::Network::loopback;
+  options.files_over_tcp = !config.files_below.empty();
   if (!config.listen.empty()) {
-    auto token = root.data->token();
+    auto token = config.restarted ? root.data->kept_token() : root.data->new_token();
     if (!token.ok()) return token.status();
     options.token = std::move(*token);
   }
@@ -215,6 +220,8 @@ void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi, 
   root.doorbells->on_news([&root](int rank, const wire::Json& news) {
     if (const auto orders = news.find("executed"); orders != news.end())
       root.bridge->executed(rank, orders->get<std::uint64_t>());
+    if (const auto memory = news.find("memory"); memory != news.end())
+      root.control->memory_reported(rank, memory->get<std::uint64_t>());
     if (news.contains("number")) root.control->slice_reported(rank, net::read_report(news));
   });
   root.control->ask_for_silence([&root] { return root.doorbells->silent(); });
@@ -225,7 +232,24 @@ void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi, 
       watch_arrivals(loans));
 }
 
-int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
+// The folders for clients' files, by rank 0's word. One that has gone by the time of a restart is no reason not to
+// start. Collective.
+Result<io::Roots> open_roots(const Config& config, ranks::MpiSession& mpi) {
+  std::string names;
+  for (const std::string& folder : config.files_below.empty() ? config.local_files_below : config.files_below)
+    names.append(std::filesystem::absolute(folder).string()).push_back('\0');
+  std::istringstream shared(mpi.share(names));
+  io::Roots roots;
+  for (std::string folder; std::getline(shared, folder, '\0');) {
+    const Status opened = roots.add(folder);
+    if (opened.ok()) continue;
+    if (!config.restarted) return opened;
+    if (mpi.rank() == 0) spdlog::warn("{}", opened.message());
+  }
+  return roots;
+}
+
+int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip, const io::Roots& roots) {
   service::Loans loans;
   net::IoLoop loop;
   Root root;
@@ -251,7 +275,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
                config.restarted ? ", restarted and empty" : "");
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, no_skip, &loans);
+    service::Service service(mpi.comm(), clock, no_skip, &loans, &roots);
     engine.run(service);
   }
   root.control->finish(kGoodbyeSeconds);
@@ -267,7 +291,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   return 0;
 }
 
-int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip) {
+int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip, const io::Roots& roots) {
   net::DoorbellAddress address;
   address.name = mpi.share({});
   if (address.name == "refused") return 1;
@@ -307,13 +331,15 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   doorbell->on_news([&port](int, const wire::Json& news) { net::follow_hub(port, news); });
   port.start([&](const net::SliceReport& report) { doorbell->tell(net::report_json(report)); }, watch_arrivals(loans));
   watch(loop, engine, config, [&] {
-    doorbell->tick(word());
+    wire::Json sign_of_life = word();
+    sign_of_life["memory"] = net::resident_bytes();
+    doorbell->tick(sign_of_life);
     port.tick();
   });
   loop.start();
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, no_skip, &loans);
+    service::Service service(mpi.comm(), clock, no_skip, &loans, &roots);
     engine.run(service);
   }
   loop.run([&] { port.finish(); });
@@ -344,7 +370,13 @@ int run(int argc, char** argv) {
   const auto no_skip = service::NoSkip::parse(names);
   CHECK(no_skip.ok(), no_skip.status().message());
   if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
-  return mpi->rank() == 0 ? run_root(parsed.config, *mpi, *no_skip) : run_other(parsed.config, *mpi, *no_skip);
+  const auto roots = open_roots(parsed.config, *mpi);
+  if (!roots.ok()) {
+    if (mpi->rank() == 0) say_failure(roots.status());
+    return 1;
+  }
+  return mpi->rank() == 0 ? run_root(parsed.config, *mpi, *no_skip, *roots)
+                          : run_other(parsed.config, *mpi, *no_skip, *roots);
 }
 
 }  // namespace

@@ -5,61 +5,28 @@
 #include <fmt/format.h>
 
 #include "client/cli/output.hpp"
-#include "common/wire/limits.hpp"
+#include "client/lib/endpoint.hpp"
 
 namespace rcb::cli {
-namespace {
-
-// CLI11 wants an empty text for a value that passes.
-CLI::Validator number_check(const std::string& wanted, std::function<bool(double)> good) {
-  return CLI::Validator(
-      [wanted, good](std::string& text) {
-        double value = 0;
-        if (CLI::detail::lexical_cast(text, value) && good(value)) return std::string();
-        return fmt::format("{} is not {}", text, wanted);
-      },
-      "");
-}
-
-}  // namespace
-
 CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& text, std::function<Status()> run) {
   CLI::App* command = parent.add_subcommand(text.name, text.description);
   command->fallthrough();
+  command->group(text.group);
   command->footer(fmt::format("Examples:\n{}\n", text.examples));
   command->callback([&context, run = std::move(run)] { context.action = run; });
   return command;
 }
 
-CLI::Validator positive_number() {
-  return number_check("a number above 0", [](double v) { return std::isfinite(v) && v > 0; });
+Status check_endpoint(const Context& context) {
+  if (context.endpoint.empty()) return {};
+  const auto endpoint = client::parse_endpoint(context.endpoint);
+  if (endpoint) return {};
+  const Status why = endpoint.status();
+  return {Code::usage, why.message(), why.hint()};
 }
-
-CLI::Validator number_from_zero() {
-  return number_check("a number of at least 0", [](double v) { return std::isfinite(v) && v >= 0; });
-}
-
-CLI::Validator tolerance_number() {
-  return number_check("a number of at least 0, or inf", [](double v) { return v >= 0; });
-}
-
-CLI::Validator hysteresis_number() {
-  return number_check("a number of at least 1", [](double v) { return std::isfinite(v) && v >= 1; });
-}
-
-CLI::Validator part_count() {
-  return number_check(fmt::format("a whole number of 1 to {}", wire::kPartsMax), [](double v) {
-    return v >= 1 && v <= static_cast<double>(wire::kPartsMax) && std::trunc(v) == v;
-  });
-}
-
-CLI::Validator scene_policy() { return CLI::IsMember({"tolerance", "cost"}); }
-
-CLI::Validator scene_recut() { return CLI::IsMember({"all", "subtree"}); }
-
-CLI::Validator scene_method() { return CLI::IsMember({"rcb", "bands-x", "bands-y", "bands-z"}); }
 
 Result<client::Client> connect(const Context& context) {
+  if (Status status = check_endpoint(context); !status) return status;
   auto client = launch::reach(context.endpoint, "rcbctl " RCB_VERSION);
   if (!client) return launch::explain_absence(context.endpoint, client.status());
   return client;

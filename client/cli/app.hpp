@@ -16,6 +16,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "client/cli/options.hpp"
 #include "client/launch/launch.hpp"
 #include "client/launch/programs.hpp"
 #include "client/launch/reach.hpp"
@@ -36,19 +37,27 @@ struct Context {
 struct CommandText {
   const char* name;
   const char* description;
-  const char* examples;  // lines for the end of --help
+  const char* examples;            // lines for the end of --help
+  const char* group = "Commands";  // under which --help of the command above lists it
 };
+
+inline constexpr const char* kServiceGroup = "A service";
+inline constexpr const char* kFileGroup = "One file of points, without a scene";
+inline constexpr const char* kSceneGroup = "Scenes and their steps";
+inline constexpr const char* kAskGroup = "Questions about a scene";
 
 // Adds a subcommand whose action is `run`.
 CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& text, std::function<Status()> run);
 
 // One a command family.
-void add_service_commands(CLI::App& app, Context& context);    // up, down, status
+void add_service_commands(CLI::App& app, Context& context);    // up, down
+void add_status_command(CLI::App& app, Context& context);      // status
 void add_partition_command(CLI::App& app, Context& context);   // partition
 void add_compare_command(CLI::App& app, Context& context);     // compare
 void add_scene_commands(CLI::App& app, Context& context);      // scene create, list, show, drop
 void add_push_commands(CLI::App& app, Context& context);       // push, replay
-void add_read_commands(CLI::App& app, Context& context);       // error, counts, cuts, stats, quality
+void add_read_commands(CLI::App& app, Context& context);       // error, counts, stats, quality
+void add_cuts_command(CLI::App& app, Context& context);        // cuts
 void add_where_commands(CLI::App& app, Context& context);      // owner, box, assign
 void add_history_command(CLI::App& app, Context& context);     // history
 void add_rebalance_command(CLI::App& app, Context& context);   // rebalance
@@ -56,21 +65,9 @@ void add_export_command(CLI::App& app, Context& context);      // export
 void add_watch_command(CLI::App& app, Context& context);       // watch
 void add_completion_command(CLI::App& app, Context& context);  // completion
 
-// Checks for options: a number > 0, >= 0, >= 0 or inf; a wrong one is wrong usage.
-CLI::Validator positive_number();
-CLI::Validator number_from_zero();
-CLI::Validator tolerance_number();
-CLI::Validator hysteresis_number();
-CLI::Validator part_count();
-CLI::Validator scene_method();
-CLI::Validator scene_policy();
-CLI::Validator scene_recut();
-inline constexpr const char* kPolicyHelp =
-    "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes";
-inline constexpr const char* kRecutHelp =
-    "what a repartition cuts anew: all, or subtree, the least that brings the error below half the tolerance";
-
-// The service at the endpoint.
+// That the endpoint given, if any, is one. Errors: usage.
+Status check_endpoint(const Context& context);
+// The service at the endpoint. Errors: usage, those of Client::connect.
 Result<client::Client> connect(const Context& context);
 
 // A service to work with: the running one or one embedded in this program. The client goes before its service.
@@ -94,6 +91,11 @@ struct Answer {
 };
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
                           double deadline_seconds = 60);
+
+// The scenes of `status` or `scene.list` as a table.
+void print_scenes(const Json& scenes);
+// The memory of the service's ranks, from the reply to `status`.
+std::string memory_text(const Json& status);
 
 // "inf" for infinity, as the protocol has it.
 Json tolerance_json(double tolerance);

@@ -6,22 +6,25 @@
 
 #include "client/cli/app.hpp"
 #include "client/cli/output.hpp"
+#include "client/cli/parts_table.hpp"
 #include "client/cli/point_file.hpp"
-#include "client/cli/report_csv.hpp"
+#include "common/io/output_file.hpp"
 
 namespace rcb::cli {
 namespace {
 
 constexpr double kLongSeconds = 3600;
-constexpr std::size_t kPartsShownMax = 64;
 
 struct Options {
   FileOptions file;
-  double parts = 0;
+  int parts = 0;
   int ranks = 0;
   std::optional<double> ghost_width;
   std::string save;
+  bool all = false;
 };
+
+std::string error_text(double error) { return fmt::format("{:.3g}", error); }
 
 // A method a column, a part a row, as the paper prints it; then what sums it up.
 void print(const Options& options, const Json& result) {
@@ -38,10 +41,14 @@ void print(const Options& options, const Json& result) {
     for (const Json& method : methods) cells.push_back(cell(method));
     table.row(std::move(cells));
   };
-  for (std::size_t p = 0; p < parts && parts <= kPartsShownMax; ++p)
-    add_row(std::to_string(p),
-            [p](const Json& m) { return fmt::format("{:.3g}", m.at("errors").at(p).get<double>()); });
-  add_row("largest", [](const Json& m) { return fmt::format("{:.3g}", m.at("error").get<double>()); });
+  for (std::size_t p = 0; p < parts && !summed_up(parts, options.all); ++p)
+    add_row(std::to_string(p), [p](const Json& m) { return error_text(m.at("errors").at(p).get<double>()); });
+  if (summed_up(parts, options.all)) {
+    const auto errors_of = [](const Json& m) { return m.at("errors").get<std::vector<double>>(); };
+    add_row("least", [&](const Json& m) { return error_text(least_median_largest(errors_of(m))[0]); });
+    add_row("median", [&](const Json& m) { return error_text(least_median_largest(errors_of(m))[1]); });
+  }
+  add_row("largest", [](const Json& m) { return error_text(m.at("error").get<double>()); });
   add_row("interface", [](const Json& m) { return text_of(m, "interface_area"); });
   add_row("ghosts", [](const Json& m) {
     const auto ghosts = m.at("ghosts").get<std::vector<std::uint64_t>>();
@@ -59,14 +66,13 @@ void print(const Options& options, const Json& result) {
       fmt::format("interface: common faces of the regions; ghosts: points of other parts within {} of a part's "
                   "box, all parts together; neighbours: mean over the parts; {} rank(s)",
                   text_of(result, "ghost_width"), text_of(result, "ranks")));
-  if (parts > kPartsShownMax) print_line("--json has the error of each part");
+  if (summed_up(parts, options.all)) print_line("--all has the error of each part");
 }
 
 Status compare(const Options& options, const Context& context) {
   auto session = Session::open(context, options.ranks);
   if (!session) return session.status();
-  auto loaded =
-      load_scene(*session, options.file, {{"parts", static_cast<std::int64_t>(options.parts)}, {"tolerance", "inf"}});
+  auto loaded = load_scene(*session, options.file, {{"parts", options.parts}, {"tolerance", "inf"}});
   if (!loaded) return loaded.status();
   Json arguments{{"scene", loaded->scene.name()}};
   if (options.ghost_width) arguments["ghost_width"] = *options.ghost_width;
@@ -75,7 +81,7 @@ Status compare(const Options& options, const Context& context) {
   Json result{{"file", options.file.path}, {"ranks", session->client->ranks()}};
   for (const char* field : {"n", "parts", "ghost_width", "methods"}) result[field] = reply->at(field);
   if (!options.save.empty())
-    if (Status status = write_file(options.save, result.dump() + "\n"); !status) return status;
+    if (Status status = io::write_file(options.save, result.dump() + "\n"); !status) return status;
   if (context.json)
     print_json(result);
   else
@@ -90,15 +96,17 @@ void add_compare_command(CLI::App& app, Context& context) {
   CLI::App* command = add_command(app, context,
                                   {"compare", "Each way of dividing a file of points, side by side",
                                    "  rcbctl compare points.csv --parts 8\n"
-                                   "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json"},
+                                   "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json",
+                                   kFileGroup},
                                   [options, &context] { return compare(*options, context); });
   add_file_options(*command, options->file);
-  command->add_option("--parts", options->parts, "number of parts")->required()->check(part_count());
-  command->add_option("--ranks", options->ranks, "an embedded service of so many MPI ranks (default: the running one)")
-      ->check(CLI::Range(1, 4096));
-  command->add_option("--ghost-width", options->ghost_width, "default: 2 (box volume / points)^(1/dims)")
-      ->check(number_from_zero());
-  command->add_option("--save", options->save, "also write what --json prints to this file");
+  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
+  add_value(*command, "--ranks", options->ranks, kind::rank_count(),
+            "an embedded service of so many MPI ranks (default: the running one)");
+  add_value(*command, "--ghost-width", options->ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
+  add_value(*command, "--save", options->save, kind::output_file(kind::Format::json),
+            "also write what --json prints to this file");
+  command->add_flag("--all", options->all, kAllHelp);
 }
 
 }  // namespace rcb::cli

@@ -10,8 +10,9 @@
 #include "client/cli/app.hpp"
 #include "client/cli/fetched.hpp"
 #include "client/cli/output.hpp"
-#include "client/cli/report_csv.hpp"
+#include "client/cli/part_files.hpp"
 #include "common/base/paths.hpp"
+#include "common/io/output_file.hpp"
 #include "common/io/points.hpp"
 
 namespace rcb::cli {
@@ -21,6 +22,7 @@ struct Options {
   std::string name;
   std::string directory;
   std::vector<std::string> formats{"csv"};
+  bool replace = false;
 };
 
 // Legacy VTK is big-endian.
@@ -60,7 +62,7 @@ Status write_vtk(const Fetched& set, const Options& options, Json& files) {
     return {Code::too_large, "legacy VTK holds at most 2^31 - 1 points", "--format npy"};
   const std::string path = join_path(options.directory, options.name + ".vtk");
   files.push_back(path);
-  return write_file(path, vtk_text(set, options.name));
+  return io::write_file(path, vtk_text(set, options.name));
 }
 
 Status write_arrays(const Fetched& set, const Options& options, Json& files) {
@@ -79,24 +81,46 @@ Status write_arrays(const Fetched& set, const Options& options, Json& files) {
   return io::write_npy(path("part.npy"), set.part);
 }
 
+// The names of the files that these formats make of the scene.
+std::vector<std::string> file_names(const Options& options, const Json& shown) {
+  std::vector<std::string> names;
+  for (const std::string& format : options.formats) {
+    if (format == "csv")
+      for (std::string& name : part_file_names(shown.at("parts").get<int>())) names.push_back(std::move(name));
+    if (format == "vtk") names.push_back(options.name + ".vtk");
+    if (format != "npy") continue;
+    names.insert(names.end(), {"positions.npy", "id.npy", "part.npy"});
+    if (shown.at("weights").get<bool>()) names.push_back("weight.npy");
+  }
+  return names;
+}
+
+Status write_files(const Fetched& set, const Options& options, int parts, Json& files) {
+  if (Status status = make_directory(options.directory); !status) return status;
+  for (const std::string& format : options.formats) {
+    Status status;
+    if (format == "csv") status = write_part_files(set, parts, options.directory, files);
+    if (format == "npy") status = write_arrays(set, options, files);
+    if (format == "vtk") status = write_vtk(set, options, files);
+    if (!status) return status;
+  }
+  return {};
+}
+
 Status export_scene(const Options& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
   if (!shown) return shown.status();
+  const auto left = LeftFiles::find(options.directory, file_names(options, *shown), options.replace);
+  if (!left) return left.status();
   auto answer = ask_arrays(*client, "fetch", {{"scene", options.name}});
   if (!answer) return answer.status();
   auto set = fetched(answer->reply);
   if (!set) return set.status();
-  if (Status status = make_directory(options.directory); !status) return status;
   Json files = Json::array();
-  for (const std::string& format : options.formats) {
-    Status status;
-    if (format == "csv") status = write_part_files(*set, shown->at("parts").get<int>(), options.directory, files);
-    if (format == "npy") status = write_arrays(*set, options, files);
-    if (format == "vtk") status = write_vtk(*set, options, files);
-    if (!status) return status;
-  }
+  if (Status status = write_files(*set, options, shown->at("parts").get<int>(), files); !status) return status;
+  if (Status status = left->remove(); !status) return status;
   if (context.json) {
     print_json({{"scene", options.name},
                 {"n", answer->json.at("n")},
@@ -115,14 +139,15 @@ void add_export_command(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
   CLI::App* command = add_command(app, context,
                                   {"export", "Writes a scene's particles for ParaView and scripts",
-                                   "  rcbctl export jet out\n  rcbctl export jet out --format vtk,npy"},
+                                   "  rcbctl export jet out\n  rcbctl export jet out --format vtk,npy", kSceneGroup},
                                   [options, &context] { return export_scene(*options, context); });
-  command->add_option("NAME", options->name, "the scene")->required();
-  command->add_option("DIR", options->directory, "made if missing")->required();
-  command->add_option("--format", options->formats, "csv (a file a part), npy, vtk; several with commas between")
-      ->capture_default_str()
-      ->delimiter(',')
-      ->check(CLI::IsMember({"csv", "npy", "vtk"}));
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "DIR", options->directory, kind::text("DIR"), "made if missing")->required();
+  add_value(*command, "--format", options->formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
+            "csv (a file a part), npy, vtk; several with commas between")
+      ->default_str("csv")
+      ->delimiter(',');
+  command->add_flag("--replace", options->replace, kReplaceFilesHelp);
 }
 
 }  // namespace rcb::cli

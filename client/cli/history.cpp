@@ -94,14 +94,17 @@ void add_history_command(CLI::App& app, Context& context) {
   CLI::App* command = add_command(app, context,
                                   {"history", "The report of every step",
                                    "  rcbctl history jet --last 20\n  rcbctl history jet --csv jet.csv --plot jet.svg\n"
-                                   "  rcbctl history static --with dynamic --plot both.svg"},
+                                   "  rcbctl history static --with dynamic --plot both.svg",
+                                   kAskGroup},
                                   [options, &context] { return history(*options, context); });
-  command->add_option("NAME", options->name, "the scene")->required();
-  command->add_option("--last", options->last, "only so many, the newest")
-      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
-  command->add_option("--csv", options->csv, "write them to this file");
-  command->add_option("--plot", options->plot, "draw error against step, repartitions as red dots (SVG, by gnuplot)");
-  command->add_option("--with", options->with, "another scene in the same figure; may be repeated")->expected(1);
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "--last", options->last, kind::whole_number("K", 0), "only so many, the newest");
+  add_value(*command, "--csv", options->csv, kind::output_file(kind::Format::csv), "write them to this file");
+  CLI::Option* plot = add_value(*command, "--plot", options->plot, kind::output_file(kind::Format::svg),
+                                "draw error against step, repartitions as red dots (SVG, by gnuplot)");
+  add_value(*command, "--with", options->with, kind::text("NAME"), "another scene in the same figure; may be repeated")
+      ->expected(1)
+      ->needs(plot);
 }
 
 }  // namespace rcb::cli

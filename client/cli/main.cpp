@@ -8,12 +8,16 @@
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/options.hpp"
 #include "client/cli/output.hpp"
+#include "client/cli/usage.hpp"
 
 namespace rcb::cli {
 namespace {
 
-constexpr const char* kFooter = R"(Environment:
+constexpr const char* kFooter = R"(rcbctl COMMAND --help tells what each command takes.
+
+Environment:
   RCBD_ENDPOINT  the service: unix:PATH or HOST:PORT (--endpoint wins)
   RCBD_BIN_DIR   where rcbd is
   NO_COLOR       no colours
@@ -39,16 +43,21 @@ std::string plain_number(const char* argument) {
 
 void add_commands(CLI::App& app, Context& context) {
   app.add_flag("--json", context.json, "one JSON document on standard output");
-  app.add_option("--endpoint", context.endpoint, "the service: unix:PATH or HOST:PORT")->envname("RCBD_ENDPOINT");
-  app.set_version_flag("--version", std::string("rcbctl " RCB_VERSION));
+  add_value(app, "--endpoint", context.endpoint, kind::text("E"),
+            "the service: unix:PATH or HOST:PORT (default: RCBD_ENDPOINT, then your own socket, then 127.0.0.1:7470)")
+      ->envname("RCBD_ENDPOINT");
+  app.set_help_flag("-h,--help", "this page");
+  app.set_version_flag("--version", std::string("rcbctl " RCB_VERSION), "the version");
   app.footer(kFooter);
   app.require_subcommand(1);
   add_service_commands(app, context);
+  add_status_command(app, context);
   add_partition_command(app, context);
   add_compare_command(app, context);
   add_scene_commands(app, context);
   add_push_commands(app, context);
   add_read_commands(app, context);
+  add_cuts_command(app, context);
   add_where_commands(app, context);
   add_history_command(app, context);
   add_rebalance_command(app, context);
@@ -70,21 +79,16 @@ Status run(const std::function<Status()>& action) {
   }
 }
 
-Status usage_failure(const CLI::App& app, const CLI::ParseError& error, const std::vector<std::string>& arguments) {
-  std::string name;
-  const CLI::App* chosen = &app;
-  while (!chosen->get_subcommands().empty()) {
-    chosen = chosen->get_subcommands().front();
-    name += " " + chosen->get_name();
-  }
-  std::string message = error.what();
-  const auto word = std::find_if(arguments.begin(), arguments.end(), [](const auto& a) { return !a.starts_with('-'); });
-  if (chosen == &app && word != arguments.end()) message = fmt::format("there is no command {}", *word);
-  return {Code::usage, message, fmt::format("rcbctl{} --help", name)};
+// As every program ends whose reader has heard enough: `history jet | head` is no failure, and says nothing.
+int end_by_closed_pipe() {
+  std::signal(SIGPIPE, SIG_DFL);
+  std::raise(SIGPIPE);
+  return 128 + SIGPIPE;
 }
 
 int main_in(const std::vector<std::string>& arguments, bool json_asked) {
   CLI::App app("Asks and commands rcbd, the partitioning service for particle simulations.", "rcbctl");
+  app.formatter(help_format());
   Context context;
   add_commands(app, context);
   try {
@@ -104,10 +108,11 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
       app.exit(help);
     return 0;
   } catch (const CLI::ParseError& error) {
-    return print_failure(usage_failure(app, error, arguments), json_asked);
+    return print_failure(usage_failure(app, error), json_asked);
   }
   Status status = run(context.action);
   if (status) status = flush_output();
+  if (status && output_cut_off()) return end_by_closed_pipe();
   return status ? 0 : print_failure(status, context.json && !context.document_begun);
 }
 
@@ -115,7 +120,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
 }  // namespace rcb::cli
 
 int main(int argc, char** argv) {
-  std::signal(SIGPIPE, SIG_IGN);  // told as a failure instead
+  std::signal(SIGPIPE, SIG_IGN);  // a scene or service of this command's own is cleared away first
   std::vector<std::string> arguments;
   for (int i = 1; i < argc; ++i) arguments.push_back(rcb::cli::plain_number(argv[i]));
   const bool json_asked = std::find(arguments.begin(), arguments.end(), "--json") != arguments.end();

@@ -1,13 +1,16 @@
 #include "client/cli/output.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 
 #include <fmt/format.h>
+#include <poll.h>
 #include <unistd.h>
 
 #include "common/base/clock.hpp"
+#include "common/base/text.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -65,7 +68,20 @@ void Facts::print() const {
   for (const auto& [name, value] : lines_) print_line(padded(name, width, Table::Align::left) + "  " + value);
 }
 
-std::string number(double value) { return fmt::format("{:.6g}", value); }
+std::string number(double value) {
+  constexpr double kPlainMax = 1e7;  // larger ones are written 1.234e+07
+  const double size = std::fabs(value);
+  if (size < kPlainMax && (size >= 1000 || std::trunc(value) == value)) return fmt::format("{:.0f}", value + 0.0);
+  return fmt::format("{:.4g}", value);
+}
+
+std::string size(double bytes) {
+  constexpr const char* kUnits[] = {"bytes", "KiB", "MiB", "GiB", "TiB"};
+  std::size_t unit = 0;
+  for (; bytes >= 1024 && unit + 1 < std::size(kUnits); ++unit) bytes /= 1024;
+  return fmt::format("{} {}", bytes < 1000 ? fmt::format("{:.3g}", bytes) : fmt::format("{:.0f}", bytes), kUnits[unit]);
+}
+
 std::string milliseconds(double seconds) { return fmt::format("{:.3g}", seconds * 1000); }
 std::string percent(double share) { return fmt::format("{:.3g} %", share * 100); }
 
@@ -77,7 +93,7 @@ std::string duration(double seconds) {
 
 std::string text_of(const Json& value) {
   if (value.is_null()) return "-";
-  if (value.is_string()) return value.get<std::string>();
+  if (value.is_string()) return escape_controls(value.get<std::string>());
   if (value.is_boolean()) return value.get<bool>() ? "yes" : "no";
   if (value.is_number_float()) return number(value.get<double>());
   if (value.is_array()) {
@@ -93,13 +109,16 @@ std::string text_of(const Json& object, const char* field) {
   return found == object.end() ? "-" : text_of(*found);
 }
 
+std::string warning(const std::string& text) { return colours() ? "\033[31m" + text + "\033[0m" : text; }
+
 void print_line(const std::string& line) { put(stdout, line + "\n"); }
 
 void print_json(const Json& document) {
   put(stdout, document.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
-void note(const std::string& text) { put(stderr, "rcbctl: " + text + "\n"); }
+// It may hold words of others: of a service, a file, a log.
+void note(const std::string& text) { put(stderr, "rcbctl: " + escape_controls(text, "\n\t") + "\n"); }
 
 int print_failure(const Status& status, bool json) {
   const int code = exit_code(status.code());
@@ -114,9 +133,16 @@ int print_failure(const Status& status, bool json) {
   return code;
 }
 
+bool reader_gone() {
+  pollfd out{STDOUT_FILENO, 0, 0};
+  return poll(&out, 1, 0) > 0 && (out.revents & (POLLERR | POLLHUP)) != 0;
+}
+
+bool output_cut_off() { return std::ferror(stdout) != 0 && reader_gone(); }
+
 Status flush_output() {
-  if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return {};
-  return {Code::io_error, "standard output can't be written"};
+  if ((std::fflush(stdout) == 0 && std::ferror(stdout) == 0) || reader_gone()) return {};
+  return {Code::io_error, "standard output can't be written", "is the disk full?"};
 }
 
 Progress::Progress(std::string title) : title_(std::move(title)), terminal_(isatty(STDERR_FILENO) != 0) {}

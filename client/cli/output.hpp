@@ -40,14 +40,18 @@ class Facts {
   std::vector<std::pair<std::string, std::string>> lines_;
 };
 
-// Six significant digits.
+// Four significant digits, or a whole number: for people; --json has them all.
 std::string number(double value);
+std::string size(double bytes);            // "1.5 MiB"
 std::string milliseconds(double seconds);  // "12.3"
 std::string duration(double seconds);      // "3 d 04:05:06", "04:05:06"
 std::string percent(double share);         // "1.25 %"
 // A field's value for people: numbers short, null as "-", strings bare, arrays with spaces between.
 std::string text_of(const nlohmann::ordered_json& value);
 std::string text_of(const nlohmann::ordered_json& object, const char* field);
+
+// In red, where stdout is a terminal.
+std::string warning(const std::string& text);
 
 void print_line(const std::string& line);
 void print_json(const nlohmann::ordered_json& document);
@@ -56,8 +60,12 @@ void note(const std::string& text);
 // On stderr; with json also as a document on stdout. Returns the exit code.
 int print_failure(const Status& status, bool json);
 
-// stdout is complete. Errors: io_error where it could not be written (a full disk, a closed pipe).
+// stdout is complete, or its reader wants no more. Errors: io_error where it could not be written (a full disk).
 Status flush_output();
+// stdout's reader, `head` or a pager, has closed it.
+bool reader_gone();
+// ... before all was written.
+bool output_cut_off();
 
 // A line on a terminal's stderr that is written over; nothing elsewhere.
 class Progress {

@@ -7,20 +7,21 @@
 #include "client/cli/app.hpp"
 #include "client/cli/fetched.hpp"
 #include "client/cli/output.hpp"
+#include "client/cli/part_files.hpp"
+#include "client/cli/parts_table.hpp"
 #include "client/cli/point_file.hpp"
-#include "client/cli/report_csv.hpp"
 #include "common/base/clock.hpp"
 #include "common/base/paths.hpp"
+#include "common/io/output_file.hpp"
 
 namespace rcb::cli {
 namespace {
 
 constexpr double kLongSeconds = 3600;
-constexpr std::size_t kPartsShownMax = 64;
 
 struct Options {
   FileOptions file;
-  double parts = 0;
+  int parts = 0;
   std::string method = "rcb";
   int ranks = 0;
   std::vector<double> part_sizes;
@@ -28,10 +29,12 @@ struct Options {
   std::string out;
   std::string assign;
   std::string cuts;
+  bool replace = false;
+  bool all = false;
 };
 
 Status check(const Options& options) {
-  if (!options.part_sizes.empty() && static_cast<double>(options.part_sizes.size()) != options.parts)
+  if (!options.part_sizes.empty() && options.part_sizes.size() != static_cast<std::size_t>(options.parts))
     return {Code::usage,
             fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
             "give one size a part, such as --parts 3 --part-sizes 1,2,3"};
@@ -70,18 +73,27 @@ Status write_parts(const Options& options, Session& session, const std::string& 
   if (!set) return set.status();
   if (Status status = make_directory(options.out); !status) return status;
   Json files = Json::array();
-  return write_part_files(*set, static_cast<int>(options.parts), options.out, files);
+  return write_part_files(*set, options.parts, options.out, files);
 }
 
-Status write_outputs(const Options& options, Session& session, const std::string& scene) {
-  if (!options.out.empty())
+Status write_outputs(const Options& options, const LeftFiles& left, Session& session, const std::string& scene) {
+  if (!options.out.empty()) {
     if (Status status = write_parts(options, session, scene); !status) return status;
+    if (Status status = left.remove(); !status) return status;
+  }
   if (!options.assign.empty())
     if (Status status = write_assignment(options, session, scene); !status) return status;
   if (options.cuts.empty()) return {};
   auto cuts = ask(*session.client, "cuts", {{"scene", scene}});
   if (!cuts) return cuts.status();
-  return write_file(options.cuts, cuts->dump() + "\n");
+  return io::write_file(options.cuts, cuts->dump() + "\n");
+}
+
+std::string per_part_text(const Json& values, bool all) {
+  const auto numbers = values.get<std::vector<double>>();
+  if (!summed_up(numbers.size(), all)) return text_of(values);
+  const auto [least, median, largest] = least_median_largest(numbers);
+  return fmt::format("least {}, median {}, largest {}", number(least), number(median), number(largest));
 }
 
 void print(const Options& options, const Json& result) {
@@ -91,11 +103,8 @@ void print(const Options& options, const Json& result) {
   facts.add("partition", fmt::format("{} parts by {} on {} rank(s)", text_of(result, "parts"),
                                      text_of(result, "method"), text_of(result, "ranks")));
   facts.add("error", fmt::format("{}, imbalance {}", text_of(result, "error"), text_of(result, "imbalance")));
-  const auto counts = result.at("counts").get<std::vector<std::uint64_t>>();
-  const auto [least, most] = std::minmax_element(counts.begin(), counts.end());
-  facts.add("points a part",
-            counts.size() <= kPartsShownMax ? text_of(result, "counts") : fmt::format("{} to {}", *least, *most));
-  if (result.contains("loads") && counts.size() <= kPartsShownMax) facts.add("load a part", text_of(result, "loads"));
+  facts.add("points a part", per_part_text(result.at("counts"), options.all));
+  if (result.contains("loads")) facts.add("load a part", per_part_text(result["loads"], options.all));
   facts.add("hash", text_of(result, "hash"));
   const Json& seconds = result.at("seconds");
   std::string times;
@@ -109,7 +118,7 @@ Json result_of(const Options& options, const Session& session, const LoadedScene
   const Json& report = loaded.report;
   Json result{{"n", shown.at("n")},
               {"dims", shown.at("dims")},
-              {"parts", static_cast<std::int64_t>(options.parts)},
+              {"parts", options.parts},
               {"ranks", session.client->ranks()},
               {"method", options.method},
               {"error", shown.at("error")},
@@ -130,11 +139,17 @@ Json result_of(const Options& options, const Session& session, const LoadedScene
 
 Status partition(const Options& options, const Context& context) {
   if (Status status = check(options); !status) return status;
+  LeftFiles left;
+  if (!options.out.empty()) {
+    auto found = LeftFiles::find(options.out, part_file_names(options.parts), options.replace);
+    if (!found) return found.status();
+    left = std::move(*found);
+  }
   auto session = Session::open(context, options.ranks);
   if (!session) return session.status();
   const SteadyClock clock;
   const double start = clock.seconds();
-  Json arguments{{"parts", static_cast<std::int64_t>(options.parts)}, {"method", options.method}, {"tolerance", "inf"}};
+  Json arguments{{"parts", options.parts}, {"method", options.method}, {"tolerance", "inf"}};
   if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
   arguments["cut_tolerance"] = options.cut_tolerance;
   auto loaded = load_scene(*session, options.file, std::move(arguments));
@@ -142,7 +157,8 @@ Status partition(const Options& options, const Context& context) {
   auto shown = ask(*session->client, "scene.show", {{"scene", loaded->scene.name()}});
   if (!shown) return session->explain(shown.status());
   const double before_write = clock.seconds();
-  if (Status status = write_outputs(options, *session, loaded->scene.name()); !status) return session->explain(status);
+  if (Status status = write_outputs(options, left, *session, loaded->scene.name()); !status)
+    return session->explain(status);
   Json result = result_of(options, *session, *loaded, *shown);
   result["seconds"]["write"] = clock.seconds() - before_write;
   result["seconds"]["total"] = clock.seconds() - start;
@@ -162,26 +178,25 @@ void add_partition_command(CLI::App& app, Context& context) {
                                   {"partition", "Partitions a file of points, once",
                                    "  rcbctl partition points.csv --parts 8 --out parts\n"
                                    "  rcbctl partition points.npy --parts 6 --ranks 4 --assign part.npy --json\n"
-                                   "  rcbctl partition cloud.csv --parts 3 --part-sizes 1,2,3 --weights mass"},
+                                   "  rcbctl partition cloud.csv --parts 3 --part-sizes 1,2,3 --weights mass",
+                                   kFileGroup},
                                   [options, &context] { return partition(*options, context); });
   add_file_options(*command, options->file);
-  command->add_option("--parts", options->parts, "number of parts")->required()->check(part_count());
-  command->add_option("--method", options->method, "rcb, bands-x, bands-y or bands-z")
-      ->capture_default_str()
-      ->check(scene_method());
-  command->add_option("--ranks", options->ranks, "an embedded service of so many MPI ranks (default: the running one)")
-      ->check(CLI::Range(1, 4096));
-  command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
-      ->delimiter(',')
-      ->check(positive_number());
-  command
-      ->add_option("--cut-tolerance", options->cut_tolerance,
-                   "stop a search once no part can be off its target by more than this fraction; 0: exact")
-      ->capture_default_str()
-      ->check(CLI::Range(0.0, 1.0));
-  command->add_option("--out", options->out, "a folder for one CSV a part");
-  command->add_option("--assign", options->assign, "an .npy of each point's part, int32, in input order");
-  command->add_option("--cuts", options->cuts, "a JSON file of the cuts and regions");
+  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
+  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z")
+      ->capture_default_str();
+  add_value(*command, "--ranks", options->ranks, kind::rank_count(),
+            "an embedded service of so many MPI ranks (default: the running one)");
+  add_value(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp)
+      ->delimiter(',');
+  add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
+      ->capture_default_str();
+  add_value(*command, "--out", options->out, kind::text("DIR"), "a folder for one CSV a part");
+  command->add_flag("--replace", options->replace, kReplaceFilesHelp);
+  add_value(*command, "--assign", options->assign, kind::output_file(kind::Format::npy),
+            "the part of each point, int32, in input order");
+  add_value(*command, "--cuts", options->cuts, kind::output_file(kind::Format::json), "the cuts and regions");
+  command->add_flag("--all", options->all, kAllHelp);
 }
 
 }  // namespace rcb::cli

@@ -3,11 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <cstdio>
 #include <cstring>
 #include <set>
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <signal.h>
 #include <spawn.h>
@@ -16,6 +14,7 @@
 #include <unistd.h>
 
 #include "common/base/clock.hpp"
+#include "common/io/output_file.hpp"
 
 extern char** environ;
 
@@ -48,10 +47,16 @@ class MemoryFile {
     return lseek(fd_, 0, SEEK_SET) == 0;
   }
 
+  std::string content() const {
+    std::string text;
+    char bytes[65536];
+    for (ssize_t got = 0; (got = pread(fd_, bytes, sizeof bytes, static_cast<off_t>(text.size()))) > 0;)
+      text.append(bytes, static_cast<std::size_t>(got));
+    return text;
+  }
+
   std::string first_line() const {
-    char bytes[2048];
-    const ssize_t got = pread(fd_, bytes, sizeof bytes, 0);
-    std::string text(bytes, got > 0 ? static_cast<std::size_t>(got) : 0);
+    std::string text = content();
     text.erase(0, std::min(text.find_first_not_of(" \n\t"), text.size()));
     return text.substr(0, text.find('\n'));
   }
@@ -133,15 +138,17 @@ std::optional<int> await(pid_t pid) {
   return status;
 }
 
-Status run_gnuplot(const std::string& commands, int out_fd) {
+// The figure that gnuplot draws.
+Result<std::string> run_gnuplot(const std::string& commands) {
   const MemoryFile input("gnuplot-input");
+  const MemoryFile output("gnuplot-output");
   const MemoryFile errors("gnuplot-errors");
-  if (input.fd() < 0 || errors.fd() < 0 || !input.fill(commands))
-    return {Code::io_error, fmt::format("no memory file for gnuplot: {}", std::strerror(errno))};
+  if (input.fd() < 0 || output.fd() < 0 || errors.fd() < 0 || !input.fill(commands))
+    return Status(Code::io_error, fmt::format("no memory file for gnuplot: {}", std::strerror(errno)));
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
   posix_spawn_file_actions_adddup2(&actions, input.fd(), STDIN_FILENO);
-  posix_spawn_file_actions_adddup2(&actions, out_fd, STDOUT_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, output.fd(), STDOUT_FILENO);
   posix_spawn_file_actions_adddup2(&actions, errors.fd(), STDERR_FILENO);
   std::string program = "gnuplot";
   std::array<char*, 2> argv{program.data(), nullptr};
@@ -149,12 +156,12 @@ Status run_gnuplot(const std::string& commands, int out_fd) {
   const int fault = posix_spawnp(&pid, program.c_str(), &actions, nullptr, argv.data(), environ);
   posix_spawn_file_actions_destroy(&actions);
   if (fault != 0)
-    return {Code::not_found, fmt::format("gnuplot can't be started: {}", std::strerror(fault)),
-            "install it (Debian: apt install gnuplot-nox), or plot the table of --csv yourself"};
+    return Status(Code::not_found, fmt::format("gnuplot can't be started: {}", std::strerror(fault)),
+                  "install it (Debian: apt install gnuplot-nox), or plot the table of --csv yourself");
   const auto status = await(pid);
-  if (!status) return {Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds)};
-  if (*status != 0) return {Code::internal, "gnuplot failed: " + errors.first_line()};
-  return {};
+  if (!status) return Status(Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds));
+  if (*status != 0) return Status(Code::internal, "gnuplot failed: " + errors.first_line());
+  return output.content();
 }
 
 }  // namespace
@@ -162,15 +169,9 @@ Status run_gnuplot(const std::string& commands, int out_fd) {
 Status plot_history(const std::string& path, const std::vector<Curve>& curves) {
   if (std::all_of(curves.begin(), curves.end(), [](const Curve& curve) { return curve.reports.empty(); }))
     return {Code::invalid_argument, "there are no steps to plot yet", "push positions first"};
-  const std::string beside = fmt::format("{}.{}.part", path, getpid());
-  const int fd = open(beside.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
-  if (fd < 0) return {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
-  Status status = run_gnuplot(script(curves), fd);
-  if (close(fd) != 0 && status) status = {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
-  if (status && std::rename(beside.c_str(), path.c_str()) != 0)
-    status = {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
-  if (!status) std::remove(beside.c_str());
-  return status;
+  const auto figure = run_gnuplot(script(curves));
+  if (!figure) return figure.status();
+  return io::write_file(path, *figure);
 }
 
 }  // namespace rcb::cli

@@ -64,7 +64,13 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
   if (options.dims > 0) arguments["dims"] = options.dims;
   if (!options.weights.empty()) arguments["weights"] = options.weights;
   auto reply = ask(*session.client, "load", arguments, kLongSeconds);
-  if (!reply) return session.explain(reply.status());
+  if (!reply) {
+    // The service doesn't quote what a file holds; to the file's own user this program may.
+    const Code code = reply.status().code();
+    const auto own =
+        code == Code::invalid_argument || code == Code::not_finite ? read_single(options).status() : Status();
+    return own ? session.explain(reply.status()) : own;
+  }
   Json report = reply->at("report");
   const double read_seconds = report.at("seconds").at("receive").get<double>();
   return LoadedScene{std::move(*scene), std::move(report), read_seconds};
@@ -73,11 +79,11 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
 }  // namespace
 
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
-  CLI::Option* file = command.add_option("FILE", options.path, "CSV or text, .xyz, .npy, or FILE.h5:/path")->required();
-  command.add_option("--dims", options.dims, "1, 2 or 3 (default: the columns named x, y, z, or all)")
-      ->check(CLI::Range(1, 3));
-  command.add_option("--weights", options.weights, "the column of weights, by name or number from 0");
-  return file;
+  CLI::Option* file =
+      add_value(command, "FILE", options.path, kind::text("FILE"), "CSV or text, .xyz, .npy, or FILE.h5:/path");
+  add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
+  add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
+  return file->required();
 }
 
 std::string absolute_path(const std::string& path) { return std::filesystem::absolute(path).string(); }

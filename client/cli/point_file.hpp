@@ -19,6 +19,11 @@ struct FileOptions {
   std::string weights;  // a column; empty: none
 };
 
+inline constexpr const char* kDimsHelp =
+    "1, 2 or 3 dimensions (default: as many as there are columns named x, y, z, or else columns)";
+inline constexpr const char* kWeightsHelp = "the column of weights, by name or by number, counted from 0";
+
+// FILE, --dims and --weights; returns FILE's.
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 
 // The one frame of a point file or of a trajectory of one. Errors: those of io; invalid_argument for more frames.

@@ -9,11 +9,11 @@
 #include "client/cli/point_file.hpp"
 #include "client/cli/report_csv.hpp"
 #include "common/base/clock.hpp"
+#include "common/wire/limits.hpp"
 
 namespace rcb::cli {
 namespace {
 
-constexpr const char* kStepSecondsHelp = "what the solver computed for this step; for the policy cost";
 
 struct PushOptions {
   std::string name;
@@ -30,13 +30,14 @@ struct ReplayOptions {
   std::string name;
   std::vector<std::string> files;
   FileOptions file;  // dims and weights of each
-  std::optional<double> parts;
+  std::optional<int> parts;
   double tolerance = 0.1;
   double axis_hysteresis = 1.2;
   std::string policy = "tolerance";
   std::string recut = "all";
   std::optional<double> step_seconds;
   std::string history;
+  bool replace = false;
 };
 
 // Positions that float32 holds exactly travel as float32: half the bytes, the same values.
@@ -65,14 +66,36 @@ class Sent {
 void print_report(const Json& report) {
   Facts facts;
   facts.add("step", fmt::format("{}, epoch {}", text_of(report, "step"), text_of(report, "epoch")));
-  facts.add("error", fmt::format("{} -> {}, imbalance {}", text_of(report, "error_before"), text_of(report, "error"),
-                                 text_of(report, "imbalance")));
+  const Json& before = report.at("error_before");
+  facts.add("error", fmt::format("{}{}, imbalance {}", before.is_null() ? "" : text_of(before) + " on arrival, now ",
+                                 text_of(report, "error"), text_of(report, "imbalance")));
   facts.add("repartition", fmt::format("{}: {}", text_of(report, "repartitioned"), text_of(report, "reason")));
   facts.add("points", fmt::format("{} drifted, {} moved, {} migrated", text_of(report, "drifted"),
                                   text_of(report, "moved"), text_of(report, "migrated")));
   facts.add("skipped", text_of(report, "skipped"));
   facts.add("time", milliseconds(report.at("seconds").at("total").get<double>()) + " ms");
   facts.print();
+}
+
+// Such a push would make a scene of no particles, which nobody means.
+Status no_points(const std::string& file, const std::string& scene) {
+  return {Code::invalid_argument, fmt::format("{}: holds no points, and scene '{}' has none yet", file, scene),
+          "push a file that holds some; was this one written to its end?"};
+}
+
+// As many columns as the scene has dimensions, unless the options say otherwise.
+Result<io::Points> read_for_scene(FileOptions file, int dims, const std::string& scene) {
+  if (file.dims != 0) return read_single(file);
+  const auto natural = [file] { return read_single(file); };
+  file.dims = dims;
+  auto points = read_single(file);
+  if (points) return points;
+  if (const auto own = natural(); own && own->dims != dims)
+    return Status(Code::invalid_argument,
+                  fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, own->dims,
+                              own->dims == 1 ? "" : "s", scene, dims),
+                  fmt::format("create the scene with --dims {}, or give a file with more columns", own->dims));
+  return points;
 }
 
 Status push(const PushOptions& options, const Context& context) {
@@ -83,14 +106,14 @@ Status push(const PushOptions& options, const Context& context) {
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
   if (!shown) return shown.status();
   const int dims = shown->at("dims").get<int>();
-  const auto read = [dims](FileOptions file) -> Result<io::Points> {
+  const auto read = [dims, &options](const FileOptions& file) -> Result<io::Points> {
     if (file.path.empty()) return io::Points{.dims = dims};
-    if (file.dims == 0) file.dims = dims;
-    return read_single(file);
+    return read_for_scene(file, dims, options.name);
   };
   const auto points = read(options.file);
   if (!points) return points.status();
-  if (points->count == 0 && !options.file.path.empty()) note(options.file.path + ": holds no points");
+  if (points->count == 0 && !options.file.path.empty() && shown->at("n") == 0)
+    return no_points(options.file.path, options.name);
   FileOptions new_file = options.inserted;
   new_file.weights = options.file.weights;
   const auto inserted = read(new_file);
@@ -172,6 +195,7 @@ class Replay {
     for (std::uint64_t k = 0; k < frames; ++k) {
       auto points = (*reader)->frame(k);
       if (!points) return points.status();
+      if (!scene_ && points->count == 0) return no_points(path, options_.name);
       if (!scene_)
         if (Status status = open(client, *points); !status) return status;
       client::StepOptions step;
@@ -192,7 +216,7 @@ class Replay {
   }
 
   Status open(client::Client& client, const io::Points& points) {
-    parts_ = options_.parts ? static_cast<int>(*options_.parts) : client.ranks();
+    parts_ = options_.parts.value_or(client.ranks());
     client::SceneOptions scene;
     scene.parts = parts_;
     scene.dims = points.dims;
@@ -200,7 +224,7 @@ class Replay {
     scene.axis_hysteresis = options_.axis_hysteresis;
     scene.policy = options_.policy;
     scene.recut = options_.recut;
-    scene.replace = true;
+    scene.replace = options_.replace;
     if (Status status = client.create_scene(options_.name, scene); !status) return status;
     auto opened = client.open_scene(options_.name);
     if (!opened) return opened.status();
@@ -250,9 +274,10 @@ void add_push_commands(CLI::App& app, Context& context) {
       add_command(app, context,
                   {"push", "One step from a file",
                    "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7\n"
-                   "  rcbctl push jet moved.csv --subset\n  rcbctl push jet --insert inflow.csv --remove 17,42"},
+                   "  rcbctl push jet moved.csv --subset\n  rcbctl push jet --insert inflow.csv --remove 17,42",
+                   kSceneGroup},
                   [push_options, &context] { return push(*push_options, context); });
-  command->add_option("NAME", push_options->name, "the scene")->required();
+  add_value(*command, "NAME", push_options->name, kind::text("NAME"), "the scene")->required();
   CLI::Option* file = add_file_options(*command, push_options->file);
   file->required(false);
   CLI::Option* unmoved = command->add_flag("--unmoved", push_options->unmoved, "nothing moved; no FILE");
@@ -260,45 +285,42 @@ void add_push_commands(CLI::App& app, Context& context) {
   command
       ->add_flag("--subset", push_options->subset, "FILE holds the particles that moved alone, and their ids: id,x,y,z")
       ->needs(file);
-  command->add_option(
-      "--insert", push_options->inserted.path,
-      "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both "
-      "files");
-  command->add_option("--remove", push_options->removed, "ids of particles to remove, with commas between")
-      ->delimiter(',')
-      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
-  command->add_option("--step", push_options->step, "its number (default: the last + 1, 0 at first)")
-      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max() - 1));
-  command->add_option("--step-seconds", push_options->step_seconds, kStepSecondsHelp)->check(CLI::Range(0.0, 1e300));
+  add_value(*command, "--insert", push_options->inserted.path, kind::text("FILE"),
+            "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
+  add_value(*command, "--remove", push_options->removed, kind::whole_number("IDS", 0),
+            "ids of particles to remove, with commas between")
+      ->delimiter(',');
+  add_value(*command, "--step", push_options->step, kind::whole_number("K", 0, wire::kStepMax),
+            "its number (default: the last + 1, 0 at first)");
+  add_value(*command, "--step-seconds", push_options->step_seconds, kind::number_from_zero("SECONDS"),
+            kStepSecondsHelp);
 
   auto replay_options = std::make_shared<ReplayOptions>();
   command = add_command(app, context,
-                        {"replay", "Makes the scene anew and pushes a trajectory, numbered from 0",
+                        {"replay", "Makes a scene and pushes a trajectory into it, steps numbered from 0",
                          "  rcbctl replay jet run.npy --parts 8 --tolerance 0.1\n"
-                         "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv"},
+                         "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv --replace",
+                         kSceneGroup},
                         [replay_options, &context] { return Replay(*replay_options, context).run(); });
-  command->add_option("NAME", replay_options->name, "the scene")->required();
-  command->add_option("FILES", replay_options->files, "a file a step, or .npy of shape (steps, n, dims)")
+  add_value(*command, "NAME", replay_options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "FILES", replay_options->files, kind::text("FILE..."),
+            "a file a step, or .npy of shape (steps, n, dims)")
       ->required()
       ->expected(-1);
-  command->add_option("--parts", replay_options->parts, "number of parts (default: one a rank)")->check(part_count());
-  command->add_option("--tolerance", replay_options->tolerance, "repartition at this error; inf: never")
-      ->capture_default_str()
-      ->check(tolerance_number());
-  command
-      ->add_option("--axis-hysteresis", replay_options->axis_hysteresis, "how much longer another axis must be; 1: any")
-      ->capture_default_str()
-      ->check(hysteresis_number());
-  command->add_option("--policy", replay_options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
-  command->add_option("--recut", replay_options->recut, kRecutHelp)->capture_default_str()->check(scene_recut());
-  command
-      ->add_option("--step-seconds", replay_options->step_seconds,
-                   std::string(kStepSecondsHelp) + ", said with each step")
-      ->check(CLI::Range(0.0, 1e300));
-  command->add_option("--dims", replay_options->file.dims, "1, 2 or 3 (default: as the file says)")
-      ->check(CLI::Range(1, 3));
-  command->add_option("--weights", replay_options->file.weights, "the column of weights, by name or number from 0");
-  command->add_option("--history", replay_options->history, "a CSV file of the step reports");
+  command->add_flag("--replace", replay_options->replace, "drop a scene of that name first");
+  add_value(*command, "--parts", replay_options->parts, kind::part_count(), "number of parts (default: one a rank)");
+  add_value(*command, "--tolerance", replay_options->tolerance, kind::tolerance(), kToleranceHelp)
+      ->capture_default_str();
+  add_value(*command, "--axis-hysteresis", replay_options->axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
+      ->capture_default_str();
+  add_value(*command, "--policy", replay_options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(*command, "--recut", replay_options->recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_value(*command, "--step-seconds", replay_options->step_seconds, kind::number_from_zero("SECONDS"),
+            std::string(kStepSecondsHelp) + ", said with each step");
+  add_value(*command, "--dims", replay_options->file.dims, kind::dimensions(), kDimsHelp);
+  add_value(*command, "--weights", replay_options->file.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_value(*command, "--history", replay_options->history, kind::output_file(kind::Format::csv),
+            "also write the step reports to this file");
 }
 
 }  // namespace rcb::cli

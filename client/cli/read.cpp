@@ -1,153 +1,154 @@
-// error, counts, cuts, stats, quality.
+// error, counts, stats, quality.
+#include <cmath>
 #include <numeric>
 
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
 #include "client/cli/output.hpp"
+#include "client/cli/parts_table.hpp"
 
 namespace rcb::cli {
 namespace {
 
-using Printer = std::function<void(const Json&)>;
+struct Options {
+  std::string name;
+  bool all = false;
+  std::optional<double> ghost_width;
+};
 
-Status read(const Context& context, const std::string& command, const Json& arguments, const Printer& print) {
-  auto client = connect(context);
-  if (!client) return client.status();
-  auto reply = ask(*client, command, arguments);
-  if (!reply) return reply.status();
-  if (context.json)
-    print_json(*reply);
-  else
-    print(*reply);
-  return {};
+// Numbers of a JSON array; null is NaN.
+std::vector<double> numbers(const Json& array) {
+  std::vector<double> values;
+  for (const Json& item : array) values.push_back(item.is_number() ? item.get<double>() : std::nan(""));
+  return values;
 }
 
-void print_error(const Json& reply) {
+Status print_error(client::Client&, const Options&, const Json& reply) {
   Facts facts;
   for (const char* field : {"error", "tolerance", "imbalance", "step", "epoch"})
     facts.add(field, text_of(reply, field));
   facts.print();
+  return {};
 }
 
-void print_counts(const Json& reply) {
-  const Json& counts = reply.at("counts");
-  const Json& targets = reply.at("targets");
-  const bool weighted = reply.contains("loads");
-  Table table({{"part"}, {"points"}, {weighted ? "load" : ""}, {"target"}, {"error"}});
+Status print_counts(client::Client&, const Options& options, const Json& reply) {
+  const std::vector<double> counts = numbers(reply.at("counts"));
+  const std::vector<double> targets = numbers(reply.at("targets"));
+  const std::vector<double> loads = reply.contains("loads") ? numbers(reply["loads"]) : counts;
+  std::vector<double> errors, badness;
   for (std::size_t p = 0; p < counts.size(); ++p) {
-    const double load = weighted ? reply["loads"].at(p).get<double>() : counts[p].get<double>();
-    const double target = targets.at(p).get<double>();
-    const std::string error = target > 0 ? percent((load - target) / target) : "-";
-    table.row(
-        {std::to_string(p), text_of(counts[p]), weighted ? number(load) : "", fmt::format("{:.10g}", target), error});
+    errors.push_back(targets.at(p) > 0 ? (loads.at(p) - targets[p]) / targets[p] : std::nan(""));
+    badness.push_back(std::isnan(errors.back()) ? 0 : std::fabs(errors.back()));
   }
-  table.print();
+  PartsTable table(counts.size());
+  table.add("points", counts);
+  if (reply.contains("loads")) table.add("load", loads);
+  table.add("target", targets);
+  table.add("error", errors, percent);
+  table.print(badness, options.all);
+  return {};
 }
 
-// "x 0.5, then y 1 (id 7)": the whole key of a cut.
-std::string cut_text(const Json& cut) {
-  if (cut.at("at").is_null()) return "all left";
-  return fmt::format("{:.17g}", cut["at"].get<double>());
-}
-
-std::string child_text(const Json& child) {
-  return child.contains("part") ? "part " + text_of(child, "part") : "cut " + text_of(child, "node");
-}
-
-std::string axis_text(const Json& axis) {
-  if (!axis.is_number_integer()) return text_of(axis);
-  const auto k = axis.get<int>();
-  return k >= 0 && k < 3 ? std::string(1, "xyz"[k]) : text_of(axis);
-}
-
-std::string bounds_text(const Json& region) {
-  const Json& lo = region.at("lo");
-  const Json& hi = region.at("hi");
+// "exchange 1, ids 20"
+std::string tally_text(const Json& tally) {
   std::string text;
-  for (std::size_t a = 0; a < lo.size(); ++a)
-    text += fmt::format("{}[{}, {})", a == 0 ? "" : " x ", lo[a].is_null() ? "-inf" : text_of(lo[a]),
-                        hi.at(a).is_null() ? "inf" : text_of(hi[a]));
-  return text;
+  for (const auto& [name, times] : tally.items()) text += (text.empty() ? "" : ", ") + name + " " + text_of(times);
+  return text.empty() ? "-" : text;
 }
 
-void print_cuts(const Json& reply) {
-  print_line(fmt::format("{}, {} parts, epoch {}, hash {}", text_of(reply, "method"), text_of(reply, "parts"),
-                         text_of(reply, "epoch"), text_of(reply, "hash")));
-  print_line("");
-  Table cuts({{"cut"}, {"axis"}, {"at"}, {"below", Table::Align::left}, {"from there", Table::Align::left}});
-  for (const Json& cut : reply.at("cuts"))
-    cuts.row({text_of(cut, "node"), axis_text(cut.at("axis")), cut_text(cut), child_text(cut.at("left")),
-              child_text(cut.at("right"))});
-  cuts.print();
-  print_line("");
-  Table regions({{"part"}, {"region", Table::Align::left}});
-  for (const Json& region : reply.at("regions"))
-    regions.row({text_of(region, "part"), region.value("empty", false) ? "empty" : bounds_text(region)});
-  regions.print();
+std::string step_time_text(const Json& seconds, double steps) {
+  if (steps == 0) return "-";
+  std::string text;
+  for (const auto& [name, value] : seconds.items())
+    if (name != "total")
+      text += fmt::format("{}{} {}", text.empty() ? "" : ", ", name, milliseconds(value.get<double>() / steps));
+  return fmt::format("{} ms: {}", milliseconds(seconds.at("total").get<double>() / steps), text);
 }
 
-void print_stats(const Json& reply) {
+Status print_stats(client::Client& client, const Options& options, const Json& reply) {
+  const auto shown = ask(client, "scene.show", {{"scene", options.name}});
+  if (!shown) return shown.status();
+  const auto status = ask(client, "status", Json::object());
+  if (!status) return status.status();
+  const auto steps = reply.at("steps").get<double>();
   Facts facts;
-  for (const char* field : {"scene", "steps", "repartitions", "bytes", "drifted", "moved", "migrated", "scanned",
-                            "searched", "rounds", "reductions"})
-    facts.add(field, text_of(reply, field));
-  for (const auto& [name, times] : reply.at("skipped").items()) facts.add("skipped: " + name, text_of(times));
-  for (const auto& [name, times] : reply.at("asked").items()) facts.add("asked: " + name, text_of(times));
-  for (const auto& [name, seconds] : reply.at("seconds").items()) facts.add("seconds: " + name, text_of(seconds));
+  facts.add("scene", fmt::format("{}: {} points in {}-D, {} parts by {}", options.name, text_of(*shown, "n"),
+                                 text_of(*shown, "dims"), text_of(*shown, "parts"), text_of(*shown, "method")));
+  facts.add("steps", fmt::format("{}, the last numbered {}; {} repartition{}, epoch {}", text_of(reply, "steps"),
+                                 text_of(*shown, "step"), text_of(reply, "repartitions"),
+                                 reply.at("repartitions") == 1 ? "" : "s", text_of(*shown, "epoch")));
+  facts.add("error", fmt::format("{} (tolerance {}), imbalance {}", text_of(*shown, "error"),
+                                 text_of(*shown, "tolerance"), text_of(*shown, "imbalance")));
+  facts.add("time a step", step_time_text(reply.at("seconds"), steps));
+  facts.add("bytes a step", steps == 0 ? "-" : size(reply.at("bytes").get<double>() / steps));
+  facts.add("points", fmt::format("{} drifted, {} moved, {} migrated", text_of(reply, "drifted"),
+                                  text_of(reply, "moved"), text_of(reply, "migrated")));
+  facts.add("work", fmt::format("{} scanned, {} searched; {} rounds, {} reductions", text_of(reply, "scanned"),
+                                text_of(reply, "searched"), text_of(reply, "rounds"), text_of(reply, "reductions")));
+  facts.add("skipped", tally_text(reply.at("skipped")));
+  facts.add("asked", tally_text(reply.at("asked")));
+  facts.add("open by", text_of(*shown, "members"));
+  facts.add("memory", memory_text(*status));
+  facts.add("log", text_of(*status, "log"));
   facts.print();
+  return {};
 }
 
-void print_quality(const Json& reply) {
+Status print_quality(client::Client&, const Options& options, const Json& reply) {
+  const std::vector<double> ghosts = numbers(reply.at("ghosts"));
+  PartsTable table(ghosts.size());
+  table.add("neighbours", numbers(reply.at("neighbours")));
+  table.add("ghosts", ghosts);
   const Json areas = reply.value("interface_areas", Json());
-  const Json& neighbours = reply.at("neighbours");
-  const Json& ghosts = reply.at("ghosts");
-  Table table({{"part"}, {"neighbours"}, {"ghosts"}, {"interface"}});
-  std::uint64_t all_ghosts = 0;
-  for (std::size_t p = 0; p < ghosts.size(); ++p) {
-    all_ghosts += ghosts[p].get<std::uint64_t>();
-    table.row({std::to_string(p), text_of(neighbours.at(p)), text_of(ghosts[p]),
-               areas.is_array() ? text_of(areas.at(p)) : "-"});
-  }
-  table.row({"all", "", std::to_string(all_ghosts), text_of(reply, "interface_area")});
-  table.print();
-  print_line("ghost width " + text_of(reply, "ghost_width"));
+  if (areas.is_array()) table.add("interface", numbers(areas));
+  table.print(ghosts, options.all);
+  print_line("");
+  print_line(fmt::format("all parts together: {} ghosts, interface {}; ghost width {}",
+                         number(std::accumulate(ghosts.begin(), ghosts.end(), 0.0)), text_of(reply, "interface_area"),
+                         text_of(reply, "ghost_width")));
+  return {};
 }
 
-void add_read(CLI::App& app, Context& context, const CommandText& text, Printer print) {
-  auto name = std::make_shared<std::string>();
-  CLI::App* command = add_command(app, context, text, [name, &context, print, command_name = std::string(text.name)] {
-    return read(context, command_name, {{"scene", *name}}, print);
+using Printer = Status (*)(client::Client&, const Options&, const Json&);
+
+CLI::App* add_read(CLI::App& app, Context& context, const CommandText& text, std::shared_ptr<Options> options,
+                   Printer print) {
+  CLI::App* command = add_command(app, context, text, [options, &context, print, name = text.name]() -> Status {
+    auto client = connect(context);
+    if (!client) return client.status();
+    Json arguments{{"scene", options->name}};
+    if (options->ghost_width) arguments["ghost_width"] = *options->ghost_width;
+    auto reply = ask(*client, name, arguments);
+    if (!reply) return reply.status();
+    if (!context.json) return print(*client, *options, *reply);
+    print_json(*reply);
+    return {};
   });
-  command->add_option("NAME", *name, "the scene")->required();
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  return command;
 }
 
 }  // namespace
 
 void add_read_commands(CLI::App& app, Context& context) {
-  add_read(app, context, {"error", "The load-balance error as it stands", "  rcbctl error jet"}, print_error);
-  add_read(app, context, {"counts", "Points of each part, beside its target", "  rcbctl counts jet --json"},
-           print_counts);
-  add_read(app, context, {"cuts", "The cuts in force and the region of each part", "  rcbctl cuts jet --json"},
-           print_cuts);
-  add_read(app, context, {"stats", "Totals of a scene, and what was skipped", "  rcbctl stats jet"}, print_stats);
-
-  struct Options {
-    std::string name;
-    std::optional<double> ghost_width;
-  };
-  auto options = std::make_shared<Options>();
-  CLI::App* command = add_command(app, context,
-                                  {"quality", "Interface area, neighbours and ghosts of each part",
-                                   "  rcbctl quality jet\n  rcbctl quality jet --ghost-width 0.05"},
-                                  [options, &context] {
-                                    Json arguments{{"scene", options->name}};
-                                    if (options->ghost_width) arguments["ghost_width"] = *options->ghost_width;
-                                    return read(context, "quality", arguments, print_quality);
-                                  });
-  command->add_option("NAME", options->name, "the scene")->required();
-  command->add_option("--ghost-width", options->ghost_width, "default: 2 (box volume / points)^(1/dims)")
-      ->check(number_from_zero());
+  const auto options = std::make_shared<Options>();
+  add_read(app, context, {"error", "The load-balance error as it stands", "  rcbctl error jet", kAskGroup}, options,
+           print_error);
+  CLI::App* counts = add_read(
+      app, context, {"counts", "Points of each part, beside its target", "  rcbctl counts jet --json", kAskGroup},
+      options, print_counts);
+  counts->add_flag("--all", options->all, kAllHelp);
+  add_read(
+      app, context,
+      {"stats", "A scene's totals: time, bytes, repartitions, and what was skipped", "  rcbctl stats jet", kAskGroup},
+      options, print_stats);
+  CLI::App* quality = add_read(app, context,
+                               {"quality", "Interface area, neighbours and ghosts of each part",
+                                "  rcbctl quality jet\n  rcbctl quality jet --ghost-width 0.05", kAskGroup},
+                               options, print_quality);
+  add_value(*quality, "--ghost-width", options->ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
+  quality->add_flag("--all", options->all, kAllHelp);
 }
 
 }  // namespace rcb::cli

@@ -12,9 +12,10 @@ namespace {
 struct Options {
   std::string name;
   std::optional<std::string> method;
-  std::optional<double> parts;
+  std::optional<int> parts;
   std::optional<double> tolerance;
   bool dry_run = false;
+  bool force = false;
 };
 
 void print(const Json& reply, bool dry_run) {
@@ -40,9 +41,9 @@ void print(const Json& reply, bool dry_run) {
 Status rebalance(const Options& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
-  Json arguments{{"scene", options.name}, {"dry_run", options.dry_run}};
+  Json arguments{{"scene", options.name}, {"dry_run", options.dry_run}, {"force", options.force}};
   if (options.method) arguments["method"] = *options.method;
-  if (options.parts) arguments["parts"] = static_cast<std::int64_t>(*options.parts);
+  if (options.parts) arguments["parts"] = *options.parts;
   if (options.tolerance) arguments["tolerance"] = tolerance_json(*options.tolerance);
   auto reply = ask(*client, "rebalance", arguments);
   if (!reply) return reply.status();
@@ -59,13 +60,13 @@ void add_rebalance_command(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
   CLI::App* command = add_command(app, context,
                                   {"rebalance", "Repartitions now; what is changed here holds from then on",
-                                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12"},
+                                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12", kSceneGroup},
                                   [options, &context] { return rebalance(*options, context); });
-  command->add_option("NAME", options->name, "the scene")->required();
-  command->add_option("--method", options->method, "rcb, bands-x, bands-y or bands-z")->check(scene_method());
-  command->add_option("--parts", options->parts, "number of parts")->check(part_count());
-  command->add_option("--tolerance", options->tolerance, "repartition at this error; inf: never")
-      ->check(tolerance_number());
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z");
+  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts");
+  add_value(*command, "--tolerance", options->tolerance, kind::tolerance(), kToleranceHelp);
+  command->add_flag("--force", options->force, "change the number of parts even under those who have the scene open");
   command->add_flag("--dry-run", options->dry_run, "tell error, points to move and quality; change nothing");
 }
 

@@ -1,12 +1,10 @@
 #include "client/cli/report_csv.hpp"
 
-#include <cerrno>
-#include <cstdio>
-#include <cstring>
 #include <initializer_list>
 
 #include <fmt/format.h>
-#include <unistd.h>
+
+#include "common/io/output_file.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -17,6 +15,8 @@ constexpr std::initializer_list<const char*> kColumns = {
     "scene",   "step",         "epoch",   "n",          "error_before", "error",    "imbalance", "repartitioned",
     "reason",  "axes_flipped", "drifted", "moved",      "migrated",     "inserted", "removed",   "first_id",
     "scanned", "searched",     "rounds",  "reductions", "skipped",      "bytes"};
+// Behind the seconds, where they came last.
+constexpr std::initializer_list<const char*> kLastColumns = {"parts", "scene_recreated"};
 constexpr std::initializer_list<const char*> kSeconds = {"receive", "exchange", "search", "migrate", "total"};
 
 std::string csv_quoted(const std::string& text) {
@@ -39,31 +39,21 @@ std::string cell(const Json& report, const char* field) {
 
 }  // namespace
 
-Status write_file(const std::string& path, const std::string& text) {
-  const std::string beside = fmt::format("{}.{}.part", path, getpid());
-  std::FILE* file = std::fopen(beside.c_str(), "wb");
-  if (file == nullptr) return {Code::io_error, fmt::format("{}: {}", path, std::strerror(errno))};
-  const bool written = std::fwrite(text.data(), 1, text.size(), file) == text.size();
-  const int write_errno = errno;
-  if (std::fclose(file) == 0 && written && std::rename(beside.c_str(), path.c_str()) == 0) return {};
-  const int reason = written ? errno : write_errno;
-  std::remove(beside.c_str());
-  return {Code::io_error, fmt::format("{}: {}", path, std::strerror(reason))};
-}
-
 Status write_reports_csv(const std::string& path, const Json& reports) {
   std::string text;
   for (const char* column : kColumns) text += (text.empty() ? "" : ",") + std::string(column);
   for (const char* name : kSeconds) text += fmt::format(",seconds_{}", name);
+  for (const char* column : kLastColumns) text += fmt::format(",{}", column);
   text += '\n';
   for (const Json& report : reports) {
     std::string line;
     for (const char* column : kColumns) line += (column == *kColumns.begin() ? "" : ",") + cell(report, column);
     const Json seconds = report.value("seconds", Json::object());
     for (const char* name : kSeconds) line += "," + cell(seconds, name);
+    for (const char* column : kLastColumns) line += "," + cell(report, column);
     text += line + "\n";
   }
-  return write_file(path, text);
+  return io::write_file(path, text);
 }
 
 }  // namespace rcb::cli

@@ -12,7 +12,4 @@ namespace rcb::cli {
 // reports: an array of step reports. Written beside `path`, then renamed. Errors: io_error.
 Status write_reports_csv(const std::string& path, const nlohmann::ordered_json& reports);
 
-// The text as the whole content of the file, written beside it and renamed. Errors: io_error.
-Status write_file(const std::string& path, const std::string& text);
-
 }  // namespace rcb::cli

@@ -9,7 +9,7 @@ namespace {
 
 struct CreateOptions {
   std::string name;
-  double parts = 0;
+  int parts = 0;
   int dims = 3;
   std::string method = "rcb";
   double tolerance = 0.1;
@@ -52,7 +52,7 @@ Status create(const CreateOptions& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
   Json arguments{{"scene", options.name},
-                 {"parts", static_cast<std::int64_t>(options.parts)},
+                 {"parts", options.parts},
                  {"dims", options.dims},
                  {"method", options.method},
                  {"tolerance", tolerance_json(options.tolerance)},
@@ -80,11 +80,7 @@ Status list(const Context& context) {
     print_json(*reply);
     return {};
   }
-  Table table({{"scene", Table::Align::left}, {"points"}, {"dims"}, {"parts"}, {"step"}, {"epoch"}});
-  for (const Json& scene : reply->at("scenes"))
-    table.row({text_of(scene, "scene"), text_of(scene, "n"), text_of(scene, "dims"), text_of(scene, "parts"),
-               text_of(scene, "step"), text_of(scene, "epoch")});
-  table.print();
+  print_scenes(reply->at("scenes"));
   return {};
 }
 
@@ -116,6 +112,7 @@ Status drop(const std::string& name, const Context& context) {
 void add_scene_commands(CLI::App& app, Context& context) {
   CLI::App* scene = app.add_subcommand("scene", "Named particle sets: create, list, show, drop");
   scene->fallthrough();
+  scene->group(kSceneGroup);
   scene->require_subcommand(1);
   scene->footer("Examples:\n  rcbctl scene create jet --parts 8\n  rcbctl scene list\n");
 
@@ -125,28 +122,20 @@ void add_scene_commands(CLI::App& app, Context& context) {
                                    "  rcbctl scene create jet --parts 8\n"
                                    "  rcbctl scene create jet --parts 3 --part-sizes 1,2,3 --tolerance inf --replace"},
                                   [options, &context] { return create(*options, context); });
-  command->add_option("NAME", options->name, "1 to 64 of letters, digits, . _ -")->required();
-  command->add_option("--parts", options->parts, "number of parts")->required()->check(part_count());
-  command->add_option("--dims", options->dims, "1, 2 or 3")->capture_default_str()->check(CLI::Range(1, 3));
-  command->add_option("--method", options->method, "rcb, bands-x, bands-y or bands-z")
-      ->capture_default_str()
-      ->check(scene_method());
-  command->add_option("--tolerance", options->tolerance, "repartition at this error; inf: never")
-      ->capture_default_str()
-      ->check(tolerance_number());
-  command->add_option("--axis-hysteresis", options->axis_hysteresis, "how much longer another axis must be; 1: any")
-      ->capture_default_str()
-      ->check(hysteresis_number());
-  command
-      ->add_option("--cut-tolerance", options->cut_tolerance,
-                   "stop a search once no part can be off its target by more than this fraction; 0: exact")
-      ->capture_default_str()
-      ->check(CLI::Range(0.0, 1.0));
-  command->add_option("--policy", options->policy, kPolicyHelp)->capture_default_str()->check(scene_policy());
-  command->add_option("--recut", options->recut, kRecutHelp)->capture_default_str()->check(scene_recut());
-  command->add_option("--part-sizes", options->part_sizes, "a share for each part, such as 1,2,3")
-      ->delimiter(',')
-      ->check(positive_number());
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "1 to 64 of letters, digits, . _ -")->required();
+  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
+  add_value(*command, "--dims", options->dims, kind::dimensions(), "1, 2 or 3 dimensions")->capture_default_str();
+  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z")
+      ->capture_default_str();
+  add_value(*command, "--tolerance", options->tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
+  add_value(*command, "--axis-hysteresis", options->axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
+      ->capture_default_str();
+  add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
+      ->capture_default_str();
+  add_value(*command, "--policy", options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(*command, "--recut", options->recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_value(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp)
+      ->delimiter(',');
   command->add_flag("--replace", options->replace, "drop a scene of that name first");
 
   add_command(*scene, context, {"list", "All scenes", "  rcbctl scene list --json"},
@@ -155,10 +144,10 @@ void add_scene_commands(CLI::App& app, Context& context) {
   auto name = std::make_shared<std::string>();
   command = add_command(*scene, context, {"show", "One scene", "  rcbctl scene show jet"},
                         [name, &context] { return show(*name, context); });
-  command->add_option("NAME", *name, "the scene")->required();
+  add_value(*command, "NAME", *name, kind::text("NAME"), "the scene")->required();
   command = add_command(*scene, context, {"drop", "Forgets a scene", "  rcbctl scene drop jet"},
                         [name, &context] { return drop(*name, context); });
-  command->add_option("NAME", *name, "the scene")->required();
+  add_value(*command, "NAME", *name, kind::text("NAME"), "the scene")->required();
 }
 
 }  // namespace rcb::cli

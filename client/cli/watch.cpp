@@ -19,8 +19,8 @@ volatile sig_atomic_t g_interrupted = 0;
 
 struct Options {
   std::string name;
-  std::uint64_t steps = 0;
-  double seconds = 0;
+  std::uint64_t steps = 0;  // 0: without end
+  double seconds = 0;       // 0: without end
 };
 
 std::string line(const Json& report) {
@@ -43,7 +43,7 @@ class Watcher {
     if (!client) return client.status();
     const SteadyClock clock;
     const double end = clock.seconds() + options_.seconds;
-    for (bool first = true; g_interrupted == 0 && !enough(); first = false) {
+    for (bool first = true; g_interrupted == 0 && !enough() && !reader_gone(); first = false) {
       if (options_.seconds > 0 && clock.seconds() > end) break;
       if (!first) usleep(kPollMicroseconds);
       auto newest = reports(*client, 1);
@@ -104,16 +104,16 @@ void add_watch_command(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
   CLI::App* command = add_command(app, context,
                                   {"watch", "A line a step, as the steps come, until interrupted",
-                                   "  rcbctl watch jet\n  rcbctl watch jet --steps 10 --json"},
+                                   "  rcbctl watch jet\n  rcbctl watch jet --steps 10 --json", kAskGroup},
                                   [options, &context] {
                                     struct sigaction action {};
                                     action.sa_handler = [](int) { g_interrupted = 1; };
                                     sigaction(SIGINT, &action, nullptr);
                                     return Watcher(*options, context).run();
                                   });
-  command->add_option("NAME", options->name, "the scene")->required();
-  command->add_option("--steps", options->steps, "end after so many steps");
-  command->add_option("--for", options->seconds, "end after so many seconds")->check(positive_number());
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "--steps", options->steps, kind::whole_number("K", 1), "end after so many steps");
+  add_value(*command, "--for", options->seconds, kind::positive_number("SECONDS"), "end after so many seconds");
 }
 
 }  // namespace rcb::cli

@@ -82,30 +82,33 @@ Status assign(const AssignOptions& options, const Context& context) {
 
 void add_where_commands(CLI::App& app, Context& context) {
   auto owner_options = std::make_shared<OwnerOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"owner", "Which part owns a position",
-                                   "  rcbctl owner jet 0.5 -.25 1e-3\n  rcbctl owner jet 0.5 0.5 0.5 --id 12"},
-                                  [owner_options, &context] { return owner(*owner_options, context); });
-  command->add_option("NAME", owner_options->name, "the scene")->required();
-  command->add_option("X", owner_options->position, "X [Y [Z]]")->required()->expected(1, 3);
-  command->add_option("--id", owner_options->id, "of the particle: decides where positions tie")
-      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
+  CLI::App* command =
+      add_command(app, context,
+                  {"owner", "Which part owns a position",
+                   "  rcbctl owner jet 0.5 -.25 1e-3\n  rcbctl owner jet 0.5 0.5 0.5 --id 12", kAskGroup},
+                  [owner_options, &context] { return owner(*owner_options, context); });
+  add_value(*command, "NAME", owner_options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "X", owner_options->position, kind::number("X [Y [Z]]"), "as many coordinates as the scene has")
+      ->required()
+      ->expected(1, 3);
+  add_value(*command, "--id", owner_options->id, kind::whole_number("I", 0),
+            "of the particle: decides where positions tie");
 
   auto box_options = std::make_shared<BoxOptions>();
-  command = add_command(app, context, {"box", "Which parts touch a box", "  rcbctl box jet -1 -1 -1 1 1 1"},
+  command = add_command(app, context, {"box", "Which parts touch a box", "  rcbctl box jet -1 -1 -1 1 1 1", kAskGroup},
                         [box_options, &context] { return box(*box_options, context); });
-  command->add_option("NAME", box_options->name, "the scene")->required();
-  command->add_option("CORNERS", box_options->corners, "LO... HI...: the low corner, then the high one")
+  add_value(*command, "NAME", box_options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "CORNERS", box_options->corners, kind::number("LO... HI..."), "the low corner, then the high one")
       ->required()
       ->expected(2, 6);
 
   auto assign_options = std::make_shared<AssignOptions>();
-  command = add_command(
-      app, context,
-      {"assign", "Writes the part of each particle, in id order (int32)", "  rcbctl assign jet --out parts.npy"},
-      [assign_options, &context] { return assign(*assign_options, context); });
-  command->add_option("NAME", assign_options->name, "the scene")->required();
-  command->add_option("--out", assign_options->out, "the .npy file")->required();
+  command = add_command(app, context,
+                        {"assign", "Writes the part of each particle, in id order (int32)",
+                         "  rcbctl assign jet --out parts.npy", kSceneGroup},
+                        [assign_options, &context] { return assign(*assign_options, context); });
+  add_value(*command, "NAME", assign_options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "--out", assign_options->out, kind::output_file(kind::Format::npy), "the array")->required();
 }
 
 }  // namespace rcb::cli

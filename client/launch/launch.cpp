@@ -219,6 +219,7 @@ Result<Embedded> Embedded::start(int ranks, const Progress& progress) {
   options.data_dir = *directory;
   options.ranks = ranks;
   options.embedded = true;
+  options.service_arguments = {"--local-files-below", "/"};  // it is this user's own, and ends with this program
   auto started = fork_supervisor(options);
   if (!started) {
     rmdir(directory->c_str());

@@ -39,6 +39,14 @@ std::string slice_frame(const wire::Json& begin, std::uint64_t request, const ch
   return wire::encode_frame(header, wire::dump_json(json)) + bulk;
 }
 
+// What the edit makes of an array by row.
+template <typename T>
+void move_with(const RowEdit& edit, std::vector<T>& rows, std::span<const T> inserted) {
+  rows.resize(std::max<std::size_t>(rows.size(), edit.moves.new_count));
+  for (const plan::SlotMove& m : edit.moves.moves) rows[m.to] = m.arrival ? inserted[m.from] : rows[m.from];
+  rows.resize(edit.moves.new_count);
+}
+
 }  // namespace
 
 EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const Ask& ask, int dims) {
@@ -69,7 +77,7 @@ EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const Ask
 
 Status Scene::State::check_edits(const Ask& ask) const {
   if (!ask.edits()) return {};
-  if (!pushed_)
+  if (!has_particles())
     return wrong("insertions or removals, and the scene has no particles yet", "push a first step with all of them");
   if (ask.options.removed.size() > count_)
     return wrong(fmt::format("{} particles to remove, the scene has {}", ask.options.removed.size(), count_), "");
@@ -174,17 +182,17 @@ void Scene::State::edit_rows(const Ask& ask, RowEdit& edit, const StepReport& re
     follows = follows && part >= 0 && part < parts_count_;
     if (follows) ranks.push_back(plan::rank_of_part(part, parts_count_, plan_->ranks()));
   }
+  if (weights_.size() == count_ && has_weights_) {
+    const std::span<const double> inserted =
+        ask.inserted() > 0 ? ask.options.inserted->weights : std::span<const double>();
+    move_with(edit, weights_, inserted);
+  }
   move_rows(edit, result.inserted_ids);
   if (!follows || !plan_->edit(edit.removed, result.inserted_ids, ranks).ok()) plan_.reset();
 }
 
 void Scene::State::move_rows(const RowEdit& edit, std::span<const std::int64_t> ids) {
   const std::vector<std::int32_t> open(ids.size(), -1);
-  const auto move = [&edit](auto& rows, auto inserted) {
-    rows.resize(std::max<std::size_t>(rows.size(), edit.moves.new_count));
-    for (const plan::SlotMove& m : edit.moves.moves) rows[m.to] = m.arrival ? inserted[m.from] : rows[m.from];
-    rows.resize(edit.moves.new_count);
-  };
   bool still_rows = ids_.empty() && edit.removed.empty();
   for (std::size_t i = 0; i < ids.size(); ++i)
     still_rows = still_rows && ids[i] == static_cast<std::int64_t>(count_ + i);
@@ -193,11 +201,11 @@ void Scene::State::move_rows(const RowEdit& edit, std::span<const std::int64_t> 
       ids_.resize(count_);
       std::iota(ids_.begin(), ids_.end(), std::int64_t{0});
     }
-    move(ids_, ids);
+    move_with(edit, ids_, ids);
     has_ids_ = true;
   }
-  if (parts_.size() == count_) move(parts_, open);
-  if (known_.size() == count_ && !known_.empty()) move(known_, open);
+  if (parts_.size() == count_) move_with(edit, parts_, std::span(open));
+  if (known_.size() == count_ && !known_.empty()) move_with(edit, known_, std::span(open));
   count_ = edit.moves.new_count;
 }
 

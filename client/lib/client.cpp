@@ -4,7 +4,7 @@
 
 #include <fmt/format.h>
 
-#include "client/lib/session.hpp"
+#include "client/lib/lost_scene.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -124,11 +124,16 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
     request["part_sizes"] = wire::Json::array();
     for (const double size : options.part_sizes) request["part_sizes"].push_back(wire::number_json(size));
   }
-  return state_->session->call(std::move(request), wire::kDeadlineSecondsDefault).status();
+  const wire::Json known = scene_options(request);
+  if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
+    return made.status();
+  state_->created[name] = {known, state_->session->instance()};
+  return {};
 }
 
 Status Client::drop_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
+  state_->created.erase(name);
   return state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault).status();
 }
 

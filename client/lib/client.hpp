@@ -5,10 +5,12 @@
 //   auto scene = client->open_scene("jet");
 //   auto result = scene->step(rcb::client::Positions::rows(xyz.data(), n, 3));
 //
-// A lost connection is opened again by the next call; reads are repeated by themselves, and so is a step, which the
-// service applies once. Other commands fail with `unavailable`: whether they took effect is for the caller to ask.
-// Thread-safety: a Client and its Scenes belong to one thread at a time. No call waits without a deadline.
-// Faults come back as Status: code, message, hint.
+// A lost service is reached again, within the call's deadline: a connection that was cut, and a service that died and
+// was started again. Reads are repeated by themselves, and so is a step, which the service applies once; a scene that
+// died with its service is made anew, and the step brings all particles (StepReport::scene_recreated). Other commands
+// that were cut off fail with `unavailable`: whether they took effect is for the caller to ask. Thread-safety: a Client
+// and its Scenes belong to one thread at a time. No call waits without a deadline. Faults come back as Status: code,
+// message, hint.
 #pragma once
 
 #include <array>
@@ -37,8 +39,11 @@ struct ConnectOptions {
   // directory.
   std::string token;
   Path path = Path::automatic;
-  // Told what a service says while a call waits; may be empty.
+  // Told what a call waits for, as the service says it, or of a service that has gone; may be empty.
   std::function<void(const std::string&)> on_notice;
+  // Once connected, calls wait for a service that has gone, until their deadline, and make a lost scene anew. Otherwise
+  // one new connection is tried, and a lost scene is an error.
+  bool outlive = true;
 };
 
 struct SceneOptions {
@@ -98,6 +103,10 @@ struct StepReport {
   std::int64_t step = 0;
   std::uint64_t epoch = 0;
   std::uint64_t n = 0;
+  int parts = 0;  // may change between two steps: another client's rebalance
+  // The service had lost the scene; it was made anew, and this step brought all particles. The cuts are those of a
+  // first partition.
+  bool scene_recreated = false;
   std::optional<double> error_before;  // none at the first push
   double error = 0;
   double imbalance = 1;
@@ -221,11 +230,13 @@ class Scene {
   Scene& operator=(Scene&&) noexcept;
   ~Scene();
 
-  // Pushes one step; returns when it is committed everywhere, or given up with the previous step standing.
-  // A stale plan and a lost connection are mended once before a failure is returned.
+  // Pushes one step; returns when it is committed everywhere, or given up with the previous step standing. A lost
+  // service, or connection, is waited for until the deadline; a stale plan is fetched once before a failure is
+  // returned.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller without its positions at hand. Removals and insertions
-  // are taken. Errors also: base_lost, where the service's last step isn't this Scene's: push all positions.
+  // are taken. Errors also: base_lost, where the service's last step isn't this Scene's, or it has lost the scene: push
+  // all positions.
   Result<StepResult> step_unmoved(const StepOptions& options = {});
   // A step in which these particles moved: positions[k] is that of ids[k], [ids.size()], in rows or axes; for a caller
   // without all positions at hand (else: StepOptions::moved). Errors also: base_lost, as above.
@@ -233,8 +244,8 @@ class Scene {
                                 const StepOptions& options = {});
   std::optional<std::int64_t> last_step() const;
   // The plan of the next push; it stands until that push. Fetched where it isn't known. A solver that pushes in its
-  // order asks after every step that migrated (the version tells), and gives the version back with its positions: a
-  // plan that has changed in between refuses the push with stale_plan.
+  // order asks after every step that migrated, or whose report says scene_recreated (the version tells), and gives the
+  // version back with its positions: a plan that has changed in between refuses the push with stale_plan.
   Result<PlanView> plan(double deadline_seconds = 60);
 
  private:

@@ -97,7 +97,8 @@ std::optional<asio::ip::tcp::endpoint> as_tcp(const Address& address) {
 Status check_peer(int handle, const Endpoint& endpoint) {
   ucred peer{};
   socklen_t size = sizeof peer;
-  if (::getsockopt(handle, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) return {};
+  if (::getsockopt(handle, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0)
+    return {Code::not_authorised, fmt::format("can't tell who serves {}: {}", endpoint.text(), std::strerror(errno))};
   if (peer.uid == ::geteuid() || peer.uid == 0 || ::geteuid() == 0) return {};
   return {Code::not_authorised,
           fmt::format("{} is served by user {}, not by this one ({})", endpoint.text(), peer.uid, ::geteuid()),
@@ -122,6 +123,7 @@ struct Connection::State {
   std::deque<Frame> inbox;
   Status lost;
   bool this_machine = false;
+  bool said_goodbye = false;
 
   void lose(Code code, const std::string& why) {
     if (lost.ok()) lost = Status(code, fmt::format("the connection to {} was lost: {}", endpoint.text(), why));
@@ -275,6 +277,7 @@ asio::awaitable<bool> Connection::State::read_frame() {
       frame.text.find("\"arrays\"") != std::string::npos)
     if (!co_await read_arrays(frame, *header)) co_return false;
   if (frame.type == wire::FrameType::goodbye) {
+    said_goodbye = lost.ok();
     lose(Code::unavailable, "the service said goodbye");
     co_return false;
   }
@@ -358,6 +361,7 @@ bool Connection::has_news() {
 }
 
 Status Connection::lost() const { return state_->lost; }
+bool Connection::said_goodbye() const { return state_->said_goodbye; }
 int Connection::handle() { return state_->socket.native_handle(); }
 bool Connection::this_machine() const { return state_->this_machine; }
 

@@ -65,6 +65,8 @@ class Connection {
   bool has_news();
   // Why no more frames come; ok while they may.
   Status lost() const;
+  // The connection was ended by the service's goodbye.
+  bool said_goodbye() const;
   // The socket, for writing to it without this class; nothing else may be written meanwhile.
   int handle();
   // The peer's address is one of this machine's.

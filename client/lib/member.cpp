@@ -9,9 +9,9 @@
 #include <fmt/format.h>
 
 #include "client/lib/data_path.hpp"
+#include "client/lib/lost_scene.hpp"
 #include "client/lib/member_places.hpp"
 #include "client/lib/push_source.hpp"
-#include "client/lib/session.hpp"
 #include "client/lib/step_report.hpp"
 #include "common/wire/limits.hpp"
 
@@ -38,75 +38,105 @@ Result<std::span<const T>> column(const Frame& answer, const char* name, const c
 
 struct MemberScene::State {
   State(std::shared_ptr<Client::State> of, std::string scene, const MemberOptions& terms)
-      : client(std::move(of)), name(std::move(scene)), options(terms) {}
+      : client(std::move(of)), name(std::move(scene)), options(terms) {
+    if (const auto made = client->created.find(name); made != client->created.end()) known = made->second;
+  }
 
   ~State() {
     if (connection_held())
-      static_cast<void>(session().call({{"command", "scene.close"}, {"scene", name}}, kCloseSeconds));
+      static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name}}, Retry(kCloseSeconds)));
   }
 
   Session& session() const { return *client->session; }
   bool connection_held() const { return session().connected() && connection == session().generation(); }
 
-  Status open(double deadline_seconds);
-  Status ready(const Deadline& deadline);
+  Status open();
+  // Has the seat on the connection that stands.
+  Status sit(const Retry& retry);
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
   // Whether pushes shall go straight to the ranks; all members decide alike, unless they are told other paths.
   Result<bool> wants_direct(const Deadline& deadline) const;
+  // One try of a step.
+  Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                              const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
-                     const MemberStepOptions& with, const Deadline& deadline);
+                     const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
                               std::span<const Column> columns, const std::string& what, const Deadline& deadline);
-  Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with);
+  Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
   Status read_follow(const Frame& answer, const wire::Json& json, MemberStep& result);
   Status read_places(const Frame& answer, const wire::Json& json, const MemberStep& result);
 
   std::shared_ptr<Client::State> client;
   std::string name;
   MemberOptions options;
+  KnownScene known;
   std::uint64_t connection = 0;  // that holds the seat
   std::uint64_t seat = 0;        // its generation; 0: never had it
   int dims = 3;
   std::uint64_t n = 0;  // of the scene; 0: not known yet
+  bool weights = false;
+  bool lost = false;  // the service was started again, and the scene has no positions yet
   std::optional<std::int64_t> last_step;
+  std::uint64_t epoch = 0;  // after last_step
   // After last_step, with follow:
   MemberPlaces places;
   wire::Json plan;
-  std::uint64_t epoch = 0;
   bool directly = false;  // the push under way
 };
 
-Status MemberScene::State::open(double deadline_seconds) {
-  wire::Json request{{"command", "scene.open"},
-                     {"scene", name},
-                     {"member", options.member},
-                     {"members", options.members},
-                     {"follow", options.follow}};
+Status MemberScene::State::sit(const Retry& retry) {
+  if (connection == session().generation()) return {};
+  wire::Json request{
+      {"scene", name}, {"member", options.member}, {"members", options.members}, {"follow", options.follow}};
   // The service may not have noticed yet that the connection before was lost.
   if (seat > 0) request["generation"] = seat + 1;
-  const auto json = session().call_json(std::move(request), deadline_seconds);
+  const std::string service_before = known.instance;
+  const auto json = open_or_make_anew(session(), request, known, retry);
   if (!json) return json.status();
   const auto found = json->find("membership");
   if (found == json->end()) return odd_answer("the service knows no members");
   const auto generation = wire::integer_field(*found, "generation", 1, kLarge);
   const auto axes = wire::integer_field(*json, "dims", 1, 3);
-  const auto step = wire::integer_field_or(*json, "step", 0, kLarge, -1);
+  const auto step = wire::integer_field_or(*json, "step", 0, wire::kStepMax, -1);
   const auto count = wire::integer_field_or(*json, "n", 0, wire::kParticlesMax, 0);
-  for (const Status& status : {generation.status(), axes.status(), step.status(), count.status()})
+  const auto epoch_now = wire::integer_field_or(*json, "epoch", 0, kLarge, 0);
+  const auto has_weights = wire::bool_field_or(*json, "weights", false);
+  for (const Status& status :
+       {generation.status(), axes.status(), step.status(), count.status(), epoch_now.status(), has_weights.status()})
     if (!status) return odd_answer(status.message());
   connection = session().generation();
   seat = static_cast<std::uint64_t>(*generation);
+  known.options = scene_options(*json);
   dims = static_cast<int>(*axes);
-  n = static_cast<std::uint64_t>(*count);
+  const bool other_service = known.instance != service_before;
+  lost = *step < 0 && (lost || (last_step && other_service));
   const auto step_now = *step >= 0 ? std::optional(*step) : std::nullopt;
-  if (step_now != last_step) places.forget();
+  if (step_now != last_step || other_service) places.forget();
+  if (lost) return {};
+  n = static_cast<std::uint64_t>(*count);
+  weights = *has_weights;
+  epoch = static_cast<std::uint64_t>(*epoch_now);
   last_step = step_now;
   return {};
 }
 
-Status MemberScene::State::ready(const Deadline& deadline) {
-  if (Status status = session().ensure(deadline); !status) return status;
-  return connection == session().generation() ? Status{} : open(deadline.left_seconds());
+Status MemberScene::State::open() {
+  Retry retry(options.deadline_seconds);
+  const auto once = [&]() -> Result<bool> {
+    if (Status status = sit(retry); !status) return status;
+    return true;
+  };
+  const auto mend = [&](const Status& status) {
+    // Another member knows the scene's options, since it has made it; and the seat may be that of the connection
+    // before.
+    const bool scene_lost = status.code() == Code::not_found && session().restarted();
+    const bool taken = status.code() == Code::busy && retry.failures() > 0;
+    const std::string what =
+        scene_lost ? fmt::format("scene '{}', which was lost, to be made anew", name) : status.message();
+    return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();
+  };
+  return session().persist(retry, once, mend).status();
 }
 
 Status MemberScene::State::check(const Positions& positions, std::span<const std::int64_t> ids,
@@ -172,7 +202,8 @@ Result<Frame> MemberScene::State::push_directly(wire::Json begin, const std::vec
 }
 
 Result<Frame> MemberScene::State::push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
-                                       const MemberStepOptions& with, const Deadline& deadline) {
+                                       const MemberStepOptions& with, const Retry& retry) {
+  const Deadline& deadline = retry.deadline();
   const auto direct = wants_direct(deadline);
   if (!direct) return direct.status();
   const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
@@ -190,7 +221,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"changes", with.want_changes},
                    {"places", *direct},
                    {"moved", directly && with.unmoved && with.weights.empty() ? "none" : "all"},
-                   {"deadline_seconds", std::clamp(with.deadline_seconds, 0.001, wire::kDeadlineSecondsMax)}};
+                   {"deadline_seconds", retry.seconds_left()}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
   std::vector<Column> columns;
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) columns.push_back(axis_column(positions, a));
@@ -205,14 +236,22 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   return session().exchange(request, source, what, deadline);
 }
 
-Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t step, const MemberStepOptions& with) {
+Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t step, const MemberStepOptions& with,
+                                            const Retry& retry) {
   const auto json = answer.json();
   if (!json) return json.status();
   const auto found = json->find("report");
   if (found == json->end()) return odd_answer("no 'report'");
   auto report = read_report(*found);
   if (!report) return report.status();
+  const bool epoch_follows = !last_step || lost || report->epoch == epoch + (report->repartitioned ? 1U : 0U);
+  if (!epoch_follows) refresh_options(session(), name, known, retry);
+  if (report->parts > 0) known.options["parts"] = report->parts;
+  epoch = report->epoch;
   last_step = std::max(step, last_step.value_or(step));
+  weights = weights || !with.weights.empty();
+  const auto repeated = wire::bool_field_or(*json, "repeated", false);
+  lost = lost && repeated && *repeated;  // an answer that a service before this one has left
   MemberStep result;
   result.report = std::move(*report);
   if (with.want_changes) {
@@ -270,7 +309,6 @@ Status MemberScene::State::read_places(const Frame& answer, const wire::Json& js
   else
     places.take_all({*id, *rank, *slot}, session().ranks());
   plan = json.at("plan");
-  epoch = static_cast<std::uint64_t>(result.report.epoch);
   return {};
 }
 
@@ -284,40 +322,51 @@ std::uint64_t MemberScene::generation() const { return state_->seat; }
 Result<MemberScene> MemberScene::open(Client& client, const std::string& name, const MemberOptions& options) {
   if (Status status = wire::check_scene_name(name); !status) return status;
   auto state = std::make_unique<State>(client.state_, name, options);
-  if (Status status = state->open(options.deadline_seconds); !status) return status;
+  if (Status status = state->open(); !status) return status;
   return MemberScene(std::move(state));
+}
+
+Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
+                                                std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
+  directly = false;
+  if (Status status = sit(retry); !status) return status;
+  if (lost && weights && with.weights.empty())
+    return Status(Code::base_lost,
+                  fmt::format("the service at {} was started again and has lost scene '{}', which had weights",
+                              session().endpoint(), name),
+                  "push this step with weights; the other members are told the same");
+  const auto answer = push(positions, ids, step, with, retry);
+  if (!answer) return answer.status();
+  auto result = read(*answer, step, with, retry);
+  if (!result) places.forget();  // the step is committed, and what it changed isn't known
+  return result;
 }
 
 Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const std::int64_t> ids,
                                      const MemberStepOptions& options) {
-  const Deadline deadline(with_margin(std::min(options.deadline_seconds, wire::kDeadlineSecondsMax)));
   std::optional<std::int64_t> step = options.step;
-  if (!step && state_->last_step && *state_->last_step == kLarge)
+  if (!step && state_->last_step && *state_->last_step == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
   if (Status status = state_->check(positions, ids, options); !status) return status;
-  bool seat_mended = false;
-  bool data_mended = false;
-  for (;;) {
-    Status status = state_->ready(deadline);
-    if (status) {
-      const auto answer = state_->push(positions, ids, *step, options, deadline);
-      if (answer) {
-        auto result = state_->read(*answer, *step, options);
-        if (!result) state_->places.forget();  // the step is committed, and what it changed isn't known
-        return result;
-      }
-      status = answer.status();
-    }
-    const bool seat_lost = status.code() == Code::unavailable && !state_->session().connected() && !seat_mended;
-    const bool data_lost = status.code() == Code::aborted && state_->session().data_lost() && !data_mended;
+  Session& session = state_->session();
+  Retry retry(options.deadline_seconds);
+  const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
+  const auto mend = [&](const Status& status) {
     // Parts or plan are others than this member knows, or another member doesn't know them: by ids, then.
-    const bool stale = state_->directly && (status.code() == Code::stale_plan || status.code() == Code::base_lost);
-    if (!seat_lost && !data_lost && !stale) return status;
-    if (!seat_lost) state_->places.forget();
-    seat_mended = seat_mended || seat_lost;
-    data_mended = data_mended || data_lost;
-  }
+    if (state_->directly && (status.code() == Code::stale_plan || status.code() == Code::base_lost)) {
+      state_->places.forget();
+      return true;
+    }
+    if (status.code() != Code::aborted) return false;
+    // A connection went, of this member or another; whose it was comes back and pushes again, as all do.
+    const bool data_lost = session.data_lost();
+    if (data_lost) state_->places.forget();
+    return (data_lost || session.outlive()) &&
+           session.wait(retry, status, fmt::format("the members of scene '{}': {}", state_->name, status.message()))
+               .ok();
+  };
+  return session.persist(retry, once, mend);
 }
 
 }  // namespace rcb::client

@@ -8,11 +8,12 @@
 // where its particles stand, and pushes by ids where it isn't sure. It costs least where rows keep their order, but for
 // those that leave and come. RCBD_PATH and ConnectOptions::path choose as for a Scene.
 //
-// A step returns when every member has pushed it and it is committed, or with the name of the member that is missing or
-// was lost; then the previous step stands and all may push again. The service decides alone: members need not talk to
-// one another. A lost connection is mended once in each step; a process that was started again opens the scene and goes
-// on from the last step.
-// Thread-safety: as a Client's. A Client has one MemberScene of a scene.
+// A step returns when every member has pushed it and it is committed, or, at its deadline, with the name of the member
+// that is missing; then the previous step stands and all may push again. The service decides alone: members need not
+// talk to one another. Connections that are cut, and a service that dies and is started again, are outlived as by a
+// Scene: whoever comes first makes the scene anew, all push by ids, and a member that had not heard of a step which was
+// committed before gets its answer from the new service. A process that was started again opens the scene and goes on
+// from the last step. Thread-safety: as a Client's. A Client has one MemberScene of a scene.
 #pragma once
 
 #include <cstdint>
@@ -80,7 +81,8 @@ class MemberScene {
 
   // Pushes this member's particles, in any order. positions: count may be 0.
   //   ids  [count]; every id of the scene has one member
-  // Errors: deadline_exceeded and aborted name the member that is to blame.
+  // Errors: deadline_exceeded and aborted name the member that is to blame; base_lost: the service has lost the scene,
+  // which had weights: push this step with weights.
   Result<MemberStep> step(const Positions& positions, std::span<const std::int64_t> ids,
                           const MemberStepOptions& options = {});
   std::optional<std::int64_t> last_step() const;

@@ -44,15 +44,26 @@ Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Po
 
 Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
 
+Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
+    : client_(std::move(client)), name_(std::move(name)) {
+  if (const auto made = client_->created.find(name_); made != client_->created.end()) scene_ = made->second;
+}
+
 Result<PlanView> Scene::State::plan(double deadline_seconds) {
-  if (!pushed_)
+  if (!has_particles())
     return Status(Code::not_found, fmt::format("scene '{}' has no positions, hence no plan", name_),
                   "push a first step by rows or axes");
-  const Deadline deadline(deadline_seconds);
-  if (Status status = ready(count_, {}, deadline); !status) return status;
-  PlanView view{plan_->version(), {}};
-  for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
-  return view;
+  Retry retry(deadline_seconds);
+  const auto once = [&]() -> Result<PlanView> {
+    if (Status status = hold(retry); !status) return status;
+    if (lost_) return base_lost("it has no plan until it has positions again");
+    if (Status status = ready(count_, {}, retry); !status) return status;
+    version_given_ = version_for_caller();
+    PlanView view{version_given_, {}};
+    for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
+    return view;
+  };
+  return session().persist(retry, once, [](const Status&) { return false; });
 }
 
 Result<Scene> Client::open_scene(const std::string& name) {
@@ -65,62 +76,84 @@ Result<Scene> Client::open_scene(const std::string& name) {
 Scene::State::~State() {
   // A connection that is gone holds nothing open.
   if (session().connected() && generation_ == session().generation())
-    static_cast<void>(session().call({{"command", "scene.close"}, {"scene", name_}}, kCloseSeconds));
+    static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name_}}, Retry(kCloseSeconds)));
 }
 
 Status Scene::State::open(double deadline_seconds) {
-  const auto json = session().call_json({{"command", "scene.open"}, {"scene", name_}}, deadline_seconds);
-  if (!json) return json.status();
-  generation_ = session().generation();
-  return take_description(*json);
+  Retry retry(deadline_seconds);
+  const auto once = [&]() -> Result<bool> {
+    if (Status status = hold(retry); !status) return status;
+    return true;
+  };
+  return session().persist(retry, once, [](const Status&) { return false; }).status();
 }
 
-Status Scene::State::take_description(const wire::Json& json) {
+Result<Scene::State::Description> Scene::State::read_description(const wire::Json& json) {
   const auto dims = wire::integer_field(json, "dims", 1, 3);
   const auto parts = wire::integer_field(json, "parts", 1, wire::kPartsMax);
   const auto count = wire::integer_field_or(json, "n", 0, wire::kParticlesMax, 0);
   const auto epoch = wire::integer_field_or(json, "epoch", 0, kLarge, 0);
-  const auto step = wire::integer_field_or(json, "step", 0, kLarge, -1);
+  const auto step = wire::integer_field_or(json, "step", 0, wire::kStepMax, -1);
   const auto ids = wire::bool_field_or(json, "ids", false);
   const auto weights = wire::bool_field_or(json, "weights", false);
   for (const Status& status :
        {dims.status(), parts.status(), count.status(), epoch.status(), step.status(), ids.status(), weights.status()})
     if (!status) return odd_answer("scene.open", status.message());
-  dims_ = static_cast<int>(*dims);
-  parts_count_ = static_cast<int>(*parts);
-  count_ = static_cast<std::uint64_t>(*count);
-  epoch_ = static_cast<std::uint64_t>(*epoch);
-  pushed_ = *step >= 0;
-  last_step_ = pushed_ ? std::optional(*step) : std::nullopt;
-  has_ids_ = *ids;
-  has_weights_ = *weights;
-  return {};
+  return Description{static_cast<int>(*dims),
+                     static_cast<int>(*parts),
+                     static_cast<std::uint64_t>(*count),
+                     static_cast<std::uint64_t>(*epoch),
+                     *step >= 0 ? std::optional(*step) : std::nullopt,
+                     *ids,
+                     *weights};
 }
 
-// After a new connection: the scene must still be the one that was pushed to.
-Status Scene::State::open_again(const Deadline& deadline) {
-  const bool had_positions = pushed_;
-  const std::uint64_t had_count = count_;
-  const Status opened = open(deadline.left_seconds());
+Status Scene::State::hold(const Retry& retry) {
+  if (generation_ == session().generation()) return {};
+  const std::string service_before = scene_.instance;
+  const auto json = open_or_make_anew(session(), {{"scene", name_}}, scene_, retry);
   const std::string lost = fmt::format("the connection to {} was lost, and now", session().endpoint());
   const std::string advice = "create the scene and push it from its first step";
-  if (opened.code() == Code::not_found)
+  if (json.status().code() == Code::not_found && has_particles())
     return {Code::not_found, fmt::format("{} it has no scene '{}'", lost, name_), advice};
-  if (!opened) return opened;
-  if (pushed_ && had_positions && count_ == count_if_committed_) count_ = had_count;  // its answer was lost
-  if (!had_positions || (pushed_ && count_ == had_count)) return {};
-  const Status status(Code::not_found,
-                      pushed_ ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, count_, had_count)
-                              : fmt::format("{} scene '{}' is empty", lost, name_),
-                      advice);
+  if (!json) return json.status();
+  const auto found = read_description(*json);
+  if (!found) return found.status();
+  generation_ = session().generation();
+  scene_.options = scene_options(*json);
+  parts_count_ = found->parts;
+  dims_ = found->dims;
+  if (!has_particles()) {
+    count_ = found->count;
+    epoch_ = found->epoch;
+    pushed_ = found->step.has_value();
+    last_step_ = found->step;
+    has_ids_ = found->ids;
+    has_weights_ = found->weights;
+    return {};
+  }
+  const bool other_service = scene_.instance != service_before;
+  if (other_service) forget_plan();
+  if (!found->step && (lost_ || (session().outlive() && other_service))) {
+    lose();
+    return {};
+  }
+  // Those of a step whose answer was lost count as well.
+  if (found->step && (found->count == count_ || found->count == count_if_committed_)) {
+    pushed_ = true;
+    lost_ = false;
+    last_step_ = found->step;
+    return {};
+  }
   generation_ = 0;  // asked again at the next step
-  pushed_ = true;
-  count_ = had_count;
-  return status;
+  return {Code::not_found,
+          found->step ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, found->count, count_)
+                      : fmt::format("{} scene '{}' is empty", lost, name_),
+          advice};
 }
 
-Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Deadline& deadline) {
-  const auto frame = session().call({{"command", "plan"}, {"scene", name_}}, deadline.left_seconds());
+Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& retry) {
+  const auto frame = session().call_once({{"command", "plan"}, {"scene", name_}}, retry);
   if (!frame) return frame.status();
   const auto json = frame->json();
   if (!json) return json.status();

@@ -19,14 +19,13 @@ namespace rcb::client {
 namespace {
 
 constexpr double kGoodbyeSeconds = 0.2;
-constexpr double kMarginSeconds = 2;
-constexpr double kMarginShare = 0.05;
+constexpr std::string_view kEndpointListener = "endpoint";
 
 // Commands that change nothing, or nothing more at a second time.
 bool repeatable(std::string_view command) {
-  constexpr std::array<std::string_view, 16> kRepeatable{
-      "status", "scene.open", "scene.close", "scene.list", "scene.show", "plan",   "error", "counts",
-      "cuts",   "history",    "stats",       "owner",      "box",        "assign", "fetch", "quality"};
+  constexpr std::array<std::string_view, 18> kRepeatable{
+      "status",  "scene.open", "scene.close", "scene.list", "scene.show", "plan",  "error",   "counts",  "cuts",
+      "history", "stats",      "owner",       "box",        "assign",     "fetch", "quality", "compare", "write_parts"};
   return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
 }
 
@@ -62,6 +61,33 @@ class OneFrame final : public FrameSource {
   bool sent_ = false;
 };
 
+// Reads the welcome: the nonce that a proof of the token is to answer, empty where none is asked for.
+Result<std::string> read_welcome(Connection& link, const Endpoint& endpoint, const Deadline& deadline) {
+  const auto frame = link.read(deadline);
+  if (!frame) {
+    if (frame.status().code() != Code::deadline_exceeded) return frame.status();
+    return Status(Code::deadline_exceeded, fmt::format("{} takes connections but does not greet", endpoint.text()),
+                  "the service may be stopped or busy; see its log");
+  }
+  const auto json = frame->json();
+  if (!json) return json.status();
+  if (frame->type == wire::FrameType::failure) return wire::status_from_failure(*json);
+  if (frame->type != wire::FrameType::welcome)
+    return Status(Code::protocol_error, fmt::format("{} does not begin with a welcome", endpoint.text()));
+  if (auto protocol = wire::integer_field(*json, "protocol", wire::kProtocolVersion, wire::kProtocolVersion); !protocol)
+    return Status(Code::protocol_error, fmt::format("{}: welcome: {}", endpoint.text(), protocol.status().message()));
+  const auto method = wire::string_field(*json, "authentication", 64);
+  const auto nonce = wire::string_field(*json, "nonce", 256);
+  if (method && *method == auth::kMethod && nonce && auth::is_nonce(*nonce)) return *nonce;
+  // On a Unix socket the kernel has told who serves it. Over TCP anybody may, and who asks for less than a proof, such
+  // as the token itself, is not believed.
+  if (endpoint.is_unix && method && *method == "none") return std::string();
+  return Status(
+      Code::not_authorised,
+      fmt::format("whoever listens at {} doesn't ask for a proof of the token, as the service does", endpoint.text()),
+      "nothing was told to it; see who has taken the port, or start a service of this client's version");
+}
+
 std::string joined(const std::vector<Endpoint>& endpoints) {
   std::string text;
   for (const Endpoint& endpoint : endpoints) text += (text.empty() ? "" : " nor ") + endpoint.text();
@@ -69,10 +95,6 @@ std::string joined(const std::vector<Endpoint>& endpoints) {
 }
 
 }  // namespace
-
-double with_margin(double deadline_seconds) {
-  return deadline_seconds + std::max(kMarginSeconds, kMarginShare * deadline_seconds);
-}
 
 Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {
   const char* path = std::getenv("RCBD_PATH");
@@ -101,8 +123,25 @@ Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
 
 Status Session::ensure(const Deadline& deadline) {
   // Frames that nobody waits for are left over, or the service's goodbye: either way a fresh connection is due.
-  if (connection_ && connection_->has_news()) connection_.reset();
+  if (connection_ && connection_->has_news()) drop_connection();
   return connection_ ? Status{} : connect(deadline.within(options_.deadline_seconds));
+}
+
+void Session::drop_connection() {
+  told_goodbye_ = told_goodbye_ || connection_->said_goodbye();
+  connection_.reset();
+}
+
+std::string Session::gone() const { return fmt::format("the service at {}, which has gone", endpoint_text_); }
+
+void Session::notice(const std::string& text) const {
+  if (options_.on_notice) options_.on_notice(text);
+}
+
+Status Session::wait(Retry& retry, const Status& why, const std::string& what) const {
+  if (!options_.outlive && retry.failures() > 0) return why;
+  if (retry.wait(what, options_.on_notice)) return {};
+  return {why.code(), fmt::format("{}; {}", why.message(), retry.tried()), why.hint()};
 }
 
 Status Session::connect(const Deadline& deadline) {
@@ -110,15 +149,17 @@ Status Session::connect(const Deadline& deadline) {
     const Status status = connect_to(endpoint, deadline);
     if (status) {
       endpoints_ = {Endpoint(endpoint)};
-      ++generation_;
+      if (generation_++ == 0) first_instance_ = instance_;
+      told_goodbye_ = false;
       return {};
     }
     connection_.reset();
     if (status.code() != Code::unavailable) return status;
   }
   if (generation_ > 0)
-    return {Code::unavailable, fmt::format("the service at {} no longer answers", endpoint_text_),
-            "see its log; start it again: rcbctl up"};
+    return {Code::unavailable, fmt::format("the service at {} has gone", endpoint_text_),
+            told_goodbye_ ? "it was stopped; start it again: rcbctl up"
+                          : "one that rcbctl up started comes back by itself: see rcbctl status, and its log"};
   return {Code::unavailable, fmt::format("no service answers at {}", joined(endpoints_)), "start one: rcbctl up"};
 }
 
@@ -130,11 +171,12 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   data_.reset();
   data_addresses_.clear();
   data_tried_ = false;
-  const auto reply = greet(connection_, endpoint, deadline);
+  const auto reply = greet(connection_, endpoint, std::string(kEndpointListener), deadline);
   if (!reply) return reply.status();
   const auto ranks = wire::integer_field(*reply, "ranks", 1, 1 << 20);
   if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
   ranks_ = static_cast<int>(*ranks);
+  instance_ = reply->value("instance", wire::Json()).is_string() ? reply->at("instance").get<std::string>() : "";
   if (const auto data = reply->find("data"); data != reply->end() && data->is_array())
     for (const wire::Json& address : *data)
       data_addresses_.push_back(address.is_string() ? address.get<std::string>() : std::string());
@@ -142,48 +184,54 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
 }
 
 Result<wire::Json> Session::greet(std::unique_ptr<Connection>& link, const Endpoint& endpoint,
-                                  const Deadline& deadline) {
+                                  const std::string& listener, const Deadline& deadline) {
   std::vector<std::string> tokens;
   for (std::size_t attempt = 0;; ++attempt) {
-    const auto frame = link->read(deadline);
-    if (!frame) {
-      if (frame.status().code() == Code::deadline_exceeded)
-        return Status(Code::deadline_exceeded, fmt::format("{} takes connections but does not greet", endpoint.text()),
-                      "the service may be stopped or busy; see its log");
-      return frame.status();
-    }
-    const auto json = frame->json();
-    if (!json) return json.status();
-    if (frame->type == wire::FrameType::failure) return wire::status_from_failure(*json);
-    if (frame->type != wire::FrameType::welcome)
-      return Status(Code::protocol_error, fmt::format("{} does not begin with a welcome", endpoint.text()));
-    if (auto protocol = wire::integer_field(*json, "protocol", wire::kProtocolVersion, wire::kProtocolVersion);
-        !protocol)
-      return Status(Code::protocol_error, fmt::format("{}: welcome: {}", endpoint.text(), protocol.status().message()));
-    const auto authentication = wire::string_field(*json, "authentication", 64);
-    if (!authentication || *authentication == "none") return say_hello(*link, {}, deadline);
-    if (attempt == 0 && &link != &connection_) {
-      tokens = {token_};  // a rank's own listener takes the one that the service took
-    } else if (attempt == 0) {
-      auto found = tokens_for(endpoint, options_.token, link->this_machine());
+    const auto nonce = read_welcome(*link, endpoint, deadline);
+    if (!nonce) return nonce.status();
+    if (nonce->empty()) return say_hello(*link, wire::Json::object(), deadline);
+    if (attempt == 0) {
+      auto found = tokens_to_try(*link, endpoint, listener);
       if (!found) return found.status();
       tokens = std::move(*found);
     }
-    if (tokens.empty())
-      return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
-                    "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
-    auto reply = say_hello(*link, tokens[attempt], deadline);
-    if (reply) token_ = tokens[attempt];
-    if (reply.status().code() != Code::not_authorised || attempt + 1 == tokens.size()) return reply;
+    const auth::Opening opening{listener, *nonce, auth::random_nonce(), number_};
+    auto reply = prove_and_say_hello(*link, tokens[attempt], opening, endpoint.text(), deadline);
+    const bool refused = !reply && reply.status().code() == Code::not_authorised;
+    if (!refused || attempt + 1 == tokens.size()) return reply;
     auto connection = Connection::open(endpoint, deadline, options_.on_notice);
     if (!connection) return connection.status();
     link = std::move(*connection);
   }
 }
 
-Result<wire::Json> Session::say_hello(Connection& link, const std::string& token, const Deadline& deadline) {
+Result<std::vector<std::string>> Session::tokens_to_try(const Connection& link, const Endpoint& endpoint,
+                                                        const std::string& listener) const {
+  // A rank's own listener takes the one that the service took.
+  if (listener != kEndpointListener && !token_.empty()) return std::vector{token_};
+  auto tokens = tokens_for(endpoint, options_.token, link.this_machine());
+  if (tokens && tokens->empty())
+    return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
+                  "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
+  return tokens;
+}
+
+Result<wire::Json> Session::prove_and_say_hello(Connection& link, const std::string& token, auth::Opening opening,
+                                                const std::string& where, const Deadline& deadline) {
+  auto reply = say_hello(
+      link, {{"nonce", opening.client_nonce}, {"proof", auth::proof(auth::Role::client, token, opening)}}, deadline);
+  if (!reply) return reply;
+  const auto proof = wire::string_field(*reply, "proof", opening.client_nonce.size());
+  if (!proof || !auth::same_secret(*proof, auth::proof(auth::Role::service, token, opening)))
+    return Status(Code::not_authorised, fmt::format("whoever listens at {} doesn't know the token", where),
+                  "it isn't the service that made the token, which was not told to it; see who has taken the port");
+  token_ = token;
+  return reply;
+}
+
+Result<wire::Json> Session::say_hello(Connection& link, wire::Json more, const Deadline& deadline) {
   wire::Json hello{{"protocol", wire::kProtocolVersion}, {"client", options_.name}, {"session", number_}};
-  if (!token.empty()) hello["token"] = token;
+  hello.update(more);
   const std::uint64_t request = next_request();
   OneFrame frame(wire::FrameType::hello, request, hello);
   static_cast<void>(link.write(frame.next(false), deadline));  // what the service says of it is read below
@@ -202,7 +250,8 @@ Status Session::open_data(const Deadline& deadline) {
       endpoint->host = endpoints_.front().host;
     auto link = Connection::open(*endpoint, deadline, options_.on_notice);
     if (!link) return link.status();
-    if (const auto reply = greet(*link, *endpoint, deadline); !reply) return reply.status();
+    const std::string listener = fmt::format("rank {}", links.size());
+    if (const auto reply = greet(*link, *endpoint, listener, deadline); !reply) return reply.status();
     links.push_back(std::move(*link));
   }
   data_ = std::make_unique<DataPath>(std::move(links));
@@ -272,36 +321,46 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
 
 Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {
   auto answer = await_answer(*connection_, request, deadline);
-  if (!connection_->lost()) connection_.reset();
+  // A service that calls itself unavailable is about to end.
+  if (!connection_->lost() || answer.status().code() == Code::unavailable) drop_connection();
   if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
     return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),
                   "the service may be stopped or overloaded; see its log, or wait longer");
   return answer;
 }
 
+Result<Frame> Session::call_once(wire::Json request, const Retry& retry) {
+  const auto command = wire::string_field(request, "command", 64);
+  if (!command) return command.status();
+  if (!request.contains("deadline_seconds")) request["deadline_seconds"] = retry.seconds_left();
+  const std::uint64_t number = next_request();
+  OneFrame frame(wire::FrameType::request, number, request);
+  return exchange(number, frame, *command, retry.deadline());
+}
+
 Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
   const auto command = wire::string_field(request, "command", 64);
   if (!command) return command.status();
-  const double seconds = std::clamp(deadline_seconds, 0.001, wire::kDeadlineSecondsMax);
-  const Deadline deadline(with_margin(seconds));
-  if (!request.contains("deadline_seconds")) request["deadline_seconds"] = seconds;
-  for (int attempt = 0;; ++attempt) {
-    if (Status status = ensure(deadline); !status) return status;
-    const std::uint64_t number = next_request();
-    OneFrame frame(wire::FrameType::request, number, request);
-    auto answer = exchange(number, frame, *command, deadline);
-    const bool lost = !answer && answer.status().code() == Code::unavailable && !connected();
-    if (!lost) return answer;
-    if (!repeatable(*command))
-      return Status(Code::unavailable,
-                    fmt::format("{}; whether '{}' was done is not known", answer.status().message(), *command),
-                    "ask the service, then repeat it if need be");
-    if (attempt > 0) return answer;
+  Retry retry(deadline_seconds);
+  if (*command == "shutdown") {  // a service that is gone has done it
+    if (Status status = ensure(retry.deadline()); !status) return status;
+    return call_once(std::move(request), retry);
   }
+  std::optional<std::string> sent_to;  // the run of the service that may have done it
+  const auto once = [&]() -> Result<Frame> {
+    if (!repeatable(*command) && sent_to == instance_)
+      return Status(
+          Code::unavailable,
+          fmt::format("the connection to {} was lost; whether '{}' was done is not known", endpoint_text_, *command),
+          "ask the service, then repeat it if need be");
+    sent_to = instance_;
+    return call_once(request, retry);
+  };
+  return persist(retry, once, [](const Status&) { return false; });
 }
 
-Result<wire::Json> Session::call_json(wire::Json request, double deadline_seconds) {
-  const auto answer = call(std::move(request), deadline_seconds);
+Result<wire::Json> Session::ask_once(wire::Json request, const Retry& retry) {
+  const auto answer = call_once(std::move(request), retry);
   if (!answer) return answer.status();
   return answer->json();
 }

@@ -51,6 +51,8 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("step", report.step);
   reader.count("epoch", report.epoch);
   reader.count("n", report.n);
+  reader.count("parts", report.parts);
+  reader.flag("scene_recreated", report.scene_recreated);
   if (json.contains("error_before") && !json["error_before"].is_null())
     reader.number("error_before", report.error_before.emplace(0));
   reader.number("error", report.error);
@@ -84,6 +86,15 @@ Result<StepReport> read_report(const wire::Json& json) {
   if (!reader.status()) return reader.status();
   report.json = wire::dump_json(json);
   return report;
+}
+
+void mark_recreated(StepReport& report) {
+  if (report.scene_recreated) return;
+  report.scene_recreated = true;
+  auto json = wire::parse_json(report.json, wire::kReplyJsonBytesMax);
+  CHECK(json.ok(), "a report that was written here");
+  (*json)["scene_recreated"] = true;
+  report.json = wire::dump_json(*json);
 }
 
 }  // namespace rcb::client

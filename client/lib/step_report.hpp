@@ -9,4 +9,7 @@ namespace rcb::client {
 // Errors: protocol_error, naming the field.
 Result<StepReport> read_report(const wire::Json& json);
 
+// Of a step before which the particles had to be pushed again: its own words, not the service's.
+void mark_recreated(StepReport& report);
+
 }  // namespace rcb::client

@@ -13,6 +13,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include "client/lib/endpoint.hpp"
 #include "common/base/clock.hpp"
 
 namespace rcb::solvers {
@@ -85,6 +86,9 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, Typed& 
   app.add_option("--trajectory", options.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");
   number("--deadline", typed.deadline, fmt::format("{}", d.deadline_seconds), "seconds that one push may take");
+  app.add_flag(
+      "!--no-outlive", options.outlive,
+      "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
   app.add_flag("--no-service", options.no_service, "only the physics: nothing is pushed, no service is needed");
   app.add_flag("--json", options.json, "one JSON document on standard output instead of the summary");
   typed.numbers.resize(program.numbers.size());
@@ -131,6 +135,8 @@ Status understand(const Program& program, const Typed& typed, RunOptions& option
     return {Code::usage, fmt::format("--deadline: {} is no time to wait", typed.deadline), "give up to 3600 seconds"};
   for (std::size_t k = 0; k < typed.numbers.size(); ++k)
     if (Status s = real(program.numbers[k].name, typed.numbers[k], *program.numbers[k].value); !s.ok()) return s;
+  if (const auto endpoint = client::endpoint_to_serve(options.endpoint); !endpoint.ok() && !options.no_service)
+    return {Code::usage, endpoint.status().message(), endpoint.status().hint()};
   return {};
 }
 
@@ -151,6 +157,8 @@ Result<std::unique_ptr<Service>> open_service(const Program& program, const RunO
   client::ConnectOptions connect;
   connect.endpoint = options.endpoint;
   connect.name = program.name;
+  connect.outlive = options.outlive;
+  connect.on_notice = [name = program.name](const std::string& text) { say_notice(name, text); };
   auto client = client::Client::connect(connect);
   if (!client) return client.status();
   client::SceneOptions create;
@@ -234,6 +242,10 @@ int run_command_line(const Program& program, int argc, char** argv) {
 }
 
 }  // namespace
+
+void say_notice(const std::string& program, const std::string& text) {
+  fmt::print(stderr, "{}{}: {}\n", isatty(STDERR_FILENO) == 1 ? "\r\x1b[K" : "", program, text);
+}
 
 Result<double> parse_number(const std::string& text) {
   std::string_view digits = text;

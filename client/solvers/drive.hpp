@@ -25,6 +25,7 @@ struct RunOptions {
   std::string endpoint;          // empty: as the client library finds it
   std::string trajectory;        // empty: none
   double deadline_seconds = 60;  // of one push
+  bool outlive = true;           // a service that dies and comes back
   bool no_service = false;
   bool json = false;
 };
@@ -52,6 +53,9 @@ std::string summary(const Program& program, const RunOptions& options, double in
 
 // And of a failed one, as rcbctl writes it.
 std::string failure_document(const Status& status);
+
+// What a push waits for, on standard error; over the progress line, if there is one.
+void say_notice(const std::string& program, const std::string& text);
 
 // A number in any of its spellings (-.5, 1e3, inf); not a number is refused.
 Result<double> parse_number(const std::string& text);

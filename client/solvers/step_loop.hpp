@@ -43,6 +43,7 @@ struct RunRecord {
   double seconds_service = 0;  // waiting for pushes, as this side saw it
 
   std::uint64_t repartitions() const;  // the first partition included
+  std::uint64_t recreations() const;   // of the scene, after losses of the service
   struct Largest {
     double error;
     std::int64_t step;

@@ -11,6 +11,7 @@
 #include <fmt/ranges.h>
 
 #include "common/base/wide.hpp"
+#include "common/io/input_file.hpp"
 
 namespace rcb::io {
 namespace {
@@ -24,8 +25,43 @@ std::string lower(std::string text) {
   return text;
 }
 
-Result<std::size_t> find_weights(const std::string& file, const std::string& wanted, std::span<const std::string> names,
-                                 std::size_t column_count) {
+// Where x, y, z and id are.
+using Named = std::array<std::size_t, 4>;
+
+// Columns called by these four names, in small letters. Errors: two of one name.
+Result<Named> find_named(const std::string& file, std::span<const std::string> names,
+                         const std::array<std::string_view, 4>& wanted) {
+  Named named;
+  named.fill(kNoColumn);
+  for (std::size_t c = 0; c < names.size(); ++c) {
+    const std::string name = lower(names[c]);
+    const auto found = std::find(wanted.begin(), wanted.end(), name);
+    if (found == wanted.end()) continue;
+    std::size_t& column = named[static_cast<std::size_t>(found - wanted.begin())];
+    if (column != kNoColumn)
+      return Status(Code::invalid_argument, fmt::format("{}: two columns are named '{}'", file, name), "rename one");
+    column = c;
+  }
+  return named;
+}
+
+bool has_position(const Named& named) {
+  return std::any_of(named.begin(), named.begin() + 3, [](std::size_t column) { return column != kNoColumn; });
+}
+
+// By the plain names, or else as ParaView calls the coordinates in a CSV.
+Result<Named> find_named(const std::string& file, std::span<const std::string> names) {
+  auto named = find_named(file, names, {"x", "y", "z", "id"});
+  for (const std::array<std::string_view, 4>& paraview :
+       {std::array<std::string_view, 4>{"points:0", "points:1", "points:2", "id"},
+        std::array<std::string_view, 4>{"points_0", "points_1", "points_2", "id"}})
+    if (named.ok() && !has_position(*named)) named = find_named(file, names, paraview);
+  return named;
+}
+
+Result<std::size_t> find_weights(const std::string& file, const ReadOptions& options,
+                                 std::span<const std::string> names, std::size_t column_count) {
+  const std::string& wanted = options.weights;
   for (const bool exact : {true, false}) {
     for (std::size_t c = 0; c < names.size(); ++c) {
       if (exact ? names[c] == wanted : lower(names[c]) == lower(wanted)) return c;
@@ -35,11 +71,14 @@ Result<std::size_t> find_weights(const std::string& file, const std::string& wan
   const auto [end, error] = std::from_chars(wanted.data(), wanted.data() + wanted.size(), number);
   const bool is_number = error == std::errc{} && end == wanted.data() + wanted.size();
   if (is_number && number < column_count) return number;
-  const auto some = names.subspan(0, std::min<std::size_t>(names.size(), 12));
-  return Status(Code::invalid_argument, fmt::format("{}: no column '{}' for the weights", file, wanted),
-                names.empty() ? fmt::format("the columns have no names here: give a number from 0 to {}",
-                                            column_count == 0 ? 0 : column_count - 1)
-                              : fmt::format("the columns are {}", fmt::join(some, ", ")));
+  std::string hint = fmt::format("give its name, or a number from 0 to {}", column_count == 0 ? 0 : column_count - 1);
+  if (options.below == nullptr && names.empty()) hint = "the columns have no names here: " + hint;
+  if (options.below == nullptr && !names.empty()) {
+    std::vector<std::string> some;
+    for (const std::string& name : names.first(std::min<std::size_t>(names.size(), 12))) some.push_back(shown(name));
+    hint = fmt::format("the columns are {}", fmt::join(some, ", "));
+  }
+  return Status(Code::invalid_argument, fmt::format("{}: no column '{}' for the weights", file, shown(wanted)), hint);
 }
 
 template <std::size_t kBytes, bool kSwapped>
@@ -78,21 +117,13 @@ Result<Columns> choose_columns(const std::string& file, const ReadOptions& optio
   }
   Columns columns;
   if (!options.weights.empty()) {
-    const auto weights = find_weights(file, options.weights, names, column_count);
+    const auto weights = find_weights(file, options, names, column_count);
     if (!weights.ok()) return weights.status();
     columns.weight = *weights;
   }
-  std::array<std::size_t, 4> named;
-  named.fill(kNoColumn);
-  for (std::size_t c = 0; c < names.size(); ++c) {
-    const std::string name = lower(names[c]);
-    const std::size_t which = name == "x" ? 0 : name == "y" ? 1 : name == "z" ? 2 : name == "id" ? 3 : 4;
-    if (which == 4) continue;
-    if (named[which] != kNoColumn) {
-      return Status(Code::invalid_argument, fmt::format("{}: two columns are named '{}'", file, name), "rename one");
-    }
-    named[which] = c;
-  }
+  const auto found = find_named(file, names);
+  if (!found.ok()) return found.status();
+  const Named& named = *found;
   columns.id = named[3];
   std::vector<std::size_t> candidates;
   for (std::size_t a = 0; a < 3; ++a) {
@@ -119,6 +150,10 @@ Result<Columns> choose_columns(const std::string& file, const ReadOptions& optio
   }
   std::copy_n(candidates.begin(), dims, columns.axis.begin());
   return columns;
+}
+
+std::string quoted(std::string_view text, const char* kind, const ReadOptions& options) {
+  return options.below == nullptr ? "'" + shown(text) + "'" : kind;
 }
 
 Points make_points(const Columns& columns, std::size_t count) {

@@ -7,6 +7,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "common/base/status.hpp"
@@ -29,6 +30,10 @@ struct Columns {
 // columns beside id and weight. file: for messages.
 Result<Columns> choose_columns(const std::string& file, const ReadOptions& options, std::span<const std::string> names,
                                std::size_t column_count);
+
+// Text of a file made fit for a message, in quotation marks; of a file that is read on somebody else's word the `kind`
+// of text alone, such as "its text".
+std::string quoted(std::string_view text, const char* kind, const ReadOptions& options);
 
 // dims and array lengths for `count` points of these columns.
 Points make_points(const Columns& columns, std::size_t count);

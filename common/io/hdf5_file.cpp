@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <filesystem>
 #include <vector>
 
 #include <fmt/format.h>
@@ -13,7 +12,6 @@
 #include "common/base/wide.hpp"
 #include "common/io/columns.hpp"
 #include "common/io/hdf5_chunks.hpp"
-#include "common/io/input_file.hpp"
 
 namespace rcb::io {
 namespace {
@@ -48,11 +46,15 @@ herr_t note_link(hid_t, const char* name, const H5L_info_t*, void* names) {
   return list.size() < kNamesMax ? 0 : 1;
 }
 
-std::string what_it_has(hid_t file) {
+std::string what_it_has(hid_t file, const ReadOptions& options) {
+  if (options.below != nullptr) return "name one that it has";
   std::vector<std::string> names;
   H5Literate(file, H5_INDEX_NAME, H5_ITER_INC, nullptr, note_link, &names);
   return names.empty() ? "it is empty" : fmt::format("it has {}", fmt::join(names, ", "));
 }
+
+// A link to another file, which may lie anywhere.
+herr_t refuse_link(const char*, const char*, const char*, const char*, unsigned*, hid_t, void*) { return -1; }
 
 // 4 or 8 for the IEEE types of either byte order; 0 for others, also for odd floating-point ones that a damaged
 // header describes.
@@ -155,46 +157,45 @@ Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, co
 }  // namespace
 
 std::optional<std::pair<std::string, std::string>> split_hdf5_path(const std::string& path) {
-  std::error_code ignored;
   const std::size_t colon = path.find(":/");
-  if (colon == std::string::npos || std::filesystem::exists(path, ignored)) return std::nullopt;
+  if (colon == std::string::npos) return std::nullopt;
   return std::pair(path.substr(0, colon), path.substr(colon + 1));
 }
 
-Status hdf5_needs_path(const std::string& file) {
+Status hdf5_needs_path(const InputFile& file, const ReadOptions& options) {
   silence();
-  const Handle handle(H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
-  if (!handle.ok()) return broken(file);
-  return Status(Code::invalid_argument, file + ": is an HDF5 file, and no dataset is named",
-                fmt::format("write {}:/PATH; {}", file, what_it_has(handle.id())));
+  const Handle handle(H5Fopen(file.name_by_descriptor().c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+  if (!handle.ok()) return broken(file.path());
+  return Status(Code::invalid_argument, file.path() + ": is an HDF5 file, and no dataset is named",
+                fmt::format("write {}:/PATH; {}", file.path(), what_it_has(handle.id(), options)));
 }
 
-Result<Points> read_hdf5(const std::string& file, const std::string& dataset, const ReadOptions& options, int k,
-                         int of) {
+Result<Points> read_hdf5(const InputFile& file, const std::string& dataset, const ReadOptions& options, int k, int of) {
   silence();
-  const std::string where = file + ":" + dataset;
-  // For its words about missing files and directories, and its length.
-  const auto plain = InputFile::open(file);
-  if (!plain.ok()) return plain.status();
-  if (!plain->starts_with(kHdf5Magic)) return refused(file, "is not an HDF5 file", "give FILE.h5:/PATH");
-  const Handle handle(H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
-  if (!handle.ok()) return broken(file);
-  const Handle object(H5Oopen(handle.id(), dataset.c_str(), H5P_DEFAULT), H5Oclose);
+  const std::string where = file.path() + ":" + dataset;
+  if (!file.starts_with(kHdf5Magic)) return refused(file.path(), "is not an HDF5 file", "give FILE.h5:/PATH");
+  const Handle handle(H5Fopen(file.name_by_descriptor().c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+  if (!handle.ok()) return broken(file.path());
+  const Handle links(H5Pcreate(H5P_LINK_ACCESS), H5Pclose);
+  if (!links.ok() || (options.below != nullptr && H5Pset_elink_cb(links.id(), refuse_link, nullptr) < 0))
+    return broken(file.path());
+  const Handle object(H5Oopen(handle.id(), dataset.c_str(), links.id()), H5Oclose);
   if (!object.ok()) {
-    return Status(Code::not_found, where + ": no such dataset in the file", what_it_has(handle.id()));
+    return Status(Code::not_found, where + ": no such dataset in the file", what_it_has(handle.id(), options));
   }
-  if (H5Iget_type(object.id()) != H5I_DATASET) return refused(where, "is not a dataset", what_it_has(handle.id()));
+  if (H5Iget_type(object.id()) != H5I_DATASET)
+    return refused(where, "is not a dataset", what_it_has(handle.id(), options));
 
   const Handle type(H5Dget_type(object.id()), H5Tclose);
   const std::size_t type_bytes = type.ok() ? ieee_bytes(type.id()) : 0;
   if (type_bytes == 0) return refused(where, "its type is not float32 or float64", "write it as float64");
   const auto shape = shape_of(where, object.id(), k, of);
   if (!shape.ok()) return shape.status();
-  if (const Status storage = check_storage(where, object.id(), *shape, type_bytes, plain->size()); !storage.ok()) {
+  if (const Status storage = check_storage(where, object.id(), *shape, type_bytes, file.size()); !storage.ok()) {
     return storage;
   }
   // An empty dataset may claim any width.
-  const std::size_t width = static_cast<std::size_t>(std::min<std::uint64_t>(shape->width, plain->size()));
+  const std::size_t width = static_cast<std::size_t>(std::min<std::uint64_t>(shape->width, file.size()));
   const auto columns = choose_columns(where, options, {}, width);
   if (!columns.ok()) return columns.status();
   Points points = make_points(*columns, static_cast<std::size_t>(shape->end - shape->begin));

@@ -6,20 +6,20 @@
 #include <utility>
 
 #include "common/base/status.hpp"
+#include "common/io/input_file.hpp"
 #include "common/io/points.hpp"
 
 namespace rcb::io {
 
 constexpr std::string_view kHdf5Magic = "\x89HDF\r\n\x1a\n";
 
-// FILE and /path of "FILE:/path", unless a file of the whole name exists.
+// FILE and /path of "FILE:/path".
 std::optional<std::pair<std::string, std::string>> split_hdf5_path(const std::string& path);
 
 // Share k of `of` of the dataset's rows.
-Result<Points> read_hdf5(const std::string& file, const std::string& dataset, const ReadOptions& options, int k,
-                         int of);
+Result<Points> read_hdf5(const InputFile& file, const std::string& dataset, const ReadOptions& options, int k, int of);
 
 // An HDF5 file that was named without a dataset: which it has.
-Status hdf5_needs_path(const std::string& file);
+Status hdf5_needs_path(const InputFile& file, const ReadOptions& options);
 
 }  // namespace rcb::io

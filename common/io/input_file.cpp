@@ -11,11 +11,23 @@
 #include <unistd.h>
 
 namespace rcb::io {
+namespace {
+
+// Without O_NONBLOCK the open of a FIFO would wait for its writer for ever.
+constexpr int kFlags = O_RDONLY | O_CLOEXEC | O_NONBLOCK;
+
+}  // namespace
 
 Result<InputFile> InputFile::open(const std::string& path) {
   if (path.find('\0') != std::string::npos) return Status(Code::invalid_argument, "a file name holds a NUL byte");
-  // Without O_NONBLOCK the open of a FIFO would wait for its writer for ever.
-  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  return opened(::open(path.c_str(), kFlags), path);
+}
+
+Result<InputFile> InputFile::open_in(int folder, const std::string& name, const std::string& path) {
+  return opened(::openat(folder, name.c_str(), kFlags | O_NOFOLLOW), path);
+}
+
+Result<InputFile> InputFile::opened(int descriptor, const std::string& path) {
   if (descriptor < 0) {
     const int error = errno;
     if (error == ENOENT || error == ENOTDIR) {
@@ -34,6 +46,8 @@ Result<InputFile> InputFile::open(const std::string& path) {
   }
   return InputFile(path, descriptor, static_cast<std::uint64_t>(about.st_size));
 }
+
+std::string InputFile::name_by_descriptor() const { return fmt::format("/proc/self/fd/{}", descriptor_); }
 
 InputFile::InputFile(std::string path, int descriptor, std::uint64_t size)
     : path_(std::move(path)), descriptor_(descriptor), size_(size) {}

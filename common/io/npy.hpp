@@ -25,7 +25,7 @@ struct NpyHeader {
   std::uint64_t data_begin = 0;
 };
 
-Result<NpyHeader> read_npy_header(const InputFile& file);
+Result<NpyHeader> read_npy_header(const InputFile& file, const ReadOptions& options);
 
 // The rows of an array of positions, whatever its order.
 class NpyRows {

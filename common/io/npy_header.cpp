@@ -106,13 +106,15 @@ class Dictionary {
   std::string_view text_;
 };
 
-Result<NumberType> number_type(const std::string& file, const std::string& descr) {
+Result<NumberType> number_type(const std::string& file, const std::string& descr, const ReadOptions& options) {
   if (descr.size() == 3 && descr[1] == 'f' && (descr[2] == '4' || descr[2] == '8') &&
       std::string_view("<>=").find(descr[0]) != std::string_view::npos) {
     return NumberType{descr[2] == '4' ? std::size_t{4} : std::size_t{8}, descr[0] == '>'};
   }
-  return Status(Code::invalid_argument, fmt::format("{}: its type '{}' is not float32 or float64", file, shown(descr)),
-                "save it with .astype('float64')");
+  return Status(
+      Code::invalid_argument,
+      fmt::format("{}: its type {} is not float32 or float64", file, quoted(descr, "(in its header)", options)),
+      "save it with .astype('float64')");
 }
 
 Status check_size(const InputFile& file, const NpyHeader& header) {
@@ -137,7 +139,7 @@ Status check_size(const InputFile& file, const NpyHeader& header) {
 
 }  // namespace
 
-Result<NpyHeader> read_npy_header(const InputFile& file) {
+Result<NpyHeader> read_npy_header(const InputFile& file, const ReadOptions& options) {
   const auto broken = [&](const char* what) {
     return Status(Code::invalid_argument, fmt::format("{}: {}", file.path(), what), "write it again with numpy.save");
   };
@@ -163,7 +165,7 @@ Result<NpyHeader> read_npy_header(const InputFile& file) {
   const auto fields = Dictionary(text).read();
   if (!fields || !fields->descr || !fields->fortran_order || !fields->shape)
     return broken("has a header that can't be read");
-  const auto type = number_type(file.path(), *fields->descr);
+  const auto type = number_type(file.path(), *fields->descr, options);
   if (!type.ok()) return type.status();
   NpyHeader header{*type, *fields->fortran_order, *fields->shape, begin + length};
   if (header.shape.empty() || header.shape.size() > 3) {

@@ -9,9 +9,13 @@
 
 namespace rcb::io {
 
+class Folder;
+
 class OutputFile {
  public:
   static Result<OutputFile> create(const std::string& path);
+  // In an open folder. What has this name is replaced, never followed.
+  static Result<OutputFile> create_in(const Folder& folder, const std::string& name);
   OutputFile(OutputFile&& other) noexcept;
   OutputFile& operator=(OutputFile&&) = delete;
   ~OutputFile();  // what was not committed is removed
@@ -23,12 +27,17 @@ class OutputFile {
   bool regular() const { return !beside_.empty(); }
 
  private:
-  OutputFile(std::string path, std::string beside, int descriptor);
+  OutputFile(int folder, std::string name, std::string beside, std::string path, int descriptor);
   Status failed(const char* what) const;
 
-  std::string path_;    // symbolic links followed
+  int folder_;          // an open folder in which the names are, or AT_FDCWD
+  std::string name_;    // symbolic links followed
   std::string beside_;  // empty: written in place
+  std::string path_;    // for messages
   int descriptor_ = -1;
 };
+
+// The whole content of a file.
+Status write_file(const std::string& path, std::string_view content);
 
 }  // namespace rcb::io

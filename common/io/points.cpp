@@ -5,8 +5,10 @@
 
 #include <fmt/format.h>
 
+#include "common/io/foreign.hpp"
 #include "common/io/hdf5_file.hpp"
 #include "common/io/npy.hpp"
+#include "common/io/roots.hpp"
 #include "common/io/text.hpp"
 
 namespace rcb::io {
@@ -20,7 +22,7 @@ bool ends_with_npy(const std::string& path) {
 }
 
 Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int of) {
-  const auto header = read_npy_header(file);
+  const auto header = read_npy_header(file, options);
   if (!header.ok()) return header.status();
   if (header->shape.size() == 3 && header->shape[0] != 1) {
     return Status(Code::invalid_argument, file.path() + ": is a trajectory of shape (steps, n, dims)",
@@ -35,12 +37,20 @@ Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int o
   return points;
 }
 
+Result<InputFile> open_file(const std::string& path, const ReadOptions& options) {
+  return options.below == nullptr ? InputFile::open(path) : options.below->open_file(path);
+}
+
 Result<Points> read_any(const std::string& path, const ReadOptions& options, int k, int of) {
-  if (const auto hdf5 = split_hdf5_path(path)) return read_hdf5(hdf5->first, hdf5->second, options, k, of);
-  auto file = InputFile::open(path);
+  auto file = open_file(path, options);
+  if (const auto hdf5 = split_hdf5_path(path); hdf5 && file.status().code() == Code::not_found) {
+    file = open_file(hdf5->first, options);
+    if (file.ok()) return read_hdf5(*file, hdf5->second, options, k, of);
+  }
   if (!file.ok()) return file.status();
-  if (file->starts_with(kHdf5Magic)) return hdf5_needs_path(path);
+  if (file->starts_with(kHdf5Magic)) return hdf5_needs_path(*file, options);
   if (file->starts_with(kNpyMagic) || ends_with_npy(path)) return read_npy(std::move(*file), options, k, of);
+  if (Status foreign = check_not_foreign(*file); !foreign.ok()) return foreign;
   return read_text(*file, options, k, of);
 }
 
@@ -92,9 +102,9 @@ class OneFrame final : public TrajectoryReader {
 };
 
 Result<std::unique_ptr<TrajectoryReader>> open_any(const std::string& path, const ReadOptions& options) {
-  auto file = InputFile::open(path);
+  auto file = open_file(path, options);
   if (file.ok() && (file->starts_with(kNpyMagic) || ends_with_npy(path))) {
-    const auto header = read_npy_header(*file);
+    const auto header = read_npy_header(*file, options);
     if (!header.ok()) return header.status();
     if (header->shape.size() == 3) {
       constexpr std::uint64_t kEmptyFramesMax = 1U << 20U;  // no bytes bear out the number of frames without particles

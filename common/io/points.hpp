@@ -9,13 +9,18 @@
 #include <vector>
 
 #include "common/base/status.hpp"
+#include "common/io/output_file.hpp"
 
 namespace rcb::io {
+
+class Roots;
 
 struct ReadOptions {
   int dims = 0;         // 1..3; 0: columns named x, y, z, else all columns but the weights one (more than 3: refused,
                         // with the advice --dims)
   std::string weights;  // a column's name, or its number from 0; empty: none
+  // On somebody else's word: only files below these, and no message shows what a file holds. Null: as this process may.
+  const Roots* below = nullptr;
 };
 
 struct Points {
@@ -27,9 +32,10 @@ struct Points {
 };
 
 // The whole file. path: an .npy file (by its name or first bytes; a trajectory of one step too), FILE.h5:/dataset,
-// else text, which is taken for XYZ by its count line. Columns named x, y, z, id (any case) are taken by name; without x, y, z the first `dims` columns
-// beside id and weights. An empty text file has no points, in `dims` dimensions or 3. Only regular files. NaN,
-// infinity, duplicate or negative ids, ragged rows are refused: "points.csv:17: ...".
+// else text, which is taken for XYZ by its count line. Columns named x, y, z, id (any case; Points:0 and so on, as
+// ParaView writes them, too) are taken by name; without x, y, z the first `dims` columns beside id and weights. An
+// empty text file has no points, in `dims` dimensions or 3. Only regular files. NaN, infinity, duplicate or negative
+// ids, ragged rows are refused: "points.csv:17: ...".
 Result<Points> read_points(const std::string& path, const ReadOptions& options);
 
 // Share k of `of` of the same rows, in order: rows of the file for .npy and HDF5, whole lines by byte range for text.
@@ -39,6 +45,8 @@ Result<Points> read_points_slice(const std::string& path, const ReadOptions& opt
 // Writes "x,y,z,id,weight" columns (those that are there; ids given) with 17 significant digits, or shortest
 // round-trip.
 Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
+                 const std::int64_t* id, const double* weight);
+Status write_csv(OutputFile file, int dims, std::span<const double* const> position, std::size_t count,
                  const std::int64_t* id, const double* weight);
 
 // .npy files, version 1.0, C order, little-endian.

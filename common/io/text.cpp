@@ -97,7 +97,8 @@ Result<TextLayout> find_layout(const InputFile& file, const ReadOptions& options
 }
 
 // All rows of an XYZ file must be there, and no more.
-Status check_row_count(const InputFile& file, const TextLayout& layout, const Window& whole) {
+Status check_row_count(const InputFile& file, const TextLayout& layout, const Window& whole,
+                       const ReadOptions& options) {
   const std::string_view text = whole.text();
   std::uint64_t rows = 0;
   std::size_t at = layout.data_begin;
@@ -105,15 +106,16 @@ Status check_row_count(const InputFile& file, const TextLayout& layout, const Wi
     if (rows++ == *layout.row_count) {
       const auto line = line_at(file, static_cast<std::uint64_t>(row->data() - text.data()));
       if (!line.ok()) return line.status();
-      return Status(
-          Code::invalid_argument,
-          fmt::format("{}:{}: more rows than the {} of the count line", file.path(), *line, *layout.row_count),
-          "a file of several frames isn't read: write one file a frame");
+      return Status(Code::invalid_argument,
+                    fmt::format("{}:{}: more rows than the {} of the count line", file.path(), *line,
+                                options.below == nullptr ? std::to_string(*layout.row_count) : "number"),
+                    "a file of several frames isn't read: write one file a frame");
     }
   }
   if (rows == *layout.row_count) return {};
   return Status(Code::invalid_argument,
-                fmt::format("{}: its count line says {} rows, it has {}", file.path(), *layout.row_count, rows),
+                fmt::format("{}: its count line says {} rows, it has {}", file.path(),
+                            options.below == nullptr ? std::to_string(*layout.row_count) : "another number of", rows),
                 "the file was cut short, or its first line is wrong");
 }
 
@@ -165,7 +167,7 @@ Result<Points> read_text(const InputFile& file, const ReadOptions& options, int 
     if (const Status read = load(file, 0, file.size(), window); !read.ok()) return read;
   }
   if (xyz) {
-    if (const Status count = check_row_count(file, *layout, window); !count.ok()) return count;
+    if (const Status count = check_row_count(file, *layout, window, options); !count.ok()) return count;
   }
   Window share;
   if (of > 1) {
@@ -177,7 +179,7 @@ Result<Points> read_text(const InputFile& file, const ReadOptions& options, int 
   Points points = make_points(layout->columns, 0);
   if (const auto refused = parse_rows(text, *layout, points)) {
     const auto line = line_at(file, begin + static_cast<std::uint64_t>(refused->data() - text.data()));
-    return line.ok() ? row_fault(file.path(), *line, *refused, *layout) : line.status();
+    return line.ok() ? row_fault(file.path(), *line, *refused, *layout, options) : line.status();
   }
   if (of == 1) {
     if (const auto twice = find_duplicate(points.id)) {

@@ -40,7 +40,8 @@ std::optional<std::string_view> next_row(std::string_view text, std::size_t& at)
 std::optional<std::string_view> parse_rows(std::string_view text, const TextLayout& layout, Points& points);
 
 // Why parse_rows refused that row; line: its number in the file.
-Status row_fault(const std::string& file, std::uint64_t line, std::string_view row, const TextLayout& layout);
+Status row_fault(const std::string& file, std::uint64_t line, std::string_view row, const TextLayout& layout,
+                 const ReadOptions& options);
 
 Result<Points> read_text(const InputFile& file, const ReadOptions& options, int k, int of);
 

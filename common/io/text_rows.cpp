@@ -160,7 +160,8 @@ std::optional<std::string_view> parse_rows(std::string_view text, const TextLayo
   return std::nullopt;
 }
 
-Status row_fault(const std::string& file, std::uint64_t line, std::string_view row, const TextLayout& layout) {
+Status row_fault(const std::string& file, std::uint64_t line, std::string_view row, const TextLayout& layout,
+                 const ReadOptions& options) {
   const std::string where = fmt::format("{}:{}: ", file, line);
   const auto fields = split_fields(row, layout.separator);
   const auto& columns = layout.columns;
@@ -168,22 +169,23 @@ Status row_fault(const std::string& file, std::uint64_t line, std::string_view r
   for (std::size_t c = 0; c < std::min(fields.size(), roles.size()); ++c) {
     const bool weight = c == columns.weight;
     if (roles[c].role == Role::skip && !weight) continue;
-    const std::string name =
-        c < layout.names.size() && !layout.names[c].empty() ? " (" + shown(layout.names[c]) + ")" : "";
+    const std::string name = options.below == nullptr && c < layout.names.size() && !layout.names[c].empty()
+                                 ? " (" + shown(layout.names[c]) + ")"
+                                 : "";
     const std::string column = fmt::format("{}column {}{}: ", where, c + 1, name);
-    const std::string text = shown(fields[c]);
+    const std::string text = quoted(fields[c], "its text", options);
     if (roles[c].role == Role::id) {
       if (id_in(fields[c])) continue;
-      return Status(Code::invalid_argument, fmt::format("{}'{}' is not an id", column, text),
+      return Status(Code::invalid_argument, fmt::format("{}{} is not an id", column, text),
                     "ids are whole numbers from 0 to 9223372036854775807");
     }
     const auto value = number_in(fields[c]);
     if (!value && fields.size() == roles.size()) {
-      return Status(Code::invalid_argument, fmt::format("{}'{}' is not a number", column, text),
+      return Status(Code::invalid_argument, fmt::format("{}{} is not a number", column, text),
                     "correct the line; numbers are written like 1.5 or -2e3");
     }
     if (value && !std::isfinite(*value)) {
-      return Status(Code::not_finite, fmt::format("{}'{}' is not a finite number", column, text),
+      return Status(Code::not_finite, fmt::format("{}{} is not a finite number", column, text),
                     "correct the line or leave it out");
     }
     if (value && weight && *value < 0) {

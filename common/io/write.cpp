@@ -91,9 +91,14 @@ class NpyTrajectoryWriter final : public TrajectoryWriter {
 
 Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
                  const std::int64_t* id, const double* weight) {
-  CHECK(dims >= 1 && dims <= 3 && position.size() >= static_cast<std::size_t>(dims), "an array for each axis");
   auto file = OutputFile::create(path);
   if (!file.ok()) return file.status();
+  return write_csv(std::move(*file), dims, position, count, id, weight);
+}
+
+Status write_csv(OutputFile file, int dims, std::span<const double* const> position, std::size_t count,
+                 const std::int64_t* id, const double* weight) {
+  CHECK(dims >= 1 && dims <= 3 && position.size() >= static_cast<std::size_t>(dims), "an array for each axis");
   std::string text = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
   if (id != nullptr) text += ",id";
   if (weight != nullptr) text += ",weight";
@@ -108,11 +113,11 @@ Status write_csv(const std::string& path, int dims, std::span<const double* cons
     if (weight != nullptr) append_number(text += ',', weight[i]);
     text += '\n';
     if (text.size() < kWriteBytes) continue;
-    if (Status written = file->write(text); !written.ok()) return written;
+    if (Status written = file.write(text); !written.ok()) return written;
     text.clear();
   }
-  if (Status written = file->write(text); !written.ok()) return written;
-  return file->commit();
+  if (Status written = file.write(text); !written.ok()) return written;
+  return file.commit();
 }
 
 Status write_npy(const std::string& path, std::span<const std::int32_t> values) {

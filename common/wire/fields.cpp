@@ -113,8 +113,9 @@ Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char*
   numbers.reserve(value->size());
   for (const Json& entry : *value) {
     if (!entry.is_number() || !std::isfinite(entry.get<double>()))
-      return Status(Code::invalid_argument, fmt::format("field '{}': entry {}: expected a finite number, got {}", name,
-                                                        numbers.size(), shown(entry)));
+      return Status(Code::invalid_argument,
+                    fmt::format("field '{}': entry {}: expected a finite number, got {}{}", name, numbers.size(),
+                                shown(entry), entry.is_null() ? ", as JSON writes NaN and infinity" : ""));
     numbers.push_back(entry.get<double>());
   }
   return numbers;

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 
 namespace rcb::wire {
 
@@ -16,11 +17,14 @@ inline constexpr std::size_t kArrayNameMax = 64;
 inline constexpr std::size_t kBytesBeforeHelloMax = 4096;
 inline constexpr double kHelloSecondsMax = 5;
 inline constexpr double kFrameSecondsMax = 30;
+inline constexpr std::size_t kNewcomersMax = 64;  // connections to a listener that haven't said hello
 inline constexpr int kSessionsMax = 256;
+inline constexpr int kSessionsReserved = 4;  // beyond them, for status, scene.list and shutdown alone
 inline constexpr int kOrdersMax = 64;
 inline constexpr std::int64_t kPartsMax = 1 << 20;
 inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
 inline constexpr int kScenesMax = 1024;
+inline constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max() - 1;  // so that there is a next one
 // Instead of a rank, in slices of particles that have none yet or no more.
 inline constexpr int kInsertedSlice = -1;
 inline constexpr int kRemovedSlice = -2;

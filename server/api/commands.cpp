@@ -11,9 +11,9 @@ using enum Effect;
 using Fields = std::string_view;
 
 constexpr std::array<Fields, 1> kScene{"scene"};
-constexpr std::array<Fields, 11> kCreate{"scene",     "parts",           "dims",          "method",
+constexpr std::array<Fields, 12> kCreate{"scene",     "parts",           "dims",          "method",
                                          "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
-                                         "recut",     "part_sizes",      "replace"};
+                                         "recut",     "part_sizes",      "replace",       "recreated"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
 constexpr std::array<Fields, 22> kPushBegin{"scene",    "session",      "step",    "attempt",     "n",     "slices",
                                             "order",    "plan",         "moved",   "base_step",   "dtype", "weights",
@@ -25,7 +25,7 @@ constexpr std::array<Fields, 3> kBox{"scene", "lo", "hi"};
 constexpr std::array<Fields, 2> kAssign{"scene", "checksum"};
 constexpr std::array<Fields, 2> kQuality{"scene", "ghost_width"};
 constexpr std::array<Fields, 4> kCompare{"scene", "parts", "ghost_width", "methods"};
-constexpr std::array<Fields, 5> kRebalance{"scene", "method", "parts", "tolerance", "dry_run"};
+constexpr std::array<Fields, 6> kRebalance{"scene", "method", "parts", "tolerance", "dry_run", "force"};
 constexpr std::array<Fields, 5> kLoad{"scene", "path", "step", "dims", "weights"};
 constexpr std::array<Fields, 3> kWriteParts{"scene", "directory", "prefix"};
 
@@ -48,12 +48,12 @@ constexpr std::array kCommands{
     CommandInfo{"fetch", ranks, reads, kScene},
     CommandInfo{"quality", ranks, reads, kQuality},
     CommandInfo{"compare", ranks, reads, kCompare},
-    CommandInfo{"write_parts", ranks, reads, kWriteParts},
+    CommandInfo{"write_parts", ranks, reads, kWriteParts, true},
     CommandInfo{"scene.create", ranks, changes, kCreate},
     CommandInfo{"scene.drop", ranks, changes, kScene},
     CommandInfo{"push.begin", ranks, changes, kPushBegin},
     CommandInfo{"rebalance", ranks, changes, kRebalance},
-    CommandInfo{"load", ranks, changes, kLoad},
+    CommandInfo{"load", ranks, changes, kLoad, true},
 };
 
 }  // namespace

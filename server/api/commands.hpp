@@ -24,6 +24,7 @@ struct CommandInfo {
   RunsOn runs_on;
   Effect effect;                             // on scenes
   std::span<const std::string_view> fields;  // besides "command" and "deadline_seconds"
+  bool files = false;                        // has the ranks read or write files
 };
 
 std::span<const CommandInfo> commands();

@@ -3,6 +3,7 @@
 #include <list>
 #include <optional>
 #include <thread>
+#include <type_traits>
 #include <utility>
 
 #include <fmt/format.h>
@@ -20,21 +21,24 @@ struct Control::State : std::enable_shared_from_this<State> {
   State(IoLoop& io, ControlOptions options, Engine& engine)
       : loop(io), coordinator(std::make_shared<Coordinator>(io.context(), std::move(options), engine)) {}
 
-  // endpoint: as clients name the listener.
+  // endpoint: as clients name the listener. Each listener has a door of its own, so those who wait at one don't crowd
+  // another.
   template <typename Acceptor>
-  void accept(Acceptor& acceptor, std::string endpoint, bool with_token) {
-    auto take = [self = shared_from_this(), endpoint = std::move(endpoint), with_token](Socket socket, Status peer) {
-      self->welcome(std::move(socket), endpoint, with_token, std::move(peer));
-    };
+  void accept(Acceptor& acceptor, std::string endpoint) {
+    const ControlOptions& options = coordinator->options();
+    constexpr bool kTcp = std::is_same_v<Acceptor, TcpAcceptor>;
+    DoorOptions door{.listener = "endpoint", .token = {}, .hello_seconds = options.hello_seconds};
+    if (kTcp) door.token = options.token;
+    const bool files = !kTcp || options.files_over_tcp;
+    doors.push_back(std::make_shared<Door>(std::move(door)));
+    auto take = [self = shared_from_this(), entrance = Entrance{std::move(endpoint), doors.back(), late, files}](
+                    Socket socket, const Status& peer) { self->welcome(std::move(socket), entrance, peer); };
     asio::co_spawn(loop.context(), accept_all(loop.context(), acceptor, std::move(take)), asio::detached);
   }
 
-  void welcome(Socket socket, const std::string& endpoint, bool with_token, Status refused) {
-    const std::size_t taken = coordinator->session_count();
-    if (refused.ok() && taken >= static_cast<std::size_t>(coordinator->options().sessions_max))
-      refused = Status(Code::busy, fmt::format("{} sessions are open, which is the most", taken), "try again later");
+  void welcome(Socket socket, const Entrance& entrance, const Status& refused) {
     if (!refused.ok() && refusing >= kRefusingMax) return;  // closes the socket without a word
-    auto session = std::make_shared<Session>(coordinator, std::move(socket), endpoint, with_token);
+    auto session = std::make_shared<Session>(coordinator, std::move(socket), entrance);
     if (!refused.ok()) {
       ++refusing;
       spdlog::info("connection refused: {}", refused.message());
@@ -71,6 +75,7 @@ struct Control::State : std::enable_shared_from_this<State> {
       unix_listener->acceptor.close(ignored);
     }
     for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
+    for (const auto& door : doors) door->close();
   }
 
   static constexpr int kRefusingMax = 64;
@@ -79,6 +84,8 @@ struct Control::State : std::enable_shared_from_this<State> {
   std::optional<UnixListener> unix_listener;
   std::string unix_path;
   std::list<TcpAcceptor> tcp_acceptors;
+  std::vector<std::shared_ptr<Door>> doors;
+  std::shared_ptr<Lobby> late = std::make_shared<Lobby>(wire::kSessionsReserved);
   int refusing = 0;
 };
 
@@ -97,7 +104,7 @@ Status Control::listen_unix(const std::string& path) {
 }
 
 Result<std::string> Control::listen_tcp(const std::string& where) {
-  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->loop.context(), where);
+  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->loop.context(), where, state_->coordinator->options().network);
   if (!acceptor.ok()) return acceptor.status();
   std::string bound = bound_address(*acceptor);
   state_->tcp_acceptors.push_back(std::move(*acceptor));
@@ -113,11 +120,15 @@ void Control::ask_for_silence(std::function<std::vector<SilentRank>()> ask) {
   state_->coordinator->ask_for_silence(std::move(ask));
 }
 
+void Control::memory_reported(int rank, std::uint64_t resident_bytes) {
+  state_->coordinator->memory_reported(rank, resident_bytes);
+}
+
 void Control::slice_reported(int rank, const SliceReport& report) { state_->coordinator->slice_reported(rank, report); }
 
 void Control::start() {
-  if (state_->unix_listener) state_->accept(state_->unix_listener->acceptor, "unix:" + state_->unix_path, false);
-  for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor, bound_address(acceptor), true);
+  if (state_->unix_listener) state_->accept(state_->unix_listener->acceptor, "unix:" + state_->unix_path);
+  for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor, bound_address(acceptor));
 }
 
 void Control::shut_down(const std::string& why) {

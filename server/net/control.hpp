@@ -12,6 +12,7 @@
 #include "server/net/data_plane.hpp"
 #include "server/net/engine.hpp"
 #include "server/net/io_loop.hpp"
+#include "server/net/network.hpp"
 
 namespace rcb::net {
 
@@ -19,7 +20,10 @@ struct ControlOptions {
   std::string version;
   int ranks = 1;
   bool restarted = false;  // after a crash, so that scenes may have been lost
-  std::string token;       // asked for over TCP
+  std::string data_dir;    // where members' last answers outlive this process; empty: nowhere
+  std::string token;       // proved over TCP
+  Network network = Network::loopback;
+  bool files_over_tcp = false;  // clients over TCP may have the service read and write files
   std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
   double hello_seconds = wire::kHelloSecondsMax;
   double frame_seconds = wire::kFrameSecondsMax;
@@ -48,6 +52,8 @@ class Control {
   void start();
   // Before the loop starts: who knows which ranks say nothing.
   void ask_for_silence(std::function<std::vector<SilentRank>()> ask);
+  // I/O thread: what a rank says of its memory.
+  void memory_reported(int rank, std::uint64_t resident_bytes);
   // I/O thread: what a rank says of its slice of an open push.
   void slice_reported(int rank, const SliceReport& report);
 

@@ -1,6 +1,8 @@
 #include "server/net/coordinator.hpp"
 
 #include <algorithm>
+#include <chrono>
+#include <filesystem>
 #include <numeric>
 #include <utility>
 
@@ -9,7 +11,11 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
+#include "common/auth/proof.hpp"
+#include "common/base/nearest.hpp"
+#include "common/base/paths.hpp"
 #include "common/base/wide.hpp"
+#include "server/net/process_memory.hpp"
 #include "server/net/session.hpp"
 
 namespace rcb::net {
@@ -18,7 +24,11 @@ using wire::FrameType;
 using wire::Json;
 
 Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engine& engine)
-    : context_(context), options_(std::move(options)), engine_(engine) {}
+    : context_(context),
+      options_(std::move(options)),
+      instance_(auth::random_hex(8)),
+      engine_(engine),
+      memory_bytes_(static_cast<std::size_t>(options_.ranks)) {}
 
 void Coordinator::leave(Session* session) {
   sessions_.erase(session);
@@ -282,36 +292,75 @@ std::vector<std::string> Coordinator::members(const std::string& scene, const st
   return names;
 }
 
-std::string Coordinator::restart_hint() const {
-  if (!options_.restarted) return "";
-  return snapshot_->scenes.empty()
-             ? "the service was restarted and is empty: create the scene again and push everything"
-             : "the service was restarted and lost its scenes: create the scene again and push everything";
-}
-
 Status Coordinator::unknown_scene(const std::string& scene) const {
-  const std::string hint = restart_hint();
-  return {Code::not_found, fmt::format("no scene '{}'", scene), hint.empty() ? "create it first" : hint};
+  constexpr std::size_t kNamesMax = 8;
+  constexpr std::size_t kComparedMax = 100;  // comparing them takes the I/O thread's time
+  std::vector<std::string> names;
+  for (const auto& [name, info] : snapshot_->scenes) names.push_back(name);
+  std::string hint;
+  if (!names.empty()) {
+    if (names.size() <= kComparedMax)
+      if (const auto near = names_like(scene, names); !near.empty())
+        hint = fmt::format("did you mean {}? ", near.front());
+    const std::size_t shown = std::min(names.size(), kNamesMax);
+    hint += fmt::format("there {} {}", names.size() == 1 ? "is" : "are:",
+                        fmt::join(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(shown), ", "));
+    if (shown < names.size()) hint += fmt::format(" and {} more", names.size() - shown);
+    if (options_.restarted) hint += "; what was there before the service was restarted is lost";
+  } else if (options_.restarted) {
+    hint = "the service was restarted and is empty: create the scene again and push everything";
+  } else {
+    hint = "there is none yet: create it first";
+  }
+  return {Code::not_found, fmt::format("no scene '{}'", scene), hint};
 }
 
 Json Coordinator::scenes_json() const {
+  std::map<std::string, std::vector<std::string>> holders;
+  for (const Session* session : sessions_)
+    for (const std::string& scene : session->open()) holders[scene].push_back(session->client());
+  const auto number = [](const std::optional<double>& value) { return value ? Json(*value) : Json(); };
   Json scenes = Json::array();
-  for (const auto& [name, scene] : snapshot_->scenes)
+  for (const auto& [name, scene] : snapshot_->scenes) {
+    std::vector<std::string>& names = holders[name];
+    std::sort(names.begin(), names.end());
     scenes.push_back({{"scene", name},
                       {"n", scene.n},
                       {"dims", scene.dims},
                       {"parts", scene.parts},
                       {"step", scene.step ? Json(*scene.step) : Json()},
-                      {"epoch", scene.epoch}});
+                      {"epoch", scene.epoch},
+                      {"error", number(scene.error)},
+                      {"imbalance", number(scene.imbalance)},
+                      {"mean_step_seconds", number(scene.mean_step_seconds)},
+                      {"holders", names}});
+  }
   return scenes;
 }
 
+Json Coordinator::log_json() const {
+  // The launcher sends standard error there; one that an earlier start has left is not this service's. A file's time
+  // may lag behind the clock a little.
+  constexpr std::chrono::seconds kLag(2);
+  const std::filesystem::path path = join_path(options_.data_dir, kLogFile);
+  std::error_code fault;
+  const auto written = std::filesystem::last_write_time(path, fault);
+  if (fault || written + kLag < started_on_disk_) return nullptr;
+  return path.string();
+}
+
 Json Coordinator::status_json() const {
+  Json memory = Json::array({resident_bytes()});
+  for (std::size_t rank = 1; rank < memory_bytes_.size(); ++rank)
+    memory.push_back(memory_bytes_[rank] == 0 ? Json() : Json(memory_bytes_[rank]));
   return {{"version", options_.version},
           {"ranks", options_.ranks},
           {"pid", ::getpid()},
           {"uptime_seconds", seconds_since(started_)},
           {"endpoints", endpoints_},
+          {"data_dir", options_.data_dir},
+          {"log", log_json()},
+          {"memory_bytes", memory},
           {"empty", snapshot_->scenes.empty()},
           {"restarted", options_.restarted},
           {"sessions", sessions_.size()},
@@ -333,19 +382,6 @@ std::string Coordinator::engine_in_words() const {
     for (const SilentRank& one : silent_ranks_())
       words += fmt::format("{}rank {}, silent for {:.0f} s", words.empty() ? "" : ", ", one.rank, one.seconds);
   return words.empty() ? "the engine" : words;
-}
-
-Json Coordinator::welcome_json(bool with_token) const {
-  return {{"server", "rcbd"},
-          {"version", options_.version},
-          {"protocol", wire::kProtocolVersion},
-          {"authentication", with_token ? "token" : "none"},
-          {"limits",
-           {{"json_bytes", wire::kJsonBytesMax},
-            {"bulk_bytes", options_.bulk_bytes_max},
-            {"hello_seconds", options_.hello_seconds},
-            {"frame_seconds", options_.frame_seconds},
-            {"sessions", options_.sessions_max}}}};
 }
 
 void Coordinator::shut_down(const std::string& why, std::function<void()> told) {

@@ -15,6 +15,7 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <memory>
@@ -100,11 +101,14 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   Coordinator(asio::io_context& context, ControlOptions options, Engine& engine);
 
   const ControlOptions& options() const { return options_; }
+  // Names this run of the service: 16 hex digits, others at every start.
+  const std::string& instance() const { return instance_; }
   asio::io_context& context() { return context_; }
   const Snapshot& snapshot() const { return *snapshot_; }
   bool shutting_down() const { return shutting_down_; }
   std::size_t session_count() const { return sessions_.size(); }
   // Before the loop starts: who knows which ranks say nothing.
+  void memory_reported(int rank, std::uint64_t bytes) { memory_bytes_.at(static_cast<std::size_t>(rank)) = bytes; }
   void ask_for_silence(std::function<std::vector<SilentRank>()> ask) { silent_ranks_ = std::move(ask); }
   // What an unfinished order waits for: "the engine", or the ranks that say nothing.
   std::string engine_in_words() const;
@@ -150,13 +154,10 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Clients with the scene open, by name; `except`: sessions of this number are left out.
   std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
   Status unknown_scene(const std::string& scene) const;
-  // "the service was restarted ..."; empty where it wasn't.
-  std::string restart_hint() const;
 
   wire::Json status_json() const;
   wire::Json silent_json() const;
   wire::Json scenes_json() const;
-  wire::Json welcome_json(bool with_token) const;
 
   // Orders the end: open pushes are given up, what is ordered is still done. `told` runs when all ranks have agreed,
   // before every session gets its goodbye.
@@ -172,9 +173,11 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // What is late, ends: the push, or the members' step that it is of.
   void give_up_late(const std::shared_ptr<OpenPush>& push, const Status& why);
   void say_goodbye();
+  wire::Json log_json() const;
 
   asio::io_context& context_;
   ControlOptions options_;
+  std::string instance_;
   Engine& engine_;
   DataPlane* data_ = nullptr;
   std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
@@ -185,12 +188,14 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::map<std::string, SceneGate> gates_;
   std::vector<std::string> endpoints_;
   std::function<std::vector<SilentRank>()> silent_ranks_;
+  std::vector<std::uint64_t> memory_bytes_;  // by rank, as each said it last; 0: not yet
   std::vector<std::function<void()>> told_;
   std::uint64_t charged_bytes_ = 0;
   int orders_unfinished_ = 0;
   bool shutting_down_ = false;
   bool ended_ = false;
   TimePoint started_ = now();
+  std::filesystem::file_time_type started_on_disk_ = std::filesystem::file_time_type::clock::now();
 };
 
 }  // namespace rcb::net

@@ -8,10 +8,10 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/random.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/auth/proof.hpp"
 #include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 
@@ -70,22 +70,6 @@ Status write_private(const std::string& path, std::string_view text) {
 
 }  // namespace
 
-std::string random_hex(std::size_t bytes) {
-  std::vector<unsigned char> raw(bytes);
-  CHECK(::getrandom(raw.data(), raw.size(), 0) == static_cast<ssize_t>(bytes), "the kernel gives no random bytes");
-  std::string hex;
-  for (const unsigned char byte : raw) hex += fmt::format("{:02x}", byte);
-  return hex;
-}
-
-bool same_secret(std::string_view a, std::string_view b) {
-  if (a.size() != b.size()) return false;
-  unsigned difference = 0;
-  for (std::size_t i = 0; i < a.size(); ++i)
-    difference |= static_cast<unsigned>(static_cast<unsigned char>(a[i]) ^ static_cast<unsigned char>(b[i]));
-  return difference == 0;
-}
-
 Result<DataDirectory> DataDirectory::open(const std::string& path, bool named_by_user, EndpointNote who) {
   const Status made = named_by_user ? make_own_directory(path) : make_private_directory(path);
   if (!made.ok()) return made;
@@ -102,13 +86,16 @@ Result<DataDirectory> DataDirectory::open(const std::string& path, bool named_by
   return directory;
 }
 
-Result<std::string> DataDirectory::token() const {
-  const std::string path = join_path(path_, kTokenFile);
-  if (std::string token = private_token(path); !token.empty()) return token;
-  std::string token = random_hex(kTokenBytes);
-  const Status written = write_private(path, token + "\n");
+Result<std::string> DataDirectory::new_token() const {
+  std::string token = auth::random_hex(kTokenBytes);
+  const Status written = write_private(join_path(path_, kTokenFile), token + "\n");
   if (!written.ok()) return written;
   return token;
+}
+
+Result<std::string> DataDirectory::kept_token() const {
+  if (std::string token = private_token(join_path(path_, kTokenFile)); !token.empty()) return token;
+  return new_token();
 }
 
 Result<OfferedToken> OfferedToken::offer(const std::string& directory, std::string token) {

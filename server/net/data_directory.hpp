@@ -20,8 +20,10 @@ class DataDirectory {
   static Result<DataDirectory> open(const std::string& path, bool named_by_user, EndpointNote who);
 
   const std::string& path() const { return path_; }
-  // The token in it, made where there is none that is private and whole: a service that is started again keeps it.
-  Result<std::string> token() const;
+  // Makes a token anew: what an earlier service's clients know is of no use at this one. Errors: io_error.
+  Result<std::string> new_token() const;
+  // The token in it, for a service that goes on after a crash; a new one where there is none that is private and whole.
+  Result<std::string> kept_token() const;
   // Says that the service ended as told; synced to disk. Errors: io_error.
   Status leave_clean_marker() const;
 
@@ -46,10 +48,5 @@ class OfferedToken {
   std::string path_;
   std::string token_;
 };
-
-// `bytes` of the kernel's randomness as hex digits.
-std::string random_hex(std::size_t bytes);
-// In a time that doesn't depend on where they differ.
-bool same_secret(std::string_view a, std::string_view b);
 
 }  // namespace rcb::net

@@ -7,6 +7,7 @@
 #include <mutex>
 #include <optional>
 #include <set>
+#include <type_traits>
 #include <utility>
 
 #include <fmt/format.h>
@@ -114,15 +115,27 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     }
   }
 
-  void welcome(Socket socket, bool with_token, const Status& refused) {
-    if (!refused.ok() || connections.size() >= static_cast<std::size_t>(options.connections_max)) {
-      spdlog::info("data connection refused: {}", refused.ok() ? "too many are open" : refused.message());
+  // A listener's way in; each has one of its own, so those who wait at one don't crowd another.
+  template <typename Acceptor>
+  void accept(Acceptor& acceptor) {
+    DoorOptions door{
+        .listener = fmt::format("rank {}", options.rank), .token = {}, .hello_seconds = options.hello_seconds};
+    if (std::is_same_v<Acceptor, TcpAcceptor>) door.token = options.token;
+    doors.push_back(std::make_shared<Door>(std::move(door)));
+    auto take = [self = shared_from_this(), door = doors.back()](Socket socket, const Status& peer) {
+      self->welcome(std::move(socket), door, peer);
+    };
+    asio::co_spawn(context(), accept_all(context(), acceptor, std::move(take)), asio::detached);
+  }
+
+  void welcome(Socket socket, const std::shared_ptr<Door>& door, const Status& refused) {
+    if (!refused.ok()) {
+      spdlog::info("data connection refused: {}", refused.message());
       return;  // closes the socket without a word
     }
     auto connection = std::make_shared<Connection>(std::move(socket), options.frame_seconds);
-    connections.insert(connection);
     asio::co_spawn(
-        context(), [self = shared_from_this(), connection, with_token] { return self->serve(connection, with_token); },
+        context(), [self = shared_from_this(), connection, door] { return self->serve(connection, door); },
         [self = shared_from_this(), connection](const std::exception_ptr& fault) {
           if (fault) spdlog::error("a data connection ended by an internal fault");
           self->lose(connection, {});
@@ -143,28 +156,16 @@ struct DataPort::State : std::enable_shared_from_this<State> {
                  "the previous step stands; push again"});
   }
 
-  awaitable<void> serve(std::shared_ptr<Connection> connection, bool with_token) {
-    connection->send(wire::FrameType::welcome, 0,
-                     {{"server", "rcbd"},
-                      {"version", options.version},
-                      {"protocol", wire::kProtocolVersion},
-                      {"authentication", with_token ? "token" : "none"},
-                      {"rank", options.rank},
-                      {"limits",
-                       {{"json_bytes", wire::kJsonBytesMax},
-                        {"bulk_bytes", options.bulk_bytes_max},
-                        {"hello_seconds", options.hello_seconds},
-                        {"frame_seconds", options.frame_seconds}}}});
-    connection->limit_reading(now() + duration_of(options.hello_seconds));
-    Result<Frame> first = co_await connection->read_frame(wire::kBytesBeforeHelloMax - wire::kHeaderBytes, 0);
-    connection->limit_reading(TimePoint::max());
-    Status status = first.status();
-    if (first.ok()) {
-      const auto hello = read_hello(*first, with_token ? &options.token : nullptr);
-      status = hello.status();
-      if (hello.ok())
-        connection->send(wire::FrameType::reply, first->header.request,
-                         {{"session", hello->session}, {"rank", options.rank}});
+  awaitable<void> serve(std::shared_ptr<Connection> connection, std::shared_ptr<Door> door) {
+    const Result<Hello> hello = co_await door->greet(connection);
+    const bool silent = !hello.ok() && hello.status().code() != Code::not_authorised;
+    Status status = hello.status();
+    if (status.ok() && connections.size() >= static_cast<std::size_t>(options.connections_max))
+      status = Status(Code::busy, fmt::format("{} data connections are open, which is the most", connections.size()),
+                      "push through the endpoint");
+    if (status.ok()) {
+      connections.insert(connection);
+      Door::let_in(*connection, *hello, {{"rank", options.rank}});
     }
     while (status.ok()) {
       Result<Frame> frame = co_await connection->read_frame(wire::kBytesBeforeHelloMax, options.bulk_bytes_max);
@@ -173,7 +174,8 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     }
     lose(connection, status.message());
     if (status.code() != Code::unavailable) {
-      spdlog::info("data connection ended: {}: {}", code_name(status.code()), status.message());
+      spdlog::log(silent ? spdlog::level::debug : spdlog::level::info, "data connection ended: {}: {}",
+                  code_name(status.code()), status.message());
       connection->send(wire::FrameType::failure, 0, wire::failure_json(status));
       co_await connection->end_gently();
     }
@@ -282,6 +284,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
       unix_listener->acceptor.close(ignored);
     }
     for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
+    for (const auto& door : doors) door->close();
     for (const auto& connection : std::set(connections)) connection->close();
   }
 
@@ -291,7 +294,8 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   Watch watch;
   std::optional<UnixListener> unix_listener;
   std::list<TcpAcceptor> tcp_acceptors;
-  std::set<std::shared_ptr<Connection>> connections;
+  std::vector<std::shared_ptr<Door>> doors;
+  std::set<std::shared_ptr<Connection>> connections;          // that have said hello
   std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes;  // by the service's number
   std::deque<PushId> ended;
   std::list<Timer*> waiting;  // slices whose push isn't known yet
@@ -310,7 +314,7 @@ Status DataPort::listen_unix(const std::string& path) {
 }
 
 Result<std::string> DataPort::listen_tcp(const std::string& where) {
-  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->context(), where);
+  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->context(), where, Network::trusted);
   if (!acceptor.ok()) return acceptor.status();
   std::string bound = bound_address(*acceptor);
   state_->tcp_acceptors.push_back(std::move(*acceptor));
@@ -320,15 +324,8 @@ Result<std::string> DataPort::listen_tcp(const std::string& where) {
 void DataPort::start(Report report, Watch watch) {
   state_->report = std::move(report);
   state_->watch = std::move(watch);
-  asio::io_context& context = state_->context();
-  const auto taker = [state = state_](bool with_token) {
-    return
-        [state, with_token](Socket socket, const Status& peer) { state->welcome(std::move(socket), with_token, peer); };
-  };
-  if (state_->unix_listener)
-    asio::co_spawn(context, accept_all(context, state_->unix_listener->acceptor, taker(false)), asio::detached);
-  for (TcpAcceptor& acceptor : state_->tcp_acceptors)
-    asio::co_spawn(context, accept_all(context, acceptor, taker(true)), asio::detached);
+  if (state_->unix_listener) state_->accept(state_->unix_listener->acceptor);
+  for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor);
 }
 
 void DataPort::finish() { state_->stop(); }

@@ -25,9 +25,8 @@
 namespace rcb::net {
 
 struct DataOptions {
-  std::string version;
   int rank = 0;
-  std::string token;  // asked for over TCP
+  std::string token;  // proved over TCP
   std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
   double hello_seconds = wire::kHelloSecondsMax;
   double frame_seconds = wire::kFrameSecondsMax;
@@ -47,7 +46,8 @@ class DataPort {
 
   // Before the loop starts. Errors: those of listen_unix and listen_tcp.
   Status listen_unix(const std::string& path);
-  Result<std::string> listen_tcp(const std::string& where);  // the address as it was bound
+  // The address as it was bound. On the interface of an endpoint, which the owner has chosen.
+  Result<std::string> listen_tcp(const std::string& where);
   void start(Report report, Watch watch = {});
   // Closes the listeners and the connections, removes the socket.
   void finish();

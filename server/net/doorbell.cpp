@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "common/auth/proof.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/connection.hpp"
 #include "server/net/data_directory.hpp"
@@ -73,7 +74,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
     if (!first.ok() || first->header.type != wire::FrameType::hello) co_return connection->close();
     const auto rank = wire::integer_field(first->json, "rank", 1, static_cast<std::int64_t>(peers.size()) - 1);
     const auto secret = wire::string_field(first->json, "secret");
-    if (!rank.ok() || !secret.ok() || !same_secret(*secret, address.secret)) co_return connection->close();
+    if (!rank.ok() || !secret.ok() || !auth::same_secret(*secret, address.secret)) co_return connection->close();
     const auto index = static_cast<std::size_t>(*rank);
     Peer& peer = peers[index];
     if (peer.connection) co_return connection->close();
@@ -120,7 +121,7 @@ Result<std::unique_ptr<DoorbellHub>> DoorbellHub::open(IoLoop& loop, int ranks, 
                                                        LostHandler lost) {
   auto state = std::make_shared<State>(loop, ranks, silence_seconds, std::move(lost));
   if (ranks > 1) {
-    state->address = {"rcbd-doorbell-" + random_hex(16), random_hex(32)};
+    state->address = {"rcbd-doorbell-" + auth::random_hex(16), auth::random_hex(32)};
     Result<UnixAcceptor> acceptor = listen_nameless(loop.context(), state->address.name);
     if (!acceptor.ok()) return acceptor.status();
     state->acceptor.emplace(std::move(*acceptor));

@@ -45,6 +45,9 @@ struct SceneInfo {
   std::optional<std::int64_t> step;
   std::string step_session;  // who pushed it
   std::uint64_t epoch = 0;
+  std::optional<double> error;  // these three: once it was pushed
+  std::optional<double> imbalance;
+  std::optional<double> mean_step_seconds;
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
   std::vector<std::uint64_t> rank_counts;  // particles that each rank holds

@@ -88,7 +88,7 @@ Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::strin
 
 std::string nameless_address(const std::string& name) { return std::string(1, '\0') + name; }
 
-Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where) {
+Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network) {
   Result<HostPort> parts = split(where);
   if (!parts.ok()) return parts.status();
   error_code error;
@@ -96,8 +96,16 @@ Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& whe
   const auto found = resolver.resolve(parts->host, parts->port, asio::ip::tcp::resolver::passive, error);
   if (error || found.empty())
     return Status(Code::invalid_argument, fmt::format("--listen {}: no such host: {}", where, error.message()));
-  TcpAcceptor acceptor(context);
   const asio::ip::tcp::endpoint endpoint = found.begin()->endpoint();
+  if (network == Network::loopback && !endpoint.address().is_loopback())
+    return Status(
+        Code::invalid_argument,
+        fmt::format("--listen {}: other machines reach {}, and everything travels unencrypted: who is on that "
+                    "network can read and alter positions and commands",
+                    where, endpoint.address().to_string()),
+        "listen on 127.0.0.1 and reach it through a tunnel (ssh -L 7470:127.0.0.1:7470 HOST), or say with "
+        "--trusted-network that nobody on the network is to be feared");
+  TcpAcceptor acceptor(context);
   acceptor.open(endpoint.protocol(), error);
   if (!error) acceptor.set_option(asio::socket_base::reuse_address(true), error);
   if (!error) acceptor.bind(endpoint, error);

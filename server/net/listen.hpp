@@ -15,6 +15,7 @@
 
 #include "common/base/status.hpp"
 #include "server/net/asio.hpp"
+#include "server/net/network.hpp"
 #include "server/net/socket_name.hpp"
 
 namespace rcb::net {
@@ -32,8 +33,9 @@ Result<UnixListener> listen_unix(asio::io_context& context, const std::string& p
 // the machine can connect: check_peer_user(). Errors: io_error.
 Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name);
 std::string nameless_address(const std::string& name);
-// where: HOST:PORT or [V6]:PORT; port 0 takes a free one. Errors: invalid_argument, busy, io_error.
-Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where);
+// where: HOST:PORT or [V6]:PORT; port 0 takes a free one. Errors: invalid_argument (also where others than this machine
+// reach it and the network isn't trusted), busy, io_error.
+Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network);
 // "127.0.0.1:7470", as it was bound.
 std::string bound_address(const TcpAcceptor& acceptor);
 

@@ -8,6 +8,8 @@
 #include <poll.h>
 #include <unistd.h>
 
+#include "common/base/text.hpp"
+
 namespace rcb::net {
 namespace {
 
@@ -71,15 +73,17 @@ std::vector<std::string> RepeatLimit::held_back(double seconds) {
 }
 
 void LogSink::sink_it_(const spdlog::details::log_msg& message) {
-  const std::string_view text(message.payload.data(), message.payload.size());
+  const std::string text = escape_controls({message.payload.data(), message.payload.size()});
   const double seconds = seconds_of(message.time);
   // What somebody who asked for more wants to see, and last words, always pass.
   const bool limited = message.level >= spdlog::level::info && message.level < spdlog::level::critical;
   for (const std::string& line : limited ? limit_.held_back(seconds) : std::vector<std::string>()) write_own(line);
   const auto level = spdlog::level::to_string_view(message.level);
   if (limited && !limit_.admit({level.data(), level.size()}, text, seconds)) return;
+  spdlog::details::log_msg plain = message;
+  plain.payload = text;
   spdlog::memory_buf_t line;
-  formatter_->format(message, line);
+  formatter_->format(plain, line);
   write(std::string(line.data(), line.size()));
 }
 

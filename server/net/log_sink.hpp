@@ -5,6 +5,7 @@
 //    supervisor) may be stopped, and the service goes on. Lines for which there was no room are counted, and told
 //    later.
 // 2. Of lines that are alike, RepeatLimit lets a few pass in a period; the others are counted, and told later.
+// 3. What is logged may hold words of clients: no control character of theirs forges a line or drives a terminal.
 #pragma once
 
 #include <cstdint>

@@ -45,13 +45,12 @@ Status MemberGroups::begin(ShareBegin begin) {
     return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
             "open the scene again with a higher generation"};
   const auto member = static_cast<std::size_t>(seat - group->seats.begin());
+  if (const MemberAnswers* before = kept_.before(scene); before != nullptr && answer_again(*before, member, begin))
+    return {};
   const auto info = coordinator_.snapshot().scenes.find(scene);
   if (info == coordinator_.snapshot().scenes.end()) return coordinator_.unknown_scene(scene);
   if (info->second.step && begin.id.step <= *info->second.step) {
-    if (answer_again(*group, member, begin)) {
-      if (begin.json.value("path", Json()) == "direct") coordinator_.refuse_directly(begin.id);
-      return {};
-    }
+    if (group->last && answer_again(*group->last, member, begin)) return {};
     return {
         Code::stale_step,
         fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
@@ -158,13 +157,15 @@ Result<PushTerms> MemberGroups::read_terms(const ShareBegin& begin, const SceneI
   return terms;
 }
 
-bool MemberGroups::answer_again(const Group& group, std::size_t member, const ShareBegin& begin) {
-  if (!group.last || group.last->step != begin.id.step || group.last->sessions[member] != begin.id.session)
+bool MemberGroups::answer_again(const MemberAnswers& answers, std::size_t member, const ShareBegin& begin) {
+  if (answers.step != begin.id.step || member >= answers.sessions.size() ||
+      answers.sessions[member] != begin.id.session)
     return false;
-  Json json = group.last->json;
+  if (begin.json.value("path", Json()) == "direct") coordinator_.refuse_directly(begin.id);
+  Json json = answers.json;
   json["repeated"] = true;
   static_cast<void>(begin.connection->send_message(FrameType::reply, begin.request, std::move(json),
-                                                   copy_for(begin.json, group.last->arrays[member])));
+                                                   copy_for(begin.json, answers.arrays[member])));
   return true;
 }
 
@@ -239,17 +240,20 @@ void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answ
       if (!told) share->connection->send(FrameType::failure, share->request, wire::failure_json(answer.status));
     return;
   }
-  Answered kept{step->step, {}, std::move(answer.json), {}};
+  MemberAnswers kept{step->step, {}, std::move(answer.json), {}};
   const std::size_t each = answer.arrays.size() / shares.size();
   auto next = std::make_move_iterator(answer.arrays.begin());
   for (const auto& share : shares) {
     kept.sessions.push_back(share->slices.terms().id.session);
     kept.arrays.emplace_back(next, next + static_cast<std::ptrdiff_t>(each));
     next += static_cast<std::ptrdiff_t>(each);
-    if (told) continue;
-    const Status sent = share->connection->send_message(FrameType::reply, share->request, kept.json,
-                                                        copy_for(share->begin, kept.arrays.back()));
-    if (!sent.ok()) share->connection->send(FrameType::failure, share->request, wire::failure_json(sent));
+  }
+  kept_.keep(step->scene, kept);  // before anyone hears of it
+  for (std::size_t member = 0; member < shares.size() && !told; ++member) {
+    const OpenPush& share = *shares[member];
+    const Status sent = share.connection->send_message(FrameType::reply, share.request, kept.json,
+                                                       copy_for(share.begin, kept.arrays[member]));
+    if (!sent.ok()) share.connection->send(FrameType::failure, share.request, wire::failure_json(sent));
   }
   if (Group* group = find(step->scene); group != nullptr && group->seats.size() == shares.size())
     group->last = std::move(kept);

@@ -53,6 +53,9 @@ bool MemberPush::direct() const {
   return std::any_of(shares.begin(), shares.end(), [](const auto& share) { return share && share->number != 0; });
 }
 
+MemberGroups::MemberGroups(Coordinator& coordinator)
+    : coordinator_(coordinator), kept_(coordinator.options().data_dir, coordinator.options().restarted) {}
+
 MemberGroups::Group* MemberGroups::find(const std::string& scene) {
   const auto found = groups_.find(scene);
   return found == groups_.end() ? nullptr : &found->second;
@@ -183,10 +186,11 @@ Status MemberGroups::late(const MemberPush& step) const {
 }
 
 void MemberGroups::scene_changed(const std::string& scene) {
-  Group* group = find(scene);
-  if (group == nullptr) return;
   const auto& scenes = coordinator_.snapshot().scenes;
   const auto info = scenes.find(scene);
+  if (info == scenes.end()) kept_.forget(scene);
+  Group* group = find(scene);
+  if (group == nullptr) return;
   if (info == scenes.end() && holders(scene).empty())
     groups_.erase(scene);
   else if (info == scenes.end() || !info->second.step)

@@ -5,7 +5,8 @@
 // 1. A seat belongs to one connection; whoever takes it again has a higher generation, and the older connection's
 //    pushes and slices of the scene are refused or dropped from then on.
 // 2. A step of the members ends for all at once: ordered, or given up with the name of the member that is to blame.
-// 3. The answers to the last step are kept, so that a member that lost its connection gets its own once it asks again.
+// 3. The answers to the last step are kept, so that a member that lost its connection gets its own once it asks again;
+//    where the service died meanwhile, from the next one (kept_answers.hpp).
 // Everything runs on the I/O thread.
 #pragma once
 
@@ -20,6 +21,7 @@
 #include "server/net/asio.hpp"
 #include "server/net/connection.hpp"
 #include "server/net/engine.hpp"
+#include "server/net/kept_answers.hpp"
 #include "server/net/push.hpp"
 
 namespace rcb::net {
@@ -71,7 +73,7 @@ struct ShareBegin {
 
 class MemberGroups {
  public:
-  explicit MemberGroups(Coordinator& coordinator) : coordinator_(coordinator) {}
+  explicit MemberGroups(Coordinator& coordinator);
 
   // Takes a seat. Errors: busy (it is taken), invalid_argument (the others were told other terms).
   Result<Membership> join(const std::string& scene, Membership wanted, const Connection* connection,
@@ -103,16 +105,10 @@ class MemberGroups {
     const Connection* connection = nullptr;  // null: free
     std::vector<const Connection*> former;   // that lost the seat to a later generation, and are still there
   };
-  struct Answered {
-    std::int64_t step = 0;
-    std::vector<std::string> sessions;  // by member
-    wire::Json json;
-    std::vector<std::vector<wire::Array>> arrays;  // by member
-  };
   struct Group {
     bool follow = false;
     std::vector<Seat> seats;
-    std::optional<Answered> last;
+    std::optional<MemberAnswers> last;
   };
 
   Group* find(const std::string& scene);
@@ -120,7 +116,8 @@ class MemberGroups {
   void blame(const std::string& scene, std::size_t member, const std::string& why);
   std::string name(const std::string& scene, std::size_t member) const;
   std::string missing(const MemberPush& step) const;
-  bool answer_again(const Group& group, std::size_t member, const ShareBegin& begin);
+  // False: the member's push isn't of that step.
+  bool answer_again(const MemberAnswers& answers, std::size_t member, const ShareBegin& begin);
   Result<PushTerms> read_terms(const ShareBegin& begin, const SceneInfo& info, const MemberPush* step) const;
   // A member pushes by ids: those that push directly shall do so, too.
   void withdraw_direct(MemberPush& step, std::size_t because_of);
@@ -133,6 +130,7 @@ class MemberGroups {
 
   Coordinator& coordinator_;
   std::map<std::string, Group> groups_;
+  KeptAnswers kept_;
 };
 
 }  // namespace rcb::net

@@ -116,7 +116,7 @@ Status check_slice_count(const PushTerms& terms) {
 }
 
 Status check_base(const wire::Json& request, const SceneInfo& scene) {
-  const auto base = wire::integer_field_or(request, "base_step", 0, std::numeric_limits<std::int64_t>::max(), -1);
+  const auto base = wire::integer_field_or(request, "base_step", 0, wire::kStepMax, -1);
   if (!base.ok()) return base.status();
   if (*base < 0 || (scene.step && *scene.step == *base)) return {};
   return {Code::base_lost,
@@ -177,10 +177,9 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
     if (!number.ok()) return Status(number.status().code(), "field 'session': " + number.status().message());
     id.session = wire::hex64(*number);
   }
-  constexpr std::int64_t kMax = std::numeric_limits<std::int64_t>::max();
-  const auto step = wire::integer_field(request, "step", 0, kMax);
+  const auto step = wire::integer_field(request, "step", 0, wire::kStepMax);
   if (!step.ok()) return step.status();
-  const auto attempt = wire::integer_field_or(request, "attempt", 0, kMax, 0);
+  const auto attempt = wire::integer_field_or(request, "attempt", 0, std::numeric_limits<std::int64_t>::max(), 0);
   if (!attempt.ok()) return attempt.status();
   id.step = *step;
   id.attempt = *attempt;
@@ -237,7 +236,8 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (pusher == Pusher::client && scene.step && !repeated && terms.n != scene.n)
     return Status(Code::invalid_argument,
                   fmt::format("the push has {} particles, scene '{}' has {}", terms.n, id.scene, scene.n),
-                  "create the scene anew for another number of particles");
+                  scene.n == 0 ? "insert them, into a push of no particles"
+                               : "insert and remove particles, or create the scene anew for another number of them");
   if (terms.direct) {
     const auto plan = read_plan(request);
     if (!plan.ok()) return plan.status();

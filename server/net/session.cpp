@@ -8,8 +8,6 @@
 #include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
-#include "server/net/hello.hpp"
-
 namespace rcb::net {
 
 using wire::FrameType;
@@ -20,6 +18,16 @@ namespace {
 bool flag(const Json& request, const char* name) {
   const auto value = wire::bool_field_or(request, name, false);
   return value.ok() && *value;  // a wrong type is refused by the service
+}
+
+// A rebalance that leaves those who hold the scene with another number of parts than they know, unforced.
+bool changes_parts(const std::string& command, const Json& request, const Snapshot& snapshot,
+                   const std::string& scene) {
+  if (command != "rebalance" || flag(request, "dry_run") || flag(request, "force")) return false;
+  const auto info = snapshot.scenes.find(scene);
+  if (info == snapshot.scenes.end()) return false;
+  const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, info->second.parts);
+  return parts.ok() && *parts != info->second.parts;
 }
 
 // A place in a scene's queue, given back whatever happens.
@@ -39,11 +47,10 @@ class Place {
 
 }  // namespace
 
-Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, std::string endpoint, bool with_token)
+Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, Entrance entrance)
     : coordinator_(std::move(coordinator)),
       connection_(std::make_shared<Connection>(std::move(socket), coordinator_->options().frame_seconds)),
-      endpoint_(std::move(endpoint)),
-      with_token_(with_token) {}
+      entrance_(std::move(entrance)) {}
 
 Session::~Session() = default;
 
@@ -57,8 +64,8 @@ awaitable<void> Session::refuse(Status why) {
 }
 
 awaitable<void> Session::run() {
-  coordinator_->join(this);
   Status end = co_await hello();
+  const bool silent = number_.empty() && end.code() != Code::not_authorised;
   while (end.ok()) {
     co_await connection_->flush();
     Result<Frame> frame = co_await connection_->read_frame(wire::kJsonBytesMax, coordinator_->options().bulk_bytes_max);
@@ -74,30 +81,46 @@ awaitable<void> Session::run() {
     connection_->close();
     co_return;
   }
-  spdlog::info("connection of {} ended: {}: {}", client_, code_name(end.code()), end.message());
+  spdlog::log(silent ? spdlog::level::debug : spdlog::level::info, "connection of {} ended: {}: {}", client_,
+              code_name(end.code()), end.message());
   fail(0, end);
   co_await connection_->end_gently();
 }
 
 awaitable<Status> Session::hello() {
-  connection_->send(FrameType::welcome, 0, coordinator_->welcome_json(with_token_));
-  connection_->limit_reading(now() + duration_of(coordinator_->options().hello_seconds));
-  Result<Frame> frame = co_await connection_->read_frame(wire::kBytesBeforeHelloMax - wire::kHeaderBytes, 0);
-  connection_->limit_reading(TimePoint::max());
-  if (!frame.ok() && frame.status().code() == Code::deadline_exceeded)
-    co_return Status(Code::protocol_error, "no hello came in time");
-  if (!frame.ok()) co_return frame.status();
-  co_return check_hello(*frame);
-}
-
-Status Session::check_hello(const Frame& frame) {
-  const auto hello = read_hello(frame, with_token_ ? &coordinator_->options().token : nullptr);
-  if (!hello.ok()) return hello.status();
+  const Result<Hello> hello = co_await entrance_.door->greet(connection_);
+  if (!hello.ok()) co_return hello.status();
   client_ = hello->client;
   number_ = hello->session;
-  Json reply{{"session", number_}, {"ranks", coordinator_->options().ranks}};
-  if (const auto& addresses = coordinator_->data_addresses(endpoint_); !addresses.empty()) reply["data"] = addresses;
-  connection_->send(FrameType::reply, frame.header.request, reply);
+  coordinator_->join(this);
+  if (!place_is_free()) late_.emplace(*entrance_.late, *connection_);
+  const ControlOptions& options = coordinator_->options();
+  Json reply{{"version", options.version},
+             {"ranks", options.ranks},
+             {"instance", coordinator_->instance()},
+             {"limits",
+              {{"json_bytes", wire::kJsonBytesMax},
+               {"bulk_bytes", options.bulk_bytes_max},
+               {"frame_seconds", options.frame_seconds},
+               {"sessions", options.sessions_max}}}};
+  if (const auto& data = coordinator_->data_addresses(entrance_.endpoint); !data.empty()) reply["data"] = data;
+  Door::let_in(*connection_, *hello, std::move(reply));
+  co_return Status();
+}
+
+bool Session::place_is_free() const {
+  return coordinator_->session_count() <= static_cast<std::size_t>(coordinator_->options().sessions_max);
+}
+
+Status Session::check_allowed(const Request& request) {
+  if (late_ && place_is_free()) late_.reset();
+  if (late_ && request.info->runs_on != api::RunsOn::session)
+    return {Code::busy, fmt::format("{} sessions are open, which is the most", coordinator_->options().sessions_max),
+            "try again later; status, scene.list and shutdown are answered meanwhile"};
+  if (!entrance_.files && request.info->files)
+    return {Code::not_authorised,
+            fmt::format("'{}' uses files of the service, which no client over TCP may", request.command),
+            "push the points instead, or start the service with --files-below DIR"};
   return {};
 }
 
@@ -134,6 +157,10 @@ awaitable<Status> Session::serve(Frame frame) {
 }
 
 awaitable<void> Session::dispatch(Request& request) {
+  if (const Status allowed = check_allowed(request); !allowed.ok()) {
+    fail(request.number, allowed);
+    co_return;
+  }
   if (answer_here(request)) co_return;
   if (request.command == "shutdown") co_return co_await shut_down(request);
   if (coordinator_->shutting_down()) {
@@ -197,11 +224,15 @@ awaitable<void> Session::scene_change(Request& request) {
     turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
   else
     turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
-  if (turn.ok() && drops) {
+  const bool changes = changes_parts(request.command, request.json, coordinator_->snapshot(), *scene);
+  if (turn.ok() && (drops || changes)) {
     const auto holders = coordinator_->members(*scene, number_);
     if (!holders.empty())
-      turn = Status(Code::busy, fmt::format("scene '{}' is held open by {}", *scene, fmt::join(holders, ", ")),
-                    "try again when it is closed");
+      turn = Status(
+          Code::busy, fmt::format("scene '{}' is held open by {}", *scene, fmt::join(holders, ", ")),
+          changes ? "try again when it is closed; with \"force\" (--force) its parts change all the same, and the next "
+                    "step's report tells"
+                  : "try again when it is closed");
   }
   if (!turn.ok()) {
     fail(request.number, turn);
@@ -291,9 +322,8 @@ void Session::reply(const Request& request, Answer answer) {
   if (!answer.status.ok()) {
     Status why = answer.status;
     const auto scene = wire::string_field(request.json, "scene", 256);
-    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().scenes.contains(*scene) &&
-        !coordinator_->restart_hint().empty())
-      why = Status(why.code(), why.message(), coordinator_->restart_hint());
+    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().scenes.contains(*scene))
+      why = coordinator_->unknown_scene(*scene);
     spdlog::info("{} of {}: {}: {}", request.command, client_, code_name(why.code()), why.message());
     fail(request.number, why);
     return;

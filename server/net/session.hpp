@@ -1,7 +1,8 @@
 // Session: one client's connection, from welcome to goodbye. Requests are answered in order, one at a time.
 //
 // Invariants
-// 1. Nothing but hello is understood before hello, which has its own small limits.
+// 1. Nothing but hello is understood before hello (Door), and only then a place is taken. A few who come when all are
+//    taken are still served what the service's owner needs: status, scene.list, shutdown.
 // 2. A breach of the protocol is answered where possible and ends this connection; nothing else is affected.
 // 3. Every request has a deadline; a client that waits long is told what for.
 #pragma once
@@ -10,18 +11,27 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 
 #include "server/api/commands.hpp"
 #include "server/net/coordinator.hpp"
+#include "server/net/hello.hpp"
 
 namespace rcb::net {
 
+// The listener that a client came to.
+struct Entrance {
+  std::string endpoint;  // as clients name it
+  std::shared_ptr<Door> door;
+  std::shared_ptr<Lobby> late;  // who came when all places were taken
+  bool files = false;           // its clients may have the service read and write files
+};
+
 class Session : public std::enable_shared_from_this<Session> {
  public:
-  // endpoint: the listener that the client came to.
-  Session(std::shared_ptr<Coordinator> coordinator, Socket socket, std::string endpoint, bool with_token);
+  Session(std::shared_ptr<Coordinator> coordinator, Socket socket, Entrance entrance);
   ~Session();
 
   // Serves the client until it goes.
@@ -33,6 +43,7 @@ class Session : public std::enable_shared_from_this<Session> {
   const std::string& client() const { return client_; }
   const std::string& number() const { return number_; }
   bool has_open(const std::string& scene) const { return open_.contains(scene); }
+  const std::set<std::string>& open() const { return open_; }
   // Tells the client, after the answer it waits for, and closes when it is sent.
   void say_goodbye();
 
@@ -49,7 +60,10 @@ class Session : public std::enable_shared_from_this<Session> {
   };
 
   awaitable<Status> hello();
-  Status check_hello(const Frame& frame);
+  // For this session, which has joined.
+  bool place_is_free() const;
+  // Why this client may not have this command; ok if it may.
+  Status check_allowed(const Request& request);
   // The Status ends the session.
   awaitable<Status> serve(Frame frame);
   awaitable<void> dispatch(Request& request);
@@ -85,8 +99,8 @@ class Session : public std::enable_shared_from_this<Session> {
 
   std::shared_ptr<Coordinator> coordinator_;
   std::shared_ptr<Connection> connection_;
-  std::string endpoint_;
-  bool with_token_;
+  Entrance entrance_;
+  std::optional<Lobby::Place> late_;  // came when all places were taken, and none has been free since
   std::string client_ = "a client that hasn't said hello";
   std::string number_;  // the client's session, 16 hex digits
   std::set<std::string> open_;

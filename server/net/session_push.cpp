@@ -69,7 +69,7 @@ awaitable<void> Session::begin_share(Request& request, const PushId& id) {
   const auto joins = [&gate] { return gate.push && gate.push->together; };
   Status status = co_await wait_turn(request, id.scene, ready, joins);
   const bool direct = request.json.value("path", Json()) == "direct";
-  if (status.ok() && direct && coordinator_->data_addresses(endpoint_).empty())
+  if (status.ok() && direct && coordinator_->data_addresses(entrance_.endpoint).empty())
     status = Status(Code::unsupported, "this endpoint has no direct path", "push in order \"id\"");
   if (status.ok())
     status =
@@ -111,7 +111,7 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   Result<PushTerms> terms = read_push_terms(request.json, id, scene->second, coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();
-  if (terms->direct && coordinator_->data_addresses(endpoint_).empty())
+  if (terms->direct && coordinator_->data_addresses(entrance_.endpoint).empty())
     return Status(Code::unsupported, "this endpoint has no direct path", "push by the path \"gateway\"");
   const double left = std::chrono::duration<double>(request.end - now()).count();
   auto push = coordinator_->open_push(std::move(*terms), connection_, client_, left);

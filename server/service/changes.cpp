@@ -346,7 +346,7 @@ Result<PushChanges> read_changes(const wire::Json& request, bool by_id, int rank
     return Status(Code::invalid_argument, fmt::format("dtype '{}'", *dtype), "positions are <f8 or <f4");
   changes.single = *dtype == "<f4";
   if (request.contains("base_step") && !request["base_step"].is_null()) {
-    const auto base = wire::integer_field(request, "base_step", 0, std::numeric_limits<std::int64_t>::max());
+    const auto base = wire::integer_field(request, "base_step", 0, wire::kStepMax);
     if (!base.ok()) return base.status();
     changes.base_step = *base;
   }

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "common/base/clock.hpp"
+#include "common/io/roots.hpp"
 #include "common/partition/comm.hpp"
 #include "server/service/arrival.hpp"
 #include "server/service/no_skip.hpp"
@@ -24,6 +25,7 @@ struct Context {
   double received_seconds = 0;
   std::vector<Spare>& spares;
   NoSkip no_skip;
+  const io::Roots& roots;            // where files may be read and written
   std::shared_ptr<const Loan> loan;  // what the order's scene had lent until now
 
   bool root() const { return comm.rank() == 0; }

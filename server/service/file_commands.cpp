@@ -4,12 +4,14 @@
 #include <array>
 #include <cstring>
 #include <filesystem>
-#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
 
+#include "common/base/text.hpp"
+#include "common/io/output_file.hpp"
 #include "common/io/points.hpp"
+#include "common/io/roots.hpp"
 #include "common/plan/plan.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/collective.hpp"
@@ -17,6 +19,8 @@
 
 namespace rcb::service {
 namespace {
+
+constexpr std::size_t kPrefixBytesMax = 64;
 
 struct LoadRequest {
   std::string path;
@@ -46,7 +50,7 @@ Result<LoadRequest> read_load(const wire::Json& request) {
     if (!weights.ok()) return weights.status();
     load.options.weights = weights.value();
   }
-  const auto step = wire::integer_field_or(request, "step", 0, std::numeric_limits<std::int64_t>::max() - 1, 0);
+  const auto step = wire::integer_field_or(request, "step", 0, wire::kStepMax, 0);
   if (!step.ok()) return step.status();
   load.step = step.value();
   return load;
@@ -112,6 +116,7 @@ Response load(Context& context, const wire::Json& request) {
     return failed({Code::invalid_argument, fmt::format("scene '{}' has positions already", scene.name),
                    "load is for a scene's first positions; push the file instead"});
   if (load->options.dims == 0) load->options.dims = scene.options.dims;
+  load->options.below = &context.roots;
   const double start = context.clock.seconds();
   partition::Comm& comm = context.comm;
   auto points = io::read_points_slice(load->path, load->options, comm.rank(), comm.size());
@@ -143,7 +148,9 @@ Response load(Context& context, const wire::Json& request) {
 }
 
 // The local particles of one part as CSV.
-Status write_part(const Scene& scene, int part, const std::string& path) {
+Status write_part(const Scene& scene, int part, const io::Folder& folder, const std::string& name) {
+  auto file = io::OutputFile::create_in(folder, name);
+  if (!file.ok()) return file.status();
   particles::ParticleSet chosen;
   chosen.dims = scene.options.dims;
   chosen.has_weights = scene.particles.has_weights;
@@ -155,8 +162,22 @@ Status write_part(const Scene& scene, int part, const std::string& path) {
     if (chosen.has_weights) chosen.weight.push_back(scene.particles.weight[i]);
   }
   const auto view = chosen.view();
-  return io::write_csv(path, chosen.dims, std::span(view.position.data(), static_cast<std::size_t>(chosen.dims)),
-                       view.count, view.id, view.weight);
+  return io::write_csv(std::move(*file), chosen.dims,
+                       std::span(view.position.data(), static_cast<std::size_t>(chosen.dims)), view.count, view.id,
+                       view.weight);
+}
+
+// What the names of the files begin with: part of one name, and fit for any terminal that lists it.
+Result<std::string> read_prefix(const wire::Json& request) {
+  if (!request.contains("prefix") || request["prefix"].is_null()) return std::string("part");
+  const auto prefix = wire::string_field(request, "prefix", kPrefixBytesMax);
+  if (!prefix.ok()) return prefix.status();
+  if (prefix->empty() || *prefix == "." || *prefix == ".." || prefix->find('/') != std::string::npos ||
+      has_controls(*prefix))
+    return Status(Code::invalid_argument,
+                  fmt::format("field 'prefix': \"{}\" can't begin the name of a file", escape_controls(*prefix)),
+                  fmt::format("give 1 to {} bytes without slash and control characters", kPrefixBytesMax));
+  return prefix;
 }
 
 Response write_parts(Context& context, const wire::Json& request) {
@@ -165,27 +186,22 @@ Response write_parts(Context& context, const wire::Json& request) {
   const Scene& scene = *found.value();
   const auto directory = absolute_path_field(request, "directory");
   if (!directory.ok()) return failed(directory.status());
-  const auto prefix = request.contains("prefix") ? wire::string_field(request, "prefix", 128) : std::string("part");
+  const auto prefix = read_prefix(request);
   if (!prefix.ok()) return failed(prefix.status());
-  if (prefix->find('/') != std::string::npos)
-    return failed({Code::invalid_argument, fmt::format("prefix '{}' contains a slash", prefix.value())});
 
   const int parts = scene.options.parts;
-  const auto path_of = [&](std::int64_t part) {
-    return (std::filesystem::path(directory.value()) /
-            fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size()))
-        .string();
+  const auto name_of = [&](std::int64_t part) {
+    return fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size());
   };
+  const auto folder = context.roots.make_folder(*directory);
+  if (Status status = agree_status(context.comm, folder.status()); !status.ok()) return failed(std::move(status));
   Status written;
-  std::error_code fault;
-  std::filesystem::create_directories(directory.value(), fault);
-  if (fault) written = {Code::io_error, fmt::format("{}: {}", directory.value(), fault.message())};
   const std::int64_t end = plan::part_begin(context.comm.rank() + 1, parts, context.comm.size());
   for (std::int64_t p = plan::part_begin(context.comm.rank(), parts, context.comm.size()); p < end && written.ok(); ++p)
-    written = write_part(scene, static_cast<int>(p), path_of(p));
+    written = write_part(scene, static_cast<int>(p), *folder, name_of(p));
   if (Status status = agree_status(context.comm, written); !status.ok()) return failed(std::move(status));
   wire::Json files = wire::Json::array();
-  for (int p = 0; p < parts; ++p) files.push_back(path_of(p));
+  for (int p = 0; p < parts; ++p) files.push_back((std::filesystem::path(*directory) / name_of(p)).string());
   return done({{"files", std::move(files)}});
 }
 

@@ -83,7 +83,9 @@ Result<geometry::Point> point_field(const wire::Json& request, const char* name,
   if (!values.ok()) return values.status();
   if (values->size() != static_cast<std::size_t>(dims))
     return Status(Code::invalid_argument,
-                  fmt::format("{}: {} numbers given, the scene has {} dimension(s)", name, values->size(), dims));
+                  fmt::format("{}: {} number{} given, the scene has {} dimension{}", name, values->size(),
+                              values->size() == 1 ? "" : "s", dims, dims == 1 ? "" : "s"),
+                  "give one number a dimension");
   geometry::Point point{};
   for (std::size_t a = 0; a < values->size(); ++a) {
     point[a] = values.value()[a];

@@ -31,6 +31,8 @@ Result<RebalanceRequest> read_request(const wire::Json& request, const Scene& sc
   if (!method.ok()) return method.status();
   const auto dry_run = wire::bool_field_or(request, "dry_run", false);
   if (!dry_run.ok()) return dry_run.status();
+  // Whether others hold the scene is the coordinator's knowledge: it has refused before it ordered this.
+  if (const auto force = wire::bool_field_or(request, "force", false); !force.ok()) return force.status();
   if (parts.value() != scene.options.parts && !scene.options.part_sizes.empty())
     return Status(Code::invalid_argument,
                   fmt::format("scene '{}' has sizes for {} parts", scene.name, scene.options.parts),

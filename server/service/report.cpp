@@ -24,6 +24,8 @@ wire::Json to_json(const StepReport& report) {
                   {"step", report.step},
                   {"epoch", report.epoch},
                   {"n", report.n},
+                  {"parts", report.parts},
+                  {"scene_recreated", report.scene_recreated},
                   {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
                   {"error", report.error},
                   {"imbalance", report.imbalance},

@@ -25,6 +25,8 @@ struct StepReport {
   std::int64_t step = 0;
   std::uint64_t epoch = 0;
   std::uint64_t n = 0;
+  int parts = 1;
+  bool scene_recreated = false;  // the first step of a scene that its client made anew after a loss
   std::optional<double> error_before;
   double error = 0;
   double imbalance = 1;

@@ -70,7 +70,8 @@ struct Scene {
   std::string name;
   SceneOptions options;
 
-  bool pushed = false;  // a first push was committed
+  bool recreated = false;  // its client made it anew, since the service had lost it
+  bool pushed = false;     // a first push was committed
   bool ids = false;     // ids aren't 0..n-1
   std::uint64_t n = 0;
   particles::ParticleSet particles;

@@ -145,6 +145,8 @@ Response create(Context& context, const wire::Json& request) {
   if (Status status = wire::check_scene_name(name.value()); !status.ok()) return failed(std::move(status));
   const auto replace = wire::bool_field_or(request, "replace", false);
   if (!replace.ok()) return failed(replace.status());
+  const auto recreated = wire::bool_field_or(request, "recreated", false);
+  if (!recreated.ok()) return failed(recreated.status());
   auto options = read_options(request);
   if (!options.ok()) return failed(options.status());
   const bool exists = context.scenes.contains(name.value());
@@ -155,7 +157,9 @@ Response create(Context& context, const wire::Json& request) {
     return failed({Code::too_large, fmt::format("the service holds {} scenes, its limit", wire::kScenesMax),
                    "drop one: rcbctl scene drop NAME"});
   if (exists) context.spares.push_back({name.value(), {}});
-  context.scenes.insert_or_assign(name.value(), Scene::create(name.value(), std::move(options).value()));
+  Scene scene = Scene::create(name.value(), std::move(options).value());
+  scene.recreated = recreated.value();
+  context.scenes.insert_or_assign(name.value(), std::move(scene));
   return show(context, request);
 }
 

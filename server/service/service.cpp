@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "common/io/roots.hpp"
 #include "common/plan/plan.hpp"
 #include "server/api/commands.hpp"
 #include "server/service/context.hpp"
@@ -18,6 +19,7 @@ struct Service::State {
   std::map<std::string, Scene> scenes;
   NoSkip no_skip;
   std::map<std::string, Command> commands;
+  const io::Roots* roots;
   std::vector<Spare> spares = {};
   // A scene's particles by rank, as of this (epoch, step, plan version).
   struct RankCounts {
@@ -57,8 +59,8 @@ struct Service::State {
   }
 };
 
-Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip, Loans* loans)
-    : state_(new State{comm, clock, loans, {}, no_skip, {}}) {
+Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip, Loans* loans, const io::Roots* roots)
+    : state_(new State{comm, clock, loans, {}, no_skip, {}, roots}) {
   for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(),
                            rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
@@ -87,8 +89,16 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{state_->comm,           state_->clock,  state_->scenes,  std::move(slices),
-                  terms.received_seconds, state_->spares, state_->no_skip, nullptr};
+  static const io::Roots kNowhere;
+  Context context{state_->comm,
+                  state_->clock,
+                  state_->scenes,
+                  std::move(slices),
+                  terms.received_seconds,
+                  state_->spares,
+                  state_->no_skip,
+                  state_->roots == nullptr ? kNowhere : *state_->roots,
+                  nullptr};
   Response response = state_->run(command->second, request, context);
   if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
@@ -113,6 +123,12 @@ Snapshot Service::snapshot() const {
                .plan_version = scene.plan_version,
                .plan_checksum = scene.plan_checksum,
                .rank_counts = state_->counts_of(name, scene)};
+    if (scene.pushed) {
+      summary.error = scene.loads.error;
+      summary.imbalance = scene.loads.imbalance;
+      summary.mean_step_seconds =
+          scene.totals.seconds.total / static_cast<double>(std::max<std::uint64_t>(1, scene.totals.steps));
+    }
     snapshot.steps += scene.totals.steps;
   }
   std::erase_if(state_->rank_counts, [&](const auto& entry) { return !snapshot.scenes.contains(entry.first); });

@@ -21,6 +21,10 @@
 #include "common/wire/message.hpp"
 #include "server/service/no_skip.hpp"
 
+namespace rcb::io {
+class Roots;
+}
+
 namespace rcb::service {
 
 class Arrival;
@@ -64,6 +68,9 @@ struct SceneSummary {
   std::optional<std::int64_t> step;
   std::string step_session;  // who pushed it
   std::uint64_t epoch = 0;
+  std::optional<double> error;  // these three: once it was pushed
+  std::optional<double> imbalance;
+  std::optional<double> mean_step_seconds;
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
   std::vector<std::uint64_t> rank_counts;  // particles that each rank holds
@@ -77,8 +84,9 @@ struct Snapshot {
 class Service {
  public:
   // no_skip: the same on all ranks. loans: what the scenes lend to the passes over arriving slices (it outlives the
-  // service); null: nothing.
-  Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip = {}, Loans* loans = nullptr);
+  // service); null: nothing. roots: where files may be read and written (it outlives the service); null: nowhere.
+  Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip = {}, Loans* loans = nullptr,
+          const io::Roots* roots = nullptr);
   ~Service();
 
   // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.

@@ -224,7 +224,7 @@ Result<PushRequest> read_push(const wire::Json& request, int ranks) {
   const auto session = wire::string_field(request, "session", 64);
   if (!session.ok()) return session.status();
   push.session = session.value();
-  const auto step = wire::integer_field(request, "step", 0, std::numeric_limits<std::int64_t>::max() - 1);
+  const auto step = wire::integer_field(request, "step", 0, wire::kStepMax);
   if (!step.ok()) return step.status();
   push.step = step.value();
   const auto n = wire::integer_field(request, "n", 0, wire::kParticlesMax);

@@ -183,6 +183,8 @@ Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_com
     input.quota_error =
         partition::summarise_counts(partition::quotas(scene.n, options.part_sizes, options.parts), options.part_sizes)
             .error;
+  // Cuts that were made without particles divide none, whatever the policy says.
+  if (push.n == 0 && scene.n > 0) return {true, "the scene had no particles before"};
   return decide(input);
 }
 
@@ -307,6 +309,8 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
     later_step(context, scene, staged, push, moves, report);
   }
   report.n = scene.n;
+  report.parts = scene.options.parts;
+  report.scene_recreated = first && scene.recreated;
   report.epoch = scene.epoch;
   report.error = scene.loads.error;
   report.imbalance = scene.loads.imbalance;

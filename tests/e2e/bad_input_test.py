@@ -132,7 +132,7 @@ class BadInput(unittest.TestCase):
         self.assertEqual(after["n"], before["n"])
         self.assertEqual(sum(after["counts"]), len(points))
         self.service.json("push", "big", self.save("next.npy", points))
-        self.service.json("replay", "big", frames, "--parts", 5)
+        self.service.json("replay", "big", frames, "--parts", 5, "--replace")
         self.service.json("scene", "drop", "big")
 
 

@@ -46,7 +46,8 @@ class DirectMember(Member):
 
     def __init__(self, path, scene, member, members, **kwargs):
         super().__init__(path, scene, member, members, follow=True, **kwargs)
-        self.links = [Client(place, session=self.session, token=self.token) for place in self.hello["data"]]
+        self.links = [Client(place, session=self.session, token=self.token, listener=f"rank {rank}")
+                      for rank, place in enumerate(self.hello["data"])]
         self.places = None  # of each id its rank and slot
 
     def start(self, step, ids, points, attempt=0, **more):

@@ -1,6 +1,7 @@
 """A client written from PROTOCOL.md alone, so that the page is proved complete enough. Needs libxxhash."""
 import ctypes
 import ctypes.util
+import hmac
 import json
 import os
 import socket
@@ -80,28 +81,41 @@ def connected(address, timeout):
     return made
 
 
-class Client:
-    """One connection, opened with hello unless told otherwise. `token` is for TCP."""
+def proof(role, token, listener, service_nonce, client_nonce, session):
+    text = f"rcbd proof 1\n{role}\n{listener}\n{service_nonce}\n{client_nonce}\n{session}\n"
+    return hmac.new(token.encode(), text.encode(), "sha256").hexdigest()
 
-    def __init__(self, address, session=None, hello=True, timeout=30, token=None):
+
+class Client:
+    """One connection, opened with hello unless told otherwise. `token` is for TCP; `listener` is "endpoint" or "rank R"."""
+
+    def __init__(self, address, session=None, hello=True, timeout=30, token=None, listener="endpoint"):
         self.socket = connected(address, timeout)
-        self.token = token
+        self.token, self.listener = token, listener
         self.number = 0
         self.session = session or os.urandom(8).hex()
-        kind, _, self.welcome, _ = self.receive()
-        if kind == FAILURE:
-            raise Refused(self.welcome["failure"]["code"], self.welcome["failure"]["message"])
-        assert kind == WELCOME
-        if hello:
-            self.say_hello()
+        try:
+            kind, _, self.welcome, _ = self.receive()
+            if kind == FAILURE:
+                raise Refused(self.welcome["failure"]["code"], self.welcome["failure"]["message"])
+            assert kind == WELCOME
+            if hello:
+                self.say_hello()
+        except BaseException:
+            self.socket.close()
+            raise
 
     def say_hello(self):
         document = {"protocol": 1, "client": "e2e", "session": self.session}
-        if self.welcome["authentication"] == "token":
-            document["token"] = self.token
+        tcp = self.socket.family != socket.AF_UNIX
+        if tcp:
+            known = self.token, self.listener, self.welcome["nonce"], os.urandom(32).hex(), self.session
+            document |= {"nonce": known[3], "proof": proof("client", *known)}
         self.number += 1
         self.socket.sendall(frame(HELLO, self.number, document))
         self.hello = self.answer()[0]
+        if tcp:
+            assert hmac.compare_digest(self.hello["proof"], proof("service", *known)), "who listens there is not rcbd"
 
     def exactly(self, count):
         data = bytearray()

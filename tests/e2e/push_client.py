@@ -33,7 +33,8 @@ class PushClient(Client):
         self.way, self.links, self.attempts = way, [], 0
         if way == "direct":
             kwargs.pop("session", None)
-            self.links = [Client(place, session=self.session, **kwargs) for place in self.hello["data"]]
+            self.links = [Client(place, session=self.session, listener=f"rank {rank}", **kwargs)
+                          for rank, place in enumerate(self.hello["data"])]
 
     def close(self):
         for link in self.links:

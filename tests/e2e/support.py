@@ -29,12 +29,12 @@ def run(*args, endpoint=None, timeout=120, program=RCBCTL, cwd=None, env=None):
 class Service:
     """A real rcbd under mpirun on a socket of its own."""
 
-    def __init__(self, ranks, tcp=None, options=(), env=None):
+    def __init__(self, ranks, tcp=None, options=(), cwd=None, env=None):
         self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
         self.endpoint = tcp or "unix:" + os.path.join(self.dir, "s")
         self.data = os.path.join(self.dir, "data")
         self.ranks = ranks
-        up = run("up", "-n", ranks, "--data-dir", self.data, *options, endpoint=self.endpoint, env=env)
+        up = run("up", "-n", ranks, "--data-dir", self.data, *options, endpoint=self.endpoint, cwd=cwd, env=env)
         if up.returncode != 0:
             raise RuntimeError(f"rcbctl up: {up.stdout}{up.stderr}")
 

@@ -12,14 +12,15 @@ ARROWS = {
     "common/particles": ["common/geometry"],
     "common/partition": ["common/particles"],
     "common/wire": ["common/base"],
+    "common/auth": ["common/base"],
     "common/plan": ["common/particles"],
     "common/io": ["common/base"],
     "server/api": ["common/wire"],
     "server/service": ["server/api", "common/partition", "common/plan", "common/wire", "common/io"],
     "server/ranks": ["server/service"],
-    "server/net": ["server/api"],
+    "server/net": ["server/api", "common/auth"],
     "server": ["server/ranks", "server/net"],
-    "client/lib": ["common/wire", "common/plan"],
+    "client/lib": ["common/wire", "common/auth", "common/plan"],
     "client/launch": ["client/lib"],
     "client/cli": ["client/launch", "common/io"],
     "client/solvers": ["client/lib", "common/io"],
@@ -30,6 +31,7 @@ ARROWS = {
 ROOMS = {
     r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "tests/support", "tests/bench"],
     r"<boost/asio": ["server/net", "client/lib"],
+    r"<openssl/": ["common/auth"],
     r"<hdf5\.h>": ["common/io", "tests/common/io"],
 }
 

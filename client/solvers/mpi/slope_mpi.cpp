@@ -36,6 +36,7 @@ struct Options {
   std::string endpoint;
   std::string trajectory;
   double deadline_seconds = 60;
+  bool outlive = true;
   bool check = false;
   bool json = false;
 };
@@ -80,6 +81,9 @@ void declare(CLI::App& app, Options& o) {
   app.add_option("--trajectory", o.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");
   app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));
+  app.add_flag(
+      "!--no-outlive", o.outlive,
+      "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
   app.add_flag("--check", o.check, "after every step ask the service whose each point is, and hold it against this");
   app.add_flag("--json", o.json, "one JSON document on standard output instead of the summary");
   app.add_option("--unit-weight", o.slope.unit_weight, "of the sediment, submerged, N/m^3")->group("Physics");
@@ -114,6 +118,9 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
   client::ConnectOptions connect;
   connect.endpoint = options.endpoint;
   connect.name = fmt::format("slope_mpi {} of {}", cores.rank(), cores.size());
+  connect.outlive = options.outlive;
+  if (cores.rank() == 0)  // all of them wait for the same
+    connect.on_notice = [](const std::string& text) { say_notice("slope_mpi", text); };
   auto client = client::Client::connect(connect);
   Status status = client.status();
   if (status && cores.rank() == 0)
@@ -126,16 +133,20 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
   return std::unique_ptr<Seat>(new Seat{std::move(*client), std::move(*scene)});
 }
 
-// The service's word against what is held here.
-Status check_held(client::Client& client, const Options& options, const MpiCores& cores, const Mpm& mpm) {
+// The service's word against what is held here. Another client may change the parts, of which `report` tells; where it
+// has done so since that step, there is nothing to compare.
+Status check_held(client::Client& client, const Options& options, const client::StepReport& report,
+                  const MpiCores& cores, const Mpm& mpm) {
   const auto reply = client.call("assign", json{{"scene", options.scene}}.dump(), options.deadline_seconds);
+  if (options.outlive && reply.status().code() == Code::not_found) return {};  // lost since the step
   if (!reply) return reply.status();
+  if (json::parse(reply->json).value("epoch", std::uint64_t{0}) != report.epoch) return {};
   const client::Array* id = reply->find("id");
   const client::Array* part = reply->find("part");
   if (id == nullptr || part == nullptr) return {Code::protocol_error, "answer to 'assign': no arrays"};
   std::vector<std::int64_t> expected;
   for (std::size_t k = 0; k < id->i8().size(); ++k)
-    if (plan::rank_of_part(part->i4()[k], options.parts, cores.size()) == cores.rank()) expected.push_back(id->i8()[k]);
+    if (plan::rank_of_part(part->i4()[k], report.parts, cores.size()) == cores.rank()) expected.push_back(id->i8()[k]);
   std::vector<std::int64_t> held(mpm.id().begin(), mpm.id().end());
   std::sort(held.begin(), held.end());
   if (held == expected) return {};
@@ -160,7 +171,7 @@ Status push(Seat& seat, const Options& options, MpiCores& cores, Mpm& mpm, std::
   record.seconds_exchange += clock.seconds() - answered;
   record.handed_over += news->leave.size();
   record.reports.push_back(news->report);
-  return options.check ? cores.agree(check_held(seat.client, options, cores, mpm)) : Status{};
+  return options.check ? cores.agree(check_held(seat.client, options, news->report, cores, mpm)) : Status{};
 }
 
 Status run(const Options& options, MpiCores& cores, Record& record, std::uint64_t& substeps) {
@@ -201,15 +212,19 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
              std::uint64_t handed_over) {
   const auto repartitions = std::count_if(record.reports.begin(), record.reports.end(),
                                           [](const auto& report) { return report.repartitioned; });
+  const auto recreations = std::count_if(record.reports.begin(), record.reports.end(),
+                                         [](const auto& report) { return report.scene_recreated; });
   if (!options.json) {
     fmt::print(
         "slope_mpi: {} points on {} processes, {} steps of {:g} s in {} substeps, scene {} in {} parts\n"
         "  repartitions   {} (the first partition included)\n"
+        "{}"
         "  handed over    {} points\n"
         "  wall clock     {:.3g} s physics, {:.3g} s service, {:.3g} s handing over\n",
         options.slope.points, cores.size(), options.steps, options.slope.interval, substeps, options.scene,
-        options.parts, repartitions, handed_over, record.seconds_physics, record.seconds_service,
-        record.seconds_exchange);
+        options.parts, repartitions,
+        recreations > 0 ? fmt::format("  service lost   {}; the scene was made anew\n", recreations) : "", handed_over,
+        record.seconds_physics, record.seconds_service, record.seconds_exchange);
     return;
   }
   json reports = json::array();
@@ -221,6 +236,7 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
                       {"steps", options.steps},
                       {"parts", options.parts},
                       {"repartitions", repartitions},
+                      {"recreations", recreations},
                       {"reports", std::move(reports)},
                       {"held", record.held},
                       {"handed_over", handed_over},

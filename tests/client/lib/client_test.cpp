@@ -1,5 +1,6 @@
 #include "client/lib/client.hpp"
 
+#include <algorithm>
 #include <csignal>
 #include <limits>
 #include <random>
@@ -44,7 +45,7 @@ TEST(Connect, SaysHelloAndGoodbye) {
     bool goodbye = false;
     FakeService service(
         [&](Peer& peer, int) {
-          const auto said = peer.greet(4);
+          const auto said = peer.greet(4, "0000000000000001", tcp ? "secret" : "");
           ASSERT_TRUE(said.has_value());
           EXPECT_EQ(said->header.type, wire::FrameType::hello);
           hello = said->json;
@@ -53,7 +54,7 @@ TEST(Connect, SaysHelloAndGoodbye) {
         },
         tcp);
     {
-      auto client = Client::connect({.endpoint = service.endpoint(), .name = "test 1"});
+      auto client = Client::connect({.endpoint = service.endpoint(), .name = "test 1", .token = "secret"});
       ASSERT_TRUE(client.ok()) << client.status().message();
       EXPECT_EQ(client->ranks(), 4);
       EXPECT_EQ(client->endpoint(), service.endpoint());
@@ -138,17 +139,22 @@ TEST(Connect, TokenComesFromOptionsEnvironmentOrTheDataDirectory) {
   const Variable home("XDG_STATE_HOME", state.path().c_str());
   const Variable no_token("RCBD_TOKEN", nullptr);
   const Variable no_file("RCBD_TOKEN_FILE", nullptr);
+  const std::vector<std::string> known{"given", "of the environment", "of the file",
+                                       "wrong", "of the directory",   "of the next start"};
   std::vector<std::string> tokens;
   FakeService service(
       [&](Peer& peer, int) {
-        peer.send(wire::FrameType::welcome, 0, Peer::welcome("token"));
+        const std::string nonce = auth::random_nonce();
+        peer.send(wire::FrameType::welcome, 0, Peer::welcome(nonce));
         const auto hello = peer.receive();
         if (!hello) return;
-        tokens.push_back(hello->json.value("token", ""));
+        for (const std::string& token : known)
+          if (hello->json["proof"] == Peer::proof(auth::Role::client, token, nonce, *hello)) tokens.push_back(token);
+        ASSERT_FALSE(tokens.empty());
         if (tokens.back() == "wrong")
           peer.fail(*hello, {Code::not_authorised, "wrong token"});
         else
-          peer.reply(*hello, {{"ranks", 1}});
+          peer.reply(*hello, {{"ranks", 1}, {"proof", Peer::proof(auth::Role::service, tokens.back(), nonce, *hello)}});
         peer.receive();
       },
       true);
@@ -177,10 +183,56 @@ TEST(Connect, TokenComesFromOptionsEnvironmentOrTheDataDirectory) {
   const Endpoint own = parse_endpoint(service.endpoint()).value();
   write(token_path(own), "wrong\n");
   write(token_path(parse_endpoint("0.0.0.0:" + std::to_string(own.port)).value()), "of the directory\n");
-  EXPECT_TRUE(Client::connect({.endpoint = service.endpoint()}).ok());
+  auto client = Client::connect({.endpoint = service.endpoint()});
+  EXPECT_TRUE(client.ok());
+  // A service that is started again has made a new one, which a client that connects again finds.
+  write(token_path(own), "of the next start\n");
+  EXPECT_FALSE(client->call("status", "{}", 0.2).ok());
   service.stop();
-  EXPECT_EQ(tokens,
-            (std::vector<std::string>{"given", "of the environment", "of the file", "wrong", "of the directory"}));
+  tokens.erase(std::unique(tokens.begin(), tokens.end()), tokens.end());  // however often it was tried
+  EXPECT_EQ(tokens, known);
+}
+
+// Who has taken the port of a service hears a hello that proves nothing elsewhere, and no request.
+TEST(Connect, WhoDoesNotKnowTheTokenIsToldNothing) {
+  using auth::Role;
+  const std::string nonce = auth::random_nonce();
+  wire::Json asks_for_the_token = Peer::welcome();
+  asks_for_the_token["authentication"] = "token";
+  const std::vector<wire::Json> welcomes{Peer::welcome(nonce), Peer::welcome(), asks_for_the_token, Peer::welcome("00"),
+                                         Peer::welcome(std::string(64, '\n'))};
+  const std::vector<std::function<wire::Json(const Received&)>> proofs{
+      [](const Received&) { return nullptr; },
+      [&](const Received& hello) { return Peer::proof(Role::service, "another token", nonce, hello); },
+      [&](const Received& hello) { return hello.json["proof"]; },  // sent back
+      [&](const Received& hello) { return Peer::proof(Role::client, "secret", nonce, hello); },
+      [&](const Received& hello) { return Peer::proof(Role::service, "secret", auth::random_nonce(), hello); },
+      [&](const Received& hello) { return Peer::proof(Role::service, "secret", nonce, hello, "rank 0"); },
+      [](const Received&) { return 7; }};
+  for (const wire::Json& welcome : welcomes)
+    for (const auto& proof : proofs) {
+      std::vector<Received> heard;
+      FakeService service(
+          [&](Peer& peer, int) {
+            peer.send(wire::FrameType::welcome, 0, welcome);
+            while (const auto said = peer.receive()) {
+              heard.push_back(*said);
+              peer.reply(*said, {{"session", said->json["session"]}, {"ranks", 4}, {"proof", proof(*said)}});
+            }
+          },
+          true);
+      const auto client = Client::connect({.endpoint = service.endpoint(), .token = "secret"});
+      ASSERT_FALSE(client.ok());
+      EXPECT_EQ(client.status().code(), Code::not_authorised);
+      EXPECT_NE(client.status().message().find("whoever listens at " + service.endpoint()), std::string::npos)
+          << client.status().message();
+      service.stop();
+      EXPECT_EQ(heard.size(), welcome == welcomes[0] ? 1U : 0U) << welcome;
+      for (const Received& said : heard) {
+        EXPECT_EQ(said.header.type, wire::FrameType::hello);
+        EXPECT_EQ(said.json.dump().find("secret"), std::string::npos);
+      }
+    }
 }
 
 TEST(Call, RoundTripWithArraysAndNotices) {
@@ -303,9 +355,9 @@ TEST(Call, ServiceThatIsGoneIsUnavailable) {
   });
   auto client = Client::connect({.endpoint = service->endpoint()});
   ASSERT_TRUE(client.ok());
-  std::thread([&] { EXPECT_EQ(client->call("status").status().code(), Code::unavailable); }).join();
+  std::thread([&] { EXPECT_EQ(client->call("status", "{}", 0.2).status().code(), Code::unavailable); }).join();
   service.reset();
-  EXPECT_EQ(client->call("status").status().code(), Code::unavailable);
+  EXPECT_EQ(client->call("status", "{}", 0.2).status().code(), Code::unavailable);
 }
 
 // Whatever comes back, a call ends with a Status.

@@ -19,6 +19,8 @@ class FakeScene {
     close_in_answer,      // commits and sends half of the answer
     busy_early,           // refuses at push.begin, then reads the slices
     wrong_checksum,       // commits, with a plan that isn't what the client derives
+    die_before_commit,    // reads the push, then is another service, without the scene
+    die_after_commit,     // commits, then the same
   };
 
   FakeScene(int dims, int parts, int ranks) : dims_(dims), parts_(parts), ranks_(ranks) {}
@@ -37,13 +39,17 @@ class FakeScene {
   std::vector<std::string> commands;
   int slices_read = 0;
   int commits = 0;
-  bool empty_now = false;  // as if started again without its data
+  bool empty_now = false;  // the scene was dropped
+  int restarts = 0;
+  wire::Json options = wire::Json::object();  // more of what scene.open tells
+  std::vector<wire::Json> created;            // scene.create of lost scenes
+  std::vector<double> weights;                // as pushed last, by row
   std::optional<std::int64_t> step;
   std::int64_t epoch = 0;
   bool first_order_by_row = true;
 
   void serve(Peer& peer) {
-    const auto hello = peer.greet(ranks_);
+    const auto hello = peer.greet(ranks_, "instance " + std::to_string(restarts));
     if (!hello) return;
     sessions.push_back(hello->json["session"].get<std::string>());
     while (auto frame = peer.receive()) {
@@ -55,6 +61,10 @@ class FakeScene {
           peer.fail(*frame, {Code::not_found, "no such scene"});
         else
           peer.reply(*frame, description());
+      } else if (command == "scene.create") {
+        created.push_back(frame->json);
+        empty_now = false;
+        peer.reply(*frame, description());
       } else if (command == "scene.close") {
         peer.reply(*frame, wire::Json::object());
       } else if (command == "plan") {
@@ -71,15 +81,17 @@ class FakeScene {
 
  private:
   wire::Json description() const {
-    return {{"scene", "s"},
-            {"n", n_},
-            {"dims", dims_},
-            {"parts", parts_},
-            {"ranks", ranks_},
-            {"epoch", epoch},
-            {"step", step ? wire::Json(*step) : wire::Json(nullptr)},
-            {"ids", has_ids_},
-            {"weights", weights_}};
+    wire::Json json{{"scene", "s"},
+                    {"n", n_},
+                    {"dims", dims_},
+                    {"parts", parts_},
+                    {"ranks", ranks_},
+                    {"epoch", epoch},
+                    {"step", step ? wire::Json(*step) : wire::Json(nullptr)},
+                    {"ids", has_ids_},
+                    {"weights", weights_}};
+    json.update(options);
+    return json;
   }
   wire::Json plan_json() const { return {{"version", plan_->version()}, {"checksum", wire::hex64(plan_->checksum())}}; }
   template <typename T>
@@ -125,6 +137,7 @@ class FakeScene {
       slices.push_back(std::move(*slice));
     }
     slices_read += static_cast<int>(slices.size());
+    if (now == Fault::die_before_commit) return restart();
     if (now == Fault::close_before_commit) return false;
     if (step == number) {
       peer.reply(begin, {{"report", report(number, 0)}, {"plan", plan_json()}, {"repeated", true}});
@@ -135,7 +148,34 @@ class FakeScene {
       return true;
     }
     check_slices(begin, slices, number, first);
+    if (begin.json["weights"] == true) take_weights(slices);
     return commit(peer, begin, number, first, now);
+  }
+
+  bool restart() {
+    ++restarts;
+    empty_now = true;
+    step.reset();
+    plan_.reset();
+    part_.clear();
+    epoch = 0;
+    n_ = 0;
+    has_ids_ = weights_ = false;
+    weights.clear();
+    return false;
+  }
+
+  // Behind the axes.
+  void take_weights(const std::vector<Received>& slices) {
+    weights_ = true;
+    weights.assign(n_ == 0 ? plan_->count() : n_, -1);
+    std::size_t next = 0;
+    for (int rank = 0; rank < ranks_; ++rank) {
+      const auto rows = plan_->rows(rank);
+      if (rows.empty()) continue;
+      const auto* from = slices[next++].bulk.data() + 8 * static_cast<std::size_t>(dims_) * rows.size();
+      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(&weights[rows[i]], from + 8 * i, 8);
+    }
   }
 
   // Every rank's slice, value by value.
@@ -201,6 +241,8 @@ class FakeScene {
     if (first) epoch = 1;
     step = number;
     ++commits;
+    first_of_recreated_ = first && restarts > 0;
+    if (now == Fault::die_after_commit) return restart();
     if (now == Fault::close_after_commit) return false;
     wire::Json plan = plan_json();
     if (now == Fault::wrong_checksum) plan["checksum"] = "0123456789abcdef";
@@ -218,6 +260,8 @@ class FakeScene {
             {"step", number},
             {"epoch", epoch},
             {"n", n_},
+            {"parts", parts_},
+            {"scene_recreated", first_of_recreated_},
             {"error_before", nullptr},
             {"error", 0.25},
             {"imbalance", 1.5},
@@ -238,6 +282,7 @@ class FakeScene {
   std::uint64_t n_ = 0;
   bool has_ids_ = false;
   bool weights_ = false;
+  bool first_of_recreated_ = false;
   std::optional<plan::Plan> plan_;
   std::vector<std::int32_t> part_;  // by row
 };

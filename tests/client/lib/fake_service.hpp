@@ -20,6 +20,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "common/auth/proof.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/message.hpp"
 
@@ -125,19 +126,32 @@ class Peer {
     return received;
   }
 
-  static wire::Json welcome(const char* authentication = "none") {
-    return {{"server", "rcbd"},
-            {"version", "0"},
-            {"protocol", 1},
-            {"authentication", authentication},
-            {"limits", wire::Json::object()}};
+  // nonce: where a proof of the token is asked for.
+  static wire::Json welcome(const std::string& nonce = {}) {
+    wire::Json json{{"server", "rcbd"},
+                    {"protocol", 1},
+                    {"authentication", nonce.empty() ? "none" : "hmac-sha256"},
+                    {"limits", wire::Json::object()}};
+    if (!nonce.empty()) json["nonce"] = nonce;
+    return json;
   }
-  // Welcome and hello as they should be; the hello, or none.
-  std::optional<Received> greet(int ranks) {
-    if (!send(wire::FrameType::welcome, 0, welcome())) return std::nullopt;
+  // Welcome and hello as they should be, over TCP with a service's proof of the token; the hello, or none. instance: of
+  // the service; another one after a restart.
+  std::optional<Received> greet(int ranks, const std::string& instance = "0000000000000001",
+                                const std::string& token = {}) {
+    const std::string nonce = token.empty() ? "" : auth::random_nonce();
+    if (!send(wire::FrameType::welcome, 0, welcome(nonce))) return std::nullopt;
     auto hello = receive();
-    if (hello) reply(*hello, {{"session", hello->json["session"]}, {"ranks", ranks}});
+    if (!hello) return hello;
+    wire::Json json{{"session", hello->json["session"]}, {"ranks", ranks}, {"instance", instance}};
+    if (!token.empty()) json["proof"] = proof(auth::Role::service, token, nonce, *hello);
+    reply(*hello, std::move(json));
     return hello;
+  }
+  // What proves that `role` knows the token, after this nonce and hello.
+  static std::string proof(auth::Role role, const std::string& token, const std::string& nonce, const Received& hello,
+                           const std::string& listener = "endpoint") {
+    return auth::proof(role, token, {listener, nonce, hello.json.value("nonce", ""), hello.json.value("session", "")});
   }
 
  private:

@@ -148,7 +148,7 @@ TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
     }
     answer_close(peer);
   });
-  auto client = Client::connect({.endpoint = service.endpoint()});
+  auto client = Client::connect({.endpoint = service.endpoint(), .outlive = false});
   auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
   const Positions mine = Positions::axes(kAxes, 3);
   EXPECT_EQ(scene->step(mine, std::span(kIds).first(2)).status().code(), Code::invalid_argument);
@@ -163,6 +163,113 @@ TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
   MemberStepOptions zero;
   zero.step = 0;
   EXPECT_EQ(scene->step(mine, kIds, zero).status().code(), Code::protocol_error);
+}
+
+// Another member has lost its connection: it comes back, and this one waits for it.
+TEST(MemberScene, AStepThatWasAbortedIsPushedAgain) {
+  int pushes = 0;
+  FakeService service([&pushes](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(1, -1));
+    for (; pushes < 4; ++pushes) {
+      const auto begin = peer.receive();
+      if (!begin || !peer.receive()) return;
+      if (pushes < 3) peer.fail(*begin, {Code::aborted, "member 2 has lost its connection", "push again"});
+      if (pushes == 3) peer.reply(*begin, report(0), news());
+    }
+    answer_close(peer);
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
+    EXPECT_TRUE(result.ok()) << result.status().message();
+  }
+  service.stop();
+  EXPECT_EQ(pushes, 4);
+}
+
+// The scene died with its service. Whoever is quicker makes it anew; all push the step that they were at, by ids.
+TEST(MemberScene, ALostSceneIsMadeAnewOrFoundAndPushedByIds) {
+  for (const bool quicker : {true, false}) {
+    std::vector<Json> made;
+    std::vector<Received> opened, begun;
+    FakeService service([&](Peer& peer, int number) {
+      peer.greet(2, number == 0 ? "first" : "second");
+      opened.push_back(*peer.receive());
+      if (number == 0) {
+        Json seat = seat_reply(4, 6);
+        seat["parts"] = 7;
+        seat["tolerance"] = 0.25;
+        peer.reply(opened.back(), seat);
+      } else {
+        peer.fail(opened.back(), {Code::not_found, "no scene 's'", "the service was restarted and is empty"});
+        const auto create = peer.receive();
+        made.push_back(create->json);
+        if (quicker)
+          peer.reply(*create, Json::object());
+        else
+          peer.fail(*create, {Code::already_exists, "scene 's' exists already"});
+        opened.push_back(*peer.receive());
+        peer.reply(opened.back(), seat_reply(5, -1));
+      }
+      begun.push_back(*peer.receive());
+      peer.receive();
+      if (number == 0) return;
+      peer.reply(begun.back(), report(7), news());
+      answer_close(peer);
+    });
+    {
+      auto client = Client::connect({.endpoint = service.endpoint()});
+      auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+      ASSERT_TRUE(scene.ok()) << scene.status().message();
+      const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
+      EXPECT_TRUE(result.ok()) << result.status().message();
+      EXPECT_EQ(scene->last_step(), 7);
+    }
+    service.stop();
+    ASSERT_EQ(made.size(), 1U);
+    EXPECT_EQ(made[0]["command"], "scene.create");
+    EXPECT_EQ(made[0]["parts"], 7);
+    EXPECT_EQ(made[0]["tolerance"], 0.25);
+    EXPECT_EQ(made[0]["recreated"], true);
+    ASSERT_EQ(begun.size(), 2U);
+    EXPECT_EQ(begun[1].json["step"], 7) << "the solver's number, though the new scene has no step";
+    EXPECT_EQ(begun[1].json["session"], begun[0].json["session"]);
+    EXPECT_EQ(begun[1].json["order"], "id");
+    EXPECT_EQ(opened.back().json["generation"], 5);
+  }
+}
+
+// Weights are the solver's to bring: every member says so by the same rule, so that none waits for another.
+TEST(MemberScene, WeightsOfALostSceneAreAskedFor) {
+  FakeService service([](Peer& peer, int number) {
+    peer.greet(2, number == 0 ? "first" : "second");
+    for (int k = 0; k < 2; ++k) {
+      const auto open = peer.receive();
+      if (!open) return;
+      Json seat = seat_reply(4 + number, number == 0 ? 6 : -1);
+      seat["weights"] = number == 0;
+      peer.reply(*open, seat);
+      const auto begin = peer.receive();
+      if (!begin || number == 0) return;
+      peer.receive();
+      EXPECT_EQ(begin->json["weights"], true);
+      peer.reply(*begin, report(7), news());
+      answer_close(peer);
+    }
+  });
+  auto client = Client::connect({.endpoint = service.endpoint()});
+  auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+  ASSERT_TRUE(scene.ok()) << scene.status().message();
+  const Status status = scene->step(Positions::axes(kAxes, 3), kIds).status();
+  EXPECT_EQ(status.code(), Code::base_lost) << status.message();
+  EXPECT_NE(status.message().find("which had weights"), std::string::npos) << status.message();
+  const std::vector<double> weights{1, 2, 3};
+  MemberStepOptions with;
+  with.weights = weights;
+  const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with);
+  EXPECT_TRUE(result.ok()) << result.status().message();
 }
 
 }  // namespace

@@ -254,7 +254,7 @@ TEST(Step, LostConnectionIsMendedAndTheStepAppliedOnce) {
     }
 }
 
-TEST(Step, ServiceThatLostTheSceneIsAClearError) {
+TEST(Step, ASceneThatWasDroppedMeanwhileIsAClearError) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   std::atomic<bool> gone{false};
   fake.fault = [&](int push) {
@@ -341,8 +341,8 @@ TEST(Step, EarlyRefusalOfALargePush) {
 TEST(Step, RefusalAndCloseWhileTheClientSends) {
   for (const bool tcp : {false, true}) {
     FakeService service(
-        [](Peer& peer, int) {
-          if (!peer.greet(1)) return;
+        [tcp](Peer& peer, int) {
+          if (!peer.greet(1, "0000000000000001", tcp ? "secret" : "")) return;
           auto open = peer.receive();
           if (!open) return;
           peer.reply(*open, {{"dims", 3}, {"parts", 1}});
@@ -354,7 +354,7 @@ TEST(Step, RefusalAndCloseWhileTheClientSends) {
           ::usleep(20000);
         },
         tcp);
-    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto client = Client::connect({.endpoint = service.endpoint(), .token = "secret"});
     ASSERT_TRUE(client.ok());
     auto scene = client->open_scene("s");
     ASSERT_TRUE(scene.ok());

@@ -72,6 +72,13 @@ TEST_F(Text, ColumnsByName) {
   EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}}));
   points = good("x,y,comment\n1,2,\"a, b\"\n3,4,\n");
   EXPECT_EQ(points.position, (std::vector<Column>{{1, 3}, {2, 4}}));
+  // As ParaView writes them, beside its other arrays.
+  for (const char* header :
+       {"\"part\",\"Points:0\",\"Points:1\",\"Points:2\"\n", "part,Points_0,Points_1,Points_2\n"}) {
+    points = good(std::string(header) + "9,1,2,3\n");
+    EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}, {3}})) << header;
+  }
+  EXPECT_EQ(good("Points:0,Points:1,x\n1,2,3\n").position, (std::vector<Column>{{3}}));
   // Names, but none of an axis: the columns beside id and weights.
   points = good("id;a;b;w\n4;1;2;3\n", {0, "W"});
   EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}}));
@@ -87,7 +94,7 @@ TEST_F(Text, WeightsByNumberAndName) {
   EXPECT_TRUE(has(bad("1,2\n", {0, "2"}), "no column '2'"));
   EXPECT_TRUE(has(bad("x,y\n1,2\n", {0, "mass"}), "the columns are x, y"));
   const std::string negative = bad("x,w\n1,2\n1,-2\n", {0, "w"});
-  EXPECT_TRUE(has(negative, "points.csv:3: column 2 (w): the weight -2 is negative")) << negative;
+  EXPECT_TRUE(has(negative, "points.csv:3: column 2 (w): the weight '-2' is negative")) << negative;
 }
 
 TEST_F(Text, CommentsBlankLinesAndForeignEnds) {

@@ -221,9 +221,9 @@ TEST_F(DataPortTest, FaultsNameThemselves) {
 
 TEST_F(DataPortTest, OverTcpTheTokenIsAsked) {
   Client wrong = Client::on_tcp(tcp_);
-  EXPECT_EQ(wrong.hello("test", kSession, "guess").code(), "not_authorised");
+  EXPECT_EQ(wrong.hello("test", kSession, "guess", "rank 2").code(), "not_authorised");
   Client right = Client::on_tcp(tcp_);
-  EXPECT_EQ(right.hello("test", kSession, "secret").json["rank"], 2);
+  EXPECT_EQ(right.hello("test", kSession, "secret", "rank 2").json["rank"], 2);
   right.send(wire::FrameType::request, {{"command", "status"}});
   EXPECT_EQ(right.receive().code(), "protocol_error");
   EXPECT_TRUE(right.receive().ended);

@@ -132,6 +132,21 @@ TEST(Socket, TcpAddressesAreChecked) {
   EXPECT_EQ(two.control.listen_tcp(*bound).status().code(), Code::busy);
 }
 
+// Addresses of documents (RFC 5737, 3849), which no machine has.
+TEST(Socket, OtherMachinesReachItOnlyWhereTheirNetworkIsTrusted) {
+  Listener one;
+  for (const char* where : {"192.0.2.1:0", "0.0.0.0:0", "[::]:0", "[2001:db8::1]:0", "[::ffff:127.0.0.1]:0"}) {
+    const Status refused = one.control.listen_tcp(where).status();
+    EXPECT_EQ(refused.code(), Code::invalid_argument) << where;
+    EXPECT_NE(refused.hint().find("--trusted-network"), std::string::npos) << refused.hint();
+  }
+  EXPECT_TRUE(one.control.listen_tcp("127.3.2.1:0").ok());
+  ControlOptions options = TestService::defaults();
+  options.network = Network::trusted;
+  Control trusting(one.loop, options, one.engine);
+  EXPECT_EQ(trusting.listen_tcp("192.0.2.1:0").status().code(), Code::io_error);  // tried
+}
+
 TEST(DataDirectory, HasOneServiceAtATime) {
   const Directory directory;
   auto first = DataDirectory::open(directory.path(), true, rcbd_at("unix:/somewhere"));
@@ -156,20 +171,24 @@ TEST(DataDirectory, MarkerStandsOnlyAfterACleanEnd) {
   EXPECT_FALSE(fs::exists(marker));
 }
 
-TEST(DataDirectory, TokenIsPrivateAndLasts) {
+TEST(DataDirectory, TokenIsPrivateAndNewAtEachStart) {
   const Directory directory;
   const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
   ASSERT_TRUE(data.ok());
-  const auto token = data->token();
+  const auto token = data->new_token();
   ASSERT_TRUE(token.ok());
   EXPECT_EQ(token->size(), 64U);
   const std::string file = directory.file(std::string(kTokenFile));
   EXPECT_EQ(mode_of(file), 0600U);
-  EXPECT_EQ(*data->token(), *token);
-  ASSERT_EQ(::chmod(file.c_str(), 0644), 0);  // others may have read it
-  const auto fresh = data->token();
+  EXPECT_EQ(*data->kept_token(), *token);  // after a crash its clients go on
+  const auto fresh = data->new_token();
   ASSERT_TRUE(fresh.ok());
   EXPECT_NE(*fresh, *token);
+  EXPECT_EQ(*data->kept_token(), *fresh);
+  ASSERT_EQ(::chmod(file.c_str(), 0644), 0);  // others may have read it
+  const auto unread = data->kept_token();
+  ASSERT_TRUE(unread.ok());
+  EXPECT_NE(*unread, *fresh);
   EXPECT_EQ(mode_of(file), 0600U);
 }
 
@@ -192,12 +211,6 @@ TEST(DataDirectory, IsTheSupervisorsWhereARankHasOne) {
   ::setenv(kSupervisorVariable, supervisor.process.text().c_str(), 1);
   EXPECT_TRUE(DataDirectory::open(directory.path(), true, rcbd_at("unix:/s")).ok());
   ::unsetenv(kSupervisorVariable);
-}
-
-TEST(Secrets, AreComparedWhole) {
-  EXPECT_TRUE(same_secret("abc", "abc"));
-  for (const char* other : {"", "ab", "abd", "xbc", "abcd"}) EXPECT_FALSE(same_secret("abc", other)) << other;
-  EXPECT_NE(random_hex(32), random_hex(32));
 }
 
 }  // namespace

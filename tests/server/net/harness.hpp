@@ -67,8 +67,9 @@ class Client {
   Received receive();
   Received receive_but_notices();
   Received call(const std::string& command, wire::Json arguments = wire::Json::object());
-  // Reads the welcome and says hello; gives the answer.
-  Received hello(const std::string& name, const std::string& session, const std::string& token = {});
+  // Reads the welcome and says hello, with a proof of the token where one is given; gives the answer.
+  Received hello(const std::string& name, const std::string& session, const std::string& token = {},
+                 const std::string& listener = "endpoint");
   void begin(const std::string& session, std::int64_t step, std::uint64_t n, wire::Json more = wire::Json::object());
   // Axis values are rank + i, of `dims` axes; the bulk as it was sent.
   std::string slice(const std::string& session, std::int64_t step, std::uint64_t count, int rank = 0,

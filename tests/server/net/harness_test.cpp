@@ -19,6 +19,8 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "common/auth/proof.hpp"
+
 namespace rcb::net::testing {
 
 using wire::FrameType;
@@ -48,7 +50,7 @@ struct FakeEngine::State {
     executed.push_back(command);
     request = order.request;
     if (command == "scene.create") {
-      snapshot.scenes[scene] = {.dims = order.request.value("dims", 3)};
+      snapshot.scenes[scene] = {.dims = order.request.value("dims", 3), .parts = order.request.value("parts", 1)};
     } else if (command == "scene.drop" || command == "scene.show") {
       if (!snapshot.scenes.contains(scene)) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
       if (command == "scene.drop") snapshot.scenes.erase(scene);
@@ -262,10 +264,16 @@ Received Client::call(const std::string& command, Json arguments) {
   return receive_but_notices();
 }
 
-Received Client::hello(const std::string& name, const std::string& session, const std::string& token) {
-  EXPECT_EQ(receive().type, FrameType::welcome);
+Received Client::hello(const std::string& name, const std::string& session, const std::string& token,
+                       const std::string& listener) {
+  const Received welcome = receive();
+  EXPECT_EQ(welcome.type, FrameType::welcome);
   Json json{{"protocol", 1}, {"client", name}, {"session", session}};
-  if (!token.empty()) json["token"] = token;
+  if (!token.empty()) {
+    const auth::Opening opening{listener, welcome.json.value("nonce", ""), auth::random_nonce(), session};
+    json["nonce"] = opening.client_nonce;
+    json["proof"] = auth::proof(auth::Role::client, token, opening);
+  }
   send(FrameType::hello, std::move(json));
   return receive();
 }

@@ -37,25 +37,14 @@ TEST(Session, SaysWelcomeAndAnswersHello) {
   EXPECT_EQ(welcome.type, FrameType::welcome);
   EXPECT_EQ(welcome.request, 0U);
   EXPECT_EQ(welcome.json["authentication"], "none");
-  EXPECT_EQ(welcome.json["limits"]["sessions"], 256);
+  EXPECT_EQ(welcome.json.size(), 4U) << "before hello nothing is told that hello doesn't need: " << welcome.json;
   client.send(FrameType::hello, {{"protocol", 1}, {"client", "c"}, {"session", kAnna}, {"new", "field"}});
   const Received reply = client.receive();
   EXPECT_EQ(reply.type, FrameType::reply);
   EXPECT_EQ(reply.json["ranks"], 4);
+  EXPECT_EQ(reply.json["version"], "test");
+  EXPECT_EQ(reply.json["limits"]["sessions"], 256);
   EXPECT_EQ(reply.json["session"], kAnna);
-}
-
-TEST(Session, TcpNeedsTheToken) {
-  TestService service;
-  const std::string token(64, 'a');
-  for (const std::string& wrong : {std::string(), std::string(64, 'b'), token.substr(1), token + "a"}) {
-    Client client = Client::on_tcp(service.tcp());
-    EXPECT_EQ(client.hello("c", kAnna, wrong).code(), "not_authorised") << wrong;
-    EXPECT_TRUE(client.receive().ended);
-  }
-  Client client = Client::on_tcp(service.tcp());
-  EXPECT_EQ(client.hello("c", kAnna, token).type, FrameType::reply);
-  EXPECT_EQ(client.call("status").type, FrameType::reply);
 }
 
 TEST(Session, NothingIsUnderstoodBeforeHello) {
@@ -249,6 +238,29 @@ TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
   EXPECT_EQ(anna.call("scene.create", {{"scene", "s"}}).json["members"], Json::array());  // bert doesn't hold it
 }
 
+// Who has a scene open knows its number of parts, and may count by it.
+TEST(Session, AnOpenScenesPartsAreNotChangedFromUnderItsClient) {
+  TestService service;
+  Client anna = service.client("anna", kAnna);
+  Client bert = service.client("bert", kBert);
+  anna.call("scene.create", {{"scene", "s"}, {"parts", 4}});
+  anna.call("scene.open", {{"scene", "s"}});
+  const auto rebalance = [&bert](Json more) {
+    more["scene"] = "s";
+    return bert.call("rebalance", std::move(more));
+  };
+  const Received refused = rebalance({{"parts", 5}});
+  EXPECT_EQ(refused.code(), "busy");
+  EXPECT_NE(refused.message().find("anna"), std::string::npos) << refused.message();
+  EXPECT_NE(refused.hint().find("force"), std::string::npos) << refused.hint();
+  for (const Json& harmless : {Json{{"parts", 4}}, Json{{"tolerance", 0.5}, {"method", "bands-x"}},
+                               Json{{"parts", 5}, {"dry_run", true}}, Json{{"parts", 5}, {"force", true}}})
+    EXPECT_EQ(rebalance(harmless).type, FrameType::reply) << harmless;
+  EXPECT_EQ(anna.call("rebalance", {{"scene", "s"}, {"parts", 5}}).type, FrameType::reply) << "her own";
+  anna.call("scene.close", {{"scene", "s"}});
+  EXPECT_EQ(rebalance({{"parts", 6}}).type, FrameType::reply);
+}
+
 TEST(Session, TheHoldEndsWithTheConnection) {
   TestService service;
   Client bert = service.client("bert", kBert);
@@ -263,15 +275,41 @@ TEST(Session, TheHoldEndsWithTheConnection) {
   EXPECT_EQ(code, "");
 }
 
-TEST(Session, OneTooManyIsToldSo) {
+TEST(Session, OneTooManyIsServedWhatTheOwnerNeedsUntilAPlaceIsFree) {
   ControlOptions options = TestService::defaults();
   options.sessions_max = 2;
   TestService service(options);
   Client one = service.client("one");
-  Client two = service.client("two");
-  Client three = service.connect();
-  EXPECT_EQ(last_failure(three), "busy");
-  EXPECT_EQ(one.call("status").json["sessions"], 2);
+  {
+    Client two = service.client("two");
+    Client three = service.client("three");
+    EXPECT_EQ(three.call("error").code(), "busy");
+    EXPECT_EQ(three.call("scene.create", {{"scene", "s"}}).code(), "busy");
+    three.begin(kAnna, 0, 2);
+    EXPECT_EQ(three.receive().code(), "busy");
+    EXPECT_EQ(three.call("status").json["sessions"], 3);
+    EXPECT_EQ(three.call("scene.list").type, FrameType::reply);
+    EXPECT_EQ(one.call("error").json["echo"], "error");
+  }
+  Client three = service.client("three");
+  while (three.call("status").json["sessions"] != 2) {
+  }
+  EXPECT_EQ(three.call("error").json["echo"], "error");
+}
+
+TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
+  ControlOptions options = TestService::defaults();
+  options.sessions_max = 1;
+  TestService service(options);
+  Client one = service.client("one");
+  std::vector<Client> late;
+  for (int i = 0; i < wire::kSessionsReserved; ++i) late.push_back(service.client("late"));
+  EXPECT_EQ(late[0].call("status").type, FrameType::reply);
+  Client owner = service.client("owner");
+  EXPECT_TRUE(late[0].receive().ended);
+  EXPECT_EQ(late[1].call("status").type, FrameType::reply);
+  EXPECT_EQ(one.call("error").json["echo"], "error");
+  EXPECT_EQ(owner.call("shutdown").type, FrameType::reply);
 }
 
 TEST(Session, ASlowReaderLosesItsConnectionOnly) {

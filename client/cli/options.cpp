@@ -1,0 +1,166 @@
+#include "client/cli/options.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <cstdlib>
+#include <functional>
+#include <optional>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "common/base/check.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::cli::kind {
+namespace {
+
+constexpr int kRanksMax = 4096;
+constexpr double kWholeMax = 9007199254740992.0;  // 2^53: beyond it a double is no exact count
+
+std::optional<double> number_in(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  if (text.empty() || *end != '\0' || std::isnan(value)) return std::nullopt;
+  return value;
+}
+
+std::optional<std::int64_t> whole_in(const std::string& text) {
+  std::int64_t value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error == std::errc{} && end == text.data() + text.size()) return value;
+  const auto number = number_in(text);
+  if (!number || std::fabs(*number) > kWholeMax || std::trunc(*number) != *number) return std::nullopt;
+  return static_cast<std::int64_t>(*number);
+}
+
+// CLI11 wants an empty text for a value that passes.
+Kind number_kind(const std::string& shown, const std::string& wanted, std::function<bool(double)> good) {
+  return {shown, CLI::Validator(
+                     [wanted, good = std::move(good)](std::string& text) {
+                       const auto value = number_in(text);
+                       return value && good(*value) ? std::string() : fmt::format("'{}' is not {}", text, wanted);
+                     },
+                     "")};
+}
+
+// The ending of a file's name in small letters, "" for none.
+std::string ending_of(const std::string& path) {
+  const std::string name = path.substr(path.rfind('/') + 1);
+  const std::size_t dot = name.rfind('.');
+  if (dot == std::string::npos || dot == 0) return "";
+  std::string ending = name.substr(dot);
+  for (char& c : ending)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+  return ending;
+}
+
+struct FormatNames {
+  const char* ending;
+  const char* name;
+  bool is_text;  // may be called .txt
+};
+
+FormatNames names_of(Format format) {
+  switch (format) {
+    case Format::csv:
+      return {".csv", "CSV", true};
+    case Format::npy:
+      return {".npy", "an .npy array", false};
+    case Format::json:
+      return {".json", "JSON", true};
+    case Format::svg:
+      return {".svg", "an SVG figure", false};
+  }
+  CHECK(false, "a format of the list above");
+}
+
+// Endings by which other programs know a format.
+constexpr const char* kKnownEndings[] = {".csv", ".tsv",  ".txt", ".json", ".npy",  ".npz",  ".h5",  ".hdf5",   ".xyz",
+                                         ".vtk", ".vtu",  ".vtp", ".xls",  ".xlsx", ".ods",  ".svg", ".png",    ".pdf",
+                                         ".jpg", ".jpeg", ".gif", ".eps",  ".ps",   ".webp", ".tif", ".tiff",   ".bmp",
+                                         ".htm", ".html", ".gz",  ".zip",  ".bz2",  ".xz",   ".zst", ".parquet"};
+
+}  // namespace
+
+Kind text(const std::string& shown) {
+  return {shown,
+          CLI::Validator([](std::string& value) { return value.empty() ? std::string("it is empty") : std::string(); },
+                         "")};
+}
+
+Kind number(const std::string& shown) {
+  return number_kind(shown, "a number", [](double v) { return std::isfinite(v); });
+}
+
+Kind positive_number(const std::string& shown) {
+  return number_kind(shown, "a number above 0", [](double v) { return std::isfinite(v) && v > 0; });
+}
+
+Kind number_from_zero(const std::string& shown) {
+  return number_kind(shown, "a number of at least 0", [](double v) { return std::isfinite(v) && v >= 0; });
+}
+
+Kind number_from_one(const std::string& shown) {
+  return number_kind(shown, "a number of at least 1", [](double v) { return std::isfinite(v) && v >= 1; });
+}
+
+Kind number_between(const std::string& shown, double least, double most) {
+  return number_kind(shown, fmt::format("a number from {} to {}", least, most),
+                     [least, most](double v) { return v >= least && v <= most; });
+}
+
+Kind tolerance() {
+  return number_kind("T", "a number of at least 0, or inf", [](double v) { return v >= 0; });
+}
+
+Kind whole_number(const std::string& shown, std::int64_t least, std::int64_t most) {
+  const std::string wanted = most > static_cast<std::int64_t>(kWholeMax)
+                                 ? fmt::format("a whole number of at least {}", least)
+                                 : fmt::format("a whole number from {} to {}", least, most);
+  return {shown, CLI::Validator(
+                     [least, most, wanted](std::string& text) {
+                       const auto value = whole_in(text);
+                       if (!value || *value < least || *value > most)
+                         return fmt::format("'{}' is not {}", text, wanted);
+                       text = std::to_string(*value);
+                       return std::string();
+                     },
+                     "")};
+}
+
+Kind part_count() { return whole_number("P", 1, wire::kPartsMax); }
+Kind rank_count() { return whole_number("R", 1, kRanksMax); }
+Kind dimensions() { return whole_number("D", 1, 3); }
+
+Kind one_of(const std::string& shown, const std::vector<std::string>& words) {
+  return {shown, CLI::Validator(
+                     [words](std::string& text) {
+                       if (std::find(words.begin(), words.end(), text) != words.end()) return std::string();
+                       return fmt::format("'{}' is none of {}", text, fmt::join(words, ", "));
+                     },
+                     "")};
+}
+
+Kind method() { return one_of("METHOD", {"rcb", "bands-x", "bands-y", "bands-z"}); }
+Kind policy() { return one_of("POLICY", {"tolerance", "cost"}); }
+Kind recut() { return one_of("WHAT", {"all", "subtree"}); }
+
+Kind output_file(Format format) {
+  const FormatNames names = names_of(format);
+  return {fmt::format("F{}", names.ending),
+          CLI::Validator(
+              [names](std::string& path) {
+                if (path.empty()) return std::string("it is empty");
+                const std::string ending = ending_of(path);
+                const bool other = std::any_of(std::begin(kKnownEndings), std::end(kKnownEndings),
+                                               [&ending](const char* known) { return ending == known; });
+                if (ending == names.ending || !other || (names.is_text && ending == ".txt")) return std::string();
+                return fmt::format("{} is written, and '{}' names another format; end the name in {}", names.name, path,
+                                   names.ending);
+              },
+              "")};
+}
+
+}  // namespace rcb::cli::kind

@@ -1,0 +1,71 @@
+// Options and what they take: the word by which --help shows a value, and a check in plain words. The check runs before
+// the parser converts the text, so that nobody meets the parser's own words about types.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+namespace rcb::cli {
+
+struct Kind {
+  std::string shown;
+  CLI::Validator check;  // of one value; may rewrite it as the parser reads it
+};
+
+// names: "--parts", or "NAME" for an argument without dashes, as messages call it.
+template <typename T>
+CLI::Option* add_value(CLI::App& command, const std::string& names, T& variable, const Kind& kind,
+                       const std::string& help) {
+  return command.add_option(names, variable, help)->type_name(kind.shown)->transform(kind.check);
+}
+
+namespace kind {
+
+Kind text(const std::string& shown);  // anything but nothing
+Kind number(const std::string& shown);
+Kind positive_number(const std::string& shown);
+Kind number_from_zero(const std::string& shown);
+Kind number_from_one(const std::string& shown);
+Kind number_between(const std::string& shown, double least, double most);
+Kind tolerance();  // 0 to inf
+// 1e3 is one too.
+Kind whole_number(const std::string& shown, std::int64_t least,
+                  std::int64_t most = std::numeric_limits<std::int64_t>::max());
+Kind part_count();
+Kind rank_count();
+Kind dimensions();
+Kind one_of(const std::string& shown, const std::vector<std::string>& words);
+Kind method();
+Kind policy();
+Kind recut();
+// A file to be written: its ending may not name another format.
+enum class Format { csv, npy, json, svg };
+Kind output_file(Format format);
+
+}  // namespace kind
+
+inline constexpr const char* kToleranceHelp = "repartition at this error; inf: never";
+inline constexpr const char* kHysteresisHelp =
+    "a repartition turns a cut to another axis where the part is longer along that one by this factor; 1: always";
+inline constexpr const char* kPolicyHelp =
+    "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes";
+inline constexpr const char* kRecutHelp =
+    "what a repartition cuts anew: all, or subtree, the least that brings the error below half the tolerance";
+inline constexpr const char* kPartSizesHelp = "a share for each part, such as 1,2,3";
+inline constexpr const char* kStepSecondsHelp = "what the solver computed for this step; for the policy cost";
+inline constexpr const char* kCutToleranceHelp =
+    "end a search once no part can be off its target by more than this fraction; 0: exact";
+inline constexpr const char* kGhostWidthHelp =
+    "how near a point of another part is a ghost (default: 2 (box volume / points)^(1/dims))";
+inline constexpr const char* kAllHelp = "show every part, however many";
+inline constexpr const char* kReplaceFilesHelp = "remove the files of other parts from DIR";
+
+// The page of --help in these words.
+std::shared_ptr<CLI::Formatter> help_format();
+
+}  // namespace rcb::cli

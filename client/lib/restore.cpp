@@ -1,0 +1,129 @@
+// Scene, where its service was started again and has lost the particles: what is kept for that, and the push that
+// brings them back.
+#include <algorithm>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include "client/lib/scene.hpp"
+
+namespace rcb::client {
+namespace {
+
+// Positions in the order of a plan, as rows. Called with double or float.
+template <typename T>
+void gather_rows(const plan::Plan& plan, std::span<const std::array<const T*, 3>> by_rank, std::size_t dims, T* rows) {
+  for (int rank = 0; rank < plan.ranks(); ++rank) {
+    const auto of_rank = plan.rows(rank);
+    for (std::size_t a = 0; a < dims; ++a)
+      for (std::size_t slot = 0; slot < of_rank.size(); ++slot)
+        rows[of_rank[slot] * dims + a] = by_rank[static_cast<std::size_t>(rank)][a][slot];
+  }
+}
+
+}  // namespace
+
+void Scene::State::forget_plan() {
+  if (plan_) {
+    lost_version_ = version_for_caller();
+    lost_plan_ = std::move(plan_);
+    plan_.reset();
+  }
+  versions_before_ = std::max(versions_before_, version_given_ + 1);
+}
+
+void Scene::State::lose() {
+  lost_ = true;
+  pushed_ = false;
+  if (known_.empty()) known_ = std::move(parts_);
+  parts_.clear();
+}
+
+void Scene::State::keep_weights(std::span<const double> weights) {
+  if (session().outlive() && weights.data() != weights_.data()) weights_.assign(weights.begin(), weights.end());
+}
+
+Status Scene::State::base_lost(const std::string& why) const {
+  return {Code::base_lost,
+          fmt::format("the service at {} was started again and has lost the particles of scene '{}': {}",
+                      session().endpoint(), name_, why),
+          "push all positions with step()"};
+}
+
+void Scene::State::forget_lost_if_others(const Ask& ask) {
+  if (!lost_ || !ask.whole()) return;
+  const auto& ids = ask.options.ids;
+  const bool same_ids = ids.empty() || ids_.empty() || std::equal(ids.begin(), ids.end(), ids_.begin(), ids_.end());
+  if (ask.positions.count == count_ && same_ids) return;
+  ids_.clear();
+  has_ids_ = false;
+  weights_.clear();
+  known_.clear();
+  told_ = false;
+  lost_plan_.reset();
+  count_ = ask.positions.count;
+}
+
+bool Scene::State::in_lost_order(const Ask& ask) const {
+  return ask.positions.in_plan_order() && lost_plan_ && ask.positions.plan_version == lost_version_;
+}
+
+Ask Scene::State::by_rows(const Ask& ask, Buffer<std::byte>& rows) const {
+  const auto dims = static_cast<std::size_t>(dims_);
+  const std::size_t values = static_cast<std::size_t>(count_) * dims;
+  Ask out = ask;
+  if (ask.positions.single()) {
+    rows.resize(values * sizeof(float));
+    auto* to = reinterpret_cast<float*>(rows.data());
+    gather_rows(*lost_plan_, ask.positions.by_rank_f4, dims, to);
+    out.positions = Positions::rows(to, count_, dims_);
+  } else {
+    rows.resize(values * sizeof(double));
+    auto* to = reinterpret_cast<double*>(rows.data());
+    gather_rows(*lost_plan_, ask.positions.by_rank, dims, to);
+    out.positions = Positions::rows(to, count_, dims_);
+  }
+  return out;
+}
+
+Result<Ask> Scene::State::whole_again(const Ask& ask, Buffer<std::byte>& rows) const {
+  if (!ask.whole())
+    return base_lost(fmt::format("of {} particles this push has the positions of {}", count_, ask.positions.count));
+  const bool own_ids = !ask.options.ids.empty() || !ids_.empty();
+  if (has_ids_ && !own_ids && count_ > 0)
+    return base_lost("they had ids of their own, which this client doesn't know: give them, too");
+  if (has_weights_ && ask.options.weights.empty() && weights_.size() != count_)
+    return base_lost("they had weights, which this client doesn't know: give them, too");
+  Ask whole = ask;
+  if (ask.positions.in_plan_order()) {
+    if (!in_lost_order(ask)) return base_lost("the order of these positions isn't known any more: give rows or axes");
+    if (Status status = check_plan_order(ask.positions, *lost_plan_, lost_version_); !status) return status;
+    whole = by_rows(ask, rows);
+  }
+  whole.moved = Ask::Moved::all;
+  whole.options.moved.reset();
+  if (whole.options.ids.empty()) whole.options.ids = ids_;
+  if (has_weights_ && whole.options.weights.empty()) whole.options.weights = weights_;
+  return whole;
+}
+
+Status Scene::State::restore(const Ask& whole, const Retry& retry) {
+  restored_ = true;
+  Ask ask = whole;
+  ask.options.removed = {};
+  ask.options.inserted = nullptr;
+  ask.options.step_seconds.reset();
+  ask.options.want_parts = ask.options.want_changes = false;
+  const std::int64_t step = *last_step_;
+  const auto known = known_;
+  const bool told = told_;
+  if (Status status = ready(count_, ask.options.ids, retry); !status) return status;
+  const auto answer = push(ask, step, std::nullopt, retry);
+  if (!answer) return answer.status();
+  const auto finished = finish(*answer, step, ask, retry);
+  known_ = known;
+  told_ = told;
+  return finished.status();
+}
+
+}  // namespace rcb::client

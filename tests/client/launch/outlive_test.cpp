@@ -1,0 +1,219 @@
+// The library against a real service whose ranks are killed: a random run of steps of every kind, in which positions,
+// ids, weights and parts are what the solver believes after each.
+#include <array>
+#include <atomic>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <numeric>
+#include <random>
+#include <thread>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <signal.h>
+#include <unistd.h>
+
+#include "client/launch/launch.hpp"
+#include "client/lib/client.hpp"
+#include "common/base/random.hpp"
+
+namespace rcb::client {
+namespace {
+
+// A service with a supervisor, in a folder of its own.
+class Supervised {
+ public:
+  explicit Supervised(int ranks) {
+    std::string pattern = "/tmp/rcbo-XXXXXX";
+    EXPECT_NE(::mkdtemp(pattern.data()), nullptr);
+    folder_ = pattern;
+    launch::SuperviseOptions options;
+    options.endpoint = endpoint();
+    options.data_dir = folder_ + "/data";
+    options.ranks = ranks;
+    const Status started = launch::start_detached(options, [](double) {});
+    EXPECT_TRUE(started.ok()) << started.message();
+    mpirun_ = parent_of(rank0());
+    supervisor_ = parent_of(mpirun_);
+  }
+  ~Supervised() {
+    EXPECT_TRUE(launch::stop_service(endpoint(), 30).ok());
+    std::filesystem::remove_all(folder_);
+  }
+  std::string endpoint() const { return "unix:" + folder_ + "/s"; }
+
+  // kill -9 of one rank; nothing where there is none just now.
+  void kill_one(Random& random) const {
+    std::vector<pid_t> ranks;
+    for (const pid_t job : children_of(supervisor_))
+      for (const pid_t rank : children_of(job)) ranks.push_back(rank);
+    if (!ranks.empty()) ::kill(ranks[random.below(ranks.size())], SIGKILL);
+  }
+
+ private:
+  pid_t rank0() const {
+    ConnectOptions where;
+    where.endpoint = endpoint();
+    auto client = Client::connect(where);
+    EXPECT_TRUE(client.ok()) << client.status().message();
+    return nlohmann::json::parse(client->call("status")->json)["pid"].get<pid_t>();
+  }
+  static pid_t parent_of(pid_t pid) {
+    std::ifstream in("/proc/" + std::to_string(pid) + "/status");
+    for (std::string line; std::getline(in, line);)
+      if (line.starts_with("PPid:")) return std::stoi(line.substr(5));
+    return 0;
+  }
+  static std::vector<pid_t> children_of(pid_t pid) {
+    std::vector<pid_t> found;
+    std::ifstream in("/proc/" + std::to_string(pid) + "/task/" + std::to_string(pid) + "/children");
+    for (pid_t child = 0; in >> child;) found.push_back(child);
+    return found;
+  }
+
+  std::string folder_;
+  pid_t mpirun_ = 0;
+  pid_t supervisor_ = 0;
+};
+
+// What the solver believes, by row.
+struct Rows {
+  std::vector<double> xyz, weights;
+  std::vector<std::int64_t> ids;
+  std::vector<std::int32_t> parts;
+
+  Positions positions() const { return Positions::rows(xyz.data(), ids.size(), 3); }
+
+  void follow(const StepResult& result, const std::vector<double>& more, const std::vector<double>& more_weights,
+              std::size_t n) {
+    const Rows old = *this;
+    const std::size_t most = std::max(n, ids.size());
+    ids.resize(most);
+    weights.resize(most);
+    xyz.resize(3 * most);
+    parts.resize(most, -1);
+    for (const RowMove& move : result.row_moves) {
+      ids[move.to] = move.inserted ? result.inserted_ids[move.from] : old.ids[move.from];
+      parts[move.to] = move.inserted ? -1 : old.parts[move.from];
+      weights[move.to] = (move.inserted ? more_weights : old.weights)[move.from];
+      for (std::size_t a = 0; a < 3; ++a) xyz[3 * move.to + a] = (move.inserted ? more : old.xyz)[3 * move.from + a];
+    }
+    ids.resize(n);
+    weights.resize(n);
+    xyz.resize(3 * n);
+    parts.resize(n, -1);
+    for (const PartChange& change : result.changes) parts.at(change.row) = change.part;
+  }
+
+  // False: the service has lost the scene since the step.
+  bool held(Client& client) const {
+    const auto reply = client.call("fetch", "{\"scene\":\"walk\"}");
+    if (reply.status().code() == Code::not_found) return false;
+    EXPECT_TRUE(reply.ok()) << reply.status().message();
+    if (!reply) return false;
+    const auto id = reply->find("id")->i8();
+    const auto x = reply->find("x")->f8();
+    const auto w = reply->find("w")->f8();
+    const auto part = reply->find("part")->i4();
+    EXPECT_EQ(id.size(), ids.size());
+    std::map<std::int64_t, std::tuple<double, double, std::int32_t>> there;
+    for (std::size_t i = 0; i < id.size(); ++i) there[id[i]] = {x[i], w[i], part[i]};
+    std::size_t wrong = 0;
+    for (std::size_t row = 0; row < ids.size(); ++row)
+      wrong += there[ids[row]] == std::tuple(xyz[3 * row], weights[row], parts[row]) ? 0U : 1U;
+    EXPECT_EQ(wrong, 0U);
+    return true;
+  }
+};
+
+// What a step asks for, beside the positions.
+struct Change {
+  std::vector<std::uint64_t> moved;
+  std::vector<std::int64_t> removed;
+  std::vector<double> more, more_weights;
+  Insertion in;
+  StepOptions options;
+};
+
+void choose(Change& change, Rows& rows, Random& random) {
+  const auto kind = random.below(3);  // all, few, none
+  for (std::uint64_t row = 0; row < rows.ids.size(); ++row) {
+    if (kind == 2 || (kind == 1 && random.below(9) != 0)) continue;
+    change.moved.push_back(row);
+    for (std::size_t a = 0; a < 3; ++a) rows.xyz[3 * row + a] += random.uniform(-0.05, 0.05);
+  }
+  if (kind > 0) change.options.moved = change.moved;
+  if (kind == 0 && random.below(3) == 0) {
+    for (double& weight : rows.weights) weight = random.uniform(0.5, 2);
+    change.options.weights = rows.weights;
+  }
+  change.options.want_changes = true;
+  if (random.below(2) == 0) return;
+  for (const std::int64_t id : rows.ids)
+    if (random.below(25) == 0) change.removed.push_back(id);
+  for (std::uint64_t k = random.below(30); k > 0; --k) {
+    change.more_weights.push_back(random.uniform(0.5, 2));
+    for (int a = 0; a < 3; ++a) change.more.push_back(random.uniform());
+  }
+  change.in.positions = Positions::rows(change.more.data(), change.more_weights.size(), 3);
+  change.in.weights = change.more_weights;
+  change.options.removed = change.removed;
+  change.options.inserted = &change.in;
+}
+
+TEST(Outlive, ARunOfStepsOfEveryKindIsWhatTheSolverBelieves) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  Random random(seed);
+  Supervised service(3);
+  ConnectOptions where;
+  where.endpoint = service.endpoint();
+  where.path = seed % 2 == 0 ? Path::gateway : Path::direct;
+  auto client = Client::connect(where);
+  ASSERT_TRUE(client.ok()) << client.status().message();
+  ASSERT_TRUE(client->create_scene("walk", {.parts = 6, .tolerance = 0.1, .part_sizes = {1, 2, 1, 1, 1, 3}}).ok());
+  auto scene = client->open_scene("walk");
+  ASSERT_TRUE(scene.ok());
+  Rows rows;
+  for (int i = 0; i < 400; ++i) rows.ids.push_back(7 * i);
+  for (int i = 0; i < 400; ++i) rows.weights.push_back(random.uniform(0.5, 2));
+  for (int k = 0; k < 1200; ++k) rows.xyz.push_back(random.uniform());
+  StepOptions first;
+  first.ids = rows.ids;
+  first.weights = rows.weights;
+  first.want_parts = true;
+  auto begun = scene->step(rows.positions(), first);
+  ASSERT_TRUE(begun.ok()) << begun.status().message();
+  rows.parts = begun->parts;
+  int recreated = 0;
+  int verified = 0;
+  for (std::int64_t step = 1; step <= 40; ++step) {
+    SCOPED_TRACE(testing::Message() << "step " << step);
+    Change change;
+    choose(change, rows, random);
+    std::thread killer;
+    if (step % 10 == 5) {  // four times; before the push or in the middle of it
+      const auto delay = std::chrono::microseconds(random.below(2) * random.below(2000));
+      killer = std::thread([&service, delay, chance = random.next()] {
+        std::this_thread::sleep_for(delay);
+        Random which(chance);
+        service.kill_one(which);
+      });
+    }
+    const auto result = scene->step(rows.positions(), change.options);
+    if (killer.joinable()) killer.join();
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(result->report.step, step);
+    recreated += result->report.scene_recreated ? 1 : 0;
+    rows.follow(*result, change.more, change.more_weights,
+                rows.ids.size() - change.removed.size() + change.more_weights.size());
+    verified += rows.held(*client) ? 1 : 0;
+    if (HasFailure()) return;
+  }
+  EXPECT_GE(recreated, 3);
+  EXPECT_GE(verified, 36);
+}
+
+}  // namespace
+}  // namespace rcb::client

@@ -1,0 +1,151 @@
+"""Solvers outlive their service: random ranks are killed at random moments, and every solver ends as it would have.
+
+What a solver computed is the same to the last bit, but for slope_mpi, whose sums are rounded in an order that depends on
+which process holds which point, hence on the cuts. Every step has one report. Cuts are not the same: a scene that is made
+anew begins with cuts of its own. So the history is held against that of fresh scenes which begin, with the same
+positions, at the steps at which the solver's scene was made anew: all that doesn't measure time is equal.
+
+kills_test.py --kills 80 [--ranks 8] [--seed S] is the long form; a service is given at most four kills.
+"""
+import argparse
+import random
+import threading
+import time
+
+import ranks
+from outliving_client import OutlivingClient
+from protocol_client import Client, Refused
+from support import *
+
+MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
+KILLS_EACH = 4  # of one service: its supervisor waits twice as long after each quick failure
+OPTIONS = argparse.Namespace(kills=4, ranks=4, seed=random.randrange(1 << 32))
+SECONDS = 240  # for one run of a solver
+
+
+class Killer(threading.Thread):
+    """Kills ranks of a service: each at a step of the scene, or some time after the last kill, up or not."""
+
+    def __init__(self, service, scene, kills, steps, rng):
+        super().__init__(daemon=True)
+        self.path, self.scene, self.rng = service.endpoint[5:], scene, rng
+        self.supervisor = ranks.supervisor(self.path)
+        self.at = sorted(rng.randrange(1, steps - 1) for _ in range(kills))
+        self.killed, self.stopped = [], threading.Event()
+
+    def step(self):
+        """The last step of the scene; -1 where the service, or the scene, isn't there."""
+        try:
+            with Client(self.path, timeout=5) as client:
+                return client.ask("error", scene=self.scene)[0]["step"]
+        except (OSError, EOFError, Refused):
+            return -1
+
+    def run(self):
+        for at in self.at:
+            if self.killed and self.rng.random() < 0.3:
+                self.stopped.wait(self.rng.uniform(0, 2))  # perhaps while it is started again
+            else:
+                while self.step() < at and not self.stopped.is_set():
+                    self.stopped.wait(0.001)
+                self.stopped.wait(self.rng.uniform(0, 0.02))
+            running = []
+            while not running and not self.stopped.is_set():
+                running = ranks.ranks(self.supervisor)
+                self.stopped.wait(0.01)
+            if self.stopped.is_set():
+                return
+            which = self.rng.randrange(len(running))
+            if ranks.kill(running[which]):
+                self.killed.append(which)
+
+
+class Kills(unittest.TestCase):
+    def setUp(self):
+        self.rng = random.Random(f"{OPTIONS.seed} {self.id()}")
+        self.judge = Service(2)
+        self.addCleanup(self.judge.stop)
+
+    def disturbed(self, scene, steps, solve):
+        """Runs solve(service, folder) until all kills are done; each run on a service of its own. Gives what they gave."""
+        results, killed = [], 0
+        while killed < OPTIONS.kills:
+            with Service(OPTIONS.ranks) as service:
+                killer = Killer(service, scene, min(KILLS_EACH, OPTIONS.kills - killed), steps, self.rng)
+                killer.start()
+                try:
+                    results.append(solve(service))
+                finally:
+                    killer.stopped.set()
+                    killer.join()
+            killed += len(killer.killed)
+            print(f"{self.id()}: kills at steps {killer.at} of ranks {killer.killed}, {killed} of {OPTIONS.kills} kills",
+                  flush=True)
+            self.assertGreater(len(killer.killed), 0)
+        return results
+
+    def run_solver(self, service, *command):
+        file = os.path.join(service.dir, "trajectory.npy")
+        done = subprocess.run([*map(str, command), "--endpoint", service.endpoint, "--trajectory", file, "--json",
+                               "--deadline", "120"], capture_output=True, text=True, timeout=SECONDS,
+                              stdin=subprocess.DEVNULL)
+        self.assertEqual(done.returncode, 0, done.stdout[-2000:] + done.stderr)
+        return json.loads(done.stdout)["reports"], np.load(file)
+
+    def check_history(self, reports, path, recreated=True, **options):
+        """Stretch by stretch against fresh scenes that are pushed the same positions."""
+        self.assertEqual([report["step"] for report in reports], list(range(len(path))))
+        if recreated:
+            self.assertTrue(any(report["scene_recreated"] for report in reports))
+        with Client(self.judge.endpoint[5:]) as judge:
+            for step, report in enumerate(reports):
+                if step == 0 or report["scene_recreated"]:
+                    judge.ask("scene.create", scene="judge", replace=True, **options)
+                expected = judge.push("judge", step, path[step])[0]["report"]
+                for name in ("step", "n", "parts", "epoch", "error_before", "error", "imbalance", "repartitioned",
+                             "reason", "axes_flipped", "drifted", "moved", "inserted", "removed", "scanned"):
+                    self.assertEqual(report[name], expected[name], (step, name))
+
+    def test_two_spheres(self):
+        command = [os.path.join(BIN, "two_spheres"), "--steps", 200, "--parts", 8, "--tolerance", 0.1, "--scene", "s"]
+        with Service(OPTIONS.ranks) as service:
+            reports, path = self.run_solver(service, *command)
+        self.check_history(reports, path, recreated=False, parts=8, tolerance=0.1)
+        for reports, disturbed in self.disturbed("s", 200, lambda service: self.run_solver(service, *command)):
+            self.assertEqual(disturbed.tobytes(), path.tobytes())
+            self.check_history(reports, path, parts=8, tolerance=0.1)
+            self.assertLess(max(report["error"] for report in reports), 0.1)
+
+    def test_slope_mpi(self):
+        command = [MPIRUN, 3, os.path.join(BIN, "slope_mpi"), "--points", 1500, "--steps", 40, "--interval", 0.3, "--parts",
+                   7, "--tolerance", 0.05, "--scene", "s"]
+        with Service(OPTIONS.ranks) as service:
+            reports, path = self.run_solver(service, *command)
+        self.check_history(reports, path, recreated=False, parts=7, tolerance=0.05)
+        for reports, disturbed in self.disturbed("s", 40, lambda service: self.run_solver(service, *command)):
+            print(f"slope_mpi: positions within {np.abs(disturbed - path).max():.1e} m of the undisturbed run")
+            np.testing.assert_allclose(disturbed, path, rtol=0, atol=1e-9)
+            self.check_history(reports, disturbed, parts=7, tolerance=0.05)
+
+    def test_a_client_in_python(self):
+        noise = np.random.default_rng(OPTIONS.seed).normal(0, 5e-3, (300, 800, 3))
+        path = np.cumsum(noise, axis=0) + np.random.default_rng(1).random((800, 3))
+
+        def solve(service):
+            client = OutlivingClient(service.endpoint[5:], "s", parts=6, tolerance=0.1)
+            reports = [client.step(step, points) for step, points in enumerate(path)]
+            client.close()
+            return reports
+
+        for reports in self.disturbed("s", len(path), solve):
+            self.check_history(reports, path, parts=6, tolerance=0.1)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=OPTIONS.kills, help="of each solver")
+    parser.add_argument("--ranks", type=int, default=OPTIONS.ranks)
+    parser.add_argument("--seed", type=int, default=OPTIONS.seed)
+    OPTIONS, rest = parser.parse_known_args(namespace=OPTIONS)
+    print(f"seed {OPTIONS.seed}", flush=True)
+    unittest.main(argv=[sys.argv[0], *rest], verbosity=2)

@@ -1,0 +1,137 @@
+"""What a solver meets that keeps its scene: a service that is started again, and another client that changes the parts."""
+import time
+
+import ranks
+from member_client import Member
+from protocol_client import Client, Refused
+from support import *
+
+MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
+
+
+def wait_for(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            found = condition()
+            if found:
+                return found
+        except (OSError, EOFError, Refused):
+            pass
+        time.sleep(0.02)
+    raise AssertionError("it hasn't come about")
+
+
+class Outlive(unittest.TestCase):
+    def setUp(self):
+        self.service = Service(3)
+        self.addCleanup(self.service.stop)
+        self.path = self.service.endpoint[5:]
+
+    def kill_and_wait(self):
+        """Another run of the service."""
+        with Client(self.path) as client:
+            instance = client.hello["instance"]
+        ranks.kill(max(ranks.ranks(ranks.supervisor(self.path))))
+
+        def another():
+            with Client(self.path, timeout=5) as client:
+                return client.hello["instance"] != instance
+
+        wait_for(another)
+
+    def test_a_member_that_has_not_heard_of_a_step_gets_its_answer_from_the_next_service(self):
+        points = np.random.default_rng(3).random((500, 3))
+        rng = np.random.default_rng(4)
+        held = np.split(rng.permutation(500), [200])
+        with Client(self.path) as control:
+            control.ask("scene.create", scene="s", parts=5)
+        team = [Member(self.path, "s", k, 2, follow=True) for k in range(2)]
+        for one, ids in zip(team, held):
+            one.start(0, ids, points)
+        answers = [one.finish() for one in team]
+        self.assertGreater(len(answers[0][1]["leave_id"]), 0)
+        for _ in range(2):  # the service may die again before all have asked
+            self.kill_and_wait()
+        with Client(self.path) as control:
+            control.ask("scene.create", scene="s", parts=5, recreated=True)
+        back = [Member(self.path, "s", k, 2, follow=True, generation=2, session=team[k].session) for k in range(2)]
+        self.addCleanup(lambda: [one.close() for one in team + back])
+        # Member 0 has its answer and goes on; member 1 asks for its own, and gets what it would have got.
+        after = np.concatenate([np.setdiff1d(held[0], answers[0][1]["leave_id"]), answers[0][1]["enter_id"]])
+        back[0].start(1, after, points)
+        back[1].start(0, held[1], points, attempt=2)
+        answer, news = back[1].finish()
+        self.assertTrue(answer["repeated"])
+        self.assertEqual(answer["report"], answers[1][0]["report"])
+        for name, values in answers[1][1].items():
+            np.testing.assert_array_equal(news[name], values, name)
+        back[1].start(1, np.concatenate([np.setdiff1d(held[1], news["leave_id"]), news["enter_id"]]), points)
+        reports = [one.finish()[0]["report"] for one in back]
+        self.assertEqual(reports[0], reports[1])
+        self.assertEqual((reports[0]["step"], reports[0]["scene_recreated"], reports[0]["n"]), (1, True, 500))
+        # Another session never gets it.
+        stranger = Client(self.path)
+        self.addCleanup(stranger.close)
+        with self.assertRaises(Refused) as refused:
+            stranger.push("s", 0, points)
+        self.assertEqual(refused.exception.args[0], "busy")
+
+    def solver(self, *command):
+        return subprocess.Popen([*map(str, command), "--endpoint", self.service.endpoint], stdin=subprocess.DEVNULL,
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def step(self, scene):
+        with Client(self.path) as client:
+            return client.ask("error", scene=scene)[0]["step"]
+
+    def check_parts_under(self, running, scene, name):
+        """The parts change under a solver by force alone, and its reports tell."""
+        try:
+            wait_for(lambda: self.step(scene) >= 2)
+            refused = self.service.failure("rebalance", scene, "--parts", 5)
+            self.assertEqual((refused["code"], refused["exit"]), ("busy", 1))
+            self.assertIn(name, refused["message"])
+            self.assertIn("--force", refused["hint"])
+            self.service.json("rebalance", scene, "--tolerance", 0.2, "--method", "bands-x")
+            self.service.json("rebalance", scene, "--parts", 5, "--force")
+            at = self.step(scene)
+            wait_for(lambda: self.step(scene) > at + 3)
+            self.service.json("rebalance", scene, "--parts", 11, "--force")
+            out, err = running.communicate(timeout=200)
+        finally:
+            running.kill()
+        self.assertEqual(running.returncode, 0, out[-2000:] + err)
+        reports = json.loads(out)["reports"]
+        self.assertEqual([report["step"] for report in reports], list(range(len(reports))))
+        parts = [report["parts"] for report in reports]
+        self.assertEqual([p for k, p in enumerate(parts) if k == 0 or parts[k - 1] != p], [4, 5, 11])
+
+    def test_parts_change_under_a_solver(self):
+        self.check_parts_under(self.solver(os.path.join(BIN, "two_spheres"), "--steps", 2000, "--parts", 4, "--scene", "a",
+                                           "--json"), "a", "two_spheres")
+
+    def test_parts_change_under_members(self):
+        self.check_parts_under(self.solver(MPIRUN, 3, os.path.join(BIN, "slope_mpi"), "--points", 1000, "--steps", 2000,
+                                           "--interval", 0.05, "--parts", 4, "--scene", "b", "--json", "--check"), "b",
+                               "slope_mpi 0 of 3")
+
+    def test_a_solver_that_does_not_outlive_ends_and_the_hint_is_true(self):
+        running = self.solver(os.path.join(BIN, "two_spheres"), "--steps", 100000, "--scene", "c", "--json", "--no-outlive")
+        try:
+            wait_for(lambda: self.step("c") >= 2)
+            ranks.kill(max(ranks.ranks(ranks.supervisor(self.path))))
+            out, err = running.communicate(timeout=60)
+        finally:
+            running.kill()
+        self.assertNotEqual(running.returncode, 0)
+        self.assertNotIn("start it again", err)
+
+    def test_no_service_at_all_is_told_at_once(self):
+        nowhere = run("status", "--json", "--endpoint", "unix:/nowhere/s")
+        self.assertEqual(nowhere.returncode, 3, nowhere.stdout)
+        self.assertIn("rcbctl up", json.loads(nowhere.stdout)["failure"]["hint"])
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)

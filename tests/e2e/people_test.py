@@ -1,0 +1,223 @@
+"""What rcbctl prints for people: short numbers, many parts summed up, whole keys of cuts, what is amiss; and commands that
+must not do what nobody asked for."""
+import re
+import time
+
+from protocol_client import Client
+from support import *
+
+
+
+def long_numbers(text):
+    """Those with a point and more than four digits that count."""
+    found = re.findall(r"(?<![\w.])\d+\.\d+", text)
+    return [number for number in found if len(number.replace(".", "").lstrip("0")) > 4]
+
+
+class People(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.dir = tempfile.mkdtemp(prefix="rcb-people-")
+        cls.service = Service(2)
+        cls.addClassCleanup(cls.service.stop)
+        cls.rng = np.random.default_rng(11)
+        cls.points = cls.rng.random((2000, 3))
+        cls.file = cls.save("points.npy", cls.points)
+        cls.walk = cls.save("walk.npy", cls.points + np.cumsum(cls.rng.normal(0, 0.004, (30, 2000, 3)), axis=0))
+        for name, parts in (("few", 8), ("many", 100)):
+            cls.service.json("replay", name, cls.walk, "--parts", parts, "--tolerance", "inf")
+        grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+        cls.service.json("replay", "lattice", cls.save("lattice.npy", grid), "--parts", 7)
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.dir)
+
+    @classmethod
+    def save(cls, name, array):
+        path = os.path.join(cls.dir, name)
+        np.save(path, array)
+        return path
+
+    def text(self, *args):
+        done = self.service.ctl(*args)
+        self.assertEqual((done.returncode, done.stderr), (0, ""), args)
+        return done.stdout
+
+    def shell(self, line, text=""):
+        return subprocess.run(["bash", "-c", "set -o pipefail; " + line], input=text, capture_output=True, text=True, timeout=60,
+                              env=dict(os.environ, RCBD_ENDPOINT=self.service.endpoint,
+                                       PATH=BIN + ":" + os.environ["PATH"]))
+
+    def test_numbers_are_short(self):
+        """Those of cuts aside, which have the digits that tell the cuts of an axis apart."""
+        for args in (("status",), ("stats", "few"), ("error", "few"), ("counts", "few"), ("quality", "few"), ("history", "few"), ("scene", "show", "few"), ("scene", "list"),
+                     ("rebalance", "few", "--dry-run"), ("compare", self.file, "--parts", 8),
+                     ("partition", self.file, "--parts", 8), ("push", "few", self.file)):
+            text = re.sub(r"[0-9a-f]{16}", "", self.text(*args))
+            self.assertEqual(long_numbers(text), [], (args, text))
+
+    def test_many_parts_are_summed_up(self):
+        counts = self.service.json("counts", "many")
+        errors = [abs(c - t) / t for c, t in zip(counts["counts"], counts["targets"])]
+        lines = self.text("counts", "many").splitlines()
+        self.assertEqual([line.split()[0] for line in lines[1:4]], ["least", "median", "largest"])
+        self.assertEqual([int(lines[k].split()[1]) for k in (1, 3)], [min(counts["counts"]), max(counts["counts"])])
+        worst = [int(line.split()[0]) for line in lines[4:9]]
+        self.assertEqual(worst, sorted(range(100), key=lambda p: (-errors[p], p))[:5])
+        self.assertIn("--all", lines[9])
+        self.assertEqual(len(lines), 10)
+        self.assertEqual(len(self.text("counts", "many", "--all").splitlines()), 101)
+        self.assertEqual(len(self.text("counts", "few").splitlines()), 9)
+        self.assertLess(len(self.text("quality", "many").splitlines()), 16)
+        self.assertGreater(len(self.text("quality", "many", "--all").splitlines()), 100)
+        self.assertLess(len(self.text("cuts", "many").splitlines()), 40)
+        self.assertGreater(len(self.text("cuts", "many", "--all").splitlines()), 199)
+        self.assertLess(len(self.text("compare", self.file, "--parts", 100).splitlines()), 16)
+        self.assertGreater(len(self.text("compare", self.file, "--parts", 100, "--all").splitlines()), 100)
+        self.assertLess(len(self.text("partition", self.file, "--parts", 1000)), 1000)
+
+    def test_a_cut_shows_its_whole_key(self):
+        cuts = self.service.json("cuts", "lattice")["cuts"]
+        text = self.text("cuts", "lattice")
+        for cut in cuts:
+            names = [f"{'xyz'[axis]} {at:g}" for axis, at in zip(cut["ties"]["axes"], cut["ties"]["at"])]
+            key = ", ".join(names + [f"id {cut['ties']['id']}"])
+            self.assertRegex(text, rf"(?m)^ *{cut['node']} +{'xyz'[cut['axis']]} +{cut['at']:g} +{key}")
+
+    def test_coordinates_far_from_the_origin_are_told_apart(self):
+        far = self.save("far.npy", 1e9 + self.rng.random((64, 1)))
+        self.service.json("replay", "far", far, "--parts", 16)
+        rows = [line.split()[2] for line in self.text("cuts", "far").splitlines()[3:18]]
+        self.assertEqual(len(set(rows)), 15, rows)
+
+    def test_status_and_stats_say_where_things_are(self):
+        scene = next(s for s in self.service.json("status")["scenes"] if s["scene"] == "few")
+        self.assertLessEqual({"error", "imbalance", "holders", "mean_step_seconds"}, scene.keys())
+        deadline = time.monotonic() + 20
+        status = self.service.json("status")
+        while None in status["memory_bytes"] and time.monotonic() < deadline:  # until each rank has given a sign of life
+            time.sleep(0.2)
+            status = self.service.json("status")
+        self.assertEqual(len(status["memory_bytes"]), 2)
+        self.assertGreater(min(status["memory_bytes"]), 1 << 20)
+        self.assertTrue(os.path.isfile(status["log"]))
+        self.assertEqual(os.path.dirname(status["log"]), status["data_dir"])
+        text = self.text("status")
+        for word in ("memory", "MiB", status["log"], "error", "imbalance", "ms a step", "few"):
+            self.assertIn(word, text)
+        text = self.text("stats", "few")
+        for word in ("time a step", "error", "imbalance", "memory", "open by", status["log"]):
+            self.assertIn(word, text)
+
+    def test_a_closed_pipe_is_no_failure(self):
+        for command in ("history few", "history few --json", "counts many --all", "cuts many --all --json", "--help",
+                        "completion bash", "scene list", f"partition {self.file} --parts 9000 --all"):
+            done = self.shell(f"rcbctl {command} | head -c 20")
+            self.assertIn(done.returncode, (0, 141), (command, done.stderr))
+            self.assertEqual(done.stderr, "", command)
+        self.assertEqual(self.shell("rcbctl history few > /dev/full").returncode, 1, "a full disk is one")
+
+    def test_watch_ends_with_its_reader(self):
+        self.assertIn(self.shell("timeout 30 rcbctl watch few | true").returncode, (0, 141))
+
+    def test_export_leaves_no_other_partitions_files(self):
+        self.service.json("replay", "out", self.walk, "--parts", 12)
+        folder = os.path.join(self.dir, "out")
+        self.service.json("export", "out", folder)
+        self.service.json("export", "out", folder)
+        foreign = {"notes.txt", "part-a.csv", "part-3.csv.bak", "my-part-1.csv"}
+        for name in foreign:
+            with open(os.path.join(folder, name), "w") as file:
+                file.write("mine\n")
+        self.service.json("rebalance", "out", "--parts", 5)
+        failure = self.service.failure("export", "out", folder)
+        self.assertIn("part-00.csv", failure["message"])
+        self.assertIn("--replace", failure["hint"])
+        self.assertEqual(len(os.listdir(folder)), 12 + len(foreign), "refused before anything was written")
+        self.service.json("export", "out", folder, "--replace")
+        self.assertEqual(set(os.listdir(folder)), {f"part-{p}.csv" for p in range(5)} | foreign)
+        self.service.failure("partition", self.file, "--parts", 3, "--out", folder)
+        for ranks in ((), ("--ranks", 2)):
+            self.service.json("partition", self.file, "--parts", 3, "--out", folder, "--replace", *ranks)
+            self.assertEqual(set(os.listdir(folder)), {f"part-{p}.csv" for p in range(3)} | foreign)
+
+    def test_replay_replaces_when_told_so(self):
+        before = self.service.json("scene", "show", "few")
+        failure = self.service.failure("replay", "few", self.walk, "--parts", 3)
+        self.assertEqual(failure["code"], "already_exists")
+        self.assertIn("--replace", failure["hint"])
+        self.assertEqual(self.service.json("scene", "show", "few"), before)
+        for _ in range(2):
+            self.service.json("replay", "again", self.walk, "--parts", 3, "--replace")
+
+    def test_a_first_push_has_particles(self):
+        empty = os.path.join(self.dir, "empty.csv")
+        open(empty, "w").close()
+        self.service.json("scene", "create", "empty", "--parts", 2)
+        for _ in range(2):
+            failure = self.service.failure("push", "empty", empty)
+            self.assertIn("holds no points", failure["message"])
+        self.service.json("push", "empty", self.file)
+        self.assertIn("holds no points", self.service.failure("replay", "nothing", empty)["message"])
+        self.assertEqual(self.service.failure("scene", "show", "nothing")["code"], "not_found")
+
+    def test_a_scene_without_particles_takes_any(self):
+        client = Client(self.service.endpoint[5:])
+        self.addCleanup(client.close)
+        client.ask("scene.create", scene="none", parts=4, tolerance="inf")
+        client.push("none", 0, np.zeros((0, 3)))
+        report = self.service.json("push", "none", self.file)
+        self.assertEqual((report["n"], report["error"], report["reason"]),
+                         (2000, 0, "the scene had no particles before; new cuts leave 0"))
+        self.service.json("replay", "some", self.file, "--parts", 4)
+        for name in ("none", "some"):
+            self.service.json("assign", name, "--out", os.path.join(self.dir, name + "-parts.npy"))
+        np.testing.assert_array_equal(*(np.load(os.path.join(self.dir, name + "-parts.npy")) for name in ("none", "some")))
+        self.assertEqual(self.service.json("push", "none", self.file)["n"], 2000)
+
+    def test_a_frozen_rank_is_told_first(self):
+        victim = max(pid for pid, line in processes_of(self.service.dir) if line.split()[0].endswith("/rcbd"))
+        os.kill(victim, signal.SIGSTOP)
+        try:
+            deadline = time.monotonic() + 20
+            text = self.text("status")
+            while "silent" not in text and time.monotonic() < deadline:
+                time.sleep(0.2)
+                text = self.text("status")
+            self.assertRegex(text.splitlines()[0], r"^rank 1 silent for \d+ s$")
+            self.assertRegex(text, r"(?m)^ranks +2, of which 1 silent$")
+            self.assertEqual(self.service.json("status")["silent"][0]["rank"], 1)
+        finally:
+            os.kill(victim, signal.SIGCONT)
+
+    def test_a_mistyped_scene_is_told_as_what_it_is(self):
+        failure = self.service.failure("error", "fwe")
+        self.assertEqual(failure["message"], "no scene 'fwe'")
+        self.assertRegex(failure["hint"], r"^did you mean few\? there are: .*lattice, many")
+        self.assertRegex(self.service.failure("watch", "many2")["hint"], r"did you mean many\?")
+        self.assertNotIn("mean", self.service.failure("stats", "zzzzzz")["hint"])
+
+    def test_completion_knows_scenes(self):
+        def completed(line):
+            done = self.shell('source <(rcbctl completion bash); COMP_LINE=$(cat); COMP_LINE=${COMP_LINE%.}; '
+                              'COMP_POINT=${#COMP_LINE}; _rcbctl; echo "${COMPREPLY[@]}"', text=line + ".")
+            self.assertEqual(done.stderr, "")
+            return done.stdout.split()
+
+        self.assertEqual(completed("rcbctl counts fe"), ["few"])
+        self.assertIn("lattice", completed("rcbctl history "))
+        self.assertEqual(completed("rcbctl counts --al"), ["--all"])
+        self.assertNotIn("few", completed("rcbctl push few "))
+        self.assertEqual(completed("rcbctl stat"), ["status", "stats"])
+        self.assertEqual(completed("rcbctl scene sh"), ["show"])
+        self.assertEqual(completed("rcbctl scene show fe"), ["few"])
+        self.assertEqual(completed("rcbctl partition --parts "), [])
+        self.assertEqual(completed(f"rcbctl --endpoint {self.service.endpoint} counts fe"), ["few"])
+        self.assertEqual(completed("rcbctl --endpoint unix:/nonexistent counts fe"), [])
+        nowhere = self.shell("export RCBD_ENDPOINT=unix:/nonexistent; rcbctl completion scenes")
+        self.assertEqual((nowhere.returncode, nowhere.stdout, nowhere.stderr), (0, "", ""))
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
