@@ -109,8 +109,10 @@ TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
       const std::string was = found == before.end() ? "" : old[static_cast<std::size_t>(found - before.begin())];
       if (now == was) continue;
       const std::size_t cut = random.below(now.size());
-      write_file(path, now.substr(0, cut) + (was.size() > cut ? was.substr(cut) : ""));
-      expect_step(KeptAnswers(directory.path(), true).before("s"), step - 1);
+      const std::string mixed = now.substr(0, cut) + (was.size() > cut ? was.substr(cut) : "");
+      write_file(path, mixed);
+      // Where all bytes that were still to come are those of before, it is whole already.
+      expect_step(KeptAnswers(directory.path(), true).before("s"), mixed == now ? step : step - 1);
       write_file(path, now);
     }
     expect_step(KeptAnswers(directory.path(), true).before("s"), step);
