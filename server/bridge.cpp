@@ -10,26 +10,6 @@ namespace {
 
 constexpr std::uint64_t kBytesAheadMax = std::uint64_t{64} << 20U;
 
-std::shared_ptr<const net::Snapshot> convert(const service::Snapshot& from) {
-  auto to = std::make_shared<net::Snapshot>();
-  to->steps = from.steps;
-  for (const auto& [name, scene] : from.scenes)
-    to->scenes[name] = {.n = scene.n,
-                        .dims = scene.dims,
-                        .parts = scene.parts,
-                        .weights = scene.weights,
-                        .step = scene.step,
-                        .step_session = scene.step_session,
-                        .epoch = scene.epoch,
-                        .error = scene.error,
-                        .imbalance = scene.imbalance,
-                        .mean_step_seconds = scene.mean_step_seconds,
-                        .plan_version = scene.plan_version,
-                        .plan_checksum = scene.plan_checksum,
-                        .rank_counts = scene.rank_counts};
-  return to;
-}
-
 // All observers of slices are these.
 class Observer final : public net::SliceObserver {
  public:
@@ -106,8 +86,9 @@ void Bridge::send(Waiting next) {
   out.received_seconds = order.received_seconds;
   out.deadline_seconds = order.deadline_seconds;
   out.cancelled = std::move(order.cancelled);
-  out.done = [done = std::move(next.done)](service::Response response, const service::Snapshot& snapshot) {
-    done({std::move(response.status), std::move(response.json), std::move(response.arrays), convert(snapshot)});
+  out.done = [done = std::move(next.done)](service::Response response) {
+    done(
+        {std::move(response.status), std::move(response.json), std::move(response.arrays), std::move(response.change)});
   };
   // This rank's engine wakes while the others are rung: a command that needs none of them is answered meanwhile.
   CHECK(engine_.push(std::move(out)), "the engine's queue is full");

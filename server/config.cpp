@@ -55,7 +55,7 @@ void add_options(CLI::App& app, Config& config) {
                "anybody on the network can read and alter them")
       ->envname("RCBD_TRUSTED_NETWORK");
   app.add_option("--data-dir", config.data_dir,
-                 "directory for lock, token and clean-shutdown marker [default: one for each endpoint, below "
+                 "directory for lock, token, older step reports and clean-shutdown marker [default: one for each endpoint, below "
                  "$XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
       ->envname("RCBD_DATA_DIR")
       ->type_name("DIR");
@@ -78,6 +78,11 @@ void add_options(CLI::App& app, Config& config) {
                  "a command that is so far past its deadline ends the service (the launcher starts it again)")
       ->envname("RCBD_STALL_SECONDS")
       ->check(CLI::Range(1.0, 86400.0))
+      ->capture_default_str();
+  app.add_option("--keep-reports", config.keep_reports,
+                 "step reports kept in memory, all scenes together; older ones go to files in the data directory")
+      ->envname("RCBD_KEEP_REPORTS")
+      ->check(CLI::Range(std::size_t{1}, std::size_t{1} << 32U))
       ->capture_default_str();
   app.add_flag(
          "--gateway-only", config.gateway_only,

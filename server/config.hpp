@@ -19,6 +19,7 @@ struct Config {
   std::uint64_t bulk_bytes = 0;  // 0: half of the memory
   double silence_seconds = 15;
   double stall_seconds = 120;
+  std::size_t keep_reports = 100'000;  // step reports in memory, of all scenes
   bool restarted = false;
   std::string no_skip;        // NoSkip::parse
   bool gateway_only = false;  // no listeners of the ranks' own

@@ -32,6 +32,7 @@
 #include "server/orphan.hpp"
 #include "server/ranks/engine_loop.hpp"
 #include "server/ranks/mpi_session.hpp"
+#include "server/service/report_file.hpp"
 
 namespace rcb::server {
 namespace {
@@ -249,6 +250,18 @@ Result<io::Roots> open_roots(const Config& config, ranks::MpiSession& mpi) {
   return roots;
 }
 
+// Rank 0's. Without a place for older reports the service does its work, and says so where they are lost.
+service::ServiceOptions root_options(const Config& config, const net::DataDirectory& data,
+                                     service::ServiceOptions options) {
+  options.keep_reports = config.keep_reports;
+  const std::string directory = join_path(data.path(), "reports");
+  if (const Status made = service::make_report_directory(directory); made.ok())
+    options.report_directory = directory;
+  else
+    spdlog::warn("older step reports will be lost: {}", made.message());
+  return options;
+}
+
 int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip, const io::Roots& roots) {
   service::Loans loans;
   net::IoLoop loop;
@@ -275,7 +288,8 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
                config.restarted ? ", restarted and empty" : "");
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, no_skip, &loans, &roots);
+    service::Service service(mpi.comm(), clock,
+                             root_options(config, *root.data, {.no_skip = no_skip, .loans = &loans, .roots = &roots}));
     engine.run(service);
   }
   root.control->finish(kGoodbyeSeconds);
@@ -339,7 +353,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   loop.start();
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, no_skip, &loans, &roots);
+    service::Service service(mpi.comm(), clock, {.no_skip = no_skip, .loans = &loans, .roots = &roots});
     engine.run(service);
   }
   loop.run([&] { port.finish(); });

@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "client/cli/lists.hpp"
 #include "client/cli/output.hpp"
 #include "client/lib/endpoint.hpp"
 
@@ -67,6 +68,7 @@ Result<Answer> ask_arrays(client::Client& client, const std::string& command, co
 Result<Json> ask(client::Client& client, const std::string& command, const Json& arguments, double deadline_seconds) {
   auto answer = ask_arrays(client, command, arguments, deadline_seconds);
   if (!answer) return answer.status();
+  fill_lists(answer->json, answer->reply);
   return std::move(answer->json);
 }
 

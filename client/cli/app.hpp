@@ -81,7 +81,7 @@ struct Session {
   Status explain(Status status) const { return embedded ? embedded->explain(std::move(status)) : status; }
 };
 
-// A command's reply, parsed. Errors: the service's; protocol_error where it is no JSON.
+// A command's reply, parsed, its long lists in it. Errors: the service's; protocol_error where it is no JSON.
 Result<Json> ask(client::Client& client, const std::string& command, const Json& arguments,
                  double deadline_seconds = 60);
 // The reply with its arrays beside it.
@@ -91,6 +91,9 @@ struct Answer {
 };
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
                           double deadline_seconds = 60);
+
+// The reply to `cuts`, put together from its pages. Errors also: aborted where the cuts changed all the while.
+Result<Json> ask_cuts(client::Client& client, const std::string& scene);
 
 // The scenes of `status` or `scene.list` as a table.
 void print_scenes(const Json& scenes);

@@ -148,7 +148,7 @@ void print_cuts(const Json& reply, bool all) {
 Status cuts(const Options& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
-  auto reply = ask(*client, "cuts", {{"scene", options.name}});
+  auto reply = ask_cuts(*client, options.name);
   if (!reply) return reply.status();
   if (context.json)
     print_json(*reply);
@@ -157,7 +157,37 @@ Status cuts(const Options& options, const Context& context) {
   return {};
 }
 
+// The pages of one list, put into `known`. False: the cuts have changed since what is there.
+Result<bool> add_pages(client::Client& client, const std::string& scene, const char* list, Json& known) {
+  Json items = Json::array();
+  for (Json from = 0; !from.is_null();) {
+    auto page = ask(client, "cuts", {{"scene", scene}, {"list", list}, {"from", from}});
+    if (!page) return page.status();
+    for (const char* field : {"epoch", "method", "parts", "hash"}) {
+      if (!known.contains(field)) known[field] = page->at(field);
+      if (known[field] != page->at(field)) return false;
+    }
+    for (Json& item : page->at(list)) items.push_back(std::move(item));
+    if (page->at("next") == from) return Status(Code::protocol_error, "the answer to cuts: its pages have no end");
+    from = page->at("next");
+  }
+  known[list] = std::move(items);
+  return true;
+}
+
 }  // namespace
+
+Result<Json> ask_cuts(client::Client& client, const std::string& scene) {
+  constexpr int kTries = 10;
+  for (int k = 0; k < kTries; ++k) {
+    Json all = Json::object();
+    auto whole = add_pages(client, scene, "cuts", all);
+    if (whole && *whole) whole = add_pages(client, scene, "regions", all);
+    if (!whole) return whole.status();
+    if (*whole) return all;
+  }
+  return Status(Code::aborted, fmt::format("the cuts of scene '{}' changed while they were read", scene), "ask again");
+}
 
 void add_cuts_command(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();

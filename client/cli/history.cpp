@@ -1,89 +1,183 @@
-// history: the step reports, as a table, CSV, JSON or figure.
+// history: the step reports, as a table, CSV, JSON or figure. They come a page at a time and go on as they come, so that
+// a long history takes no more memory than a short one.
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/curve.hpp"
 #include "client/cli/output.hpp"
 #include "client/cli/plot.hpp"
 #include "client/cli/report_csv.hpp"
+#include "common/io/output_file.hpp"
 
 namespace rcb::cli {
 namespace {
 
+constexpr std::size_t kTableRows = 1000;  // that are aligned together
+
 struct Options {
   std::string name;
-  std::optional<std::int64_t> last;
+  client::HistoryRange range;
   std::string csv;
   std::string plot;
   std::vector<std::string> with;
 };
 
-Result<Json> reports_of(client::Client& client, const std::string& scene, std::optional<std::int64_t> last) {
-  Json arguments{{"scene", scene}};
-  if (last) arguments["last"] = *last;
-  auto reply = ask(client, "history", arguments);
-  if (!reply) return reply.status();
-  return reply->at("history");
+// Where the reports go.
+class Sink {
+ public:
+  Sink() = default;
+  Sink(const Sink&) = delete;
+  Sink& operator=(const Sink&) = delete;
+  virtual ~Sink() = default;
+  virtual Status take(const client::StepReport& report, const Json& json) = 0;
+  virtual Status end() { return {}; }
+};
+
+class JsonArray final : public Sink {
+ public:
+  explicit JsonArray(const Context& context) : context_(context) {}
+  Status take(const client::StepReport&, const Json& json) override {
+    print_line((context_.document_begun ? "," : "[") + json.dump());
+    context_.document_begun = true;
+    return {};
+  }
+  Status end() override {
+    print_line(context_.document_begun ? "]" : "[]");
+    return {};
+  }
+
+ private:
+  const Context& context_;
+};
+
+class ForPeople final : public Sink {
+ public:
+  Status take(const client::StepReport&, const Json& report) override {
+    table_.row({text_of(report, "step"), text_of(report, "epoch"), text_of(report, "error_before"),
+                text_of(report, "error"), text_of(report, "imbalance"), text_of(report, "drifted"),
+                text_of(report, "moved"), text_of(report, "migrated"),
+                milliseconds(report.at("seconds").at("total").get<double>()),
+                report.at("repartitioned").get<bool>() ? text_of(report, "reason") : ""});
+    if (++rows_ % kTableRows == 0) table_.print();
+    return {};
+  }
+  Status end() override {
+    table_.print();
+    return {};
+  }
+
+ private:
+  Table table_{{{"step"},
+                {"epoch"},
+                {"error before"},
+                {"error"},
+                {"imbalance"},
+                {"drifted"},
+                {"moved"},
+                {"migrated"},
+                {"ms"},
+                {"repartition", Table::Align::left}}};
+  std::size_t rows_ = 0;
+};
+
+class CsvFile final : public Sink {
+ public:
+  explicit CsvFile(io::OutputFile file) : file_(std::move(file)) {}
+  Status take(const client::StepReport&, const Json& report) override {
+    text_ += report_csv_line(report);
+    return text_.size() < kTextBytes ? Status() : write();
+  }
+  Status end() override {
+    if (Status status = write(); !status) return status;
+    return file_.commit();
+  }
+
+ private:
+  static constexpr std::size_t kTextBytes = 1U << 16U;
+  Status write() { return file_.write(std::exchange(text_, {})); }
+
+  io::OutputFile file_;
+  std::string text_ = reports_csv_header();
+};
+
+class Drawn final : public Sink {
+ public:
+  explicit Drawn(Curve& curve) : curve_(curve) {}
+  Status take(const client::StepReport& report, const Json&) override {
+    curve_.add(report);
+    return {};
+  }
+
+ private:
+  Curve& curve_;
+};
+
+using Sinks = std::vector<std::unique_ptr<Sink>>;
+
+// How many steps there were.
+Result<std::uint64_t> read(client::Client& client, const std::string& scene, const Options& options,
+                           const Sinks& sinks) {
+  const auto take = [&](const client::StepReport& report) -> Status {
+    const Json json = Json::parse(report.json);
+    for (const auto& sink : sinks)
+      if (Status status = sink->take(report, json); !status) return status;
+    return reader_gone() ? Status(Code::aborted, "nobody reads on") : Status();
+  };
+  const auto found = client.history(scene, options.range, take);
+  if (!found && !reader_gone()) return found.status();
+  if (found && found->lost > 0)
+    note(fmt::format("{} of {} reports are lost: {}", found->lost, found->lost + found->reports, found->loss));
+  for (const auto& sink : sinks)
+    if (Status status = sink->end(); !status) return status;
+  return found ? found->reports : 0;
 }
 
-Result<Curve> curve_of(client::Client& client, const std::string& scene, Json reports) {
+Result<Curve> curve_of(client::Client& client, const std::string& scene) {
   auto shown = ask(client, "scene.show", {{"scene", scene}});
   if (!shown) return shown.status();
+  Curve curve;
+  curve.name = scene;
   const Json& tolerance = shown->at("tolerance");
-  Curve curve{scene, std::nullopt, std::move(reports)};
   if (tolerance.is_number()) curve.tolerance = tolerance.get<double>();
   return curve;
-}
-
-Status plot(client::Client& client, const Options& options, const Json& reports) {
-  std::vector<Curve> curves;
-  auto own = curve_of(client, options.name, reports);
-  if (!own) return own.status();
-  curves.push_back(std::move(*own));
-  for (const std::string& scene : options.with) {
-    auto other = reports_of(client, scene, options.last);
-    if (!other) return other.status();
-    auto curve = curve_of(client, scene, std::move(*other));
-    if (!curve) return curve.status();
-    curves.push_back(std::move(*curve));
-  }
-  return plot_history(options.plot, curves);
-}
-
-void print_reports(const Json& reports) {
-  Table table({{"step"},
-               {"epoch"},
-               {"error before"},
-               {"error"},
-               {"imbalance"},
-               {"drifted"},
-               {"moved"},
-               {"migrated"},
-               {"ms"},
-               {"repartition", Table::Align::left}});
-  for (const Json& report : reports)
-    table.row({text_of(report, "step"), text_of(report, "epoch"), text_of(report, "error_before"),
-               text_of(report, "error"), text_of(report, "imbalance"), text_of(report, "drifted"),
-               text_of(report, "moved"), text_of(report, "migrated"),
-               milliseconds(report.at("seconds").at("total").get<double>()),
-               report.at("repartitioned").get<bool>() ? text_of(report, "reason") : ""});
-  table.print();
 }
 
 Status history(const Options& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
-  auto reports = reports_of(*client, options.name, options.last);
-  if (!reports) return reports.status();
-  if (!options.csv.empty())
-    if (Status status = write_reports_csv(options.csv, *reports); !status) return status;
-  if (!options.plot.empty())
-    if (Status status = plot(*client, options, *reports); !status) return status;
+  std::vector<Curve> curves;
+  std::vector<std::string> scenes{options.name};
+  if (!options.plot.empty()) {
+    scenes.insert(scenes.end(), options.with.begin(), options.with.end());
+    for (const std::string& scene : scenes) {
+      auto curve = curve_of(*client, scene);
+      if (!curve) return curve.status();
+      curves.push_back(std::move(*curve));
+    }
+  }
+  Sinks sinks;
   if (context.json)
-    print_json(*reports);
+    sinks.push_back(std::make_unique<JsonArray>(context));
   else if (options.csv.empty() && options.plot.empty())
-    print_reports(*reports);
+    sinks.push_back(std::make_unique<ForPeople>());
+  if (!options.csv.empty()) {
+    auto file = io::OutputFile::create(options.csv);
+    if (!file) return file.status();
+    sinks.push_back(std::make_unique<CsvFile>(std::move(*file)));
+  }
+  if (!options.plot.empty()) sinks.push_back(std::make_unique<Drawn>(curves.front()));
+  const auto steps = read(*client, options.name, options, sinks);
+  if (!steps) return steps.status();
+  for (std::size_t k = 1; k < curves.size(); ++k) {
+    Sinks other;
+    other.push_back(std::make_unique<Drawn>(curves[k]));
+    const auto drawn = read(*client, scenes[k], options, other);
+    if (!drawn) return drawn.status();
+  }
+  if (!options.plot.empty())
+    if (Status status = plot_history(options.plot, curves); !status) return status;
   for (const std::string& file : {options.csv, options.plot})
-    if (!file.empty() && !context.json) print_line(fmt::format("{}: {} steps", file, reports->size()));
+    if (!file.empty() && !context.json) print_line(fmt::format("{}: {} steps", file, *steps));
   return {};
 }
 
@@ -98,7 +192,9 @@ void add_history_command(CLI::App& app, Context& context) {
                                    kAskGroup},
                                   [options, &context] { return history(*options, context); });
   add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "--last", options->last, kind::whole_number("K", 0), "only so many, the newest");
+  add_value(*command, "--last", options->range.last, kind::whole_number("K", 0), "only so many, the newest");
+  add_value(*command, "--first", options->range.first, kind::whole_number("K", 0),
+            "only so many, the oldest (of those that --last leaves)");
   add_value(*command, "--csv", options->csv, kind::output_file(kind::Format::csv), "write them to this file");
   CLI::Option* plot = add_value(*command, "--plot", options->plot, kind::output_file(kind::Format::svg),
                                 "draw error against step, repartitions as red dots (SVG, by gnuplot)");

@@ -44,22 +44,25 @@ void Table::row(std::vector<std::string> cells) {
   rows_.push_back(std::move(cells));
 }
 
-void Table::print() const {
-  std::vector<std::size_t> width;
+void Table::print() {
+  const bool first = width_.empty();
+  width_.resize(columns_.size());
   for (std::size_t c = 0; c < columns_.size(); ++c) {
-    width.push_back(columns_[c].title.size());
-    for (const auto& cells : rows_) width[c] = std::max(width[c], cells[c].size());
+    width_[c] = std::max(width_[c], columns_[c].title.size());
+    for (const auto& cells : rows_) width_[c] = std::max(width_[c], cells[c].size());
   }
-  std::string header;
-  for (std::size_t c = 0; c < columns_.size(); ++c)
-    header += (c == 0 ? "" : "  ") + padded(columns_[c].title, width[c], columns_[c].align);
-  print_line(colours() ? "\033[1m" + trimmed(header) + "\033[0m" : trimmed(header));
-  for (const auto& cells : rows_) {
-    std::string line;
+  const auto line = [this](const auto& text_of_column) {
+    std::string text;
     for (std::size_t c = 0; c < columns_.size(); ++c)
-      line += (c == 0 ? "" : "  ") + padded(cells[c], width[c], columns_[c].align);
-    print_line(trimmed(line));
+      text += (c == 0 ? "" : "  ") + padded(text_of_column(c), width_[c], columns_[c].align);
+    return trimmed(text);
+  };
+  if (first) {
+    const std::string header = line([this](std::size_t c) { return columns_[c].title; });
+    print_line(colours() ? "\033[1m" + header + "\033[0m" : header);
   }
+  for (const auto& cells : rows_) print_line(line([&cells](std::size_t c) { return cells[c]; }));
+  rows_.clear();
 }
 
 void Facts::print() const {

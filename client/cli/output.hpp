@@ -23,11 +23,13 @@ class Table {
 
   explicit Table(std::vector<Column> columns) : columns_(std::move(columns)) {}
   void row(std::vector<std::string> cells);  // missing cells are empty
-  void print() const;
+  // The rows since the last call; the header before the first.
+  void print();
 
  private:
   std::vector<Column> columns_;
   std::vector<std::vector<std::string>> rows_;
+  std::vector<std::size_t> width_;
 };
 
 // "name   value" lines, the values in one column.

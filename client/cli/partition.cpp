@@ -84,7 +84,7 @@ Status write_outputs(const Options& options, const LeftFiles& left, Session& ses
   if (!options.assign.empty())
     if (Status status = write_assignment(options, session, scene); !status) return status;
   if (options.cuts.empty()) return {};
-  auto cuts = ask(*session.client, "cuts", {{"scene", scene}});
+  auto cuts = ask_cuts(*session.client, scene);
   if (!cuts) return cuts.status();
   return io::write_file(options.cuts, cuts->dump() + "\n");
 }

@@ -21,8 +21,6 @@ extern char** environ;
 namespace rcb::cli {
 namespace {
 
-using Json = nlohmann::ordered_json;
-
 constexpr double kPlotSeconds = 60;
 constexpr std::array kColours{"#1f5f99", "#e08214", "#3a8f5c", "#7b5ea7", "#666666"};
 
@@ -65,27 +63,6 @@ class MemoryFile {
   int fd_;
 };
 
-// The error as it arose, then as a repartition left it: a sawtooth.
-std::string line_data(const Json& reports) {
-  std::string data;
-  for (const Json& report : reports) {
-    const auto step = report.at("step").get<std::int64_t>();
-    const double error = report.at("error").get<double>();
-    const Json& before = report.at("error_before");
-    if (before.is_number() && before.get<double>() != error) data += fmt::format("{} {}\n", step, before.get<double>());
-    data += fmt::format("{} {}\n", step, error);
-  }
-  return data;
-}
-
-std::string dot_data(const Json& reports) {
-  std::string data;
-  for (const Json& report : reports)
-    if (report.at("repartitioned").get<bool>() && report.at("error_before").is_number())
-      data += fmt::format("{} {}\n", report.at("step").get<std::int64_t>(), report["error_before"].get<double>());
-  return data;
-}
-
 std::string script(const std::vector<Curve>& curves) {
   std::string text =
       "set terminal svg size 900,480 noenhanced font 'sans-serif,14' background '#ffffff'\n"
@@ -103,7 +80,7 @@ std::string script(const std::vector<Curve>& curves) {
   bool dots = false;
   for (std::size_t c = 0; c < curves.size(); ++c) {
     const Curve& curve = curves[c];
-    text += fmt::format("$line{} << EOD\n{}EOD\n", c, line_data(curve.reports));
+    text += fmt::format("$line{} << EOD\n{}EOD\n", c, curve.line_data());
     plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}'",
                          plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], curve.name);
     if (curve.tolerance) tolerances.insert(*curve.tolerance);
@@ -112,7 +89,7 @@ std::string script(const std::vector<Curve>& curves) {
     plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' title 'tolerance {:g}'", tolerance,
                          tolerance);
   for (std::size_t c = 0; c < curves.size(); ++c) {
-    const std::string data = dot_data(curves[c].reports);
+    const std::string data = curves[c].dot_data();
     if (data.empty()) continue;
     text += fmt::format("$dots{} << EOD\n{}EOD\n", c, data);
     plots += fmt::format(", $dots{} using 1:2 with points pointtype 7 pointsize 0.6 linecolor '#d62728' {}", c,
@@ -167,7 +144,7 @@ Result<std::string> run_gnuplot(const std::string& commands) {
 }  // namespace
 
 Status plot_history(const std::string& path, const std::vector<Curve>& curves) {
-  if (std::all_of(curves.begin(), curves.end(), [](const Curve& curve) { return curve.reports.empty(); }))
+  if (std::all_of(curves.begin(), curves.end(), [](const Curve& curve) { return curve.empty(); }))
     return {Code::invalid_argument, "there are no steps to plot yet", "push positions first"};
   const auto figure = run_gnuplot(script(curves));
   if (!figure) return figure.status();

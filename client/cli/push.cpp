@@ -180,8 +180,11 @@ class Replay {
       if (status = replay_file(*client, file); !status) break;
     progress_.clear();
     // The steps before a bad frame stand, and so does their history.
-    if (!options_.history.empty() && !tally_.reports.empty())
-      if (Status written = write_reports_csv(options_.history, tally_.reports); !written) return written;
+    if (!options_.history.empty() && !tally_.reports.empty()) {
+      std::string table = reports_csv_header();
+      for (const Json& report : tally_.reports) table += report_csv_line(report);
+      if (Status written = io::write_file(options_.history, table); !written) return written;
+    }
     if (!status) return status;
     print(clock_.seconds() - start);
     return {};

@@ -4,8 +4,6 @@
 
 #include <fmt/format.h>
 
-#include "common/io/output_file.hpp"
-
 namespace rcb::cli {
 namespace {
 
@@ -39,21 +37,21 @@ std::string cell(const Json& report, const char* field) {
 
 }  // namespace
 
-Status write_reports_csv(const std::string& path, const Json& reports) {
+std::string reports_csv_header() {
   std::string text;
   for (const char* column : kColumns) text += (text.empty() ? "" : ",") + std::string(column);
   for (const char* name : kSeconds) text += fmt::format(",seconds_{}", name);
   for (const char* column : kLastColumns) text += fmt::format(",{}", column);
-  text += '\n';
-  for (const Json& report : reports) {
-    std::string line;
-    for (const char* column : kColumns) line += (column == *kColumns.begin() ? "" : ",") + cell(report, column);
-    const Json seconds = report.value("seconds", Json::object());
-    for (const char* name : kSeconds) line += "," + cell(seconds, name);
-    for (const char* column : kLastColumns) line += "," + cell(report, column);
-    text += line + "\n";
-  }
-  return io::write_file(path, text);
+  return text + '\n';
+}
+
+std::string report_csv_line(const Json& report) {
+  std::string line;
+  for (const char* column : kColumns) line += (column == *kColumns.begin() ? "" : ",") + cell(report, column);
+  const Json seconds = report.value("seconds", Json::object());
+  for (const char* name : kSeconds) line += "," + cell(seconds, name);
+  for (const char* column : kLastColumns) line += "," + cell(report, column);
+  return line + '\n';
 }
 
 }  // namespace rcb::cli

@@ -5,11 +5,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include "common/base/status.hpp"
-
 namespace rcb::cli {
 
-// reports: an array of step reports. Written beside `path`, then renamed. Errors: io_error.
-Status write_reports_csv(const std::string& path, const nlohmann::ordered_json& reports);
+// Both with the newline.
+std::string reports_csv_header();
+std::string report_csv_line(const nlohmann::ordered_json& report);
 
 }  // namespace rcb::cli

@@ -19,6 +19,7 @@ struct UpOptions {
   // What rcbd itself is told, at this start and at each that follows a death.
   std::vector<std::string> files_below;
   bool trusted_network = false;
+  std::string keep_reports;
   std::string log_level;
   std::string bulk_bytes;
 };
@@ -36,6 +37,7 @@ std::vector<std::string> service_arguments(const UpOptions& options, const clien
   if (options.files_below.empty() && endpoint.is_unix)
     add("--local-files-below", std::filesystem::current_path(unknown).string());
   if (options.trusted_network) arguments.emplace_back("--trusted-network");
+  add("--keep-reports", options.keep_reports);
   add("--log-level", options.log_level);
   add("--bulk-bytes", options.bulk_bytes);
   return arguments;
@@ -115,6 +117,8 @@ void add_up_options(CLI::App& command, UpOptions& options) {
   command.add_flag("--trusted-network", options.trusted_network,
                    "take an endpoint that other machines reach, although positions and commands travel unencrypted: "
                    "anybody on the network can read and alter them");
+  add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 0),
+            "step reports kept in memory, of all scenes together; older ones go to files (default: 100000)");
   add_value(command, "--log-level", options.log_level,
             kind::one_of("LEVEL", {"trace", "debug", "info", "warn", "error", "off"}),
             "how much is logged: trace, debug, info, warn, error or off");

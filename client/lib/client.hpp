@@ -129,6 +129,19 @@ struct StepReport {
   std::string json;  // the report as the service sent it
 };
 
+// Which of a scene's step reports: all; the first so many; the last so many; of the last so many the first so many.
+struct HistoryRange {
+  std::optional<std::uint64_t> first;
+  std::optional<std::uint64_t> last;
+};
+
+struct HistoryRead {
+  std::uint64_t from = 0;  // the number of the first, counted from the scene's first step
+  std::uint64_t reports = 0;
+  std::uint64_t lost = 0;  // of that range: the service's disk could not take or give them back
+  std::string loss;        // why
+};
+
 struct PartChange {
   std::uint64_t row;  // index into the caller's arrays
   std::int32_t part;
@@ -213,6 +226,11 @@ class Client {
   // Any command of PROTOCOL.md but pushes: arguments is a JSON object without "command" ("" or "{}" for none).
   Result<Reply> call(const std::string& command, const std::string& arguments_json = "{}",
                      double deadline_seconds = 60);
+  // Calls take(report) for each of the reports, in the order of the steps. They are fetched a page at a time: the
+  // longest history takes no more memory than a short one. A failure of `take` ends it and is returned. Errors also:
+  // aborted, where the scene was made anew meanwhile.
+  Result<HistoryRead> history(const std::string& scene, const HistoryRange& range,
+                              const std::function<Status(const StepReport&)>& take, double deadline_seconds = 60);
   int ranks() const;
   const std::string& endpoint() const;  // the one that answered
 

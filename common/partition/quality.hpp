@@ -9,6 +9,7 @@
 #include "common/geometry/box.hpp"
 #include "common/partition/comm.hpp"
 #include "common/partition/cut_tree.hpp"
+#include "common/partition/ghosts.hpp"
 
 namespace rcb::partition {
 
@@ -27,10 +28,12 @@ struct Quality {
 // 2 * (box volume / n)^(1/dims) over the axes of positive extent; 0 with no particles. Local.
 double default_ghost_width(const geometry::Box& bounds, std::uint64_t n, int dims);
 
-// Collective.
+// Collective. nullopt where go_on gave it up.
 //   part   [particles.count]
 //   tree   null for methods without regions
 //   ghost_width  >= 0; nullopt: the default
+std::optional<Quality> quality(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
+                               int parts, const CutTree* tree, std::optional<double> ghost_width, const GoOn& go_on);
 Quality quality(Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part, int parts,
                 const CutTree* tree, std::optional<double> ghost_width);
 

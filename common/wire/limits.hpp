@@ -8,8 +8,10 @@
 namespace rcb::wire {
 
 inline constexpr std::size_t kJsonBytesMax = 1U << 24U;            // of a request (part sizes of a million parts)
-inline constexpr std::size_t kReplyJsonBytesMax = 1U << 30U;       // of a reply (cuts of a million parts)
 inline constexpr std::size_t kJsonValuesMax = (1U << 20U) + 4096;  // of a request, each of which takes memory
+inline constexpr std::size_t kReplyJsonBytesMax = 1U << 23U;       // of a reply: what follows keeps every one below it
+inline constexpr std::size_t kListedMax = 8192;                    // parts of a list in a reply's JSON, or in a page
+inline constexpr std::size_t kReportsMax = 4096;                   // step reports in a reply
 inline constexpr int kJsonDepthMax = 32;
 inline constexpr std::size_t kArraysMax = 16;          // in a frame
 inline constexpr std::size_t kArrayDimensionsMax = 8;  // of a shape
@@ -22,6 +24,7 @@ inline constexpr int kSessionsMax = 256;
 inline constexpr int kSessionsReserved = 4;  // beyond them, for status, scene.list and shutdown alone
 inline constexpr int kOrdersMax = 64;
 inline constexpr std::int64_t kPartsMax = 1 << 20;
+inline constexpr std::int64_t kPartsTotalMax = 1 << 23;  // of all scenes: some 200 bytes each on every rank
 inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
 inline constexpr int kScenesMax = 1024;
 inline constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max() - 1;  // so that there is a next one

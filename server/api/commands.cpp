@@ -19,7 +19,8 @@ constexpr std::array<Fields, 22> kPushBegin{"scene",    "session",      "step", 
                                             "order",    "plan",         "moved",   "base_step",   "dtype", "weights",
                                             "ids",      "changes",      "path",    "counts",      "epoch", "places",
                                             "inserted", "inserted_ids", "removed", "step_seconds"};
-constexpr std::array<Fields, 2> kHistory{"scene", "last"};
+constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
+constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};
 constexpr std::array<Fields, 3> kBox{"scene", "lo", "hi"};
 constexpr std::array<Fields, 2> kAssign{"scene", "checksum"};
@@ -38,7 +39,7 @@ constexpr std::array kCommands{
     CommandInfo{"scene.show", root, reads, kScene},
     CommandInfo{"error", root, reads, kScene},
     CommandInfo{"counts", root, reads, kScene},
-    CommandInfo{"cuts", root, reads, kScene},
+    CommandInfo{"cuts", root, reads, kCuts},
     CommandInfo{"history", root, reads, kHistory},
     CommandInfo{"stats", root, reads, kScene},
     CommandInfo{"owner", root, reads, kOwner},

@@ -171,9 +171,9 @@ Status Connection::send_message(wire::FrameType type, std::uint64_t request, wir
   if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
   const std::string text = wire::dump_json(json);
   if (text.size() > wire::kReplyJsonBytesMax)
-    return {Code::too_large,
+    return {Code::internal,
             fmt::format("the answer has {} bytes of JSON, a frame takes {}", text.size(), wire::kReplyJsonBytesMax),
-            "ask for less of it"};
+            "ask for less of it"};  // every answer is made to fit
   enqueue({wire::encode_frame(header, text), std::move(arrays)});
   return {};
 }

@@ -99,7 +99,7 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
 
 void Coordinator::complete(Answer answer, const std::shared_ptr<Unfinished>& unfinished,
                            const std::shared_ptr<Pending>& pending) {
-  if (answer.snapshot) snapshot_ = answer.snapshot;
+  if (answer.change) api::apply(*std::move(answer.change), snapshot_);
   const OrderOptions& order = unfinished->order();
   unfinished->end();
   if (!order.changes.empty()) groups_.scene_changed(order.changes);
@@ -227,9 +227,9 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   const auto ranks = static_cast<std::uint64_t>(options_.ranks);
   push->whole.assign(ranks, false);
   push->arrived_bytes.assign(ranks, 0);
-  const auto scene = snapshot_->scenes.find(terms.id.scene);
+  const auto scene = snapshot_.find(terms.id.scene);
   std::vector<std::uint64_t> counts;
-  if (scene != snapshot_->scenes.end() && scene->second.step) counts = scene->second.rank_counts;
+  if (scene != snapshot_.end() && scene->second.step) counts = scene->second.rank_counts;
   if (!terms.counts.empty()) counts = terms.counts;
   if (counts.empty())  // the first push: blocks by row
     for (std::uint64_t r = 0; r < ranks; ++r)
@@ -296,7 +296,7 @@ Status Coordinator::unknown_scene(const std::string& scene) const {
   constexpr std::size_t kNamesMax = 8;
   constexpr std::size_t kComparedMax = 100;  // comparing them takes the I/O thread's time
   std::vector<std::string> names;
-  for (const auto& [name, info] : snapshot_->scenes) names.push_back(name);
+  for (const auto& [name, info] : snapshot_) names.push_back(name);
   std::string hint;
   if (!names.empty()) {
     if (names.size() <= kComparedMax)
@@ -321,7 +321,7 @@ Json Coordinator::scenes_json() const {
     for (const std::string& scene : session->open()) holders[scene].push_back(session->client());
   const auto number = [](const std::optional<double>& value) { return value ? Json(*value) : Json(); };
   Json scenes = Json::array();
-  for (const auto& [name, scene] : snapshot_->scenes) {
+  for (const auto& [name, scene] : snapshot_) {
     std::vector<std::string>& names = holders[name];
     std::sort(names.begin(), names.end());
     scenes.push_back({{"scene", name},
@@ -353,6 +353,8 @@ Json Coordinator::status_json() const {
   Json memory = Json::array({resident_bytes()});
   for (std::size_t rank = 1; rank < memory_bytes_.size(); ++rank)
     memory.push_back(memory_bytes_[rank] == 0 ? Json() : Json(memory_bytes_[rank]));
+  std::uint64_t steps = 0;
+  for (const auto& [name, scene] : snapshot_) steps += scene.steps;
   return {{"version", options_.version},
           {"ranks", options_.ranks},
           {"pid", ::getpid()},
@@ -361,12 +363,12 @@ Json Coordinator::status_json() const {
           {"data_dir", options_.data_dir},
           {"log", log_json()},
           {"memory_bytes", memory},
-          {"empty", snapshot_->scenes.empty()},
+          {"empty", snapshot_.empty()},
           {"restarted", options_.restarted},
           {"sessions", sessions_.size()},
           {"silent", silent_json()},
           {"scenes", scenes_json()},
-          {"steps", snapshot_->steps}};
+          {"steps", steps}};
 }
 
 Json Coordinator::silent_json() const {

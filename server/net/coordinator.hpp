@@ -4,10 +4,9 @@
 // 1. At most `orders_max` orders are unfinished; busy is said before ordering, never after.
 // 2. A scene has one open push at most. Commands that change a scene wait for its end; what comes later waits behind
 //    them, first come, first served (SceneGate::queue).
-// 3. The snapshot is the one of the last order that was answered, and is in place before that answer leaves.
+// 3. The snapshot shows what the last order that was answered has done, before that answer leaves.
 // 4. What has arrived of the arrays of open and unfinished pushes has about `bulk_bytes_max` bytes at most; what is
-// only
-//    announced takes nothing from others. An open push must go on arriving (kProgressBytes in `frame_seconds`).
+//    only announced takes nothing from others. An open push must go on arriving (kProgressBytes in `frame_seconds`).
 // 5. What an order has taken is given back when it ends, however it ends (Coordinator::Unfinished).
 // Everything runs on the I/O thread.
 #pragma once
@@ -104,7 +103,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Names this run of the service: 16 hex digits, others at every start.
   const std::string& instance() const { return instance_; }
   asio::io_context& context() { return context_; }
-  const Snapshot& snapshot() const { return *snapshot_; }
+  const api::Snapshot& snapshot() const { return snapshot_; }
   bool shutting_down() const { return shutting_down_; }
   std::size_t session_count() const { return sessions_.size(); }
   // Before the loop starts: who knows which ranks say nothing.
@@ -182,7 +181,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   DataPlane* data_ = nullptr;
   std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
   std::uint64_t pushes_numbered_ = 0;
-  std::shared_ptr<const Snapshot> snapshot_ = std::make_shared<Snapshot>();
+  api::Snapshot snapshot_;
   std::set<Session*> sessions_;
   MemberGroups groups_{*this};
   std::map<std::string, SceneGate> gates_;

@@ -3,13 +3,12 @@
 //
 // Invariants
 // 1. Orders are executed one after another, in the order of submit().
-// 2. Every submitted order is answered exactly once, with a snapshot that already shows its effect.
+// 2. Every submitted order is answered exactly once, with what it has made of its scene.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 #include <functional>
-#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -18,6 +17,7 @@
 
 #include "common/base/status.hpp"
 #include "common/wire/message.hpp"
+#include "server/api/snapshot.hpp"
 
 namespace rcb::net {
 
@@ -37,28 +37,6 @@ struct Slice {
   std::shared_ptr<SliceObserver> observer = nullptr;  // that has seen it; may be null
 };
 
-struct SceneInfo {
-  std::uint64_t n = 0;
-  int dims = 3;
-  int parts = 1;
-  bool weights = false;
-  std::optional<std::int64_t> step;
-  std::string step_session;  // who pushed it
-  std::uint64_t epoch = 0;
-  std::optional<double> error;  // these three: once it was pushed
-  std::optional<double> imbalance;
-  std::optional<double> mean_step_seconds;
-  std::uint64_t plan_version = 0;
-  std::uint64_t plan_checksum = 0;
-  std::vector<std::uint64_t> rank_counts;  // particles that each rank holds
-};
-
-// What may be told while the engine is busy.
-struct Snapshot {
-  std::map<std::string, SceneInfo> scenes;
-  std::uint64_t steps = 0;  // committed, all scenes
-};
-
 struct Order {
   // "command" and its arguments; with "staged", a number, where each rank has its slice of that direct push, or such
   // numbers, one a member, where each has what the members' pushes bring it.
@@ -75,7 +53,7 @@ struct Answer {
   Status status;
   wire::Json json = wire::Json::object();
   std::vector<wire::Array> arrays;
-  std::shared_ptr<const Snapshot> snapshot;
+  std::optional<api::SceneChange> change = {};  // where the order may have changed its scene
 };
 
 class Engine {

@@ -47,8 +47,8 @@ Status MemberGroups::begin(ShareBegin begin) {
   const auto member = static_cast<std::size_t>(seat - group->seats.begin());
   if (const MemberAnswers* before = kept_.before(scene); before != nullptr && answer_again(*before, member, begin))
     return {};
-  const auto info = coordinator_.snapshot().scenes.find(scene);
-  if (info == coordinator_.snapshot().scenes.end()) return coordinator_.unknown_scene(scene);
+  const auto info = coordinator_.snapshot().find(scene);
+  if (info == coordinator_.snapshot().end()) return coordinator_.unknown_scene(scene);
   if (info->second.step && begin.id.step <= *info->second.step) {
     if (group->last && answer_again(*group->last, member, begin)) return {};
     return {
@@ -111,7 +111,7 @@ void MemberGroups::withdraw_direct(MemberPush& step, std::size_t because_of) {
 
 Status MemberGroups::check_counts(const MemberPush& step) const {
   if (std::find(step.shares.begin(), step.shares.end(), nullptr) != step.shares.end()) return {};
-  const auto& held = coordinator_.snapshot().scenes.at(step.scene).rank_counts;
+  const auto& held = coordinator_.snapshot().at(step.scene).rank_counts;
   for (std::size_t rank = 0; rank < held.size(); ++rank) {
     std::uint64_t count = 0;
     for (const auto& share : step.shares) count += share->slices.terms().counts[rank];
@@ -138,7 +138,7 @@ std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, st
   return together;
 }
 
-Result<PushTerms> MemberGroups::read_terms(const ShareBegin& begin, const SceneInfo& info,
+Result<PushTerms> MemberGroups::read_terms(const ShareBegin& begin, const api::SceneSummary& info,
                                            const MemberPush* step) const {
   auto terms = read_push_terms(begin.json, begin.id, info, coordinator_.options().ranks,
                                coordinator_.options().bulk_bytes_max, Pusher::member);
@@ -226,7 +226,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   if (pending.ok()) return;
   for (const auto& share : step->shares)
     if (direct) coordinator_.refuse_directly(share->slices.terms().id);
-  answered(step, {pending.status(), Json::object(), {}, nullptr});
+  answered(step, {pending.status(), Json::object(), {}});
 }
 
 void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answer) {

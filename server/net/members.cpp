@@ -140,6 +140,11 @@ void MemberGroups::leave(const std::string& scene, const Connection* connection,
   }
 }
 
+void MemberGroups::close(const std::string& scene, const Connection* connection) {
+  leave(scene, connection, "has closed the scene");
+  if (Group* group = find(scene); group != nullptr && holders(scene).empty()) group->last.reset();
+}
+
 void MemberGroups::leave_all(const Connection* connection) {
   std::vector<std::string> scenes;
   for (const auto& [scene, group] : groups_)
@@ -186,7 +191,7 @@ Status MemberGroups::late(const MemberPush& step) const {
 }
 
 void MemberGroups::scene_changed(const std::string& scene) {
-  const auto& scenes = coordinator_.snapshot().scenes;
+  const auto& scenes = coordinator_.snapshot();
   const auto info = scenes.find(scene);
   if (info == scenes.end()) kept_.forget(scene);
   Group* group = find(scene);

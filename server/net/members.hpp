@@ -81,6 +81,8 @@ class MemberGroups {
   // Frees the connection's seat; a step of the members that isn't ordered is given up. why: "has closed the scene".
   void leave(const std::string& scene, const Connection* connection, const std::string& why);
   void leave_all(const Connection* connection);
+  // The same of a member that has closed the scene. Once all have, nobody is left who could ask for an answer again.
+  void close(const std::string& scene, const Connection* connection);
   // Whether the connection holds a seat of the scene, or has held one that another generation has taken.
   bool knows(const std::string& scene, const Connection* connection) const;
   // "4 members", where any seat of the scene is taken; else "".
@@ -118,7 +120,7 @@ class MemberGroups {
   std::string missing(const MemberPush& step) const;
   // False: the member's push isn't of that step.
   bool answer_again(const MemberAnswers& answers, std::size_t member, const ShareBegin& begin);
-  Result<PushTerms> read_terms(const ShareBegin& begin, const SceneInfo& info, const MemberPush* step) const;
+  Result<PushTerms> read_terms(const ShareBegin& begin, const api::SceneSummary& info, const MemberPush* step) const;
   // A member pushes by ids: those that push directly shall do so, too.
   void withdraw_direct(MemberPush& step, std::size_t because_of);
   // All members have begun directly: they must have the particles of each rank between them.

@@ -26,7 +26,7 @@ Result<PlanId> read_plan(const wire::Json& request) {
 
 namespace {
 
-Status check_plan(const wire::Json& request, const SceneInfo& scene) {
+Status check_plan(const wire::Json& request, const api::SceneSummary& scene) {
   const Result<PlanId> plan = read_plan(request);
   if (!plan.ok()) return plan.status();
   if (plan->version == scene.plan_version && plan->checksum == scene.plan_checksum) return {};
@@ -115,7 +115,7 @@ Status check_slice_count(const PushTerms& terms) {
                       terms.slices, terms.direct ? 0 : terms.moving, terms.by_id ? "id" : "plan", edits)};
 }
 
-Status check_base(const wire::Json& request, const SceneInfo& scene) {
+Status check_base(const wire::Json& request, const api::SceneSummary& scene) {
   const auto base = wire::integer_field_or(request, "base_step", 0, wire::kStepMax, -1);
   if (!base.ok()) return base.status();
   if (*base < 0 || (scene.step && *scene.step == *base)) return {};
@@ -126,7 +126,7 @@ Status check_base(const wire::Json& request, const SceneInfo& scene) {
 }
 
 // What a member's push must be; one that goes directly rests on the plan and the parts after the last step.
-Status check_share(const wire::Json& request, const SceneInfo& scene, PushTerms& terms) {
+Status check_share(const wire::Json& request, const api::SceneSummary& scene, PushTerms& terms) {
   if (terms.moved != Moved::all && !(terms.moved == Moved::none && terms.direct && !terms.weights))
     return {Code::unsupported, "members push all their particles, or directly none, without weights"};
   if (terms.edit_slices() > 0) return {Code::unsupported, "members neither insert nor remove particles"};
@@ -192,8 +192,8 @@ std::uint64_t PushTerms::bytes() const {
               inserted * (point + (scene_weights ? 1U : 0U) + (inserted_ids ? 1U : 0U)) + removed);
 }
 
-Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
-                                  std::uint64_t bytes_max, Pusher pusher) {
+Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const api::SceneSummary& scene,
+                                  int ranks, std::uint64_t bytes_max, Pusher pusher) {
   PushTerms terms{.id = id, .ranks = ranks, .dims = scene.dims};
   const auto n = wire::integer_field(request, "n", 0, wire::kParticlesMax);
   if (!n.ok()) return n.status();

@@ -75,8 +75,8 @@ enum class Pusher { client, member };
 // Reads a push.begin and holds it against what is known of its scene. A step that isn't above the scene's last is let
 // through: it may be one that is committed already, and only the service knows its report.
 // Errors: invalid_argument, base_lost, stale_plan, too_large, unsupported.
-Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const SceneInfo& scene, int ranks,
-                                  std::uint64_t bytes_max, Pusher pusher = Pusher::client);
+Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const api::SceneSummary& scene,
+                                  int ranks, std::uint64_t bytes_max, Pusher pusher = Pusher::client);
 
 // A slice of `count` particles whose arrays, still without bytes, are those that the terms demand.
 // Errors: invalid_argument, protocol_error (the connection must end).

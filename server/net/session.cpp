@@ -8,6 +8,8 @@
 #include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
+#include "server/api/commands.hpp"
+
 namespace rcb::net {
 
 using wire::FrameType;
@@ -21,11 +23,11 @@ bool flag(const Json& request, const char* name) {
 }
 
 // A rebalance that leaves those who hold the scene with another number of parts than they know, unforced.
-bool changes_parts(const std::string& command, const Json& request, const Snapshot& snapshot,
+bool changes_parts(const std::string& command, const Json& request, const api::Snapshot& snapshot,
                    const std::string& scene) {
   if (command != "rebalance" || flag(request, "dry_run") || flag(request, "force")) return false;
-  const auto info = snapshot.scenes.find(scene);
-  if (info == snapshot.scenes.end()) return false;
+  const auto info = snapshot.find(scene);
+  if (info == snapshot.end()) return false;
   const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, info->second.parts);
   return parts.ok() && *parts != info->second.parts;
 }
@@ -189,7 +191,7 @@ bool Session::answer_here(const Request& request) {
     else if (open_.erase(*scene) == 0)
       fail(request.number, {Code::not_found, fmt::format("this connection doesn't have scene '{}' open", *scene)});
     else {
-      coordinator_->groups().leave(*scene, connection_.get(), "has closed the scene");
+      coordinator_->groups().close(*scene, connection_.get());
       connection_->send(FrameType::reply, request.number, Json::object());
     }
   } else {
@@ -262,7 +264,7 @@ awaitable<void> Session::open_scene(Request& request) {
     co_return;
   }
   auto membership = read_membership(request.json);
-  if (membership.ok() && *membership && !coordinator_->snapshot().scenes.contains(*scene))
+  if (membership.ok() && *membership && !coordinator_->snapshot().contains(*scene))
     membership = coordinator_->unknown_scene(*scene);
   if (membership.ok() && *membership) {
     auto joined = coordinator_->groups().join(*scene, **membership, connection_.get(), client_);
@@ -309,9 +311,12 @@ awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pendi
     reply(request, std::move(answer));
   } else {
     if (request.cancelled) request.cancelled->store(true);
+    const api::CommandInfo* known = api::find_command(request.command);
+    const bool reads = known != nullptr && known->effect == api::Effect::reads;
     fail(request.number,
          {Code::deadline_exceeded,
-          fmt::format("'{}' wasn't done within {} s; it goes on", request.command, request.deadline_seconds),
+          fmt::format("'{}' wasn't done within {} s; {}", request.command, request.deadline_seconds,
+                      reads ? "it is given up" : "it goes on where it has begun to change the scene"),
           "ask again later, or give it a longer deadline"});
   }
   --answering_;
@@ -322,7 +327,7 @@ void Session::reply(const Request& request, Answer answer) {
   if (!answer.status.ok()) {
     Status why = answer.status;
     const auto scene = wire::string_field(request.json, "scene", 256);
-    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().scenes.contains(*scene))
+    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().contains(*scene))
       why = coordinator_->unknown_scene(*scene);
     spdlog::info("{} of {}: {}: {}", request.command, client_, code_name(why.code()), why.message());
     fail(request.number, why);

@@ -83,8 +83,8 @@ awaitable<void> Session::begin_share(Request& request, const PushId& id) {
 
 awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
   const PushId& id = push->slices.terms().id;
-  const auto scene = coordinator_->snapshot().scenes.find(id.scene);
-  if (scene != coordinator_->snapshot().scenes.end() && scene->second.step && id.step <= *scene->second.step) {
+  const auto scene = coordinator_->snapshot().find(id.scene);
+  if (scene != coordinator_->snapshot().end() && scene->second.step && id.step <= *scene->second.step) {
     coordinator_->refuse_directly(id);
     co_return co_await order_push(push);
   }
@@ -106,8 +106,8 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   const Status conflict = push_conflict(gate, id);
   if (!conflict.ok()) return conflict;
   if (gate.push) coordinator_->give_up(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
-  const auto scene = coordinator_->snapshot().scenes.find(id.scene);
-  if (scene == coordinator_->snapshot().scenes.end()) return coordinator_->unknown_scene(id.scene);
+  const auto scene = coordinator_->snapshot().find(id.scene);
+  if (scene == coordinator_->snapshot().end()) return coordinator_->unknown_scene(id.scene);
   Result<PushTerms> terms = read_push_terms(request.json, id, scene->second, coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();

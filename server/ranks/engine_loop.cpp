@@ -35,7 +35,7 @@ void EngineLoop::run(service::Service& service) {
     number_running_.store(0, std::memory_order_relaxed);
     for (service::Spare& spare : service.take_spares())
       if (handlers_.spare) handlers_.spare(std::move(spare));
-    if (order.done) order.done(std::move(response), service.snapshot());
+    if (order.done) order.done(std::move(response));
     if (handlers_.executed) handlers_.executed();
     if (last) return;
   }

@@ -28,8 +28,8 @@ struct EngineOrder {
   double deadline_seconds = 60;
   std::chrono::steady_clock::time_point ordered = std::chrono::steady_clock::now();
   std::shared_ptr<const std::atomic<bool>> cancelled;  // nobody waits for the answer any more; may be null
-  // Called on the engine thread when it is done, with the state after it; may be empty.
-  std::function<void(service::Response, service::Snapshot)> done;
+  // Called on the engine thread when it is done; may be empty.
+  std::function<void(service::Response)> done;
 };
 
 class EngineLoop {

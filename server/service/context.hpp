@@ -26,9 +26,17 @@ struct Context {
   std::vector<Spare>& spares;
   NoSkip no_skip;
   const io::Roots& roots;            // where files may be read and written
+  HistoryRoom& histories;            // of rank 0's scenes
   std::shared_ptr<const Loan> loan;  // what the order's scene had lent until now
 
+  OrderTerms terms = {};
+  double begun = 0;  // by the clock
+
   bool root() const { return comm.rank() == 0; }
+  // Whether the order may go on: not after its deadline, nor once its client has gone. For commands that may take
+  // long, between their parts, before anything is changed. Rank 0's word, the same on all ranks. Collective.
+  // Errors: deadline_exceeded, aborted.
+  Status check_time();
 };
 
 // Collective. Reads its arguments from the request, the same on all ranks; changes nothing if it fails.
@@ -45,6 +53,7 @@ std::span<const Command> scene_commands();
 std::span<const Command> push_commands();
 std::span<const Command> member_commands();
 std::span<const Command> query_commands();
+std::span<const Command> paged_commands();
 std::span<const Command> quality_commands();
 std::span<const Command> rebalance_commands();
 std::span<const Command> file_commands();
@@ -56,6 +65,9 @@ Result<Scene*> find_pushed_scene(Context& context, const wire::Json& request);
 
 // The field "method", or `otherwise` if absent; a scene method that `dims` allows. Errors: invalid_argument.
 Result<partition::Method> read_method(const wire::Json& request, int dims, partition::Method otherwise);
+
+// Whether all scenes together may have so many parts, once `changed` has these. Errors: too_large.
+Status check_parts_total(const std::map<std::string, Scene>& scenes, const std::string& changed, int parts);
 
 inline Response failed(Status status) { return {std::move(status), wire::Json::object(), {}}; }
 inline Response done(wire::Json json) { return {{}, std::move(json), {}}; }

@@ -24,46 +24,50 @@ wire::Json ties_json(const Cut& cut, int dims) {
   return {{"axes", std::move(axes)}, {"at", std::move(at)}, {"id", cut.key.id}};
 }
 
-void append_cuts(const CutTree& tree, const NodeRange& range, wire::Json& out) {
-  if (range.leaf()) return;
+wire::Json cut_json(const CutTree& tree, const NodeRange& range) {
   const Cut& cut = tree.cuts[static_cast<std::size_t>(range.node)];
-  out.push_back({{"node", range.node},
-                 {"axis", cut.axes[0]},
-                 {"at", cut.right_empty ? wire::Json(nullptr) : wire::Json(cut.key.at[0])},
-                 {"ties", cut.right_empty ? wire::Json(nullptr) : ties_json(cut, tree.dims)},
-                 {"left", child_json(range.left())},
-                 {"right", child_json(range.right())}});
-  append_cuts(tree, range.left(), out);
-  append_cuts(tree, range.right(), out);
+  return {{"node", range.node},
+          {"axis", cut.axes[0]},
+          {"at", cut.right_empty ? wire::Json(nullptr) : wire::Json(cut.key.at[0])},
+          {"ties", cut.right_empty ? wire::Json(nullptr) : ties_json(cut, tree.dims)},
+          {"left", child_json(range.left())},
+          {"right", child_json(range.right())}};
+}
+
+// Of the nodes [first, last). A node of k parts is the first of k - 1, those of its subtree.
+void append_cuts(const CutTree& tree, const NodeRange& range, int first, int last, wire::Json& out) {
+  if (range.leaf() || range.node >= last || range.node + range.parts() - 1 <= first) return;
+  if (range.node >= first) out.push_back(cut_json(tree, range));
+  append_cuts(tree, range.left(), first, last, out);
+  append_cuts(tree, range.right(), first, last, out);
 }
 
 wire::Json bound_json(double bound) { return std::isfinite(bound) ? wire::Json(bound) : wire::Json(nullptr); }
 
 }  // namespace
 
-wire::Json cuts_json(const CutTree& tree, std::uint64_t epoch) {
+wire::Json cuts_json(const CutTree& tree, int first, int last) {
   wire::Json cuts = wire::Json::array();
-  append_cuts(tree, tree.root(), cuts);
+  append_cuts(tree, tree.root(), first, last, cuts);
+  return cuts;
+}
+
+wire::Json regions_json(const CutTree& tree, int first, int last) {
   wire::Json regions = wire::Json::array();
-  const auto boxes = tree.regions();
-  for (std::size_t p = 0; p < boxes.size(); ++p) {
+  for (int part = first; part < last; ++part) {
+    const geometry::Box box = tree.region(part);
+    const bool empty = box.empty(tree.dims);
     wire::Json lo = wire::Json::array();
     wire::Json hi = wire::Json::array();
-    const bool empty = boxes[p].empty(tree.dims);
     for (std::size_t a = 0; a < static_cast<std::size_t>(tree.dims); ++a) {
-      lo.push_back(empty ? wire::Json(nullptr) : bound_json(boxes[p].lo[a]));
-      hi.push_back(empty ? wire::Json(nullptr) : bound_json(boxes[p].hi[a]));
+      lo.push_back(empty ? wire::Json(nullptr) : bound_json(box.lo[a]));
+      hi.push_back(empty ? wire::Json(nullptr) : bound_json(box.hi[a]));
     }
-    wire::Json region{{"part", p}, {"lo", std::move(lo)}, {"hi", std::move(hi)}};
+    wire::Json region{{"part", part}, {"lo", std::move(lo)}, {"hi", std::move(hi)}};
     if (empty) region["empty"] = true;
     regions.push_back(std::move(region));
   }
-  return {{"epoch", epoch},
-          {"method", partition::method_name(tree.method)},
-          {"parts", tree.parts},
-          {"cuts", std::move(cuts)},
-          {"regions", std::move(regions)},
-          {"hash", wire::hex64(tree.hash())}};
+  return regions;
 }
 
 }  // namespace rcb::service

@@ -1,4 +1,4 @@
-// The JSON of a cut tree: cuts in preorder, regions by part, hash.
+// A cut tree as JSON for clients: its cuts in preorder, and the region of each part.
 #pragma once
 
 #include "common/partition/cut_tree.hpp"
@@ -6,6 +6,9 @@
 
 namespace rcb::service {
 
-wire::Json cuts_json(const partition::CutTree& tree, std::uint64_t epoch);
+// The cuts of the nodes [first, last), or those of them that there are.
+wire::Json cuts_json(const partition::CutTree& tree, int first, int last);
+// The regions of the parts [first, last).
+wire::Json regions_json(const partition::CutTree& tree, int first, int last);
 
 }  // namespace rcb::service

@@ -4,6 +4,8 @@
 #include <array>
 #include <cstring>
 #include <filesystem>
+#include <functional>
+#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -21,6 +23,7 @@ namespace rcb::service {
 namespace {
 
 constexpr std::size_t kPrefixBytesMax = 64;
+constexpr std::size_t kListedBytesMax = 1U << 20U;  // of the paths in an answer
 
 struct LoadRequest {
   std::string path;
@@ -128,6 +131,7 @@ Response load(Context& context, const wire::Json& request) {
   Staged staged;
   staged.n = slices.total;
   staged.arrays = particles_of(std::move(points).value(), slices, scene.options.dims);
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   if (Status status = check_values(comm, staged.arrays.view(), true, slices.first_row); !status.ok())
     return failed(std::move(status));
   if (slices.ids) {
@@ -136,7 +140,8 @@ Response load(Context& context, const wire::Json& request) {
                      "ids must be distinct"});
     staged.ids = !ids_are_rows(comm, staged.arrays, slices.first_row);
   }
-  comm.barrier();
+  // From here on it is done, whatever the time: the commit can't be left halfway.
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   staged.seconds = context.clock.seconds() - start;
   PushRequest push;
   push.session = "load";
@@ -147,15 +152,33 @@ Response load(Context& context, const wire::Json& request) {
                {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
 }
 
-// The local particles of one part as CSV.
-Status write_part(const Scene& scene, int part, const io::Folder& folder, const std::string& name) {
+// This rank's particles, part after part.
+struct ByPart {
+  std::vector<std::uint64_t> start;  // of each of this rank's parts, and the end
+  std::vector<std::uint64_t> slot;
+};
+
+ByPart slots_by_part(const Scene& scene, std::int64_t first, std::int64_t last) {
+  ByPart by;
+  by.start.assign(static_cast<std::size_t>(last - first) + 1, 0);
+  for (const std::int32_t part : scene.part) ++by.start[static_cast<std::size_t>(part - first) + 1];
+  std::partial_sum(by.start.begin(), by.start.end(), by.start.begin());
+  by.slot.resize(scene.part.size());
+  std::vector<std::uint64_t> next(by.start.begin(), by.start.end() - 1);
+  for (std::size_t i = 0; i < scene.part.size(); ++i)
+    by.slot[next[static_cast<std::size_t>(scene.part[i] - first)]++] = i;
+  return by;
+}
+
+// The particles in these slots as CSV.
+Status write_part(const Scene& scene, std::span<const std::uint64_t> slots, const io::Folder& folder,
+                  const std::string& name) {
   auto file = io::OutputFile::create_in(folder, name);
   if (!file.ok()) return file.status();
   particles::ParticleSet chosen;
   chosen.dims = scene.options.dims;
   chosen.has_weights = scene.particles.has_weights;
-  for (std::size_t i = 0; i < scene.part.size(); ++i) {
-    if (scene.part[i] != part) continue;
+  for (const std::uint64_t i : slots) {
     for (std::size_t a = 0; a < static_cast<std::size_t>(chosen.dims); ++a)
       chosen.position[a].push_back(scene.particles.position[a][i]);
     chosen.id.push_back(scene.particles.id[i]);
@@ -180,6 +203,27 @@ Result<std::string> read_prefix(const wire::Json& request) {
   return prefix;
 }
 
+// Each rank writes the files of its parts. All look at the time after as many parts. Collective.
+Status write_own_parts(Context& context, const Scene& scene, const io::Folder& folder,
+                       const std::function<std::string(std::int64_t)>& name_of) {
+  constexpr std::int64_t kBetween = 16;
+  const int ranks = context.comm.size();
+  const std::int64_t begin = plan::part_begin(context.comm.rank(), scene.options.parts, ranks);
+  const std::int64_t end = plan::part_begin(context.comm.rank() + 1, scene.options.parts, ranks);
+  const std::int64_t most = (scene.options.parts + ranks - 1) / ranks;  // parts of a rank
+  const ByPart by = slots_by_part(scene, begin, end);
+  Status written;
+  for (std::int64_t k = 0; k < most; ++k) {
+    if (k % kBetween == 0)
+      if (Status status = context.check_time(); !status.ok()) return status;
+    if (begin + k >= end || !written.ok()) continue;
+    const auto at = static_cast<std::size_t>(k);
+    written = write_part(scene, std::span(by.slot).subspan(by.start[at], by.start[at + 1] - by.start[at]),
+                         folder, name_of(begin + k));
+  }
+  return agree_status(context.comm, written);
+}
+
 Response write_parts(Context& context, const wire::Json& request) {
   const auto found = find_pushed_scene(context, request);
   if (!found.ok()) return failed(found.status());
@@ -194,15 +238,15 @@ Response write_parts(Context& context, const wire::Json& request) {
     return fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size());
   };
   const auto folder = context.roots.make_folder(*directory);
-  if (Status status = agree_status(context.comm, folder.status()); !status.ok()) return failed(std::move(status));
-  Status written;
-  const std::int64_t end = plan::part_begin(context.comm.rank() + 1, parts, context.comm.size());
-  for (std::int64_t p = plan::part_begin(context.comm.rank(), parts, context.comm.size()); p < end && written.ok(); ++p)
-    written = write_part(scene, static_cast<int>(p), *folder, name_of(p));
-  if (Status status = agree_status(context.comm, written); !status.ok()) return failed(std::move(status));
-  wire::Json files = wire::Json::array();
-  for (int p = 0; p < parts; ++p) files.push_back((std::filesystem::path(*directory) / name_of(p)).string());
-  return done({{"files", std::move(files)}});
+  Status made = agree_status(context.comm, folder.status());
+  if (made.ok()) made = write_own_parts(context, scene, *folder, name_of);
+  if (!made.ok()) return failed(std::move(made));
+  if (!context.root()) return {};
+  const auto path_of = [&](std::int64_t part) { return (std::filesystem::path(*directory) / name_of(part)).string(); };
+  const bool listed = static_cast<std::size_t>(parts) * path_of(0).size() <= kListedBytesMax;
+  wire::Json files = listed ? wire::Json::array() : wire::Json(nullptr);
+  for (int p = 0; p < parts && listed; ++p) files.push_back(path_of(p));
+  return done({{"files", std::move(files)}, {"first", path_of(0)}, {"last", path_of(parts - 1)}});
 }
 
 constexpr Command kCommands[] = {{"load", load}, {"write_parts", write_parts, true}};

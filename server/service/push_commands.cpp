@@ -14,19 +14,28 @@ wire::Json plan_json(const Scene& scene) {
   return {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}};
 }
 
+auto find_step(const Scene& scene, std::int64_t step) {
+  return std::lower_bound(scene.recent_steps.begin(), scene.recent_steps.end(), step,
+                          [](const RememberedStep& one, std::int64_t number) { return one.step < number; });
+}
+
 // A session's step is applied once: its report, if this one is committed already. Same verdict on every rank.
 bool is_repeated(const Scene& scene, const PushRequest& push) {
-  const auto found = std::lower_bound(scene.recent_steps.begin(), scene.recent_steps.end(), push.step,
-                                      [](const auto& entry, std::int64_t step) { return entry.first < step; });
-  return found != scene.recent_steps.end() && found->first == push.step && found->second == push.session;
+  const auto found = find_step(scene, push.step);
+  return found != scene.recent_steps.end() && found->step == push.step && found->session == session_key(push.session);
 }
 
 // The plan and the particles may have moved on since: a client that repeats fetches the plan if versions differ.
 Response repeated(const Context& context, const Scene& scene, const PushRequest& push) {
+  if (!context.root()) return {};
   wire::Json json{{"plan", plan_json(scene)}, {"repeated", true}};
-  if (context.root())
-    for (const StepReport& report : scene.history)
-      if (report.step == push.step) json["report"] = to_json(report);
+  const auto later = static_cast<std::uint64_t>(scene.recent_steps.end() - find_step(scene, push.step));
+  const std::uint64_t number = scene.history->total() - later;
+  scene.history->read(number, number + 1, [&json](wire::Json report) { json["report"] = std::move(report); });
+  if (!json.contains("report"))
+    return failed({Code::io_error,
+                   fmt::format("step {} is committed, but its report was lost: {}", push.step, scene.history->loss()),
+                   "go on with the next step"});
   return done(std::move(json));
 }
 

@@ -7,13 +7,19 @@
 #include "common/partition/partition.hpp"
 #include "common/partition/quality.hpp"
 #include "common/wire/limits.hpp"
-#include "server/service/context.hpp"
+#include "server/service/lists.hpp"
 #include "server/service/quality_json.hpp"
 
 namespace rcb::service {
 namespace {
 
 using partition::Method;
+
+// A value that is no method, in a few words.
+std::string shown(const wire::Json& value) {
+  if (!value.is_string()) return fmt::format("a value of type {}", value.type_name());
+  return fmt::format("'{}'", value.get<std::string>().substr(0, 64));
+}
 
 Result<std::optional<double>> ghost_width(const wire::Json& request) {
   const auto width = wire::number_field_or(request, "ghost_width", 0, std::numeric_limits<double>::max(), -1);
@@ -28,12 +34,14 @@ Response quality(Context& context, const wire::Json& request) {
   const auto width = ghost_width(request);
   if (!width.ok()) return failed(width.status());
   const Scene& s = *scene.value();
-  const auto found =
-      partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, &s.tree, width.value());
-  wire::Json json = quality_json(found);
-  json["scene"] = s.name;
-  json["epoch"] = s.epoch;
-  return done(std::move(json));
+  Status time;
+  const auto found = partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, &s.tree,
+                                        width.value(), while_in_time(context, time));
+  if (!found) return failed(std::move(time));
+  if (!context.root()) return {};
+  Response response = done({{"scene", s.name}, {"epoch", s.epoch}});
+  put_quality(response, response.json, *found);
+  return response;
 }
 
 // The methods that `compare` shows for this many dimensions, in the paper's order.
@@ -54,16 +62,18 @@ Result<std::vector<Method>> read_methods(const wire::Json& request, int dims) {
   for (const wire::Json& name : request["methods"]) {
     const auto method = name.is_string() ? partition::method_from_name(name.get<std::string>()) : std::nullopt;
     if (!method || std::find(allowed.begin(), allowed.end(), *method) == allowed.end())
-      return Status(Code::invalid_argument, fmt::format("methods: {} isn't one for {} dimension(s)", name.dump(), dims),
+      return Status(Code::invalid_argument, fmt::format("methods: {} isn't one for {} dimension(s)", shown(name), dims),
                     "methods: equal-boxes, file-order, bands-x, bands-y, bands-z, rcb");
+    if (std::find(methods.begin(), methods.end(), *method) != methods.end())
+      return Status(Code::invalid_argument, fmt::format("methods: {} stands twice", shown(name)));
     methods.push_back(*method);
   }
   return methods;
 }
 
-// One row of the paper's Table 1. Collective.
-wire::Json compare_one(Context& context, const Scene& scene, const partition::PartitionOptions& options,
-                       std::optional<double> width) {
+// One row of the paper's Table 1. Errors: those of check_time. Collective.
+Status compare_one(Context& context, const Scene& scene, const partition::PartitionOptions& options,
+                   std::optional<double> width, Response& response) {
   const auto view = scene.particles.view();
   context.comm.barrier();
   const double start = context.clock.seconds();
@@ -74,16 +84,23 @@ wire::Json compare_one(Context& context, const Scene& scene, const partition::Pa
   const double seconds = context.clock.seconds() - start;
   const auto loads =
       partition::summarise_loads(context.comm, view, found->part.span(), options.part_sizes, options.parts);
+  Status time = context.check_time();
+  if (!time.ok()) return time;
   const auto metrics = partition::quality(context.comm, view, found->part.span(), options.parts,
-                                          partition::has_cut_tree(options.method) ? &found->tree : nullptr, width);
-  wire::Json json = quality_json(metrics);
-  json["method"] = partition::method_name(options.method);
-  json["error"] = loads.error;
-  json["errors"] = loads.part_errors;
-  json["counts"] = loads.counts;
-  json["imbalance"] = loads.imbalance;
-  json["seconds"] = seconds;
-  return json;
+                                          partition::has_cut_tree(options.method) ? &found->tree : nullptr, width,
+                                          while_in_time(context, time));
+  if (!metrics) return time;
+  if (!context.root()) return {};
+  wire::Json row{{"method", partition::method_name(options.method)},
+                 {"error", loads.error},
+                 {"imbalance", loads.imbalance},
+                 {"seconds", seconds}};
+  put_list<double>(response, row, "errors", loads.part_errors);
+  put_list<std::uint64_t>(response, row, "counts", loads.counts);
+  put_quality(response, row, *metrics);
+  response.json["ghost_width"] = metrics->ghost_width;
+  response.json["methods"].push_back(std::move(row));
+  return {};
 }
 
 Response compare(Context& context, const wire::Json& request) {
@@ -100,37 +117,43 @@ Response compare(Context& context, const wire::Json& request) {
   partition::PartitionOptions options;
   options.parts = static_cast<int>(parts.value());
   if (options.parts == s.options.parts) options.part_sizes = s.options.part_sizes;
-  wire::Json rows = wire::Json::array();
-  double used_width = 0;
+  Response response = done({{"scene", s.name},
+                            {"n", s.n},
+                            {"parts", options.parts},
+                            {"ghost_width", 0.0},
+                            {"methods", wire::Json::array()}});
   for (const Method method : methods.value()) {
     options.method = method;
-    rows.push_back(compare_one(context, s, options, width.value()));
-    used_width = rows.back()["ghost_width"].get<double>();
+    if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+    if (Status status = compare_one(context, s, options, width.value(), response); !status.ok())
+      return failed(std::move(status));
   }
-  return done({{"scene", s.name},
-               {"n", s.n},
-               {"parts", options.parts},
-               {"ghost_width", used_width},
-               {"methods", std::move(rows)}});
+  if (!context.root()) return {};
+  for (wire::Array& array : response.arrays) array.shape = {methods->size(), static_cast<std::uint64_t>(options.parts)};
+  return response;
 }
 
 constexpr Command kCommands[] = {{"quality", quality, true}, {"compare", compare, true}};
 
 }  // namespace
 
-wire::Json quality_json(const partition::Quality& quality) {
-  wire::Json json{{"ghost_width", quality.ghost_width},
-                  {"ghosts", quality.ghosts},
-                  {"neighbours", quality.neighbours},
-                  {"interface_area", nullptr},
-                  {"interface_areas", nullptr}};
-  if (quality.interface_area) {
-    json["interface_area"] = wire::number_json(*quality.interface_area);
-    wire::Json areas = wire::Json::array();
-    for (const double area : quality.part_interface_area) areas.push_back(wire::number_json(area));
-    json["interface_areas"] = std::move(areas);
-  }
-  return json;
+void put_quality(Response& response, wire::Json& json, const partition::Quality& quality) {
+  json["ghost_width"] = quality.ghost_width;
+  put_list<std::uint64_t>(response, json, "ghosts", quality.ghosts);
+  put_list<std::int32_t>(response, json, "neighbours", quality.neighbours);
+  json["interface_area"] = json["interface_areas"] = nullptr;
+  if (quality.interface_area) json["interface_area"] = wire::number_json(*quality.interface_area);
+  // Of several, each has its place in the array, also one that has nothing to tell.
+  const std::vector<double> none(quality.ghosts.size(), std::numeric_limits<double>::quiet_NaN());
+  if (quality.interface_area || none.size() > wire::kListedMax)
+    put_list<double>(response, json, "interface_areas", quality.interface_area ? quality.part_interface_area : none);
+}
+
+partition::GoOn while_in_time(Context& context, Status& status) {
+  return [&context, &status] {
+    status = context.check_time();
+    return status.ok();
+  };
 }
 
 std::span<const Command> quality_commands() { return kCommands; }

@@ -1,11 +1,15 @@
-// The JSON of partition quality, by part.
+// What commands that compute a partition's quality share.
 #pragma once
 
 #include "common/partition/quality.hpp"
-#include "common/wire/message.hpp"
+#include "server/service/context.hpp"
 
 namespace rcb::service {
 
-wire::Json quality_json(const partition::Quality& quality);
+// Puts it into `json`, the answer's or an object in it; of several, long lists become rows of an array.
+void put_quality(Response& response, wire::Json& json, const partition::Quality& quality);
+
+// For work that asks whether to go on: as long as context.check_time() says so, whose last word `status` is.
+partition::GoOn while_in_time(Context& context, Status& status);
 
 }  // namespace rcb::service

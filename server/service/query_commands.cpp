@@ -8,7 +8,7 @@
 #include "common/base/random.hpp"
 #include "server/service/collective.hpp"
 #include "server/service/context.hpp"
-#include "server/service/cuts_json.hpp"
+#include "server/service/lists.hpp"
 
 namespace rcb::service {
 namespace {
@@ -31,30 +31,10 @@ Response counts(Context& context, const wire::Json& request) {
   const auto scene = find_pushed_scene(context, request);
   if (!scene.ok()) return failed(scene.status());
   const Scene& s = *scene.value();
-  wire::Json json{{"epoch", s.epoch}, {"counts", s.loads.counts}, {"targets", s.loads.targets}};
-  if (s.particles.has_weights) json["loads"] = s.loads.load_values;
-  return done(std::move(json));
-}
-
-Response cuts(Context& context, const wire::Json& request) {
-  const auto scene = find_pushed_scene(context, request);
-  if (!scene.ok()) return failed(scene.status());
   if (!context.root()) return {};
-  return done(cuts_json(scene.value()->tree, scene.value()->epoch));
-}
-
-Response history(Context& context, const wire::Json& request) {
-  const auto scene = find_scene(context, request);
-  if (!scene.ok()) return failed(scene.status());
-  const auto last = wire::integer_field_or(request, "last", 0, std::numeric_limits<std::int64_t>::max(),
-                                           std::numeric_limits<std::int64_t>::max());
-  if (!last.ok()) return failed(last.status());
-  if (!context.root()) return {};
-  const auto& reports = scene.value()->history;
-  const std::size_t count = std::min(reports.size(), static_cast<std::size_t>(last.value()));
-  wire::Json json = wire::Json::array();
-  for (std::size_t k = reports.size() - count; k < reports.size(); ++k) json.push_back(to_json(reports[k]));
-  return done({{"history", std::move(json)}});
+  Response response = done({{"epoch", s.epoch}});
+  put_loads(response, s);
+  return response;
 }
 
 Response stats(Context& context, const wire::Json& request) {
@@ -113,9 +93,10 @@ Response owner(Context& context, const wire::Json& request) {
     json["owner"] = candidates.front();
   } else {
     json["owner"] = nullptr;
-    json["candidates"] = candidates;
   }
-  return done(std::move(json));
+  Response response = done(std::move(json));
+  if (candidates.size() > 1) put_list<int>(response, response.json, "candidates", candidates);
+  return response;
 }
 
 Response box(Context& context, const wire::Json& request) {
@@ -131,30 +112,36 @@ Response box(Context& context, const wire::Json& request) {
       return failed({Code::invalid_argument,
                      fmt::format("{}: lo {} is above hi {}", kAxisNames[a], lo.value()[a], hi.value()[a]),
                      "give the low corner first, then the high one"});
-  return done({{"scene", s.name}, {"epoch", s.epoch}, {"parts", s.tree.parts_touching({lo.value(), hi.value()})}});
+  if (!context.root()) return {};
+  Response response = done({{"scene", s.name}, {"epoch", s.epoch}});
+  put_list<int>(response, response.json, "parts", s.tree.parts_touching({lo.value(), hi.value()}));
+  return response;
 }
 
 template <typename T>
-void append_sorted(Context& context, Response& response, const char* name, const char* dtype, std::span<const T> values,
-                   const Buffer<std::uint64_t>& order) {
+Status append_sorted(Context& context, Response& response, const char* name, const char* dtype,
+                     std::span<const T> values, const Buffer<std::uint64_t>& order) {
+  if (Status status = context.check_time(); !status.ok()) return status;
   const auto gathered = gather_values<T>(context.comm, values);
   Buffer<T> sorted(order.size());
   for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = gathered[order[k]];
-  if (context.root()) response.arrays.push_back(make_array<T>(name, dtype, sorted.span()));
+  if (context.root())
+    response.arrays.push_back(make_array(name, dtype, order.size(), sorted.template release_as<std::byte>()));
+  return {};
 }
 
-// The arrays of all ranks in ascending id: id, then positions and weight where asked, then part. Collective.
-void append_particles(Context& context, const Scene& scene, bool positions, Response& response) {
+// The arrays of all ranks in ascending id: id, then positions and weight where asked, then part. Errors: those of
+// check_time. Collective.
+Status append_particles(Context& context, const Scene& scene, bool positions, Response& response) {
   const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
   const Buffer<std::uint64_t> order = order_by_id(ids);
-  append_sorted<particles::Id>(context, response, "id", "<i8", scene.particles.id.span(), order);
-  if (positions) {
-    for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
-      append_sorted<double>(context, response, kAxisNames[a], "<f8", scene.particles.position[a].span(), order);
-    if (scene.particles.has_weights)
-      append_sorted<double>(context, response, "w", "<f8", scene.particles.weight.span(), order);
-  }
-  append_sorted<std::int32_t>(context, response, "part", "<i4", scene.part.span(), order);
+  Status status = append_sorted<particles::Id>(context, response, "id", "<i8", scene.particles.id.span(), order);
+  for (std::size_t a = 0; positions && a < static_cast<std::size_t>(scene.options.dims) && status.ok(); ++a)
+    status = append_sorted<double>(context, response, kAxisNames[a], "<f8", scene.particles.position[a].span(), order);
+  if (positions && scene.particles.has_weights && status.ok())
+    status = append_sorted<double>(context, response, "w", "<f8", scene.particles.weight.span(), order);
+  if (status.ok()) status = append_sorted<std::int32_t>(context, response, "part", "<i4", scene.part.span(), order);
+  return status;
 }
 
 Response assign(Context& context, const wire::Json& request) {
@@ -162,9 +149,9 @@ Response assign(Context& context, const wire::Json& request) {
   if (!scene.ok()) return failed(scene.status());
   const auto checksum = wire::bool_field_or(request, "checksum", false);
   if (!checksum.ok()) return failed(checksum.status());
-  const Scene& s = *scene.value();
-  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.tree.hash())}});
-  append_particles(context, s, false, response);
+  Scene& s = *scene.value();
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}});
+  if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));
   if (checksum.value()) {
     std::uint64_t sum = 0;
     for (std::size_t i = 0; i < s.part.size(); ++i)
@@ -180,7 +167,7 @@ Response fetch(Context& context, const wire::Json& request) {
   if (!scene.ok()) return failed(scene.status());
   const Scene& s = *scene.value();
   Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"step", *s.step}});
-  append_particles(context, s, true, response);
+  if (Status status = append_particles(context, s, true, response); !status.ok()) return failed(std::move(status));
   return response;
 }
 
@@ -190,19 +177,21 @@ Response plan(Context& context, const wire::Json& request) {
   const Scene& s = *scene.value();
   const std::uint64_t held = s.part.size();
   const auto held_by_rank = gather_values<std::uint64_t>(context.comm, {&held, 1});
-  const auto ids = gather_values<particles::Id>(context.comm, s.particles.id.span());
-  const auto parts = gather_values<std::int32_t>(context.comm, s.part.span());
+  auto ids = gather_values<particles::Id>(context.comm, s.particles.id.span());
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  auto parts = gather_values<std::int32_t>(context.comm, s.part.span());
   Response response = done({{"counts", std::vector<std::uint64_t>(held_by_rank.begin(), held_by_rank.end())},
                             {"plan", {{"version", s.plan_version}, {"checksum", wire::hex64(s.plan_checksum)}}},
                             {"parts", s.options.parts},
                             {"ranks", context.comm.size()}});
-  response.arrays.push_back(make_array<particles::Id>("id", "<i8", ids.span()));
-  response.arrays.push_back(make_array<std::int32_t>("part", "<i4", parts.span()));
+  const std::uint64_t count = ids.size();
+  response.arrays.push_back(make_array("id", "<i8", count, ids.release_as<std::byte>()));
+  response.arrays.push_back(make_array("part", "<i4", count, parts.release_as<std::byte>()));
   return response;
 }
 
-constexpr Command kCommands[] = {{"error", error},       {"counts", counts},  {"cuts", cuts}, {"history", history},
-                                 {"stats", stats},       {"owner", owner},    {"box", box},   {"assign", assign, true},
+constexpr Command kCommands[] = {{"error", error},       {"counts", counts},  {"stats", stats},
+                                 {"owner", owner},       {"box", box},        {"assign", assign, true},
                                  {"fetch", fetch, true}, {"plan", plan, true}};
 
 }  // namespace

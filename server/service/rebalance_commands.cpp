@@ -61,6 +61,8 @@ Response rebalance(Context& context, const wire::Json& request) {
   const auto wanted = read_request(request, scene);
   if (!wanted.ok()) return failed(wanted.status());
   const SceneOptions& options = wanted->options;
+  if (Status status = check_parts_total(context.scenes, scene.name, options.parts); !status.ok())
+    return failed(std::move(status));
   const double start = context.clock.seconds();
 
   partition::PartitionOptions search;
@@ -68,6 +70,7 @@ Response rebalance(Context& context, const wire::Json& request) {
   search.parts = options.parts;
   search.part_sizes = options.part_sizes;
   search.cut_tolerance = options.cut_tolerance;
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   auto found = partition::partition(context.comm, scene.particles.view(), search);
   CHECK(found.ok(), found.status().message());
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found->part.span(), options.part_sizes,
@@ -88,18 +91,23 @@ Response rebalance(Context& context, const wire::Json& request) {
                   {"adopted", !wanted->dry_run},
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
                   {"hash", wire::hex64(found->tree.hash())}};
+  Status time = context.check_time();
+  if (!time.ok()) return failed(std::move(time));
+  Response response = done(std::move(json));
   if (wanted->dry_run) {
-    json["quality"] = quality_json(partition::quality(context.comm, scene.particles.view(), found->part.span(),
-                                                      options.parts, &found->tree, std::nullopt));
+    const auto quality = partition::quality(context.comm, scene.particles.view(), found->part.span(), options.parts,
+                                            &found->tree, std::nullopt, while_in_time(context, time));
+    if (!quality) return failed(std::move(time));
+    put_quality(response, response.json["quality"], *quality);
   } else {
     scene.options = options;
     scene.part = std::move(found->part);
     adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
     migrate(context.comm, scene, false);
   }
-  json["epoch"] = scene.epoch;
-  json["seconds"] = context.clock.seconds() - start;
-  return done(std::move(json));
+  response.json["epoch"] = scene.epoch;
+  response.json["seconds"] = context.clock.seconds() - start;
+  return response;
 }
 
 constexpr Command kCommands[] = {{"rebalance", rebalance}};

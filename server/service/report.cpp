@@ -2,6 +2,15 @@
 
 namespace rcb::service {
 
+std::vector<std::string> Skips::names() const {
+  constexpr const char* kNames[] = {"dimension", "weights",  "ids",    "double precision",
+                                    "motion",    "exchange", "search", "far from cuts"};
+  std::vector<std::string> names;
+  for (unsigned k = 0; k < std::size(kNames); ++k)
+    if ((bits_ >> k & 1U) != 0) names.emplace_back(kNames[k]);
+  return names;
+}
+
 StepSeconds& StepSeconds::operator+=(const StepSeconds& other) {
   receive += other.receive;
   exchange += other.exchange;
@@ -41,7 +50,7 @@ wire::Json to_json(const StepReport& report) {
                   {"searched", report.searched},
                   {"rounds", report.rounds},
                   {"reductions", report.reductions},
-                  {"skipped", report.skipped},
+                  {"skipped", report.skipped.names()},
                   {"bytes", report.bytes},
                   {"seconds", to_json(report.seconds)}};
   if (report.first_id) json["first_id"] = *report.first_id;

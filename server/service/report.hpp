@@ -20,6 +20,28 @@ struct StepSeconds {
   StepSeconds& operator+=(const StepSeconds& other);
 };
 
+// What a step did not have to do; reports name them in this order.
+enum class Skip : std::uint8_t {
+  dimension,
+  weights,
+  ids,
+  double_precision,
+  motion,
+  exchange,
+  search,
+  far_from_cuts,
+};
+
+class Skips {
+ public:
+  void add(Skip skip) { bits_ |= static_cast<std::uint8_t>(1U << static_cast<unsigned>(skip)); }
+  std::vector<std::string> names() const;
+
+ private:
+  std::uint8_t bits_ = 0;
+};
+
+// Many are kept (history.hpp), so they hold no more than they must.
 struct StepReport {
   std::string scene;
   std::int64_t step = 0;
@@ -43,7 +65,7 @@ struct StepReport {
   std::uint64_t searched = 0;            // particles that a search for cuts looked at
   std::uint64_t rounds = 0;              // of the search for cuts; 0: none
   std::uint64_t reductions = 0;          // its collectives
-  std::vector<std::string> skipped;
+  Skips skipped;
   std::uint64_t bytes = 0;  // received
   StepSeconds seconds;
 };

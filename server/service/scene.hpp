@@ -4,12 +4,13 @@
 // 1. Everything but `particles`, `part` and the report history is the same on all ranks.
 // 2. After every order this rank holds exactly the particles of its parts, in the plan's order, and part[i] is the
 //    part of particle i under `tree`.
-// 3. Reports are kept on rank 0 alone; every rank remembers the last kRememberedSteps (step, session) pairs.
+// 3. Reports are kept on rank 0 alone; every rank remembers the last kRememberedSteps steps and their sessions.
 #pragma once
 
 #include <cstdint>
 #include <deque>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -20,9 +21,9 @@
 #include "common/particles/particle_set.hpp"
 #include "common/partition/cut_tree.hpp"
 #include "common/partition/load.hpp"
+#include "server/service/history.hpp"
 #include "server/service/policy.hpp"
 #include "server/service/regions.hpp"
-#include "server/service/report.hpp"
 
 namespace rcb::service {
 
@@ -64,6 +65,14 @@ struct IdIndex {
   std::optional<std::uint64_t> plan_version;  // that it tells of
 };
 
+// A committed step, and session_key() of who pushed it.
+struct RememberedStep {
+  std::int64_t step = 0;
+  std::uint64_t session = 0;
+};
+// XXH3-64 of the name: a few bytes instead of the text.
+std::uint64_t session_key(const std::string& session);
+
 struct Scene {
   static constexpr std::size_t kRememberedSteps = 1024;
 
@@ -78,6 +87,7 @@ struct Scene {
   Buffer<std::int32_t> part;
 
   partition::CutTree tree;
+  std::optional<std::uint64_t> tree_hash;  // once it was asked for
   std::uint64_t epoch = 0;
   Regions regions;  // under the cuts of regions_epoch
   std::uint64_t regions_epoch = 0;
@@ -97,10 +107,13 @@ struct Scene {
   std::optional<std::uint64_t> id_next;  // above every id ever used; known from the first insertion or removal on
 
   std::optional<std::int64_t> step;
-  std::deque<std::pair<std::int64_t, std::string>> recent_steps;  // ascending
-  bool asked = false;                                             // such a question since the last step
-  std::vector<StepReport> history;
+  std::deque<RememberedStep> recent_steps;  // ascending
+  bool asked = false;                       // such a question since the last step
+  std::unique_ptr<History> history;         // on rank 0
   SceneTotals totals;
+
+  // The tree's hash, made once a tree.
+  std::uint64_t cuts_hash();
 
   // Empties each axis, sets dims; before the first push.
   static Scene create(std::string name, SceneOptions options);

@@ -3,9 +3,11 @@
 #include <limits>
 
 #include <fmt/format.h>
+#include <xxhash.h>
 
 #include "common/wire/limits.hpp"
 #include "server/service/context.hpp"
+#include "server/service/lists.hpp"
 
 namespace rcb::service {
 
@@ -15,6 +17,13 @@ Scene Scene::create(std::string name, SceneOptions options) {
   scene.particles.dims = options.dims;
   scene.options = std::move(options);
   return scene;
+}
+
+std::uint64_t session_key(const std::string& session) { return XXH3_64bits(session.data(), session.size()); }
+
+std::uint64_t Scene::cuts_hash() {
+  if (!tree_hash) tree_hash = tree.hash();
+  return *tree_hash;
 }
 
 namespace {
@@ -50,6 +59,16 @@ Result<partition::Method> read_method(const wire::Json& request, int dims, parti
     return Status(Code::invalid_argument,
                   fmt::format("method {} needs an axis that {} dimension(s) don't have", name.value(), dims));
   return *method;
+}
+
+Status check_parts_total(const std::map<std::string, Scene>& scenes, const std::string& changed, int parts) {
+  std::int64_t total = parts;
+  for (const auto& [name, scene] : scenes) total += name == changed ? 0 : scene.options.parts;
+  if (total <= wire::kPartsTotalMax) return {};
+  return {
+      Code::too_large,
+      fmt::format("the service's scenes would have {} parts together, {} is its limit", total, wire::kPartsTotalMax),
+      "drop a scene: rcbctl scene drop NAME"};
 }
 
 namespace {
@@ -97,7 +116,7 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   return options;
 }
 
-wire::Json describe_scene(const Scene& scene) {
+Response describe_scene(Scene& scene) {
   const SceneOptions& options = scene.options;
   wire::Json json{{"scene", scene.name},
                   {"n", scene.n},
@@ -109,34 +128,33 @@ wire::Json describe_scene(const Scene& scene) {
                   {"cut_tolerance", options.cut_tolerance},
                   {"policy", policy_name(options.policy)},
                   {"recut", options.recut == Recut::all ? "all" : "subtree"},
-                  {"part_sizes", options.part_sizes.empty() ? wire::Json(nullptr) : wire::Json(options.part_sizes)},
+                  {"part_sizes", nullptr},
                   {"weights", scene.particles.has_weights},
                   {"ids", scene.ids},
                   {"step", scene.step ? wire::Json(*scene.step) : wire::Json(nullptr)},
                   {"epoch", scene.epoch},
                   {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}};
-  if (scene.pushed) {
-    json["error"] = scene.loads.error;
-    json["imbalance"] = scene.loads.imbalance;
-    json["counts"] = scene.loads.counts;
-    json["targets"] = scene.loads.targets;
-    if (scene.particles.has_weights) json["loads"] = scene.loads.load_values;
-    json["hash"] = wire::hex64(scene.tree.hash());
-    json["rounds"] = scene.search_rounds;
-    json["reductions"] = scene.search_reductions;
-  } else {
-    for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
-      json[name] = nullptr;
-  }
-  return json;
+  for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
+    json[name] = nullptr;
+  Response response = done(std::move(json));
+  if (!options.part_sizes.empty()) put_list<double>(response, response.json, "part_sizes", options.part_sizes);
+  if (!scene.pushed) return response;
+  response.json["error"] = scene.loads.error;
+  response.json["imbalance"] = scene.loads.imbalance;
+  response.json["hash"] = wire::hex64(scene.cuts_hash());
+  response.json["rounds"] = scene.search_rounds;
+  response.json["reductions"] = scene.search_reductions;
+  put_loads(response, scene);
+  return response;
 }
 
 Response show(Context& context, const wire::Json& request) {
   const auto scene = find_scene(context, request);
   if (!scene.ok()) return failed(scene.status());
-  wire::Json json = describe_scene(*scene.value());
-  json["ranks"] = context.comm.size();
-  return done(std::move(json));
+  if (!context.root()) return {};
+  Response response = describe_scene(*scene.value());
+  response.json["ranks"] = context.comm.size();
+  return response;
 }
 
 Response create(Context& context, const wire::Json& request) {
@@ -156,9 +174,12 @@ Response create(Context& context, const wire::Json& request) {
   if (!exists && context.scenes.size() >= static_cast<std::size_t>(wire::kScenesMax))
     return failed({Code::too_large, fmt::format("the service holds {} scenes, its limit", wire::kScenesMax),
                    "drop one: rcbctl scene drop NAME"});
+  if (Status status = check_parts_total(context.scenes, name.value(), options->parts); !status.ok())
+    return failed(std::move(status));
   if (exists) context.spares.push_back({name.value(), {}});
   Scene scene = Scene::create(name.value(), std::move(options).value());
   scene.recreated = recreated.value();
+  if (context.root()) scene.history = std::make_unique<History>(context.histories, name.value());
   context.scenes.insert_or_assign(name.value(), std::move(scene));
   return show(context, request);
 }

@@ -1,5 +1,6 @@
 #include "server/service/service.hpp"
 
+#include <algorithm>
 #include <utility>
 
 #include <fmt/format.h>
@@ -11,40 +12,28 @@
 #include "server/service/staging.hpp"
 
 namespace rcb::service {
+namespace {
+
+// The command changes no scene.
+bool reads(std::string_view command) {
+  const api::CommandInfo* known = api::find_command(command);
+  return known != nullptr && known->effect == api::Effect::reads;
+}
+
+}  // namespace
 
 struct Service::State {
   partition::Comm& comm;
   const Clock& clock;
-  Loans* loans;
-  std::map<std::string, Scene> scenes;
-  NoSkip no_skip;
-  std::map<std::string, Command> commands;
-  const io::Roots* roots;
+  ServiceOptions options;
+  HistoryRoom histories{options.keep_reports, options.report_directory};  // the scenes' histories are in it
+  std::map<std::string, Scene> scenes = {};
+  std::map<std::string, Command> commands = {};
   std::vector<Spare> spares = {};
-  // A scene's particles by rank, as of this (epoch, step, plan version).
-  struct RankCounts {
-    std::uint64_t epoch = 0;
-    std::optional<std::int64_t> step;
-    std::uint64_t plan_version = 0;
-    std::vector<std::uint64_t> counts;
-  };
-  std::map<std::string, RankCounts> rank_counts = {};
-
-  const std::vector<std::uint64_t>& counts_of(const std::string& name, const Scene& scene) {
-    RankCounts& known = rank_counts[name];
-    if (known.counts.empty() || known.epoch != scene.epoch || known.step != scene.step ||
-        known.plan_version != scene.plan_version) {
-      known = {scene.epoch, scene.step, scene.plan_version, {}};
-      for (int r = 0; r < comm.size(); ++r) known.counts.push_back(held_by(scene, scene.n, r, comm.size()));
-    }
-    return known.counts;
-  }
-
   // What the scene lends is taken back for the time of an order that may change it.
   Response run(const Command& command, const wire::Json& request, Context& context) {
-    const api::CommandInfo* known = api::find_command(command.name);
-    const bool reads = known != nullptr && known->effect == api::Effect::reads;
-    if (loans == nullptr || reads) return command.run(context, request);
+    Loans* const loans = options.loans;
+    if (loans == nullptr || reads(command.name)) return command.run(context, request);
     const auto name = wire::string_field(request, "scene", 256);
     if (name.ok())
       context.loan = loans->take_back(*name);
@@ -59,18 +48,47 @@ struct Service::State {
   }
 };
 
-Service::Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip, Loans* loans, const io::Roots* roots)
-    : state_(new State{comm, clock, loans, {}, no_skip, {}, roots}) {
-  for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), quality_commands(),
-                           rebalance_commands(), file_commands()})
+Service::Service(partition::Comm& comm, const Clock& clock, ServiceOptions options)
+    : state_(new State{comm, clock, std::move(options)}) {
+  for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), paged_commands(),
+                           quality_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
 }
 
 Service::~Service() {
-  if (state_->loans != nullptr) state_->loans->take_back_all();
+  if (state_->options.loans != nullptr) state_->options.loans->take_back_all();
 }
 
 namespace {
+
+// What its scene looks like after an order. Local.
+std::optional<api::SceneChange> change_of(const Context& context, const wire::Json& request) {
+  auto name = wire::string_field(request, "scene", 256);
+  if (!name.ok()) return std::nullopt;
+  api::SceneChange change{std::move(name).value(), std::nullopt};
+  const auto found = context.scenes.find(change.scene);
+  if (found == context.scenes.end()) return change;
+  const Scene& scene = found->second;
+  change.summary = {.n = scene.n,
+                    .dims = scene.options.dims,
+                    .parts = scene.options.parts,
+                    .weights = scene.particles.has_weights,
+                    .step = scene.step,
+                    .steps = scene.totals.steps,
+                    .epoch = scene.epoch,
+                    .plan_version = scene.plan_version,
+                    .plan_checksum = scene.plan_checksum,
+                    .rank_counts = {}};
+  for (int r = 0; r < context.comm.size(); ++r)
+    change.summary->rank_counts.push_back(held_by(scene, scene.n, r, context.comm.size()));
+  if (scene.pushed) {
+    change.summary->error = scene.loads.error;
+    change.summary->imbalance = scene.loads.imbalance;
+    change.summary->mean_step_seconds =
+        scene.totals.seconds.total / static_cast<double>(std::max<std::uint64_t>(1, scene.totals.steps));
+  }
+  return change;
+}
 
 // Counts a question that was answered from the particles. Local.
 void note_question(Context& context, const wire::Json& request, const std::string& name) {
@@ -96,43 +114,32 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
                   std::move(slices),
                   terms.received_seconds,
                   state_->spares,
-                  state_->no_skip,
-                  state_->roots == nullptr ? kNowhere : *state_->roots,
-                  nullptr};
+                  state_->options.no_skip,
+                  state_->options.roots == nullptr ? kNowhere : *state_->options.roots,
+                  state_->histories,
+                  nullptr,
+                  terms,
+                  state_->clock.seconds()};
   Response response = state_->run(command->second, request, context);
   if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
+  if (response.status.ok() && !reads(command->first)) response.change = change_of(context, request);
   return response;
 }
 
 std::vector<Spare> Service::take_spares() { return std::exchange(state_->spares, {}); }
 
-Snapshot Service::snapshot() const {
-  Snapshot snapshot;
-  for (const auto& [name, scene] : state_->scenes) {
-    SceneSummary& summary = snapshot.scenes[name];
-    summary = {.name = name,
-               .n = scene.n,
-               .dims = scene.options.dims,
-               .parts = scene.options.parts,
-               .weights = scene.particles.has_weights,
-               .ids = scene.ids,
-               .step = scene.step,
-               .step_session = scene.recent_steps.empty() ? "" : scene.recent_steps.back().second,
-               .epoch = scene.epoch,
-               .plan_version = scene.plan_version,
-               .plan_checksum = scene.plan_checksum,
-               .rank_counts = state_->counts_of(name, scene)};
-    if (scene.pushed) {
-      summary.error = scene.loads.error;
-      summary.imbalance = scene.loads.imbalance;
-      summary.mean_step_seconds =
-          scene.totals.seconds.total / static_cast<double>(std::max<std::uint64_t>(1, scene.totals.steps));
-    }
-    snapshot.steps += scene.totals.steps;
-  }
-  std::erase_if(state_->rank_counts, [&](const auto& entry) { return !snapshot.scenes.contains(entry.first); });
-  return snapshot;
+Status Context::check_time() {
+  enum : std::uint8_t { goes_on, late, gone } word = goes_on;
+  if (root() && terms.cancelled && *terms.cancelled)
+    word = gone;
+  else if (root() && clock.seconds() - begun > terms.seconds_left)
+    word = late;
+  comm.broadcast(std::as_writable_bytes(std::span(&word, 1)), 0);
+  if (word == late)
+    return {Code::deadline_exceeded, "the command was given up at its deadline", "give it a longer deadline"};
+  if (word == gone) return {Code::aborted, "the command was given up: its client has gone"};
+  return {};
 }
 
 Result<Scene*> find_scene(Context& context, const wire::Json& request) {

@@ -8,7 +8,6 @@
 
 #include <atomic>
 #include <cstdint>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -19,6 +18,7 @@
 #include "common/base/status.hpp"
 #include "common/partition/comm.hpp"
 #include "common/wire/message.hpp"
+#include "server/api/snapshot.hpp"
 #include "server/service/no_skip.hpp"
 
 namespace rcb::io {
@@ -48,6 +48,7 @@ struct Response {
   Status status;
   wire::Json json = wire::Json::object();
   std::vector<wire::Array> arrays;
+  std::optional<api::SceneChange> change = {};  // where the order may have changed its scene
 };
 
 // What comes with an order beside its request. Of rank 0's alone counts what is said here.
@@ -57,36 +58,20 @@ struct OrderTerms {
   std::shared_ptr<const std::atomic<bool>> cancelled = nullptr;  // set once nobody waits for the answer; may be null
 };
 
-// What the I/O thread may know of a scene while the engine is busy.
-struct SceneSummary {
-  std::string name;
-  std::uint64_t n = 0;
-  int dims = 3;
-  int parts = 1;
-  bool weights = false;
-  bool ids = false;
-  std::optional<std::int64_t> step;
-  std::string step_session;  // who pushed it
-  std::uint64_t epoch = 0;
-  std::optional<double> error;  // these three: once it was pushed
-  std::optional<double> imbalance;
-  std::optional<double> mean_step_seconds;
-  std::uint64_t plan_version = 0;
-  std::uint64_t plan_checksum = 0;
-  std::vector<std::uint64_t> rank_counts;  // particles that each rank holds
-};
-
-struct Snapshot {
-  std::map<std::string, SceneSummary> scenes;
-  std::uint64_t steps = 0;  // committed, all scenes
+struct ServiceOptions {
+  NoSkip no_skip = {};  // the same on all ranks
+  // What the scenes lend to the passes over arriving slices (it outlives the service); null: nothing.
+  Loans* loans = nullptr;
+  const io::Roots* roots = nullptr;  // where files may be read and written (it outlives the service); null: nowhere
+  // Rank 0's: step reports kept in memory, all scenes together, and where older ones go, a directory of the service's
+  // own (make_report_directory); empty: nowhere.
+  std::size_t keep_reports = 100'000;
+  std::string report_directory = {};
 };
 
 class Service {
  public:
-  // no_skip: the same on all ranks. loans: what the scenes lend to the passes over arriving slices (it outlives the
-  // service); null: nothing. roots: where files may be read and written (it outlives the service); null: nowhere.
-  Service(partition::Comm& comm, const Clock& clock, NoSkip no_skip = {}, Loans* loans = nullptr,
-          const io::Roots* roots = nullptr);
+  Service(partition::Comm& comm, const Clock& clock, ServiceOptions options = {});
   ~Service();
 
   // Collective. request: the order's JSON, the same on all ranks, "command" and the arguments of PROTOCOL.md.
@@ -97,9 +82,6 @@ class Service {
 
   // Local. What the orders since the last call gave up, in their order.
   std::vector<Spare> take_spares();
-
-  // Local; rank 0's is published to the I/O thread after each order, before its answer leaves.
-  Snapshot snapshot() const;
 
  private:
   struct State;

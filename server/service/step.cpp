@@ -63,14 +63,14 @@ PartChanges changes_of_step(const Scene& scene, const Drift& drift, const Moves&
 }
 
 void note_skips(const Scene& scene, const PushChanges& what, const NoSkip& no_skip, StepReport& report) {
-  if (scene.options.dims < 3) report.skipped.emplace_back("dimension");
-  if (!scene.particles.has_weights) report.skipped.emplace_back("weights");
-  if (!scene.ids) report.skipped.emplace_back("ids");
-  if (what.single) report.skipped.emplace_back("double precision");
-  if (what.moved != Moved::all) report.skipped.emplace_back("motion");
-  if (report.migrated == 0 && !no_skip.exchange) report.skipped.emplace_back("exchange");
-  if (report.reductions == 0) report.skipped.emplace_back("search");
-  if (report.reductions > 0 && report.searched < scene.n) report.skipped.emplace_back("far from cuts");
+  if (scene.options.dims < 3) report.skipped.add(Skip::dimension);
+  if (!scene.particles.has_weights) report.skipped.add(Skip::weights);
+  if (!scene.ids) report.skipped.add(Skip::ids);
+  if (what.single) report.skipped.add(Skip::double_precision);
+  if (what.moved != Moved::all) report.skipped.add(Skip::motion);
+  if (report.migrated == 0 && !no_skip.exchange) report.skipped.add(Skip::exchange);
+  if (report.reductions == 0) report.skipped.add(Skip::search);
+  if (report.reductions > 0 && report.searched < scene.n) report.skipped.add(Skip::far_from_cuts);
 }
 
 void take_positions(Scene& scene, Staged& staged, Moved moved) {
@@ -253,7 +253,7 @@ void account_repartition(Context& context, Scene& scene, const StepReport& repor
 
 void remember(Scene& scene, const PushRequest& push, const StepReport& report, bool root) {
   scene.step = push.step;
-  scene.recent_steps.emplace_back(push.step, push.session);
+  scene.recent_steps.push_back({push.step, session_key(push.session)});
   if (scene.recent_steps.size() > Scene::kRememberedSteps) scene.recent_steps.pop_front();
   SceneTotals& totals = scene.totals;
   ++totals.steps;
@@ -267,10 +267,10 @@ void remember(Scene& scene, const PushRequest& push, const StepReport& report, b
   totals.searched += report.searched;
   totals.rounds += report.rounds;
   totals.reductions += report.reductions;
-  for (const std::string& name : report.skipped) ++totals.skipped[name];
+  for (const std::string& name : report.skipped.names()) ++totals.skipped[name];
   if (!scene.asked) ++totals.skipped["questions"];
   scene.asked = false;
-  if (root) scene.history.push_back(report);
+  if (root) scene.history->add(report);
 }
 
 }  // namespace
@@ -286,6 +286,7 @@ void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
   scene.search_rounds = found.rounds;
   scene.search_reductions = found.reductions;
   scene.tree = std::move(found.tree);
+  scene.tree_hash.reset();
   scene.loads = std::move(loads);
   scene.error_when_not_adopted.reset();
   scene.costs.start_again(scene.loads.imbalance);

@@ -99,8 +99,60 @@ TEST(Quality, AgreesWithAllPairs) {
               parts, std::nullopt, by_cuts);
   check(make_scene(Shape::lattice, Weights::none, 3, 120, false, kSeed), 8, 0.0, true);
   check(make_scene(Shape::lattice, Weights::none, 3, 120, false, kSeed), 8, 1.0, true);
+  for (const double width : {0.1, 0.4, 1.0, 1e300, std::numeric_limits<double>::max()})
+    for (const int parts : {2, 7, 30, 200})
+      check(make_scene(Shape::uniform, Weights::none, 3, 150, false, kSeed), parts, width, parts != 7);
   check(make_scene(Shape::uniform, Weights::none, 2, 3, false, kSeed), 8, std::nullopt, true);
   check(make_scene(Shape::uniform, Weights::none, 2, 0, false, kSeed), 8, std::nullopt, true);
+}
+
+// In rounds however short, and with as little memory as there can be, the counts are the same; between rounds it is
+// asked whether to go on.
+TEST(Ghosts, AreCountedInRoundsThatCanBeGivenUp) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 400, false, kSeed);
+  constexpr int kParts = 40;
+  on_ranks([&](Comm& comm) {
+    const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+    std::vector<std::int32_t> part;
+    for (const std::size_t row : share.row) part.push_back(static_cast<std::int32_t>(mix64(row) % kParts));
+    std::vector<std::int32_t> part_of_row(scene.count());
+    for (std::size_t row = 0; row < scene.count(); ++row)
+      part_of_row[row] = static_cast<std::int32_t>(mix64(row) % kParts);
+    for (const double width : {0.0, 0.02, 10.0}) {
+      const Expected expected = by_all_pairs(scene, part_of_row, kParts, width);
+      int asked = 0;
+      GhostCounts counts;
+      ASSERT_TRUE(count_ghosts(comm, share.particles.view(), part, kParts, width, [&] { return ++asked > 0; }, counts,
+                               {.round_visits = 1, .pending_max = 1}));
+      EXPECT_EQ(counts.ghosts, expected.ghosts);
+      EXPECT_EQ(counts.neighbours, expected.neighbours);
+      EXPECT_GE(asked, static_cast<int>(scene.count()) / comm.size());
+      int left = 5;
+      EXPECT_FALSE(count_ghosts(comm, share.particles.view(), part, kParts, width, [&] { return --left > 0; }, counts,
+                                {.round_visits = 1, .pending_max = 1}));
+      EXPECT_EQ(left, 0);
+    }
+  });
+}
+
+// Where all is near everything, the work is in proportion to the particles, not to the particles times the parts.
+TEST(Ghosts, OfAnyWidthCostNoMore) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 20000, false, kSeed);
+  constexpr int kParts = 16000;
+  on_ranks([&](Comm& comm) {
+    const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+    std::vector<std::int32_t> part;
+    for (const std::size_t row : share.row) part.push_back(static_cast<std::int32_t>(row % kParts));
+    int rounds = 0;
+    GhostCounts counts;
+    ASSERT_TRUE(count_ghosts(comm, share.particles.view(), part, kParts, 1e300, [&] { return ++rounds > 0; }, counts,
+                             {.round_visits = 20000}));
+    EXPECT_LE(rounds, 3);
+    std::vector<std::uint64_t> all_but_own(kParts, 20000 - 1);
+    std::fill_n(all_but_own.begin(), 20000 - kParts, 20000 - 2);  // these parts have two
+    EXPECT_EQ(counts.ghosts, all_but_own);
+    EXPECT_EQ(counts.neighbours, std::vector<std::int32_t>(kParts, kParts - 1));
+  });
 }
 
 // A box of 4 x 3 x 1 with the corners taken, halved across x, then y in each half.

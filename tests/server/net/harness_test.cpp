@@ -39,7 +39,7 @@ struct FakeEngine::State {
   std::vector<std::string> executed;
   Json request;
   std::vector<Slice> slices;
-  Snapshot snapshot;
+  api::Snapshot scenes;
   std::thread thread;
 
   Answer execute(Order& order) {
@@ -50,19 +50,18 @@ struct FakeEngine::State {
     executed.push_back(command);
     request = order.request;
     if (command == "scene.create") {
-      snapshot.scenes[scene] = {.dims = order.request.value("dims", 3), .parts = order.request.value("parts", 1)};
+      scenes[scene] = {.dims = order.request.value("dims", 3), .parts = order.request.value("parts", 1)};
     } else if (command == "scene.drop" || command == "scene.show") {
-      if (!snapshot.scenes.contains(scene)) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
-      if (command == "scene.drop") snapshot.scenes.erase(scene);
+      if (!scenes.contains(scene)) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
+      if (command == "scene.drop") scenes.erase(scene);
     } else if (command == "push") {
       const auto step = order.request.value("step", std::int64_t{-1});
       executed.back() += fmt::format(" step {}", step);
-      SceneInfo& info = snapshot.scenes[scene];
+      api::SceneSummary& info = scenes[scene];
       info.n = order.request.value("n", std::uint64_t{0});
       info.step = step;
-      info.step_session = order.request.value("session", "");
       info.plan_version = 1;
-      ++snapshot.steps;
+      ++info.steps;
       slices = std::move(order.slices);
       answer.json = {{"report", {{"step", step}}}};
     } else if (command == "fetch") {
@@ -71,7 +70,8 @@ struct FakeEngine::State {
       std::memset(bytes.data(), 0, bytes.size());
       answer.arrays.push_back({"x", "<f8", {count}, std::move(bytes)});
     }
-    answer.snapshot = std::make_shared<Snapshot>(snapshot);
+    const auto found = scenes.find(scene);
+    answer.change = {scene, found == scenes.end() ? std::nullopt : std::optional(found->second)};
     return answer;
   }
 

@@ -19,25 +19,24 @@ constexpr int kRanks = 3;
 class OneScene final : public Engine {
  public:
   void submit(Order order, std::function<void(Answer)> done) override {
-    auto snapshot = std::make_shared<Snapshot>();
-    snapshot->scenes["s"] = {.n = 10,
-                             .dims = 2,
-                             .step = last_step,
-                             .epoch = 3,
-                             .plan_version = 2,
-                             .plan_checksum = 5,
-                             .rank_counts = {4, 3, 3}};
+    api::SceneSummary summary{.n = 10,
+                              .dims = 2,
+                              .step = last_step,
+                              .epoch = 3,
+                              .plan_version = 2,
+                              .plan_checksum = 5,
+                              .rank_counts = {4, 3, 3}};
     Answer answer;
     if (order.request.contains("membership")) answer.json["membership"] = order.request["membership"];
     if (order.request["command"] == "push.members") {
       const std::lock_guard lock(mutex);
       last_step = order.request["step"].get<std::int64_t>();
-      snapshot->scenes["s"].step = last_step;
+      summary.step = last_step;
       pushed.push_back(order.request);
       for (int k = 0; k < 2; ++k)
         for (const char* name : {"leave_id", "place_id"}) answer.arrays.push_back({name, "<i8", {0}, {}});
     }
-    answer.snapshot = std::move(snapshot);
+    answer.change = {"s", std::move(summary)};
     done(std::move(answer));
   }
 

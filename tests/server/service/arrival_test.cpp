@@ -164,7 +164,7 @@ TEST(Arrival, AStepIsAsIfItHadNotBeenSeen) {
   on_ranks([](partition::Comm& comm) {
     for (const int dims : {1, 2, 3}) {
       Loans loans;
-      Service seen(comm, kClock, {}, &loans);
+      Service seen(comm, kClock, {.loans = &loans});
       Service plain(comm, kClock);
       Driver arriving(comm, seen, "a");
       Driver staying(comm, plain, "a");
@@ -205,7 +205,7 @@ TEST(Arrival, AStepIsAsIfItHadNotBeenSeen) {
 TEST(Arrival, ItsMarksHoldUntilTheSceneChanges) {
   on_ranks([](partition::Comm& comm) {
     Loans loans;
-    Service service(comm, kClock, {}, &loans);
+    Service service(comm, kClock, {.loans = &loans});
     Driver driver(comm, service, "a");
     driver.create({{"parts", 8}, {"tolerance", "inf"}});
     const Particles particles = random_particles(5, 20000, 3);
@@ -244,7 +244,7 @@ TEST(Arrival, ItsMarksHoldUntilTheSceneChanges) {
 TEST(Arrival, ANanInTheLastElementIsNamedAndTheNextPushIsGood) {
   on_ranks([](partition::Comm& comm) {
     Loans loans;
-    Service service(comm, kClock, {}, &loans);
+    Service service(comm, kClock, {.loans = &loans});
     Driver driver(comm, service, "a");
     driver.create({{"parts", 5}});
     Particles particles = random_particles(9, 800, 3);

@@ -48,7 +48,7 @@ class FilesTest : public ::testing::Test {
 
 TEST_F(FilesTest, OnlyBelowTheRoots) {
   on_ranks([&](partition::Comm& comm) {
-    Service service(comm, kClock, {}, nullptr, &roots_);
+    Service service(comm, kClock, {.roots = &roots_});
     Driver driver(comm, service, "s");
     driver.create({{"parts", 3}});
     const auto expect = [&](const char* command, const Json& arguments, Code code) {
@@ -96,7 +96,7 @@ TEST_F(FilesTest, AServiceWithoutRootsOpensNothing) {
 TEST_F(FilesTest, AllRanksOrNone) {
   on_ranks({4}, [&](partition::Comm& comm) {
     const io::Roots none;
-    Service service(comm, kClock, {}, nullptr, comm.rank() == 2 ? &none : &roots_);
+    Service service(comm, kClock, {.roots = comm.rank() == 2 ? &none : &roots_});
     Driver driver(comm, service, "s");
     driver.create({{"parts", 4}});
     const Response loaded = driver.ask("load", {{"path", at("root/points.csv")}});

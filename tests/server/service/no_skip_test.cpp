@@ -45,7 +45,7 @@ TEST(NoSkip, ChangesNoAnswer) {
   on_ranks([](partition::Comm& comm) {
     for (const bool weighted : {false, true}) {
       Service plain(comm, kClock);
-      Service busy(comm, kClock, NoSkip::parse("exchange,search").value());
+      Service busy(comm, kClock, {.no_skip = NoSkip::parse("exchange,search").value()});
       Driver a(comm, plain, "a");
       Driver b(comm, busy, "a");
       const Json options{{"parts", 7}, {"tolerance", 0.1}};

@@ -21,7 +21,7 @@ TEST(Repartitions, LookAtFewAndAnswerAsASearchAmongAll) {
   on_ranks([](partition::Comm& comm) {
     for (const double hysteresis : {1.0, 1.5}) {
       Service warm(comm, kClock);
-      Service cold(comm, kClock, NoSkip::parse("warm").value());
+      Service cold(comm, kClock, {.no_skip = NoSkip::parse("warm").value()});
       Driver a(comm, warm, "a");
       Driver b(comm, cold, "a");
       const Json options{{"parts", 4}, {"tolerance", 0.02}, {"axis_hysteresis", hysteresis}};

@@ -1,0 +1,84 @@
+// A scene's step reports, a page at a time.
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/lib/client.hpp"
+#include "client/lib/step_report.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::uint64_t kPageReports = 1000;
+constexpr std::uint64_t kNoLimit = std::numeric_limits<std::int64_t>::max();
+
+struct Page {
+  std::uint64_t from = 0;
+  std::uint64_t next = 0;  // where to go on; the total where this is the last page
+  std::uint64_t total = 0;
+  std::uint64_t lost = 0;
+};
+
+Result<Page> read_page(const wire::Json& json) {
+  constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
+  const auto total = wire::integer_field(json, "total", 0, kLarge);
+  if (!total) return Status(Code::protocol_error, "answer to 'history': " + total.status().message());
+  const auto from = wire::integer_field(json, "from", 0, *total);
+  const auto next = wire::integer_field_or(json, "next", 0, *total, *total);
+  const auto lost = wire::integer_field_or(json, "lost", 0, *total, 0);
+  for (const Status& status : {from.status(), next.status(), lost.status()})
+    if (!status) return Status(Code::protocol_error, "answer to 'history': " + status.message());
+  if (*next <= *from && *next < *total)
+    return Status(Code::protocol_error, "answer to 'history': it goes on where it began");
+  const auto history = json.find("history");
+  if (history == json.end() || !history->is_array())
+    return Status(Code::protocol_error, "answer to 'history': no list of reports");
+  return Page{static_cast<std::uint64_t>(*from), static_cast<std::uint64_t>(*next), static_cast<std::uint64_t>(*total),
+              static_cast<std::uint64_t>(*lost)};
+}
+
+}  // namespace
+
+Result<HistoryRead> Client::history(const std::string& scene, const HistoryRange& range,
+                                    const std::function<Status(const StepReport&)>& take, double deadline_seconds) {
+  if (Status status = wire::check_scene_name(scene); !status) return status;
+  HistoryRead read;
+  if (range.first && *range.first == 0) return read;
+  wire::Json request{{"scene", scene}};
+  if (range.last) request["last"] = std::min(*range.last, kNoLimit);
+  std::uint64_t end = kNoLimit;  // known from the first page on: what is committed meanwhile isn't told
+  for (bool first = true;; first = false) {
+    const std::uint64_t wanted = range.first.value_or(kNoLimit) - (read.reports + read.lost);
+    request["count"] =
+        std::min({kPageReports, wanted, first ? kPageReports : end - request["from"].get<std::uint64_t>()});
+    const auto reply = call("history", request.dump(), deadline_seconds);
+    if (!reply) return reply.status();
+    const auto json = wire::parse_json(reply->json);
+    if (!json) return json.status();
+    const auto page = read_page(*json);
+    if (!page) return page.status();
+    if (first) {
+      end = page->total;
+      read.from = page->from;
+    } else if (page->total < end || page->from != request["from"].get<std::uint64_t>()) {
+      return Status(Code::aborted, fmt::format("scene '{}' was made anew while its history was read", scene),
+                    "ask again");
+    }
+    for (const wire::Json& entry : (*json)["history"]) {
+      if (!entry.is_object()) return Status(Code::protocol_error, "answer to 'history': a report that is no object");
+      const auto report = read_report(entry);
+      if (!report) return report.status();
+      if (Status status = take(*report); !status) return status;
+      ++read.reports;
+    }
+    read.lost += page->lost;
+    if (page->lost > 0) read.loss = json->value("loss", "");
+    if (page->next >= end || read.reports + read.lost >= range.first.value_or(kNoLimit)) return read;
+    request.erase("last");
+    request["from"] = page->next;
+  }
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,192 @@
+"""What one request can cost: long histories and many parts come in pages and arrays, and while one client asks for them
+the others are answered; long commands end at their deadline; rank 0's memory is bounded."""
+import threading
+
+from protocol_client import REPLY, Client, Refused, arrays_of
+from support import *
+
+
+def memory_mib(pid):
+    """What a process holds, in MiB."""
+    with open(f"/proc/{pid}/status") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("VmRSS:")) / 1024
+
+
+def rank_0(service):
+    """The process that answers."""
+    return service.json("status")["pid"]
+
+
+class Poller:
+    """A client that asks `status` all the time; how often it was answered while a block ran."""
+
+    def __init__(self, address):
+        self.address = address
+
+    def __enter__(self):
+        self.answers, self.ended = 0, False
+        self.thread = threading.Thread(target=self.run)
+        self.thread.start()
+        return self
+
+    def run(self):
+        with Client(self.address) as client:
+            while not self.ended:
+                client.ask("status")
+                self.answers += 1
+
+    def __exit__(self, *_):
+        self.ended = True
+        self.thread.join()
+
+
+def pages(client, command, take, **arguments):
+    """Every page of an answer; the first item's number and how many pages there were."""
+    first, count, next_page = None, 0, {}
+    while True:
+        page = client.ask(command, **{**arguments, **next_page})[0]
+        first = page["from"] if first is None else first
+        count += 1
+        take(page)
+        if page["next"] is None:
+            return first, count
+        assert page["next"] > page["from"]
+        next_page = {"from": page["next"]}
+        arguments.pop("last", None)
+
+
+class History(unittest.TestCase):
+    STEPS = 300_000
+
+    def test_a_long_history_is_kept_in_files_and_read_in_pages(self):
+        with Service(2, options=("--keep-reports", 1000)) as service, Client(service.endpoint) as client:
+            client.ask("scene.create", scene="still", parts=2)
+            client.push("still", 0, np.random.default_rng(1).random((10, 3)))
+            begin = {"command": "push.begin", "scene": "still", "session": client.session, "attempt": 0, "n": 10,
+                     "slices": 0, "order": "plan", "moved": "none", "plan": None}
+
+            def steps(first, last):
+                for at in range(first, last, 32):
+                    number = client.number
+                    for step in range(at, min(at + 32, last)):
+                        client.send({**begin, "step": step, "base_step": step - 1})
+                    for client.number in range(number + 1, client.number + 1):
+                        client.answer()
+
+            steps(1, 20_000)
+            before = memory_mib(rank_0(service))
+            steps(20_000, self.STEPS)
+            self.assertLess(memory_mib(rank_0(service)) - before, 30)  # 280,000 reports would take a hundred and more
+            self.assertGreater(os.path.getsize(os.path.join(service.data, "reports", "still.reports")), 100 * self.STEPS)
+
+            with self.assertRaises(Refused) as refused:
+                client.ask("history", scene="still")
+            self.assertEqual(refused.exception.args[0], "too_large")
+            found = []
+            with Poller(service.endpoint) as poller:
+                first, count = pages(client, "history", lambda page: found.extend(r["step"] for r in page["history"]),
+                                     scene="still", count=4096)
+            self.assertEqual((first, found), (0, list(range(self.STEPS))))
+            self.assertGreater(poller.answers, count // 2)
+
+            self.read_by_rcbctl(service)
+            client.ask("scene.drop", scene="still")
+            self.assertEqual(os.listdir(os.path.join(service.data, "reports")), [])
+
+    def read_by_rcbctl(self, service):
+        reports = service.json("history", "still")
+        self.assertEqual([report["step"] for report in reports], list(range(self.STEPS)))
+        self.assertEqual({report["scene"] for report in reports}, {"still"})
+        for arguments, expected in ((("--last", 3), range(self.STEPS - 3, self.STEPS)), (("--first", 3), range(3)),
+                                    (("--last", 5000, "--first", 4500), range(self.STEPS - 5000, self.STEPS - 500))):
+            self.assertEqual([r["step"] for r in service.json("history", "still", *arguments)], list(expected))
+        table = os.path.join(service.dir, "h.csv")
+        self.assertEqual(service.ctl("history", "still", "--csv", table).returncode, 0)
+        with open(table) as file:
+            self.assertEqual(sum(1 for _ in file), self.STEPS + 1)
+        peak = run("-f", "%M", RCBCTL, "history", "still", "--json", endpoint=service.endpoint, program="/usr/bin/time") \
+            if os.path.exists("/usr/bin/time") else None
+        if peak:
+            self.assertLess(int(peak.stderr.split()[-1]) / 1024, 200)
+
+
+class ManyParts(unittest.TestCase):
+    PARTS = 1 << 20
+
+    @classmethod
+    def setUpClass(cls):
+        cls.service = Service(2)
+        cls.addClassCleanup(cls.service.stop)
+        cls.points = np.random.default_rng(3).random((2000, 3))
+        with Client(cls.service.endpoint, timeout=120) as client:
+            client.ask("scene.create", scene="many", parts=cls.PARTS)
+            client.push("many", 0, cls.points)
+
+    def test_answers_are_small_and_others_are_answered(self):
+        with Client(self.service.endpoint, timeout=120) as client, Poller(self.service.endpoint) as poller:
+            before = memory_mib(rank_0(self.service))
+            asked = [("counts", {}), ("scene.show", {}), ("box", {"lo": [-1] * 3, "hi": [2] * 3}),
+                     ("quality", {}), ("owner", {"position": [0.5] * 3}), ("stats", {}), ("error", {}),
+                     ("compare", {"deadline_seconds": 600}), ("rebalance", {"dry_run": True})]
+            for command, arguments in asked:
+                client.send({"command": command, "scene": "many", **arguments})
+                kind, _, document, bulk = client.receive()
+                while kind not in (REPLY, 5):
+                    kind, _, document, bulk = client.receive()
+                self.assertEqual(kind, REPLY, (command, document))
+                self.assertLess(len(json.dumps(document)), 1 << 16, command)
+                if command == "counts":
+                    counts = arrays_of(document, bulk)["counts"]
+                    self.assertIsNone(document["counts"])
+                    self.assertEqual((len(counts), counts.sum()), (self.PARTS, len(self.points)))
+            with self.assertRaises(Refused) as refused:
+                client.ask("cuts", scene="many")
+            self.assertEqual(refused.exception.args[0], "too_large")
+            answered = poller.answers
+            cuts, regions = [], []
+            _, count = pages(client, "cuts", lambda page: cuts.extend(c["node"] for c in page["cuts"]), scene="many",
+                             list="cuts", count=1 << 20)
+            pages(client, "cuts", lambda page: regions.extend(r["part"] for r in page["regions"]), scene="many",
+                  list="regions")
+            self.assertEqual((cuts, regions), (list(range(self.PARTS - 1)), list(range(self.PARTS))))
+            self.assertGreater(poller.answers - answered, count // 2)
+            self.assertLess(memory_mib(rank_0(self.service)) - before, 1000)
+
+    def test_rcbctl_has_the_whole(self):
+        with Client(self.service.endpoint) as client:
+            client.ask("scene.create", scene="some", parts=20_000, replace=True)
+            client.push("some", 0, self.points)
+        counts = self.service.json("counts", "some")
+        self.assertEqual((len(counts["counts"]), sum(counts["counts"]), len(counts["targets"])),
+                         (20_000, len(self.points), 20_000))
+        shown = self.service.json("scene", "show", "some")
+        self.assertEqual(shown["counts"], counts["counts"])
+        cuts = self.service.json("cuts", "some")
+        self.assertEqual([cut["node"] for cut in cuts["cuts"]], list(range(19_999)))
+        self.assertEqual([region["part"] for region in cuts["regions"]], list(range(20_000)))
+        self.assertEqual((cuts["hash"], cuts["parts"], cuts["method"]), (shown["hash"], 20_000, "rcb"))
+        self.assertEqual(len(self.service.json("quality", "some")["ghosts"]), 20_000)
+        self.assertEqual(len(self.service.json("box", "some", -1, -1, -1, 2, 2, 2)["parts"]), 20_000)
+
+
+class LongCommands(unittest.TestCase):
+    def test_compare_of_a_method_repeated_is_refused_and_any_ends_at_its_deadline(self):
+        with Service(2) as service, Client(service.endpoint, timeout=60) as client:
+            points = np.random.default_rng(5).random((300_000, 3))
+            client.ask("scene.create", scene="large", parts=8)
+            client.push("large", 0, points)
+            with self.assertRaises(Refused) as refused:
+                client.ask("compare", scene="large", methods=["rcb"] * 5000)
+            self.assertEqual(refused.exception.args[0], "invalid_argument")
+            before = service.json("scene", "show", "large")
+            for command, arguments in (("compare", {}), ("quality", {"ghost_width": 0.05}), ("fetch", {}),
+                                       ("rebalance", {"parts": 5}), ("plan", {})):
+                with self.assertRaises(Refused) as refused:
+                    client.ask(command, scene="large", **arguments, deadline_seconds=1e-6)
+                self.assertEqual(refused.exception.args[0], "deadline_exceeded", command)
+                client.ask("error", scene="large")  # the engine is free again
+            self.assertEqual(service.json("scene", "show", "large"), before)
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
