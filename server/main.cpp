@@ -22,6 +22,7 @@
 #include "common/io/roots.hpp"
 #include "server/bridge.hpp"
 #include "server/config.hpp"
+#include "server/job.hpp"
 #include "server/net/control.hpp"
 #include "server/net/data_directory.hpp"
 #include "server/net/data_hub.hpp"
@@ -29,7 +30,6 @@
 #include "server/net/io_loop.hpp"
 #include "server/net/log_sink.hpp"
 #include "server/net/process_memory.hpp"
-#include "server/orphan.hpp"
 #include "server/ranks/engine_loop.hpp"
 #include "server/ranks/mpi_session.hpp"
 #include "server/service/report_file.hpp"
@@ -41,7 +41,7 @@ constexpr double kStartSeconds = 30;
 constexpr double kGoodbyeSeconds = 5;
 constexpr unsigned kFinalizeSeconds = 30;
 // Rank 0 has at most the unfinished orders, the others those that credits let through; and the shutdown.
-constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax, kOrdersAheadMax) + 1;
+constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax * wire::kOrdersHard, kOrdersAheadMax) + 1;
 
 // The other ranks can't be told any more; mpirun takes the job down when one rank ends like this.
 [[noreturn]] void die(const std::string& why) {
@@ -284,6 +284,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   const Status connected = root.doorbells->wait_connected(kStartSeconds);
   if (!connected.ok()) die(connected.message());
   loop.run([&] { root.control->start(); });
+  say_ready();
   spdlog::info("rcbd {} is up: {} ranks, pid {}{}", RCB_VERSION, mpi.size(), ::getpid(),
                config.restarted ? ", restarted and empty" : "");
   const SteadyClock clock;

@@ -26,12 +26,24 @@ Status check_endpoint(const Context& context) {
   return {Code::usage, why.message(), why.hint()};
 }
 
-Result<client::Client> connect(const Context& context) {
+namespace {
+
+Result<client::Client> connect_as(const Context& context, bool outlive) {
   if (Status status = check_endpoint(context); !status) return status;
-  auto client = launch::reach(context.endpoint, "rcbctl " RCB_VERSION);
+  client::ConnectOptions options;
+  options.endpoint = context.endpoint;
+  options.name = "rcbctl " RCB_VERSION;
+  options.outlive = outlive;
+  options.on_notice = note;
+  auto client = launch::reach_returning(options);
   if (!client) return launch::explain_absence(context.endpoint, client.status());
   return client;
 }
+
+}  // namespace
+
+Result<client::Client> connect(const Context& context) { return connect_as(context, false); }
+Result<client::Client> connect_to_drive(const Context& context) { return connect_as(context, true); }
 
 Result<Session> Session::open(const Context& context, int ranks) {
   Session session;

@@ -172,7 +172,7 @@ class Replay {
       : options_(options), context_(context), progress_("replay " + options.name) {}
 
   Status run() {
-    auto client = connect(context_);
+    auto client = connect_to_drive(context_);
     if (!client) return client.status();
     const double start = clock_.seconds();
     Status status;

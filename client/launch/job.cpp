@@ -71,7 +71,7 @@ Job::Job(JobSpec spec, std::string fallback, int output_fd)
 
 Job::~Job() { kill(); }
 
-Status Job::start(bool restarted, bool temporary_data) {
+Status Job::start(bool restarted) {
   folder_.reset();
   auto folder = JobFolder::make(fallback_, spec_.ranks);
   if (!folder.ok()) return folder.status();
@@ -80,7 +80,7 @@ Status Job::start(bool restarted, bool temporary_data) {
   owner.process = ProcessId::self();
   owner.endpoint = spec_.endpoint;
   owner.data_dir = spec_.data_dir;
-  folder_->sign(owner, temporary_data);
+  folder_->sign(owner);
   spec_.folder = folder_->path();
   auto arguments = mpirun_arguments(spec_);
   if (!arguments) return arguments.status();
@@ -107,6 +107,8 @@ Status Job::start(bool restarted, bool temporary_data) {
   }
   return {};
 }
+
+bool Job::ready() const { return folder_ && access(join_path(folder_->path(), kReadyFile).c_str(), F_OK) == 0; }
 
 std::optional<JobEnd> Job::poll() {
   if (pid_ <= 0) return std::nullopt;

@@ -32,10 +32,10 @@ class Job {
   Job(const Job&) = delete;
   Job& operator=(const Job&) = delete;
 
-  // temporary_data: the data directory goes with the job's owner (JobFolder::sign).
-  Status start(bool restarted, bool temporary_data = false);
+  Status start(bool restarted);
   bool running() const { return pid_ > 0; }
-  pid_t pid() const { return pid_; }
+  // The service has said that it is up; whether it answers is another question.
+  bool ready() const;
   // Once mpirun has ended; without waiting.
   std::optional<JobEnd> poll();
   void kill();

@@ -6,10 +6,10 @@
 #include <utility>
 
 #include <fmt/format.h>
-#include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
 
+#include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 #include "common/base/socket_file.hpp"
 
@@ -20,7 +20,6 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSharedMemory = "/dev/shm";
 constexpr std::string_view kOwnerFile = "owner";
-constexpr std::string_view kTemporaryMark = "temporary_data";  // a line of the note
 constexpr int kTriesMax = 20;
 constexpr std::uint64_t kSessionBytes = 16 << 20;
 constexpr std::uint64_t kRankBytes = 4 << 20;
@@ -33,14 +32,9 @@ bool has_room(const std::string& folder, int ranks) {
   return std::uint64_t{info.f_bavail} * info.f_frsize > kSessionBytes + static_cast<std::uint64_t>(ranks) * kRankBytes;
 }
 
-bool is_own_folder(const std::string& path) {
-  struct stat info {};
-  return ::lstat(path.c_str(), &info) == 0 && S_ISDIR(info.st_mode) && info.st_uid == ::geteuid();
-}
-
 void remove_tree(const std::string& path, std::vector<std::string>& removed) {
   std::error_code error;
-  if (is_own_folder(path) && fs::remove_all(path, error) > 0 && !error) removed.push_back(path);
+  if (is_own_directory(path) && fs::remove_all(path, error) > 0 && !error) removed.push_back(path);
 }
 
 // What a job whose owner is dead has left besides its folder.
@@ -50,7 +44,6 @@ void remove_rest(const std::string& text, std::vector<std::string>& removed) {
   if (owner.endpoint.starts_with("unix:"))
     if (const auto lock = take_endpoint(owner); lock.ok())
       for (const std::string& socket : remove_dead_sockets(owner.endpoint.substr(5))) removed.push_back(socket);
-  if (text.find(fmt::format("\n{}\n", kTemporaryMark)) != std::string::npos) remove_tree(owner.data_dir, removed);
 }
 
 std::string note_in(const std::string& path) {
@@ -95,9 +88,8 @@ JobFolder::~JobFolder() {
   if (!path_.empty()) fs::remove_all(path_, ignored);
 }
 
-void JobFolder::sign(const EndpointNote& owner, bool temporary_data) const {
-  const std::string mark = temporary_data ? fmt::format("{}\n", kTemporaryMark) : "";
-  (void)lock_.write(owner.text() + mark);  // only the sweep of what a kill has left would miss it
+void JobFolder::sign(const EndpointNote& owner) const {
+  (void)lock_.write(owner.text());  // only the sweep of what a kill has left would miss it
 }
 
 std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
@@ -106,7 +98,7 @@ std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
     std::error_code error;
     for (const auto& entry : fs::directory_iterator(parent, error)) {
       const std::string path = entry.path().string();
-      if (!entry.path().filename().string().starts_with(prefix()) || !is_own_folder(path)) continue;
+      if (!entry.path().filename().string().starts_with(prefix()) || !is_own_directory(path)) continue;
       // One without a note is just being made, or another version's.
       if (!fs::exists(join_path(path, kOwnerFile), error)) continue;
       const std::string note = note_in(join_path(path, kOwnerFile));

@@ -26,12 +26,11 @@ class JobFolder {
   ~JobFolder();
 
   const std::string& path() const { return path_; }
-  // Whose job it is, for the one who finds it left over: the endpoint's sockets go with it, and a temporary data
-  // directory.
-  void sign(const EndpointNote& owner, bool temporary_data) const;
+  // Whose job it is, for the one who finds it left over: the endpoint's sockets go with it.
+  void sign(const EndpointNote& owner) const;
 
-  // Removes what this user's killed jobs have left: their folders in /dev/shm and in `fallback`, sockets and temporary
-  // data directories. Returns the names.
+  // Removes what this user's killed jobs have left: their folders in /dev/shm and in `fallback`, and their sockets.
+  // Returns the names.
   static std::vector<std::string> sweep(const std::string& fallback);
 
  private:

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -18,6 +19,7 @@
 
 #include "client/launch/log_tail.hpp"
 #include "common/base/clock.hpp"
+#include "common/base/lock_file.hpp"
 #include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 
@@ -28,6 +30,8 @@ constexpr double kProgressSeconds = 0.5;
 constexpr double kGraceSeconds = 15;  // beyond the supervisor's own deadline
 constexpr double kEndSeconds = 30;
 constexpr std::size_t kTemporaryPathMax = 60;
+constexpr std::chrono::minutes kStartTime{2};
+constexpr std::string_view kTemporaryPrefix = "rcb-embedded-";
 
 // The supervisor's process and both pipes to it. What a signal handler may touch is atomic.
 struct Bond {
@@ -175,13 +179,27 @@ Status await_verdict(const Started& started, double deadline_seconds, const Prog
   }
 }
 
+// Embedded services whose program and supervisor were killed at once leave theirs, with a lock that nobody holds.
+void sweep_temporary(const std::string& parent) {
+  std::error_code error;
+  for (const auto& entry : std::filesystem::directory_iterator(parent, error)) {
+    const std::string path = entry.path().string();
+    if (!entry.path().filename().string().starts_with(kTemporaryPrefix) || !is_own_directory(path)) continue;
+    const std::string lock_path = join_path(path, kLockFile);
+    const auto written = std::filesystem::last_write_time(lock_path, error);
+    if (error || decltype(written)::clock::now() - written < kStartTime) continue;  // it may just be starting
+    if (const auto lock = LockFile::take(lock_path, ""); lock.ok()) std::filesystem::remove_all(path, error);
+  }
+}
+
 // A folder short enough for a socket in it.
 Result<std::string> temporary_directory() {
   const char* named = std::getenv("TMPDIR");
   std::string parent = named != nullptr && *named == '/' ? named : "/tmp";
   // A folder that others could fill is none for the files of a service.
   if (parent.size() > kTemporaryPathMax || !check_parent_directory(parent)) parent = "/tmp";
-  std::string pattern = join_path(parent, "rcb-XXXXXX");
+  sweep_temporary(parent);
+  std::string pattern = join_path(parent, fmt::format("{}XXXXXX", kTemporaryPrefix));
   if (mkdtemp(pattern.data()) == nullptr)
     return Status(Code::io_error, fmt::format("{}: no folder can be made: {}", parent, std::strerror(errno)),
                   "set TMPDIR to a folder that may be written");
@@ -240,7 +258,10 @@ Embedded::Embedded(Embedded&& other) noexcept
       supervisor_(std::exchange(other.supervisor_, -1)) {}
 
 Embedded::~Embedded() {
-  if (supervisor_ > 0) end({supervisor_, lifeline_fd_, notify_fd_});
+  if (supervisor_ <= 0) return;
+  end({supervisor_, lifeline_fd_, notify_fd_});
+  std::error_code ignored;
+  std::filesystem::remove_all(directory_, ignored);  // where the supervisor could not
 }
 
 Status Embedded::explain(Status status) const {

@@ -12,12 +12,6 @@
 #include <unistd.h>
 
 namespace rcb::launch {
-namespace {
-
-constexpr int kDepthMax = 8;
-
-}  // namespace
-
 ProcessInfo process_info(pid_t pid) {
   ProcessInfo info;
   std::ifstream in(fmt::format("/proc/{}/status", pid));
@@ -26,14 +20,6 @@ ProcessInfo process_info(pid_t pid) {
     if (line.starts_with("PPid:\t")) info.parent = std::atoi(line.c_str() + 6);
   }
   return info;
-}
-
-bool is_descendant(pid_t pid, pid_t ancestor) {
-  for (int depth = 0; pid > 1 && depth < kDepthMax; ++depth) {
-    if (pid == ancestor) return true;
-    pid = process_info(pid).parent;
-  }
-  return false;
 }
 
 pid_t rank0_of(client::Client& client, double deadline_seconds) {

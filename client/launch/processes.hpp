@@ -1,4 +1,4 @@
-// Processes of this machine: who is whose child, and handles that no later process of the same number can be mistaken
+// Processes of this machine: who they are, and handles that no later process of the same number can be mistaken
 // for.
 #pragma once
 
@@ -17,7 +17,6 @@ struct ProcessInfo {
 };
 // Empty where there is no such process.
 ProcessInfo process_info(pid_t pid);
-bool is_descendant(pid_t pid, pid_t ancestor);
 
 // The number of rank 0's process as the service tells it; -1 if it doesn't.
 pid_t rank0_of(client::Client& client, double deadline_seconds);

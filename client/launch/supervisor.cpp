@@ -1,5 +1,6 @@
 #include "client/launch/supervisor.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <ctime>
@@ -15,7 +16,7 @@
 #include <unistd.h>
 
 #include "client/launch/job.hpp"
-#include "client/launch/processes.hpp"
+#include "client/launch/probe.hpp"
 #include "client/launch/reach.hpp"
 #include "client/launch/restarts.hpp"
 #include "client/launch/service_log.hpp"
@@ -30,7 +31,8 @@ namespace {
 
 constexpr double kProbeSeconds = 0.05;
 constexpr double kProbeDeadlineSeconds = 1;
-constexpr double kAskDeadlineSeconds = 5;
+constexpr double kAskSecondsLeast = 0.5;
+constexpr double kAskSecondsMost = 5;
 constexpr double kStopSeconds = 20;
 constexpr int kReadsMax = 64;  // then a look at what else there is
 
@@ -61,8 +63,6 @@ class Supervisor {
   bool pause(double seconds);
   Status start(Job& job, bool restarted);
   void stop(Job& job);
-  bool answers(double deadline_seconds) const;
-  bool is_ours(client::Client& client, const Job& job) const;
   Status keep_place();
   bool is_displaced(const Status& status) const { return status.code() == Code::busy && !endpoint_lock_->in_place(); }
   Event wait(double seconds);
@@ -151,8 +151,8 @@ Status Supervisor::serve(Job& job) {
   if (!status) {
     job.kill();
     notify(status);
+    return status;
   }
-  if (!status || !job.running()) return status;
   (void)silence_.heard(true, clock_.seconds(), clock_.seconds());
   notify({});
   return keep(job);
@@ -166,30 +166,20 @@ Status Supervisor::start(Job& job, bool restarted) {
   log_.begin_job();
   started_ = clock_.seconds();
   silence_.begin(started_, options_.ready_seconds);
-  return job.start(restarted, options_.embedded);
+  return job.start(restarted);
 }
 
-// Ok when it answers, or when a stop was asked for: then the job doesn't run any more.
 Status Supervisor::await_first_answer(Job& job) {
   const double deadline = clock_.seconds() + options_.ready_seconds;
   while (clock_.seconds() < deadline) {
-    if (wait(kProbeSeconds) == Event::stop) {
-      job.kill();
-      return {};
-    }
+    if (wait(kProbeSeconds) == Event::stop) return {Code::aborted, "the service was told to end while it started"};
     if (const auto end = job.poll()) return {Code::aborted, reason(end->text), "the whole log: " + log_.path()};
-    auto client = reach(options_.endpoint, "rcbctl up", kProbeDeadlineSeconds);
-    if (client.ok() ? is_ours(*client, job) : client.status().code() == Code::not_authorised) return {};
+    // The job's own word, too: somebody else may have taken its TCP port, and answers there.
+    if (job.ready() && answers(options_.endpoint, kProbeDeadlineSeconds)) return {};
   }
   return {Code::deadline_exceeded,
           fmt::format("the service did not answer within {} s of its start", options_.ready_seconds),
           "its log: " + log_.path()};
-}
-
-// Somebody else may have taken a TCP port while this job was about to.
-bool Supervisor::is_ours(client::Client& client, const Job& job) const {
-  const pid_t rank0 = rank0_of(client, kProbeDeadlineSeconds);
-  return rank0 > 0 && is_descendant(rank0, job.pid());
 }
 
 // Until the service ends for good.
@@ -232,7 +222,9 @@ Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
       last_complaint_ = status.message();
     }
     const double asked_at = clock_.seconds();
-    if (silence_.heard(answers(kAskDeadlineSeconds), asked_at, clock_.seconds())) {
+    const double patience = std::clamp(options_.ask_seconds, kAskSecondsLeast, kAskSecondsMost);
+    const bool answer = answers(options_.endpoint, patience);
+    if (silence_.heard(answer, asked_at, clock_.seconds())) {
       why = fmt::format("it has not answered for {:.0f} s", silence_.silent_seconds(clock_.seconds()));
       return Outcome::died;
     }
@@ -249,8 +241,9 @@ Supervisor::Outcome Supervisor::start_again(Job& job, std::string why) {
     const double seconds = backoff_.next();
     note_.failures = backoff_.failures();
     note_.last_reason = why;
+    // The log has the rest of the reason above.
     log_.note(fmt::format("the service has died ({}), {} times so far, {} in a row; it is started again in {:.1f} s",
-                          why, note_.deaths, note_.failures, seconds));
+                          why.substr(0, why.find(":\n")), note_.deaths, note_.failures, seconds));
     tell_state(static_cast<double>(std::time(nullptr)) + seconds);
     if (!pause(seconds)) return Outcome::stopped;
     Status status = keep_place();
@@ -293,13 +286,6 @@ Status Supervisor::keep_place() {
     log_.note(fmt::format("the data directory {} had been removed, and is made again", options_.data_dir));
   }
   return log_.refresh();
-}
-
-// Any word counts, a refusal too.
-bool Supervisor::answers(double deadline_seconds) const {
-  const auto client = reach(options_.endpoint, "rcbctl up", deadline_seconds);
-  const Code code = client.status().code();
-  return code != Code::unavailable && code != Code::deadline_exceeded;
 }
 
 // A clean end within the deadline; run() kills what is left after it.

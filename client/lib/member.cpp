@@ -61,6 +61,9 @@ struct MemberScene::State {
                               const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                      const MemberStepOptions& with, const Retry& retry);
+  // The answer to a step that was committed before the service was lost, for a member that can't push it once more.
+  // Errors: base_lost, where there is none.
+  Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
                               std::span<const Column> columns, const std::string& what, const Deadline& deadline);
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
@@ -236,6 +239,26 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   return session().exchange(request, source, what, deadline);
 }
 
+Result<Frame> MemberScene::State::ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
+  auto answer = session().call_once({{"command", "push.begin"},
+                                     {"scene", name},
+                                     {"session", session().number()},
+                                     {"step", step},
+                                     {"attempt", session().next_attempt()},
+                                     {"n", 0},
+                                     {"slices", 0},
+                                     {"order", "id"},
+                                     {"ids", true},
+                                     {"moved", "none"},
+                                     {"changes", with.want_changes}},
+                                    retry);
+  if (answer || !session().connected()) return answer;
+  return Status(Code::base_lost,
+                fmt::format("the service at {} was started again and has lost scene '{}', which had weights",
+                            session().endpoint(), name),
+                "push this step with weights; the other members are told the same");
+}
+
 Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t step, const MemberStepOptions& with,
                                             const Retry& retry) {
   const auto json = answer.json();
@@ -330,12 +353,8 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   directly = false;
   if (Status status = sit(retry); !status) return status;
-  if (lost && weights && with.weights.empty())
-    return Status(Code::base_lost,
-                  fmt::format("the service at {} was started again and has lost scene '{}', which had weights",
-                              session().endpoint(), name),
-                  "push this step with weights; the other members are told the same");
-  const auto answer = push(positions, ids, step, with, retry);
+  const bool lacks_weights = lost && weights && with.weights.empty();
+  const auto answer = lacks_weights ? ask_for_answer(step, with, retry) : push(positions, ids, step, with, retry);
   if (!answer) return answer.status();
   auto result = read(*answer, step, with, retry);
   if (!result) places.forget();  // the step is committed, and what it changed isn't known

@@ -2,8 +2,10 @@
 
 #include <cerrno>
 #include <climits>
+#include <cstdint>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <list>
 
 #include <fcntl.h>
@@ -25,7 +27,24 @@ Status failed(const std::string& path, const char* what) {
   return {Code::io_error, fmt::format("{}: {}: {}", path, what, std::strerror(errno)), kElsewhere};
 }
 
-bool is_trusted(uid_t user) { return user == 0 || user == ::geteuid(); }
+// As what root's files show in a user namespace that doesn't know the machine's root, such as a container's that a user
+// has started; others that it doesn't know can't be told from root. Elsewhere there is no such user (0 is trusted
+// anyway).
+uid_t unknown_root() {
+  std::uint64_t first = 0;
+  std::uint64_t outside = 0;
+  std::uint64_t count = 0;
+  constexpr std::uint64_t kEverybody = 0xFFFFFFFF;
+  if (std::ifstream map("/proc/self/uid_map"); !(map >> first >> outside >> count) || count == kEverybody) return 0;
+  uid_t user = 0;
+  std::ifstream("/proc/sys/kernel/overflowuid") >> user;
+  return user;
+}
+
+bool is_trusted(uid_t user) {
+  static const uid_t unknown = unknown_root();
+  return user == 0 || user == ::geteuid() || user == unknown;
+}
 
 // The group that a user has alone, as many systems give to each: its members are no others.
 bool is_own_group(gid_t group) {
@@ -121,6 +140,11 @@ Status walk(const std::string& path, bool own) {
 Status make_own_directory(const std::string& path) { return walk(path, true); }
 
 Status check_parent_directory(const std::string& path) { return walk(path, false); }
+
+bool is_own_directory(const std::string& path) {
+  struct stat info {};
+  return ::lstat(path.c_str(), &info) == 0 && S_ISDIR(info.st_mode) && info.st_uid == ::geteuid();
+}
 
 Result<int> open_own_file(const std::string& path, int flags) {
   // O_NONBLOCK: a FIFO would be waited for.

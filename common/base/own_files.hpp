@@ -19,6 +19,9 @@ Status make_own_directory(const std::string& path);
 // The same check of a directory that is there and in which this user is about to make one; it may be sticky.
 Status check_parent_directory(const std::string& path);
 
+// A directory of this user's is there, and no link to one.
+bool is_own_directory(const std::string& path);
+
 // Opens a regular file of this user that has one name and can't be written by others; flags as for open(2), a file that
 // is made gets mode 0600. The directory must be one that make_own_directory() has taken, or the file be made with
 // O_EXCL. Errors: not_found, io_error, not_authorised (a link, another kind of file, another user's).

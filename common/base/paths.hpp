@@ -22,6 +22,7 @@ inline constexpr std::string_view kLockFile = "lock";                     // Loc
 // Names the job's own folder in the environment of its ranks: Open MPI's session files and the shared memory.
 inline constexpr const char* kJobFolderVariable = "RCBD_JOB_FOLDER";
 inline constexpr std::string_view kJobFolderPrefix = "rcbd-";  // of the folder's own name
+inline constexpr std::string_view kReadyFile = "ready";        // in it, once the service answers
 
 // The longest path that fits a socket address.
 inline constexpr std::size_t kSocketPathMax = 107;

@@ -16,6 +16,12 @@ namespace {
 // Without O_NONBLOCK the open of a FIFO would wait for its writer for ever.
 constexpr int kFlags = O_RDONLY | O_CLOEXEC | O_NONBLOCK;
 
+FileVersion version_of(const struct stat& about) {
+  constexpr std::int64_t kNanoseconds = 1'000'000'000;
+  return {about.st_ino, static_cast<std::uint64_t>(about.st_size),
+          about.st_mtim.tv_sec * kNanoseconds + about.st_mtim.tv_nsec};
+}
+
 }  // namespace
 
 Result<InputFile> InputFile::open(const std::string& path) {
@@ -44,21 +50,21 @@ Result<InputFile> InputFile::opened(int descriptor, const std::string& path) {
     return Status(Code::io_error, path + (directory ? ": is a directory" : ": is not a regular file"),
                   directory ? "name a file in it" : "write the points to a file first");
   }
-  return InputFile(path, descriptor, static_cast<std::uint64_t>(about.st_size));
+  return InputFile(path, descriptor, version_of(about));
 }
 
 std::string InputFile::name_by_descriptor() const { return fmt::format("/proc/self/fd/{}", descriptor_); }
 
-InputFile::InputFile(std::string path, int descriptor, std::uint64_t size)
-    : path_(std::move(path)), descriptor_(descriptor), size_(size) {}
+InputFile::InputFile(std::string path, int descriptor, const FileVersion& version)
+    : path_(std::move(path)), descriptor_(descriptor), version_(version) {}
 
 InputFile::InputFile(InputFile&& other) noexcept
-    : path_(std::move(other.path_)), descriptor_(std::exchange(other.descriptor_, -1)), size_(other.size_) {}
+    : path_(std::move(other.path_)), descriptor_(std::exchange(other.descriptor_, -1)), version_(other.version_) {}
 
 InputFile& InputFile::operator=(InputFile&& other) noexcept {
   std::swap(path_, other.path_);
   std::swap(descriptor_, other.descriptor_);
-  std::swap(size_, other.size_);
+  std::swap(version_, other.version_);
   return *this;
 }
 
@@ -77,7 +83,7 @@ Status InputFile::read_at(std::uint64_t offset, void* to, std::size_t bytes) con
     }
     if (got == 0) {
       return Status(Code::io_error,
-                    fmt::format("{}: ends at byte {}; it had {} bytes when opened", path_, offset, size_),
+                    fmt::format("{}: ends at byte {}; it had {} bytes when opened", path_, offset, size()),
                     "wait until it is written, then try again");
     }
     next += got;
@@ -87,8 +93,14 @@ Status InputFile::read_at(std::uint64_t offset, void* to, std::size_t bytes) con
   return {};
 }
 
+Status InputFile::check_unchanged() const {
+  struct stat about {};
+  if (::fstat(descriptor_, &about) == 0 && version_of(about) == version_) return {};
+  return {Code::io_error, path_ + ": was changed while it was read", "wait until it is written, then try again"};
+}
+
 bool InputFile::starts_with(std::string_view magic) const {
-  if (size_ < magic.size()) return false;
+  if (size() < magic.size()) return false;
   std::vector<char> head(magic.size());
   return read_at(0, head.data(), head.size()).ok() && std::string_view(head.data(), head.size()) == magic;
 }

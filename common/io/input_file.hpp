@@ -11,6 +11,14 @@
 
 namespace rcb::io {
 
+// Which file it is, and in which state; another one once it was replaced, cut or written to.
+struct FileVersion {
+  std::uint64_t inode = 0;
+  std::uint64_t size = 0;
+  std::int64_t changed_nanoseconds = 0;  // since 1970
+  friend bool operator==(const FileVersion&, const FileVersion&) = default;
+};
+
 class InputFile {
  public:
   // Errors: not_found; io_error where it can't be opened or is no regular file.
@@ -26,19 +34,23 @@ class InputFile {
   const std::string& path() const { return path_; }
   // Opens this very file again, for libraries that take names.
   std::string name_by_descriptor() const;
-  std::uint64_t size() const { return size_; }  // as it was when opened
+  // As they were when it was opened.
+  const FileVersion& version() const { return version_; }
+  std::uint64_t size() const { return version_.size; }
+  // What was read until now is of the file as it was when opened. Errors: io_error.
+  Status check_unchanged() const;
   // All of the bytes, or io_error (a file that was cut while it is read).
   Status read_at(std::uint64_t offset, void* to, std::size_t bytes) const;
   // Whether the file begins with these bytes.
   bool starts_with(std::string_view magic) const;
 
  private:
-  InputFile(std::string path, int descriptor, std::uint64_t size);
+  InputFile(std::string path, int descriptor, const FileVersion& version);
   static Result<InputFile> opened(int descriptor, const std::string& path);
 
   std::string path_;
   int descriptor_ = -1;
-  std::uint64_t size_ = 0;
+  FileVersion version_;
 };
 
 // Text of a file made fit for a message: control characters escaped, at most 40 characters.

@@ -34,6 +34,7 @@ class NpyRows {
   // doubled, for float32); the others stay in the file.
   static Result<NpyRows> open(InputFile file, const NpyHeader& header, const ReadOptions& options);
 
+  const InputFile& file() const { return file_; }
   const Columns& columns() const { return columns_; }
   std::uint64_t rows() const { return rows_; }
   // Rows [begin, begin + count) as points; the first bad value is refused by its index.

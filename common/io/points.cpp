@@ -21,6 +21,13 @@ bool ends_with_npy(const std::string& path) {
   return ending == ".npy";
 }
 
+// What was read of the file, unless the file was changed meanwhile: then that is said, whatever it made of the points.
+Result<Points> if_unchanged(const InputFile& file, Result<Points> points) {
+  if (Status same = file.check_unchanged(); !same.ok()) return same;
+  if (points.ok()) points->file = file.version();
+  return points;
+}
+
 Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int of) {
   const auto header = read_npy_header(file, options);
   if (!header.ok()) return header.status();
@@ -33,8 +40,7 @@ Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int o
   const std::uint64_t begin = share_begin(rows->rows(), k, of);
   Points points;
   const Status read = rows->read(begin, static_cast<std::size_t>(share_begin(rows->rows(), k + 1, of) - begin), points);
-  if (!read.ok()) return read;
-  return points;
+  return if_unchanged(rows->file(), read.ok() ? Result<Points>(std::move(points)) : read);
 }
 
 Result<InputFile> open_file(const std::string& path, const ReadOptions& options) {
@@ -45,13 +51,13 @@ Result<Points> read_any(const std::string& path, const ReadOptions& options, int
   auto file = open_file(path, options);
   if (const auto hdf5 = split_hdf5_path(path); hdf5 && file.status().code() == Code::not_found) {
     file = open_file(hdf5->first, options);
-    if (file.ok()) return read_hdf5(*file, hdf5->second, options, k, of);
+    if (file.ok()) return if_unchanged(*file, read_hdf5(*file, hdf5->second, options, k, of));
   }
   if (!file.ok()) return file.status();
   if (file->starts_with(kHdf5Magic)) return hdf5_needs_path(*file, options);
   if (file->starts_with(kNpyMagic) || ends_with_npy(path)) return read_npy(std::move(*file), options, k, of);
   if (Status foreign = check_not_foreign(*file); !foreign.ok()) return foreign;
-  return read_text(*file, options, k, of);
+  return if_unchanged(*file, read_text(*file, options, k, of));
 }
 
 template <typename Read>

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/base/status.hpp"
+#include "common/io/input_file.hpp"
 #include "common/io/output_file.hpp"
 
 namespace rcb::io {
@@ -29,6 +30,7 @@ struct Points {
   std::vector<std::vector<double>> position;  // [dims][count]
   std::vector<std::int64_t> id;               // [count]; empty: ids by row
   std::vector<double> weight;                 // [count] or empty
+  FileVersion file;                           // slices of one set are of one file, in one state
 };
 
 // The whole file. path: an .npy file (by its name or first bytes; a trajectory of one step too), FILE.h5:/dataset,

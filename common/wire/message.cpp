@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include "common/base/text.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::wire {
@@ -94,8 +95,8 @@ const Array* find_array(std::span<const Array> arrays, std::string_view name) {
 Json failure_json(const Status& status) {
   return Json{{"failure",
                {{"code", code_name(status.code())},
-                {"message", status.message()},
-                {"hint", status.hint()},
+                {"message", escape_controls(status.message())},
+                {"hint", escape_controls(status.hint())},
                 {"exit", exit_code(status.code())}}}};
 }
 

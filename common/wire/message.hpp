@@ -54,7 +54,7 @@ Json describe(std::span<const Array> arrays);
 // The array of that name; null if absent.
 const Array* find_array(std::span<const Array> arrays, std::string_view name);
 
-// {"failure":{"code","message","hint","exit"}}
+// {"failure":{"code","message","hint","exit"}}. Words of a peer in it lose their control characters.
 Json failure_json(const Status& status);
 Status status_from_failure(const Json& json);
 

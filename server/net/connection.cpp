@@ -7,6 +7,7 @@
 #include <boost/asio/buffer.hpp>
 #include <fmt/format.h>
 #include <poll.h>
+#include <sys/socket.h>
 
 #include "common/wire/limits.hpp"
 
@@ -253,6 +254,16 @@ bool Connection::peer_has_gone() {
   if (broken_) return true;
   pollfd watched{socket_.native_handle(), POLLRDHUP, 0};
   return ::poll(&watched, 1, 0) > 0 && (watched.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
+}
+
+void Connection::close_saying(const Status& why) {
+  if (!broken_ && !writing_) {
+    wire::FrameHeader header;
+    header.type = wire::FrameType::failure;
+    const std::string frame = wire::encode_frame(header, wire::dump_json(wire::failure_json(why)));
+    static_cast<void>(::send(socket_.native_handle(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL));
+  }
+  close();
 }
 
 void Connection::close() {

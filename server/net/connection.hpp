@@ -55,6 +55,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
   // make the kernel throw it away): waits, for a second at most, for the peer to close.
   awaitable<void> end_gently();
   void close();
+  // Closes at once; the peer is told why where its socket has room.
+  void close_saying(const Status& why);
   // Whether the peer has closed its side, however much of what it sent is still unread.
   bool peer_has_gone();
   std::uint64_t bytes_received() const { return bytes_received_; }

@@ -85,7 +85,10 @@ struct Control::State : std::enable_shared_from_this<State> {
   std::string unix_path;
   std::list<TcpAcceptor> tcp_acceptors;
   std::vector<std::shared_ptr<Door>> doors;
-  std::shared_ptr<Lobby> late = std::make_shared<Lobby>(wire::kSessionsReserved);
+  std::shared_ptr<Lobby> late =
+      std::make_shared<Lobby>(wire::kSessionsReserved,
+                              Status(Code::busy, "all sessions are taken, and another client came that needs an answer",
+                                     "try again when one has ended"));
   int refusing = 0;
 };
 

@@ -43,6 +43,7 @@ class Coordinator::Unfinished {
  public:
   Unfinished(std::shared_ptr<Coordinator> of, OrderOptions order) : of_(std::move(of)), order_(std::move(order)) {
     ++of_->orders_unfinished_;
+    ++*order_.asker;
     if (!order_.changes.empty()) ++of_->gate(order_.changes).changes_unfinished;
   }
   Unfinished(const Unfinished&) = delete;
@@ -52,6 +53,7 @@ class Coordinator::Unfinished {
   void end() {
     if (std::exchange(ended_, true)) return;
     --of_->orders_unfinished_;
+    --*order_.asker;
     of_->charged_bytes_ -= order_.charged_bytes;
     if (order_.changes.empty()) return;
     SceneGate& gate = of_->gate(order_.changes);
@@ -72,7 +74,7 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
   Status refused;
   if (shutting_down_)
     refused = Status(Code::unavailable, "the service is shutting down");
-  else if (orders_unfinished_ >= options_.orders_max)
+  else if (orders_unfinished_ >= options_.orders_max * (*order.asker > 0 ? 1 : wire::kOrdersHard))
     refused =
         Status(Code::busy, fmt::format("{} commands are unfinished", orders_unfinished_), "try again in a moment");
   else if (text.size() > wire::kJsonBytesMax)  // 1e9 grows to 1000000000.0

@@ -106,8 +106,11 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     const TimePoint late = now() + duration_of(options.unknown_seconds);
     while (true) {
       if (auto push = find(id)) co_return push;
-      if (std::find(ended.begin(), ended.end(), id) != ended.end() || now() >= late || connection.peer_has_gone())
+      if (std::find(ended.begin(), ended.end(), id) != ended.end() || connection.peer_has_gone()) co_return nullptr;
+      if (now() >= late) {
+        remember(id);  // its other frames aren't waited for
         co_return nullptr;
+      }
       Timer timer(context(), std::min(late, now() + std::chrono::seconds(1)));
       const auto place = waiting.insert(waiting.end(), &timer);
       co_await timer.async_wait(kAwait);

@@ -57,7 +57,8 @@ class Door {
   Status check_proof(const wire::Json& said, const std::string& nonce, Hello& hello) const;
 
   DoorOptions options_;
-  Lobby waiting_{wire::kNewcomersMax};
+  Lobby waiting_{wire::kNewcomersMax,
+                 {Code::busy, "too many connections haven't said hello, and this was the oldest", "try again"}};
 };
 
 }  // namespace rcb::net

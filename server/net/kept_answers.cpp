@@ -1,5 +1,6 @@
 #include "server/net/kept_answers.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
@@ -14,6 +15,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/own_files.hpp"
 #include "common/base/paths.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
@@ -115,22 +117,21 @@ bool write_at(int file, std::string_view bytes) {
   return true;
 }
 
-// A file of ours, open to nobody else, and younger than any deadline that is still waited for; else empty.
+// A file of ours that is younger than any deadline which is still waited for; else empty.
 std::string read_own(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
-  if (file < 0) return "";
+  const auto file = open_own_file(path, O_RDONLY | O_CLOEXEC);
+  if (!file.ok()) return "";
   struct stat info {};
   std::string bytes;
-  if (::fstat(file, &info) == 0 && S_ISREG(info.st_mode) && info.st_uid == ::geteuid() && (info.st_mode & 0077) == 0 &&
-      std::difftime(std::time(nullptr), info.st_mtime) <= wire::kDeadlineSecondsMax) {
+  if (::fstat(*file, &info) == 0 && std::difftime(std::time(nullptr), info.st_mtime) <= wire::kDeadlineSecondsMax) {
     bytes.resize(static_cast<std::size_t>(info.st_size));
     std::size_t got = 0;
     for (ssize_t count = 1; got < bytes.size() && count > 0;
          got += static_cast<std::size_t>(std::max<ssize_t>(count, 0)))
-      count = ::read(file, bytes.data() + got, bytes.size() - got);
+      count = ::read(*file, bytes.data() + got, bytes.size() - got);
     bytes.resize(got);
   }
-  ::close(file);
+  ::close(*file);
   return bytes;
 }
 
@@ -184,17 +185,19 @@ void KeptAnswers::keep(const std::string& scene, const MemberAnswers& answers) {
   if (directory_.empty()) return;
   int& which = next_[scene];
   const std::string to = path(scene, which);
-  const int file = ::open(to.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0600);
-  const bool written = file >= 0 && write_at(file, encode(scene, answers));
-  const std::string why = written ? "" : std::strerror(errno);
-  if (file >= 0) ::close(file);
-  if (written) {
+  const auto file = open_own_file(to, O_WRONLY | O_CREAT | O_CLOEXEC);
+  std::string fault = file.status().message();
+  if (file.ok()) {
+    if (!write_at(*file, encode(scene, answers))) fault = fmt::format("{}: {}", to, std::strerror(errno));
+    ::close(*file);
+  }
+  if (fault.empty()) {
     which = 1 - which;
     return;
   }
   ::unlink(to.c_str());
   if (!std::exchange(fault_told_, true))
-    spdlog::warn("can't write {}: {}; members that wait for an answer when this service dies won't get it", to, why);
+    spdlog::warn("{}; members that wait for an answer when this service dies won't get it", fault);
 }
 
 const MemberAnswers* KeptAnswers::before(const std::string& scene) const {

@@ -66,23 +66,30 @@ struct Slices {
   bool ids = false;
   bool weights = false;
   int dims = 0;
+  bool one_file = true;  // all have read the same file in the same state
 };
 
 Slices join_slices(partition::Comm& comm, const io::Points& points) {
-  const std::array<std::uint64_t, 4> mine{points.count, points.id.empty() ? 0U : 1U, points.weight.empty() ? 0U : 1U,
-                                          points.count == 0 ? 0U : static_cast<std::uint64_t>(points.dims)};
+  const std::array<std::uint64_t, 7> mine{points.count,
+                                          points.id.empty() ? 0U : 1U,
+                                          points.weight.empty() ? 0U : 1U,
+                                          points.count == 0 ? 0U : static_cast<std::uint64_t>(points.dims),
+                                          points.file.inode,
+                                          points.file.size,
+                                          static_cast<std::uint64_t>(points.file.changed_nanoseconds)};
   std::vector<std::byte> all;
   std::vector<std::size_t> sizes;
   comm.all_gather(std::as_bytes(std::span(mine)), all, sizes);
   Slices slices;
   for (std::size_t r = 0; r < static_cast<std::size_t>(comm.size()); ++r) {
-    std::array<std::uint64_t, 4> theirs{};
+    std::array<std::uint64_t, 7> theirs{};
     std::memcpy(theirs.data(), all.data() + r * sizeof theirs, sizeof theirs);
     if (r < static_cast<std::size_t>(comm.rank())) slices.first_row += theirs[0];
     slices.total += theirs[0];
     slices.ids = slices.ids || theirs[1] != 0;
     slices.weights = slices.weights || theirs[2] != 0;
     slices.dims = std::max(slices.dims, static_cast<int>(theirs[3]));
+    slices.one_file = slices.one_file && std::memcmp(theirs.data() + 4, all.data() + 4 * sizeof theirs[0], 3 * sizeof theirs[0]) == 0;
   }
   return slices;
 }
@@ -125,6 +132,9 @@ Response load(Context& context, const wire::Json& request) {
   auto points = io::read_points_slice(load->path, load->options, comm.rank(), comm.size());
   if (Status status = agree_status(comm, points.status()); !status.ok()) return failed(std::move(status));
   const Slices slices = join_slices(comm, points.value());
+  if (!slices.one_file)
+    return failed({Code::io_error, fmt::format("{}: was changed while it was read", load->path),
+                   "wait until it is written, then try again"});
   if (slices.total > 0 && slices.dims != scene.options.dims)
     return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
                                                        slices.dims, scene.name, scene.options.dims)});

@@ -62,16 +62,28 @@ class Places(unittest.TestCase):
             self.assertEqual(run("down", endpoint=self.endpoint).returncode, 0)
             self.assertEqual([name for name in os.listdir(self.dir) if name.startswith("s")], [])
 
-    def test_one_that_is_run_by_hand_keeps_off(self):
-        self.assertEqual(self.up().returncode, 0)
-        before = {name: os.stat(os.path.join(self.dir, name)).st_ino for name in os.listdir(self.dir)}
-        done = run(1, os.path.join(BIN, "rcbd"), "--socket", f"{self.dir}/s", "--data-dir", f"{self.dir}/other",
-                   program=MPIRUN)
-        self.assertNotEqual(done.returncode, 0)
-        self.assertIn("is served already, by pid", done.stderr)
-        after = {name: os.stat(os.path.join(self.dir, name)).st_ino for name in os.listdir(self.dir)}
-        self.assertEqual(before, {name: after[name] for name in before})
-        self.assertEqual(run("status", endpoint=self.endpoint).returncode, 0)
+    def test_of_two_ups_on_a_port_one_wins(self):
+        endpoint = "127.0.0.1:17472"
+        done = [run("up", "-n", 1, "--data-dir", f"{self.dir}/data{i}", endpoint=endpoint) for i in range(2)]
+        try:
+            self.assertEqual([one.returncode for one in done], [0, 1], done[1].stderr)
+            self.assertIn("already", done[1].stderr)
+        finally:
+            self.assertEqual(run("down", endpoint=endpoint).returncode, 0)
+
+    def test_in_a_container_whose_root_is_unknown(self):
+        """A namespace in which the files of the machine's root show as nobody's."""
+        namespace = ["unshare", "--user", "--map-root-user"]
+        if os.geteuid() == 0:
+            os.chown(self.dir, STRANGER, STRANGER)
+            namespace = ["setpriv", "--reuid", str(STRANGER), "--regid", str(STRANGER), "--clear-groups", *namespace]
+        if subprocess.run([*namespace, "true"], capture_output=True).returncode != 0:
+            print("SKIPPED: no user namespaces here", file=sys.stderr)
+            self.skipTest("no user namespaces here")
+        program, rest = [*namespace, RCBCTL], ("up", "-n", 1, "--data-dir", f"{self.dir}/data")
+        up = run(*program[1:], *rest, program=program[0], endpoint=self.endpoint)
+        self.assertEqual(up.returncode, 0, up.stderr)
+        self.assertEqual(run(*program[1:], "down", program=program[0], endpoint=self.endpoint).returncode, 0)
 
     def test_a_foreign_lock_on_the_folder_is_no_obstacle(self):
         folder = os.open(self.dir, os.O_RDONLY)

@@ -169,6 +169,30 @@ class ManyParts(unittest.TestCase):
         self.assertEqual(len(self.service.json("box", "some", -1, -1, -1, 2, 2, 2)["parts"]), 20_000)
 
 
+class ChangingFile(unittest.TestCase):
+    def test_a_file_that_is_cut_while_it_is_read_is_refused_or_whole(self):
+        rows = 400_000
+        refused = 0
+        with Service(2) as service, Client(service.endpoint, timeout=60) as client:
+            path = os.path.join(service.dir, "p.csv")
+            text = "".join(f"{k},{k % 7}.5,{k % 11}.25\n" for k in range(rows))
+            for k in range(12):
+                with open(path, "w") as file:
+                    file.write(text)
+                client.ask("scene.create", scene="cut", parts=2, replace=True)
+                cut = threading.Timer(0.004 * k, os.truncate, (path, len(text) // 2))
+                cut.start()
+                try:
+                    report = client.ask("load", scene="cut", path=path)[0]["report"]
+                    # Cut before it was opened, or after it was read.
+                    self.assertIn(report["n"], (rows, text[:len(text) // 2].count("\n") + 1))
+                except Refused as failure:
+                    refused += 1
+                    self.assertEqual(failure.args[0], "io_error", failure)
+                cut.join()
+        print(f"refused {refused} of 12")
+
+
 class LongCommands(unittest.TestCase):
     def test_compare_of_a_method_repeated_is_refused_and_any_ends_at_its_deadline(self):
         with Service(2) as service, Client(service.endpoint, timeout=60) as client:

@@ -60,6 +60,10 @@ class Outlive(unittest.TestCase):
         # Member 0 has its answer and goes on; member 1 asks for its own, and gets what it would have got.
         after = np.concatenate([np.setdiff1d(held[0], answers[0][1]["leave_id"]), answers[0][1]["enter_id"]])
         back[0].start(1, after, points)
+        with self.assertRaises(Refused) as refused:  # of step 1 there is no answer yet
+            back[1].ask("push.begin", **self.nothing(back[1], 1))
+        self.assertEqual(refused.exception.args[0], "unsupported")
+        self.assertTrue(back[1].ask("push.begin", **self.nothing(back[1], 0))[0]["repeated"])
         back[1].start(0, held[1], points, attempt=2)
         answer, news = back[1].finish()
         self.assertTrue(answer["repeated"])
@@ -76,6 +80,11 @@ class Outlive(unittest.TestCase):
         with self.assertRaises(Refused) as refused:
             stranger.push("s", 0, points)
         self.assertEqual(refused.exception.args[0], "busy")
+
+    def nothing(self, member, step):
+        """A push that asks for the answer to this step alone."""
+        return {"scene": "s", "session": member.session, "step": step, "attempt": 9, "n": 0, "slices": 0, "order": "id",
+                "ids": True, "moved": "none"}
 
     def solver(self, *command):
         return subprocess.Popen([*map(str, command), "--endpoint", self.service.endpoint], stdin=subprocess.DEVNULL,

@@ -46,14 +46,14 @@ class Folder : public testing::Test {
       ::_exit(1);
   }
   // A process with a job's folder (its path in `place`), sockets and data, which waits to be killed.
-  pid_t job(bool temporary_data) const {
+  pid_t job() const {
     int ready[2];
     EXPECT_EQ(::pipe(ready), 0);
     const pid_t child = ::fork();
     if (child == 0) {
       auto folder = JobFolder::make(directory_, 1);
       if (!folder.ok()) ::_exit(1);
-      folder->sign(owner(), temporary_data);
+      folder->sign(owner());
       std::ofstream(folder->path() + "/vader_segment") << "x";
       fs::create_directories(owner().data_dir);
       listen_at(directory_ + "/s");
@@ -82,7 +82,7 @@ class Folder : public testing::Test {
 };
 
 TEST_F(Folder, OfALiveJobStaysOfAKilledOneGoesWithItsSockets) {
-  const pid_t child = job(false);
+  const pid_t child = job();
   EXPECT_FALSE(names(JobFolder::sweep(directory_), place_));
   EXPECT_TRUE(fs::exists(place_));
   end(child);
@@ -96,14 +96,8 @@ TEST_F(Folder, OfALiveJobStaysOfAKilledOneGoesWithItsSockets) {
   EXPECT_FALSE(fs::exists(directory_ + "/s.lock"));
 }
 
-TEST_F(Folder, ATemporaryDataDirectoryGoesToo) {
-  end(job(true));
-  (void)JobFolder::sweep(directory_);
-  EXPECT_FALSE(fs::exists(owner().data_dir));
-}
-
 TEST_F(Folder, WhoeverServesTheEndpointByNowKeepsItsSockets) {
-  end(job(false));
+  end(job());
   const auto lock = take_endpoint(owner());
   ASSERT_TRUE(lock.ok());
   (void)JobFolder::sweep(directory_);

@@ -1,4 +1,7 @@
 // CSV, other text and XYZ: what is taken, and what each refusal says.
+#include <chrono>
+#include <thread>
+
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
@@ -208,6 +211,26 @@ TEST_F(Text, XyzThatIsCutOrHasSeveralFrames) {
   EXPECT_TRUE(has(bad("1\nc\nAr 1 2 3\n1\nc\nAr 4 5 6\n", {}, "a.xyz"), "a.xyz:4: more rows than the 1"));
   EXPECT_TRUE(has(bad("99999999999999\nc\nAr 1 2 3\n", {}, "a.xyz"), "it has 1"));
   EXPECT_TRUE(has(bad("2\nc\nAr 1 2 3\nAr 1 x 3\n", {}, "a.xyz"), "a.xyz:4: column 3 (y): 'x' is not a number"));
+}
+
+TEST_F(Text, AFileThatIsChangedWhileItIsReadIsToldFromOneThatIsNot) {
+  const std::string path = directory_.write("p.csv", "1,2,3\n4,5,6\n");
+  for (const char* change : {"longer", "cut", "written", "replaced"}) {
+    const auto file = InputFile::open(path);
+    ASSERT_TRUE(file.ok());
+    EXPECT_TRUE(file->check_unchanged().ok());
+    const std::string how = change;
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));  // a file's time may have ticks of 10 ms
+    if (how == "longer") std::ofstream(path, std::ios::app) << "7,8,9\n";
+    if (how == "cut") std::filesystem::resize_file(path, 6);
+    if (how == "written") std::fstream(path, std::ios::in | std::ios::out) << "9";
+    if (how == "replaced") directory_.write("p.csv", "1,2,3\n4,5,6\n");
+    // The descriptor of a file that was replaced still reads what was opened.
+    EXPECT_EQ(file->check_unchanged().ok(), how == "replaced") << how;
+    const auto again = InputFile::open(path);
+    ASSERT_TRUE(again.ok());
+    EXPECT_FALSE(again->version() == file->version()) << how;
+  }
 }
 
 TEST_F(Text, FilesThatAreNoFiles) {

@@ -86,8 +86,8 @@ class Fuzz(Actor):
         if self.rng.integers(3) > 0:
             return client
         with client:
-            places = client.hello["data"]
-            return self.patiently(Client, self.random.choice(places), session=client.session, token=client.token,
+            rank, place = self.random.choice(list(enumerate(client.hello["data"])))
+            return self.patiently(Client, place, session=client.session, token=client.token, listener=f"rank {rank}",
                                   timeout=client.socket.gettimeout())
 
     def send(self, link, data):

@@ -8,12 +8,10 @@ KNOWN = {
     "compare-repeated": "`compare` with a method thousands of times runs past every deadline",
     "many-cuts": "`cuts` of a million parts takes gigabytes and seconds of everybody",
     "announced-bulk": "a push that announces gigabytes and sends nothing makes all others busy",
-    "silent-connections": "connections that never say hello take all seats",
     "stopped-mpirun": "a stopped mpirun blocks the log, and with it rank 0",
     "full-disk": "with a full disk the service cannot be stopped",
     "outliving": "solvers end where a rank is killed",
     "busy-solvers": "the library gives a step up where the service is busy for a moment",
-    "quoting": "control characters in names stand in messages and in the log as they came",
 }
 
 

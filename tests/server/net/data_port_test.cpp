@@ -6,6 +6,7 @@
 #include <condition_variable>
 #include <cstring>
 #include <mutex>
+#include <thread>
 
 #include <gtest/gtest.h>
 
@@ -119,6 +120,38 @@ class DataPortTest : public ::testing::Test {
   std::vector<std::pair<std::uint64_t, std::uint64_t>> arrived_;
   std::vector<std::int64_t> watched_;  // steps; on the I/O thread
 };
+
+// Nothing is read behind a slice that waits for its push, so nobody would see the end of the connection there.
+TEST_F(DataPortTest, AClientThatHasGoneKeepsNoPlaceWhileItsSlicesWait) {
+  DataOptions options;
+  options.rank = 2;
+  options.unknown_seconds = 600;
+  options.connections_max = 1;
+  DataPort patient(loop_, options);
+  const std::string socket = directory_.file("patient");
+  ASSERT_TRUE(patient.listen_unix(socket).ok());
+  loop_.run([&] { patient.start([](const SliceReport&) {}, {}); });
+  for (int round = 0; round < 3; ++round) {
+    Client gone = Client::on_unix(socket);
+    Received hello = gone.hello("gone", kSession);
+    for (int tries = 0; tries < 500 && hello.code() == "busy"; ++tries) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      gone = Client::on_unix(socket);
+      hello = gone.hello("gone", kSession);
+    }
+    ASSERT_EQ(hello.json.value("rank", -1), 2) << "round " << round << ": " << hello.json;
+    for (std::int64_t step = 0; step < 5; ++step) send(gone, step, 0, 3);
+  }
+}
+
+TEST_F(DataPortTest, OtherFramesOfAPushThatNeverCameAreNotWaitedFor) {
+  Client sender = client();
+  constexpr int kFrames = 500;  // each by itself would wait 0.2 s, which is longer than a report is waited for
+  for (int frame = 0; frame < kFrames; ++frame) send(sender, 1, 0, 3);
+  open(9, 2, 3);
+  send(sender, 2, 0, 3);
+  EXPECT_TRUE(report(9).ok());
+}
 
 TEST_F(DataPortTest, ASliceInPiecesIsOneArrayAnAxis) {
   Client sender = client();

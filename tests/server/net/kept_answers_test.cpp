@@ -155,7 +155,7 @@ TEST(KeptAnswers, WhatIsNotOursOrNotWholeIsNotBelieved) {
   const std::string path = directory.file("answers.s.0");
   std::ifstream in(path, std::ios::binary);
   const std::string whole{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  write_file(path, whole, 0644);
+  write_file(path, whole, 0666);
   EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << "others may have written it";
   for (int round = 0; round < 500; ++round) {
     std::string bytes = whole;

@@ -191,14 +191,23 @@ TEST(Session, TooManyOrdersAreBusyBeforeOrdering) {
   options.orders_max = 3;
   TestService service(options);
   service.engine().hold();
-  std::vector<Client> clients;
-  for (int i = 0; i < 3; ++i) clients.push_back(service.client("c"));
-  for (Client& client : clients) client.request("error");
-  Client late = service.client("late");
+  Client greedy = service.client("greedy");
+  for (int i = 0; i < 3; ++i) greedy.request("error");
   service.engine().wait_for_orders(3);
+  EXPECT_EQ(greedy.call("error").code(), "busy");
+  // Who has asked for nothing yet is let in, until there are too many of those.
+  std::vector<Client> modest;
+  for (int i = 3; i < 3 * wire::kOrdersHard; ++i) {
+    modest.push_back(service.client("modest"));
+    modest.back().request("error");
+  }
+  service.engine().wait_for_orders(3 * wire::kOrdersHard);
+  EXPECT_EQ(modest.back().call("error").code(), "busy");
+  Client late = service.client("late");
   EXPECT_EQ(late.call("error").code(), "busy");
   service.engine().release();
-  for (Client& client : clients) EXPECT_EQ(client.receive_but_notices().json["echo"], "error");
+  for (int i = 0; i < 3; ++i) EXPECT_EQ(greedy.receive_but_notices().json["echo"], "error");
+  for (Client& client : modest) EXPECT_EQ(client.receive_but_notices().json["echo"], "error");
   EXPECT_EQ(late.call("error").json["echo"], "error");
 }
 
@@ -306,6 +315,7 @@ TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
   for (int i = 0; i < wire::kSessionsReserved; ++i) late.push_back(service.client("late"));
   EXPECT_EQ(late[0].call("status").type, FrameType::reply);
   Client owner = service.client("owner");
+  EXPECT_EQ(late[0].receive().code(), "busy");
   EXPECT_TRUE(late[0].receive().ended);
   EXPECT_EQ(late[1].call("status").type, FrameType::reply);
   EXPECT_EQ(one.call("error").json["echo"], "error");

@@ -1,4 +1,5 @@
-// What a rank does when its mpirun dies, as it does when the supervisor is killed: nobody is left to clean up after it.
+// What a rank has to do with the job that it is part of, as the launcher has started it: it says when the service is
+// up, and leaves nothing when the job ends in disorder.
 #pragma once
 
 namespace rcb::server {
@@ -11,6 +12,9 @@ void end_with_mpirun(int rank);
 
 // For a process that is about to end in disorder. Safe in a signal handler.
 void remove_traces() noexcept;
+
+// Rank 0: the service answers from now on; the launcher finds kReadyFile in the job's folder.
+void say_ready();
 
 // This process is about to end as told: it has removed its sockets, and the job's folder is for mpirun to leave first.
 void end_in_order();

@@ -1,9 +1,14 @@
-#include "server/orphan.hpp"
+#include "server/job.hpp"
 
+#include <cerrno>
 #include <csignal>
 #include <cstdlib>
+#include <cstring>
+#include <string>
 #include <string_view>
 
+#include <fcntl.h>
+#include <spdlog/spdlog.h>
 #include <sys/prctl.h>
 #include <unistd.h>
 
@@ -55,6 +60,16 @@ void end_with_mpirun(int rank) {
   });
   // The kernel sends SIGHUP also to a stopped process that mpirun's death makes an orphan.
   ::prctl(PR_SET_PDEATHSIG, SIGHUP);
+}
+
+void say_ready() {
+  if (g_job_folder[0] == '\0') return;
+  const std::string path = join_path(g_job_folder, kReadyFile);
+  const int file = ::open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+  if (file < 0)
+    spdlog::error("can't make {}: {}; the launcher will not know that the service is up", path, std::strerror(errno));
+  else
+    ::close(file);
 }
 
 void end_in_order() { g_in_order = true; }

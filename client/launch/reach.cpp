@@ -1,0 +1,40 @@
+#include "client/launch/reach.hpp"
+
+#include <ctime>
+
+#include <fmt/format.h>
+
+#include "client/lib/endpoint.hpp"
+#include "client/lib/retry.hpp"
+#include "common/base/endpoint_lock.hpp"
+
+namespace rcb::launch {
+namespace {
+
+constexpr double kReturnSeconds = 5;
+
+// The endpoint, of those that were tried, at which a service is to be back soon; empty: none.
+std::string returning(const std::string& given) {
+  const auto endpoints = client::endpoints_to_try(given);
+  if (!endpoints) return "";
+  for (const client::Endpoint& endpoint : *endpoints)
+    if (const auto holder = endpoint_holder(endpoint.text()))
+      if (holder->start_at_unix < static_cast<double>(std::time(nullptr)) + kReturnSeconds) return endpoint.text();
+  return "";
+}
+
+}  // namespace
+
+Result<client::Client> reach_returning(const client::ConnectOptions& options) {
+  client::Retry retry(kReturnSeconds);
+  for (;;) {
+    auto client = client::Client::connect(options);
+    if (client || client.status().code() != Code::unavailable) return client;
+    const std::string where = returning(options.endpoint);
+    if (where.empty()) return client;
+    if (!retry.wait(fmt::format("the service at {}, which is being started again", where), options.on_notice))
+      return client;
+  }
+}
+
+}  // namespace rcb::launch
