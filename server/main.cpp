@@ -41,7 +41,7 @@ constexpr double kStartSeconds = 30;
 constexpr double kGoodbyeSeconds = 5;
 constexpr unsigned kFinalizeSeconds = 30;
 // Rank 0 has at most the unfinished orders, the others those that credits let through; and the shutdown.
-constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax * wire::kOrdersHard, kOrdersAheadMax) + 1;
+constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax, kOrdersAheadMax) + 1;
 
 // The other ranks can't be told any more; mpirun takes the job down when one rank ends like this.
 [[noreturn]] void die(const std::string& why) {

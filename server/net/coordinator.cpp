@@ -41,9 +41,11 @@ void Coordinator::leave(Session* session) {
 
 class Coordinator::Unfinished {
  public:
-  Unfinished(std::shared_ptr<Coordinator> of, OrderOptions order) : of_(std::move(of)), order_(std::move(order)) {
+  // request_bytes: of the order's request.
+  Unfinished(std::shared_ptr<Coordinator> of, OrderOptions order, std::uint64_t request_bytes)
+      : of_(std::move(of)), order_(std::move(order)), request_bytes_(request_bytes) {
     ++of_->orders_unfinished_;
-    ++*order_.asker;
+    of_->order_bytes_unfinished_ += request_bytes_;
     if (!order_.changes.empty()) ++of_->gate(order_.changes).changes_unfinished;
   }
   Unfinished(const Unfinished&) = delete;
@@ -53,7 +55,7 @@ class Coordinator::Unfinished {
   void end() {
     if (std::exchange(ended_, true)) return;
     --of_->orders_unfinished_;
-    --*order_.asker;
+    of_->order_bytes_unfinished_ -= request_bytes_;
     of_->charged_bytes_ -= order_.charged_bytes;
     if (order_.changes.empty()) return;
     SceneGate& gate = of_->gate(order_.changes);
@@ -66,6 +68,7 @@ class Coordinator::Unfinished {
  private:
   std::shared_ptr<Coordinator> of_;
   OrderOptions order_;
+  std::uint64_t request_bytes_;
   bool ended_ = false;
 };
 
@@ -74,7 +77,7 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
   Status refused;
   if (shutting_down_)
     refused = Status(Code::unavailable, "the service is shutting down");
-  else if (orders_unfinished_ >= options_.orders_max * (*order.asker > 0 ? 1 : wire::kOrdersHard))
+  else if (orders_unfinished_ >= options_.orders_max || order_bytes_unfinished_ + text.size() > wire::kOrderBytesMax)
     refused =
         Status(Code::busy, fmt::format("{} commands are unfinished", orders_unfinished_), "try again in a moment");
   else if (text.size() > wire::kJsonBytesMax)  // 1e9 grows to 1000000000.0
@@ -84,9 +87,10 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
     return refused;
   }
   auto pending = std::make_shared<Pending>(context_);
+  const std::uint64_t request_bytes = text.size();
   Order out{std::move(request),     std::move(text),        std::exchange(order.slices, {}),
             order.received_seconds, order.deadline_seconds, order.cancelled};
-  auto unfinished = std::make_shared<Unfinished>(shared_from_this(), std::move(order));
+  auto unfinished = std::make_shared<Unfinished>(shared_from_this(), std::move(order), request_bytes);
   auto done = [self = shared_from_this(), unfinished, pending](Answer answer) mutable {
     // A function object must be copyable, and moved work must not be: hence the shared answer.
     auto shared = std::make_shared<Answer>(std::move(answer));

@@ -1,8 +1,8 @@
 // Coordinator: what all sessions share. It puts commands into one order and says who may have which scene.
 //
 // Invariants
-// 1. Who has an order unfinished is told busy where `orders_max` are, and everybody where kOrdersHard times as many are:
-//    who asks one thing at a time is not kept out by who asks many. Busy is said before ordering, never after.
+// 1. At most `orders_max` orders are unfinished, more than there can be sessions, and of their requests wire::kOrderBytesMax;
+//    busy is said before ordering, never after.
 // 2. A scene has one open push at most. Commands that change a scene wait for its end; what comes later waits behind
 //    them, first come, first served (SceneGate::queue).
 // 3. The snapshot shows what the last order that was answered has done, before that answer leaves.
@@ -94,7 +94,6 @@ struct OrderOptions {
   std::uint64_t charged_bytes = 0;  // given back when it is answered
   std::shared_ptr<const std::atomic<bool>> cancelled;
   std::function<void(Answer)> then;  // gets the answer at once; nobody waits for it
-  std::shared_ptr<int> asker = std::make_shared<int>(0);  // counts the unfinished orders of who asks
 };
 
 class Coordinator : public std::enable_shared_from_this<Coordinator> {
@@ -193,6 +192,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::vector<std::function<void()>> told_;
   std::uint64_t charged_bytes_ = 0;
   int orders_unfinished_ = 0;
+  std::uint64_t order_bytes_unfinished_ = 0;  // of their requests
   bool shutting_down_ = false;
   bool ended_ = false;
   TimePoint started_ = now();

@@ -173,7 +173,6 @@ awaitable<void> Session::dispatch(Request& request) {
   if (request.command == "scene.open") co_return co_await open_scene(request);
   if (api::changes_scene(request.json, *request.info)) co_return co_await scene_change(request);
   OrderOptions plain;
-  plain.asker = unfinished_;
   plain.deadline_seconds = request.deadline_seconds;
   plain.cancelled = request.cancelled;
   co_await order_and_reply(request, std::move(plain));
@@ -244,7 +243,6 @@ awaitable<void> Session::scene_change(Request& request) {
     co_return;
   }
   OrderOptions order;
-  order.asker = unfinished_;
   order.deadline_seconds = request.deadline_seconds;
   order.cancelled = request.cancelled;
   order.changes = *scene;
@@ -283,7 +281,6 @@ awaitable<void> Session::open_scene(Request& request) {
   Json show = request.json;
   show["command"] = "scene.show";
   OrderOptions order;
-  order.asker = unfinished_;
   order.deadline_seconds = request.deadline_seconds;
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(std::move(show), std::move(order));
   if (pending.ok()) co_await reply_when_done(request, *pending);

@@ -104,7 +104,6 @@ class Session : public std::enable_shared_from_this<Session> {
   std::string client_ = "a client that hasn't said hello";
   std::string number_;  // the client's session, 16 hex digits
   std::set<std::string> open_;
-  std::shared_ptr<int> unfinished_ = std::make_shared<int>(0);  // orders of this session, answered or not
   int answering_ = 0;         // orders of this session that are on their way
   bool goodbye_due_ = false;  // to be said after its answer
 };

@@ -190,7 +190,6 @@ awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
   request.json["session"] = terms.id.session;
   if (push->number != 0) request.json["staged"] = push->number;
   OrderOptions order;
-  order.asker = unfinished_;
   order.slices = push->slices.take();
   order.received_seconds = seconds_since(push->started);
   order.deadline_seconds = request.deadline_seconds;

@@ -1,11 +1,11 @@
 // What one request can cost: answers stay small whatever the number of parts, long commands end at their deadline or
 // with their client and change nothing, an order tells of its own scene alone.
-#include "common/wire/limits.hpp"
-
 #include <filesystem>
 
 #include <gtest/gtest.h>
 
+#include "common/io/roots.hpp"
+#include "common/wire/limits.hpp"
 #include "server/api/commands.hpp"
 #include "server/service/service.hpp"
 #include "tests/server/service/driver.hpp"
@@ -34,8 +34,8 @@ TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
     Service service(comm, kClock);
     Driver driver(comm, service, "many");
     driver.create({{"parts", kParts}, {"dims", 2}, {"part_sizes", Json(std::vector<int>(kParts, 3))}});
-    Particles particles = random_particles(5, 3000, 2);
-    particles.weights.assign(3000, 1.5);
+    Particles particles = random_particles(5, 30'000, 2);
+    particles.weights.assign(30'000, 1.5);
     particles.weights[0] = 2;
     driver.push_by_id(particles, 0);
     std::map<std::string, Response> answers;
@@ -60,7 +60,7 @@ TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
       const Response& answer = answers[name];
       for (const char* list : {"counts", "targets", "loads"}) EXPECT_TRUE(answer.json.at(list).is_null()) << list;
       const auto counts = array_of<std::uint64_t>(answer, "counts");
-      EXPECT_EQ(std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}), 3000U);
+      EXPECT_EQ(std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}), 30'000U);
       EXPECT_EQ(counts.size(), std::size_t{kParts});
       EXPECT_EQ(array_of<double>(answer, "targets").size(), std::size_t{kParts});
       EXPECT_EQ(array_of<double>(answer, "loads").size(), std::size_t{kParts});
@@ -121,8 +121,10 @@ TEST(Answers, PagesOfCutsAreTheWhole) {
 // Answers every question of a long command whether to go on by counting.
 TEST(LongCommands, EndAtTheirDeadlineOrWithTheirClientAndChangeNothing) {
   const std::string folder = (std::filesystem::temp_directory_path() / "rcb-limits-never-written").string();
+  io::Roots roots;
+  ASSERT_TRUE(roots.add(std::filesystem::temp_directory_path()).ok());
   on_ranks([&](partition::Comm& comm) {
-    Service service(comm, kClock);
+    Service service(comm, kClock, {.roots = &roots});
     Driver driver(comm, service, "long");
     driver.create({{"parts", 5}});
     driver.push_by_id(random_particles(3, 500, 3), 0);
@@ -161,8 +163,10 @@ TEST(LongCommands, ALoadIsGivenUpBeforeItsCommit) {
   const std::string text = "x,y,z\n0,0,0\n1,2,3\n4,5,6\n";
   ASSERT_EQ(::write(made, text.data(), text.size()), static_cast<ssize_t>(text.size()));
   ::close(made);
+  io::Roots roots;
+  ASSERT_TRUE(roots.add(std::filesystem::temp_directory_path()).ok());
   on_ranks([&](partition::Comm& comm) {
-    Service service(comm, kClock);
+    Service service(comm, kClock, {.roots = &roots});
     Driver driver(comm, service, "load");
     driver.create({{"parts", 2}});
     const Json order{{"command", "load"}, {"scene", "load"}, {"path", file}};
