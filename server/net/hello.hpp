@@ -58,7 +58,7 @@ class Door {
 
   DoorOptions options_;
   Lobby waiting_{wire::kNewcomersMax,
-                 {Code::busy, "too many connections haven't said hello, and this was the oldest", "try again"}};
+                 {Code::unavailable, "too many connections haven't said hello, and this was the oldest", "try again"}};
 };
 
 }  // namespace rcb::net

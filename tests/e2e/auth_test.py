@@ -277,8 +277,12 @@ class Auth(unittest.TestCase):
                 for command in ("x\nFORGED 2", "x\x1b[2JFORGED", "x\x9b2J"):
                     self.refused("unsupported", client.ask, command)
                 self.refused("not_found", client.ask, "error", scene="a\r\nFORGED 3")
-            with open(os.path.join(service.data, "rcbd.log"), newline="\n") as log:
-                text = log.read()
+            for _ in range(200):  # lines take their time through the supervisor
+                with open(os.path.join(service.data, "rcbd.log"), newline="\n") as log:
+                    text = log.read()
+                if "FORGED 3" in text:
+                    break
+                time.sleep(0.05)
             self.assertIn("FORGED 3", text, "else this test proves nothing")
             for line in text.split("\n"):
                 self.assertFalse(line.startswith("FORGED"), line)

@@ -1,5 +1,7 @@
 """What one request can cost: long histories and many parts come in pages and arrays, and while one client asks for them
 the others are answered; long commands end at their deadline; rank 0's memory is bounded."""
+import shutil
+import tempfile
 import threading
 
 from protocol_client import REPLY, Client, Refused, arrays_of
@@ -56,7 +58,7 @@ def pages(client, command, take, **arguments):
 
 
 class History(unittest.TestCase):
-    STEPS = 300_000
+    STEPS = 60_000
 
     def test_a_long_history_is_kept_in_files_and_read_in_pages(self):
         with Service(2, options=("--keep-reports", 1000)) as service, Client(service.endpoint) as client:
@@ -76,7 +78,7 @@ class History(unittest.TestCase):
             steps(1, 20_000)
             before = memory_mib(rank_0(service))
             steps(20_000, self.STEPS)
-            self.assertLess(memory_mib(rank_0(service)) - before, 30)  # 280,000 reports would take a hundred and more
+            self.assertLess(memory_mib(rank_0(service)) - before, 15)  # 40,000 reports would take more
             self.assertGreater(os.path.getsize(os.path.join(service.data, "reports", "still.reports")), 100 * self.STEPS)
 
             with self.assertRaises(Refused) as refused:
@@ -111,7 +113,7 @@ class History(unittest.TestCase):
 
 
 class ManyParts(unittest.TestCase):
-    PARTS = 1 << 20
+    PARTS = 1 << 18
 
     @classmethod
     def setUpClass(cls):
@@ -155,10 +157,11 @@ class ManyParts(unittest.TestCase):
     def test_rcbctl_has_the_whole(self):
         with Client(self.service.endpoint) as client:
             client.ask("scene.create", scene="some", parts=20_000, replace=True)
-            client.push("some", 0, self.points)
+            points = np.random.default_rng(4).random((40_000, 3))
+            client.push("some", 0, points)
         counts = self.service.json("counts", "some")
         self.assertEqual((len(counts["counts"]), sum(counts["counts"]), len(counts["targets"])),
-                         (20_000, len(self.points), 20_000))
+                         (20_000, len(points), 20_000))
         shown = self.service.json("scene", "show", "some")
         self.assertEqual(shown["counts"], counts["counts"])
         cuts = self.service.json("cuts", "some")
@@ -173,8 +176,10 @@ class ChangingFile(unittest.TestCase):
     def test_a_file_that_is_cut_while_it_is_read_is_refused_or_whole(self):
         rows = 400_000
         refused = 0
-        with Service(2) as service, Client(service.endpoint, timeout=60) as client:
-            path = os.path.join(service.dir, "p.csv")
+        folder = tempfile.mkdtemp()
+        self.addCleanup(shutil.rmtree, folder)
+        with Service(2, options=("--files-below", folder)) as service, Client(service.endpoint, timeout=60) as client:
+            path = os.path.join(folder, "p.csv")
             text = "".join(f"{k},{k % 7}.5,{k % 11}.25\n" for k in range(rows))
             for k in range(12):
                 with open(path, "w") as file:
@@ -188,7 +193,8 @@ class ChangingFile(unittest.TestCase):
                     self.assertIn(report["n"], (rows, text[:len(text) // 2].count("\n") + 1))
                 except Refused as failure:
                     refused += 1
-                    self.assertEqual(failure.args[0], "io_error", failure)
+                    # invalid_argument: it was opened after the cut, which left half a row.
+                    self.assertIn(failure.args[0], ("io_error", "invalid_argument"), failure)
                 cut.join()
         print(f"refused {refused} of 12")
 

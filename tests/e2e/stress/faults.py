@@ -9,7 +9,6 @@ import time
 from actor import Actor, Gone
 from protocol_client import Refused
 from support import processes_of
-from world import KNOWN
 
 FILLING = "filling"  # a folder that takes all the room there is
 
@@ -19,7 +18,7 @@ class Stops(Actor):
     pause_seconds = 1.5
 
     def turn(self):
-        kinds = ["rank"] * 6 + ["supervisor"] + (["mpirun"] if "stopped-mpirun" not in KNOWN else [])
+        kinds = ["rank"] * 6 + ["supervisor"] + ["mpirun"]
         kind = self.random.choice(kinds)
         if kind == "rank":
             pids = self.world.rank_pids()

@@ -6,7 +6,6 @@ import struct
 
 from actor import LOST, Actor
 from protocol_client import GOODBYE, HELLO, NOTICE, REPLY, REQUEST, Client, Refused, connected, frame, xxh3
-from world import KNOWN
 
 # Names that the service uses on its inside, and fields of requests: nobody may believe them from outside.
 INTERNAL = ("staged", "membership", "session", "unmoved", "slices", "together", "members", "number", "rank", "direct", "loan",
@@ -62,8 +61,6 @@ class Fuzz(Actor):
     def turn(self):
         kind = self.random.choice(["noise", "header", "mutated", "fields", "fields", "fields", "order", "deep", "text",
                                    "announced", "arrays"])
-        if kind == "announced" and "announced-bulk" in KNOWN:
-            return
         self.count(kind)
         getattr(self, kind)()
         if self.counts["turns"] % 50 == 0:
@@ -154,7 +151,7 @@ class Fuzz(Actor):
 
     def document(self):
         """A request with the fields of some other one, about the fuzzer's own scene."""
-        names = list(FIELDS) if "internal-fields" in KNOWN else [*FIELDS, *INTERNAL]
+        names = [*FIELDS, *INTERNAL]
         document = {self.random.choice(names): self.value() for _ in range(self.random.randrange(8))}
         document |= {"command": self.random.choice(COMMANDS), "scene": self.scene}
         if self.random.random() < 0.3:

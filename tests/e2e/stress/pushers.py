@@ -146,14 +146,14 @@ class Liars(Actor):
         before = self.ask(self.control, "scene.show", scene=self.scene)[0]
         answered = self.lie()
         after = self.ask(self.control, "scene.show", scene=self.scene)[0]
-        self.count("believed" if answered else "refused")
-        if answered:
+        self.count({True: "believed", False: "refused", None: "given up"}[answered])
+        if answered is not False:
             return self.start()
         before.pop("members"), after.pop("members")
         self.expect(before == after, "a push that was refused changed the scene", before, after)
 
     def lie(self):
-        """True if the push was answered all the same."""
+        """True if the push was answered all the same; None if it may yet be committed, since its deadline was the lie."""
         step = Step(np.arange(300), self.points, base_step=0)
         if self.rng.integers(2):
             step.moved = np.sort(self.rng.permutation(300)[:20])
@@ -171,6 +171,8 @@ class Liars(Actor):
                 return True
             except Refused as refused:
                 self.expect(refused.args[0] != "internal", self.changed, refused.args)
+                if refused.args[0] == "deadline_exceeded":
+                    return None
             except LOST:
                 self.count("closed")
         return False

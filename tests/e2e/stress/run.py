@@ -13,7 +13,7 @@ from actor import run_actor
 from protocol_client import Client
 from sanitizers import PATIENCE, of_build
 from service import Service
-from world import KNOWN, World
+from world import World
 
 PR_SET_PDEATHSIG = 1
 SHOWN_MAX = 3  # failures of an actor that are printed in full
@@ -141,8 +141,6 @@ class Run:
     def report(self):
         print(f"\nseed {self.seed}, {self.seconds:.0f} s, {self.world.ranks} ranks, "
               f"sanitizers: {self.sanitizers or 'none'}")
-        if KNOWN:
-            print("left out, since the service doesn't stand it yet: " + ", ".join(KNOWN))
         print()
         failed = []
         for name, (_, path) in sorted(self.actors.items()):

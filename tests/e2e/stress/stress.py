@@ -33,7 +33,6 @@ def parse():
     parser.add_argument("--ranks", type=int, default=3, help="of the service (default: %(default)s)")
     parser.add_argument("--only", metavar="LIST", help="these actors alone, with commas between")
     parser.add_argument("--without", metavar="LIST", default="", help="actors to leave out")
-    parser.add_argument("--dare", metavar="LIST", default="", help="do also what the service is known not to stand")
     parser.add_argument("--kill", action="store_true", help="kill ranks, too; the service is started again")
     parser.add_argument("--keep", action="store_true", help="leave the work directory")
     parser.add_argument("--list", action="store_true", help="print the actors and what they expect, no more")
@@ -61,9 +60,6 @@ def actor_classes():
 
 def chosen(arguments, classes):
     """[(name, class)] of what this run does."""
-    import world
-    for name in filter(None, arguments.dare.split(",")):
-        world.KNOWN.pop(name)
     names = arguments.only.split(",") if arguments.only else list(classes)
     unknown = [name for name in [*names, *filter(None, arguments.without.split(","))] if name not in classes]
     if unknown:
@@ -71,9 +67,8 @@ def chosen(arguments, classes):
     left_out = set(arguments.without.split(","))
     if not arguments.kill:
         left_out.add("kills")
-    if "disk" in names and (os.environ.get(INSIDE) != "1" or "full-disk" in world.KNOWN):
-        if os.environ.get(INSIDE) != "1":
-            print("SKIPPED: the full disk, which needs root and mount namespaces", flush=True)
+    if "disk" in names and os.environ.get(INSIDE) != "1":
+        print("SKIPPED: the full disk, which needs root and mount namespaces", flush=True)
         left_out.add("disk")
     names = [name for name in names if name not in left_out]
     if arguments.seconds >= ONLY_LONG_SECONDS:

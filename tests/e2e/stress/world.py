@@ -3,17 +3,6 @@ import dataclasses
 import os
 import time
 
-# What the service is known not to stand yet, and what happens then. It is left out of a run. Empty in the end.
-KNOWN = {
-    "compare-repeated": "`compare` with a method thousands of times runs past every deadline",
-    "many-cuts": "`cuts` of a million parts takes gigabytes and seconds of everybody",
-    "announced-bulk": "a push that announces gigabytes and sends nothing makes all others busy",
-    "stopped-mpirun": "a stopped mpirun blocks the log, and with it rank 0",
-    "full-disk": "with a full disk the service cannot be stopped",
-    "outliving": "solvers end where a rank is killed",
-    "busy-solvers": "the library gives a step up where the service is busy for a moment",
-}
-
 
 @dataclasses.dataclass
 class World:

@@ -189,7 +189,7 @@ TEST(Hello, SilenceKeepsNobodyOut) {
     const bool tcp = i % 2 == 1;
     EXPECT_EQ(client.hello("c", kAnna, tcp ? kToken : "", i < 2 ? "endpoint" : "rank 2").type, FrameType::reply) << i;
     EXPECT_EQ(silent[1].receive().type, FrameType::welcome);
-    EXPECT_EQ(silent[1].receive().code(), "busy") << "who came first has given way, and was told so";
+    EXPECT_EQ(silent[1].receive().code(), "unavailable") << "who came first has given way, and was told so";
     EXPECT_EQ(silent[299].receive().type, FrameType::welcome);
   }
   // Those who are in don't wait for anybody, and count as what they are.
