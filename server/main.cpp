@@ -279,6 +279,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   watch(loop, engine, config, [&root] {
     root.doorbells->tick();
     root.port->tick();
+    root.control->tick();
   });
   loop.start();
   const Status connected = root.doorbells->wait_connected(kStartSeconds);

@@ -59,7 +59,7 @@ std::vector<std::string> scene_takers(const CLI::App& app) {
 // Options that a value follows.
 void append_valued(const CLI::App& app, std::set<std::string>& out) {
   for (const CLI::Option* option : app.get_options())
-    if (option->nonpositional() && option->get_type_size() != 0)
+    if (option->nonpositional() && option->get_items_expected_max() != 0)
       for (const std::string& name : option->get_lnames()) out.insert("--" + name);
   for (const CLI::App* command : children(app)) append_valued(*command, out);
 }

@@ -100,13 +100,13 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
       print_json({{"program", "rcbctl"}, {"version", RCB_VERSION}});
     else
       print_line("rcbctl " RCB_VERSION);
-    return 0;
+    context.action = [] { return Status(); };
   } catch (const CLI::Success& help) {
     if (json_asked)
       print_json({{"help", app.help()}});
     else
       app.exit(help);
-    return 0;
+    context.action = [] { return Status(); };
   } catch (const CLI::ParseError& error) {
     return print_failure(usage_failure(app, error), json_asked);
   }

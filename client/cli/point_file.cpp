@@ -16,7 +16,7 @@ namespace rcb::cli {
 namespace {
 
 constexpr double kLongSeconds = 3600;  // for a file of any size
-constexpr int kDropTriesMax = 20;
+constexpr int kDropTriesMax = 600;
 constexpr int kProbeSlices = 4096;
 constexpr int kDimsDefault = 3;
 

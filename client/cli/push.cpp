@@ -195,6 +195,7 @@ class Replay {
     auto reader = io::open_trajectory(path, {options_.file.dims, options_.file.weights});
     if (!reader) return reader.status();
     const std::uint64_t frames = (*reader)->frames();
+    if (frames == 0) return {Code::invalid_argument, path + ": holds no frames", "save at least one step in it"};
     for (std::uint64_t k = 0; k < frames; ++k) {
       auto points = (*reader)->frame(k);
       if (!points) return points.status();

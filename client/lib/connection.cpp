@@ -194,6 +194,9 @@ Status Connection::State::open(const Deadline& deadline) {
     }
     return {};
   }
+  if (endpoint.is_unix && ::access(endpoint.path.c_str(), W_OK) != 0 && errno == EACCES)
+    return {Code::not_authorised, fmt::format("{} is out of reach of this user", endpoint.text()),
+            "a service is for the user who has started it"};
   return {Code::unavailable, fmt::format("no service answers at {}", endpoint.text()), "start one: rcbctl up"};
 }
 

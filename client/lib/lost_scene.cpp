@@ -13,6 +13,23 @@ wire::Json scene_options(const wire::Json& description) {
   return options;
 }
 
+namespace {
+
+// Somebody else may have made the scene meanwhile, as they liked.
+void tell_differences(const Session& session, const std::string& scene, const wire::Json& opened, KnownScene& known) {
+  const wire::Json found = scene_options(opened);
+  std::string differences;
+  for (const auto& [name, value] : found.items())
+    if (const auto before = known.options.find(name); before != known.options.end() && *before != value)
+      differences += fmt::format("{}{} {} instead of {}", differences.empty() ? "" : ", ", name, value.dump().substr(0, 80),
+                                 before->dump().substr(0, 80));
+  if (differences.empty()) return;
+  session.notice(fmt::format("scene '{}' was made by somebody else, with {}; it is used as it is", scene, differences));
+  known.options.update(found);
+}
+
+}  // namespace
+
 Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& arguments, KnownScene& known,
                                      const Retry& retry) {
   wire::Json open = arguments;
@@ -31,6 +48,7 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
       return made.status();
     opened = session.ask_once(std::move(open), retry);
   }
+  if (opened && lost) tell_differences(session, arguments.at("scene").get<std::string>(), *opened, known);
   if (opened) known.instance = session.instance();
   return opened;
 }

@@ -50,6 +50,11 @@ Result<InputFile> InputFile::opened(int descriptor, const std::string& path) {
     return Status(Code::io_error, path + (directory ? ": is a directory" : ": is not a regular file"),
                   directory ? "name a file in it" : "write the points to a file first");
   }
+  char byte = 0;
+  if (about.st_size == 0 && ::pread(descriptor, &byte, 1, 0) > 0) {  // as those of /proc are
+    ::close(descriptor);
+    return Status(Code::io_error, path + ": is not a file whose size is known", "write the points to a file first");
+  }
   return InputFile(path, descriptor, version_of(about));
 }
 

@@ -46,7 +46,7 @@ TreeBuilder::TreeBuilder(Comm& comm, const particles::ParticleView& particles, c
   result_.tree = *start.tree;
 }
 
-PartitionResult TreeBuilder::build() {
+PartitionResult TreeBuilder::build(const GoOn& go_on) {
   if (options_.parts == 1) {
     result_.part.resize(particles_.count);
     std::fill(result_.part.begin(), result_.part.end(), 0);
@@ -59,6 +59,8 @@ PartitionResult TreeBuilder::build() {
   Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
   std::vector<Question> asked;
   while (!level_.empty() && !abandoned()) {
+    stopped_ = go_on && !go_on();
+    if (stopped_) break;
     order_axes();
     asked.clear();
     for (const Node& node : level_) asked.push_back(question(node));

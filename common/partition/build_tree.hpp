@@ -43,14 +43,14 @@ class TreeBuilder {
   TreeBuilder(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
               const Start& start);
 
-  // Counts are known of the roots' parts alone. Collective.
-  PartitionResult build();
+  // Counts are known of the roots' parts alone. go_on: asked before each level. Collective.
+  PartitionResult build(const GoOn& go_on = {});
 
   // Nodes that can't be cut without their settled particles: the cuts in them are unspecified, and their particles are
   // said to be in their first part.
   const std::vector<NodeRange>& failed() const { return failed_; }
-  // The build ended for too many of them: nothing of its result counts.
-  bool abandoned() const { return start_ != nullptr && failed_count_ > start_->failed_max; }
+  // The build ended for too many of them, or was told to: nothing of its result counts.
+  bool abandoned() const { return stopped_ || (start_ != nullptr && failed_count_ > start_->failed_max); }
   const SplitRule& rule() const { return rule_; }
 
  private:
@@ -98,6 +98,7 @@ class TreeBuilder {
   int axes_;
   std::size_t q_axes_;  // coordinates in a record
   const Start* start_ = nullptr;
+  bool stopped_ = false;
   const Settled* settled_ = nullptr;
   SplitRule rule_;
   double level_tolerance_ = 0;

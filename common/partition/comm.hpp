@@ -8,10 +8,14 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
 namespace rcb::partition {
+
+// Whether work may go on; the same on all ranks. Collective. Empty: it may.
+using GoOn = std::function<bool()>;
 
 class Comm {
  public:

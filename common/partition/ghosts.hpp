@@ -8,7 +8,6 @@
 #pragma once
 
 #include <cstdint>
-#include <functional>
 #include <span>
 #include <vector>
 
@@ -17,9 +16,6 @@
 #include "common/partition/comm.hpp"
 
 namespace rcb::partition {
-
-// Whether work may go on; the same on all ranks. Collective.
-using GoOn = std::function<bool()>;
 
 struct GhostCounts {
   std::vector<std::uint64_t> ghosts;     // per part: particles of other parts within the width (maximum norm)

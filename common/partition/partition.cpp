@@ -72,6 +72,12 @@ PartitionResult equal_boxes(Comm& comm, const particles::ParticleView& particles
   return result;
 }
 
+Result<PartitionResult> build(TreeBuilder builder, const GoOn& go_on) {
+  PartitionResult result = builder.build(go_on);
+  if (builder.abandoned()) return Status(Code::aborted, "the partition was given up");
+  return result;
+}
+
 }  // namespace
 
 geometry::Box bounding_box(Comm& comm, const particles::ParticleView& particles) {
@@ -93,28 +99,28 @@ geometry::Box bounding_box(Comm& comm, const particles::ParticleView& particles)
   return box;
 }
 
-Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles,
-                                  const PartitionOptions& options) {
+Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                                  const GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
   if (options.method == Method::equal_boxes || options.method == Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
                   "choose rcb, bands-x, bands-y or bands-z");
   std::uint64_t reductions = 0;
   if (auto found = partition_from_guess(comm, particles, options, reductions)) return *std::move(found);
-  PartitionResult result = TreeBuilder(comm, particles, options, particles.dims).build();
-  result.reductions += reductions;
+  auto result = build({comm, particles, options, particles.dims}, go_on);
+  if (result.ok()) result->reductions += reductions;
   return result;
 }
 
 Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles,
-                                 const PartitionOptions& options) {
+                                 const PartitionOptions& options, const GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
   if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
   if (options.method != Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is no baseline",
                   "choose equal-boxes or file-order");
-  PartitionResult result = TreeBuilder(comm, particles, options, 0).build();
-  result.tree = CutTree{};
+  auto result = build({comm, particles, options, 0}, go_on);
+  if (result.ok()) result->tree = CutTree{};
   return result;
 }
 

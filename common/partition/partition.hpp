@@ -67,13 +67,15 @@ geometry::Box bounding_box(Comm& comm, const particles::ParticleView& particles)
 
 // Collective. All ranks pass the same options; positions finite and ids unique (the caller has checked).
 //   particles  this rank's; any split over the ranks gives the same tree, bit for bit
-// Errors: invalid_argument (the same on every rank): parts < 1, bad sizes, dims against method.
-Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles,
-                                  const PartitionOptions& options);
+//   go_on      asked between the levels of the tree
+// Errors: invalid_argument (the same on every rank): parts < 1, bad sizes, dims against method; aborted, by go_on.
+Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                                  const GoOn& go_on = {});
 
 // The part of each particle for the methods without a search: equal_boxes also returns its tree
 // (cuts at the middle of each box; a coordinate equal to the middle goes right), file_order only `part`
 // (blocks in ascending id by the quotas, weights or not; its tree is a default one). Collective.
-Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options);
+Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                                 const GoOn& go_on = {});
 
 }  // namespace rcb::partition

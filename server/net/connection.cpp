@@ -163,7 +163,7 @@ awaitable<Status> Connection::skip_bulk(const Frame& frame, std::uint64_t bytes)
 }
 
 Status Connection::send_message(wire::FrameType type, std::uint64_t request, wire::Json json,
-                                std::vector<wire::Array> arrays) {
+                                std::vector<wire::Array> arrays, std::shared_ptr<void> held) {
   if (broken_) return {};
   wire::FrameHeader header;
   header.type = type;
@@ -175,7 +175,7 @@ Status Connection::send_message(wire::FrameType type, std::uint64_t request, wir
     return {Code::internal,
             fmt::format("the answer has {} bytes of JSON, a frame takes {}", text.size(), wire::kReplyJsonBytesMax),
             "ask for less of it"};  // every answer is made to fit
-  enqueue({wire::encode_frame(header, text), std::move(arrays)});
+  enqueue({wire::encode_frame(header, text), std::move(arrays), std::move(held)});
   return {};
 }
 
@@ -250,10 +250,12 @@ awaitable<void> Connection::end_gently() {
   close();
 }
 
-bool Connection::peer_has_gone() {
-  if (broken_) return true;
+bool Connection::peer_has_gone() { return broken_ || polled(POLLRDHUP | POLLHUP | POLLERR); }
+bool Connection::peer_is_lost() { return broken_ || polled(POLLHUP | POLLERR); }
+
+bool Connection::polled(short events) {
   pollfd watched{socket_.native_handle(), POLLRDHUP, 0};
-  return ::poll(&watched, 1, 0) > 0 && (watched.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
+  return ::poll(&watched, 1, 0) > 0 && (watched.revents & events) != 0;
 }
 
 void Connection::close_saying(const Status& why) {

@@ -44,8 +44,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
   // Until this moment all reading must be done; TimePoint::max() ends the rule.
   void limit_reading(TimePoint end);
 
-  // Errors: too_large (nothing is sent).
-  Status send_message(wire::FrameType type, std::uint64_t request, wire::Json json, std::vector<wire::Array> arrays);
+  // held: given up once the message is sent or never will be. Errors: internal (nothing is sent).
+  Status send_message(wire::FrameType type, std::uint64_t request, wire::Json json, std::vector<wire::Array> arrays,
+                      std::shared_ptr<void> held = nullptr);
   // For messages of ours that are short.
   void send(wire::FrameType type, std::uint64_t request, const wire::Json& json);
   void send_text(wire::FrameType type, std::uint64_t request, const std::string& json);
@@ -57,8 +58,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void close();
   // Closes at once; the peer is told why where its socket has room.
   void close_saying(const Status& why);
-  // Whether the peer has closed its side, however much of what it sent is still unread.
+  // Whether the peer has closed its sending side, however much of what it sent is still unread.
   bool peer_has_gone();
+  // Whether nobody can receive what is sent any more, as far as that is known without sending.
+  bool peer_is_lost();
   std::uint64_t bytes_received() const { return bytes_received_; }
   bool broken() const { return broken_; }
   Socket& socket() { return socket_; }
@@ -67,6 +70,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   struct Outgoing {
     std::string head;
     std::vector<wire::Array> arrays;
+    std::shared_ptr<void> held = nullptr;
   };
 
   awaitable<Status> read_exactly(std::span<std::byte> into);
@@ -75,6 +79,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   awaitable<void> write_all();
   awaitable<bool> write_span(std::span<const std::byte> bytes);
   Status read_failed(const error_code& error) const;
+  bool polled(short events);
   void enqueue(Outgoing outgoing);
   void touch_reading() { read_end_ = now() + frame_time_; }
   void arm();

@@ -70,10 +70,7 @@ struct Control::State : std::enable_shared_from_this<State> {
 
   void stop_listening() {
     error_code ignored;
-    if (unix_listener) {
-      unix_listener->name.remove();
-      unix_listener->acceptor.close(ignored);
-    }
+    unix_listener.close();
     for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
     for (const auto& door : doors) door->close();
   }
@@ -81,7 +78,7 @@ struct Control::State : std::enable_shared_from_this<State> {
   static constexpr int kRefusingMax = 64;
   IoLoop& loop;
   std::shared_ptr<Coordinator> coordinator;
-  std::optional<UnixListener> unix_listener;
+  LastingListener unix_listener;
   std::string unix_path;
   std::list<TcpAcceptor> tcp_acceptors;
   std::vector<std::shared_ptr<Door>> doors;
@@ -98,9 +95,7 @@ Control::Control(IoLoop& loop, ControlOptions options, Engine& engine)
 Control::~Control() { state_->stop_listening(); }
 
 Status Control::listen_unix(const std::string& path) {
-  Result<UnixListener> listener = net::listen_unix(state_->loop.context(), path);
-  if (!listener.ok()) return listener.status();
-  state_->unix_listener.emplace(std::move(*listener));
+  if (Status status = state_->unix_listener.listen(state_->loop.context(), path); !status.ok()) return status;
   state_->unix_path = path;
   state_->coordinator->add_endpoint("unix:" + path);
   return {};
@@ -130,9 +125,12 @@ void Control::memory_reported(int rank, std::uint64_t resident_bytes) {
 void Control::slice_reported(int rank, const SliceReport& report) { state_->coordinator->slice_reported(rank, report); }
 
 void Control::start() {
-  if (state_->unix_listener) state_->accept(state_->unix_listener->acceptor, "unix:" + state_->unix_path);
+  state_->unix_listener.start(
+      [state = state_.get()](UnixAcceptor& acceptor) { state->accept(acceptor, "unix:" + state->unix_path); });
   for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor, bound_address(acceptor));
 }
+
+void Control::tick() { state_->unix_listener.look(); }
 
 void Control::shut_down(const std::string& why) {
   state_->loop.post([state = state_, why] { state->coordinator->shut_down(why, [] {}); });

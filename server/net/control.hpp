@@ -50,6 +50,8 @@ class Control {
   // Before the loop starts: where clients of each endpoint find the ranks' data listeners, by rank.
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
   void start();
+  // Now and then, once it is started: what it listens on is still there.
+  void tick();
   // Before the loop starts: who knows which ranks say nothing.
   void ask_for_silence(std::function<std::vector<SilentRank>()> ask);
   // I/O thread: what a rank says of its memory.

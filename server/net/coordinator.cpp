@@ -142,6 +142,16 @@ void Coordinator::charge(const std::shared_ptr<OpenPush>& push, std::uint64_t by
                  "try again when the others are done"});
 }
 
+Result<std::shared_ptr<void>> Coordinator::hold_answer(std::uint64_t bytes) {
+  if (*answer_bytes_ > 0 && bytes > options_.bulk_bytes_max - std::min(*answer_bytes_, options_.bulk_bytes_max))
+    return Status(Code::busy,
+                  fmt::format("answers of {} bytes wait for clients that don't read them, and this one has {}",
+                              *answer_bytes_, bytes),
+                  "try again when they have been read");
+  *answer_bytes_ += bytes;
+  return std::shared_ptr<void>(nullptr, [all = answer_bytes_, bytes](void*) { *all -= bytes; });
+}
+
 void Coordinator::arm(const std::shared_ptr<OpenPush>& push, TimePoint end) {
   push->end = end;
   push->look_at = now() + duration_of(options_.frame_seconds);
@@ -152,7 +162,8 @@ void Coordinator::watch_arrival(const std::shared_ptr<OpenPush>& push) {
   push->deadline.expires_at(std::min(push->end, push->look_at));
   push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
     const auto open = weak.lock();
-    if (error || !open || open->given_up) return;
+    // A timer that had expired already runs all the same when it is cancelled.
+    if (error || !open || open->closed) return;
     if (now() >= open->end)
       return self->give_up_late(
           open, {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", open->progress()),
@@ -194,6 +205,7 @@ std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connect
 }
 
 void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
+  push->closed = true;
   push->deadline.cancel();
   SceneGate& of = gate(push->slices.terms().id.scene);
   CHECK(of.push == push, "the push isn't the open one");
@@ -202,7 +214,7 @@ void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
 }
 
 void Coordinator::give_up(std::shared_ptr<OpenPush> push, const Status& why) {
-  if (push->given_up) return;
+  if (push->closed) return;
   if (push->together) return groups_.give_up(push->together, push->member < 0 ? nullptr : push.get(), why);
   push->given_up = true;
   const PushId id = push->slices.terms().id;

@@ -53,6 +53,7 @@ struct OpenPush {
   TimePoint end;
   Timer deadline;
   bool given_up = false;
+  bool closed = false;  // given up, or ordered: the scene's gate is free
   std::uint64_t charged_bytes = 0;  // of the budget: what has arrived
   std::uint64_t progress_seen = 0;  // at the last look
   TimePoint look_at;                // when it must have gone on
@@ -107,6 +108,9 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   const api::Snapshot& snapshot() const { return snapshot_; }
   bool shutting_down() const { return shutting_down_; }
   std::size_t session_count() const { return sessions_.size(); }
+  // The memory that an answer takes until it is sent, given back with the result. Errors: busy, where those of clients
+  // that don't read take all there is.
+  Result<std::shared_ptr<void>> hold_answer(std::uint64_t bytes);
   // Before the loop starts: who knows which ranks say nothing.
   void memory_reported(int rank, std::uint64_t bytes) { memory_bytes_.at(static_cast<std::size_t>(rank)) = bytes; }
   void ask_for_silence(std::function<std::vector<SilentRank>()> ask) { silent_ranks_ = std::move(ask); }
@@ -191,6 +195,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::vector<std::uint64_t> memory_bytes_;  // by rank, as each said it last; 0: not yet
   std::vector<std::function<void()>> told_;
   std::uint64_t charged_bytes_ = 0;
+  std::shared_ptr<std::uint64_t> answer_bytes_ = std::make_shared<std::uint64_t>(0);  // not yet sent
   int orders_unfinished_ = 0;
   std::uint64_t order_bytes_unfinished_ = 0;  // of their requests
   bool shutting_down_ = false;

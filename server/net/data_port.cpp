@@ -282,10 +282,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
 
   void stop() {
     error_code ignored;
-    if (unix_listener) {
-      unix_listener->name.remove();
-      unix_listener->acceptor.close(ignored);
-    }
+    unix_listener.close();
     for (TcpAcceptor& acceptor : tcp_acceptors) acceptor.close(ignored);
     for (const auto& door : doors) door->close();
     for (const auto& connection : std::set(connections)) connection->close();
@@ -295,7 +292,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   DataOptions options;
   Report report;
   Watch watch;
-  std::optional<UnixListener> unix_listener;
+  LastingListener unix_listener;
   std::list<TcpAcceptor> tcp_acceptors;
   std::vector<std::shared_ptr<Door>> doors;
   std::set<std::shared_ptr<Connection>> connections;          // that have said hello
@@ -310,10 +307,7 @@ DataPort::DataPort(IoLoop& loop, DataOptions options) : state_(std::make_shared<
 DataPort::~DataPort() { state_->stop(); }
 
 Status DataPort::listen_unix(const std::string& path) {
-  Result<UnixListener> listener = net::listen_unix(state_->context(), path);
-  if (!listener.ok()) return listener.status();
-  state_->unix_listener.emplace(std::move(*listener));
-  return {};
+  return state_->unix_listener.listen(state_->context(), path);
 }
 
 Result<std::string> DataPort::listen_tcp(const std::string& where) {
@@ -327,7 +321,7 @@ Result<std::string> DataPort::listen_tcp(const std::string& where) {
 void DataPort::start(Report report, Watch watch) {
   state_->report = std::move(report);
   state_->watch = std::move(watch);
-  if (state_->unix_listener) state_->accept(state_->unix_listener->acceptor);
+  state_->unix_listener.start([state = state_.get()](UnixAcceptor& acceptor) { state->accept(acceptor); });
   for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor);
 }
 
@@ -359,6 +353,7 @@ void DataPort::open(PushTicket ticket) {
 }
 
 void DataPort::tick() {
+  state_->unix_listener.look();
   for (const auto& [number, push] : state_->pushes) state_->tell(*push, 1);
 }
 

@@ -76,6 +76,42 @@ Result<UnixListener> listen_unix(asio::io_context& context, const std::string& p
   return UnixListener{std::move(acceptor), std::move(name)};
 }
 
+Status LastingListener::listen(asio::io_context& context, const std::string& path) {
+  Result<UnixListener> listener = listen_unix(context, path);
+  if (!listener.ok()) return listener.status();
+  context_ = &context;
+  path_ = path;
+  listeners_.push_back(std::move(*listener));
+  return {};
+}
+
+void LastingListener::start(std::function<void(UnixAcceptor&)> accept) {
+  accept_ = std::move(accept);
+  if (!listeners_.empty()) accept_(listeners_.back().acceptor);
+}
+
+void LastingListener::look() {
+  if (listeners_.empty() || !accept_ || listeners_.back().name.in_place()) return;
+  Result<UnixListener> again = listen_unix(*context_, path_);
+  if (!again.ok()) {
+    if (std::exchange(complaint_, again.status().message()) != complaint_)
+      spdlog::error("the socket {} was removed and can't be made again: {}", path_, complaint_);
+    return;
+  }
+  spdlog::warn("the socket {} was removed; it is made again", path_);
+  complaint_.clear();
+  close();
+  listeners_.push_back(std::move(*again));
+  accept_(listeners_.back().acceptor);
+}
+
+void LastingListener::close() {
+  if (listeners_.empty()) return;
+  error_code ignored;
+  listeners_.back().name.remove();
+  listeners_.back().acceptor.close(ignored);
+}
+
 Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name) {
   UnixAcceptor acceptor(context);
   error_code error;

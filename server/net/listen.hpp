@@ -7,6 +7,8 @@
 // 2. A Unix socket is 0600 from the moment it exists.
 #pragma once
 
+#include <functional>
+#include <list>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -29,6 +31,25 @@ struct UnixListener {
 };
 // Errors: invalid_argument (path too long), busy (a live service), io_error.
 Result<UnixListener> listen_unix(asio::io_context& context, const std::string& path);
+// A Unix socket that gets its name back where somebody has removed it.
+class LastingListener {
+ public:
+  // Errors: those of listen_unix.
+  Status listen(asio::io_context& context, const std::string& path);
+  // accept: takes connections from then on, also from each socket that is made later; they live as long as this.
+  void start(std::function<void(UnixAcceptor&)> accept);
+  // Looks whether the name is there, else makes the socket anew; to be called now and then.
+  void look();
+  void close();
+
+ private:
+  asio::io_context* context_ = nullptr;
+  std::string path_;
+  std::function<void(UnixAcceptor&)> accept_;
+  std::list<UnixListener> listeners_;  // the last one is open; accept loops refer to those before
+  std::string complaint_;
+};
+
 // On a socket that has no name in the file system (Linux's abstract ones), so that nothing of it can stay. Any user of
 // the machine can connect: check_peer_user(). Errors: io_error.
 Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name);

@@ -138,6 +138,9 @@ void MemberGroups::leave(const std::string& scene, const Connection* connection,
     blame(scene, k, why);
     seat.connection = nullptr;
   }
+  const auto in_use = [](const Seat& seat) { return seat.connection != nullptr || !seat.former.empty(); };
+  if (!coordinator_.snapshot().contains(scene) && std::none_of(group->seats.begin(), group->seats.end(), in_use))
+    groups_.erase(scene);
 }
 
 void MemberGroups::close(const std::string& scene, const Connection* connection) {

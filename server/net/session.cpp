@@ -32,6 +32,8 @@ bool changes_parts(const std::string& command, const Json& request, const api::S
   return parts.ok() && *parts != info->second.parts;
 }
 
+constexpr std::chrono::milliseconds kLookEvery(500);  // for whether the client that waits is still there
+
 // A place in a scene's queue, given back whatever happens.
 class Place {
  public:
@@ -302,7 +304,7 @@ awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
 awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pending> pending) {
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
   ++answering_;
-  while (!pending->answer && now() < request.end && !connection_->broken())
+  while (!pending->answer && now() < request.end && !connection_->peer_is_lost())
     co_await nap(pending->signal, request, notice_at, coordinator_->engine_in_words());
   if (pending->answer) {
     Answer answer = std::move(*pending->answer);
@@ -337,8 +339,16 @@ void Session::reply(const Request& request, Answer answer) {
     answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
   if (request.command == "scene.open" && request.json.contains("membership"))
     answer.json["membership"] = request.json["membership"];
-  const Status sent =
-      connection_->send_message(FrameType::reply, request.number, std::move(answer.json), std::move(answer.arrays));
+  std::shared_ptr<void> held;
+  if (request.info != nullptr && request.info->effect == api::Effect::reads) {  // what was changed is told always
+    std::uint64_t bytes = 0;
+    for (const wire::Array& array : answer.arrays) bytes += array.bytes.size();
+    auto room = coordinator_->hold_answer(bytes);
+    if (!room.ok()) return fail(request.number, room.status());
+    held = std::move(*room);
+  }
+  const Status sent = connection_->send_message(FrameType::reply, request.number, std::move(answer.json),
+                                                std::move(answer.arrays), std::move(held));
   if (!sent.ok()) fail(request.number, sent);
 }
 
@@ -362,8 +372,11 @@ awaitable<Status> Session::wait_turn(const Request& request, const std::string& 
 }
 
 awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what) {
-  timer.expires_at(std::min(request.end, notice_at));
+  timer.expires_at(std::min({request.end, notice_at, now() + kLookEvery}));
   co_await timer.async_wait(kAwait);
+  // A peer that has closed but its sending half alone still hears this; any other makes the connection fail.
+  if (connection_->peer_has_gone() && !connection_->broken() && !std::exchange(asked_whether_gone_, true))
+    notice_at = now();
   if (now() < notice_at) co_return;
   const auto waited =
       static_cast<std::int64_t>(request.deadline_seconds - std::chrono::duration<double>(request.end - now()).count());

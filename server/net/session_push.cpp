@@ -183,6 +183,7 @@ awaitable<Status> Session::receive(const Frame& frame, const std::shared_ptr<Ope
 }
 
 awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
+  if (push->closed) co_return;  // given up since it was whole
   const PushTerms& terms = push->slices.terms();
   Request request{push->request, api::find_command("push.begin"), "push", std::move(push->begin), 0, push->end};
   request.deadline_seconds = std::chrono::duration<double>(push->end - push->started).count();

@@ -26,13 +26,16 @@ struct Slot {
 // A fixed table, since a signal handler may neither lock nor follow what is being changed.
 std::array<Slot, 256> g_slots;
 
+bool is_in_place(const Slot& slot) noexcept {
+  struct stat info {};
+  return ::lstat(slot.path.data(), &info) == 0 && info.st_dev == slot.device && info.st_ino == slot.inode;
+}
+
 // lstat and unlink are safe in a signal handler.
 void remove_slot(Slot& slot) noexcept {
   int bound = kBound;
   if (!slot.state.compare_exchange_strong(bound, kTaken)) return;
-  struct stat info {};
-  if (::lstat(slot.path.data(), &info) == 0 && info.st_dev == slot.device && info.st_ino == slot.inode)
-    ::unlink(slot.path.data());
+  if (is_in_place(slot)) ::unlink(slot.path.data());
   slot.state = kFree;
 }
 
@@ -68,6 +71,8 @@ SocketName::~SocketName() { remove(); }
 void SocketName::remove() {
   if (slot_ >= 0) remove_slot(g_slots[static_cast<std::size_t>(std::exchange(slot_, -1))]);
 }
+
+bool SocketName::in_place() const { return slot_ >= 0 && is_in_place(g_slots[static_cast<std::size_t>(slot_)]); }
 
 void SocketName::remove_all() noexcept {
   for (Slot& slot : g_slots) remove_slot(slot);

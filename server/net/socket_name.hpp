@@ -21,6 +21,8 @@ class SocketName {
   ~SocketName();
 
   void remove();
+  // The socket that was bound still has this name.
+  bool in_place() const;
 
   // Those of all objects of this process, which is about to end.
   static void remove_all() noexcept;

@@ -66,7 +66,10 @@ void History::read(std::uint64_t first, std::uint64_t last, const std::function<
   const std::uint64_t recent = total_ - recent_.size();
   if (first < recent) {
     const Status status = file_.read(first, std::min(last, recent), [&](std::uint64_t, std::string_view line) {
-      if (auto report = wire::parse_json(line); report.ok()) take(std::move(report).value());
+      if (auto report = wire::parse_json(line); report.ok())
+        take(std::move(report).value());
+      else
+        note_loss({Code::io_error, "the file of older reports was changed"});
     });
     if (!status.ok()) note_loss(status);
   }

@@ -77,14 +77,16 @@ Status compare_one(Context& context, const Scene& scene, const partition::Partit
   const auto view = scene.particles.view();
   context.comm.barrier();
   const double start = context.clock.seconds();
+  Status time;
   auto found = partition::has_cut_tree(options.method) && options.method != Method::equal_boxes
-                   ? partition::partition(context.comm, view, options)
-                   : partition::baseline(context.comm, view, options);
+                   ? partition::partition(context.comm, view, options, while_in_time(context, time))
+                   : partition::baseline(context.comm, view, options, while_in_time(context, time));
+  if (!time.ok()) return time;
   CHECK(found.ok(), found.status().message());
   const double seconds = context.clock.seconds() - start;
   const auto loads =
       partition::summarise_loads(context.comm, view, found->part.span(), options.part_sizes, options.parts);
-  Status time = context.check_time();
+  time = context.check_time();
   if (!time.ok()) return time;
   const auto metrics = partition::quality(context.comm, view, found->part.span(), options.parts,
                                           partition::has_cut_tree(options.method) ? &found->tree : nullptr, width,

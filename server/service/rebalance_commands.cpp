@@ -71,7 +71,9 @@ Response rebalance(Context& context, const wire::Json& request) {
   search.part_sizes = options.part_sizes;
   search.cut_tolerance = options.cut_tolerance;
   if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
-  auto found = partition::partition(context.comm, scene.particles.view(), search);
+  Status time;
+  auto found = partition::partition(context.comm, scene.particles.view(), search, while_in_time(context, time));
+  if (!time.ok()) return failed(std::move(time));
   CHECK(found.ok(), found.status().message());
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found->part.span(), options.part_sizes,
                                           options.parts);
@@ -91,7 +93,7 @@ Response rebalance(Context& context, const wire::Json& request) {
                   {"adopted", !wanted->dry_run},
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
                   {"hash", wire::hex64(found->tree.hash())}};
-  Status time = context.check_time();
+  time = context.check_time();
   if (!time.ok()) return failed(std::move(time));
   Response response = done(std::move(json));
   if (wanted->dry_run) {

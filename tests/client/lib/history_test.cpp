@@ -37,7 +37,7 @@ class Historian {
     const std::uint64_t end = from + std::min({page, request.value("count", total), total - from});
     Json reports = Json::array();
     for (std::uint64_t k = std::max(from, std::min(lost_below, end)); k < end; ++k)
-      reports.push_back({{"scene", "jet"}, {"step", 2 * k}, {"parts", 8}, {"extra", k}});
+      reports.push_back({{"scene", "jet"}, {"step", 2 * k}, {"parts", 8}, {"reason", ""}, {"extra", k}});
     Json json{{"history", reports},
               {"from", from},
               {"next", end < total ? Json(end) : Json()},

@@ -29,13 +29,13 @@ std::vector<T> array_of(const Response& response, const std::string& name) {
 }
 
 TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
-  static constexpr int kParts = 20000;
+  static constexpr int kParts = 9000;
   on_ranks([](partition::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "many");
     driver.create({{"parts", kParts}, {"dims", 2}, {"part_sizes", Json(std::vector<int>(kParts, 3))}});
-    Particles particles = random_particles(5, 30'000, 2);
-    particles.weights.assign(30'000, 1.5);
+    Particles particles = random_particles(5, 12'000, 2);
+    particles.weights.assign(12'000, 1.5);
     particles.weights[0] = 2;
     driver.push_by_id(particles, 0);
     std::map<std::string, Response> answers;
@@ -60,7 +60,7 @@ TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
       const Response& answer = answers[name];
       for (const char* list : {"counts", "targets", "loads"}) EXPECT_TRUE(answer.json.at(list).is_null()) << list;
       const auto counts = array_of<std::uint64_t>(answer, "counts");
-      EXPECT_EQ(std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}), 30'000U);
+      EXPECT_EQ(std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}), 12'000U);
       EXPECT_EQ(counts.size(), std::size_t{kParts});
       EXPECT_EQ(array_of<double>(answer, "targets").size(), std::size_t{kParts});
       EXPECT_EQ(array_of<double>(answer, "loads").size(), std::size_t{kParts});
