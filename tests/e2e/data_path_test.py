@@ -159,6 +159,28 @@ class DataPath(unittest.TestCase):
             self.assertTrue(again["repeated"])
         self.assertEqual(self.service.json("scene", "show", "broken")["step"], 1)
 
+    def test_a_push_that_is_whole_at_its_deadline_is_committed_or_refused(self):
+        points, seconds, codes = self.walk[0, :2000], 0.002, []
+        with Direct(self.path) as client:
+            client.ask("scene.create", scene="late", parts=5)
+            client.push_directly("late", 0, points)
+            step = 1
+            for k in range(400):
+                client.begin("late", step, points, k, deadline_seconds=seconds * (0.3 + k % 18 / 10))
+                for rank, link in enumerate(client.links):
+                    link.socket.sendall(b"".join(client.slice_frames(rank, points)))
+                try:
+                    client.answer()
+                    seconds *= 0.9
+                    step += 1
+                except Refused as refused:
+                    codes.append(refused.args[0])
+                    seconds *= 1.1
+                    step += refused.args[0] == "stale_step"  # the one before was committed after its deadline
+            self.assertLessEqual(set(codes), {"deadline_exceeded", "stale_step"})
+            self.assertEqual(client.ask("status")[0]["restarted"], False)
+            client.ask("scene.drop", scene="late")
+
     def test_slices_may_come_before_their_push(self):
         points = self.walk[0]
         with Direct(self.path) as client:

@@ -79,6 +79,17 @@ class Faults(unittest.TestCase):
             self.assertEqual(service.ctl("down").returncode, 0)
             self.assert_nothing_left(service)
 
+    def test_removed_sockets_are_made_again(self):
+        with Service(2) as service:
+            ranks = service.processes("rcbd")
+            service.ctl("scene", "create", "stays", "--parts", 2)
+            path = service.endpoint[5:]
+            for name in (path, path + ".0", path + ".1"):
+                os.unlink(name)
+            self.assertTrue(wait_for(lambda: all(os.path.exists(name) for name in (path, path + ".0", path + ".1"))))
+            self.assertEqual([scene["scene"] for scene in service.json("scene", "list")["scenes"]], ["stays"])
+            self.assertEqual(service.processes("rcbd"), ranks)
+
     def test_a_full_disk(self):
         if os.geteuid() != 0:
             print("SKIPPED: only root can mount a disk to fill", file=sys.stderr)

@@ -199,6 +199,41 @@ class ChangingFile(unittest.TestCase):
         print(f"refused {refused} of 12")
 
 
+class Memory(unittest.TestCase):
+    def test_answers_that_nobody_reads_are_bounded(self):
+        with Service(1, options=("--bulk-bytes", "32mb")) as service, Client(service.endpoint, timeout=60) as client:
+            client.ask("scene.create", scene="f", parts=2)
+            client.push("f", 0, np.random.default_rng(1).random((200_000, 3)))
+            before = memory_mib(rank_0(service))
+            silent = [Client(service.endpoint, timeout=60) for _ in range(40)]
+            for one in silent:
+                one.send({"command": "fetch", "scene": "f"})  # 7 MB each, of which sockets hold little
+            client.ask("quality", scene="f")  # comes after them all
+            self.assertLess(memory_mib(rank_0(service)) - before, 100)
+            kinds = []
+            for one in silent:
+                with one:
+                    kind, _, document, _ = one.receive()
+                    kinds.append(kind)
+                    self.assertTrue(kind == REPLY or document["failure"]["code"] == "busy", document)
+            self.assertIn(REPLY, kinds)
+            self.assertGreater(len(set(kinds)), 1, "else this test proves nothing")
+            self.assertEqual(client.ask("fetch", scene="f")[0]["n"], 200_000)
+
+    def test_members_of_scenes_that_are_gone_are_forgotten(self):
+        with Service(1) as service, Client(service.endpoint, timeout=60) as client:
+            def members(first, last):
+                for k in range(first, last):
+                    client.ask("scene.create", scene=f"m{k}", parts=1)
+                    client.ask("scene.open", scene=f"m{k}", member=0, members=256)
+                    client.ask("scene.drop", scene=f"m{k}")
+                    client.ask("scene.close", scene=f"m{k}")
+                return memory_mib(rank_0(service))
+
+            before = members(0, 500)
+            self.assertLess(members(500, 3500) - before, 15)  # 18 KB each would be more than 50
+
+
 class LongCommands(unittest.TestCase):
     def test_compare_of_a_method_repeated_is_refused_and_any_ends_at_its_deadline(self):
         with Service(2) as service, Client(service.endpoint, timeout=60) as client:

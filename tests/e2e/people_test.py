@@ -211,6 +211,8 @@ class People(unittest.TestCase):
         self.assertNotIn("few", completed("rcbctl push few "))
         self.assertEqual(completed("rcbctl stat"), ["status", "stats"])
         self.assertEqual(completed("rcbctl scene sh"), ["show"])
+        self.assertEqual(completed("rcbctl --json counts fe"), ["few"])  # a flag has no value
+        self.assertIn("--parts", completed("rcbctl scene create --replace --par"))
         self.assertEqual(completed("rcbctl scene show fe"), ["few"])
         self.assertEqual(completed("rcbctl partition --parts "), [])
         self.assertEqual(completed(f"rcbctl --endpoint {self.service.endpoint} counts fe"), ["few"])

@@ -211,7 +211,10 @@ TEST(MemberScene, ALostSceneIsMadeAnewOrFoundAndPushedByIds) {
         else
           peer.fail(*create, {Code::already_exists, "scene 's' exists already"});
         opened.push_back(*peer.receive());
-        peer.reply(opened.back(), seat_reply(5, -1));
+        Json seat = seat_reply(5, -1);
+        seat["parts"] = 7;
+        seat["tolerance"] = quicker ? 0.25 : 0.5;
+        peer.reply(opened.back(), seat);
       }
       begun.push_back(*peer.receive());
       peer.receive();
@@ -220,12 +223,18 @@ TEST(MemberScene, ALostSceneIsMadeAnewOrFoundAndPushedByIds) {
       answer_close(peer);
     });
     {
-      auto client = Client::connect({.endpoint = service.endpoint()});
+      std::string told;
+      ConnectOptions options;
+      options.endpoint = service.endpoint();
+      options.on_notice = [&told](const std::string& text) { told += text + "\n"; };
+      auto client = Client::connect(options);
       auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
       ASSERT_TRUE(scene.ok()) << scene.status().message();
       const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
       EXPECT_TRUE(result.ok()) << result.status().message();
       EXPECT_EQ(scene->last_step(), 7);
+      EXPECT_EQ(told.find("made by somebody else, with tolerance 0.5 instead of 0.25") != std::string::npos, !quicker)
+          << told;
     }
     service.stop();
     ASSERT_EQ(made.size(), 1U);

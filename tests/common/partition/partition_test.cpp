@@ -94,6 +94,34 @@ TEST(Partition, AgreesWithTheJudgeOnLargerScenes) {
     }
 }
 
+// Asked between the levels of the tree, so that no partition goes on for long once nobody wants it.
+TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 500, false, kSeed);
+  on_ranks([&](Comm& comm) {
+    const Share share = deal(scene, comm.rank(), comm.size(), 7);
+    PartitionOptions options;
+    options.parts = 64;
+    for (int last = 0; last < 9; ++last) {
+      int asked = 0;
+      const GoOn go_on = [&] { return ++asked <= last; };
+      const auto found = partition(comm, share.particles.view(), options, go_on);
+      EXPECT_EQ(found.ok(), last >= 6) << last;
+      if (!found.ok()) {
+        EXPECT_EQ(found.status().code(), Code::aborted);
+      }
+      EXPECT_EQ(asked, std::min(last + 1, 6));
+      if (last < 6) {
+        EXPECT_FALSE(baseline(comm, share.particles.view(), [] {
+          PartitionOptions order;
+          order.method = Method::file_order;
+          order.parts = 64;
+          return order;
+        }(), [] { return false; }).ok());
+      }
+    }
+  });
+}
+
 TEST(Partition, BandsHaveOneOrder) {
   std::uint64_t seed = 3 * kSeed;
   for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::planes, Shape::coincident})

@@ -27,6 +27,8 @@ class FakeEngine final : public Engine {
   void release();
   // Until so many orders wait; the test fails where they don't come within 20 s.
   void wait_for_orders(std::size_t count);
+  // Until nobody waits for the first of them; the test fails where that isn't so within 20 s.
+  void wait_for_cancelled();
   // Commands executed so far, "push step 3" with its step.
   std::vector<std::string> executed() const;
   // The last order's request.

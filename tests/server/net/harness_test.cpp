@@ -120,6 +120,17 @@ void FakeEngine::release() {
   state_->changed.notify_all();
 }
 
+void FakeEngine::wait_for_cancelled() {
+  for (int tries = 0; tries < 2000; ++tries) {
+    {
+      const std::lock_guard lock(state_->mutex);
+      if (!state_->queue.empty() && *state_->queue.front().order.cancelled) return;
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  ADD_FAILURE() << "somebody still waits for the order";
+}
+
 void FakeEngine::wait_for_orders(std::size_t count) {
   std::unique_lock lock(state_->mutex);
   EXPECT_TRUE(state_->changed.wait_for(lock, std::chrono::seconds(20), [&] { return state_->queue.size() >= count; }));

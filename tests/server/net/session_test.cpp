@@ -217,6 +217,22 @@ TEST(Session, AWaitHasADeadlineAndNotices) {
   EXPECT_EQ(client.call("counts").json["echo"], "counts");  // the late answer went nowhere
 }
 
+TEST(Session, ACommandIsCancelledOnceItsClientHasGone) {
+  TestService service;
+  for (const bool tcp : {false, true}) {
+    service.engine().hold();
+    {
+      Client client = tcp ? Client::on_tcp(service.tcp()) : service.connect();
+      client.hello("gone", kAnna, tcp ? std::string(64, 'a') : "");
+      client.request("compare", {{"scene", "s"}, {"deadline_seconds", 600}});
+      service.engine().wait_for_orders(1);
+    }
+    service.engine().wait_for_cancelled();
+    service.engine().release();
+    EXPECT_EQ(service.client("next").call("error").json["echo"], "error");
+  }
+}
+
 TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
   TestService service;
   Client anna = service.client("anna", kAnna);
