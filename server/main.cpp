@@ -38,6 +38,7 @@ namespace rcb::server {
 namespace {
 
 constexpr double kStartSeconds = 30;
+constexpr const char* kReportDirectory = "reports";  // in the data directory
 constexpr double kGoodbyeSeconds = 5;
 constexpr unsigned kFinalizeSeconds = 30;
 // Rank 0 has at most the unfinished orders, the others those that credits let through; and the shutdown.
@@ -254,7 +255,7 @@ Result<io::Roots> open_roots(const Config& config, ranks::MpiSession& mpi) {
 service::ServiceOptions root_options(const Config& config, const net::DataDirectory& data,
                                      service::ServiceOptions options) {
   options.keep_reports = config.keep_reports;
-  const std::string directory = join_path(data.path(), "reports");
+  const std::string directory = join_path(data.path(), kReportDirectory);
   if (const Status made = service::make_report_directory(directory); made.ok())
     options.report_directory = directory;
   else
@@ -294,6 +295,9 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
                              root_options(config, *root.data, {.no_skip = no_skip, .loans = &loans, .roots = &roots}));
     engine.run(service);
   }
+  // Its files have gone with the scenes.
+  std::error_code ignored;
+  std::filesystem::remove(join_path(root.data->path(), kReportDirectory), ignored);
   root.control->finish(kGoodbyeSeconds);
   loop.run([&] { root.port->finish(); });
   root.doorbells->finish(kGoodbyeSeconds);

@@ -133,7 +133,7 @@ Response load(Context& context, const wire::Json& request) {
   if (Status status = agree_status(comm, points.status()); !status.ok()) return failed(std::move(status));
   const Slices slices = join_slices(comm, points.value());
   if (!slices.one_file)
-    return failed({Code::io_error, fmt::format("{}: was changed while it was read", load->path),
+    return failed({Code::io_error, fmt::format("{}: was changed while it was read, or isn't the same for all ranks", load->path),
                    "wait until it is written, then try again"});
   if (slices.total > 0 && slices.dims != scene.options.dims)
     return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,

@@ -156,6 +156,7 @@ TEST(LongCommands, EndAtTheirDeadlineOrWithTheirClientAndChangeNothing) {
 }
 
 TEST(LongCommands, ALoadIsGivenUpBeforeItsCommit) {
+  if (!ranks_are_threads()) GTEST_SKIP() << "the file is of one process";
   const std::string path = std::string(std::filesystem::temp_directory_path() / "rcb-limits-load-XXXXXX");
   std::string file = path;
   const int made = ::mkstemp(file.data());
