@@ -21,7 +21,7 @@ namespace rcb::net {
 namespace {
 
 constexpr std::uint64_t kTellBytes = std::uint64_t{64} << 20U;   // after so many more the coordinator is told
-constexpr std::size_t kEndedMax = 256;                           // pushes remembered after their end
+constexpr std::size_t kEndedMax = 16384;                         // pushes remembered after their end
 constexpr std::uint64_t kReadBytes = std::uint64_t{512} << 10U;  // are still in the cache when they are looked at
 
 // A push whose slice is being received.
@@ -86,8 +86,11 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   }
 
   void remember(const PushId& id) {
-    ended.push_back(id);
-    if (ended.size() > kEndedMax) ended.pop_front();
+    if (!ended.insert(id).second) return;
+    ended_in_turn.push_back(id);
+    if (ended_in_turn.size() <= kEndedMax) return;
+    ended.erase(ended_in_turn.front());
+    ended_in_turn.pop_front();
   }
 
   std::shared_ptr<Incoming> find(const PushId& id) const {
@@ -106,7 +109,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     const TimePoint late = now() + duration_of(options.unknown_seconds);
     while (true) {
       if (auto push = find(id)) co_return push;
-      if (std::find(ended.begin(), ended.end(), id) != ended.end() || connection.peer_has_gone()) co_return nullptr;
+      if (ended.contains(id) || connection.peer_has_gone()) co_return nullptr;
       if (now() >= late) {
         remember(id);  // its other frames aren't waited for
         co_return nullptr;
@@ -297,7 +300,8 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   std::vector<std::shared_ptr<Door>> doors;
   std::set<std::shared_ptr<Connection>> connections;          // that have said hello
   std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes;  // by the service's number
-  std::deque<PushId> ended;
+  std::set<PushId> ended;
+  std::deque<PushId> ended_in_turn;  // these, and some that were begun again since
   std::list<Timer*> waiting;  // slices whose push isn't known yet
   Pool pool;
 };
@@ -342,7 +346,7 @@ void DataPort::open(PushTicket ticket) {
     if (fits) buffer.resize(terms.n * 8);
     push->arrays.push_back(std::move(buffer));
   }
-  std::erase(state_->ended, terms.id);  // a client that says the same attempt again
+  state_->ended.erase(terms.id);  // a client that says the same attempt again
   state_->pushes[push->ticket.number] = push;
   if (!fits)
     state_->end(push, {Code::too_large, fmt::format("rank {} has no memory for {} particles", state_->options.rank,

@@ -6,6 +6,7 @@
 // 2. A push is whole when its announced slices are there and their counts add up to what was announced.
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <set>
 #include <span>
@@ -25,7 +26,7 @@ struct PushId {
   std::string session;
   std::int64_t step = 0;
   std::int64_t attempt = 0;
-  bool operator==(const PushId&) const = default;
+  auto operator<=>(const PushId&) const = default;
 };
 
 // `session` where the message names none. Errors: invalid_argument.
