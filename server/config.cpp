@@ -55,7 +55,8 @@ void add_options(CLI::App& app, Config& config) {
                "anybody on the network can read and alter them")
       ->envname("RCBD_TRUSTED_NETWORK");
   app.add_option("--data-dir", config.data_dir,
-                 "directory for lock, token, older step reports and clean-shutdown marker [default: one for each endpoint, below "
+                 "directory for lock, token, older step reports and clean-shutdown marker [default: one for each "
+                 "endpoint, below "
                  "$XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
       ->envname("RCBD_DATA_DIR")
       ->type_name("DIR");

@@ -67,8 +67,8 @@ void add_completion_command(CLI::App& app, Context& context);  // completion
 
 // That the endpoint given, if any, is one. Errors: usage.
 Status check_endpoint(const Context& context);
-// The service at the endpoint. One that is being started again is waited for, for a few seconds. Errors: usage, those of
-// Client::connect.
+// The service at the endpoint. One that is being started again is waited for, for a few seconds. Errors: usage, those
+// of Client::connect.
 Result<client::Client> connect(const Context& context);
 // The same for a command that pushes step after step, as a solver does: it outlives the service.
 Result<client::Client> connect_to_drive(const Context& context);

@@ -1,6 +1,6 @@
-// Curve: an error history as a figure shows it, in memory that doesn't grow with its length. Up to kPointsMax steps each
-// is there; of more, neighbours are merged, again and again, and the least and the largest of them stay, so that the
-// drawn line covers the same area.
+// Curve: an error history as a figure shows it, in memory that doesn't grow with its length. Up to kPointsMax steps
+// each is there; of more, neighbours are merged, again and again, and the least and the largest of them stay, so that
+// the drawn line covers the same area.
 #pragma once
 
 #include <cstdint>
@@ -22,8 +22,8 @@ class Curve {
   // In the order of the steps.
   void add(const client::StepReport& report);
   bool empty() const { return line_.empty(); }
-  // gnuplot's data, a point a line: the error as it arose, then as a repartition left it, a sawtooth; and the errors that
-  // called for repartitions.
+  // gnuplot's data, a point a line: the error as it arose, then as a repartition left it, a sawtooth; and the errors
+  // that called for repartitions.
   std::string line_data() const;
   std::string dot_data() const;
 

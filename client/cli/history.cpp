@@ -1,5 +1,5 @@
-// history: the step reports, as a table, CSV, JSON or figure. They come a page at a time and go on as they come, so that
-// a long history takes no more memory than a short one.
+// history: the step reports, as a table, CSV, JSON or figure. They come a page at a time and go on as they come, so
+// that a long history takes no more memory than a short one.
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"

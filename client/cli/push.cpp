@@ -14,7 +14,6 @@
 namespace rcb::cli {
 namespace {
 
-
 struct PushOptions {
   std::string name;
   FileOptions file;

@@ -55,7 +55,8 @@ Status up(const UpOptions& options, const Context& context) {
   service.ask_seconds = std::min(service.ask_seconds, options.answer_seconds / 3);
   service.service_arguments = service_arguments(options, *endpoint);
   auto running = launch::reach(service.endpoint, "rcbctl up");
-  if (running || running.status().code() == Code::not_authorised)
+  if (!running && running.status().code() == Code::not_authorised) return running.status();
+  if (running)
     return {Code::already_exists, "a service already answers at " + service.endpoint,
             "use it, or stop it first: rcbctl down"};
   if (options.data_dir.empty()) {
@@ -117,7 +118,7 @@ void add_up_options(CLI::App& command, UpOptions& options) {
   command.add_flag("--trusted-network", options.trusted_network,
                    "take an endpoint that other machines reach, although positions and commands travel unencrypted: "
                    "anybody on the network can read and alter them");
-  add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 0),
+  add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 1),
             "step reports kept in memory, of all scenes together; older ones go to files (default: 100000)");
   add_value(command, "--log-level", options.log_level,
             kind::one_of("LEVEL", {"trace", "debug", "info", "warn", "error", "off"}),

@@ -1,42 +1,9 @@
-// When a service that died is started again, and when one that is silent counts as dead. Clocks are the caller's, so
-// that both can be tested without waiting.
+// When a service that is silent counts as dead. Clocks are the caller's, so that it can be tested without waiting.
 #pragma once
 
 #include <algorithm>
-#include <cstdint>
-
-#include "common/base/random.hpp"
 
 namespace rcb::launch {
-
-// Pauses that double with each failure in a row, up to a cap, each shortened at random by up to a quarter so that the
-// services of many users, which died of the same cause, don't all come back at the same moment.
-class Backoff {
- public:
-  Backoff(double first_seconds, double most_seconds, std::uint64_t seed)
-      : first_seconds_(first_seconds), most_seconds_(most_seconds), random_(seed) {}
-
-  // The pause after one more failure.
-  double next() {
-    ++failures_;
-    const double pause = seconds_ == 0 ? first_seconds_ : std::min(2 * seconds_, most_seconds_);
-    seconds_ = pause;
-    return random_.uniform(0.75 * pause, pause);
-  }
-  int failures() const { return failures_; }
-  // The service has lived long enough.
-  void reset() {
-    failures_ = 0;
-    seconds_ = 0;
-  }
-
- private:
-  double first_seconds_;
-  double most_seconds_;
-  Random random_;
-  int failures_ = 0;
-  double seconds_ = 0;
-};
 
 // The service is asked every now and then. It counts as silent when it has not answered for long enough, three times at
 // least and counted from the first question that it left open: a machine or a supervisor that slept is no silence.

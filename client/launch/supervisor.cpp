@@ -20,6 +20,7 @@
 #include "client/launch/reach.hpp"
 #include "client/launch/restarts.hpp"
 #include "client/launch/service_log.hpp"
+#include "common/base/backoff.hpp"
 #include "common/base/clock.hpp"
 #include "common/base/endpoint_lock.hpp"
 #include "common/base/own_files.hpp"
@@ -34,6 +35,7 @@ constexpr double kProbeDeadlineSeconds = 1;
 constexpr double kAskSecondsLeast = 0.5;
 constexpr double kAskSecondsMost = 5;
 constexpr double kStopSeconds = 20;
+constexpr double kPauseShortened = 0.25;
 constexpr int kReadsMax = 64;  // then a look at what else there is
 
 class Supervisor {
@@ -42,7 +44,7 @@ class Supervisor {
       : options_(options),
         log_(launch::log_path(options.data_dir)),
         marker_(join_path(options.data_dir, kCleanShutdownFile)),
-        backoff_(options.pause_first_seconds, options.pause_most_seconds,
+        backoff_({options.pause_first_seconds, options.pause_most_seconds, kPauseShortened},
                  mix64(static_cast<std::uint64_t>(getpid()) ^ ProcessId::self().start << 32U)),
         silence_(options.ask_seconds, options.silence_seconds) {}
   ~Supervisor();

@@ -12,7 +12,8 @@ namespace rcb::client {
 namespace {
 
 constexpr std::uint64_t kPageReports = 1000;
-constexpr std::uint64_t kNoLimit = std::numeric_limits<std::int64_t>::max();
+constexpr std::int64_t kLargest = std::numeric_limits<std::int64_t>::max();
+constexpr std::uint64_t kNoLimit = kLargest;
 
 struct Page {
   std::uint64_t from = 0;
@@ -22,8 +23,7 @@ struct Page {
 };
 
 Result<Page> read_page(const wire::Json& json) {
-  constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
-  const auto total = wire::integer_field(json, "total", 0, kLarge);
+  const auto total = wire::integer_field(json, "total", 0, kLargest);
   if (!total) return Status(Code::protocol_error, "answer to 'history': " + total.status().message());
   const auto from = wire::integer_field(json, "from", 0, *total);
   const auto next = wire::integer_field_or(json, "next", 0, *total, *total);

@@ -21,8 +21,8 @@ void tell_differences(const Session& session, const std::string& scene, const wi
   std::string differences;
   for (const auto& [name, value] : found.items())
     if (const auto before = known.options.find(name); before != known.options.end() && *before != value)
-      differences += fmt::format("{}{} {} instead of {}", differences.empty() ? "" : ", ", name, value.dump().substr(0, 80),
-                                 before->dump().substr(0, 80));
+      differences += fmt::format("{}{} {} instead of {}", differences.empty() ? "" : ", ", name,
+                                 value.dump().substr(0, 80), before->dump().substr(0, 80));
   if (differences.empty()) return;
   session.notice(fmt::format("scene '{}' was made by somebody else, with {}; it is used as it is", scene, differences));
   known.options.update(found);

@@ -13,8 +13,7 @@ namespace {
 
 constexpr double kMarginSeconds = 2;
 constexpr double kMarginShare = 0.05;
-constexpr double kFirstWaitSeconds = 0.05;
-constexpr double kLongestWaitSeconds = 2;
+constexpr BackoffOptions kPauses{.first_seconds = 0.05, .most_seconds = 2, .shortened = 0.5, .at_once = true};
 constexpr double kQuietSeconds = 0.5;  // a wait that is over sooner is nobody's concern
 constexpr double kBetweenNoticesSeconds = 2;
 constexpr double kLeastSeconds = 0.001;
@@ -27,17 +26,11 @@ double with_margin(double deadline_seconds) {
   return deadline_seconds + std::max(kMarginSeconds, kMarginShare * deadline_seconds);
 }
 
-double Backoff::next_seconds() {
-  const double wait = longest_ * random_.uniform(0.5, 1);
-  longest_ = longest_ == 0 ? kFirstWaitSeconds : std::min(2 * longest_, kLongestWaitSeconds);
-  return wait;
-}
-
 Retry::Retry(double deadline_seconds)
     : seconds_(bounded(deadline_seconds)),
       until_(bounded(deadline_seconds)),
       deadline_(with_margin(bounded(deadline_seconds))),
-      backoff_(std::random_device{}()) {}
+      backoff_(kPauses, std::random_device{}()) {}
 
 double Retry::seconds_left() const { return failures_ == 0 ? seconds_ : bounded(until_.left_seconds()); }
 
@@ -58,7 +51,7 @@ bool Retry::wait(const std::string& what, const NoticeHandler& tell) {
     tell(fmt::format("waiting for {}; {}", what, tried()));
     told_at_ = since;
   }
-  std::this_thread::sleep_for(std::chrono::duration<double>(std::min(backoff_.next_seconds(), left)));
+  std::this_thread::sleep_for(std::chrono::duration<double>(std::min(backoff_.next(), left)));
   return true;
 }
 

@@ -10,23 +10,12 @@
 #include <string>
 
 #include "client/lib/connection.hpp"
-#include "common/base/random.hpp"
+#include "common/base/backoff.hpp"
 
 namespace rcb::client {
 
 // How much longer than the service a client waits, so that the service's own answer arrives first.
 double with_margin(double deadline_seconds);
-
-// The waits before one retry after the other.
-class Backoff {
- public:
-  explicit Backoff(std::uint64_t seed) : random_(seed) {}
-  double next_seconds();
-
- private:
-  Random random_;
-  double longest_ = 0;
-};
 
 class Retry {
  public:

@@ -4,8 +4,7 @@
 // Invariants
 // 1. The session number stays the same over all connections, so the service knows a repeated step for what it is.
 // 2. A command is sent again by itself only where doing it twice is the same as doing it once, or where the service
-// that
-//    may have done it is no more.
+//    that may have done it is no more.
 // 3. persist() is the only loop in which a call waits for a service that has gone.
 #pragma once
 

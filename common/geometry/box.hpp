@@ -10,7 +10,7 @@ namespace rcb::geometry {
 
 struct Box {
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  Point lo{kInfinity, kInfinity, kInfinity};     // lo > hi: no point
+  Point lo{kInfinity, kInfinity, kInfinity};  // lo > hi: no point
   Point hi{-kInfinity, -kInfinity, -kInfinity};
 
   static Box unbounded() { return {{-kInfinity, -kInfinity, -kInfinity}, {kInfinity, kInfinity, kInfinity}}; }

@@ -112,8 +112,8 @@ Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& par
   return result;
 }
 
-Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles,
-                                 const PartitionOptions& options, const GoOn& go_on) {
+Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                                 const GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
   if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
   if (options.method != Method::file_order)

@@ -25,6 +25,8 @@ struct CommandInfo {
   Effect effect;                             // on scenes
   std::span<const std::string_view> fields;  // besides "command" and "deadline_seconds"
   bool files = false;                        // has the ranks read or write files
+
+  bool reads() const { return effect == Effect::reads; }
 };
 
 std::span<const CommandInfo> commands();

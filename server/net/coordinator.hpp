@@ -1,7 +1,8 @@
 // Coordinator: what all sessions share. It puts commands into one order and says who may have which scene.
 //
 // Invariants
-// 1. At most `orders_max` orders are unfinished, more than there can be sessions, and of their requests wire::kOrderBytesMax;
+// 1. At most `orders_max` orders are unfinished, more than there can be sessions, and of their requests
+// wire::kOrderBytesMax;
 //    busy is said before ordering, never after.
 // 2. A scene has one open push at most. Commands that change a scene wait for its end; what comes later waits behind
 //    them, first come, first served (SceneGate::queue).
@@ -53,7 +54,7 @@ struct OpenPush {
   TimePoint end;
   Timer deadline;
   bool given_up = false;
-  bool closed = false;  // given up, or ordered: the scene's gate is free
+  bool closed = false;              // given up, or ordered: the scene's gate is free
   std::uint64_t charged_bytes = 0;  // of the budget: what has arrived
   std::uint64_t progress_seen = 0;  // at the last look
   TimePoint look_at;                // when it must have gone on
@@ -111,8 +112,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // The memory that an answer takes until it is sent, given back with the result. Errors: busy, where those of clients
   // that don't read take all there is.
   Result<std::shared_ptr<void>> hold_answer(std::uint64_t bytes);
-  // Before the loop starts: who knows which ranks say nothing.
   void memory_reported(int rank, std::uint64_t bytes) { memory_bytes_.at(static_cast<std::size_t>(rank)) = bytes; }
+  // Before the loop starts: who knows which ranks say nothing.
   void ask_for_silence(std::function<std::vector<SilentRank>()> ask) { silent_ranks_ = std::move(ask); }
   // What an unfinished order waits for: "the engine", or the ranks that say nothing.
   std::string engine_in_words() const;

@@ -302,7 +302,7 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes;  // by the service's number
   std::set<PushId> ended;
   std::deque<PushId> ended_in_turn;  // these, and some that were begun again since
-  std::list<Timer*> waiting;  // slices whose push isn't known yet
+  std::list<Timer*> waiting;         // slices whose push isn't known yet
   Pool pool;
 };
 
@@ -310,9 +310,7 @@ DataPort::DataPort(IoLoop& loop, DataOptions options) : state_(std::make_shared<
 
 DataPort::~DataPort() { state_->stop(); }
 
-Status DataPort::listen_unix(const std::string& path) {
-  return state_->unix_listener.listen(state_->context(), path);
-}
+Status DataPort::listen_unix(const std::string& path) { return state_->unix_listener.listen(state_->context(), path); }
 
 Result<std::string> DataPort::listen_tcp(const std::string& where) {
   Result<TcpAcceptor> acceptor = net::listen_tcp(state_->context(), where, Network::trusted);

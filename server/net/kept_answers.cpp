@@ -87,7 +87,7 @@ Status decode_member(std::string_view& frames, std::string& scene, MemberAnswers
   const auto specs = wire::array_specs(*json, header->bulk_bytes);
   const auto name = wire::string_field(*json, "scene", 64);
   const auto session = wire::string_field(*json, "session", 16);
-  const auto step = wire::integer_field(*json, "step", 0, std::numeric_limits<std::int64_t>::max());
+  const auto step = wire::integer_field(*json, "step", 0, wire::kStepMax);
   for (const Status& status : {specs.status(), name.status(), session.status(), step.status()})
     if (!status.ok()) return status;
   if (!json->contains("answer")) return {Code::io_error, "it holds no answer"};

@@ -91,7 +91,8 @@ void LastingListener::start(std::function<void(UnixAcceptor&)> accept) {
 }
 
 void LastingListener::look() {
-  if (listeners_.empty() || !accept_ || listeners_.back().name.in_place()) return;
+  if (!accept_ || listeners_.empty() || !listeners_.back().acceptor.is_open() || listeners_.back().name.in_place())
+    return;
   Result<UnixListener> again = listen_unix(*context_, path_);
   if (!again.ok()) {
     if (std::exchange(complaint_, again.status().message()) != complaint_)

@@ -2,8 +2,7 @@
 //
 // Invariants
 // 1. A socket on which a live service answers is never taken; a stale one is replaced. Whoever listens on an endpoint
-// has
-//    its lock (endpoint_lock.hpp), so that two services that find the same stale socket don't remove each other's.
+//    has its lock (endpoint_lock.hpp), so that two services that find the same stale socket don't remove each other's.
 // 2. A Unix socket is 0600 from the moment it exists.
 #pragma once
 
@@ -38,7 +37,7 @@ class LastingListener {
   Status listen(asio::io_context& context, const std::string& path);
   // accept: takes connections from then on, also from each socket that is made later; they live as long as this.
   void start(std::function<void(UnixAcceptor&)> accept);
-  // Looks whether the name is there, else makes the socket anew; to be called now and then.
+  // Looks whether the name is there, else makes the socket anew; to be called now and then, after close() to no effect.
   void look();
   void close();
 

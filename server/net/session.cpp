@@ -313,12 +313,10 @@ awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pendi
     reply(request, std::move(answer));
   } else {
     if (request.cancelled) request.cancelled->store(true);
-    const api::CommandInfo* known = api::find_command(request.command);
-    const bool reads = known != nullptr && known->effect == api::Effect::reads;
     fail(request.number,
          {Code::deadline_exceeded,
           fmt::format("'{}' wasn't done within {} s; {}", request.command, request.deadline_seconds,
-                      reads ? "it is given up" : "it goes on where it has begun to change the scene"),
+                      request.info->reads() ? "it is given up" : "it goes on where it has begun to change the scene"),
           "ask again later, or give it a longer deadline"});
   }
   --answering_;
@@ -340,7 +338,7 @@ void Session::reply(const Request& request, Answer answer) {
   if (request.command == "scene.open" && request.json.contains("membership"))
     answer.json["membership"] = request.json["membership"];
   std::shared_ptr<void> held;
-  if (request.info != nullptr && request.info->effect == api::Effect::reads) {  // what was changed is told always
+  if (request.info->reads()) {  // what was changed is told always
     std::uint64_t bytes = 0;
     for (const wire::Array& array : answer.arrays) bytes += array.bytes.size();
     auto room = coordinator_->hold_answer(bytes);

@@ -105,8 +105,8 @@ class Session : public std::enable_shared_from_this<Session> {
   std::string number_;  // the client's session, 16 hex digits
   std::set<std::string> open_;
   bool asked_whether_gone_ = false;  // by a notice, once its end was closed
-  int answering_ = 0;         // orders of this session that are on their way
-  bool goodbye_due_ = false;  // to be said after its answer
+  int answering_ = 0;                // orders of this session that are on their way
+  bool goodbye_due_ = false;         // to be said after its answer
 };
 
 }  // namespace rcb::net

@@ -2,8 +2,7 @@
 //
 // Invariants
 // 1. A file that stands at the path by now, but isn't the socket that was bound, stays. (As long as the socket is open
-// the
-//    file system doesn't give its number to another, so a name is to be removed before its socket is closed.)
+//    the file system doesn't give its number to another, so a name is to be removed before its socket is closed.)
 // 2. remove_all() may be called at any moment, in a signal handler too.
 #pragma once
 

@@ -89,7 +89,8 @@ Slices join_slices(partition::Comm& comm, const io::Points& points) {
     slices.ids = slices.ids || theirs[1] != 0;
     slices.weights = slices.weights || theirs[2] != 0;
     slices.dims = std::max(slices.dims, static_cast<int>(theirs[3]));
-    slices.one_file = slices.one_file && std::memcmp(theirs.data() + 4, all.data() + 4 * sizeof theirs[0], 3 * sizeof theirs[0]) == 0;
+    slices.one_file =
+        slices.one_file && std::memcmp(theirs.data() + 4, all.data() + 4 * sizeof theirs[0], 3 * sizeof theirs[0]) == 0;
   }
   return slices;
 }
@@ -133,7 +134,8 @@ Response load(Context& context, const wire::Json& request) {
   if (Status status = agree_status(comm, points.status()); !status.ok()) return failed(std::move(status));
   const Slices slices = join_slices(comm, points.value());
   if (!slices.one_file)
-    return failed({Code::io_error, fmt::format("{}: was changed while it was read, or isn't the same for all ranks", load->path),
+    return failed({Code::io_error,
+                   fmt::format("{}: was changed while it was read, or isn't the same for all ranks", load->path),
                    "wait until it is written, then try again"});
   if (slices.total > 0 && slices.dims != scene.options.dims)
     return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
@@ -228,8 +230,8 @@ Status write_own_parts(Context& context, const Scene& scene, const io::Folder& f
       if (Status status = context.check_time(); !status.ok()) return status;
     if (begin + k >= end || !written.ok()) continue;
     const auto at = static_cast<std::size_t>(k);
-    written = write_part(scene, std::span(by.slot).subspan(by.start[at], by.start[at + 1] - by.start[at]),
-                         folder, name_of(begin + k));
+    written = write_part(scene, std::span(by.slot).subspan(by.start[at], by.start[at + 1] - by.start[at]), folder,
+                         name_of(begin + k));
   }
   return agree_status(context.comm, written);
 }

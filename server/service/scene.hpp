@@ -81,7 +81,7 @@ struct Scene {
 
   bool recreated = false;  // its client made it anew, since the service had lost it
   bool pushed = false;     // a first push was committed
-  bool ids = false;     // ids aren't 0..n-1
+  bool ids = false;        // ids aren't 0..n-1
   std::uint64_t n = 0;
   particles::ParticleSet particles;
   Buffer<std::int32_t> part;

@@ -17,7 +17,7 @@ namespace {
 // The command changes no scene.
 bool reads(std::string_view command) {
   const api::CommandInfo* known = api::find_command(command);
-  return known != nullptr && known->effect == api::Effect::reads;
+  return known != nullptr && known->reads();
 }
 
 }  // namespace

@@ -5,26 +5,16 @@ import time
 from support import *
 
 
-class BadInput(unittest.TestCase):
+class BadInput(ServiceTest):
+    ranks = 3
+
     @classmethod
     def setUpClass(cls):
-        cls.dir = tempfile.mkdtemp(prefix="rcb-bad-")
-        cls.service = Service(3)
-        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
+        super().setUpClass()
         cls.points = np.random.default_rng(3).random((60, 3))
         cls.good = cls.save("good.npy", cls.points)
         cls.service.json("scene", "create", "a", "--parts", 4)
         cls.service.json("push", "a", cls.good)
-
-    @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.dir)
-
-    @classmethod
-    def save(cls, name, array):
-        path = os.path.join(cls.dir, name)
-        np.save(path, array)
-        return path
 
     @classmethod
     def text(cls, name, content):

@@ -74,6 +74,10 @@ class Places(unittest.TestCase):
     def test_in_a_container_whose_root_is_unknown(self):
         """A namespace in which the files of the machine's root show as nobody's."""
         namespace = ["unshare", "--user", "--map-root-user"]
+        # Where that user gets to, whatever folder these tests were given.
+        self.addCleanup(shutil.rmtree, self.dir)
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-", dir="/tmp")
+        self.endpoint = f"unix:{self.dir}/s"
         if os.geteuid() == 0:
             os.chown(self.dir, STRANGER, STRANGER)
             namespace = ["setpriv", "--reuid", str(STRANGER), "--regid", str(STRANGER), "--clear-groups", *namespace]
@@ -81,7 +85,7 @@ class Places(unittest.TestCase):
             print("SKIPPED: no user namespaces here", file=sys.stderr)
             self.skipTest("no user namespaces here")
         program, rest = [*namespace, RCBCTL], ("up", "-n", 1, "--data-dir", f"{self.dir}/data")
-        up = run(*program[1:], *rest, program=program[0], endpoint=self.endpoint)
+        up = run(*program[1:], *rest, program=program[0], endpoint=self.endpoint, env={"TMPDIR": self.dir})
         self.assertEqual(up.returncode, 0, up.stderr)
         self.assertEqual(run(*program[1:], "down", program=program[0], endpoint=self.endpoint).returncode, 0)
 

@@ -7,19 +7,16 @@ from protocol_client import Client
 from support import *
 
 
-
 def long_numbers(text):
     """Those with a point and more than four digits that count."""
     found = re.findall(r"(?<![\w.])\d+\.\d+", text)
     return [number for number in found if len(number.replace(".", "").lstrip("0")) > 4]
 
 
-class People(unittest.TestCase):
+class People(ServiceTest):
     @classmethod
     def setUpClass(cls):
-        cls.dir = tempfile.mkdtemp(prefix="rcb-people-")
-        cls.service = Service(2)
-        cls.addClassCleanup(cls.service.stop)
+        super().setUpClass()
         cls.rng = np.random.default_rng(11)
         cls.points = cls.rng.random((2000, 3))
         cls.file = cls.save("points.npy", cls.points)
@@ -28,16 +25,6 @@ class People(unittest.TestCase):
             cls.service.json("replay", name, cls.walk, "--parts", parts, "--tolerance", "inf")
         grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
         cls.service.json("replay", "lattice", cls.save("lattice.npy", grid), "--parts", 7)
-
-    @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.dir)
-
-    @classmethod
-    def save(cls, name, array):
-        path = os.path.join(cls.dir, name)
-        np.save(path, array)
-        return path
 
     def text(self, *args):
         done = self.service.ctl(*args)

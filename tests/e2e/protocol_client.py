@@ -112,7 +112,7 @@ class Client:
             known = self.token, self.listener, self.welcome["nonce"], os.urandom(32).hex(), self.session
             document |= {"nonce": known[3], "proof": proof("client", *known)}
         self.number += 1
-        self.socket.sendall(frame(HELLO, self.number, document))
+        self.write(frame(HELLO, self.number, document))
         self.hello = self.answer()[0]
         if tcp:
             assert hmac.compare_digest(self.hello["proof"], proof("service", *known)), "who listens there is not rcbd"
@@ -147,9 +147,16 @@ class Client:
             assert kind == REPLY and request == self.number, (kind, request, document)
             return document, bulk
 
+    def write(self, data):
+        try:
+            self.socket.sendall(data)
+        except (BrokenPipeError, ConnectionResetError):
+            self.answer()  # why the service has closed, where it said so
+            raise
+
     def send(self, document, bulk=b"", flags=0):
         self.number += 1
-        self.socket.sendall(frame(REQUEST, self.number, document, bulk, flags))
+        self.write(frame(REQUEST, self.number, document, bulk, flags))
 
     def ask(self, command, **arguments):
         self.send({"command": command, **arguments})

@@ -78,6 +78,24 @@ class Service:
         self.stop()
 
 
+class ServiceTest(unittest.TestCase):
+    """Tests that share one service and a folder of files."""
+    ranks = 2
+
+    @classmethod
+    def setUpClass(cls):
+        cls.dir = tempfile.mkdtemp(prefix="rcb-e2e-files-")
+        cls.addClassCleanup(shutil.rmtree, cls.dir)
+        cls.service = Service(cls.ranks)
+        cls.addClassCleanup(cls.service.stop)  # also where the rest of a set-up fails
+
+    @classmethod
+    def save(cls, name, array):
+        path = os.path.join(cls.dir, name)
+        np.save(path, array)
+        return path
+
+
 def hard_scenes(seed=1):
     """Small point sets that break partitioners, by name; shape (n, dims)."""
     rng = np.random.default_rng(seed)
@@ -132,5 +150,5 @@ def wait_for(condition, seconds=30):
     return False
 
 
-__all__ = ["BIN", "MPIRUN", "RCBCTL", "Service", "hard_scenes", "json", "np", "os", "process_name", "processes_of",
-           "run", "shutil", "signal", "subprocess", "sys", "tempfile", "time", "unittest", "wait_for"]
+__all__ = ["BIN", "MPIRUN", "RCBCTL", "Service", "ServiceTest", "hard_scenes", "json", "np", "os", "process_name",
+           "processes_of", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "time", "unittest", "wait_for"]

@@ -8,26 +8,6 @@
 namespace rcb::launch {
 namespace {
 
-TEST(Backoff, GrowsToItsCapAndNeverGivesUp) {
-  constexpr std::uint64_t kSeed = 7;
-  RecordProperty("seed", static_cast<int>(kSeed));
-  Backoff backoff(0.5, 30, kSeed);
-  double wanted = 0.5;
-  std::set<double> pauses;
-  for (int failure = 1; failure <= 1000; ++failure) {
-    const double pause = backoff.next();
-    ASSERT_GE(pause, 0.75 * wanted) << failure;
-    ASSERT_LE(pause, wanted) << failure;
-    ASSERT_EQ(backoff.failures(), failure);
-    pauses.insert(pause);
-    wanted = std::min(2 * wanted, 30.0);
-  }
-  EXPECT_GT(pauses.size(), 900U) << "no two services pause alike";
-  backoff.reset();
-  EXPECT_LE(backoff.next(), 0.5);
-  EXPECT_EQ(backoff.failures(), 1);
-}
-
 TEST(Silence, IsCountedFromTheFirstQuestionLeftOpen) {
   Silence silence(10, 30);
   silence.begin(0, 60);

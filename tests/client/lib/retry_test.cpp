@@ -10,23 +10,6 @@
 namespace rcb::client {
 namespace {
 
-TEST(Backoff, FirstAtOnceThenTwiceAsLongEachTimeWithAShareByChance) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  Backoff backoff(seed);
-  EXPECT_EQ(backoff.next_seconds(), 0);
-  double longest = 0.05;
-  bool differs = false;
-  for (int k = 0; k < 20; ++k) {
-    const double wait = backoff.next_seconds();
-    EXPECT_GE(wait, longest / 2);
-    EXPECT_LE(wait, longest);
-    differs = differs || wait != longest;
-    longest = std::min(2 * longest, 2.0);
-  }
-  EXPECT_TRUE(differs);
-}
-
 TEST(Retry, EndsAtTheDeadlineAndTellsWhatItWaitsFor) {
   std::vector<std::string> told;
   Retry retry(0.8);

@@ -111,12 +111,16 @@ TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
       }
       EXPECT_EQ(asked, std::min(last + 1, 6));
       if (last < 6) {
-        EXPECT_FALSE(baseline(comm, share.particles.view(), [] {
-          PartitionOptions order;
-          order.method = Method::file_order;
-          order.parts = 64;
-          return order;
-        }(), [] { return false; }).ok());
+        EXPECT_FALSE(baseline(
+                         comm, share.particles.view(),
+                         [] {
+                           PartitionOptions order;
+                           order.method = Method::file_order;
+                           order.parts = 64;
+                           return order;
+                         }(),
+                         [] { return false; })
+                         .ok());
       }
     }
   });

@@ -9,6 +9,7 @@
 #include "common/base/paths.hpp"
 #include "common/base/socket_file.hpp"
 #include "server/net/data_directory.hpp"
+#include "server/net/listen.hpp"
 #include "server/net/socket_name.hpp"
 #include "tests/server/net/harness.hpp"
 
@@ -120,6 +121,39 @@ TEST(Socket, ALongPathIsRefusedWithItsLimit) {
   const Status refused = one.control.listen_unix("/tmp/" + std::string(kSocketPathMax, 'x'));
   EXPECT_EQ(refused.code(), Code::invalid_argument);
   EXPECT_NE(refused.message().find("107"), std::string::npos);
+}
+
+TEST(Socket, WhatSomebodyRemovesIsMadeAgainUntilItIsClosed) {
+  const Directory directory;
+  const std::string path = directory.file("s");
+  asio::io_context context;
+  LastingListener listener;
+  ASSERT_TRUE(listener.listen(context, path).ok());
+  int accepting = 0;
+  listener.start([&accepting](UnixAcceptor&) { ++accepting; });
+  EXPECT_EQ(accepting, 1);
+  listener.look();
+  EXPECT_EQ(accepting, 1) << "it was there";
+  for (int again = 0; again < 3; ++again) {
+    std::filesystem::remove(path);
+    listener.look();
+    EXPECT_EQ(accepting, 2 + again);
+    EXPECT_EQ(socket_state(path), SocketState::live);
+  }
+  // What isn't ours stays, and the socket comes back when it has gone.
+  std::filesystem::remove(path);
+  std::ofstream(path) << "somebody's";
+  listener.look();
+  EXPECT_EQ(accepting, 4);
+  EXPECT_TRUE(std::filesystem::is_regular_file(path));
+  std::filesystem::remove(path);
+  listener.look();
+  EXPECT_EQ(accepting, 5);
+  listener.close();
+  EXPECT_FALSE(std::filesystem::exists(path));
+  listener.look();
+  EXPECT_FALSE(std::filesystem::exists(path)) << "a service that ends";
+  EXPECT_EQ(accepting, 5);
 }
 
 TEST(Socket, TcpAddressesAreChecked) {

@@ -1,11 +1,12 @@
 // What one request can cost: answers stay small whatever the number of parts, long commands end at their deadline or
 // with their client and change nothing, an order tells of its own scene alone.
+#include "common/wire/limits.hpp"
+
 #include <filesystem>
 
 #include <gtest/gtest.h>
 
 #include "common/io/roots.hpp"
-#include "common/wire/limits.hpp"
 #include "server/api/commands.hpp"
 #include "server/service/service.hpp"
 #include "tests/server/service/driver.hpp"
