@@ -30,6 +30,9 @@ constexpr std::array<Fields, 6> kRebalance{"scene", "method", "parts", "toleranc
 constexpr std::array<Fields, 5> kLoad{"scene", "path", "step", "dims", "weights"};
 constexpr std::array<Fields, 3> kWriteParts{"scene", "directory", "prefix"};
 
+constexpr bool kFiles = true;
+constexpr bool kGivesWay = true;
+
 constexpr std::array kCommands{
     CommandInfo{"status", session, reads, {}},
     CommandInfo{"shutdown", session, changes, {}},
@@ -47,14 +50,14 @@ constexpr std::array kCommands{
     CommandInfo{"plan", ranks, reads, kScene},
     CommandInfo{"assign", ranks, reads, kAssign},
     CommandInfo{"fetch", ranks, reads, kScene},
-    CommandInfo{"quality", ranks, reads, kQuality},
-    CommandInfo{"compare", ranks, reads, kCompare},
-    CommandInfo{"write_parts", ranks, reads, kWriteParts, true},
+    CommandInfo{"quality", ranks, reads, kQuality, !kFiles, kGivesWay},
+    CommandInfo{"compare", ranks, reads, kCompare, !kFiles, kGivesWay},
+    CommandInfo{"write_parts", ranks, reads, kWriteParts, kFiles, kGivesWay},
     CommandInfo{"scene.create", ranks, changes, kCreate},
     CommandInfo{"scene.drop", ranks, changes, kScene},
     CommandInfo{"push.begin", ranks, changes, kPushBegin},
-    CommandInfo{"rebalance", ranks, changes, kRebalance},
-    CommandInfo{"load", ranks, changes, kLoad, true},
+    CommandInfo{"rebalance", ranks, changes, kRebalance, !kFiles, kGivesWay},
+    CommandInfo{"load", ranks, changes, kLoad, kFiles, kGivesWay},
 };
 
 }  // namespace

@@ -25,6 +25,7 @@ struct CommandInfo {
   Effect effect;                             // on scenes
   std::span<const std::string_view> fields;  // besides "command" and "deadline_seconds"
   bool files = false;                        // has the ranks read or write files
+  bool gives_way = false;                    // may last for seconds; orders of other scenes go on meanwhile
 
   bool reads() const { return effect == Effect::reads; }
 };

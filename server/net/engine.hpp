@@ -2,7 +2,7 @@
 // all ranks; tests answer from a function.
 //
 // Invariants
-// 1. Orders are executed one after another, in the order of submit().
+// 1. Orders are executed one after another; those of one scene in the order of submit().
 // 2. Every submitted order is answered exactly once, with what it has made of its scene.
 #pragma once
 

@@ -2,8 +2,11 @@
 // calls MPI and never touches a socket.
 //
 // Invariants
-// 1. Orders are executed in the order of push(); every rank's queue holds the same orders.
-// 2. The order {"command":"shutdown"} ends run() on every rank; nothing is executed after it.
+// 1. Orders of one scene are executed in the order of push(). So are those of different scenes, but for a command that
+//    gives way (server/api/commands.hpp): where it asks whether to go on, what waits for other scenes is executed
+//    first.
+// 2. Every rank's queue holds the same orders, besides rank 0's own, and every rank executes them in the same sequence.
+// 3. The order {"command":"shutdown"} ends run() on every rank; nothing is executed after it.
 #pragma once
 
 #include <atomic>
@@ -52,7 +55,10 @@ class EngineLoop {
   double deadline_running_seconds() const { return deadline_running_.load(std::memory_order_relaxed); }
 
  private:
+  // What an order that gives way gives way to.
+  class Others;
   EngineOrder next();
+  void execute(service::Service& service, EngineOrder order);
 
   const std::size_t capacity_;
   Handlers handlers_;

@@ -34,7 +34,8 @@ struct Context {
 
   bool root() const { return comm.rank() == 0; }
   // Whether the order may go on: not after its deadline, nor once its client has gone. For commands that may take
-  // long, between their parts, before anything is changed. Rank 0's word, the same on all ranks. Collective.
+  // long, between their parts, before anything is changed. Orders of other scenes that wait are executed meanwhile,
+  // where the command gives way (server/api/commands.hpp). Rank 0's word, the same on all ranks. Collective.
   // Errors: deadline_exceeded, aborted.
   Status check_time();
 };

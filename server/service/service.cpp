@@ -130,15 +130,24 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
 std::vector<Spare> Service::take_spares() { return std::exchange(state_->spares, {}); }
 
 Status Context::check_time() {
-  enum : std::uint8_t { goes_on, late, gone } word = goes_on;
-  if (root() && terms.cancelled && *terms.cancelled)
-    word = gone;
-  else if (root() && clock.seconds() - begun > terms.seconds_left)
-    word = late;
+  enum : std::uint64_t { goes_on, late, gone };
+  struct {
+    std::uint64_t verdict = goes_on;
+    std::uint64_t newest_waiting = 0;
+  } word;
+  if (root()) {
+    if (terms.cancelled && *terms.cancelled)
+      word.verdict = gone;
+    else if (clock.seconds() - begun > terms.seconds_left)
+      word.verdict = late;
+    else if (terms.waiting != nullptr)
+      word.newest_waiting = terms.waiting->newest();
+  }
   comm.broadcast(std::as_writable_bytes(std::span(&word, 1)), 0);
-  if (word == late)
+  if (word.verdict == late)
     return {Code::deadline_exceeded, "the command was given up at its deadline", "give it a longer deadline"};
-  if (word == gone) return {Code::aborted, "the command was given up: its client has gone"};
+  if (word.verdict == gone) return {Code::aborted, "the command was given up: its client has gone"};
+  if (terms.waiting != nullptr) terms.waiting->execute(word.newest_waiting);
   return {};
 }
 

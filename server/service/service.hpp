@@ -51,11 +51,23 @@ struct Response {
   std::optional<api::SceneChange> change = {};  // where the order may have changed its scene
 };
 
+// The orders that have arrived behind the one that is being executed.
+class WaitingOrders {
+ public:
+  virtual ~WaitingOrders() = default;
+  // Rank 0's: the newest that may be executed now; 0: none.
+  virtual std::uint64_t newest() = 0;
+  // Executes those up to there, on every rank the same. Collective.
+  virtual void execute(std::uint64_t newest) = 0;
+};
+
 // What comes with an order beside its request. Of rank 0's alone counts what is said here.
 struct OrderTerms {
   double received_seconds = 0;                                   // how long a push took to arrive; for the report
   double seconds_left = wire::kDeadlineSecondsMax;               // to the client's deadline, when the order is begun
   std::shared_ptr<const std::atomic<bool>> cancelled = nullptr;  // set once nobody waits for the answer; may be null
+  // On every rank: those that an order that may last gives way to (Context::check_time); null: none.
+  WaitingOrders* waiting = nullptr;
 };
 
 struct ServiceOptions {

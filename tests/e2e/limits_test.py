@@ -1,5 +1,6 @@
 """What one request can cost: long histories and many parts come in pages and arrays, and while one client asks for them
 the others are answered; long commands end at their deadline; rank 0's memory is bounded."""
+import select
 import shutil
 import tempfile
 import threading
@@ -219,6 +220,18 @@ class Memory(unittest.TestCase):
             self.assertIn(REPLY, kinds)
             self.assertGreater(len(set(kinds)), 1, "else this test proves nothing")
             self.assertEqual(client.ask("fetch", scene="f")[0]["n"], 200_000)
+
+    def test_what_lasts_gives_way_to_other_scenes(self):
+        points = np.random.default_rng(8).random((30_000, 3))
+        with Service(2) as service, Client(service.endpoint) as costly, Client(service.endpoint) as other:
+            costly.ask("scene.create", scene="costly", parts=8)
+            costly.push("costly", 0, points)
+            other.ask("scene.create", scene="other", parts=4)
+            costly.send({"command": "compare", "scene": "costly", "parts": 1 << 20, "deadline_seconds": 600})
+            for step in range(5):
+                other.push("other", step, points[:1000])
+                other.ask("assign", scene="other")
+            self.assertEqual(select.select([costly.socket], [], [], 0)[0], [], "the costly command was over first")
 
     def test_members_of_scenes_that_are_gone_are_forgotten(self):
         with Service(1) as service, Client(service.endpoint, timeout=60) as client:

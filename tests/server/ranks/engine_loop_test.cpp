@@ -1,0 +1,145 @@
+// The sequence in which orders are executed: that of their numbers, but for commands that may last, which give way to
+// other scenes.
+#include "server/ranks/engine_loop.hpp"
+
+#include <algorithm>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "common/base/random.hpp"
+#include "server/api/commands.hpp"
+#include "tests/support/on_ranks.hpp"
+
+namespace rcb::testing {
+namespace {
+
+using ranks::EngineLoop;
+using ranks::EngineOrder;
+using wire::Json;
+
+constexpr std::uint64_t kCount = 300;
+
+// A rank's queue, filled as the coordinator fills it: what rank 0 executes alone has a number and comes to no other.
+class Queue {
+ public:
+  Queue(partition::Comm& comm, EngineLoop& loop) : comm_(comm), loop_(loop) {}
+
+  void add(Json request, std::vector<service::PushSlice> slices = {}) {
+    const std::string name = request["command"];
+    const api::CommandInfo* command = api::find_command(name);
+    ++number_;
+    if (comm_.rank() != 0 && command != nullptr && command->runs_on == api::RunsOn::root) return;
+    EngineOrder order;
+    order.number = number_;
+    order.done = [this, text = name + " " + request.value("scene", "-")](const service::Response& response) {
+      done.push_back(text);
+      if (comm_.rank() == 0 && !response.status.ok()) ADD_FAILURE() << text << ": " << response.status.message();
+    };
+    order.request = std::move(request);
+    if (comm_.rank() == 0) order.slices = std::move(slices);
+    EXPECT_TRUE(loop_.push(std::move(order)));
+  }
+  void add(const std::string& command, const std::string& scene) { add({{"command", command}, {"scene", scene}}); }
+
+  void push_step(const std::string& scene, std::int64_t step) {
+    Random random(static_cast<std::uint64_t>(step));
+    service::PushSlice slice{.rank = 0, .count = kCount, .arrays = {}};
+    for (const char* axis : {"x", "y", "z"}) {
+      wire::Array array{axis, "<f8", {kCount}, {}};
+      std::vector<double> values(kCount);
+      for (double& value : values) value = random.uniform();
+      array.bytes.assign(std::as_bytes(std::span(values)));
+      slice.arrays.push_back(std::move(array));
+    }
+    std::vector<service::PushSlice> slices;
+    slices.push_back(std::move(slice));
+    add({{"command", "push"},
+         {"scene", scene},
+         {"session", "s"},
+         {"step", step},
+         {"attempt", 0},
+         {"n", kCount},
+         {"slices", 1},
+         {"order", "id"}},
+        std::move(slices));
+  }
+
+  std::vector<std::string> done;
+
+ private:
+  partition::Comm& comm_;
+  EngineLoop& loop_;
+  std::uint64_t number_ = 0;
+};
+
+TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
+  on_ranks([](partition::Comm& comm) {
+    EngineLoop loop(100);
+    Queue queue(comm, loop);
+    for (const char* scene : {"long", "other"}) {
+      queue.add({{"command", "scene.create"}, {"scene", scene}, {"parts", 4}, {"dims", 3}});
+      queue.push_step(scene, 0);
+    }
+    queue.add("compare", "long");
+    queue.add("error", "long");     // of the same scene: after it
+    queue.add("quality", "other");  // may last itself: after it
+    queue.push_step("other", 1);    // behind that one
+    queue.add({{"command", "scene.create"}, {"scene", "third"}, {"parts", 2}, {"dims", 3}});
+    queue.push_step("third", 0);
+    queue.add("error", "third");
+    queue.add("shutdown", "");
+    const SteadyClock clock;
+    service::Service service(comm, clock);
+    loop.run(service);
+    std::vector<std::string> expected{"scene.create long",  "push long",     "scene.create other", "push other",
+                                      "scene.create third", "push third",    "error third",        "compare long",
+                                      "error long",         "quality other", "push other",         "shutdown "};
+    if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("error"); });
+    EXPECT_EQ(queue.done, expected);
+  });
+}
+
+// The ranks' queues are filled while they run, each at its own pace.
+TEST(EngineLoop, EveryRankExecutesTheSameSequence) {
+  std::mutex mutex;
+  std::vector<std::vector<std::string>> all;
+  on_ranks([&](partition::Comm& comm) {
+    EngineLoop loop(1000);
+    Queue queue(comm, loop);
+    const SteadyClock clock;
+    std::thread filler([&] {
+      Random pace(static_cast<std::uint64_t>(comm.rank()) + 11);
+      Random what(5);
+      for (const char* scene : {"a", "b", "c", "d"}) {
+        queue.add({{"command", "scene.create"}, {"scene", scene}, {"parts", 5}, {"dims", 3}});
+        queue.push_step(scene, 0);
+      }
+      for (std::int64_t k = 1; k < 120; ++k) {
+        const std::string scene(1, static_cast<char>('a' + what.below(4)));
+        const std::uint64_t kind = what.below(6);
+        if (kind < 2)
+          queue.push_step(scene, k);
+        else
+          queue.add(kind == 2 ? "compare" : kind == 3 ? "quality" : kind == 4 ? "assign" : "error", scene);
+        if (pace.below(3) == 0) std::this_thread::sleep_for(std::chrono::microseconds(pace.below(400)));
+      }
+      queue.add("shutdown", "");
+    });
+    service::Service service(comm, clock);
+    loop.run(service);
+    filler.join();
+    std::erase_if(queue.done, [](const std::string& one) { return one.starts_with("error"); });
+    const std::lock_guard lock(mutex);
+    all.push_back(queue.done);
+    if (static_cast<int>(all.size()) < comm.size()) return;
+    for (const auto& one : all) EXPECT_EQ(one, all.front());
+    all.clear();
+  });
+}
+
+}  // namespace
+}  // namespace rcb::testing
