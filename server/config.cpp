@@ -5,6 +5,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "common/base/byte_size.hpp"
 #include "common/base/paths.hpp"
 #include "server/service/no_skip.hpp"
 
@@ -35,6 +36,12 @@ void complete_file_options(Config& config) {
   }
   if (config.files_below.empty() && config.local_files_below.empty() && !config.socket.empty())
     config.local_files_below = {"."};
+}
+
+std::string check_bytes(std::string& text) {
+  const auto bytes = read_memory_size(text);
+  if (bytes.ok()) text = std::to_string(*bytes);
+  return bytes.status().message();
 }
 
 void add_options(CLI::App& app, Config& config) {
@@ -69,7 +76,7 @@ void add_options(CLI::App& app, Config& config) {
                  "most bytes of arrays that all pushes together may hold in memory before they are taken over; units "
                  "such as 4gb are understood [default: half of the memory]")
       ->envname("RCBD_BULK_BYTES")
-      ->transform(CLI::AsSizeValue(false));
+      ->transform(CLI::Validator(check_bytes, ""));
   app.add_option("--silence-seconds", config.silence_seconds,
                  "a rank that says nothing for so long is given up as dead")
       ->envname("RCBD_SILENCE_SECONDS")

@@ -121,6 +121,11 @@ struct Root {
   std::string token;
 };
 
+// What pushes may hold on this machine; the same rule for every rank's listeners.
+std::uint64_t bulk_bytes(const Config& config) {
+  return config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
+}
+
 net::DataOptions data_options(const std::string& token, std::uint64_t bulk_bytes, int rank) {
   net::DataOptions options;
   options.rank = rank;
@@ -161,7 +166,7 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
   options.ranks = ranks;
   options.restarted = config.restarted;
   options.data_dir = root.data->path();
-  options.bulk_bytes_max = config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
+  options.bulk_bytes_max = bulk_bytes(config);
   options.network = config.trusted_network ? net::Network::trusted : net::Network::loopback;
   options.files_over_tcp = !config.files_below.empty();
   if (!config.listen.empty()) {
@@ -323,7 +328,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   for (std::string line; std::getline(shared, line);) places.push_back(line);
   service::Loans loans;
   net::IoLoop loop;
-  net::DataPort port(loop, data_options(token, net::bulk_bytes_default(), mpi.rank()));
+  net::DataPort port(loop, data_options(token, bulk_bytes(config), mpi.rank()));
   open_data(mpi, port, places);
   // Its orders hold timers of the loop.
   std::unique_ptr<net::Doorbell> doorbell;

@@ -41,10 +41,8 @@ class JsonArray final : public Sink {
     context_.document_begun = true;
     return {};
   }
-  Status end() override {
-    print_line(context_.document_begun ? "]" : "[]");
-    return {};
-  }
+  // Not by end(): the document is whole only when everything else is done, too.
+  void close() { print_line(context_.document_begun ? "]" : "[]"); }
 
  private:
   const Context& context_;
@@ -156,8 +154,9 @@ Status history(const Options& options, const Context& context) {
     }
   }
   Sinks sinks;
+  JsonArray* document = nullptr;
   if (context.json)
-    sinks.push_back(std::make_unique<JsonArray>(context));
+    document = static_cast<JsonArray*>(sinks.emplace_back(std::make_unique<JsonArray>(context)).get());
   else if (options.csv.empty() && options.plot.empty())
     sinks.push_back(std::make_unique<ForPeople>());
   if (!options.csv.empty()) {
@@ -176,6 +175,7 @@ Status history(const Options& options, const Context& context) {
   }
   if (!options.plot.empty())
     if (Status status = plot_history(options.plot, curves); !status) return status;
+  if (document != nullptr) document->close();
   for (const std::string& file : {options.csv, options.plot})
     if (!file.empty() && !context.json) print_line(fmt::format("{}: {} steps", file, *steps));
   return {};

@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "common/base/byte_size.hpp"
 #include "common/base/check.hpp"
 #include "common/wire/limits.hpp"
 
@@ -23,6 +24,8 @@ std::optional<double> number_in(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
   if (text.empty() || *end != '\0' || std::isnan(value)) return std::nullopt;
+  // Infinity is a word: 1e400 is a slip.
+  if (std::isinf(value) && text.find_first_of("0123456789") != std::string::npos) return std::nullopt;
   return value;
 }
 
@@ -88,6 +91,10 @@ Kind text(const std::string& shown) {
   return {shown,
           CLI::Validator([](std::string& value) { return value.empty() ? std::string("it is empty") : std::string(); },
                          "")};
+}
+
+Kind memory_size() {
+  return {"BYTES", CLI::Validator([](std::string& text) { return read_memory_size(text).status().message(); }, "")};
 }
 
 Kind number(const std::string& shown) {

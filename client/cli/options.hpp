@@ -27,6 +27,7 @@ CLI::Option* add_value(CLI::App& command, const std::string& names, T& variable,
 namespace kind {
 
 Kind text(const std::string& shown);  // anything but nothing
+Kind memory_size();                   // 65536, 512mb, 4gb
 Kind number(const std::string& shown);
 Kind positive_number(const std::string& shown);
 Kind number_from_zero(const std::string& shown);

@@ -10,6 +10,8 @@
 namespace rcb::cli {
 namespace {
 
+constexpr std::int64_t kKeepReportsMax = std::int64_t{1} << 32U;  // as rcbd has it
+
 struct UpOptions {
   int ranks = 0;
   std::string data_dir;
@@ -118,12 +120,12 @@ void add_up_options(CLI::App& command, UpOptions& options) {
   command.add_flag("--trusted-network", options.trusted_network,
                    "take an endpoint that other machines reach, although positions and commands travel unencrypted: "
                    "anybody on the network can read and alter them");
-  add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 1),
+  add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 1, kKeepReportsMax),
             "step reports kept in memory, of all scenes together; older ones go to files (default: 100000)");
   add_value(command, "--log-level", options.log_level,
             kind::one_of("LEVEL", {"trace", "debug", "info", "warn", "error", "off"}),
             "how much is logged: trace, debug, info, warn, error or off");
-  add_value(command, "--bulk-bytes", options.bulk_bytes, kind::text("BYTES"),
+  add_value(command, "--bulk-bytes", options.bulk_bytes, kind::memory_size(),
             "most bytes of arrays that all pushes together may hold, such as 4gb");
 }
 

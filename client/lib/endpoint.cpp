@@ -4,10 +4,12 @@
 #include <charconv>
 #include <cstdlib>
 #include <filesystem>
-#include <fstream>
 #include <optional>
 
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "common/base/paths.hpp"
 
@@ -42,10 +44,14 @@ Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
 
 // The first line of a file; nothing if it can't be read, or is empty or too long for a token.
 std::optional<std::string> first_line(const std::string& path) {
-  std::ifstream file(path);
+  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // opening a FIFO would wait for ever
+  if (file < 0) return std::nullopt;
+  struct stat about {};
   std::string text(kTokenBytesMax + 1, '\0');
-  file.read(text.data(), static_cast<std::streamsize>(text.size()));
-  text.resize(static_cast<std::size_t>(std::max<std::streamsize>(file.gcount(), 0)));
+  const ssize_t got =
+      ::fstat(file, &about) == 0 && S_ISREG(about.st_mode) ? ::read(file, text.data(), text.size()) : -1;
+  ::close(file);
+  text.resize(static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
   text = text.substr(0, text.find_first_of("\r\n"));
   if (text.empty() || text.size() > kTokenBytesMax) return std::nullopt;
   return text;

@@ -1,9 +1,11 @@
 #include "client/solvers/drive.hpp"
 
+#include <cerrno>
 #include <charconv>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
+#include <cstring>
 #include <memory>
 #include <new>
 #include <string_view>
@@ -238,10 +240,16 @@ int run_command_line(const Program& program, int argc, char** argv) {
   if (Status status = run(program, options, interval, record); !status.ok()) return fail(program, options.json, status);
   fmt::print("{}\n",
              options.json ? json_document(program, options, record) : summary(program, options, interval, record));
+  if (Status status = flush_output(); !status.ok()) return fail(program, false, status);
   return 0;
 }
 
 }  // namespace
+
+Status flush_output() {
+  if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return {};
+  return {Code::io_error, fmt::format("standard output can't be written: {}", std::strerror(errno))};
+}
 
 void say_notice(const std::string& program, const std::string& text) {
   fmt::print(stderr, "{}{}: {}\n", isatty(STDERR_FILENO) == 1 ? "\r\x1b[K" : "", program, text);

@@ -54,6 +54,9 @@ std::string summary(const Program& program, const RunOptions& options, double in
 // And of a failed one, as rcbctl writes it.
 std::string failure_document(const Status& status);
 
+// Whether all that was printed on standard output got there. Errors: io_error.
+Status flush_output();
+
 // What a push waits for, on standard error; over the progress line, if there is one.
 void say_notice(const std::string& program, const std::string& text);
 

@@ -165,6 +165,8 @@ awaitable<void> Session::dispatch(Request& request) {
     fail(request.number, allowed);
     co_return;
   }
+  // What a client that has gone had asked in advance is read all the same; nobody will hear an answer.
+  if (request.info->reads() && connection_->peer_is_lost()) co_return;
   if (answer_here(request)) co_return;
   if (request.command == "shutdown") co_return co_await shut_down(request);
   if (coordinator_->shutting_down()) {

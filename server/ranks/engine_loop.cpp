@@ -29,11 +29,15 @@ EngineOrder EngineLoop::next() {
 
 namespace {
 
-bool is_shutdown(const EngineOrder& order) { return order.request.value("command", "") == "shutdown"; }
-
-const api::CommandInfo* command_of(const EngineOrder& order) {
-  return api::find_command(order.request.value("command", ""));
+// A field of text; empty where it isn't there, or is something else, which the command itself will refuse.
+std::string text_field(const EngineOrder& order, const char* name) {
+  const auto field = order.request.find(name);
+  return field != order.request.end() && field->is_string() ? field->get<std::string>() : std::string();
 }
+
+bool is_shutdown(const EngineOrder& order) { return text_field(order, "command") == "shutdown"; }
+
+const api::CommandInfo* command_of(const EngineOrder& order) { return api::find_command(text_field(order, "command")); }
 
 bool gives_way(const EngineOrder& order) {
   const api::CommandInfo* command = command_of(order);
@@ -52,7 +56,7 @@ bool for_rank_0_alone(const EngineOrder& order) {
 class EngineLoop::Others final : public service::WaitingOrders {
  public:
   Others(EngineLoop& loop, service::Service& service, const EngineOrder& running)
-      : loop_(loop), service_(service), scene_(running.request.value("scene", "")) {}
+      : loop_(loop), service_(service), scene_(text_field(running, "scene")) {}
 
   std::uint64_t newest() override {
     const std::lock_guard lock(loop_.mutex_);
@@ -93,7 +97,7 @@ class EngineLoop::Others final : public service::WaitingOrders {
 
  private:
   static bool may_go(const EngineOrder& order, std::set<std::string>& passed_over) {
-    const std::string scene = order.request.value("scene", "");
+    const std::string scene = text_field(order, "scene");
     if (!is_shutdown(order) && !gives_way(order) && !passed_over.contains(scene)) return true;
     passed_over.insert(scene);
     return false;

@@ -12,6 +12,13 @@ namespace {
 // Moved to the file at once: enough that opening it counts for little, few enough that no step waits for long.
 constexpr std::size_t kSpillMax = 128;
 
+// Whether a line of the file is one of ours: others can write there.
+bool is_report_of(const std::string& scene, const wire::Json& json) {
+  if (!json.is_object()) return false;
+  const auto name = wire::string_field(json, "scene", scene.size());
+  return name.ok() && *name == scene && wire::integer_field(json, "step", 0, wire::kStepMax).ok();
+}
+
 }  // namespace
 
 void HistoryRoom::make_room() {
@@ -66,7 +73,7 @@ void History::read(std::uint64_t first, std::uint64_t last, const std::function<
   const std::uint64_t recent = total_ - recent_.size();
   if (first < recent) {
     const Status status = file_.read(first, std::min(last, recent), [&](std::uint64_t, std::string_view line) {
-      if (auto report = wire::parse_json(line); report.ok())
+      if (auto report = wire::parse_json(line); report.ok() && is_report_of(scene_, *report))
         take(std::move(report).value());
       else
         note_loss({Code::io_error, "the file of older reports was changed"});

@@ -30,6 +30,7 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kLargest = std::numeric_limits<double>::max();
+constexpr double kSizeRatioMax = 1e15;  // within it all sizes are exact in the integers of ExactScale
 
 Status read_part_sizes(const wire::Json& request, SceneOptions& options) {
   auto sizes = wire::numbers_field_or_empty(request, "part_sizes", static_cast<std::size_t>(wire::kPartsMax));
@@ -41,6 +42,11 @@ Status read_part_sizes(const wire::Json& request, SceneOptions& options) {
   for (std::size_t p = 0; p < sizes->size(); ++p)
     if (!std::isfinite(sizes.value()[p]) || !(sizes.value()[p] > 0))
       return {Code::invalid_argument, fmt::format("part_sizes[{}] is {}: must be finite and > 0", p, sizes.value()[p])};
+  const auto [least, largest] = std::minmax_element(sizes->begin(), sizes->end());
+  if (*largest > *least * kSizeRatioMax)
+    return {Code::invalid_argument,
+            fmt::format("part_sizes: {} is more than {} times {}", *largest, kSizeRatioMax, *least),
+            "shares so far apart can't be met by whole particles"};
   options.part_sizes = std::move(sizes).value();
   return {};
 }

@@ -120,6 +120,9 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
                   nullptr,
                   terms,
                   state_->clock.seconds()};
+  // Before any work: it may have stood in the queue for long.
+  if (command->second.computes)
+    if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   Response response = state_->run(command->second, request, context);
   if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
@@ -140,14 +143,13 @@ Status Context::check_time() {
       word.verdict = gone;
     else if (clock.seconds() - begun > terms.seconds_left)
       word.verdict = late;
-    else if (terms.waiting != nullptr)
-      word.newest_waiting = terms.waiting->newest();
+    if (terms.waiting != nullptr) word.newest_waiting = terms.waiting->newest();
   }
   comm.broadcast(std::as_writable_bytes(std::span(&word, 1)), 0);
+  if (terms.waiting != nullptr) terms.waiting->execute(word.newest_waiting);
   if (word.verdict == late)
     return {Code::deadline_exceeded, "the command was given up at its deadline", "give it a longer deadline"};
   if (word.verdict == gone) return {Code::aborted, "the command was given up: its client has gone"};
-  if (terms.waiting != nullptr) terms.waiting->execute(word.newest_waiting);
   return {};
 }
 

@@ -104,6 +104,18 @@ class People(ServiceTest):
             self.assertIn(done.returncode, (0, 141), (command, done.stderr))
             self.assertEqual(done.stderr, "", command)
         self.assertEqual(self.shell("rcbctl history few > /dev/full").returncode, 1, "a full disk is one")
+        for solver in ("two_spheres --points 200 --steps 1", "slope --points 200 --steps 1"):
+            self.assertEqual(self.shell(f"{solver} --no-service --json > /dev/full").returncode, 1, solver)
+
+    def test_a_history_that_fails_is_no_whole_document(self):
+        for line in ("history few --plot /nonexistent/x.svg --json", "history few --csv /dev/full --json"):
+            done = self.shell("rcbctl " + line)
+            self.assertEqual(done.returncode, 1, line)
+            with self.assertRaises(json.JSONDecodeError, msg=done.stdout[:200]):
+                json.loads(done.stdout)
+        self.service.json("scene", "create", "unpushed", "--parts", 2)
+        done = self.shell(f"rcbctl history unpushed --plot {self.dir}/x.svg --json")
+        self.assertEqual(list(json.loads(done.stdout)), ["failure"])
 
     def test_watch_ends_with_its_reader(self):
         self.assertIn(self.shell("timeout 30 rcbctl watch few | true").returncode, (0, 141))

@@ -85,6 +85,12 @@ class Usage(unittest.TestCase):
         self.refuse("owner", "s", says=["X is missing"])
         self.refuse("box", "s", 1, 2, 3, says=["two corners"])
 
+    def test_bytes_are_memory_that_there_is(self):
+        for text in ("-1", "0", "1.5gb", "18446744073709551615", "99999tb", "1e30", "many"):
+            self.refuse("up", f"--bulk-bytes={text}", says=["--bulk-bytes"])
+        self.refuse("up", "--keep-reports", 2 ** 63 - 1, says=["--keep-reports"])
+        self.refuse("scene", "create", "s", "--parts", 2, "--tolerance", "1e400", says=["--tolerance", "1e400"])
+
     def test_words(self):
         self.refuse("sttus", says=["there is no command sttus", "did you mean status?"])
         self.refuse("scene", "crate", "s", says=["there is no command scene crate", "did you mean create?"])

@@ -268,10 +268,12 @@ int run_on(MpiCores& cores, int argc, char** argv) {
   const Status status = run(options, cores, record, substeps);
   const auto handed_over = cores.gather(record.handed_over);
   if (status.ok()) {
-    if (cores.rank() == 0)
-      say_end(options, cores, record, substeps,
-              std::accumulate(handed_over.begin(), handed_over.end(), std::uint64_t{0}));
-    return 0;
+    if (cores.rank() != 0) return 0;
+    say_end(options, cores, record, substeps,
+            std::accumulate(handed_over.begin(), handed_over.end(), std::uint64_t{0}));
+    const Status written = flush_output();
+    if (!written.ok()) fmt::print(stderr, "slope_mpi: {}\n", written.message());
+    return exit_code(written.code());
   }
   if (cores.rank() == 0) {
     if (options.json) fmt::print("{}\n", failure_document(status));

@@ -77,13 +77,13 @@ class Actor:
         return client
 
     def patiently(self, call, *arguments, **options):
-        """Calls again while the service is busy."""
+        """Calls again while the service is busy, or has taken the seat from who was too slow to say hello."""
         end = time.monotonic() + self.world.answer_seconds
         while True:
             try:
                 return call(*arguments, **options)
             except Refused as refused:
-                if refused.args[0] != "busy":
+                if refused.args[0] not in ("busy", "unavailable"):
                     raise
                 self.count("busy")
                 if time.monotonic() > end:

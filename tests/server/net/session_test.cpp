@@ -233,6 +233,22 @@ TEST(Session, ACommandIsCancelledOnceItsClientHasGone) {
   }
 }
 
+TEST(Session, WhatAClientAskedBeforeItWentIsNotOrdered) {
+  TestService service;
+  Client witness = service.client("witness", kBert);
+  Client client = service.client("gone");
+  service.engine().hold();
+  for (int k = 0; k < 100; ++k) client.request("assign", {{"scene", "s"}});
+  service.engine().wait_for_orders(1);
+  client.close();
+  service.engine().wait_for_cancelled();
+  const std::uint64_t asked = witness.request("error", {{"scene", "s"}});
+  service.engine().wait_for_orders(2);
+  service.engine().release();
+  EXPECT_EQ(witness.receive_but_notices().request, asked);
+  EXPECT_EQ(service.engine().executed(), (std::vector<std::string>{"assign", "error"}));
+}
+
 TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
   TestService service;
   Client anna = service.client("anna", kAnna);

@@ -35,9 +35,12 @@ class Queue {
     if (comm_.rank() != 0 && command != nullptr && command->runs_on == api::RunsOn::root) return;
     EngineOrder order;
     order.number = number_;
-    order.done = [this, text = name + " " + request.value("scene", "-")](const service::Response& response) {
+    const bool wrong = request.contains("scene") && !request["scene"].is_string();
+    const std::string text = name + " " + (wrong ? "?" : request.value("scene", "-"));
+    order.done = [this, text, wrong](const service::Response& response) {
       done.push_back(text);
-      if (comm_.rank() == 0 && !response.status.ok()) ADD_FAILURE() << text << ": " << response.status.message();
+      if (comm_.rank() != 0) return;
+      EXPECT_EQ(response.status.ok(), !wrong) << text << ": " << response.status.message();
     };
     order.request = std::move(request);
     if (comm_.rank() == 0) order.slices = std::move(slices);
@@ -91,13 +94,15 @@ TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
     queue.add({{"command", "scene.create"}, {"scene", "third"}, {"parts", 2}, {"dims", 3}});
     queue.push_step("third", 0);
     queue.add("error", "third");
+    queue.add({{"command", "assign"}, {"scene", 7}});  // refused, and no more
     queue.add("shutdown", "");
     const SteadyClock clock;
     service::Service service(comm, clock);
     loop.run(service);
-    std::vector<std::string> expected{"scene.create long",  "push long",     "scene.create other", "push other",
-                                      "scene.create third", "push third",    "error third",        "compare long",
-                                      "error long",         "quality other", "push other",         "shutdown "};
+    std::vector<std::string> expected{"scene.create long",  "push long",  "scene.create other", "push other",
+                                      "scene.create third", "push third", "error third",        "assign ?",
+                                      "compare long",       "error long", "quality other",      "push other",
+                                      "shutdown "};
     if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("error"); });
     EXPECT_EQ(queue.done, expected);
   });

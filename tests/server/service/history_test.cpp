@@ -91,6 +91,28 @@ std::vector<std::int64_t> range(std::int64_t from, std::int64_t to) {
   return numbers;
 }
 
+TEST(History, LinesThatAreNoReportsAreLost) {
+  const Directory directory;
+  HistoryRoom room(1, directory.reports);
+  History history(room, "jet");
+  add(history, 0, 400);
+  ASSERT_EQ(history.loss(), "");
+  const std::string path = service::report_file_path(directory.reports, "jet");
+  std::string text;
+  {
+    std::ifstream file(path);
+    std::getline(file, text, '\0');
+  }
+  const std::size_t line = text.find('\n') + 1;
+  std::string same_length(text.find('\n', line) - line, ' ');
+  same_length.front() = '{';
+  same_length.back() = '}';
+  text.replace(line, same_length.size(), same_length);
+  std::ofstream(path) << text;
+  EXPECT_EQ(steps(history, 0, 3), (std::vector<std::int64_t>{0, 2}));
+  EXPECT_NE(history.loss(), "");
+}
+
 TEST(History, OlderReportsAreInTheFileAndReadBackInPages) {
   const Directory directory;
   HistoryRoom room(50, directory.reports);

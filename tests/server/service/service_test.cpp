@@ -246,6 +246,7 @@ TEST(Service, BadRequests) {
         {driver.create({{"parts", 2}, {"dims", 2}, {"method", "bands-z"}}), Code::invalid_argument},
         {driver.create({{"parts", 2}, {"part_sizes", {1, 0}}}), Code::invalid_argument},
         {driver.create({{"parts", 2}, {"part_sizes", {1, 2, 3}}}), Code::invalid_argument},
+        {driver.create({{"parts", 2}, {"part_sizes", {1e300, 1}}}), Code::invalid_argument},
         {driver.create({{"parts", 2}}), Code::ok},
         {driver.create({{"parts", 2}}), Code::already_exists},
         {driver.ask("counts"), Code::not_found},
