@@ -12,11 +12,10 @@ namespace {
 // Moved to the file at once: enough that opening it counts for little, few enough that no step waits for long.
 constexpr std::size_t kSpillMax = 128;
 
-// Whether a line of the file is one of ours: others can write there.
-bool is_report_of(const std::string& scene, const wire::Json& json) {
-  if (!json.is_object()) return false;
-  const auto name = wire::string_field(json, "scene", scene.size());
-  return name.ok() && *name == scene && wire::integer_field(json, "step", 0, wire::kStepMax).ok();
+// Whether a line of the file is a report: others may have written there.
+bool is_report(const wire::Json& json) {
+  return json.is_object() && wire::string_field(json, "scene", 256).ok() &&
+         wire::integer_field(json, "step", 0, wire::kStepMax).ok();
 }
 
 }  // namespace
@@ -73,7 +72,7 @@ void History::read(std::uint64_t first, std::uint64_t last, const std::function<
   const std::uint64_t recent = total_ - recent_.size();
   if (first < recent) {
     const Status status = file_.read(first, std::min(last, recent), [&](std::uint64_t, std::string_view line) {
-      if (auto report = wire::parse_json(line); report.ok() && is_report_of(scene_, *report))
+      if (auto report = wire::parse_json(line); report.ok() && is_report(*report))
         take(std::move(report).value());
       else
         note_loss({Code::io_error, "the file of older reports was changed"});
