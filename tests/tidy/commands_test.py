@@ -16,7 +16,7 @@ def table():
     text = read("server/api/commands.cpp")
     fields = {name: re.findall(r'"([^"]+)"', body)
               for name, body in re.findall(r"std::array<Fields, \d+> (k\w+)\{(.*?)\};", text, re.S)}
-    commands = re.findall(r'CommandInfo\{"([^"]+)", \w+, \w+, (?:\{\}|(k\w+))\}', text)
+    commands = re.findall(r'CommandInfo\{"([^"]+)", \w+, \w+, (?:\{\}|(k\w+))[,}]', text)
     return {command: fields.get(name, []) for command, name in commands}
 
 
