@@ -58,7 +58,10 @@ class EngineLoop::Others final : public service::WaitingOrders {
   Others(EngineLoop& loop, service::Service& service, const EngineOrder& running)
       : loop_(loop), service_(service), scene_(text_field(running, "scene")) {}
 
+  // None until the command has worked for as long as it gave way the last time: under any load half of the time is its.
   std::uint64_t newest() override {
+    newest_here_ = 0;
+    if (Clock::now() - resumed_ < given_) return 0;
     const std::lock_guard lock(loop_.mutex_);
     newest_here_ = loop_.queue_.empty() ? 0 : loop_.queue_.back().number;
     std::uint64_t newest = 0;
@@ -88,14 +91,19 @@ class EngineLoop::Others final : public service::WaitingOrders {
       }
       loop_.queue_ = std::move(left);
     }
+    const Clock::time_point began = Clock::now();
     const std::uint64_t number = loop_.number_running_.load(std::memory_order_relaxed);
     const double deadline = loop_.deadline_running_.load(std::memory_order_relaxed);
     for (EngineOrder& order : orders) loop_.execute(service_, std::move(order));
     loop_.deadline_running_.store(deadline, std::memory_order_relaxed);
     loop_.number_running_.store(number, std::memory_order_relaxed);
+    resumed_ = Clock::now();
+    given_ = resumed_ - began;
   }
 
  private:
+  using Clock = std::chrono::steady_clock;
+
   static bool may_go(const EngineOrder& order, std::set<std::string>& passed_over) {
     const std::string scene = text_field(order, "scene");
     if (!is_shutdown(order) && !gives_way(order) && !passed_over.contains(scene)) return true;
@@ -107,6 +115,8 @@ class EngineLoop::Others final : public service::WaitingOrders {
   service::Service& service_;
   std::string scene_;  // of the order being executed
   std::uint64_t newest_here_ = 0;
+  Clock::time_point resumed_;
+  Clock::duration given_{};
 };
 
 void EngineLoop::execute(service::Service& service, EngineOrder order) {
