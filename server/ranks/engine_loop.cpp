@@ -51,7 +51,8 @@ bool for_rank_0_alone(const EngineOrder& order) {
 
 }  // namespace
 
-// An order is passed over if it may last itself, or is of the scene of one that is passed over or being executed. Which
+// An order is passed over if it may last itself, or is of the scene of one being executed, or of one passed over that
+// changes it. Which
 // ones these are follows from the orders up to the newest alone, so every rank passes over the same.
 class EngineLoop::Others final : public service::WaitingOrders {
  public:
@@ -106,6 +107,8 @@ class EngineLoop::Others final : public service::WaitingOrders {
 
   static bool may_go(const EngineOrder& order, std::set<std::string>& passed_over) {
     const std::string scene = text_field(order, "scene");
+    // What only reads and may last itself holds up nobody before it has begun.
+    if (gives_way(order) && !api::changes_scene(order.request, *command_of(order))) return false;
     if (!is_shutdown(order) && !gives_way(order) && !passed_over.contains(scene)) return true;
     passed_over.insert(scene);
     return false;

@@ -94,6 +94,8 @@ Response rebalance(Context& context, const wire::Json& request) {
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
                   {"hash", wire::hex64(found->tree.hash())}};
   time = context.check_time();
+  // Other scenes may have got parts meanwhile.
+  if (time.ok()) time = check_parts_total(context.scenes, scene.name, options.parts);
   if (!time.ok()) return failed(std::move(time));
   Response response = done(std::move(json));
   if (wanted->dry_run) {

@@ -89,8 +89,8 @@ TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
     }
     queue.add("compare", "long");
     queue.add("error", "long");     // of the same scene: after it
-    queue.add("quality", "other");  // may last itself: after it
-    queue.push_step("other", 1);    // behind that one
+    queue.add("quality", "other");  // may last itself: after it, in nobody's way
+    queue.push_step("other", 1);    // before that one
     queue.add({{"command", "scene.create"}, {"scene", "third"}, {"parts", 2}, {"dims", 3}});
     queue.push_step("third", 0);
     queue.add("error", "third");
@@ -99,9 +99,9 @@ TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
     const SteadyClock clock;
     service::Service service(comm, clock);
     loop.run(service);
-    std::vector<std::string> expected{"scene.create long",  "push long",  "scene.create other", "push other",
-                                      "scene.create third", "push third", "error third",        "assign ?",
-                                      "compare long",       "error long", "quality other",      "push other",
+    std::vector<std::string> expected{"scene.create long", "push long",          "scene.create other", "push other",
+                                      "push other",        "scene.create third", "push third",         "error third",
+                                      "assign ?",          "compare long",       "error long",         "quality other",
                                       "shutdown "};
     if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("error"); });
     EXPECT_EQ(queue.done, expected);
