@@ -109,11 +109,13 @@ Status end_by_force(const Running& running) {
 
 Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) {
   const Running running(client.endpoint(), rank0_of(client, deadline_seconds));
-  const Status told = client.shutdown_service();
+  const SteadyClock clock;
+  const double end = clock.seconds() + deadline_seconds;
+  const Status told = client.call("shutdown", "{}", deadline_seconds).status();
   // A service that ends may close the connection before its answer is read.
   if (!told && told.code() != Code::unavailable && told.code() != Code::deadline_exceeded) return told;
   running.signal_all(SIGCONT);  // what is stopped could not end
-  if (!running.await_end(deadline_seconds))
+  if (!running.await_end(std::max(0.0, end - clock.seconds())))
     if (Status ended = end_by_force(running); !ended) return ended;
   return Stopped{running.endpoint(), "stopped " + running.endpoint()};
 }

@@ -44,6 +44,7 @@ class Coordinator::Unfinished {
   // request_bytes: of the order's request.
   Unfinished(std::shared_ptr<Coordinator> of, OrderOptions order, std::uint64_t request_bytes)
       : of_(std::move(of)), order_(std::move(order)), request_bytes_(request_bytes) {
+    of_->unfinished_.insert(this);
     ++of_->orders_unfinished_;
     of_->order_bytes_unfinished_ += request_bytes_;
     if (!order_.changes.empty()) ++of_->gate(order_.changes).changes_unfinished;
@@ -54,6 +55,7 @@ class Coordinator::Unfinished {
   ~Unfinished() { end(); }
   void end() {
     if (std::exchange(ended_, true)) return;
+    of_->unfinished_.erase(this);
     --of_->orders_unfinished_;
     of_->order_bytes_unfinished_ -= request_bytes_;
     of_->charged_bytes_ -= order_.charged_bytes;
@@ -415,6 +417,9 @@ void Coordinator::shut_down(const std::string& why, std::function<void()> told) 
     gate.wake();
   }
   for (const auto& push : open) give_up(push, {Code::aborted, "the service is shutting down"});
+  // What only asks isn't waited for.
+  for (const Unfinished* one : unfinished_)
+    if (one->order().cancelled) one->order().cancelled->store(true);
   Order order;
   order.request = {{"command", "shutdown"}};
   order.text = wire::dump_json(order.request);

@@ -92,10 +92,10 @@ struct OrderOptions {
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
-  std::string changes;              // the scene it changes; empty: none
-  std::uint64_t charged_bytes = 0;  // given back when it is answered
-  std::shared_ptr<const std::atomic<bool>> cancelled;
-  std::function<void(Answer)> then;  // gets the answer at once; nobody waits for it
+  std::string changes;                           // the scene it changes; empty: none
+  std::uint64_t charged_bytes = 0;               // given back when it is answered
+  std::shared_ptr<std::atomic<bool>> cancelled;  // of one that may be given up while it is executed; else null
+  std::function<void(Answer)> then;              // gets the answer at once; nobody waits for it
 };
 
 class Coordinator : public std::enable_shared_from_this<Coordinator> {
@@ -164,8 +164,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   wire::Json silent_json() const;
   wire::Json scenes_json() const;
 
-  // Orders the end: open pushes are given up, what is ordered is still done. `told` runs when all ranks have agreed,
-  // before every session gets its goodbye.
+  // Orders the end: open pushes and what only asks are given up, what changes a scene is still done where it has begun.
+  // `told` runs when all ranks have agreed, before every session gets its goodbye.
   void shut_down(const std::string& why, std::function<void()> told);
 
  private:
@@ -197,6 +197,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::vector<std::function<void()>> told_;
   std::uint64_t charged_bytes_ = 0;
   std::shared_ptr<std::uint64_t> answer_bytes_ = std::make_shared<std::uint64_t>(0);  // not yet sent
+  std::set<Unfinished*> unfinished_;
   int orders_unfinished_ = 0;
   std::uint64_t order_bytes_unfinished_ = 0;  // of their requests
   bool shutting_down_ = false;

@@ -149,7 +149,8 @@ Status Context::check_time() {
   if (terms.waiting != nullptr) terms.waiting->execute(word.newest_waiting);
   if (word.verdict == late)
     return {Code::deadline_exceeded, "the command was given up at its deadline", "give it a longer deadline"};
-  if (word.verdict == gone) return {Code::aborted, "the command was given up: its client has gone"};
+  if (word.verdict == gone)
+    return {Code::aborted, "the command was given up: its client has gone, or the service is shutting down"};
   return {};
 }
 

@@ -234,6 +234,17 @@ class Memory(unittest.TestCase):
             while select.select([costly.socket], [], [], 0)[0]:
                 self.assertEqual(costly.receive()[0], NOTICE, "the costly command was over first")
 
+    def test_the_end_waits_for_no_question(self):
+        with Service(2) as service, Client(service.endpoint) as costly:
+            costly.ask("scene.create", scene="costly", parts=8)
+            costly.push("costly", 0, np.random.default_rng(8).random((30_000, 3)))
+            costly.send({"command": "compare", "scene": "costly", "parts": 1 << 20, "deadline_seconds": 600})
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0))
+            self.assertEqual(service.ctl("down").returncode, 0)
+            with self.assertRaises(Refused) as refused:
+                costly.answer()
+            self.assertEqual(refused.exception.args[0], "aborted")
+
     def test_members_of_scenes_that_are_gone_are_forgotten(self):
         with Service(1) as service, Client(service.endpoint, timeout=60) as client:
             def members(first, last):
