@@ -10,91 +10,98 @@ namespace {
 
 constexpr std::uint64_t kBytesAheadMax = std::uint64_t{64} << 20U;
 
-// All observers of slices are these.
-class Observer final : public net::SliceObserver {
- public:
-  explicit Observer(std::shared_ptr<service::Arrival> arrival) : arrival_(std::move(arrival)) {}
-  void arrived(std::size_t axis, std::uint64_t first, std::span<const double> values) override {
-    arrival_->add(axis, first, values);
+// What a push, or a member's contribution, has in memory that its client shares with this rank. What `push` says was
+// checked before it was ordered.
+api::Slice shared_slice(const net::DataPort& data, const wire::Json& push) {
+  api::Slice slice{.rank = data.rank()};
+  auto arrays = api::read_shared(push);
+  CHECK(arrays.ok(), arrays.status().message());
+  const auto session = push.at("session").get<std::string>();
+  for (api::SharedArray& where : *arrays) {
+    auto memory = data.memory(session, where.memory);
+    slice.shared.push_back({std::move(where), std::move(memory)});
   }
-  std::shared_ptr<const service::Arrival> arrival() const { return arrival_; }
+  slice.rows = push.at("n").get<std::uint64_t>();
+  slice.is_float32 = push.value("dtype", "") == "<f4";
+  return slice;
+}
 
- private:
-  std::shared_ptr<service::Arrival> arrival_;
-};
-
-std::vector<service::PushSlice> convert(std::vector<net::Slice> from) {
-  std::vector<service::PushSlice> to;
-  for (net::Slice& slice : from) {
-    to.push_back({slice.rank, slice.count, std::move(slice.arrays)});
-    if (slice.observer) to.back().arrival = static_cast<const Observer&>(*slice.observer).arrival();
+// A member's: it says how many of its rows are on each rank.
+api::Slice shared_slice_of_member(const net::DataPort& data, const wire::Json& contribution) {
+  api::Slice slice = shared_slice(data, contribution);
+  for (int rank = 0; rank <= data.rank(); ++rank) {
+    slice.first_row += slice.count;
+    slice.count = contribution.at("counts").at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
   }
-  return to;
+  return slice;
 }
 
 }  // namespace
 
-net::DataPort::Watch watch_arrivals(service::Loans& loans) {
-  return [&loans](const net::PushTerms& terms) -> std::shared_ptr<net::SliceObserver> {
-    auto arrival = loans.begin(terms.id.scene, terms.dims, terms.n);
-    return arrival ? std::make_shared<Observer>(std::move(arrival)) : nullptr;
-  };
-}
-
-std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request) {
+std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request) {
+  if (request.value("command", "") == "push" && request.value("path", wire::Json()) == "shared")
+    return {shared_slice(data, request)};
   const auto staged = request.find("staged");
   if (staged == request.end()) return {};
-  if (!staged->is_array()) return convert(data.take(staged->get<std::uint64_t>()));
-  std::vector<service::PushSlice> slices;
-  for (std::size_t member = 0; member < staged->size(); ++member)
-    for (service::PushSlice& slice : convert(data.take((*staged)[member].get<std::uint64_t>()))) {
+  if (!staged->is_array()) return data.take(staged->get<std::uint64_t>());
+  std::vector<api::Slice> slices;
+  for (std::size_t member = 0; member < staged->size(); ++member) {
+    const wire::Json& one = (*staged)[member];
+    std::vector<api::Slice> of_member;
+    if (one.is_object())
+      of_member.push_back(shared_slice_of_member(data, one));
+    else
+      of_member = data.take(one.get<std::uint64_t>());
+    for (api::Slice& slice : of_member) {
       slice.rank = static_cast<int>(member);
-      slices.push_back(std::move(slice));
+      if (slice.count > 0) slices.push_back(std::move(slice));
     }
+  }
   return slices;
 }
 
-Bridge::Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data, int ranks)
-    : engine_(engine), doorbells_(doorbells), data_(data), credits_(ranks - 1, kOrdersAheadMax, kBytesAheadMax) {}
+Bridge::Bridge(net::IoLoop& loop, ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data,
+               int ranks)
+    : loop_(loop),
+      engine_(engine),
+      doorbells_(doorbells),
+      data_(data),
+      queue_(net::Credits(ranks - 1, kOrdersAheadMax, kBytesAheadMax),
+             [this](net::Order order, net::OrderQueue::Done done, net::OrderQueue::Kind kind) {
+               send_to_all(std::move(order), std::move(done), kind);
+             }) {}
 
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   const auto* command = api::find_command(order.request.value("command", ""));
-  const bool root_alone = command != nullptr && command->runs_on == api::RunsOn::root;
-  Waiting next{std::move(order), std::move(done), !root_alone};
-  if (root_alone || (waiting_.empty() && may_go(next)))
-    send(std::move(next));
+  if (command != nullptr && command->runs_on == api::RunsOn::root)
+    send_to_rank_0(std::move(order), std::move(done));
   else
-    waiting_.push_back(std::move(next));
+    queue_.add(std::move(order), std::move(done));
 }
 
-void Bridge::executed(int rank, std::uint64_t orders) {
-  credits_.executed(rank, orders);
-  while (!waiting_.empty() && may_go(waiting_.front())) {
-    Waiting next = std::move(waiting_.front());
-    waiting_.pop_front();
-    send(std::move(next));
-  }
+void Bridge::send_to_all(net::Order order, net::OrderQueue::Done done, net::OrderQueue::Kind kind) {
+  if (kind != net::OrderQueue::Kind::brief)
+    done = [this, kind, done = std::move(done)](net::Answer answer) {
+      done(std::move(answer));
+      loop_.post([this, kind] { queue_.long_order_ended(kind); });
+    };
+  const std::string text = std::move(order.text);
+  // First this rank's engine, so that it wakes up while the other ranks are notified.
+  send_to_rank_0(std::move(order), std::move(done));
+  doorbells_.ring(number_, text);
 }
 
-void Bridge::send(Waiting next) {
-  net::Order& order = next.order;
+void Bridge::send_to_rank_0(net::Order order, net::OrderQueue::Done done) {
   ranks::EngineOrder out;
   out.number = ++number_;
   out.slices = staged_slices(data_, order.request);
-  for (service::PushSlice& slice : convert(std::move(order.slices))) out.slices.push_back(std::move(slice));
+  for (api::Slice& slice : order.slices) out.slices.push_back(std::move(slice));
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;
   out.deadline_seconds = order.deadline_seconds;
   out.cancelled = std::move(order.cancelled);
-  out.done = [done = std::move(next.done)](service::Response response) {
-    done(
-        {std::move(response.status), std::move(response.json), std::move(response.arrays), std::move(response.change)});
-  };
-  // This rank's engine wakes while the others are rung: a command that needs none of them is answered meanwhile.
+  out.done = std::move(done);
   CHECK(engine_.push(std::move(out)), "the engine's queue is full");
-  if (!next.on_all_ranks) return;
-  credits_.sent(order.text.size());
-  doorbells_.ring(number_, order.text);
 }
 
 bool Watchdog::tick() {

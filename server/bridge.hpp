@@ -1,63 +1,55 @@
-// Bridge: rank 0's engine as the sessions see it. An order gets its number here, goes to rank 0's engine and, unless
-// that one can answer it alone, to all other ranks; its answer comes back.
+// Bridge: rank 0's engine as the sessions see it. Numbers each order, gives it to rank 0's engine and, unless rank 0
+// can answer it alone, to all other ranks; returns the answer.
 //
-// Invariant: orders for all ranks go out in the order of submit(). They wait here while a rank is too far behind
-// (net::Credits); what rank 0 answers alone doesn't.
+// Orders for all ranks may have to wait before they go out (net::OrderQueue); orders for rank 0 alone never wait.
 #pragma once
 
 #include <cstdint>
-#include <deque>
 #include <functional>
 #include <string>
 #include <vector>
 
-#include "server/net/credits.hpp"
-#include "server/net/data_port.hpp"
-#include "server/net/doorbell.hpp"
-#include "server/net/engine.hpp"
+#include "server/net/control/order_queue.hpp"
+#include "server/net/data/data_port.hpp"
+#include "server/net/peers/doorbell.hpp"
+#include "server/net/push/engine.hpp"
+#include "server/net/sockets/io_loop.hpp"
 #include "server/ranks/engine_loop.hpp"
-#include "server/service/arrival.hpp"
 
 namespace rcb::server {
 
-// Orders that a rank may have in its queue: those that Credits lets through, and the shutdown.
+// Most orders in a rank's queue: as many as Credits lets through, besides the shutdown.
 inline constexpr std::size_t kOrdersAheadMax = 128;
-// A rank says after so many orders, and with every sign of life, how many it has executed.
-inline constexpr std::uint64_t kExecutedWordEvery = 16;
+// After this many orders, and with every heartbeat, a rank reports how many it has executed.
+inline constexpr std::uint64_t kExecutedReportEvery = 16;
 
 class Bridge final : public net::Engine {
  public:
-  Bridge(ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data, int ranks);
+  Bridge(net::IoLoop& loop, ranks::EngineLoop& engine, net::DoorbellHub& doorbells, net::DataPort& data, int ranks);
   void submit(net::Order order, std::function<void(net::Answer)> done) override;
-  // I/O thread. The rank has executed so many orders in all.
-  void executed(int rank, std::uint64_t orders);
+  void drop_cancelled() override { queue_.drop_cancelled(); }
+  // I/O thread. `rank` has executed this many orders in all.
+  void executed(int rank, std::uint64_t orders) { queue_.executed(rank, orders); }
 
  private:
-  struct Waiting {
-    net::Order order;
-    std::function<void(net::Answer)> done;
-    bool on_all_ranks = true;
-  };
-  bool may_go(const Waiting& next) const { return credits_.room(next.order.text.size()); }
-  void send(Waiting next);
+  void send_to_all(net::Order order, net::OrderQueue::Done done, net::OrderQueue::Kind kind);
+  void send_to_rank_0(net::Order order, net::OrderQueue::Done done);
 
+  net::IoLoop& loop_;
   ranks::EngineLoop& engine_;
   net::DoorbellHub& doorbells_;
   net::DataPort& data_;
-  net::Credits credits_;
-  std::deque<Waiting> waiting_;  // at most as many as the coordinator lets be unfinished
+  net::OrderQueue queue_;
   std::uint64_t number_ = 0;
 };
 
-// Lets the engine's service see slices as they come.
-net::DataPort::Watch watch_arrivals(service::Loans& loans);
+// What came to this rank itself for an order: the slice of a single client, or one of each member, whose number is then
+// in Slice::rank; or the memory that the client shares. Empty if the order isn't such a push. I/O thread.
+std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request);
 
-// The slice that this rank received for an order, if the order is of a direct push, or what members' pushes brought it,
-// each with its member for a rank. On the I/O thread.
-std::vector<service::PushSlice> staged_slices(net::DataPort& data, const wire::Json& request);
-
-// Ends the process if the engine is so far past its order's deadline that it will never come back. Called every
-// kTickSeconds; counts ticks, so a machine that was asleep is not taken for a stalled engine.
+// Detects an engine that is so far past its order's deadline that it will never finish; the caller then ends the
+// process. It counts ticks (one every kTickSeconds), so that a machine that was suspended isn't taken for a stalled
+// engine.
 class Watchdog {
  public:
   Watchdog(const ranks::EngineLoop& engine, double stall_seconds) : engine_(engine), stall_seconds_(stall_seconds) {}

@@ -6,8 +6,8 @@
 #include <CLI/CLI.hpp>
 
 #include "common/base/byte_size.hpp"
-#include "common/base/paths.hpp"
-#include "server/service/no_skip.hpp"
+#include "common/files/paths.hpp"
+#include "server/service/scene/no_skip.hpp"
 
 namespace rcb::server {
 
@@ -26,7 +26,7 @@ void add_file_options(CLI::App& app, Config& config) {
       ->type_name("DIR");
 }
 
-// Which folders hold, once everything was said.
+// Completes the folders for clients' files once all options have been read.
 void complete_file_options(Config& config) {
   const char* folders = std::getenv("RCBD_FILES_BELOW");
   if (config.files_below.empty() && folders != nullptr) {
@@ -61,6 +61,12 @@ void add_options(CLI::App& app, Config& config) {
                "let --listen take addresses that other machines reach: positions and commands travel unencrypted, so "
                "anybody on the network can read and alter them")
       ->envname("RCBD_TRUSTED_NETWORK");
+  app.add_option(
+         "--interface", config.interface,
+         "the network between ranks on different machines: an interface, or a network such as 10.0.0.0/8 [default: any "
+         "that reaches rank 0]")
+      ->envname("RCBD_INTERFACE")
+      ->type_name("NAME");
   app.add_option("--data-dir", config.data_dir,
                  "directory for lock, token, older step reports and clean-shutdown marker [default: one for each "
                  "endpoint, below "

@@ -9,26 +9,27 @@ namespace rcb::server {
 
 struct Config {
   std::vector<std::string> listen;  // HOST:PORT
-  std::string socket;               // with neither: the default socket
+  std::string socket;               // if neither is given: the default socket
   bool trusted_network = false;     // a TCP listener may be reached from other machines
-  std::string data_dir;             // empty: the endpoint's own
-  // Where clients may have the service read and write files.
-  std::vector<std::string> files_below;        // clients of every listener
-  std::vector<std::string> local_files_below;  // clients of the Unix socket alone, where the other is empty
+  std::string interface;            // between ranks on different machines; empty: any that reaches rank 0
+  std::string data_dir;             // empty: the endpoint's default
+  // Folders below which clients may have the service read and write files.
+  std::vector<std::string> files_below;        // for clients of every listener
+  std::vector<std::string> local_files_below;  // for clients of the Unix socket alone; used if files_below is empty
   std::string log_level = "info";
   std::uint64_t bulk_bytes = 0;  // 0: half of the memory
   double silence_seconds = 15;
   double stall_seconds = 120;
-  std::size_t keep_reports = 100'000;  // step reports in memory, of all scenes
+  std::size_t keep_reports = 100'000;  // step reports in memory, all scenes together
   bool restarted = false;
   std::string no_skip;        // NoSkip::parse
-  bool gateway_only = false;  // no listeners of the ranks' own
+  bool gateway_only = false;  // ranks don't open listeners of their own
 
-  // How clients name the service: the socket, else the first TCP address.
+  // The name that clients use: the socket, else the first TCP address.
   std::string endpoint() const;
 };
 
-// What the command line asked for besides running.
+// The options, or what to print and the exit code if the service isn't to run (--help, --version, an error).
 struct ParsedConfig {
   Config config;
   bool run = false;

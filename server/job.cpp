@@ -2,18 +2,21 @@
 
 #include <cerrno>
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <string>
 #include <string_view>
 
+#include <execinfo.h>
 #include <fcntl.h>
 #include <spdlog/spdlog.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
-#include "common/base/paths.hpp"
-#include "server/net/socket_name.hpp"
+#include "common/files/paths.hpp"
+#include "server/net/files/socket_name.hpp"
 
 namespace rcb::server {
 namespace {
@@ -21,12 +24,36 @@ namespace {
 char g_job_folder[256];
 bool g_in_order = false;
 
+constexpr int kFaults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
+char g_fault_line[64];
+
+// Only what is safe in a signal handler: the memory may be destroyed, and any lock be held.
+void on_fault(int number) {
+  constexpr unsigned kSeconds = 2;
+  constexpr int kFramesMax = 64;
+  ::signal(SIGALRM, SIG_DFL);
+  sigset_t alarm_alone;
+  sigemptyset(&alarm_alone);
+  sigaddset(&alarm_alone, SIGALRM);
+  ::pthread_sigmask(SIG_UNBLOCK, &alarm_alone, nullptr);
+  ::alarm(kSeconds);  // ends the process should anything below wait
+  char line[] = "signal 00; it ends\n";
+  line[7] = static_cast<char>('0' + number / 10);
+  line[8] = static_cast<char>('0' + number % 10);
+  void* frames[kFramesMax];
+  [[maybe_unused]] ssize_t written = ::write(STDERR_FILENO, g_fault_line, std::strlen(g_fault_line));
+  written = ::write(STDERR_FILENO, line, sizeof line - 1);
+  ::backtrace_symbols_fd(frames, ::backtrace(frames, kFramesMax), STDERR_FILENO);
+  ::signal(number, SIG_DFL);
+  ::raise(number);
+}
+
 void on_hangup(int) {
   remove_traces();
   ::kill(::getpid(), SIGKILL);
 }
 
-// Its name is looked at, since it is removed with all that is in it.
+// Checks the folder's name first, since the folder is later removed with everything in it.
 void remember_job_folder() {
   const char* folder = std::getenv(kJobFolderVariable);
   const std::string_view path = folder != nullptr ? folder : "";
@@ -40,7 +67,7 @@ void remember_job_folder() {
 void remove_traces() noexcept {
   net::SocketName::remove_all();
   if (g_job_folder[0] == '\0' || ::_Fork() != 0) return;
-  // Names alone: ranks that are about to end have their memory until then.
+  // This removes file names only: ranks still running keep their shared memory until they end.
   static char program[] = "/bin/rm";
   static char flags[] = "-rf";
   char* const arguments[] = {program, flags, g_job_folder, nullptr};
@@ -54,12 +81,29 @@ void end_with_mpirun(int rank) {
   action.sa_handler = on_hangup;
   sigfillset(&action.sa_mask);
   ::sigaction(SIGHUP, &action, nullptr);
-  // MPI ends the process by itself where it is the first to notice that mpirun is gone.
+  // If MPI is the first to notice that mpirun is gone, it ends the process by exit().
   std::atexit([] {
     if (!g_in_order) remove_traces();
   });
-  // The kernel sends SIGHUP also to a stopped process that mpirun's death makes an orphan.
+  // The kernel also sends SIGHUP to a stopped process that becomes an orphan when mpirun dies.
   ::prctl(PR_SET_PDEATHSIG, SIGHUP);
+}
+
+void end_at_faults(int rank) {
+  std::snprintf(g_fault_line, sizeof g_fault_line, "rcbd: rank %d (pid %d): ", rank, static_cast<int>(::getpid()));
+  void* frame = nullptr;
+  ::backtrace(&frame, 1);  // loads what it needs, which allocates
+  struct sigaction action {};
+  action.sa_handler = on_fault;
+  action.sa_flags = SA_NODEFER;
+  for (const int number : kFaults) ::sigaction(number, &action, nullptr);
+}
+
+void raise_open_files_limit() {
+  rlimit files{};
+  if (::getrlimit(RLIMIT_NOFILE, &files) != 0) return;
+  files.rlim_cur = files.rlim_max;
+  ::setrlimit(RLIMIT_NOFILE, &files);
 }
 
 void say_ready() {

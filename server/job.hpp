@@ -1,22 +1,29 @@
-// What a rank has to do with the job that it is part of, as the launcher has started it: it says when the service is
-// up, and leaves nothing when the job ends in disorder.
+// A rank's part in the job that the launcher started: it reports when the service is up, and cleans up if the job ends
+// in disorder.
 #pragma once
 
 namespace rcb::server {
 
-// From now on this process ends with its mpirun. However it ends but for SIGKILL, it removes what it has in the file
-// system: its sockets and, on rank 0, the job's folder (Open MPI's session files and the ranks' shared memory). A
-// stopped process does so too: the kernel continues it, as it does with every process group that nobody is left to
-// continue.
+// From now on this process ends with its mpirun. However it ends, except by SIGKILL, it removes its files: its sockets
+// and, on rank 0, the job's folder (Open MPI's session files and the ranks' shared memory). This holds for a stopped
+// process too: the kernel continues a stopped process group once it is orphaned.
 void end_with_mpirun(int rank);
+// From now on a signal that tells of a bug or of destroyed memory (SIGSEGV, SIGABRT and their like) ends this process
+// within seconds, with a line and a backtrace on standard error. To be called after MPI_Init: Open MPI's own handlers
+// allocate memory, and wait for ever where the fault came in the middle of an allocation.
+void end_at_faults(int rank);
+// As many files as the system lets this process open: every client is one.
+void raise_open_files_limit();
 
-// For a process that is about to end in disorder. Safe in a signal handler.
+// Removes these files; for a process that is about to end in disorder. Safe in a signal handler.
 void remove_traces() noexcept;
 
-// Rank 0: the service answers from now on; the launcher finds kReadyFile in the job's folder.
+// Rank 0: announces that the service answers, by making kReadyFile in the job's folder, where the launcher looks for
+// it.
 void say_ready();
 
-// This process is about to end as told: it has removed its sockets, and the job's folder is for mpirun to leave first.
+// Switches off the clean-up at exit, for a process that ends on command: it has removed its sockets, and the launcher
+// removes the job's folder after mpirun has ended.
 void end_in_order();
 
 }  // namespace rcb::server

@@ -1,9 +1,10 @@
-// rcbd: wiring only. Rank 0 opens the sockets, tells the others through MPI where its doorbell is, and all ranks
-// execute orders until one says shutdown.
+// rcbd's main program: connects the components. Rank 0 opens the sockets and tells the others through MPI where its
+// doorbell listens; then all ranks execute orders until the shutdown.
 #include <algorithm>
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -17,45 +18,81 @@
 #include <unistd.h>
 
 #include "common/base/clock.hpp"
-#include "common/base/paths.hpp"
-#include "common/base/socket_file.hpp"
-#include "common/io/roots.hpp"
+#include "common/files/paths.hpp"
+#include "common/files/socket_file.hpp"
+#include "common/io/files/roots.hpp"
 #include "server/bridge.hpp"
 #include "server/config.hpp"
 #include "server/job.hpp"
-#include "server/net/control.hpp"
-#include "server/net/data_directory.hpp"
-#include "server/net/data_hub.hpp"
-#include "server/net/doorbell.hpp"
-#include "server/net/io_loop.hpp"
-#include "server/net/log_sink.hpp"
-#include "server/net/process_memory.hpp"
+#include "server/net/control/control.hpp"
+#include "server/net/files/data_directory.hpp"
+#include "server/net/files/log_sink.hpp"
+#include "server/net/files/process_memory.hpp"
+#include "server/net/peers/data_hub.hpp"
+#include "server/net/peers/doorbell.hpp"
+#include "server/net/peers/host.hpp"
+#include "server/net/sockets/io_loop.hpp"
 #include "server/ranks/engine_loop.hpp"
 #include "server/ranks/mpi_session.hpp"
-#include "server/service/report_file.hpp"
+#include "server/service/scene/report_file.hpp"
 
 namespace rcb::server {
 namespace {
 
 constexpr double kStartSeconds = 30;
-constexpr const char* kReportDirectory = "reports";  // in the data directory
+constexpr const char* kReportDirectory = "reports";  // inside the data directory
 constexpr double kGoodbyeSeconds = 5;
 constexpr unsigned kFinalizeSeconds = 30;
-// Rank 0 has at most the unfinished orders, the others those that credits let through; and the shutdown.
+// Rank 0's queue holds at most the unfinished orders, the other ranks' those that the credits let through; one more is
+// for the shutdown.
 constexpr std::size_t kQueueOrders = std::max<std::size_t>(wire::kOrdersMax, kOrdersAheadMax) + 1;
 
-// The other ranks can't be told any more; mpirun takes the job down when one rank ends like this.
+// The other ranks can't be told any more, but mpirun ends the job when one rank ends like this.
 [[noreturn]] void die(const std::string& why) {
   spdlog::critical("{}; this rank ends", why);
   remove_traces();
   ::_exit(1);
 }
 
+// Which machines the ranks run on.
+struct Hosts {
+  std::vector<net::RankHost> ranks;
+  std::vector<bool> with_root;  // by rank: on rank 0's machine
+  bool several = false;
+
+  std::vector<std::string> names() const {
+    std::vector<std::string> list;
+    for (const net::RankHost& rank : ranks) list.push_back(rank.host);
+    return list;
+  }
+};
+
+// Collective.
+Hosts find_hosts(ranks::MpiSession& mpi) {
+  const net::Host here = net::Host::here();
+  Hosts hosts;
+  std::string key_of_root;
+  for (const std::string& text :
+       mpi.gather(wire::Json{{"name", here.name}, {"key", here.key}, {"pid", ::getpid()}}.dump())) {
+    const wire::Json one = wire::Json::parse(text);
+    const std::string key = one.at("key").get<std::string>();
+    if (hosts.ranks.empty()) key_of_root = key;
+    hosts.ranks.push_back({one.at("name").get<std::string>(), one.at("pid").get<std::int64_t>()});
+    hosts.with_root.push_back(key == key_of_root);
+    hosts.several = hosts.several || key != key_of_root;
+  }
+  return hosts;
+}
+
+void set_log_pattern(const std::string& who) {
+  spdlog::set_pattern(fmt::format("%Y-%m-%dT%H:%M:%S.%e%z {} %l: %v", who));
+}
+
 void set_up_log(const Config& config, int rank) {
   auto log = std::make_shared<spdlog::logger>("rcbd", std::make_shared<net::LogSink>(STDERR_FILENO));
   spdlog::set_default_logger(log);
   spdlog::set_level(spdlog::level::from_str(config.log_level));
-  spdlog::set_pattern(fmt::format("%Y-%m-%dT%H:%M:%S.%e%z rank {} %l: %v", rank));
+  set_log_pattern(fmt::format("rank {}", rank));
 }
 
 // Signals reach all ranks at once; only rank 0 acts on them, through its I/O thread.
@@ -66,50 +103,51 @@ void set_up_signals(int rank) {
   for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
 }
 
-// The text that rank 0 shares: the token and, a line each, the places.
+// The text that rank 0 shares with all ranks: the token, then the places at which ranks listen, one a line.
 std::string data_text(const std::vector<std::string>& places, const std::string& token) {
   return fmt::format("{}\n{}", token, fmt::join(places, "\n"));
 }
 
 std::string host_of(const std::string& address) { return address.substr(0, address.rfind(':')); }
 
-// Every rank: opens its listeners at the shared places and tells all ranks where they are.
-// Returns by place, then by rank; a place where a rank couldn't listen has none. Collective.
+// Where this rank listens for the clients of an endpoint: at its place, or, if that is on another machine's network
+// interface, at this machine's own. Errors: unsupported, if the endpoint's clients can't reach this machine.
+Result<std::string> listen_at(net::DataPort& port, const std::string& place, int rank, const std::string& elsewhere) {
+  const bool is_unix = place.starts_with("unix:");
+  if (!elsewhere.empty() && (place.starts_with("127.") || place == "[::1]"))  // its clients may come through a tunnel
+    return Status(Code::unsupported,
+                  fmt::format("rank {} is on another machine, and clients here push by way of rank 0", rank));
+  if (!is_unix || !elsewhere.empty())
+    return port.listen_tcp(elsewhere.empty() ? place + ":0" : net::with_port(elsewhere, 0));
+  const std::string address = fmt::format("{}.{}", place, rank);
+  if (Status status = port.listen_unix(address.substr(5)); !status.ok()) return status;
+  return address;
+}
+
+// Collective. Every rank opens its listeners at the shared places, and all ranks learn their addresses. Returns the
+// addresses by place, then by rank; none for a place where some rank couldn't listen. elsewhere: the address of this
+// machine, if it isn't rank 0's.
 std::vector<std::vector<std::string>> open_data(ranks::MpiSession& mpi, net::DataPort& port,
-                                                const std::vector<std::string>& places) {
+                                                const std::vector<std::string>& places, const std::string& elsewhere) {
   std::string text;
   for (const std::string& place : places) {
-    std::string address;
-    Status status;
-    if (place.starts_with("unix:")) {
-      address = fmt::format("{}.{}", place, mpi.rank());
-      status = port.listen_unix(address.substr(5));
-    } else {
-      auto bound = port.listen_tcp(place + ":0");
-      status = bound.status();
-      if (bound.ok()) address = *bound;
-    }
-    if (!status.ok()) spdlog::warn("no direct path at {}: {}", place, status.message());
-    text += (status.ok() ? address : "") + "\n";
+    const Result<std::string> address = listen_at(port, place, mpi.rank(), elsewhere);
+    if (!address.ok()) spdlog::warn("no direct path at {}: {}", place, address.status().message());
+    text += (address.ok() ? *address : "") + "\n";
   }
-  std::vector<std::byte> all;
-  std::vector<std::size_t> sizes;
-  mpi.comm().all_gather(std::as_bytes(std::span(text)), all, sizes);
   std::vector<std::vector<std::string>> found(places.size());
-  const char* at = reinterpret_cast<const char*>(all.data());
-  for (const std::size_t size : sizes) {
-    std::istringstream lines(std::string(at, size));
+  for (const std::string& of_rank : mpi.gather(text)) {
+    std::istringstream lines(of_rank);
     for (auto& addresses : found) std::getline(lines, addresses.emplace_back());
-    at += size;
   }
   for (auto& addresses : found)
     if (std::find(addresses.begin(), addresses.end(), "") != addresses.end()) addresses.clear();
   return found;
 }
 
-// What rank 0 has and the others don't.
+// What only rank 0 has.
 struct Root {
-  std::vector<LockFile> endpoint_locks;  // unless its supervisor has them
+  std::vector<LockFile> endpoint_locks;  // unless its supervisor holds them
   std::optional<net::DataDirectory> data;
   std::vector<net::OfferedToken> offered;
   std::unique_ptr<net::DoorbellHub> doorbells;
@@ -121,7 +159,7 @@ struct Root {
   std::string token;
 };
 
-// What pushes may hold on this machine; the same rule for every rank's listeners.
+// The limit on the bytes of all pushes together; the same for every rank's listeners.
 std::uint64_t bulk_bytes(const Config& config) {
   return config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
 }
@@ -134,7 +172,7 @@ net::DataOptions data_options(const std::string& token, std::uint64_t bulk_bytes
   return options;
 }
 
-// One service an endpoint; what a service that was killed has left of its sockets is removed.
+// Locks the endpoint, so that one service serves it, and removes the sockets left by a service that was killed.
 Status take_endpoint(Root& root, const std::string& endpoint, EndpointNote note) {
   note.endpoint = endpoint;
   auto lock = rcb::take_endpoint(note);
@@ -146,7 +184,26 @@ Status take_endpoint(Root& root, const std::string& endpoint, EndpointNote note)
   return {};
 }
 
-Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop, ranks::EngineLoop& engine) {
+// What was started here must be reached here: rank 0 listens where its launcher waits for it. And what travels between
+// machines can be read there: MPI's messages, the token among them.
+Status check_hosts(const Hosts& hosts, const Config& config) {
+  if (hosts.several && !config.trusted_network)
+    return {
+        Code::invalid_argument,
+        fmt::format("ranks would run on {} and on other machines, and everything travels unencrypted between them: who "
+                    "is on that network can read and alter positions and commands",
+                    hosts.ranks[0].host),
+        "say with --trusted-network that nobody on the network is to be feared"};
+  const char* launcher = std::getenv(kLauncherHostVariable);
+  if (launcher == nullptr || hosts.ranks[0].host == launcher) return {};
+  return {Code::invalid_argument,
+          fmt::format("rank 0 would run on {}, but 'rcbctl up' was run on {}", hosts.ranks[0].host, launcher),
+          "name this machine first among the hosts"};
+}
+
+Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLoop& loop, ranks::EngineLoop& engine) {
+  const int ranks = static_cast<int>(hosts.ranks.size());
+  if (Status status = check_hosts(hosts, config); !status.ok()) return status;
   const std::string directory = config.data_dir.empty() ? data_directory_for(config.endpoint()) : config.data_dir;
   EndpointNote note;
   note.process = ProcessId::self();
@@ -164,22 +221,28 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
   net::ControlOptions options;
   options.version = RCB_VERSION;
   options.ranks = ranks;
+  options.hosts = hosts.ranks;
   options.restarted = config.restarted;
   options.data_dir = root.data->path();
   options.bulk_bytes_max = bulk_bytes(config);
   options.network = config.trusted_network ? net::Network::trusted : net::Network::loopback;
   options.files_over_tcp = !config.files_below.empty();
-  if (!config.listen.empty()) {
+  if (!config.listen.empty() || hosts.several) {
     auto token = config.restarted ? root.data->kept_token() : root.data->new_token();
     if (!token.ok()) return token.status();
     options.token = std::move(*token);
   }
-  auto doorbells = net::DoorbellHub::open(loop, ranks, config.silence_seconds, die);
+  auto doorbells = net::DoorbellHub::open(loop,
+                                          {.ranks = ranks,
+                                           .silence_seconds = config.silence_seconds,
+                                           .hosts = hosts.several ? hosts.names() : std::vector<std::string>(),
+                                           .interface = config.interface},
+                                          die);
   if (!doorbells.ok()) return doorbells.status();
   root.doorbells = std::move(*doorbells);
   root.token = options.token;
   root.port = std::make_unique<net::DataPort>(loop, data_options(options.token, options.bulk_bytes_max, 0));
-  root.bridge = std::make_unique<Bridge>(engine, *root.doorbells, *root.port, ranks);
+  root.bridge = std::make_unique<Bridge>(loop, engine, *root.doorbells, *root.port, ranks);
   root.control = std::make_unique<net::Control>(loop, options, *root.bridge);
   if (!config.socket.empty()) {
     const Status status = root.control->listen_unix(config.socket);
@@ -191,6 +254,10 @@ Status open_root(Root& root, const Config& config, int ranks, net::IoLoop& loop,
     const auto bound = root.control->listen_tcp(where);
     if (!bound.ok()) return bound.status();
     root.endpoints.push_back(*bound);
+    if (hosts.several && bound->starts_with("127.") && !where.starts_with("127."))
+      return {Code::invalid_argument,
+              fmt::format("--listen {} is {} on this machine, which no other reaches", where, *bound),
+              "give the machine's address on the network"};
     if (const std::string usual = data_directory_for(*bound); usual != root.data->path()) {
       auto offered = net::OfferedToken::offer(usual, options.token);
       if (!offered.ok()) return offered.status();
@@ -215,48 +282,60 @@ void watch(net::IoLoop& loop, const ranks::EngineLoop& engine, const Config& con
   });
 }
 
-// Rank 0's part of making the direct path: its own listeners, and the addresses for clients. Collective.
-void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi, service::Loans& loans) {
+// Collective. Opens the direct path (clients' connections to the ranks) on rank 0: its own listeners, and the addresses
+// for clients.
+void open_direct_path(Root& root, const Config& config, ranks::MpiSession& mpi) {
   std::vector<std::string> places;
   if (!config.gateway_only)
     for (const std::string& endpoint : root.endpoints)
       places.push_back(endpoint.starts_with("unix:") ? endpoint : host_of(endpoint));
   mpi.share(data_text(places, root.token));
-  const auto addresses = open_data(mpi, *root.port, places);
+  const auto addresses = open_data(mpi, *root.port, places, {});
   root.hub = std::make_unique<net::DataHub>(*root.doorbells, *root.port, mpi.size());
-  root.doorbells->on_news([&root](int rank, const wire::Json& news) {
-    if (const auto orders = news.find("executed"); orders != news.end())
+  root.doorbells->on_peer_message([&root](int rank, const wire::Json& message) {
+    if (const auto orders = message.find("executed"); orders != message.end())
       root.bridge->executed(rank, orders->get<std::uint64_t>());
-    if (const auto memory = news.find("memory"); memory != news.end())
+    if (const auto memory = message.find("memory"); memory != message.end())
       root.control->memory_reported(rank, memory->get<std::uint64_t>());
-    if (news.contains("number")) root.control->slice_reported(rank, net::read_report(news));
+    if (message.contains("number")) root.control->slice_reported(rank, net::read_report(message));
   });
-  root.control->ask_for_silence([&root] { return root.doorbells->silent(); });
+  root.control->set_silence_query([&root] { return root.doorbells->silent(); });
   for (std::size_t i = 0; i < places.size(); ++i)
     if (!addresses[i].empty()) root.control->serve_data(*root.hub, root.endpoints[i], addresses[i]);
   root.port->start(
-      [control = root.control.get()](const net::SliceReport& report) { control->slice_reported(0, report); },
-      watch_arrivals(loans));
+      [control = root.control.get()](const net::SliceReport& report) { control->slice_reported(0, report); });
 }
 
-// The folders for clients' files, by rank 0's word. One that has gone by the time of a restart is no reason not to
-// start. Collective.
-Result<io::Roots> open_roots(const Config& config, ranks::MpiSession& mpi) {
+// Collective. The folders for clients' files, as rank 0's options name them, which all ranks must have. After a restart
+// a folder that no longer exists is only warned about, and so is the default folder where machines don't share it.
+Result<io::Roots> open_roots(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts) {
   std::string names;
   for (const std::string& folder : config.files_below.empty() ? config.local_files_below : config.files_below)
     names.append(std::filesystem::absolute(folder).string()).push_back('\0');
   std::istringstream shared(mpi.share(names));
   io::Roots roots;
+  // Rank 0's word, since the other machines don't know of a restart.
+  const bool may_fail =
+      mpi.share(config.restarted || (hosts.several && config.files_below.empty()) ? "warn" : "refuse") == "warn";
   for (std::string folder; std::getline(shared, folder, '\0');) {
-    const Status opened = roots.add(folder);
-    if (opened.ok()) continue;
-    if (!config.restarted) return opened;
-    if (mpi.rank() == 0) spdlog::warn("{}", opened.message());
+    const Status opened = io::Roots().add(folder);
+    const std::vector<std::string> faults = mpi.gather(opened.message());
+    const auto fault =
+        std::find_if(faults.begin(), faults.end(), [](const std::string& text) { return !text.empty(); });
+    if (fault == faults.end()) {
+      if (Status added = roots.add(folder); !added.ok()) return added;
+      continue;
+    }
+    const std::string& host = hosts.ranks[static_cast<std::size_t>(fault - faults.begin())].host;
+    const std::string what = hosts.several ? fmt::format("on {}: {}", host, *fault) : *fault;
+    if (!may_fail) return Status(Code::io_error, what, opened.hint());
+    if (mpi.rank() == 0) spdlog::warn("clients can't name files below {}: {}", folder, what);
   }
   return roots;
 }
 
-// Rank 0's. Without a place for older reports the service does its work, and says so where they are lost.
+// Rank 0's options. If the directory for older reports can't be made, the service runs all the same, and the history
+// says that older ones are lost.
 service::ServiceOptions root_options(const Config& config, const net::DataDirectory& data,
                                      service::ServiceOptions options) {
   options.keep_reports = config.keep_reports;
@@ -268,20 +347,19 @@ service::ServiceOptions root_options(const Config& config, const net::DataDirect
   return options;
 }
 
-int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip, const io::Roots& roots) {
-  service::Loans loans;
+int run_root(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts, service::NoSkip no_skip,
+             const io::Roots& roots) {
   net::IoLoop loop;
   Root root;
-  // Its orders hold timers of the loop.
+  // Declared after the loop: the engine's orders hold timers of the loop.
   ranks::EngineLoop engine(kQueueOrders, {.spare = [&root](service::Spare spare) {
                              root.port->recycle(spare.scene, std::move(spare.buffers));
                            }});
-  const Status opened = open_root(root, config, mpi.size(), loop, engine);
+  const Status opened = open_root(root, config, hosts, loop, engine);
   if (!opened.ok()) say_failure(opened);
-  mpi.share(opened.ok() ? root.doorbells->address().name : "refused");
+  mpi.share(opened.ok() ? root.doorbells->address().text() : "refused");
   if (!opened.ok()) return 1;
-  mpi.share(root.doorbells->address().secret);
-  open_direct_path(root, config, mpi, loans);
+  open_direct_path(root, config, mpi);
   watch(loop, engine, config, [&root] {
     root.doorbells->tick();
     root.port->tick();
@@ -296,11 +374,12 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
                config.restarted ? ", restarted and empty" : "");
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock,
-                             root_options(config, *root.data, {.no_skip = no_skip, .loans = &loans, .roots = &roots}));
+    service::Service service(
+        mpi.comm(), clock,
+        root_options(config, *root.data, {.no_skip = no_skip, .roots = &roots, .bulk_bytes_max = bulk_bytes(config)}));
     engine.run(service);
   }
-  // Its files have gone with the scenes.
+  // Empty by now: the scenes' report files were removed with the scenes.
   std::error_code ignored;
   std::filesystem::remove(join_path(root.data->path(), kReportDirectory), ignored);
   root.control->finish(kGoodbyeSeconds);
@@ -308,7 +387,7 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   root.doorbells->finish(kGoodbyeSeconds);
   loop.stop();
   mpi.finish(kFinalizeSeconds);
-  // The exit code says it too: a disk may be full, the directory gone.
+  // A failure is harmless (a full disk, say): the exit code tells a clean end, too.
   const Status marked = root.data->leave_clean_marker();
   if (!marked.ok()) spdlog::warn("no clean-shutdown marker: {}", marked.message());
   spdlog::info("ended cleanly");
@@ -316,21 +395,18 @@ int run_root(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_sk
   return 0;
 }
 
-int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_skip, const io::Roots& roots) {
-  net::DoorbellAddress address;
-  address.name = mpi.share({});
-  if (address.name == "refused") return 1;
-  address.secret = mpi.share({});
+int run_other(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts, service::NoSkip no_skip,
+              const io::Roots& roots) {
+  const std::string where = mpi.share({});
+  if (where == "refused") return 1;
   std::istringstream shared(mpi.share({}));
   std::string token;
   std::getline(shared, token);
   std::vector<std::string> places;
   for (std::string line; std::getline(shared, line);) places.push_back(line);
-  service::Loans loans;
   net::IoLoop loop;
   net::DataPort port(loop, data_options(token, bulk_bytes(config), mpi.rank()));
-  open_data(mpi, port, places);
-  // Its orders hold timers of the loop.
+  // Declared after the loop: the engine's orders hold timers of the loop.
   std::unique_ptr<net::Doorbell> doorbell;
   std::atomic<std::uint64_t> executed = 0;
   const auto word = [&executed] { return wire::Json{{"executed", executed.load()}}; };
@@ -338,7 +414,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
       kQueueOrders, {.spare = [&port](service::Spare spare) { port.recycle(spare.scene, std::move(spare.buffers)); },
                      .executed =
                          [&] {
-                           if (++executed % kExecutedWordEvery == 0) loop.post([&] { doorbell->tell(word()); });
+                           if (++executed % kExecutedReportEvery == 0) loop.post([&] { doorbell->tell(word()); });
                          }});
   auto ordered = [&engine, &port](std::uint64_t number, wire::Json request) {
     ranks::EngineOrder order;
@@ -350,11 +426,14 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
     order.request = std::move(request);
     CHECK(engine.push(std::move(order)), "the engine's queue is full");
   };
-  auto connected = net::Doorbell::connect(loop, mpi.rank(), address, config.silence_seconds, ordered, die);
+  auto connected = net::Doorbell::connect(loop, mpi.rank(), net::DoorbellAddress::parse(where),
+                                          hosts.with_root[static_cast<std::size_t>(mpi.rank())], config.silence_seconds,
+                                          ordered, die);
   if (!connected.ok()) die(connected.status().message());
   doorbell = std::move(*connected);
-  doorbell->on_news([&port](int, const wire::Json& news) { net::follow_hub(port, news); });
-  port.start([&](const net::SliceReport& report) { doorbell->tell(net::report_json(report)); }, watch_arrivals(loans));
+  open_data(mpi, port, places, doorbell->local_address());
+  doorbell->on_peer_message([&port](int, const wire::Json& message) { net::apply_hub_message(port, message); });
+  port.start([&](const net::SliceReport& report) { doorbell->tell(net::report_json(report)); });
   watch(loop, engine, config, [&] {
     wire::Json sign_of_life = word();
     sign_of_life["memory"] = net::resident_bytes();
@@ -364,7 +443,8 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
   loop.start();
   const SteadyClock clock;
   {
-    service::Service service(mpi.comm(), clock, {.no_skip = no_skip, .loans = &loans, .roots = &roots});
+    service::Service service(mpi.comm(), clock,
+                             {.no_skip = no_skip, .roots = &roots, .bulk_bytes_max = bulk_bytes(config)});
     engine.run(service);
   }
   loop.run([&] { port.finish(); });
@@ -377,31 +457,42 @@ int run_other(const Config& config, ranks::MpiSession& mpi, service::NoSkip no_s
 int run(int argc, char** argv) {
   const ParsedConfig parsed = parse_config(argc, argv);
   if (!parsed.run) {
+    // Another machine may refuse what rank 0's takes.
+    const char* launcher = std::getenv(kLauncherHostVariable);
+    if (ranks::rank_from_environment() != 0 && launcher != nullptr && host_name() != launcher)
+      std::fprintf(stderr, "on %s: %s", host_name().c_str(), parsed.error.c_str());
     if (ranks::rank_from_environment() != 0) return parsed.exit_code;
     std::fputs(parsed.out.c_str(), stdout);
     std::fputs(parsed.error.c_str(), stderr);
     return parsed.exit_code;
   }
+  raise_open_files_limit();
   set_up_signals(ranks::rank_from_environment());
   auto mpi = ranks::MpiSession::start(&argc, &argv);
   if (!mpi.ok()) {
     if (ranks::rank_from_environment() == 0) say_failure(mpi.status());
     return 1;
   }
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // which tell more
+  end_at_faults(mpi->rank());
+#endif
   set_up_log(parsed.config, mpi->rank());
   set_check_context(fmt::format("rank {} of {}", mpi->rank(), mpi->size()));
-  // Rank 0's word counts: what ranks do must match.
+  // Rank 0's option applies to all ranks, since their collectives must match.
   const std::string names = mpi->share(parsed.config.no_skip);
   const auto no_skip = service::NoSkip::parse(names);
   CHECK(no_skip.ok(), no_skip.status().message());
   if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
-  const auto roots = open_roots(parsed.config, *mpi);
+  const Hosts hosts = find_hosts(*mpi);
+  if (hosts.several)
+    set_log_pattern(fmt::format("{} rank {}", hosts.ranks[static_cast<std::size_t>(mpi->rank())].host, mpi->rank()));
+  const auto roots = open_roots(parsed.config, *mpi, hosts);
   if (!roots.ok()) {
     if (mpi->rank() == 0) say_failure(roots.status());
     return 1;
   }
-  return mpi->rank() == 0 ? run_root(parsed.config, *mpi, *no_skip, *roots)
-                          : run_other(parsed.config, *mpi, *no_skip, *roots);
+  return mpi->rank() == 0 ? run_root(parsed.config, *mpi, hosts, *no_skip, *roots)
+                          : run_other(parsed.config, *mpi, hosts, *no_skip, *roots);
 }
 
 }  // namespace

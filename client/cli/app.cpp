@@ -5,7 +5,7 @@
 #include <fmt/format.h>
 
 #include "client/cli/lists.hpp"
-#include "client/cli/output.hpp"
+#include "client/cli/print/output.hpp"
 #include "client/lib/endpoint.hpp"
 
 namespace rcb::cli {
@@ -20,6 +20,7 @@ CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& tex
 
 Status check_endpoint(const Context& context) {
   if (context.endpoint.empty()) return {};
+  if (context.endpoint.starts_with(client::kFilePrefix)) return {};  // the file is read when it is needed
   const auto endpoint = client::parse_endpoint(context.endpoint);
   if (endpoint) return {};
   const Status why = endpoint.status();
@@ -35,7 +36,7 @@ Result<client::Client> connect_as(const Context& context, bool outlive) {
   options.name = "rcbctl " RCB_VERSION;
   options.outlive = outlive;
   options.on_notice = note;
-  auto client = launch::reach_returning(options);
+  auto client = launch::connect_awaiting_restart(options);
   if (!client) return launch::explain_absence(context.endpoint, client.status());
   return client;
 }
@@ -43,7 +44,7 @@ Result<client::Client> connect_as(const Context& context, bool outlive) {
 }  // namespace
 
 Result<client::Client> connect(const Context& context) { return connect_as(context, false); }
-Result<client::Client> connect_to_drive(const Context& context) { return connect_as(context, true); }
+Result<client::Client> connect_persistent(const Context& context) { return connect_as(context, true); }
 
 Result<Session> Session::open(const Context& context, int ranks) {
   Session session;
@@ -87,6 +88,14 @@ Result<Json> ask(client::Client& client, const std::string& command, const Json&
 Json tolerance_json(double tolerance) {
   if (std::isinf(tolerance)) return "inf";
   return tolerance;
+}
+
+Status show(const Context& context, const Json& document, const std::function<void()>& for_people) {
+  if (context.json)
+    print_json(document);
+  else
+    for_people();
+  return {};
 }
 
 }  // namespace rcb::cli

@@ -1,8 +1,11 @@
-// What all commands of rcbctl share: the global flags, how a command is added, and how it reaches a service.
+// Rooms: `commands` has one file for each family of commands, `print` the output, `files` the reading and writing of
+// point files.
+//
+// What all commands of rcbctl share: the global flags, how a command is added, and how it connects to a service.
 //
 // Invariants
-// 1. A command does nothing while the line is parsed; it leaves an action, which runs when all of the line is right.
-// 2. stdout carries data only: with --json exactly one document, a failure included.
+// 1. Parsing a command line does nothing; it sets an action, which runs after the whole line was found correct.
+// 2. stdout carries data only: with --json exactly one document, also after a failure.
 #pragma once
 
 #include <cstdint>
@@ -17,8 +20,8 @@
 #include <nlohmann/json.hpp>
 
 #include "client/cli/options.hpp"
+#include "client/launch/job/programs.hpp"
 #include "client/launch/launch.hpp"
-#include "client/launch/programs.hpp"
 #include "client/launch/reach.hpp"
 #include "client/lib/client.hpp"
 #include "common/base/status.hpp"
@@ -31,14 +34,17 @@ struct Context {
   bool json = false;
   std::string endpoint;  // empty: as the client library finds it
   std::function<Status()> action;
-  mutable bool document_begun = false;  // a failure from here on is told on stderr alone
+  mutable bool document_begun = false;  // set once output has begun: a failure is then reported on stderr only
 };
+
+// The end of most commands: the document with --json, else what `for_people` prints.
+Status show(const Context& context, const Json& document, const std::function<void()>& for_people);
 
 struct CommandText {
   const char* name;
   const char* description;
-  const char* examples;            // lines for the end of --help
-  const char* group = "Commands";  // under which --help of the command above lists it
+  const char* examples;            // shown at the end of --help
+  const char* group = "Commands";  // under which the parent's --help lists it
 };
 
 inline constexpr const char* kServiceGroup = "A service";
@@ -49,7 +55,7 @@ inline constexpr const char* kAskGroup = "Questions about a scene";
 // Adds a subcommand whose action is `run`.
 CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& text, std::function<Status()> run);
 
-// One a command family.
+// One function for each family of commands.
 void add_service_commands(CLI::App& app, Context& context);    // up, down
 void add_status_command(CLI::App& app, Context& context);      // status
 void add_partition_command(CLI::App& app, Context& context);   // partition
@@ -65,29 +71,34 @@ void add_export_command(CLI::App& app, Context& context);      // export
 void add_watch_command(CLI::App& app, Context& context);       // watch
 void add_completion_command(CLI::App& app, Context& context);  // completion
 
-// That the endpoint given, if any, is one. Errors: usage.
+// Checks the endpoint, if one is given. Errors: usage.
 Status check_endpoint(const Context& context);
-// The service at the endpoint. One that is being started again is waited for, for a few seconds. Errors: usage, those
-// of Client::connect.
+// Connects to the service at the endpoint. Waits a few seconds for one that is being restarted. Errors: usage, those of
+// Client::connect.
 Result<client::Client> connect(const Context& context);
-// The same for a command that pushes step after step, as a solver does: it outlives the service.
-Result<client::Client> connect_to_drive(const Context& context);
+// The same for a command that pushes step after step, as a solver does: its calls wait for a service that has gone.
+Result<client::Client> connect_persistent(const Context& context);
 
-// A service to work with: the running one or one embedded in this program. The client goes before its service.
+// A service to work with: the running one or one embedded in this program. Members are in this order so that the client
+// is destroyed before its service.
 struct Session {
   std::optional<launch::Embedded> embedded;
   std::optional<client::Client> client;
 
-  // ranks > 0: always embedded, of so many; 0: the running one, else embedded of as many ranks as cores, at most 8.
+  // ranks > 0: always an embedded one with so many ranks; 0: the running one, else an embedded one with as many ranks
+  // as cores, at most 8.
   static Result<Session> open(const Context& context, int ranks);
-  // A failure with what the embedded service's log says.
+  // Adds the end of an embedded service's log to an error.
   Status explain(Status status) const { return embedded ? embedded->explain(std::move(status)) : status; }
 };
 
-// A command's reply, parsed, its long lists in it. Errors: the service's; protocol_error where it is no JSON.
+// The deadline of what a file of any size takes.
+inline constexpr double kLongSeconds = 3600;
+
+// A command's reply, parsed, with its long lists filled in. Errors: the service's; protocol_error if it isn't JSON.
 Result<Json> ask(client::Client& client, const std::string& command, const Json& arguments,
                  double deadline_seconds = 60);
-// The reply with its arrays beside it.
+// The parsed reply and the arrays that came with it.
 struct Answer {
   Json json;
   client::Reply reply;
@@ -95,15 +106,15 @@ struct Answer {
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
                           double deadline_seconds = 60);
 
-// The reply to `cuts`, put together from its pages. Errors also: aborted where the cuts changed all the while.
+// The reply to `cuts`, assembled from its pages. Errors also: aborted, if the cuts kept changing.
 Result<Json> ask_cuts(client::Client& client, const std::string& scene);
 
-// The scenes of `status` or `scene.list` as a table.
+// Prints the scenes of `status` or `scene.list` as a table.
 void print_scenes(const Json& scenes);
 // The memory of the service's ranks, from the reply to `status`.
 std::string memory_text(const Json& status);
 
-// "inf" for infinity, as the protocol has it.
+// "inf" for infinity, as in the protocol.
 Json tolerance_json(double tolerance);
 
 }  // namespace rcb::cli

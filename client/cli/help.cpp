@@ -1,5 +1,5 @@
-// The pages of --help: what an option takes by its plain name, defaults and duties in words, lines of a terminal's
-// width.
+// The pages of --help: plain names for what an option takes, defaults and required options in words, lines of a
+// terminal's width.
 #include <memory>
 #include <utility>
 
@@ -74,7 +74,7 @@ class HelpFormat : public CLI::Formatter {
   }
   std::string make_usage(const CLI::App* app, std::string name) const override {
     std::string usage = CLI::Formatter::make_usage(app, std::move(name));
-    // What must be given stands in the line that shows how to call.
+    // The usage line also shows the options that must be given.
     std::string needed;
     for (const CLI::Option* option : app->get_options())
       if (option->get_required() && option->nonpositional())

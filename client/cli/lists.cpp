@@ -20,7 +20,7 @@ Json list_of(std::span<const std::byte> bytes) {
   return list;
 }
 
-// Not-a-number stands for nothing.
+// NaN becomes null; if there is no number at all, the whole list is null.
 template <>
 Json list_of<double>(std::span<const std::byte> bytes) {
   Json list = Json::array();
@@ -46,7 +46,7 @@ bool is_missing(const Json& json, const std::string& name) {
   return found != json.end() && found->is_null();
 }
 
-// One row after another, each into its own object.
+// Distributes the rows of the array to the objects, one each.
 void fill_rows(Json& rows, const client::Array& array) {
   if (array.shape.size() != 2 || array.shape[0] != rows.size() || rows.empty()) return;
   const std::size_t bytes = array.bytes.size() / rows.size();

@@ -1,5 +1,5 @@
-// Long lists by part come beside an answer's JSON, as arrays (PROTOCOL.md, "Long lists"). Here they are put where the
-// JSON has their names, so that whoever reads an answer finds the same document however many parts there are.
+// Long lists by part come as arrays beside an answer's JSON (PROTOCOL.md, "Long lists"). Here they are inserted where
+// the JSON has their names, so that the document looks the same for any number of parts.
 #pragma once
 
 #include <nlohmann/json.hpp>

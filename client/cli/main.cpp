@@ -1,4 +1,4 @@
-// rcbctl: asks and commands a partitioning service.
+// rcbctl: the command line of the partitioning service.
 #include <algorithm>
 #include <csignal>
 #include <cstdlib>
@@ -9,7 +9,7 @@
 
 #include "client/cli/app.hpp"
 #include "client/cli/options.hpp"
-#include "client/cli/output.hpp"
+#include "client/cli/print/output.hpp"
 #include "client/cli/usage.hpp"
 
 namespace rcb::cli {
@@ -32,7 +32,7 @@ Examples:
   rcbctl history jet --plot error.svg
 )";
 
-// "-.5" is a number, which the parser would take for an option "-.": it reads "-0.5" instead.
+// "-.5" is a number, but the parser takes it for an option "-.": so it is rewritten as "-0.5".
 std::string plain_number(const char* argument) {
   const std::string text = argument;
   if (text.size() < 3 || text[0] != '-' || text[1] != '.') return text;
@@ -66,12 +66,18 @@ void add_commands(CLI::App& app, Context& context) {
   add_completion_command(app, context);
 }
 
+Status odd_answer(const std::exception& error) {
+  return {Code::protocol_error, fmt::format("the service's answer is not as expected: {}", error.what()),
+          "rcbctl and rcbd may be of different versions"};
+}
+
 Status run(const std::function<Status()>& action) {
   try {
     return action();
   } catch (const nlohmann::json::exception& error) {
-    return {Code::protocol_error, fmt::format("the service's answer is not as expected: {}", error.what()),
-            "rcbctl and rcbd may be of different versions"};
+    return odd_answer(error);
+  } catch (const std::out_of_range& error) {
+    return odd_answer(error);
   } catch (const std::bad_alloc&) {
     return {Code::too_large, "out of memory"};
   } catch (const std::exception& error) {
@@ -79,7 +85,7 @@ Status run(const std::function<Status()>& action) {
   }
 }
 
-// As every program ends whose reader has heard enough: `history jet | head` is no failure, and says nothing.
+// Ends as programs do whose reader closes the pipe early: `history jet | head` is no failure, so nothing is printed.
 int end_by_closed_pipe() {
   std::signal(SIGPIPE, SIG_DFL);
   std::raise(SIGPIPE);
@@ -92,7 +98,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
   Context context;
   add_commands(app, context);
   try {
-    // The parser takes them last first.
+    // The parser takes them in reverse order.
     std::vector<std::string> reversed(arguments.rbegin(), arguments.rend());
     app.parse(reversed);
   } catch (const CLI::CallForVersion&) {
@@ -120,7 +126,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
 }  // namespace rcb::cli
 
 int main(int argc, char** argv) {
-  std::signal(SIGPIPE, SIG_IGN);  // a scene or service of this command's own is cleared away first
+  std::signal(SIGPIPE, SIG_IGN);  // ignored, so that a temporary scene or embedded service is removed before the end
   std::vector<std::string> arguments;
   for (int i = 1; i < argc; ++i) arguments.push_back(rcb::cli::plain_number(argv[i]));
   const bool json_asked = std::find(arguments.begin(), arguments.end(), "--json") != arguments.end();

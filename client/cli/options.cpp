@@ -18,13 +18,13 @@ namespace rcb::cli::kind {
 namespace {
 
 constexpr int kRanksMax = 4096;
-constexpr double kWholeMax = 9007199254740992.0;  // 2^53: beyond it a double is no exact count
+constexpr double kWholeMax = 9007199254740992.0;  // 2^53: a larger double may not be an exact count
 
 std::optional<double> number_in(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
   if (text.empty() || *end != '\0' || std::isnan(value)) return std::nullopt;
-  // Infinity is a word: 1e400 is a slip.
+  // Infinity must be written as a word: a number too large for a double, such as 1e400, is refused.
   if (std::isinf(value) && text.find_first_of("0123456789") != std::string::npos) return std::nullopt;
   return value;
 }
@@ -38,7 +38,7 @@ std::optional<std::int64_t> whole_in(const std::string& text) {
   return static_cast<std::int64_t>(*number);
 }
 
-// CLI11 wants an empty text for a value that passes.
+// For CLI11 an empty text means that the value passes.
 Kind number_kind(const std::string& shown, const std::string& wanted, std::function<bool(double)> good) {
   return {shown, CLI::Validator(
                      [wanted, good = std::move(good)](std::string& text) {
@@ -48,7 +48,7 @@ Kind number_kind(const std::string& shown, const std::string& wanted, std::funct
                      "")};
 }
 
-// The ending of a file's name in small letters, "" for none.
+// The extension of a file's name in lower case; "" for none.
 std::string ending_of(const std::string& path) {
   const std::string name = path.substr(path.rfind('/') + 1);
   const std::size_t dot = name.rfind('.');
@@ -62,7 +62,7 @@ std::string ending_of(const std::string& path) {
 struct FormatNames {
   const char* ending;
   const char* name;
-  bool is_text;  // may be called .txt
+  bool is_text;  // may also be called .txt
 };
 
 FormatNames names_of(Format format) {
@@ -79,7 +79,7 @@ FormatNames names_of(Format format) {
   CHECK(false, "a format of the list above");
 }
 
-// Endings by which other programs know a format.
+// Extensions by which other programs recognise a format.
 constexpr const char* kKnownEndings[] = {".csv", ".tsv",  ".txt", ".json", ".npy",  ".npz",  ".h5",  ".hdf5",   ".xyz",
                                          ".vtk", ".vtu",  ".vtp", ".xls",  ".xlsx", ".ods",  ".svg", ".png",    ".pdf",
                                          ".jpg", ".jpeg", ".gif", ".eps",  ".ps",   ".webp", ".tif", ".tiff",   ".bmp",
@@ -129,8 +129,10 @@ Kind whole_number(const std::string& shown, std::int64_t least, std::int64_t mos
   return {shown, CLI::Validator(
                      [least, most, wanted](std::string& text) {
                        const auto value = whole_in(text);
-                       if (!value || *value < least || *value > most)
-                         return fmt::format("'{}' is not {}", text, wanted);
+                       const auto number = number_in(text);
+                       if (value ? *value > most : number && *number > kWholeMax)
+                         return fmt::format("'{}' is above {}, the most there is", text, most);
+                       if (!value || *value < least) return fmt::format("'{}' is not {}", text, wanted);
                        text = std::to_string(*value);
                        return std::string();
                      },

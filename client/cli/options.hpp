@@ -1,5 +1,5 @@
-// Options and what they take: the word by which --help shows a value, and a check in plain words. The check runs before
-// the parser converts the text, so that nobody meets the parser's own words about types.
+// Options and their values: the word by which --help shows a value, and a check with a plain message. The check runs
+// before the parser converts the text, so that users don't see the parser's own messages about types.
 #pragma once
 
 #include <cstdint>
@@ -14,10 +14,10 @@ namespace rcb::cli {
 
 struct Kind {
   std::string shown;
-  CLI::Validator check;  // of one value; may rewrite it as the parser reads it
+  CLI::Validator check;  // of one value; may rewrite it into the form that the parser reads
 };
 
-// names: "--parts", or "NAME" for an argument without dashes, as messages call it.
+// names: "--parts", or "NAME" for a positional argument, as messages call it.
 template <typename T>
 CLI::Option* add_value(CLI::App& command, const std::string& names, T& variable, const Kind& kind,
                        const std::string& help) {
@@ -26,7 +26,7 @@ CLI::Option* add_value(CLI::App& command, const std::string& names, T& variable,
 
 namespace kind {
 
-Kind text(const std::string& shown);  // anything but nothing
+Kind text(const std::string& shown);  // must not be empty
 Kind memory_size();                   // 65536, 512mb, 4gb
 Kind number(const std::string& shown);
 Kind positive_number(const std::string& shown);
@@ -34,7 +34,7 @@ Kind number_from_zero(const std::string& shown);
 Kind number_from_one(const std::string& shown);
 Kind number_between(const std::string& shown, double least, double most);
 Kind tolerance();  // 0 to inf
-// 1e3 is one too.
+// Also in the form 1e3.
 Kind whole_number(const std::string& shown, std::int64_t least,
                   std::int64_t most = std::numeric_limits<std::int64_t>::max());
 Kind part_count();
@@ -44,7 +44,7 @@ Kind one_of(const std::string& shown, const std::vector<std::string>& words);
 Kind method();
 Kind policy();
 Kind recut();
-// A file to be written: its ending may not name another format.
+// A file to be written: its extension may not be that of another format.
 enum class Format { csv, npy, json, svg };
 Kind output_file(Format format);
 
@@ -54,19 +54,19 @@ inline constexpr const char* kToleranceHelp = "repartition at this error; inf: n
 inline constexpr const char* kHysteresisHelp =
     "a repartition turns a cut to another axis where the part is longer along that one by this factor; 1: always";
 inline constexpr const char* kPolicyHelp =
-    "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes";
+    "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes";
 inline constexpr const char* kRecutHelp =
     "what a repartition cuts anew: all, or subtree, the least that brings the error below half the tolerance";
 inline constexpr const char* kPartSizesHelp = "a share for each part, such as 1,2,3";
-inline constexpr const char* kStepSecondsHelp = "what the solver computed for this step; for the policy cost";
+inline constexpr const char* kStepSecondsHelp = "the solver's computing time for one step; used by the policy cost";
 inline constexpr const char* kCutToleranceHelp =
     "end a search once no part can be off its target by more than this fraction; 0: exact";
 inline constexpr const char* kGhostWidthHelp =
-    "how near a point of another part is a ghost (default: 2 (box volume / points)^(1/dims))";
+    "distance within which a point of another part is a ghost (default: 2 (box volume / points)^(1/dims))";
 inline constexpr const char* kAllHelp = "show every part, however many";
 inline constexpr const char* kReplaceFilesHelp = "remove the files of other parts from DIR";
 
-// The page of --help in these words.
+// Formats the pages of --help.
 std::shared_ptr<CLI::Formatter> help_format();
 
 }  // namespace rcb::cli

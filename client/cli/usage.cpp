@@ -43,19 +43,19 @@ std::string did_you_mean(const std::string& word, const std::vector<std::string>
   return near.empty() ? "" : fmt::format("did you mean {}? ", near.front());
 }
 
-struct Words {
+struct UsageMessage {
   std::string message;
   std::string meant;  // "did you mean --parts? "
 };
 
-// A word or option that nothing takes.
-Words unexpected(const CLI::App& app, const Chosen& chosen, const std::string& word) {
+// A word or option that no command takes.
+UsageMessage unexpected(const CLI::App& app, const Chosen& chosen, const std::string& word) {
   if (word.size() < 2 || word[0] != '-') return {fmt::format("'{}' is one word too many", word), ""};
   const std::string name = word.substr(0, word.find('='));
   return {fmt::format("there is no option {}", name), did_you_mean(name, options_of(app, *chosen.command))};
 }
 
-Words unknown_command(const Chosen& chosen, const std::string& word) {
+UsageMessage unknown_command(const Chosen& chosen, const std::string& word) {
   return {fmt::format("there is no command {}{}", chosen.path.empty() ? "" : chosen.path + " ", word),
           did_you_mean(word, commands_of(*chosen.command))};
 }
@@ -65,7 +65,7 @@ bool is(const CLI::ParseError& error) {
   return dynamic_cast<const Kind*>(&error) != nullptr;
 }
 
-// The parser's own message, with what it says in its own terms said in ours.
+// The parser's own message, with its terms replaced by plain ones.
 std::string plain(const CLI::ParseError& error) {
   std::string text = error.what();
   const auto replace = [&text](std::string_view from, std::string_view to) {
@@ -86,7 +86,7 @@ std::string plain(const CLI::ParseError& error) {
 
 Status usage_failure(const CLI::App& app, const CLI::ParseError& error) {
   const Chosen chosen = chosen_in(app);
-  Words words{plain(error), ""};
+  UsageMessage words{plain(error), ""};
   const std::vector<std::string> extra = app.remaining(true);
   const auto is_dashed = [](const std::string& word) { return word.starts_with("-"); };
   const auto dashed = std::find_if(extra.begin(), extra.end(), is_dashed);
@@ -94,7 +94,7 @@ Status usage_failure(const CLI::App& app, const CLI::ParseError& error) {
   const bool command_missing = !commands_of(*chosen.command).empty();
   if (command_missing && word != extra.end())
     words = unknown_command(chosen, *word);
-  else if (dashed != extra.end())  // a mistyped option, before what is missing because of it
+  else if (dashed != extra.end())  // report a mistyped option before what is missing because of it
     words = unexpected(app, chosen, *dashed);
   else if (command_missing)
     words = {fmt::format("rcbctl {}wants a command: {}", chosen.path.empty() ? "" : chosen.path + " ",

@@ -1,4 +1,4 @@
-// What is wrong with a command line, in plain words.
+// Tells what is wrong with a command line, in plain words.
 #pragma once
 
 #include <CLI/CLI.hpp>
@@ -7,7 +7,7 @@
 
 namespace rcb::cli {
 
-// Why the parser refused the line, and where to read on.
+// Why the parser refused the line, and which --help to read.
 Status usage_failure(const CLI::App& app, const CLI::ParseError& error);
 
 }  // namespace rcb::cli

@@ -19,9 +19,9 @@
 
 #include "client/launch/log_tail.hpp"
 #include "common/base/clock.hpp"
-#include "common/base/lock_file.hpp"
-#include "common/base/own_files.hpp"
-#include "common/base/paths.hpp"
+#include "common/files/lock_file.hpp"
+#include "common/files/own_files.hpp"
+#include "common/files/paths.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -33,21 +33,22 @@ constexpr std::size_t kTemporaryPathMax = 60;
 constexpr std::chrono::minutes kStartTime{2};
 constexpr std::string_view kTemporaryPrefix = "rcb-embedded-";
 
-// The supervisor's process and both pipes to it. What a signal handler may touch is atomic.
-struct Bond {
+// The pipes to the supervisor; atomic, since a signal handler uses them.
+struct SupervisorPipes {
   std::atomic<int> lifeline_fd{-1};
   std::atomic<int> notify_fd{-1};
 };
-Bond g_bond;
+SupervisorPipes g_bond;
 
-// Waits for the end of the supervisor: end of file on the pipe that it alone holds open. Safe in a signal handler.
+// Waits until the supervisor has ended: then read() finds the end of the pipe, which only the supervisor holds open.
+// Safe in a signal handler.
 void await_end(int notify_fd, int timeout_ms) {
   char bytes[256];
   pollfd fd{notify_fd, POLLIN, 0};
   while (poll(&fd, 1, timeout_ms) > 0 && read(notify_fd, bytes, sizeof bytes) > 0) continue;
 }
 
-// An interrupted program takes its service with it before it goes.
+// When the program is interrupted, its service is ended first.
 void on_signal(int number) {
   const int lifeline_fd = g_bond.lifeline_fd.exchange(-1);
   const int notify_fd = g_bond.notify_fd.exchange(-1);
@@ -81,20 +82,21 @@ struct Started {
   int notify_fd = -1;
 };
 
-// The child's half: detached from session, standard streams and every file of the starter.
-[[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd) {
+// Runs in the child: leaves the starter's session, standard streams and open files.
+[[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd, const sigset_t& signals) {
   setsid();
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT}) signal(number, SIG_DFL);
+  sigprocmask(SIG_SETMASK, &signals, nullptr);
   signal(SIGPIPE, SIG_IGN);
   const int null_fd = open("/dev/null", O_RDWR);
   for (int fd = 0; fd < 3; ++fd) dup2(null_fd, fd);
-  // The pipes may have any numbers, even the ones they are moved to.
+  // The pipes may have any numbers, even 3 and 4: so move them up first.
   const int high_notify = fcntl(notify_fd, F_DUPFD, 16);
   const int high_lifeline = fcntl(lifeline_fd, F_DUPFD, 16);
   options.notify_fd = dup2(high_notify, 3);
   options.lifeline_fd = dup2(high_lifeline, 4);
   close_range(5, ~0U, 0);
-  // The pipe closes with the process, so its end tells that everything is done.
+  // Close-on-exec, so that the end of this process alone closes the pipe and tells the starter that all is done.
   for (const int fd : {3, 4}) fcntl(fd, F_SETFD, FD_CLOEXEC);
   if (chdir("/") != 0) _exit(1);
   const Status status = supervise(options);
@@ -116,17 +118,22 @@ Result<Started> fork_supervisor(const SuperviseOptions& options) {
     return Status(Code::io_error, fmt::format("pipe: {}", std::strerror(reason)));
   }
   std::fflush(nullptr);
-  // From here on an interruption goes through the handler, which ends the child, if there is one yet.
+  // From here on an interruption goes through the handler, which ends the child if it exists already: it waits for the
+  // end of `notify`, so it is held up until this process no longer has that open for writing.
+  sigset_t all, before;
+  sigfillset(&all);
+  sigprocmask(SIG_SETMASK, &all, &before);
   guard_by_signals(lifeline[1], notify[0]);
   const pid_t child = fork();
   if (child == 0) {
     close(lifeline[1]);
     close(notify[0]);
-    run_supervisor(options, notify[1], lifeline[0]);
+    run_supervisor(options, notify[1], lifeline[0], before);
   }
   const int reason = errno;
   close(notify[1]);
   close(lifeline[0]);
+  sigprocmask(SIG_SETMASK, &before, nullptr);
   if (child < 0) {
     unguard();
     close(notify[0]);
@@ -157,7 +164,7 @@ Status failure_from(const std::string& text) {
   return {code == Code::ok ? Code::internal : code, fields[1], fields[2]};
 }
 
-// The supervisor's verdict: ok when the service answers.
+// What the supervisor reports about the start: ok if the service answers.
 Status await_verdict(const Started& started, double deadline_seconds, const Progress& progress) {
   const SteadyClock clock;
   const double begin = clock.seconds();
@@ -179,7 +186,8 @@ Status await_verdict(const Started& started, double deadline_seconds, const Prog
   }
 }
 
-// Embedded services whose program and supervisor were killed at once leave theirs, with a lock that nobody holds.
+// Removes the folders of embedded services whose program and supervisor were killed at the same moment; nobody holds
+// the locks in them.
 void sweep_temporary(const std::string& parent) {
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator(parent, error)) {
@@ -192,11 +200,11 @@ void sweep_temporary(const std::string& parent) {
   }
 }
 
-// A folder short enough for a socket in it.
+// A new folder whose path is short enough for a socket.
 Result<std::string> temporary_directory() {
   const char* named = std::getenv("TMPDIR");
   std::string parent = named != nullptr && *named == '/' ? named : "/tmp";
-  // A folder that others could fill is none for the files of a service.
+  // A folder in which others could place files isn't safe for a service.
   if (parent.size() > kTemporaryPathMax || !check_parent_directory(parent)) parent = "/tmp";
   sweep_temporary(parent);
   std::string pattern = join_path(parent, fmt::format("{}XXXXXX", kTemporaryPrefix));
@@ -237,7 +245,7 @@ Result<Embedded> Embedded::start(int ranks, const Progress& progress) {
   options.data_dir = *directory;
   options.ranks = ranks;
   options.embedded = true;
-  options.service_arguments = {"--local-files-below", "/"};  // it is this user's own, and ends with this program
+  options.service_arguments = {"--local-files-below", "/"};  // the user's own, and ends with this program
   auto started = fork_supervisor(options);
   if (!started) {
     rmdir(directory->c_str());
@@ -261,7 +269,7 @@ Embedded::~Embedded() {
   if (supervisor_ <= 0) return;
   end({supervisor_, lifeline_fd_, notify_fd_});
   std::error_code ignored;
-  std::filesystem::remove_all(directory_, ignored);  // where the supervisor could not
+  std::filesystem::remove_all(directory_, ignored);  // if the supervisor couldn't
 }
 
 Status Embedded::explain(Status status) const {

@@ -1,6 +1,6 @@
-// The one launcher: starts a service and waits until it answers, as a service of its own or embedded in this program.
+// The launcher: starts a service and waits until it answers, either detached or embedded in this program.
 //
-// Both run under a supervisor in a process and session of their own (supervisor.hpp).
+// Both run under a supervisor in a process and session of its own (supervisor.hpp).
 // Thread-safety: to be called while the program has one thread.
 #pragma once
 
@@ -14,24 +14,24 @@
 
 namespace rcb::launch {
 
-// Called every now and then while waiting, with the seconds waited.
+// Called from time to time while waiting, with the seconds waited so far.
 using Progress = std::function<void(double seconds)>;
 
-// Starts a service that outlives this program. When this returns ok the service answers; when it fails, or this
-// program is interrupted meanwhile, nothing is left of it. Errors: the service's own reason; deadline_exceeded.
+// Starts a service that outlives this program. On success the service answers; after an error, or if this program is
+// interrupted during the call, nothing of it is left. Errors: the service's own reason; deadline_exceeded.
 Status start_detached(SuperviseOptions options, const Progress& progress);
 
-// A service that ends with this object, or with this program however that ends, and leaves nothing.
+// A service that ends with this object or with this program, however that ends, and leaves nothing behind.
 class Embedded {
  public:
-  // In a folder of its own under TMPDIR (or /tmp, where that is too long a path for a socket).
+  // Starts it in a folder of its own under TMPDIR (or /tmp, if TMPDIR is too long for a socket's path or not safe).
   static Result<Embedded> start(int ranks, const Progress& progress);
   Embedded(Embedded&& other) noexcept;
   Embedded& operator=(Embedded&&) = delete;
   ~Embedded();
 
   const std::string& endpoint() const { return endpoint_; }
-  // Adds what the service's log says to the failure of a call that lost its service.
+  // Adds the end of the service's log to the error of a call that lost the service.
   Status explain(Status status) const;
 
  private:
@@ -49,12 +49,12 @@ struct Stopped {
   std::string said;  // what was ended or removed, in words
 };
 // Stops the service at the endpoint (empty: as the client library finds it) and waits until its processes and its
-// socket are gone. Clean; after `deadline_seconds` by force where its supervisor is known. Also ends a supervisor that
-// waits to start its service again, and removes what a service that was killed has left. Errors: unavailable (nothing
-// of all this), deadline_exceeded.
+// socket are gone: first by a clean shutdown, after `deadline_seconds` by force, as far as its processes are known.
+// Also ends a supervisor that waits to restart its service, and removes what a killed service has left. Errors:
+// unavailable (there is nothing to end or remove), deadline_exceeded.
 Result<Stopped> stop_service(const std::string& given, double deadline_seconds);
 
-// To the failure of a call that found no service: whether a supervisor looks after one there, and what it is about to
+// Adds to the error of a call that found no service whether a supervisor is in charge there, and what that is about to
 // do.
 Status explain_absence(const std::string& given, Status status);
 

@@ -13,7 +13,7 @@ namespace {
 constexpr std::uint64_t kReadBytesMax = 64 * 1024;
 constexpr std::size_t kLinesMax = 5;
 
-// mpirun frames its remarks with lines of dashes.
+// mpirun frames its own messages with lines of dashes.
 bool is_rule(std::string_view line) {
   return line.size() >= 20 && std::all_of(line.begin(), line.end(), [](char c) { return c == '-'; });
 }
@@ -38,7 +38,7 @@ std::string telling_lines(const std::string& text) {
       continue;
     }
     std::vector<std::string>& lines = in_frame ? of_mpirun : own;
-    // All ranks tend to say the same.
+    // All ranks tend to write the same line.
     if (line.find_first_not_of(" \t\r") != std::string::npos &&
         std::find(lines.begin(), lines.end(), line) == lines.end())
       lines.push_back(line);

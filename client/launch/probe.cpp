@@ -16,7 +16,7 @@
 namespace rcb::launch {
 namespace {
 
-// Waits for the events, or for an error. False where the time is over.
+// Waits for the events, or for an error. False after a timeout.
 bool await(int socket, short events, double seconds) {
   pollfd fd{socket, events, 0};
   return ::poll(&fd, 1, static_cast<int>(1000 * seconds) + 1) > 0;
@@ -27,15 +27,15 @@ bool connects_and_hears(int family, const sockaddr* address, socklen_t bytes, do
   const double end = clock.seconds() + deadline_seconds;
   const int socket = ::socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (socket < 0) return false;
-  bool heard = ::connect(socket, address, bytes) == 0;
-  if (!heard && errno == EINPROGRESS && await(socket, POLLOUT, deadline_seconds)) {
+  bool record_probe = ::connect(socket, address, bytes) == 0;
+  if (!record_probe && errno == EINPROGRESS && await(socket, POLLOUT, deadline_seconds)) {
     int fault = 0;
     socklen_t size = sizeof fault;
-    heard = ::getsockopt(socket, SOL_SOCKET, SO_ERROR, &fault, &size) == 0 && fault == 0;
+    record_probe = ::getsockopt(socket, SOL_SOCKET, SO_ERROR, &fault, &size) == 0 && fault == 0;
   }
-  heard = heard && await(socket, POLLIN, end - clock.seconds());
+  record_probe = record_probe && await(socket, POLLIN, end - clock.seconds());
   ::close(socket);
-  return heard;
+  return record_probe;
 }
 
 bool answers_on_unix(const std::string& path, double deadline_seconds) {

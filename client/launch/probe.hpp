@@ -1,12 +1,12 @@
-// Whether anybody serves an endpoint, without a word of the protocol.
+// Tells whether a service listens at an endpoint, without using the protocol.
 #pragma once
 
 #include <string>
 
 namespace rcb::launch {
 
-// A service speaks first: true if it says anything to a new connection, or closes it, within the time. So one that
-// refuses everybody, since it has as many clients as it takes, counts as one that lives.
+// A service speaks first: true if it sends anything on a new connection, or closes it, within the time. So a service
+// that refuses the connection, since it has as many clients as it takes, counts as alive.
 bool answers(const std::string& endpoint, double deadline_seconds);
 
 }  // namespace rcb::launch

@@ -6,14 +6,14 @@
 
 #include "client/lib/endpoint.hpp"
 #include "client/lib/retry.hpp"
-#include "common/base/endpoint_lock.hpp"
+#include "common/files/endpoint_lock.hpp"
 
 namespace rcb::launch {
 namespace {
 
 constexpr double kReturnSeconds = 5;
 
-// The endpoint, of those that were tried, at which a service is to be back soon; empty: none.
+// Which of the endpoints to try has a service that is about to be restarted; empty: none.
 std::string returning(const std::string& given) {
   const auto endpoints = client::endpoints_to_try(given);
   if (!endpoints) return "";
@@ -25,7 +25,7 @@ std::string returning(const std::string& given) {
 
 }  // namespace
 
-Result<client::Client> reach_returning(const client::ConnectOptions& options) {
+Result<client::Client> connect_awaiting_restart(const client::ConnectOptions& options) {
   client::Retry retry(kReturnSeconds);
   for (;;) {
     auto client = client::Client::connect(options);

@@ -1,4 +1,4 @@
-// Connects to a service in one line.
+// Short ways to connect to a service.
 #pragma once
 
 #include <string>
@@ -8,8 +8,8 @@
 
 namespace rcb::launch {
 
-// For who looks after a service, or has one of its own that nobody starts again: where it has gone, that is told at
-// once. endpoint: empty: as the client library finds it. Errors: those of Client::connect.
+// For a supervisor, or for a program whose service nobody restarts: fails at once if the service has gone. endpoint:
+// empty: as the client library finds it. Errors: those of Client::connect.
 inline Result<client::Client> reach(const std::string& endpoint, const std::string& name, double deadline_seconds = 5) {
   client::ConnectOptions options;
   options.endpoint = endpoint;
@@ -19,8 +19,8 @@ inline Result<client::Client> reach(const std::string& endpoint, const std::stri
   return client::Client::connect(options);
 }
 
-// Client::connect for a user's command: where a supervisor is about to start the service again, that is waited for, for
-// a few seconds; options.on_notice hears of it.
-Result<client::Client> reach_returning(const client::ConnectOptions& options);
+// Client::connect for a user's command: if a supervisor is about to restart the service, waits a few seconds for that,
+// and says so by options.on_notice.
+Result<client::Client> connect_awaiting_restart(const client::ConnectOptions& options);
 
 }  // namespace rcb::launch

@@ -12,7 +12,7 @@
 #include <unistd.h>
 
 #include "client/launch/log_tail.hpp"
-#include "common/base/own_files.hpp"
+#include "common/files/own_files.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -57,14 +57,14 @@ bool ServiceLog::in_place() const {
 Status ServiceLog::refresh() { return in_place() ? Status{} : open(); }
 
 void ServiceLog::rotate() {
-  // Where it can't be renamed, its content goes all the same: a bound that depends on the disk is none.
+  // If it can't be renamed, its content is discarded all the same, so that its size stays limited.
   const std::string old = path_ + ".1";
   if (!in_place() || std::rename(path_.c_str(), old.c_str()) != 0) {
     if (::ftruncate(file_, 0) == 0) bytes_ = 0;
     return;
   }
   auto file = open_own_file(path_, O_WRONLY | O_CREAT | O_APPEND);
-  if (!file.ok()) return;  // goes on in the renamed one
+  if (!file.ok()) return;  // goes on with the renamed file
   ::close(std::exchange(file_, *file));
   bytes_ = 0;
 }

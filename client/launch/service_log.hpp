@@ -1,10 +1,10 @@
-// ServiceLog: the log file of a service, written by its supervisor from the pipe that mpirun writes into.
+// ServiceLog: the log file of a service, written by its supervisor from the pipe into which mpirun writes.
 //
 // Invariants
-// 1. The file is a regular one of this user (own_files.hpp); what somebody else has put at its path is refused.
-// 2. It is never much larger than bytes_max: then it is renamed to PATH.1, whose earlier content goes.
-// 3. A file that can't be written, or is removed, ends nothing: bytes are counted as lost, and told once it works
-// again.
+// 1. The file is a regular one of this user (own_files.hpp); anything else at its path is refused.
+// 2. It never gets much larger than bytes_max: then it is renamed to PATH.1, replacing an older one.
+// 3. If the file can't be written, or is removed, the service goes on: lost bytes are counted, and reported in the log
+//    once it can be written again.
 #pragma once
 
 #include <cstdint>
@@ -27,15 +27,15 @@ class ServiceLog {
   // Errors: io_error, not_authorised.
   Status open();
   const std::string& path() const { return path_; }
-  // What the job says.
+  // Adds output of the job.
   void add(std::string_view bytes);
-  // A line of the supervisor's own.
+  // Adds a line of the supervisor's own.
   void note(std::string_view text);
-  // A job begins: what tail() is about is what it says from here on.
+  // A job begins: tail() is about its output only.
   void begin_job() { recent_.clear(); }
-  // The last telling lines of the job, whether or not they could be written.
+  // The last informative lines of the job, also if they could not be written.
   std::string tail() const;
-  // Makes the file again where somebody has removed or renamed it. Errors: those of open().
+  // Creates the file again if somebody has removed or renamed it. Errors: those of open().
   Status refresh();
 
  private:

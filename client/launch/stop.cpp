@@ -1,5 +1,5 @@
-// How a service is stopped, and how one sees that it is gone: one that answers, one that is silent or waits to be
-// started again, and what one that was killed has left.
+// Stops a service, in whatever state it is: it answers, it is silent, it waits to be restarted, or it was killed and
+// has left files. Also finds out whether it is gone.
 #include <algorithm>
 #include <string>
 #include <vector>
@@ -9,14 +9,14 @@
 #include <signal.h>
 #include <unistd.h>
 
-#include "client/launch/job_folder.hpp"
+#include "client/launch/job/job_folder.hpp"
+#include "client/launch/job/processes.hpp"
 #include "client/launch/launch.hpp"
-#include "client/launch/processes.hpp"
 #include "client/launch/reach.hpp"
 #include "client/lib/endpoint.hpp"
 #include "common/base/clock.hpp"
-#include "common/base/endpoint_lock.hpp"
-#include "common/base/socket_file.hpp"
+#include "common/files/endpoint_lock.hpp"
+#include "common/files/socket_file.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -25,13 +25,13 @@ constexpr double kForceSeconds = 30;
 constexpr double kKillSeconds = 5;
 constexpr double kLookSeconds = 0.05;
 
-// The service runs on this machine, so that its process numbers mean something here.
+// Whether the service runs on this machine, so that its process numbers are valid here.
 bool is_local(const std::string& endpoint) {
   return endpoint.starts_with("unix:") || endpoint.starts_with("127.") || endpoint.starts_with("localhost:") ||
          endpoint.starts_with("[::1]:");
 }
 
-// What of a service is known on this machine: its supervisor (or, where it has none, nobody) first, its mpirun, rank 0.
+// The known processes of a service on this machine: its supervisor, if it has one, first; then mpirun and rank 0.
 class Running {
  public:
   Running(std::string endpoint, pid_t rank0) : endpoint_(std::move(endpoint)) {
@@ -53,7 +53,7 @@ class Running {
   void signal_all(int number) const {
     for (const Process& process : processes_) process.signal(number);
   }
-  // All processes are gone, and nobody listens any more.
+  // True when all processes are gone and nobody listens at the endpoint any more.
   bool await_end(double seconds) const {
     const SteadyClock clock;
     const double deadline = clock.seconds() + seconds;
@@ -79,7 +79,7 @@ class Running {
   std::vector<Process> processes_;
 };
 
-// What a service that was killed has left at the endpoint, or anywhere.
+// Removes what killed services have left: job folders of any endpoint, and the sockets of this one. Returns the paths.
 std::vector<std::string> remove_leftovers(const std::string& endpoint) {
   std::vector<std::string> removed = JobFolder::sweep("");
   if (!endpoint.starts_with("unix:")) return removed;
@@ -93,7 +93,7 @@ std::vector<std::string> remove_leftovers(const std::string& endpoint) {
   return removed;
 }
 
-// First the supervisor is asked to end its service, then all is killed.
+// Asks the supervisor to end its service; if that doesn't help, kills all processes.
 Status end_by_force(const Running& running) {
   running.signal_first(SIGTERM);
   if (running.await_end(kForceSeconds)) return {};
@@ -108,19 +108,20 @@ Status end_by_force(const Running& running) {
 }
 
 Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) {
-  const Running running(client.endpoint(), rank0_of(client, deadline_seconds));
   const SteadyClock clock;
   const double end = clock.seconds() + deadline_seconds;
-  const Status told = client.call("shutdown", "{}", deadline_seconds).status();
+  const auto left = [&] { return std::max(0.0, end - clock.seconds()); };
+  const Running running(client.endpoint(), rank0_of(client, left()));
+  const Status told = client.call("shutdown", "{}", left()).status();
   // A service that ends may close the connection before its answer is read.
   if (!told && told.code() != Code::unavailable && told.code() != Code::deadline_exceeded) return told;
-  running.signal_all(SIGCONT);  // what is stopped could not end
-  if (!running.await_end(std::max(0.0, end - clock.seconds())))
+  running.signal_all(SIGCONT);  // stopped processes could not end
+  if (!running.await_end(left()))
     if (Status ended = end_by_force(running); !ended) return ended;
   return Stopped{running.endpoint(), "stopped " + running.endpoint()};
 }
 
-// Its supervisor lives, but the service doesn't answer: it hangs, or is about to be started again.
+// The supervisor lives, but the service doesn't answer: it hangs, or is about to be restarted.
 Result<Stopped> stop_silent(const EndpointNote& holder) {
   const Running running(holder.endpoint, holder.program == "rcbd" ? holder.process.pid : -1);
   if (!running.known())

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <filesystem>
@@ -15,17 +16,18 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
-#include "client/launch/job.hpp"
+#include "client/launch/job/job.hpp"
 #include "client/launch/probe.hpp"
 #include "client/launch/reach.hpp"
-#include "client/launch/restarts.hpp"
 #include "client/launch/service_log.hpp"
+#include "client/launch/silence_watch.hpp"
+#include "client/lib/endpoint_file.hpp"
 #include "common/base/backoff.hpp"
 #include "common/base/clock.hpp"
-#include "common/base/endpoint_lock.hpp"
-#include "common/base/own_files.hpp"
-#include "common/base/paths.hpp"
-#include "common/base/socket_file.hpp"
+#include "common/files/endpoint_lock.hpp"
+#include "common/files/own_files.hpp"
+#include "common/files/paths.hpp"
+#include "common/files/socket_file.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -35,8 +37,8 @@ constexpr double kProbeDeadlineSeconds = 1;
 constexpr double kAskSecondsLeast = 0.5;
 constexpr double kAskSecondsMost = 5;
 constexpr double kStopSeconds = 20;
-constexpr double kPauseShortened = 0.25;
-constexpr int kReadsMax = 64;  // then a look at what else there is
+constexpr double kPauseJitter = 0.25;
+constexpr int kReadsMax = 64;  // of the job's output, before other events are looked at
 
 class Supervisor {
  public:
@@ -44,7 +46,7 @@ class Supervisor {
       : options_(options),
         log_(launch::log_path(options.data_dir)),
         marker_(join_path(options.data_dir, kCleanShutdownFile)),
-        backoff_({options.pause_first_seconds, options.pause_most_seconds, kPauseShortened},
+        backoff_({options.pause_first_seconds, options.pause_most_seconds, kPauseJitter},
                  mix64(static_cast<std::uint64_t>(getpid()) ^ ProcessId::self().start << 32U)),
         silence_(options.ask_seconds, options.silence_seconds) {}
   ~Supervisor();
@@ -59,6 +61,7 @@ class Supervisor {
   Status open_pipes();
   Status serve(Job& job);
   Status await_first_answer(Job& job);
+  Status publish();
   Status keep(Job& job);
   Outcome watch(Job& job, std::string& why);
   Outcome start_again(Job& job, std::string why);
@@ -78,11 +81,12 @@ class Supervisor {
   std::string marker_;
   SteadyClock clock_;
   Backoff backoff_;
-  Silence silence_;
+  SilenceWatch silence_;
   EndpointNote note_;
+  client::EndpointFile published_;
   std::optional<LockFile> endpoint_lock_;
   std::optional<LockFile> data_lock_;
-  int output_[2] = {-1, -1};  // the job's, from its other end to the log
+  int output_[2] = {-1, -1};  // pipe for the job's output: [1] the job writes, [0] is read for the log
   int signal_fd_ = -1;
   sigset_t signals_before_{};
   double started_ = 0;
@@ -136,6 +140,7 @@ Status Supervisor::run() {
   Job job({.endpoint = options_.endpoint,
            .data_dir = options_.data_dir,
            .ranks = options_.ranks,
+           .hosts = options_.hosts,
            .service_arguments = options_.service_arguments},
           options_.data_dir, output_[1]);
   const Status status = serve(job);
@@ -155,9 +160,31 @@ Status Supervisor::serve(Job& job) {
     notify(status);
     return status;
   }
-  (void)silence_.heard(true, clock_.seconds(), clock_.seconds());
+  if (status = publish(); !status) {
+    stop(job);
+    job.kill();
+    notify(status);
+    return status;
+  }
+  (void)silence_.record_probe(true, clock_.seconds(), clock_.seconds());
   notify({});
-  return keep(job);
+  status = keep(job);
+  if (!options_.publish.empty()) client::remove_endpoint_file(options_.publish, published_);
+  return status;
+}
+
+// Where the service stays however often it is started again.
+Status Supervisor::publish() {
+  if (options_.publish.empty()) return {};
+  const std::string host = host_name();
+  published_ = {options_.endpoint, host, std::to_string(getpid()), {}};
+  for (const char* name : {"SLURM_JOB_ID", "PBS_JOBID"})
+    if (const char* job = std::getenv(name); job != nullptr) published_.job = job;
+  for (const std::string every : {"0.0.0.0:", "[::]:"})  // which is no address of a machine
+    if (options_.endpoint.starts_with(every))
+      published_.endpoint = fmt::format("{}:{}", host, options_.endpoint.substr(every.size()));
+  if (!options_.endpoint.starts_with("unix:")) published_.token_file = join_path(options_.data_dir, kTokenFile);
+  return client::write_endpoint_file(options_.publish, published_);
 }
 
 Status Supervisor::start(Job& job, bool restarted) {
@@ -176,7 +203,7 @@ Status Supervisor::await_first_answer(Job& job) {
   while (clock_.seconds() < deadline) {
     if (wait(kProbeSeconds) == Event::stop) return {Code::aborted, "the service was told to end while it started"};
     if (const auto end = job.poll()) return {Code::aborted, reason(end->text), "the whole log: " + log_.path()};
-    // The job's own word, too: somebody else may have taken its TCP port, and answers there.
+    // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && answers(options_.endpoint, kProbeDeadlineSeconds)) return {};
   }
   return {Code::deadline_exceeded,
@@ -184,7 +211,7 @@ Status Supervisor::await_first_answer(Job& job) {
           "its log: " + log_.path()};
 }
 
-// Until the service ends for good.
+// Watches and restarts the service until it has ended for good.
 Status Supervisor::keep(Job& job) {
   for (;;) {
     std::string why;
@@ -199,7 +226,7 @@ Status Supervisor::keep(Job& job) {
         stop(job);
         return {};
       case Outcome::died:
-        // The starter reads the log first; then its lifeline ends.
+        // The starter reads the log first, then closes the lifeline.
         while (wait(-1) != Event::stop) continue;
         return {};
       case Outcome::displaced:
@@ -208,7 +235,7 @@ Status Supervisor::keep(Job& job) {
   }
 }
 
-// Sleeps until the service ends, is to be asked, or is silent for too long. why: of a death.
+// Waits until the service ends or is silent for too long. why: the reason of a death.
 Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
   for (;;) {
     const double left = options_.embedded ? -1 : std::max(0.0, silence_.due() - clock_.seconds());
@@ -226,15 +253,15 @@ Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
     const double asked_at = clock_.seconds();
     const double patience = std::clamp(options_.ask_seconds, kAskSecondsLeast, kAskSecondsMost);
     const bool answer = answers(options_.endpoint, patience);
-    if (silence_.heard(answer, asked_at, clock_.seconds())) {
+    if (silence_.record_probe(answer, asked_at, clock_.seconds())) {
       why = fmt::format("it has not answered for {:.0f} s", silence_.silent_seconds(clock_.seconds()));
       return Outcome::died;
     }
-    if (clock_.seconds() - started_ > options_.steady_seconds && silence_.answered()) backoff_.reset();
+    if (clock_.seconds() - started_ > options_.backoff_reset_seconds && silence_.answered()) backoff_.reset();
   }
 }
 
-// Pauses and starts the job, until one runs.
+// Pauses and starts the job, until a start succeeds.
 Supervisor::Outcome Supervisor::start_again(Job& job, std::string why) {
   for (;;) {
     job.kill();
@@ -243,7 +270,7 @@ Supervisor::Outcome Supervisor::start_again(Job& job, std::string why) {
     const double seconds = backoff_.next();
     note_.failures = backoff_.failures();
     note_.last_reason = why;
-    // The log has the rest of the reason above.
+    // The reason's later lines are in the log already, above.
     log_.note(fmt::format("the service has died ({}), {} times so far, {} in a row; it is started again in {:.1f} s",
                           why.substr(0, why.find(":\n")), note_.deaths, note_.failures, seconds));
     tell_state(static_cast<double>(std::time(nullptr)) + seconds);
@@ -268,10 +295,11 @@ bool Supervisor::pause(double seconds) {
 
 void Supervisor::tell_state(double start_at_unix) {
   note_.start_at_unix = start_at_unix;
-  (void)endpoint_lock_->write(note_.text());  // in place, so that a full disk is no obstacle
+  (void)endpoint_lock_->write(note_.text());  // overwritten in place, so that a full disk doesn't matter
 }
 
-// What somebody has removed is made again: data directory, locks, log. Errors: that can't be; another has the endpoint.
+// Creates again what somebody has removed: data directory, locks, log. Errors: why that can't be done; one is that
+// another service has taken the endpoint.
 Status Supervisor::keep_place() {
   if (!endpoint_lock_->in_place()) {
     auto lock = take_endpoint(note_);
@@ -290,9 +318,9 @@ Status Supervisor::keep_place() {
   return log_.refresh();
 }
 
-// A clean end within the deadline; run() kills what is left after it.
+// Ends the service cleanly within kStopSeconds, if possible; run() kills what is left.
 void Supervisor::stop(Job& job) {
-  if (options_.embedded || !job.running()) return;  // nothing in an embedded one lasts
+  if (options_.embedded || !job.running()) return;  // an embedded service keeps nothing
   log_.note("stopping");
   const double deadline = clock_.seconds() + kStopSeconds;
   auto client = reach(options_.endpoint, "rcbctl up", 2);
@@ -303,8 +331,8 @@ void Supervisor::stop(Job& job) {
   }
 }
 
-// Sleeps until a child ended, a stop was asked for, or the time is over (negative: none). The job's output is read
-// meanwhile.
+// Sleeps until a child has ended, a stop was asked for, or `seconds` have passed (negative: no limit). Reads the job's
+// output meanwhile.
 Supervisor::Event Supervisor::wait(double seconds) {
   const double end = clock_.seconds() + seconds;
   for (;;) {
@@ -327,7 +355,7 @@ Supervisor::Event Supervisor::wait(double seconds) {
   }
 }
 
-// What the job has written, to the log.
+// Moves what the job has written to the log.
 void Supervisor::drain() {
   char bytes[64 * 1024];
   for (int i = 0; i < kReadsMax; ++i) {
@@ -349,7 +377,7 @@ void Supervisor::notify(const Status& status) {
   if (!status)
     for (const std::string& field : {std::string(code_name(status.code())), status.message(), status.hint()})
       text.append(field).push_back('\0');
-  // A starter that is gone needs no answer.
+  // The starter may have gone: then nobody needs the message.
   if (write(options_.notify_fd, text.data(), text.size()) < 0) log_.note("the starter has gone");
 }
 

@@ -1,4 +1,4 @@
-// Steps that are more or less than "all positions": few moved, some removed, some inserted.
+// Steps other than "all positions": only some particles moved, particles are removed or inserted.
 #include "client/lib/changes.hpp"
 
 #include <algorithm>
@@ -7,14 +7,13 @@
 
 #include <fmt/format.h>
 
+#include "common/base/axis_names.hpp"
 #include "common/wire/frame.hpp"
 
 namespace rcb::client {
 namespace {
 
-constexpr const char* kAxisNames[] = {"x", "y", "z"};
-
-// One array of a frame, appended to its bytes.
+// Appends an array to the bulk of a frame.
 void append(std::string& bytes, const void* values, std::size_t size) {
   if (size > 0) bytes.append(static_cast<const char*>(values), size);
 }
@@ -39,17 +38,17 @@ std::string slice_frame(const wire::Json& begin, std::uint64_t request, const ch
   return wire::encode_frame(header, wire::dump_json(json)) + bulk;
 }
 
-// What the edit makes of an array by row.
+// Applies the edit to an array that is indexed by row.
 template <typename T>
 void move_with(const RowEdit& edit, std::vector<T>& rows, std::span<const T> inserted) {
   rows.resize(std::max<std::size_t>(rows.size(), edit.moves.new_count));
-  for (const plan::SlotMove& m : edit.moves.moves) rows[m.to] = m.arrival ? inserted[m.from] : rows[m.from];
+  for (const layout::SlotMove& m : edit.moves.moves) rows[m.to] = m.arrival ? inserted[m.from] : rows[m.from];
   rows.resize(edit.moves.new_count);
 }
 
 }  // namespace
 
-EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const Ask& ask, int dims) {
+EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const StepRequest& ask, int dims) {
   EditFrames frames;
   if (ask.inserted() > 0) {
     const Insertion& in = *ask.options.inserted;
@@ -75,7 +74,7 @@ EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const Ask
   return frames;
 }
 
-Status Scene::State::check_edits(const Ask& ask) const {
+Status Scene::State::check_edits(const StepRequest& ask) const {
   if (!ask.edits()) return {};
   if (!has_particles())
     return wrong("insertions or removals, and the scene has no particles yet", "push a first step with all of them");
@@ -100,7 +99,7 @@ Status Scene::State::check_edits(const Ask& ask) const {
   return {};
 }
 
-Result<Selection> Scene::State::select(const Ask& ask) const {
+Result<Selection> Scene::State::select(const StepRequest& ask) const {
   struct Place {
     std::uint64_t slot;
     std::uint64_t place;
@@ -110,7 +109,7 @@ Result<Selection> Scene::State::select(const Ask& ask) const {
   const auto add = [&](std::uint64_t row, std::uint64_t place) {
     places[static_cast<std::size_t>(plan_->rank_of_row(row))].push_back({plan_->slot_of_row(row), place});
   };
-  if (ask.moved == Ask::Moved::rows) {
+  if (ask.moved == StepRequest::Moved::rows) {
     for (const std::uint64_t row : *ask.options.moved) {
       if (row >= count_) return wrong(fmt::format("row {} moved, there are {}", row, count_), "rows count from 0");
       add(row, row);
@@ -130,7 +129,7 @@ Result<Selection> Scene::State::select(const Ask& ask) const {
   selection.places.resize(places.size());
   for (std::size_t rank = 0; rank < places.size(); ++rank) {
     std::vector<Place>& of_rank = places[rank];
-    // Rows in ascending order are slots in ascending order, as a rule.
+    // Usually ascending rows have ascending slots, so there is nothing to sort.
     if (!std::is_sorted(of_rank.begin(), of_rank.end(), by_slot)) std::sort(of_rank.begin(), of_rank.end(), by_slot);
     auto& slots = selection.slots[rank];
     slots.reserve(of_rank.size());
@@ -147,7 +146,7 @@ Result<Selection> Scene::State::select(const Ask& ask) const {
   return selection;
 }
 
-Result<RowEdit> Scene::State::row_edit(const Ask& ask) const {
+Result<RowEdit> Scene::State::row_edit(const StepRequest& ask) const {
   RowEdit edit;
   for (const std::int64_t id : ask.options.removed) {
     const auto row = plan_->row_of_id(id);
@@ -160,13 +159,13 @@ Result<RowEdit> Scene::State::row_edit(const Ask& ask) const {
   std::sort(edit.removed.begin(), edit.removed.end());
   if (const auto twin = std::adjacent_find(edit.removed.begin(), edit.removed.end()); twin != edit.removed.end())
     return wrong(fmt::format("particle {} is removed twice", plan_->id_of_row(*twin)), "name it once");
-  edit.moves = plan::edit_of_rank(count_, edit.removed, ask.inserted());
+  edit.moves = layout::edit_of_rank(count_, edit.removed, ask.inserted());
   return edit;
 }
 
-void Scene::State::edit_rows(const Ask& ask, RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
-                             StepResult& result) {
-  for (const plan::SlotMove& move : edit.moves.moves) result.row_moves.push_back({move.to, move.from, move.arrival});
+void Scene::State::edit_rows(const StepRequest& ask, RowEdit& edit, const StepReport& report, const Frame& answer,
+                             bool follows, StepResult& result) {
+  for (const layout::SlotMove& move : edit.moves.moves) result.row_moves.push_back({move.to, move.from, move.arrival});
   result.inserted_ids.resize(ask.inserted());
   if (report.first_id) std::iota(result.inserted_ids.begin(), result.inserted_ids.end(), *report.first_id);
   if (ask.inserted() > 0 && !ask.options.inserted->ids.empty())
@@ -180,7 +179,7 @@ void Scene::State::edit_rows(const Ask& ask, RowEdit& edit, const StepReport& re
     std::memcpy(parts.data(), given->bytes.data(), given->bytes.size());
   for (const std::int32_t part : parts) {
     follows = follows && part >= 0 && part < parts_count_;
-    if (follows) ranks.push_back(plan::rank_of_part(part, parts_count_, plan_->ranks()));
+    if (follows) ranks.push_back(layout::rank_of_part(part, parts_count_, plan_->ranks()));
   }
   if (weights_.size() == count_ && has_weights_) {
     const std::span<const double> inserted =

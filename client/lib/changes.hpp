@@ -1,4 +1,4 @@
-// The frames of a push that insert and remove particles.
+// The frames of a push that carry inserted and removed particles.
 #pragma once
 
 #include <string>
@@ -13,6 +13,6 @@ struct EditFrames {
 };
 
 // begin: the arguments of push.begin.
-EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const Ask& ask, int dims);
+EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const StepRequest& ask, int dims);
 
 }  // namespace rcb::client

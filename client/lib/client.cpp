@@ -33,7 +33,7 @@ Positions shaped(std::array<const T*, 3> Positions::*axis, const T* xyz, std::si
 template <typename T>
 Positions shaped(std::array<const T*, 3> Positions::*axis, std::span<const T* const> axes, std::size_t count) {
   Positions positions;
-  positions.dims = static_cast<int>(std::min<std::size_t>(axes.size(), 4));  // 4: refused by step()
+  positions.dims = static_cast<int>(std::min<std::size_t>(axes.size(), 4));  // 4 is refused by step()
   positions.count = count;
   for (std::size_t a = 0; a < 3 && a < axes.size(); ++a) (positions.*axis)[a] = axes[a];
   return positions;
@@ -144,6 +144,8 @@ Status Client::shutdown_service() {
 Result<Reply> Client::call(const std::string& command, const std::string& arguments_json, double deadline_seconds) {
   if (command.starts_with("push.") || command.empty())
     return Status(Code::unsupported, fmt::format("the command '{}' can't be called so", command), "use Scene::step");
+  if (!(deadline_seconds >= 0))
+    return Status(Code::invalid_argument, fmt::format("a deadline of {} seconds", deadline_seconds), "give 0 or more");
   auto request = wire::parse_json(arguments_json.empty() ? "{}" : arguments_json);
   if (!request)
     return Status(Code::invalid_argument, fmt::format("arguments of '{}': {}", command, request.status().message()));

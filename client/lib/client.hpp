@@ -5,12 +5,11 @@
 //   auto scene = client->open_scene("jet");
 //   auto result = scene->step(rcb::client::Positions::rows(xyz.data(), n, 3));
 //
-// A lost service is reached again, within the call's deadline: a connection that was cut, and a service that died and
-// was started again. Reads are repeated by themselves, and so is a step, which the service applies once; a scene that
-// died with its service is made anew, and the step brings all particles (StepReport::scene_recreated). Other commands
-// that were cut off fail with `unavailable`: whether they took effect is for the caller to ask. Thread-safety: a Client
-// and its Scenes belong to one thread at a time. No call waits without a deadline. Faults come back as Status: code,
-// message, hint.
+// A call that loses its connection, or whose service died and is started again, reconnects until its deadline. Reads
+// are repeated automatically. So is a step, which the service applies only once. A scene that was lost with its service
+// is created again, and the step brings all particles (StepReport::scene_recreated). Other commands that were cut off
+// fail with `unavailable`: the caller has to ask whether they took effect. Thread-safety: a Client and its Scenes
+// belong to one thread at a time. No call waits without a deadline. Errors are returned as Status: code, message, hint.
 #pragma once
 
 #include <array>
@@ -27,22 +26,25 @@
 
 namespace rcb::client {
 
-// How positions travel: straight to the ranks, or all through the endpoint. automatic: large pushes directly where the
-// ranks' own addresses answer. The environment's RCBD_PATH (auto, direct, gateway) decides where the caller doesn't.
-enum class Path { automatic, direct, gateway };
+// How positions come to the ranks: from memory that these share with the solver, over sockets straight to each of them
+// (direct), or all through the endpoint (gateway). automatic: as the environment's RCBD_PATH says (auto, shared,
+// direct, gateway); by default through shared memory where the service is on this host, else large pushes directly if
+// the ranks' own addresses answer. Where a push can't take `shared`, it takes another; `direct` fails where it can't.
+enum class Path { automatic, shared, direct, gateway };
 
 struct ConnectOptions {
   std::string endpoint;  // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
   double deadline_seconds = 5;  // for connecting and saying hello
   std::string name = "rcb client";
-  // TCP only; empty: RCBD_TOKEN, else the file RCBD_TOKEN_FILE, else, on this machine, found in the service's data
-  // directory.
+  // TCP only; empty: RCBD_TOKEN, else the file RCBD_TOKEN_FILE, else, for a service on this machine, the token in its
+  // data directory.
   std::string token;
   Path path = Path::automatic;
-  // Told what a call waits for, as the service says it, or of a service that has gone; may be empty.
+  // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. May be
+  // empty.
   std::function<void(const std::string&)> on_notice;
-  // Once connected, calls wait for a service that has gone, until their deadline, and make a lost scene anew. Otherwise
-  // one new connection is tried, and a lost scene is an error.
+  // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
+  // again; if false, one new connection is tried, and a lost scene is an error.
   bool outlive = true;
 };
 
@@ -52,9 +54,9 @@ struct SceneOptions {
   std::string method = "rcb";
   double tolerance = 0.1;  // >= 0; infinity forbids automatic repartitions
   double axis_hysteresis = 1.2;
-  double cut_tolerance = 0;          // 0 to 1: how far from its target a search for cuts may leave a part; 0: exact
-  std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than that takes
-  std::string recut = "all";         // or "subtree": a repartition cuts no more than the error makes necessary
+  double cut_tolerance = 0;          // 0 to 1: how far a part may be off its target, as a fraction of it; 0: exact
+  std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
+  std::string recut = "all";         // or "subtree": a repartition recuts only what the error requires
   std::vector<double> part_sizes;
   bool replace = false;
 };
@@ -65,35 +67,35 @@ struct Positions {
   std::size_t stride = 1;               // doubles from one particle to the next
   std::size_t count = 0;
   int dims = 3;
-  // Where the solver keeps its arrays in the plan's order: by_rank[r][a] is axis a of rank r's particles, slot by slot.
+  // If the solver keeps its arrays in layout order: by_rank[r][a] is axis a of the particles of rank r, slot by slot.
   std::span<const std::array<const double*, 3>> by_rank;
-  std::uint64_t plan_version = 0;  // of that plan
-  // Instead of `axis` and `by_rank`, where the solver has float32: they travel as they are, half the bytes, and count
-  // as the doubles that they are exactly.
+  std::uint64_t plan_version = 0;  // version of that layout
+  // Instead of `axis` and `by_rank`, if the solver has float32: sent as float32, half the bytes, and widened to double
+  // exactly by the service.
   std::array<const float*, 3> axis_f4{};
   std::span<const std::array<const float*, 3>> by_rank_f4;
 
   // xyz: [count][dims], C order.
   static Positions rows(const double* xyz, std::size_t count, int dims);
-  // One contiguous array an axis, each [count].
+  // One contiguous array for each axis, each [count].
   static Positions axes(std::span<const double* const> axes, std::size_t count);
-  // In the order of Scene::plan(): nothing is gathered or copied before the send. `ranks` must outlive the call of
-  // step.
+  // Arrays in the order of Scene::plan(), so that nothing is gathered or copied before the send. `ranks` must outlive
+  // the call of step.
   static Positions in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
-  // The same of float32.
+  // The same for float32.
   static Positions rows(const float* xyz, std::size_t count, int dims);
   static Positions axes(std::span<const float* const> axes, std::size_t count);
   static Positions in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
 
   bool single() const;         // float32
-  bool in_plan_order() const;  // by_rank or by_rank_f4
+  bool in_plan_order() const;  // by_rank or by_rank_f4 is set
 };
 
 // Particles that a step adds.
 struct Insertion {
-  Positions positions;                // [count], in rows or axes; double or float32 as those of the step
+  Positions positions;                // [count], by rows or axes; double or float32, as those of the step
   std::span<const std::int64_t> ids;  // [count], distinct, not in the scene; empty: the service chooses them
   std::span<const double> weights;    // [count] if the scene has weights, else empty
 };
@@ -101,45 +103,47 @@ struct Insertion {
 struct StepReport {
   std::string scene;
   std::int64_t step = 0;
-  std::uint64_t epoch = 0;
+  std::uint64_t epoch = 0;  // rises whenever new cuts are adopted
   std::uint64_t n = 0;
-  int parts = 0;  // may change between two steps: another client's rebalance
-  // The service had lost the scene; it was made anew, and this step brought all particles. The cuts are those of a
+  int parts = 0;  // another client's rebalance may change it between two steps
+  // The service had lost the scene; it was created again and this step brought all particles. The cuts are those of a
   // first partition.
   bool scene_recreated = false;
   std::optional<double> error_before;  // none at the first push
   double error = 0;
-  double imbalance = 1;
+  double imbalance = 1;  // max(load / target)
   bool repartitioned = false;
   std::string reason;
   int axes_flipped = 0;
-  std::uint64_t drifted = 0;
-  std::uint64_t moved = 0;
-  std::uint64_t migrated = 0;
+  std::uint64_t drifted = 0;   // particles that moved across a cut into another part
+  std::uint64_t moved = 0;     // particles whose part new cuts changed
+  std::uint64_t migrated = 0;  // particles that changed rank; 0 at the first push
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
-  std::optional<std::int64_t> first_id;  // of the inserted, where the service chose their ids: they are consecutive
-  std::uint64_t scanned = 0;             // particles whose positions came
-  std::uint64_t searched = 0;            // particles that a search for cuts looked at
-  std::uint64_t rounds = 0;              // of the search for cuts; 0: none
-  std::uint64_t reductions = 0;          // its collectives
+  std::optional<std::int64_t> first_id;  // of the inserted, if the service chose their ids: they are consecutive
+  std::uint64_t scanned = 0;             // particles whose positions were sent
+  std::uint64_t searched = 0;            // particles that the search for cuts looked at
+  std::uint64_t rounds = 0;              // of the search for cuts; 0: there was no search
+  std::uint64_t reductions = 0;          // collectives of the search
   std::vector<std::string> skipped;
   std::uint64_t bytes = 0;
+  std::string way;  // by which the positions came: "endpoint", "sockets", "shared-memory", or "file" (load)
   double seconds_receive = 0, seconds_exchange = 0, seconds_search = 0, seconds_migrate = 0, seconds_total = 0;
   std::string json;  // the report as the service sent it
 };
 
-// Which of a scene's step reports: all; the first so many; the last so many; of the last so many the first so many.
+// Selects step reports of a scene. Neither given: all. `first` alone: that many of the oldest. `last` alone: that many
+// of the newest. Both: the oldest `first` among the newest `last`.
 struct HistoryRange {
   std::optional<std::uint64_t> first;
   std::optional<std::uint64_t> last;
 };
 
 struct HistoryRead {
-  std::uint64_t from = 0;  // the number of the first, counted from the scene's first step
+  std::uint64_t from = 0;  // number of the first report, counted from the scene's first step
   std::uint64_t reports = 0;
-  std::uint64_t lost = 0;  // of that range: the service's disk could not take or give them back
-  std::string loss;        // why
+  std::uint64_t lost = 0;  // reports in that range that the service's disk could not store or return
+  std::string loss;        // why they are lost
 };
 
 struct PartChange {
@@ -148,26 +152,26 @@ struct PartChange {
 };
 
 struct StepOptions {
-  std::optional<std::int64_t> step;  // default: the last step + 1, 0 at first
-  // [count], distinct, >= 0; empty: 0..count-1. At the scene's first push, and at the first step of a Scene that was
-  // opened when it had ids of its own; later they may be left out.
+  std::optional<std::int64_t> step;  // default: the last step + 1; 0 for the first
+  // [count], distinct, >= 0; empty: 0..count-1. To be given at the scene's first push, and at the first step of a Scene
+  // that was opened when the scene already had ids given by a solver; later they may be left out.
   std::span<const std::int64_t> ids;
-  std::span<const double> weights;  // [count]; empty: none, or unchanged
-  // What the solver computed since its last push, on its slowest process; a scene of the policy "cost" decides by it.
+  std::span<const double> weights;  // [count]; empty: the scene has none, or they are unchanged
+  // Computing time of the solver since its last push, on its slowest process; the policy "cost" decides by it.
   std::optional<double> step_seconds;
-  // Rows that moved since this Scene's last step, distinct, in any order; all others stand where they stood then, and
-  // aren't sent. Empty: nothing moved. Not given: all. Where the service can't build on that step it is sent all.
-  // Not with positions in the plan's order, nor with new weights.
+  // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged
+  // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, all rows are sent.
+  // Not with positions in layout order, nor with new weights.
   std::optional<std::span<const std::uint64_t>> moved;
-  std::span<const std::int64_t> removed;  // ids, distinct, of particles that the scene has
+  std::span<const std::int64_t> removed;  // ids, distinct, of particles in the scene
   const Insertion* inserted = nullptr;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
   double deadline_seconds = 60;
 };
 
-// What a step with removals and insertions makes of the rows: row `to` is now what was row `from` or, where `inserted`,
-// the inserted particle number `from`. A solver does the same with its arrays, in any order.
+// How a step with removals and insertions renumbers the rows: row `to` is now what was row `from` or, if `inserted`,
+// the inserted particle number `from`. A solver moves its own arrays the same way, in any order.
 struct RowMove {
   std::uint64_t to;
   std::uint64_t from;
@@ -176,18 +180,20 @@ struct RowMove {
 
 struct StepResult {
   StepReport report;
-  std::vector<std::int32_t> parts;  // by row, as the rows are after the step
-  std::vector<PartChange> changes;  // ascending row; all rows at the first step of this Scene; the inserted among them
-  // Removed rows are taken by the inserted, in ascending row and the order given. More: they are appended. Fewer: the
-  // last rows, ascending, take the free ones, ascending.
+  std::vector<std::int32_t> parts;  // by row, numbered as after the step
+  // Ascending row: those whose part isn't what the last answer with parts or changes said; at first all rows, and
+  // always the inserted particles.
+  std::vector<PartChange> changes;
+  // Inserted particles take the rows of removed ones, ascending, in the order given. Surplus insertions are appended;
+  // if there are fewer, the last rows, ascending, fill the free ones, ascending.
   std::vector<RowMove> row_moves;
-  std::vector<std::int64_t> inserted_ids;  // in the order given
+  std::vector<std::int64_t> inserted_ids;  // in the order in which they were given
 };
 
-// Which of the solver's particles each rank holds, in which order.
+// The layout: which rank holds which of the solver's particles in which slot.
 struct PlanView {
   std::uint64_t version = 0;
-  std::vector<std::span<const std::uint64_t>> rows;  // by rank: rows of the solver's arrays, in the slots' order
+  std::vector<std::span<const std::uint64_t>> rows;  // by rank: rows of the solver's arrays, in the order of the slots
 };
 
 struct Array {
@@ -196,7 +202,7 @@ struct Array {
   std::vector<std::uint64_t> shape;
   Buffer<std::byte> bytes;
 
-  // The elements. Asked for as another type they are none: an empty span.
+  // The elements; an empty span if the array has another type.
   std::span<const double> f8() const;
   std::span<const std::int64_t> i8() const;
   std::span<const std::int32_t> i4() const;
@@ -218,17 +224,18 @@ class Client {
   ~Client();  // says goodbye
 
   Status create_scene(const std::string& name, const SceneOptions& options);
-  // Holds the scene open until the Scene goes. It must not outlive the Client.
+  // The scene stays open as long as the Scene lives, which must not outlive the Client. One Scene for each scene: a
+  // step number that another one of this client has pushed is refused (stale_step).
   Result<Scene> open_scene(const std::string& name);
   Status drop_scene(const std::string& name);
   Status shutdown_service();
 
-  // Any command of PROTOCOL.md but pushes: arguments is a JSON object without "command" ("" or "{}" for none).
+  // Any command of PROTOCOL.md except pushes. arguments_json: a JSON object without "command" ("" or "{}" for none).
   Result<Reply> call(const std::string& command, const std::string& arguments_json = "{}",
                      double deadline_seconds = 60);
-  // Calls take(report) for each of the reports, in the order of the steps. They are fetched a page at a time: the
-  // longest history takes no more memory than a short one. A failure of `take` ends it and is returned. Errors also:
-  // aborted, where the scene was made anew meanwhile.
+  // Calls take(report) for each report, in the order of the steps. Reports are fetched a page at a time, so that a long
+  // history takes no more memory than a short one. An error of `take` ends the call and is returned. Errors also:
+  // aborted, if the scene was created again meanwhile.
   Result<HistoryRead> history(const std::string& scene, const HistoryRange& range,
                               const std::function<Status(const StepReport&)>& take, double deadline_seconds = 60);
   int ranks() const;
@@ -248,22 +255,31 @@ class Scene {
   Scene& operator=(Scene&&) noexcept;
   ~Scene();
 
-  // Pushes one step; returns when it is committed everywhere, or given up with the previous step standing. A lost
-  // service, or connection, is waited for until the deadline; a stale plan is fetched once before a failure is
-  // returned.
+  // Pushes one step. Returns when it is committed on all ranks; after an error the previous step stands. Waits until
+  // the deadline for a lost service or connection; if the layout is stale, fetches it once and tries again.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
-  // A step in which nothing moved: one round trip, for a caller without its positions at hand. Removals and insertions
-  // are taken. Errors also: base_lost, where the service's last step isn't this Scene's, or it has lost the scene: push
-  // all positions.
+  // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
+  // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or the service has lost
+  // the scene: push all positions.
   Result<StepResult> step_unmoved(const StepOptions& options = {});
-  // A step in which these particles moved: positions[k] is that of ids[k], [ids.size()], in rows or axes; for a caller
-  // without all positions at hand (else: StepOptions::moved). Errors also: base_lost, as above.
+  // A step in which only these particles moved: positions[k] is that of ids[k], [ids.size()], by rows or axes. For a
+  // caller that doesn't have all positions at hand (otherwise use StepOptions::moved). Errors also: base_lost, as
+  // above.
   Result<StepResult> step_moved(std::span<const std::int64_t> ids, const Positions& positions,
                                 const StepOptions& options = {});
+  // Arrays for `count` positions, for a solver that computes in them: [count][dims] in C order, or an array [count] for
+  // each axis. Where the service is on this host its ranks read them there, so that a step with them copies nothing. A
+  // later call gives the same arrays, with what is in them, unless it asks for another kind, or for more than there is
+  // room for; then the older ones are gone. They live as long as the Scene. Errors: too_large.
+  Result<std::span<double>> position_rows(std::size_t count);
+  Result<std::vector<std::span<double>>> position_axes(std::size_t count);
+  Result<std::span<float>> position_rows_f4(std::size_t count);
+  Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
-  // The plan of the next push; it stands until that push. Fetched where it isn't known. A solver that pushes in its
-  // order asks after every step that migrated, or whose report says scene_recreated (the version tells), and gives the
-  // version back with its positions: a plan that has changed in between refuses the push with stale_plan.
+  // The layout for the next push, valid until then; fetched if it isn't known. A solver that pushes in layout order
+  // asks for it after every step that migrated particles or whose report says scene_recreated (the version changes
+  // then), and passes the version with its positions. If the layout has changed in between, the push is refused with
+  // stale_plan.
   Result<PlanView> plan(double deadline_seconds = 60);
 
  private:

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
@@ -36,18 +37,18 @@ using Socket = asio::generic::stream_protocol::socket;
 using Address = asio::generic::stream_protocol::endpoint;
 
 constexpr auto kAwait = asio::as_tuple(asio::use_awaitable);
-constexpr std::size_t kTransferMax = 4U << 20U;        // bytes asked of the kernel in one call (Asio's own: 64 KiB)
-constexpr std::uint64_t kGrowthBytesMax = 64U << 20U;  // memory made before the bytes for it are there
-constexpr std::size_t kInboxMax = 64;                  // answers that nobody asked for
-constexpr int kNewsRoundsMax = 64;
+constexpr std::size_t kTransferMax = 4U << 20U;        // bytes asked of the kernel in one call (Asio's default: 64 KiB)
+constexpr std::uint64_t kGrowthBytesMax = 64U << 20U;  // memory reserved before its bytes have come
+constexpr std::size_t kInboxMax = 64;                  // frames received that nobody has read yet
+constexpr int kPollRoundsMax = 64;
 
-// As asio::transfer_all, in larger pieces.
+// Like asio::transfer_all, in larger pieces.
 struct TransferLarge {
   std::size_t operator()(const error_code& error, std::size_t) const { return error ? 0 : kTransferMax; }
 };
 
-// The addresses of a name, looked up in a thread of its own, since getaddrinfo knows no deadline. A look-up that
-// outlasts the deadline is left to end by itself; it touches nothing but its own shared state.
+// The addresses of a host name. Looked up in a thread, since getaddrinfo has no deadline; a look-up that outlasts the
+// deadline is abandoned and touches nothing but its own shared state.
 Result<std::vector<Address>> resolve(const Endpoint& endpoint, const Deadline& deadline) {
   struct LookUp {
     std::mutex mutex;
@@ -93,7 +94,7 @@ std::optional<asio::ip::tcp::endpoint> as_tcp(const Address& address) {
   return tcp;
 }
 
-// Any user can make a socket in a shared directory; only one served by this user or by root is believed.
+// Any user can create a socket in a shared directory; only one served by this user or by root is trusted.
 Status check_peer(int handle, const Endpoint& endpoint) {
   ucred peer{};
   socklen_t size = sizeof peer;
@@ -131,7 +132,7 @@ struct Connection::State {
     socket.close(ignored);
   }
 
-  // Runs handlers until `done`, the deadline, or nothing is left to run. False: not done.
+  // Runs handlers until `done`, the deadline, or until no handler is left. False: not done.
   template <typename Done>
   bool run(const Done& done, const Deadline& deadline) {
     while (!done()) {
@@ -153,7 +154,7 @@ struct Connection::State {
   asio::awaitable<void> read_frames();
 };
 
-// True if it stands, false if nobody answers there.
+// True if connected, false if nobody listens there.
 Result<bool> Connection::State::connect(const Address& address, const Deadline& deadline) {
   error_code ignored;
   socket.close(ignored);
@@ -161,7 +162,7 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
   socket.async_connect(address, [&outcome](const error_code& error) { outcome = error; });
   if (!run([&] { return outcome.has_value(); }, deadline)) {
     socket.close(ignored);
-    run([&] { return outcome.has_value(); }, Deadline(1));  // the cancelled handler names a local variable
+    run([&] { return outcome.has_value(); }, Deadline(1));  // the cancelled handler refers to `outcome`
     CHECK(outcome.has_value(), "a closed socket still connects");
     return Status(Code::deadline_exceeded, fmt::format("{} did not take the connection in time", endpoint.text()));
   }
@@ -200,7 +201,7 @@ Status Connection::State::open(const Deadline& deadline) {
   return {Code::unavailable, fmt::format("no service answers at {}", endpoint.text()), "start one: rcbctl up"};
 }
 
-// Takes what the kernel has, however much; Asio's composed read asks for 64 KiB at a time.
+// Reads as much as the kernel has; Asio's composed read would ask for 64 KiB at a time.
 asio::awaitable<bool> Connection::State::fill(void* data, std::size_t size) {
   auto* to = static_cast<char*>(data);
   while (size > 0) {
@@ -275,7 +276,7 @@ asio::awaitable<bool> Connection::State::read_frame() {
     lose(status.code(), status.message());
     co_return false;
   }
-  // Arrays without elements are described too, and have no bulk.
+  // Arrays without elements are described in the JSON too, but have no bulk.
   if (header->bulk_bytes > 0 || (header->flags & wire::kFlagBulkChecksum) != 0 ||
       frame.text.find("\"arrays\"") != std::string::npos)
     if (!co_await read_arrays(frame, *header)) co_return false;
@@ -299,7 +300,7 @@ asio::awaitable<bool> Connection::State::read_frame() {
 }
 
 asio::awaitable<void> Connection::State::read_frames() {
-  // Not `while (co_await ...) {}`: GCC 12 turns the empty body into a trap.
+  // Not `while (co_await ...) {}`: GCC 12 miscompiles the empty body to a trap.
   for (bool more = true; more;) more = co_await read_frame();
 }
 
@@ -337,7 +338,7 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
     s.run(written, Deadline(1));
     CHECK(outcome.has_value(), "a closed socket still writes");
   } else if (*outcome) {
-    // What the service said before it closed may still be in the socket, so the reader ends the connection.
+    // The service's last message may still be in the socket, so the reader decides when the connection is lost.
     if (!s.run([&] { return !s.lost || !s.inbox.empty(); }, deadline.within(1)))
       s.lose(Code::unavailable, outcome->message());
     return s.lost ? Status(Code::unavailable, outcome->message()) : s.lost;
@@ -355,12 +356,33 @@ Result<Frame> Connection::read(const Deadline& deadline) {
   return frame;
 }
 
-bool Connection::has_news() {
+bool Connection::has_frame() {
   State& s = *state_;
   if (s.io.stopped()) s.io.restart();
-  for (int round = 0; round < kNewsRoundsMax && s.inbox.empty() && s.lost; ++round)
+  for (int round = 0; round < kPollRoundsMax && s.inbox.empty() && s.lost; ++round)
     if (s.io.poll_one() == 0) break;
   return !s.inbox.empty() || !s.lost;
+}
+
+Status Connection::send_at_once(Bytes frame, int descriptor) {
+  iovec piece{const_cast<std::byte*>(frame.data()), frame.size()};  // sendmsg only reads
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int))> control{};
+  msghdr message{};
+  message.msg_iov = &piece;
+  message.msg_iovlen = 1;
+  if (descriptor >= 0) {
+    message.msg_control = control.data();
+    message.msg_controllen = control.size();
+    cmsghdr* const part = CMSG_FIRSTHDR(&message);
+    part->cmsg_level = SOL_SOCKET;
+    part->cmsg_type = SCM_RIGHTS;
+    part->cmsg_len = CMSG_LEN(sizeof(int));
+    std::memcpy(CMSG_DATA(part), &descriptor, sizeof(int));
+  }
+  const ssize_t sent = ::sendmsg(handle(), &message, MSG_DONTWAIT | MSG_NOSIGNAL);
+  if (sent == static_cast<ssize_t>(frame.size())) return {};
+  return {Code::unavailable, fmt::format("{} can't be sent a request: {}", state_->endpoint.text(),
+                                         sent < 0 ? std::strerror(errno) : "its socket is full")};
 }
 
 Status Connection::lost() const { return state_->lost; }

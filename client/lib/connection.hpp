@@ -1,11 +1,11 @@
-// Connection: one socket to a service, frames out and in. Boost.Asio stays behind it.
+// Connection: one socket to a service, frames out and in. Hides Boost.Asio.
 //
 // Invariants
-// 1. Every wait ends at its deadline. After a wait that ended so the place in the stream is unknown, and the
-//    connection counts as lost.
-// 2. It reads while it writes, so a service that answers early and a client that still sends never wait for each
+// 1. Every wait ends at its deadline. After a timeout the position in the byte stream is unknown, so the connection
+//    counts as lost.
+// 2. It reads while it writes, so that a service that answers early and a client that still sends never block each
 //    other.
-// 3. Memory for an answer grows with the bytes that arrive, not with the length that the peer claims.
+// 3. Memory for an answer grows with the bytes that arrive, not with the length that the peer announces.
 #pragma once
 
 #include <chrono>
@@ -27,11 +27,11 @@ namespace rcb::client {
 class Deadline {
  public:
   using Clock = std::chrono::steady_clock;
-  // Bounded to a day, so that no number given by a caller overflows the clock.
+  // Limited to a day, so that no number given by a caller overflows the clock.
   explicit Deadline(double seconds);
   Clock::time_point at() const { return at_; }
   double left_seconds() const { return std::chrono::duration<double>(at_ - Clock::now()).count(); }
-  // The earlier of this one and `seconds` from now.
+  // The earlier of this deadline and `seconds` from now.
   Deadline within(double seconds) const;
 
  private:
@@ -41,7 +41,7 @@ class Deadline {
 struct Frame {
   wire::FrameType type = wire::FrameType::reply;
   std::uint64_t request = 0;
-  std::string text;  // the JSON, not parsed: some answers are large and only passed on
+  std::string text;  // JSON, not parsed: some answers are large and only passed on
   std::vector<wire::Array> arrays;
 
   Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax, wire::kReplyJsonBytesMax); }
@@ -52,24 +52,27 @@ using NoticeHandler = std::function<void(const std::string&)>;
 
 class Connection {
  public:
-  // Errors: unavailable, deadline_exceeded, not_authorised (a socket that another user serves).
+  // Errors: unavailable, deadline_exceeded, not_authorised (another user serves the socket).
   static Result<std::unique_ptr<Connection>> open(const Endpoint& endpoint, const Deadline& deadline,
                                                   NoticeHandler on_notice);
   ~Connection();
 
-  // Returns when all bytes are with the kernel. Errors: unavailable, deadline_exceeded, protocol_error.
+  // Returns when the kernel has taken all bytes. Errors: unavailable, deadline_exceeded, protocol_error.
   Status write(std::span<const Bytes> pieces, const Deadline& deadline);
-  // The next frame that isn't a notice. Errors: as write.
+  // The next frame that isn't a notice. Errors: those of write().
   Result<Frame> read(const Deadline& deadline);
-  // Something to read is there, or the connection was found lost; doesn't wait.
-  bool has_news();
-  // Why no more frames come; ok while they may.
+  // Whether a frame can be read or the connection is lost; doesn't wait.
+  bool has_frame();
+  // Why no more frames can come; ok while the connection stands.
   Status lost() const;
-  // The connection was ended by the service's goodbye.
+  // Whether the service ended the connection with a goodbye.
   bool said_goodbye() const;
-  // The socket, for writing to it without this class; nothing else may be written meanwhile.
+  // The socket, for writing to it directly; write() must not be used meanwhile.
   int handle();
-  // The peer's address is one of this machine's.
+  // Sends a short frame, with a descriptor (of a Unix socket's peer) unless that is -1, without waiting for room.
+  // write() must not be in use. Errors: unavailable.
+  Status send_at_once(Bytes frame, int descriptor);
+  // Whether the peer's address is one of this machine.
   bool this_machine() const;
 
  private:

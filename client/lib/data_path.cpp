@@ -15,16 +15,12 @@
 namespace rcb::client {
 namespace {
 
-constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;          // that are gathered
-constexpr std::size_t kStraightFrameBytes = std::size_t{8} << 20U;  // that lie ready
+constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;          // if gathered
+constexpr std::size_t kStraightFrameBytes = std::size_t{8} << 20U;  // if sent from the caller's memory
 constexpr int kSendBufferBytes = 1 << 20;
-constexpr int kPollMillisecondsMax = 100;  // how long an early answer may go unnoticed while all sockets are full
+constexpr int kPollMillisecondsMax = 100;  // longest delay in noticing an early answer while all sockets are full
 
-bool consecutive(std::span<const std::uint64_t> rows) {
-  return rows.back() - rows.front() == rows.size() - 1 && std::is_sorted(rows.begin(), rows.end());
-}
-
-// Columns that are one (n, dims) array: column k is element k of each row.
+// Whether the columns are one (n, dims) array: column k is element k of each row.
 bool interleaved(std::span<const Column> columns) {
   for (std::size_t k = 0; k < columns.size(); ++k)
     if (columns[k].by_rank != nullptr || columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
@@ -64,21 +60,21 @@ void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte
 
 }  // namespace
 
-// One rank's connection and the frame that is on its way.
+// One rank's connection and the frame that is being sent.
 struct DataPath::Link {
   std::unique_ptr<Connection> connection;
   int rank = 0;
-  std::uint64_t sent = 0;  // particles, of this push
+  std::uint64_t sent = 0;  // particles of this push
   bool done = true;
   std::string head;
   Buffer<std::byte> gathered;
   std::vector<iovec> pieces;
-  std::size_t piece = 0;  // the first that isn't sent wholly
+  std::size_t piece = 0;  // the first not completely sent
 
   bool between_frames() const { return piece == pieces.size(); }
 
   void add(const void* from, std::size_t bytes) {
-    if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // sendmsg doesn't write there
+    if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // sendmsg only reads
   }
 
   void next_frame(const wire::Json& slice, std::uint64_t request, std::span<const std::uint64_t> all,
@@ -137,7 +133,7 @@ struct DataPath::Link {
 
 DataPath::DataPath(std::vector<std::unique_ptr<Connection>> links) {
   for (auto& connection : links) {
-    // The kernel's default lets a writer sleep far too often.
+    // With the kernel's default size the sender would block far too often.
     ::setsockopt(connection->handle(), SOL_SOCKET, SO_SNDBUF, &kSendBufferBytes, sizeof kSendBufferBytes);
     links_.push_back(std::make_unique<Link>());
     links_.back()->connection = std::move(connection);
@@ -148,8 +144,10 @@ DataPath::DataPath(std::vector<std::unique_ptr<Connection>> links) {
 DataPath::~DataPath() = default;
 
 bool DataPath::stands() {
-  return std::none_of(links_.begin(), links_.end(), [](const auto& link) { return link->connection->has_news(); });
+  return std::none_of(links_.begin(), links_.end(), [](const auto& link) { return link->connection->has_frame(); });
 }
+
+Connection& DataPath::connection(int rank) { return *links_[static_cast<std::size_t>(rank)]->connection; }
 
 Status DataPath::send_some(Link& link, bool& moved) {
   msghdr message{};

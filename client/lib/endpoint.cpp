@@ -11,7 +11,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "common/base/paths.hpp"
+#include "client/lib/endpoint_file.hpp"
+#include "common/files/paths.hpp"
 
 namespace rcb::client {
 namespace {
@@ -24,8 +25,9 @@ std::string variable(const char* name) {
 }
 
 Status bad_endpoint(std::string_view text, std::string_view why) {
-  return {Code::invalid_argument, fmt::format("endpoint '{}': {}", text, why),
-          "an endpoint is unix:PATH or HOST:PORT, such as unix:/tmp/rcbd.sock or 127.0.0.1:7470"};
+  return {
+      Code::invalid_argument, fmt::format("endpoint '{}': {}", text, why),
+      "an endpoint is unix:PATH or HOST:PORT, such as unix:/tmp/rcbd.sock or 127.0.0.1:7470; file:PATH for clients"};
 }
 
 Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
@@ -42,7 +44,7 @@ Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
   return endpoint;
 }
 
-// The first line of a file; nothing if it can't be read, or is empty or too long for a token.
+// The first line of a file; nothing if the file can't be read, or if the line is empty or too long for a token.
 std::optional<std::string> first_line(const std::string& path) {
   const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // opening a FIFO would wait for ever
   if (file < 0) return std::nullopt;
@@ -55,6 +57,21 @@ std::optional<std::string> first_line(const std::string& path) {
   text = text.substr(0, text.find_first_of("\r\n"));
   if (text.empty() || text.size() > kTokenBytesMax) return std::nullopt;
   return text;
+}
+
+Result<Endpoint> published_endpoint(const std::string& path) {
+  const auto file = read_endpoint_file(path);
+  if (!file) return file.status();
+  auto endpoint = parse_endpoint(file->endpoint);
+  if (!endpoint) return endpoint.status();
+  if (endpoint->is_unix && file->host != host_name())
+    return Status(
+        Code::unavailable,
+        fmt::format("{} names the socket {} on host {}, which is not this one", path, endpoint->path, file->host),
+        "start the service with --endpoint HOST:PORT for clients on other machines");
+  endpoint->published = fmt::format("the service that wrote {} (job {} on host {})", path, file->job, file->host);
+  endpoint->token_file = file->token_file;
+  return endpoint;
 }
 
 }  // namespace
@@ -86,7 +103,7 @@ Result<Endpoint> parse_endpoint(std::string_view text) {
     return bad_endpoint(text, "the port is a number of 1 to 65535");
   endpoint.port = static_cast<std::uint16_t>(number);
   endpoint.host = host;
-  for (char& c : endpoint.host)  // names don't tell upper from lower case
+  for (char& c : endpoint.host)  // host names ignore case
     if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
   return endpoint;
 }
@@ -94,6 +111,11 @@ Result<Endpoint> parse_endpoint(std::string_view text) {
 Result<std::vector<Endpoint>> endpoints_to_try(const std::string& given) {
   const std::string told = given.empty() ? variable("RCBD_ENDPOINT") : given;
   std::vector<Endpoint> endpoints;
+  if (told.starts_with(kFilePrefix)) {
+    auto endpoint = published_endpoint(told.substr(kFilePrefix.size()));
+    if (!endpoint) return endpoint.status();
+    return std::vector{std::move(*endpoint)};
+  }
   auto first = parse_endpoint(told.empty() ? "unix:" + default_socket_path() : told);
   if (!first && !told.empty()) return first.status();
   if (first) endpoints.push_back(*first);
@@ -103,6 +125,10 @@ Result<std::vector<Endpoint>> endpoints_to_try(const std::string& given) {
 
 Result<Endpoint> endpoint_to_serve(const std::string& given) {
   const std::string told = given.empty() ? variable("RCBD_ENDPOINT") : given;
+  if (told.starts_with(kFilePrefix))
+    return Status(Code::invalid_argument, fmt::format("a service can't be started at {}", told),
+                  fmt::format("for example: rcbctl up --endpoint HOST:{} --publish {}", kDefaultPort,
+                              told.substr(kFilePrefix.size())));
   return parse_endpoint(told.empty() ? "unix:" + default_socket_path() : told);
 }
 
@@ -120,8 +146,11 @@ Result<std::vector<std::string>> tokens_for(const Endpoint& endpoint, const std:
                   "RCBD_TOKEN_FILE names the file 'token' of the service's data directory");
   }
   std::vector<std::string> tokens;
+  if (!endpoint.token_file.empty())
+    if (auto token = first_line(endpoint.token_file)) tokens.push_back(std::move(*token));
   if (!this_machine) return tokens;
-  // A service that listens everywhere is reached by several names; its directory has the one it was started with.
+  // A service that listens on all interfaces is reached by several names; its data directory is named after the one it
+  // was started with.
   for (const std::string& host : {endpoint.host, std::string("127.0.0.1"), std::string("localhost"),
                                   std::string("0.0.0.0"), std::string("::1"), std::string("::")}) {
     const auto token = first_line(token_path({false, {}, host, endpoint.port}));

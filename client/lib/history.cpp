@@ -1,4 +1,4 @@
-// A scene's step reports, a page at a time.
+// Reads a scene's step reports, a page at a time.
 #include <algorithm>
 #include <limits>
 
@@ -6,6 +6,7 @@
 
 #include "client/lib/client.hpp"
 #include "client/lib/step_report.hpp"
+#include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -17,26 +18,25 @@ constexpr std::uint64_t kNoLimit = kLargest;
 
 struct Page {
   std::uint64_t from = 0;
-  std::uint64_t next = 0;  // where to go on; the total where this is the last page
+  std::uint64_t next = 0;  // where the next page begins; the total after the last page
   std::uint64_t total = 0;
   std::uint64_t lost = 0;
 };
 
 Result<Page> read_page(const wire::Json& json) {
-  const auto total = wire::integer_field(json, "total", 0, kLargest);
-  if (!total) return Status(Code::protocol_error, "answer to 'history': " + total.status().message());
-  const auto from = wire::integer_field(json, "from", 0, *total);
-  const auto next = wire::integer_field_or(json, "next", 0, *total, *total);
-  const auto lost = wire::integer_field_or(json, "lost", 0, *total, 0);
-  for (const Status& status : {from.status(), next.status(), lost.status()})
-    if (!status) return Status(Code::protocol_error, "answer to 'history': " + status.message());
-  if (*next <= *from && *next < *total)
+  wire::FieldReader fields(json);
+  const std::int64_t total = fields.integer("total", 0, kLargest);
+  const std::int64_t from = fields.integer("from", 0, total);
+  const std::int64_t next = fields.integer_or("next", 0, total, total);
+  const std::int64_t lost = fields.integer_or("lost", 0, total, 0);
+  if (!fields.ok()) return Status(Code::protocol_error, "answer to 'history': " + fields.status().message());
+  if (next <= from && next < total)
     return Status(Code::protocol_error, "answer to 'history': it goes on where it began");
   const auto history = json.find("history");
   if (history == json.end() || !history->is_array())
     return Status(Code::protocol_error, "answer to 'history': no list of reports");
-  return Page{static_cast<std::uint64_t>(*from), static_cast<std::uint64_t>(*next), static_cast<std::uint64_t>(*total),
-              static_cast<std::uint64_t>(*lost)};
+  return Page{static_cast<std::uint64_t>(from), static_cast<std::uint64_t>(next), static_cast<std::uint64_t>(total),
+              static_cast<std::uint64_t>(lost)};
 }
 
 }  // namespace
@@ -48,7 +48,7 @@ Result<HistoryRead> Client::history(const std::string& scene, const HistoryRange
   if (range.first && *range.first == 0) return read;
   wire::Json request{{"scene", scene}};
   if (range.last) request["last"] = std::min(*range.last, kNoLimit);
-  std::uint64_t end = kNoLimit;  // known from the first page on: what is committed meanwhile isn't told
+  std::uint64_t end = kNoLimit;  // set by the first page: reports of later steps are left out
   for (bool first = true;; first = false) {
     const std::uint64_t wanted = range.first.value_or(kNoLimit) - (read.reports + read.lost);
     request["count"] =

@@ -15,7 +15,7 @@ wire::Json scene_options(const wire::Json& description) {
 
 namespace {
 
-// Somebody else may have made the scene meanwhile, as they liked.
+// Tells the user if another client has meanwhile created the scene with other options.
 void tell_differences(const Session& session, const std::string& scene, const wire::Json& opened, KnownScene& known) {
   const wire::Json found = scene_options(opened);
   std::string differences;

@@ -1,5 +1,5 @@
-// MemberScene: the seat, kept over lost connections, and a member's share of a step: straight to the ranks where this
-// member and all others know the places of what they hold, else by ids.
+// MemberScene: keeps the seat over lost connections and pushes a member's contribution to a step: directly to the ranks
+// if this and all other members know rank and slot of their particles, otherwise by ids.
 #include "client/lib/member.hpp"
 
 #include <algorithm>
@@ -12,15 +12,14 @@
 #include "client/lib/lost_scene.hpp"
 #include "client/lib/member_places.hpp"
 #include "client/lib/push_source.hpp"
+#include "client/lib/shared_arrays.hpp"
 #include "client/lib/step_report.hpp"
+#include "common/base/axis_names.hpp"
+#include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
 namespace {
-
-constexpr double kCloseSeconds = 2;
-constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
-constexpr const char* kAxisNames[] = {"x", "y", "z"};
 
 Status odd_answer(const std::string& why) {
   return {Code::protocol_error, fmt::format("answer to a member: {}", why),
@@ -34,6 +33,14 @@ Result<std::span<const T>> column(const Frame& answer, const char* name, const c
   return std::span(reinterpret_cast<const T*>(array->bytes.data()), array->bytes.size() / sizeof(T));
 }
 
+std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights) {
+  std::vector<Column> columns;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(positions.dims); ++a)
+    columns.push_back(axis_column(positions, a));
+  if (!weights.empty()) columns.push_back({"w", "<f8", weights.data(), 1});
+  return columns;
+}
+
 }  // namespace
 
 struct MemberScene::State {
@@ -43,6 +50,7 @@ struct MemberScene::State {
   }
 
   ~State() {
+    if (connection_held()) arrays.unshare(session(), Deadline(kCloseSeconds));
     if (connection_held())
       static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name}}, Retry(kCloseSeconds)));
   }
@@ -51,19 +59,23 @@ struct MemberScene::State {
   bool connection_held() const { return session().connected() && connection == session().generation(); }
 
   Status open();
-  // Has the seat on the connection that stands.
-  Status sit(const Retry& retry);
+  // Takes the seat on the current connection, unless it is held already.
+  Status take_seat(const Retry& retry);
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
-  // Whether pushes shall go straight to the ranks; all members decide alike, unless they are told other paths.
+  // Whether to push directly to the ranks. All members decide alike, unless their Path options differ.
   Result<bool> wants_direct(const Deadline& deadline) const;
-  // One try of a step.
+  // One attempt to push a step.
   Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                               const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                      const MemberStepOptions& with, const Retry& retry);
-  // The answer to a step that was committed before the service was lost, for a member that can't push it once more.
-  // Errors: base_lost, where there is none.
+  // Asks for the answer to a step that was committed before the service was lost, when the member can't push that step
+  // again. Errors: base_lost, if there is none.
   Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
+  // By the sockets of the ranks, or from memory that is shared with them.
+  Result<Frame> push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
+                              const Positions& positions, std::span<const double> new_weights, const std::string& what,
+                              const Retry& retry);
   Result<Frame> push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
                               std::span<const Column> columns, const std::string& what, const Deadline& deadline);
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
@@ -74,25 +86,27 @@ struct MemberScene::State {
   std::string name;
   MemberOptions options;
   KnownScene known;
-  std::uint64_t connection = 0;  // that holds the seat
-  std::uint64_t seat = 0;        // its generation; 0: never had it
+  std::uint64_t connection = 0;  // the one that holds the seat
+  std::uint64_t seat = 0;        // generation of the seat; 0: never had it
   int dims = 3;
-  std::uint64_t n = 0;  // of the scene; 0: not known yet
+  std::uint64_t n = 0;  // particles of the scene; 0: not known yet
   bool weights = false;
-  bool lost = false;  // the service was started again, and the scene has no positions yet
+  bool lost = false;  // the service was restarted, and the scene has no positions yet
   std::optional<std::int64_t> last_step;
   std::uint64_t epoch = 0;  // after last_step
   // After last_step, with follow:
   MemberPlaces places;
   wire::Json plan;
-  bool directly = false;  // the push under way
+  bool pushing_directly = false;  // path of the current push
+  SharedArrays arrays;
+  bool share_unsupported = false;  // a rank, or this kernel, refused it
 };
 
-Status MemberScene::State::sit(const Retry& retry) {
+Status MemberScene::State::take_seat(const Retry& retry) {
   if (connection == session().generation()) return {};
   wire::Json request{
       {"scene", name}, {"member", options.member}, {"members", options.members}, {"follow", options.follow}};
-  // The service may not have noticed yet that the connection before was lost.
+  // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it.
   if (seat > 0) request["generation"] = seat + 1;
   const std::string service_before = known.instance;
   const auto json = open_or_make_anew(session(), request, known, retry);
@@ -100,26 +114,26 @@ Status MemberScene::State::sit(const Retry& retry) {
   const auto found = json->find("membership");
   if (found == json->end()) return odd_answer("the service knows no members");
   const auto generation = wire::integer_field(*found, "generation", 1, kLarge);
-  const auto axes = wire::integer_field(*json, "dims", 1, 3);
-  const auto step = wire::integer_field_or(*json, "step", 0, wire::kStepMax, -1);
-  const auto count = wire::integer_field_or(*json, "n", 0, wire::kParticlesMax, 0);
-  const auto epoch_now = wire::integer_field_or(*json, "epoch", 0, kLarge, 0);
-  const auto has_weights = wire::bool_field_or(*json, "weights", false);
-  for (const Status& status :
-       {generation.status(), axes.status(), step.status(), count.status(), epoch_now.status(), has_weights.status()})
-    if (!status) return odd_answer(status.message());
+  wire::FieldReader fields(*json);
+  const auto axes = static_cast<int>(fields.integer("dims", 1, 3));
+  const std::int64_t step = fields.integer_or("step", 0, wire::kStepMax, -1);
+  const std::uint64_t count = fields.particles("n");
+  const auto epoch_now = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
+  const bool has_weights = fields.flag("weights");
+  fields.fail(generation.status());
+  if (!fields.ok()) return odd_answer(fields.status().message());
   connection = session().generation();
   seat = static_cast<std::uint64_t>(*generation);
   known.options = scene_options(*json);
-  dims = static_cast<int>(*axes);
+  dims = axes;
   const bool other_service = known.instance != service_before;
-  lost = *step < 0 && (lost || (last_step && other_service));
-  const auto step_now = *step >= 0 ? std::optional(*step) : std::nullopt;
+  lost = step < 0 && (lost || (last_step && other_service));
+  const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
   if (step_now != last_step || other_service) places.forget();
   if (lost) return {};
-  n = static_cast<std::uint64_t>(*count);
-  weights = *has_weights;
-  epoch = static_cast<std::uint64_t>(*epoch_now);
+  n = count;
+  weights = has_weights;
+  epoch = epoch_now;
   last_step = step_now;
   return {};
 }
@@ -127,19 +141,19 @@ Status MemberScene::State::sit(const Retry& retry) {
 Status MemberScene::State::open() {
   Retry retry(options.deadline_seconds);
   const auto once = [&]() -> Result<bool> {
-    if (Status status = sit(retry); !status) return status;
+    if (Status status = take_seat(retry); !status) return status;
     return true;
   };
   const auto mend = [&](const Status& status) {
-    // Another member knows the scene's options, since it has made it; and the seat may be that of the connection
-    // before.
+    // Not found: another member, which has created the scene and so knows its options, will create it again. Busy: the
+    // service may not have noticed yet that our previous connection, which holds the seat, was lost.
     const bool scene_lost = status.code() == Code::not_found && session().restarted();
     const bool taken = status.code() == Code::busy && retry.failures() > 0;
     const std::string what =
         scene_lost ? fmt::format("scene '{}', which was lost, to be made anew", name) : status.message();
     return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();
   };
-  return session().persist(retry, once, mend).status();
+  return session().retry_until_deadline(retry, once, mend).status();
 }
 
 Status MemberScene::State::check(const Positions& positions, std::span<const std::int64_t> ids,
@@ -174,34 +188,49 @@ Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
   const bool large = n == 0 || n * static_cast<std::uint64_t>(dims) * sizeof(double) >= kDirectBytesMin;
   if (!options.follow || path == Path::gateway || (path == Path::automatic && !large)) return false;
   if (session().data(deadline) != nullptr) return true;
-  if (path == Path::automatic) return false;
-  return Status(Code::unavailable, fmt::format("{} has no direct path to its ranks", session().endpoint()),
-                "leave the path to the library, or start the service without --gateway-only");
+  if (path != Path::direct) return false;
+  return session().no_data();
 }
 
-Result<Frame> MemberScene::State::push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
-                                                std::span<const Column> columns, const std::string& what,
-                                                const Deadline& deadline) {
+Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
+                                                const Positions& positions, std::span<const double> new_weights,
+                                                const std::string& what, const Retry& retry) {
   begin["command"] = "push.begin";
-  begin["path"] = "direct";
   begin["order"] = "plan";
   begin["plan"] = plan;
   begin["epoch"] = epoch;
   begin["base_step"] = *last_step;
   begin["slices"] = 0;
   begin["counts"] = wire::Json::array();
+  for (const auto& mine : rows) begin["counts"].push_back(mine.size());
+  const Path path = session().path();
+  if ((path == Path::automatic || path == Path::shared) && !share_unsupported && begin.at("moved") == "all" &&
+      positions.count > 0 && session().can_share(retry.deadline())) {
+    auto memory =
+        arrays.describe(session(), {.positions = positions, .weights = new_weights, .rows = rows}, retry.deadline());
+    if (memory) {
+      begin["path"] = "shared";
+      begin["memory"] = std::move(*memory);
+      const std::uint64_t request = session().next_request();
+      return session().exchange_frames(request, request_frame(request, begin), what, retry.deadline());
+    }
+    if (memory.status().code() == Code::aborted) return memory.status();
+    share_unsupported = true;
+  }
+  return push_directly(std::move(begin), rows, columns_of(positions, new_weights), what, retry.deadline());
+}
+
+Result<Frame> MemberScene::State::push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
+                                                std::span<const Column> columns, const std::string& what,
+                                                const Deadline& deadline) {
+  begin["path"] = "direct";
   const bool none = begin.at("moved") == "none";
   RankRows of_rank;
-  for (const auto& mine : rows) {
-    begin["counts"].push_back(mine.size());
-    of_rank.push_back(none ? std::span<const std::uint64_t>() : mine);
-  }
+  for (const auto& mine : rows) of_rank.push_back(none ? std::span<const std::uint64_t>() : mine);
   wire::Json slice{{"command", "push.slice"}};
   for (const char* field : {"scene", "session", "step", "attempt", "plan"}) slice[field] = begin.at(field);
-  wire::FrameHeader header;
-  header.request = session().next_request();
-  return session().exchange_directly(header.request, wire::encode_frame(header, wire::dump_json(begin)), slice, of_rank,
-                                     columns, what, deadline);
+  const std::uint64_t request = session().next_request();
+  return session().exchange_directly(request, request_frame(request, begin), slice, of_rank, columns, what, deadline);
 }
 
 Result<Frame> MemberScene::State::push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
@@ -210,7 +239,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   const auto direct = wants_direct(deadline);
   if (!direct) return direct.status();
   const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
-  directly = rows != nullptr;
+  pushing_directly = rows != nullptr;
   wire::Json begin{{"scene", name},
                    {"session", session().number()},
                    {"step", step},
@@ -220,20 +249,18 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"plan", nullptr},
                    {"dtype", positions.single() ? "<f4" : "<f8"},
                    {"weights", !with.weights.empty()},
-                   {"ids", !directly},
+                   {"ids", !pushing_directly},
                    {"changes", with.want_changes},
                    {"places", *direct},
-                   {"moved", directly && with.unmoved && with.weights.empty() ? "none" : "all"},
+                   {"moved", pushing_directly && with.unmoved && with.weights.empty() ? "none" : "all"},
                    {"deadline_seconds", retry.seconds_left()}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
-  std::vector<Column> columns;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) columns.push_back(axis_column(positions, a));
-  if (!with.weights.empty()) columns.push_back({"w", "<f8", with.weights.data(), 1});
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name);
-  if (directly) return push_directly(std::move(begin), *rows, columns, what, deadline);
+  if (pushing_directly) return push_to_ranks(std::move(begin), *rows, positions, with.weights, what, retry);
+  std::vector<Column> columns = columns_of(positions, with.weights);
   columns.push_back({"id", "<i8", ids.data(), 1});
-  // One slice with all rows, as they are.
-  const plan::Plan all = plan::Plan::blocks(positions.count, 1, {});
+  // One slice with all rows, in their order.
+  const layout::Layout all = layout::Layout::blocks(positions.count, 1, {});
   const std::uint64_t request = session().next_request();
   PushSource source(begin, request, all_rows(all), std::move(columns));
   return session().exchange(request, source, what, deadline);
@@ -274,7 +301,7 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   last_step = std::max(step, last_step.value_or(step));
   weights = weights || !with.weights.empty();
   const auto repeated = wire::bool_field_or(*json, "repeated", false);
-  lost = lost && repeated && *repeated;  // an answer that a service before this one has left
+  lost = lost && repeated && *repeated;  // the answer is one that was kept by the service before the restart
   MemberStep result;
   result.report = std::move(*report);
   if (with.want_changes) {
@@ -308,10 +335,10 @@ Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& js
   return read_places(answer, json, result);
 }
 
-// Where the answer tells all that is needed the next push goes straight to the ranks.
+// Keeps the places of the particles if the answer tells all of them; then the next push goes directly to the ranks.
 Status MemberScene::State::read_places(const Frame& answer, const wire::Json& json, const MemberStep& result) {
   const auto repeated = wire::bool_field_or(json, "repeated", false);
-  // That of a push that this one repeats tells changes from what nobody may have learnt.
+  // A repeated answer tells changes relative to a state that this member may not have seen.
   if (wire::find_array(answer.arrays, "place_id") == nullptr || !repeated || *repeated || !json.contains("plan") ||
       n >= MemberPlaces::kSlotsMax) {
     places.forget();
@@ -327,7 +354,7 @@ Status MemberScene::State::read_places(const Frame& answer, const wire::Json& js
     return odd_answer("its places are not as the protocol says");
   std::vector<std::int64_t> left;
   for (const Leaving& leaving : result.leave) left.push_back(leaving.id);
-  if (directly)
+  if (pushing_directly)
     places.change(left, {*id, *rank, *slot});
   else
     places.take_all({*id, *rank, *slot}, session().ranks());
@@ -339,6 +366,18 @@ MemberScene::MemberScene(std::unique_ptr<State> state) : state_(std::move(state)
 MemberScene::MemberScene(MemberScene&&) noexcept = default;
 MemberScene& MemberScene::operator=(MemberScene&&) noexcept = default;
 MemberScene::~MemberScene() = default;
+Result<std::span<double>> MemberScene::position_rows(std::size_t count) {
+  return state_->arrays.rows<double>(count, state_->dims);
+}
+Result<std::vector<std::span<double>>> MemberScene::position_axes(std::size_t count) {
+  return state_->arrays.axes<double>(count, state_->dims);
+}
+Result<std::span<float>> MemberScene::position_rows_f4(std::size_t count) {
+  return state_->arrays.rows<float>(count, state_->dims);
+}
+Result<std::vector<std::span<float>>> MemberScene::position_axes_f4(std::size_t count) {
+  return state_->arrays.axes<float>(count, state_->dims);
+}
 std::optional<std::int64_t> MemberScene::last_step() const { return state_->last_step; }
 std::uint64_t MemberScene::generation() const { return state_->seat; }
 
@@ -351,13 +390,13 @@ Result<MemberScene> MemberScene::open(Client& client, const std::string& name, c
 
 Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
-  directly = false;
-  if (Status status = sit(retry); !status) return status;
+  pushing_directly = false;
+  if (Status status = take_seat(retry); !status) return status;
   const bool lacks_weights = lost && weights && with.weights.empty();
   const auto answer = lacks_weights ? ask_for_answer(step, with, retry) : push(positions, ids, step, with, retry);
   if (!answer) return answer.status();
   auto result = read(*answer, step, with, retry);
-  if (!result) places.forget();  // the step is committed, and what it changed isn't known
+  if (!result) places.forget();  // the step is committed, but its changes aren't known
   return result;
 }
 
@@ -372,20 +411,21 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
   Retry retry(options.deadline_seconds);
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
   const auto mend = [&](const Status& status) {
-    // Parts or plan are others than this member knows, or another member doesn't know them: by ids, then.
-    if (state_->directly && (status.code() == Code::stale_plan || status.code() == Code::base_lost)) {
+    // The parts or the layout changed without this member knowing, or another member doesn't know them: push by ids.
+    if (state_->pushing_directly && (status.code() == Code::stale_plan || status.code() == Code::base_lost)) {
       state_->places.forget();
       return true;
     }
     if (status.code() != Code::aborted) return false;
-    // A connection went, of this member or another; whose it was comes back and pushes again, as all do.
+    // This member or another lost its connection. That one reconnects, and all members push again.
     const bool data_lost = session.data_lost();
     if (data_lost) state_->places.forget();
+    state_->arrays.share_again();
     return (data_lost || session.outlive()) &&
            session.wait(retry, status, fmt::format("the members of scene '{}': {}", state_->name, status.message()))
                .ok();
   };
-  return session.persist(retry, once, mend);
+  return session.retry_until_deadline(retry, once, mend);
 }
 
 }  // namespace rcb::client

@@ -4,16 +4,17 @@
 //   auto result = scene->step(rcb::client::Positions::axes(axes, n), ids);
 //   // then, with follow: send the particles result->leave, and receive result->enter
 //
-// With follow, a member that has handed over as told pushes straight to the ranks, without ids: the library remembers
-// where its particles stand, and pushes by ids where it isn't sure. It costs least where rows keep their order, but for
-// those that leave and come. RCBD_PATH and ConnectOptions::path choose as for a Scene.
+// With follow, a member that has exchanged particles as told pushes directly to the ranks, without ids: the library
+// keeps the rank and slot of each of its particles, and pushes by ids when it isn't sure of them. This is cheapest if
+// rows keep their order except for the particles that leave and enter. RCBD_PATH and ConnectOptions::path apply as for
+// a Scene.
 //
-// A step returns when every member has pushed it and it is committed, or, at its deadline, with the name of the member
-// that is missing; then the previous step stands and all may push again. The service decides alone: members need not
-// talk to one another. Connections that are cut, and a service that dies and is started again, are outlived as by a
-// Scene: whoever comes first makes the scene anew, all push by ids, and a member that had not heard of a step which was
-// committed before gets its answer from the new service. A process that was started again opens the scene and goes on
-// from the last step. Thread-safety: as a Client's. A Client has one MemberScene of a scene.
+// A step returns when every member has pushed it and it is committed. At its deadline it fails with the name of a
+// missing member; then the previous step stands and all may push again. Members need not communicate: the service alone
+// decides. Lost connections and a restarted service are handled as for a Scene: the first member to reconnect creates
+// the scene again, and all push by ids. A member that had no answer yet to a step committed before the crash gets it
+// from the restarted service. A restarted process opens the scene and goes on from the last step. Thread-safety: as a
+// Client's. A Client has one MemberScene of a scene.
 #pragma once
 
 #include <cstdint>
@@ -30,18 +31,18 @@ namespace rcb::client {
 struct MemberOptions {
   int member = 0;   // 0 .. members-1
   int members = 1;  // the same for all
-  // Member k keeps the particles of the parts [floor(k P / members), floor((k+1) P / members)), and each step says what
-  // it hands over. The same for all.
+  // Member k keeps the particles of the parts [floor(k P / members), floor((k+1) P / members)), and each step tells it
+  // which particles to hand over. The same for all members.
   bool follow = false;
   double deadline_seconds = 60;
 };
 
 struct MemberStepOptions {
-  std::optional<std::int64_t> step;    // default: the scene's last step + 1, 0 at first
-  std::span<const double> weights;     // [count]; empty: none, or unchanged. All members give them, or none
-  std::optional<double> step_seconds;  // what this member computed since its last push
-  // No particle has moved since this member's last step: nothing is sent where it would push straight to the ranks, and
-  // without weights. Elsewhere the positions are sent all the same.
+  std::optional<std::int64_t> step;    // default: the scene's last step + 1; 0 for the first
+  std::span<const double> weights;     // [count]; empty: none, or unchanged. Either all members give them, or none
+  std::optional<double> step_seconds;  // computing time of this member since its last push
+  // No particle has moved since this member's last step. Then no positions are sent if the push goes directly to the
+  // ranks and brings no weights; otherwise they are sent all the same.
   bool unmoved = false;
   bool want_changes = false;  // fill MemberStep::changes
   double deadline_seconds = 60;
@@ -65,28 +66,33 @@ struct Entering {
 
 struct MemberStep {
   StepReport report;
-  std::vector<MemberChange> changes;  // of the particles pushed here, those whose part changed; ascending id
+  std::vector<MemberChange> changes;  // of the particles this member pushed, those whose part changed; ascending id
   std::vector<Leaving> leave;         // with follow; ascending id
   std::vector<Entering> enter;        // with follow; ascending id
 };
 
 class MemberScene {
  public:
-  // Takes the seat; the scene was created by create_scene(), by one of the members or somebody else.
-  // Errors: busy (the seat is taken), invalid_argument (the others were told other numbers), not_found.
+  // Takes the seat. The scene must have been created by create_scene(), by a member or another client. Errors: busy
+  // (the seat is taken), invalid_argument (other terms than those of the other members), not_found.
   static Result<MemberScene> open(Client& client, const std::string& name, const MemberOptions& options);
   MemberScene(MemberScene&&) noexcept;
   MemberScene& operator=(MemberScene&&) noexcept;
   ~MemberScene();  // gives the seat up
 
   // Pushes this member's particles, in any order. positions: count may be 0.
-  //   ids  [count]; every id of the scene has one member
-  // Errors: deadline_exceeded and aborted name the member that is to blame; base_lost: the service has lost the scene,
-  // which had weights: push this step with weights.
+  //   ids  [count]; every id of the scene belongs to exactly one member
+  // Errors: deadline_exceeded and aborted name the member at fault; base_lost: the service has lost the scene, which
+  // had weights: push this step with weights.
   Result<MemberStep> step(const Positions& positions, std::span<const std::int64_t> ids,
                           const MemberStepOptions& options = {});
+  // As those of Scene.
+  Result<std::span<double>> position_rows(std::size_t count);
+  Result<std::vector<std::span<double>>> position_axes(std::size_t count);
+  Result<std::span<float>> position_rows_f4(std::size_t count);
+  Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
-  std::uint64_t generation() const;  // rises whenever the seat is taken again
+  std::uint64_t generation() const;  // of the seat; rises whenever it is taken again
 
  private:
   struct State;

@@ -52,7 +52,7 @@ void MemberPlaces::take_all(const List& all, int ranks) {
   for (std::size_t k = 0; k < n; ++k) places_[k] = place_of(all.rank[k], all.slot[k]);
   left_.clear();
   placed_ = {};
-  touched_.assign(kTouched, 0);
+  may_have_changed_.assign(kTouched, 0);
   row_at_.resize(static_cast<std::size_t>(ranks));
   rows_.resize(row_at_.size());
   known_ = true;
@@ -60,7 +60,7 @@ void MemberPlaces::take_all(const List& all, int ranks) {
 
 void MemberPlaces::change(std::span<const std::int64_t> left, const List& placed) {
   CHECK(left_.empty() && placed_.id.empty(), "changes of a step that was not pushed from here");
-  const auto touch = [this](std::int64_t id) { touched_[static_cast<std::size_t>(id) % kTouched] = 1; };
+  const auto touch = [this](std::int64_t id) { may_have_changed_[static_cast<std::size_t>(id) % kTouched] = 1; };
   left_.assign(left.begin(), left.end());
   placed_.id.assign(placed.id.begin(), placed.id.end());
   for (std::size_t k = 0; k < placed.id.size(); ++k) placed_.place.push_back(place_of(placed.rank[k], placed.slot[k]));
@@ -68,15 +68,15 @@ void MemberPlaces::change(std::span<const std::int64_t> left, const List& placed
   for (const std::int64_t id : placed.id) touch(id);
 }
 
-// Gives every id its place in next_; false where they aren't exactly those held. Rows mostly keep their order from step
-// to step, so both lists are walked side by side, and only what doesn't fit is sorted.
+// Finds the place of every id for next_; false if the ids aren't exactly those held. Rows mostly keep their order from
+// step to step, so both lists are walked side by side, and only the rows that don't match are sorted.
 bool MemberPlaces::align(std::span<const std::int64_t> ids) {
-  std::vector<std::uint32_t> open;  // rows whose place isn't found yet
+  std::vector<std::uint32_t> open;  // rows without a place so far
   std::vector<std::uint8_t> used(placed_.id.size(), 0);
-  Pool pool;  // particles whose row isn't found yet
+  Pool pool;  // particles without a row so far
   next_.resize(ids.size());
   std::size_t old = 0;
-  // The place of a particle that was there already; false if it has left.
+  // The place of a particle held before; false if it has left.
   const auto place_now = [&](std::size_t k, Place& place) {
     place = places_[k];
     if (!may_have_changed(ids_[k])) return true;
@@ -142,8 +142,8 @@ const std::vector<std::vector<std::uint64_t>>* MemberPlaces::rows(std::span<cons
   if (!known_ || ids.size() >= kNone || !align(ids)) return nullptr;
   ids_.assign(ids.begin(), ids.end());
   places_.swap(next_);
-  for (const std::int64_t id : left_) touched_[static_cast<std::size_t>(id) % kTouched] = 0;
-  for (const std::int64_t id : placed_.id) touched_[static_cast<std::size_t>(id) % kTouched] = 0;
+  for (const std::int64_t id : left_) may_have_changed_[static_cast<std::size_t>(id) % kTouched] = 0;
+  for (const std::int64_t id : placed_.id) may_have_changed_[static_cast<std::size_t>(id) % kTouched] = 0;
   left_.clear();
   placed_ = {};
   list_by_rank();

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "common/base/axis_names.hpp"
 #include "common/wire/frame.hpp"
 
 namespace rcb::client {
@@ -10,7 +11,11 @@ namespace {
 
 constexpr std::size_t kElementBytesMax = 8;
 constexpr std::size_t kBatchBytes = 1U << 20U;
-constexpr std::size_t kPiecesMax = 48;  // one system call takes a bounded number
+constexpr std::size_t kPiecesMax = 48;  // the number of pieces in one system call is limited
+
+Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text)); }
+
+}  // namespace
 
 bool consecutive(std::span<const std::uint64_t> rows) {
   for (std::size_t i = 1; i < rows.size(); ++i)
@@ -18,18 +23,13 @@ bool consecutive(std::span<const std::uint64_t> rows) {
   return true;
 }
 
-Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text)); }
-
-}  // namespace
-
 Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank) {
-  constexpr const char* kNames[] = {"x", "y", "z"};
   if (positions.single())
-    return {kNames[axis], "<f4", positions.axis_f4[axis], positions.stride, by_rank, sizeof(float)};
-  return {kNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
+    return {kAxisNames[axis], "<f4", positions.axis_f4[axis], positions.stride, by_rank, sizeof(float)};
+  return {kAxisNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
 }
 
-RankRows all_rows(const plan::Plan& plan) {
+RankRows all_rows(const layout::Layout& plan) {
   RankRows rows;
   for (int rank = 0; rank < plan.ranks(); ++rank) rows.push_back(plan.rows(rank));
   return rows;
@@ -49,14 +49,12 @@ PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows 
   int slices = edit_slices;
   for (const auto& of_rank : rows_) slices += of_rank.empty() ? 0 : 1;
   json["slices"] = slices;
-  wire::FrameHeader header;
-  header.request = request;
-  begin_frame_ = wire::encode_frame(header, wire::dump_json(json)) + edits;
+  begin_frame_ = request_frame(request, json) + edits;
   for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice_json_[name] = begin.at(name);
   slice_json_["command"] = "push.slice";
 }
 
-// The head of rank_'s slice.
+// Begins the frame of rank_'s slice.
 void PushSource::begin_slice() {
   const std::uint64_t count = rows_[static_cast<std::size_t>(rank_)].size();
   wire::Json json = slice_json_;
@@ -76,7 +74,7 @@ void PushSource::begin_slice() {
   slot_ = 0;
 }
 
-// As much of the current column as the batch takes.
+// Adds as much of the current column as fits into the batch.
 void PushSource::add_stretch() {
   const Column& column = columns_[column_];
   const auto all = rows_[static_cast<std::size_t>(rank_)];
@@ -112,7 +110,7 @@ void PushSource::add_stretch() {
 std::span<const Bytes> PushSource::next(bool answered) {
   batch_.clear();
   heads_.clear();
-  heads_.reserve(kPiecesMax);  // batch_ points into its strings
+  heads_.reserve(kPiecesMax);  // batch_ points into its strings, which must not move
   batch_bytes_ = 0;
   gathered_bytes_ = 0;
   if (!begin_frame_.empty()) {

@@ -1,10 +1,10 @@
-// PushSource: the frames of one push, made while they are sent: push.begin, then a push.slice for each rank that holds
-// particles, its columns in plan order.
+// PushSource: makes the frames of one push while they are sent: push.begin, then a push.slice for each rank that holds
+// particles, its columns in layout order.
 //
 // Invariants
-// 1. A stretch of a column that lies in the caller's memory as it is to be sent is sent from there; only the others
-//    are gathered, through one buffer of 1 MiB.
-// 2. Frames are always whole; when the service has answered early, the frames not yet begun are left out.
+// 1. Data that lies contiguously in the caller's memory, in the order to be sent, is sent from there; everything else
+//    is gathered, through one buffer of 1 MiB.
+// 2. Only whole frames are sent; once the service has answered early, no further frame is begun.
 #pragma once
 
 #include <cstddef>
@@ -14,39 +14,42 @@
 
 #include "client/lib/session.hpp"
 #include "common/base/buffer.hpp"
-#include "common/plan/plan.hpp"
+#include "common/layout/layout.hpp"
 #include "common/wire/message.hpp"
 
 namespace rcb::client {
 
-// One array of every slice: elements `stride` elements apart, by the caller's row.
+// Whether the rows follow one another.
+bool consecutive(std::span<const std::uint64_t> rows);
+
+// One array of every slice. Element of row i: first + i * stride elements.
 struct Column {
   std::string name;
   std::string dtype;
   const void* first = nullptr;
   std::size_t stride = 1;
-  const void* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the order they are sent
-  std::size_t bytes = 8;                 // of an element
+  const void* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the order to be sent
+  std::size_t bytes = 8;                 // of one element
 
   const std::byte* of_rank(int rank, std::uint64_t slot) const {
     return static_cast<const std::byte*>(by_rank[rank]) + slot * bytes;
   }
 };
 
-// An axis of positions, double or float32. by_rank: of positions in the plan's order.
+// An axis of the positions, double or float32. by_rank: its arrays by rank, if the positions are in layout order.
 Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank = nullptr);
 
-// For each rank the rows that its slice holds, in the order they are sent.
+// For each rank, the rows in its slice, in the order to be sent.
 using RankRows = std::vector<std::span<const std::uint64_t>>;
-RankRows all_rows(const plan::Plan& plan);
+RankRows all_rows(const layout::Layout& plan);
 
-// The bytes of a particle in all columns.
+// Bytes of one particle in all columns.
 std::size_t particle_bytes(std::span<const Column> columns);
 
 class PushSource final : public FrameSource {
  public:
-  // begin: the arguments of push.begin without "slices". The rows and the columns outlive the source.
-  // edits: whole frames of inserted and removed particles, as many as edit_slices.
+  // begin: the arguments of push.begin without "slices". The memory of rows and columns must outlive the source. edits:
+  // the frames of inserted and removed particles, edit_slices of them.
   PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
              const std::string& edits = {}, int edit_slices = 0);
   std::span<const Bytes> next(bool answered) override;
@@ -58,7 +61,7 @@ class PushSource final : public FrameSource {
   RankRows rows_;
   std::vector<Column> columns_;
   std::uint64_t request_;
-  wire::Json slice_json_;           // what all slices have in common
+  wire::Json slice_json_;           // fields common to all slices
   std::vector<std::string> heads_;  // of the frames in this batch
   std::vector<Bytes> batch_;
   std::size_t batch_bytes_ = 0;

@@ -1,5 +1,5 @@
-// Scene, where its service was started again and has lost the particles: what is kept for that, and the push that
-// brings them back.
+// Scene after its service was restarted and has lost the particles: what the client keeps for this case, and the push
+// that restores them.
 #include <algorithm>
 #include <cstring>
 
@@ -10,9 +10,10 @@
 namespace rcb::client {
 namespace {
 
-// Positions in the order of a plan, as rows. Called with double or float.
+// Copies positions from layout order to row order. T is double or float.
 template <typename T>
-void gather_rows(const plan::Plan& plan, std::span<const std::array<const T*, 3>> by_rank, std::size_t dims, T* rows) {
+void gather_rows(const layout::Layout& plan, std::span<const std::array<const T*, 3>> by_rank, std::size_t dims,
+                 T* rows) {
   for (int rank = 0; rank < plan.ranks(); ++rank) {
     const auto of_rank = plan.rows(rank);
     for (std::size_t a = 0; a < dims; ++a)
@@ -50,7 +51,7 @@ Status Scene::State::base_lost(const std::string& why) const {
           "push all positions with step()"};
 }
 
-void Scene::State::forget_lost_if_others(const Ask& ask) {
+void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
   if (!lost_ || !ask.whole()) return;
   const auto& ids = ask.options.ids;
   const bool same_ids = ids.empty() || ids_.empty() || std::equal(ids.begin(), ids.end(), ids_.begin(), ids_.end());
@@ -59,19 +60,19 @@ void Scene::State::forget_lost_if_others(const Ask& ask) {
   has_ids_ = false;
   weights_.clear();
   known_.clear();
-  told_ = false;
+  told_ = began_ = false;
   lost_plan_.reset();
   count_ = ask.positions.count;
 }
 
-bool Scene::State::in_lost_order(const Ask& ask) const {
+bool Scene::State::in_lost_order(const StepRequest& ask) const {
   return ask.positions.in_plan_order() && lost_plan_ && ask.positions.plan_version == lost_version_;
 }
 
-Ask Scene::State::by_rows(const Ask& ask, Buffer<std::byte>& rows) const {
+StepRequest Scene::State::by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const {
   const auto dims = static_cast<std::size_t>(dims_);
   const std::size_t values = static_cast<std::size_t>(count_) * dims;
-  Ask out = ask;
+  StepRequest out = ask;
   if (ask.positions.single()) {
     rows.resize(values * sizeof(float));
     auto* to = reinterpret_cast<float*>(rows.data());
@@ -86,7 +87,7 @@ Ask Scene::State::by_rows(const Ask& ask, Buffer<std::byte>& rows) const {
   return out;
 }
 
-Result<Ask> Scene::State::whole_again(const Ask& ask, Buffer<std::byte>& rows) const {
+Result<StepRequest> Scene::State::with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const {
   if (!ask.whole())
     return base_lost(fmt::format("of {} particles this push has the positions of {}", count_, ask.positions.count));
   const bool own_ids = !ask.options.ids.empty() || !ids_.empty();
@@ -94,22 +95,22 @@ Result<Ask> Scene::State::whole_again(const Ask& ask, Buffer<std::byte>& rows) c
     return base_lost("they had ids of their own, which this client doesn't know: give them, too");
   if (has_weights_ && ask.options.weights.empty() && weights_.size() != count_)
     return base_lost("they had weights, which this client doesn't know: give them, too");
-  Ask whole = ask;
+  StepRequest whole = ask;
   if (ask.positions.in_plan_order()) {
     if (!in_lost_order(ask)) return base_lost("the order of these positions isn't known any more: give rows or axes");
     if (Status status = check_plan_order(ask.positions, *lost_plan_, lost_version_); !status) return status;
     whole = by_rows(ask, rows);
   }
-  whole.moved = Ask::Moved::all;
+  whole.moved = StepRequest::Moved::all;
   whole.options.moved.reset();
   if (whole.options.ids.empty()) whole.options.ids = ids_;
   if (has_weights_ && whole.options.weights.empty()) whole.options.weights = weights_;
   return whole;
 }
 
-Status Scene::State::restore(const Ask& whole, const Retry& retry) {
+Status Scene::State::restore(const StepRequest& whole, const Retry& retry) {
   restored_ = true;
-  Ask ask = whole;
+  StepRequest ask = whole;
   ask.options.removed = {};
   ask.options.inserted = nullptr;
   ask.options.step_seconds.reset();
@@ -117,10 +118,11 @@ Status Scene::State::restore(const Ask& whole, const Retry& retry) {
   const std::int64_t step = *last_step_;
   const auto known = known_;
   const bool told = told_;
-  if (Status status = ready(count_, ask.options.ids, retry); !status) return status;
+  shared_ = by_shared_memory(ask, retry);
+  if (Status status = ready(count_, ask.options.ids, retry, !shared_); !status) return status;
   const auto answer = push(ask, step, std::nullopt, retry);
   if (!answer) return answer.status();
-  const auto finished = finish(*answer, step, ask, retry);
+  const auto finished = finish(*answer, step, ask, true, retry);
   known_ = known;
   told_ = told;
   return finished.status();

@@ -14,7 +14,7 @@ namespace {
 constexpr double kMarginSeconds = 2;
 constexpr double kMarginShare = 0.05;
 constexpr BackoffOptions kPauses{.first_seconds = 0.05, .most_seconds = 2, .shortened = 0.5, .at_once = true};
-constexpr double kQuietSeconds = 0.5;  // a wait that is over sooner is nobody's concern
+constexpr double kQuietSeconds = 0.5;  // shorter waits aren't reported
 constexpr double kBetweenNoticesSeconds = 2;
 constexpr double kLeastSeconds = 0.001;
 
@@ -28,11 +28,11 @@ double with_margin(double deadline_seconds) {
 
 Retry::Retry(double deadline_seconds)
     : seconds_(bounded(deadline_seconds)),
-      until_(bounded(deadline_seconds)),
+      attempts_until_(bounded(deadline_seconds)),
       deadline_(with_margin(bounded(deadline_seconds))),
       backoff_(kPauses, std::random_device{}()) {}
 
-double Retry::seconds_left() const { return failures_ == 0 ? seconds_ : bounded(until_.left_seconds()); }
+double Retry::seconds_left() const { return failures_ == 0 ? seconds_ : bounded(attempts_until_.left_seconds()); }
 
 double Retry::seconds_since_loss() const {
   return std::chrono::duration<double>(Deadline::Clock::now() - first_failure_).count();
@@ -44,7 +44,7 @@ std::string Retry::tried() const {
 
 bool Retry::wait(const std::string& what, const NoticeHandler& tell) {
   if (failures_++ == 0) first_failure_ = Deadline::Clock::now();
-  const double left = until_.left_seconds();
+  const double left = attempts_until_.left_seconds();
   if (left <= 0) return false;
   const double since = seconds_since_loss();
   if (tell && since >= kQuietSeconds && (told_at_ == 0 || since - told_at_ >= kBetweenNoticesSeconds)) {

@@ -1,8 +1,8 @@
-// Retry: how long and how often one call goes on trying to reach a service that has gone.
+// Retry: how long and how often one call tries again to reach a service that has gone.
 //
-// The first retry comes at once, since most losses are of a single connection; then one after about 50 ms, each later
-// one after twice as long, at most after 2 s. Chance shortens each wait by up to half, so that the clients of a service
-// that died don't all come to the next one in the same moment.
+// The first retry comes at once, since most losses are of a single connection; the next after about 50 ms, and each
+// later one after twice as long, up to 2 s. Each wait is shortened at random by up to half, so that the clients of a
+// service that died don't all reconnect at the same moment.
 #pragma once
 
 #include <cstdint>
@@ -14,34 +14,35 @@
 
 namespace rcb::client {
 
-// How much longer than the service a client waits, so that the service's own answer arrives first.
+// The client's deadline: later than the service's, so that the service's own answer arrives first.
 double with_margin(double deadline_seconds);
 
 class Retry {
  public:
-  // deadline_seconds: of the whole call, as its caller gave it.
+  // deadline_seconds: of the whole call, as given by its caller.
   explicit Retry(double deadline_seconds);
 
-  // When the client stops waiting for an answer; no try begins in the margin before it.
+  // When the client stops waiting for an answer, later than the call's deadline by the margin; no attempt begins in the
+  // margin.
   const Deadline& deadline() const { return deadline_; }
-  // What is left for the service, whose own deadline it shall be; more than 0. At first all.
+  // Time left, to be sent as the service's deadline; always more than 0. At first all of it.
   double seconds_left() const;
   int failures() const { return failures_; }
   // "tried 3 times in 0.4 s"
   std::string tried() const;
 
-  // After a try that failed: sleeps until the next one is due. False: the call's deadline has passed.
-  // `tell`, which may be empty, hears now and then what is waited for.
+  // After a failed attempt: sleeps until the next one is due. False: the call's deadline has passed. `tell`, which may
+  // be empty, is called from time to time with what is waited for.
   bool wait(const std::string& what, const NoticeHandler& tell);
-  // True once after `tell` has heard of waiting: then it should also hear that it is over.
+  // True once after `tell` has been called: the caller should then also tell that the wait is over.
   bool end_of_waiting();
 
  private:
   double seconds_since_loss() const;
 
   double seconds_;
-  Deadline until_;     // of tries
-  Deadline deadline_;  // of answers
+  Deadline attempts_until_;  // no attempt begins later
+  Deadline deadline_;        // for answers
   Backoff backoff_;
   int failures_ = 0;
   Deadline::Clock::time_point first_failure_;

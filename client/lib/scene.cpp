@@ -1,4 +1,4 @@
-// Opening a scene, fetching its plan, and what a Scene tells of itself; the push is in step.cpp.
+// Opening a scene, fetching its layout, and the public functions of Scene; the push is in step.cpp.
 #include "client/lib/scene.hpp"
 
 #include <algorithm>
@@ -6,13 +6,11 @@
 
 #include <fmt/format.h>
 
+#include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
 namespace {
-
-constexpr double kCloseSeconds = 2;
-constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
 
 Status odd_answer(const std::string& what, const std::string& why) {
   return {Code::protocol_error, fmt::format("answer to '{}': {}", what, why),
@@ -27,19 +25,35 @@ Scene& Scene::operator=(Scene&&) noexcept = default;
 Scene::~Scene() = default;
 std::optional<std::int64_t> Scene::last_step() const { return state_->last_step(); }
 Result<StepResult> Scene::step(const Positions& positions, const StepOptions& options) {
-  const auto moved = options.moved ? Ask::Moved::rows : Ask::Moved::all;
+  const auto moved = options.moved ? StepRequest::Moved::rows : StepRequest::Moved::all;
   return state_->step({positions, options, moved, {}});
 }
 
 Result<StepResult> Scene::step_unmoved(const StepOptions& options) {
   Positions none;
   none.dims = state_->dims();
-  return state_->step({none, options, Ask::Moved::none, {}});
+  return state_->step({none, options, StepRequest::Moved::none, {}});
 }
 
 Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Positions& positions,
                                      const StepOptions& options) {
-  return state_->step({positions, options, Ask::Moved::ids, ids});
+  return state_->step({positions, options, StepRequest::Moved::ids, ids});
+}
+
+Result<std::span<double>> Scene::position_rows(std::size_t count) {
+  return state_->arrays().rows<double>(count, state_->dims());
+}
+
+Result<std::vector<std::span<double>>> Scene::position_axes(std::size_t count) {
+  return state_->arrays().axes<double>(count, state_->dims());
+}
+
+Result<std::span<float>> Scene::position_rows_f4(std::size_t count) {
+  return state_->arrays().rows<float>(count, state_->dims());
+}
+
+Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count) {
+  return state_->arrays().axes<float>(count, state_->dims());
 }
 
 Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
@@ -63,7 +77,7 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
     for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
     return view;
   };
-  return session().persist(retry, once, [](const Status&) { return false; });
+  return session().retry_until_deadline(retry, once, [](const Status&) { return false; });
 }
 
 Result<Scene> Client::open_scene(const std::string& name) {
@@ -74,8 +88,10 @@ Result<Scene> Client::open_scene(const std::string& name) {
 }
 
 Scene::State::~State() {
-  // A connection that is gone holds nothing open.
-  if (session().connected() && generation_ == session().generation())
+  // On a connection that is gone nothing is open.
+  if (!session().connected() || generation_ != session().generation()) return;
+  arrays_.unshare(session(), Deadline(kCloseSeconds));
+  if (session().connected())
     static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name_}}, Retry(kCloseSeconds)));
 }
 
@@ -85,27 +101,21 @@ Status Scene::State::open(double deadline_seconds) {
     if (Status status = hold(retry); !status) return status;
     return true;
   };
-  return session().persist(retry, once, [](const Status&) { return false; }).status();
+  return session().retry_until_deadline(retry, once, [](const Status&) { return false; }).status();
 }
 
 Result<Scene::State::Description> Scene::State::read_description(const wire::Json& json) {
-  const auto dims = wire::integer_field(json, "dims", 1, 3);
-  const auto parts = wire::integer_field(json, "parts", 1, wire::kPartsMax);
-  const auto count = wire::integer_field_or(json, "n", 0, wire::kParticlesMax, 0);
-  const auto epoch = wire::integer_field_or(json, "epoch", 0, kLarge, 0);
-  const auto step = wire::integer_field_or(json, "step", 0, wire::kStepMax, -1);
-  const auto ids = wire::bool_field_or(json, "ids", false);
-  const auto weights = wire::bool_field_or(json, "weights", false);
-  for (const Status& status :
-       {dims.status(), parts.status(), count.status(), epoch.status(), step.status(), ids.status(), weights.status()})
-    if (!status) return odd_answer("scene.open", status.message());
-  return Description{static_cast<int>(*dims),
-                     static_cast<int>(*parts),
-                     static_cast<std::uint64_t>(*count),
-                     static_cast<std::uint64_t>(*epoch),
-                     *step >= 0 ? std::optional(*step) : std::nullopt,
-                     *ids,
-                     *weights};
+  wire::FieldReader fields(json);
+  Description found;
+  found.dims = static_cast<int>(fields.integer("dims", 1, 3));
+  found.parts = static_cast<int>(fields.integer("parts", 1, wire::kPartsMax));
+  found.count = fields.particles("n");
+  found.epoch = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
+  if (fields.has("step")) found.step = fields.integer("step", 0, wire::kStepMax);
+  found.ids = fields.flag("ids");
+  found.weights = fields.flag("weights");
+  if (!fields.ok()) return odd_answer("scene.open", fields.status().message());
+  return found;
 }
 
 Status Scene::State::hold(const Retry& retry) {
@@ -138,14 +148,14 @@ Status Scene::State::hold(const Retry& retry) {
     lose();
     return {};
   }
-  // Those of a step whose answer was lost count as well.
+  // Counts a step whose answer was lost, too.
   if (found->step && (found->count == count_ || found->count == count_if_committed_)) {
     pushed_ = true;
     lost_ = false;
     last_step_ = found->step;
     return {};
   }
-  generation_ = 0;  // asked again at the next step
+  generation_ = 0;  // so that the next step asks again
   return {Code::not_found,
           found->step ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, found->count, count_)
                       : fmt::format("{} scene '{}' is empty", lost, name_),
@@ -177,13 +187,13 @@ Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& 
   const auto checksum_text = wire::string_field(*named, "checksum", 16);
   if (!version || !checksum_text) return odd_answer("plan", "no version or checksum");
   const std::span slot_ids(reinterpret_cast<const std::int64_t*>(slot_id->bytes.data()), slot_id->bytes.size() / 8);
-  std::vector<std::int64_t> sorted;  // a caller who has no rows has them in ascending id
+  std::vector<std::int64_t> sorted;  // if the caller gave no ids, rows are in ascending id
   if (has_ids_ && ids.empty()) {
     sorted.assign(slot_ids.begin(), slot_ids.end());
     std::sort(sorted.begin(), sorted.end());
     ids = sorted;
   }
-  auto plan = plan::Plan::full(rank_counts, slot_ids, ids, static_cast<std::uint64_t>(*version));
+  auto plan = layout::Layout::full(rank_counts, slot_ids, ids, static_cast<std::uint64_t>(*version));
   if (!plan) return plan.status();
   if (wire::hex64(plan->checksum()) != *checksum_text)
     return odd_answer(

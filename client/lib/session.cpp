@@ -12,6 +12,7 @@
 #include <sys/random.h>
 
 #include "client/lib/data_path.hpp"
+#include "common/files/endpoint_lock.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
 
@@ -21,7 +22,7 @@ namespace {
 constexpr double kGoodbyeSeconds = 0.2;
 constexpr std::string_view kEndpointListener = "endpoint";
 
-// Commands that change nothing, or nothing more at a second time.
+// Commands that change nothing, or whose repetition changes nothing more.
 bool repeatable(std::string_view command) {
   constexpr std::array<std::string_view, 18> kRepeatable{
       "status",  "scene.open", "scene.close", "scene.list", "scene.show", "plan",  "error",   "counts",  "cuts",
@@ -29,7 +30,7 @@ bool repeatable(std::string_view command) {
   return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
 }
 
-// Not seeded from the clock: two clients that start together must differ.
+// Not seeded from the clock: two clients that start at the same moment must differ.
 std::string random_session() {
   std::uint64_t value = 0;
   if (::getrandom(&value, sizeof value, 0) != static_cast<ssize_t>(sizeof value)) {
@@ -39,15 +40,18 @@ std::string random_session() {
   return wire::hex64(value);
 }
 
-// A frame without arrays.
-class OneFrame final : public FrameSource {
+std::string frame_of(wire::FrameType type, std::uint64_t request, const wire::Json& json) {
+  wire::FrameHeader header;
+  header.type = type;
+  header.request = request;
+  return wire::encode_frame(header, wire::dump_json(json));
+}
+
+// Frames that are there already.
+class WholeFrames final : public FrameSource {
  public:
-  OneFrame(wire::FrameType type, std::uint64_t request, const wire::Json& json) {
-    wire::FrameHeader header;
-    header.type = type;
-    header.request = request;
-    frame_ = wire::encode_frame(header, wire::dump_json(json));
-    bytes_[0] = std::as_bytes(std::span(frame_));
+  explicit WholeFrames(std::string frames) : frames_(std::move(frames)) {
+    bytes_[0] = std::as_bytes(std::span(frames_));
   }
   std::span<const Bytes> next(bool) override {
     if (sent_) return {};
@@ -56,12 +60,12 @@ class OneFrame final : public FrameSource {
   }
 
  private:
-  std::string frame_;
+  std::string frames_;
   std::array<Bytes, 1> bytes_;
   bool sent_ = false;
 };
 
-// Reads the welcome: the nonce that a proof of the token is to answer, empty where none is asked for.
+// Reads the welcome. Returns the nonce that a proof of the token must answer; empty if none is required.
 Result<std::string> read_welcome(Connection& link, const Endpoint& endpoint, const Deadline& deadline) {
   const auto frame = link.read(deadline);
   if (!frame) {
@@ -79,8 +83,8 @@ Result<std::string> read_welcome(Connection& link, const Endpoint& endpoint, con
   const auto method = wire::string_field(*json, "authentication", 64);
   const auto nonce = wire::string_field(*json, "nonce", 256);
   if (method && *method == auth::kMethod && nonce && auth::is_nonce(*nonce)) return *nonce;
-  // On a Unix socket the kernel has told who serves it. Over TCP anybody may, and who asks for less than a proof, such
-  // as the token itself, is not believed.
+  // On a Unix socket the kernel has told who serves it. Over TCP it may be anybody: a peer that asks for less than a
+  // proof, perhaps for the token itself, isn't trusted.
   if (endpoint.is_unix && method && *method == "none") return std::string();
   return Status(
       Code::not_authorised,
@@ -96,16 +100,21 @@ std::string joined(const std::vector<Endpoint>& endpoints) {
 
 }  // namespace
 
+std::string request_frame(std::uint64_t request, const wire::Json& json) {
+  return frame_of(wire::FrameType::request, request, json);
+}
+
 Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {
   const char* path = std::getenv("RCBD_PATH");
   if (path == nullptr || options_.path != Path::automatic) return;
   if (std::string_view(path) == "direct") options_.path = Path::direct;
   if (std::string_view(path) == "gateway") options_.path = Path::gateway;
+  if (std::string_view(path) == "shared") options_.path = Path::shared;
 }
 
 Session::~Session() {
   if (!connection_) return;
-  OneFrame goodbye(wire::FrameType::goodbye, 0, wire::Json::object());
+  WholeFrames goodbye(frame_of(wire::FrameType::goodbye, 0, wire::Json::object()));
   static_cast<void>(connection_->write(goodbye.next(false), Deadline(kGoodbyeSeconds)));
 }
 
@@ -122,8 +131,8 @@ Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
 }
 
 Status Session::ensure(const Deadline& deadline) {
-  // Frames that nobody waits for are left over, or the service's goodbye: either way a fresh connection is due.
-  if (connection_ && connection_->has_news()) drop_connection();
+  // Unexpected frames are left over from an earlier call, or the service's goodbye: either way, connect anew.
+  if (connection_ && connection_->has_frame()) drop_connection();
   return connection_ ? Status{} : connect(deadline.within(options_.deadline_seconds));
 }
 
@@ -145,6 +154,8 @@ Status Session::wait(Retry& retry, const Status& why, const std::string& what) c
 }
 
 Status Session::connect(const Deadline& deadline) {
+  if (!endpoints_.front().published.empty())  // started again, it may be elsewhere
+    if (auto now = endpoints_to_try(options_.endpoint)) endpoints_ = std::move(*now);
   for (const Endpoint& endpoint : endpoints_) {
     const Status status = connect_to(endpoint, deadline);
     if (status) {
@@ -156,11 +167,19 @@ Status Session::connect(const Deadline& deadline) {
     connection_.reset();
     if (status.code() != Code::unavailable) return status;
   }
+  if (const std::string& published = endpoints_.front().published; !published.empty())
+    return {Code::unavailable, fmt::format("{} no longer answers", published),
+            fmt::format("it was at {}; one that is started elsewhere writes the file anew", endpoints_.front().text())};
   if (generation_ > 0)
     return {Code::unavailable, fmt::format("the service at {} has gone", endpoint_text_),
             told_goodbye_ ? "it was stopped; start it again: rcbctl up"
                           : "one that rcbctl up started comes back by itself: see rcbctl status, and its log"};
-  return {Code::unavailable, fmt::format("no service answers at {}", joined(endpoints_)), "start one: rcbctl up"};
+  const bool comes_back = std::any_of(endpoints_.begin(), endpoints_.end(), [](const Endpoint& endpoint) {
+    return endpoint_holder(endpoint.text()).has_value();
+  });
+  return {Code::unavailable, fmt::format("no service answers at {}", joined(endpoints_)),
+          comes_back ? "it is being started again: try again in a moment; rcbctl status says more"
+                     : "start one: rcbctl up"};
 }
 
 Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
@@ -171,12 +190,15 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   data_.reset();
   data_addresses_.clear();
   data_tried_ = false;
+  share_refused_ = false;
   const auto reply = greet(connection_, endpoint, std::string(kEndpointListener), deadline);
   if (!reply) return reply.status();
   const auto ranks = wire::integer_field(*reply, "ranks", 1, 1 << 20);
   if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
   ranks_ = static_cast<int>(*ranks);
   instance_ = reply->value("instance", wire::Json()).is_string() ? reply->at("instance").get<std::string>() : "";
+  if (const auto token = reply->find("data_token"); endpoint.is_unix && token != reply->end() && token->is_string())
+    token_ = token->get<std::string>();  // for ranks on other machines
   if (const auto data = reply->find("data"); data != reply->end() && data->is_array())
     for (const wire::Json& address : *data)
       data_addresses_.push_back(address.is_string() ? address.get<std::string>() : std::string());
@@ -207,7 +229,7 @@ Result<wire::Json> Session::greet(std::unique_ptr<Connection>& link, const Endpo
 
 Result<std::vector<std::string>> Session::tokens_to_try(const Connection& link, const Endpoint& endpoint,
                                                         const std::string& listener) const {
-  // A rank's own listener takes the one that the service took.
+  // A rank's own listener accepts the token that the endpoint accepted.
   if (listener != kEndpointListener && !token_.empty()) return std::vector{token_};
   auto tokens = tokens_for(endpoint, options_.token, link.this_machine());
   if (tokens && tokens->empty())
@@ -233,8 +255,8 @@ Result<wire::Json> Session::say_hello(Connection& link, wire::Json more, const D
   wire::Json hello{{"protocol", wire::kProtocolVersion}, {"client", options_.name}, {"session", number_}};
   hello.update(more);
   const std::uint64_t request = next_request();
-  OneFrame frame(wire::FrameType::hello, request, hello);
-  static_cast<void>(link.write(frame.next(false), deadline));  // what the service says of it is read below
+  WholeFrames frame(frame_of(wire::FrameType::hello, request, hello));
+  static_cast<void>(link.write(frame.next(false), deadline));  // a failed write is reported by the read below
   const auto answer = await_answer(link, request, deadline);
   if (!answer) return answer.status();
   return answer->json();
@@ -245,7 +267,7 @@ Status Session::open_data(const Deadline& deadline) {
   for (const std::string& address : data_addresses_) {
     auto endpoint = parse_endpoint(address);
     if (!endpoint) return endpoint.status();
-    // A listener on all interfaces is where the service itself was found.
+    // A listener on all interfaces is reached at the host where the endpoint was found.
     if (!endpoint->is_unix && (endpoint->host == "0.0.0.0" || endpoint->host == "::"))
       endpoint->host = endpoints_.front().host;
     auto link = Connection::open(*endpoint, deadline, options_.on_notice);
@@ -255,6 +277,7 @@ Status Session::open_data(const Deadline& deadline) {
     links.push_back(std::move(*link));
   }
   data_ = std::make_unique<DataPath>(std::move(links));
+  ++data_generation_;
   return {};
 }
 
@@ -265,6 +288,56 @@ DataPath* Session::data(const Deadline& deadline) {
     static_cast<void>(open_data(deadline.within(options_.deadline_seconds)));
   }
   return data_.get();
+}
+
+bool Session::can_share(const Deadline& deadline) {
+  const auto on_this_host = [](const std::string& address) { return address.starts_with("unix:"); };
+  return std::all_of(data_addresses_.begin(), data_addresses_.end(), on_this_host) && data(deadline) != nullptr &&
+         !share_refused_;
+}
+
+Status Session::share(const SharedMemory& memory, std::int64_t number, const Deadline& deadline) {
+  const Status status = ask_ranks({{"command", "memory.share"}, {"memory", number}, {"bytes", memory.size()}},
+                                  memory.descriptor(), deadline);
+  share_refused_ = share_refused_ || status.code() == Code::unsupported;
+  return status;
+}
+
+void Session::unshare(std::int64_t number, const Deadline& deadline) {
+  static_cast<void>(ask_ranks({{"command", "memory.drop"}, {"memory", number}}, -1, deadline));
+}
+
+Status Session::ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline) {
+  if (!data_) return {Code::aborted, "the connections to the ranks were lost"};
+  std::vector<std::uint64_t> requests;
+  Status lost, refused;
+  for (int rank = 0; rank < ranks_ && lost; ++rank) {
+    const std::string frame = request_frame(requests.emplace_back(next_request()), request);
+    lost = data_->connection(rank).send_at_once(std::as_bytes(std::span(frame)), descriptor);
+  }
+  for (std::size_t rank = 0; rank < requests.size() && lost; ++rank) {
+    Connection& link = data_->connection(static_cast<int>(rank));
+    const Status answer = await_answer(link, requests[rank], deadline).status();
+    if (!answer && !link.lost())
+      lost = answer;
+    else if (!answer && refused)
+      refused = answer;
+  }
+  if (!lost) {
+    give_up_data();
+    return {Code::aborted, lost.message(), lost.hint()};
+  }
+  if (refused || refused.code() == Code::too_large) return refused;
+  return {Code::unsupported, refused.message(), refused.hint()};
+}
+
+Status Session::no_data() {
+  if (data_addresses_.size() != static_cast<std::size_t>(ranks_))
+    return {Code::unavailable, fmt::format("{} has no direct path to its ranks", endpoint_text_),
+            "leave the path to the library, or start the service without --gateway-only"};
+  connection_.reset();
+  return {Code::unavailable, fmt::format("a rank of the service at {} doesn't answer", endpoint_text_),
+          "leave the path to the library, or see rcbctl status"};
 }
 
 bool Session::data_lost() {
@@ -278,7 +351,7 @@ void Session::give_up_data() {
   data_tried_ = options_.path != Path::direct;
 }
 
-// The answer to `request`; a failure without a number is meant for whoever waits.
+// The answer to `request`; a failure with request number 0 concerns the connection, so it is returned, too.
 Result<Frame> Session::await_answer(Connection& link, std::uint64_t request, const Deadline& deadline) {
   for (;;) {
     auto frame = link.read(deadline);
@@ -296,10 +369,16 @@ Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, cons
                                 const Deadline& deadline) {
   CHECK(connection_ != nullptr, "a request without a connection");
   for (;;) {
-    const auto bytes = source.next(connection_->has_news());
+    const auto bytes = source.next(connection_->has_frame());
     if (bytes.empty() || !connection_->write(bytes, deadline)) break;
   }
   return await_answer_to(request, what, deadline);
+}
+
+Result<Frame> Session::exchange_frames(std::uint64_t request, std::string frames, const std::string& what,
+                                       const Deadline& deadline) {
+  WholeFrames source(std::move(frames));
+  return exchange(request, source, what, deadline);
 }
 
 Result<Frame> Session::exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
@@ -309,7 +388,7 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
   CHECK(connection_ != nullptr && data_ != nullptr, "a push without its connections");
   const std::array<Bytes, 1> frames{std::as_bytes(std::span(begin))};
   if (connection_->write(frames, deadline)) {
-    const auto answered = [this] { return connection_->has_news(); };
+    const auto answered = [this] { return connection_->has_frame(); };
     const Status sent = data_->send(slice, request, rows, columns, answered, deadline);
     if (!sent) {
       give_up_data();
@@ -321,7 +400,7 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
 
 Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {
   auto answer = await_answer(*connection_, request, deadline);
-  // A service that calls itself unavailable is about to end.
+  // A service that answers `unavailable` is about to end.
   if (!connection_->lost() || answer.status().code() == Code::unavailable) drop_connection();
   if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
     return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),
@@ -334,19 +413,18 @@ Result<Frame> Session::call_once(wire::Json request, const Retry& retry) {
   if (!command) return command.status();
   if (!request.contains("deadline_seconds")) request["deadline_seconds"] = retry.seconds_left();
   const std::uint64_t number = next_request();
-  OneFrame frame(wire::FrameType::request, number, request);
-  return exchange(number, frame, *command, retry.deadline());
+  return exchange_frames(number, request_frame(number, request), *command, retry.deadline());
 }
 
 Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
   const auto command = wire::string_field(request, "command", 64);
   if (!command) return command.status();
   Retry retry(deadline_seconds);
-  if (*command == "shutdown") {  // a service that is gone has done it
+  if (*command == "shutdown") {  // not retry_until_deadline(): if the service is gone, it has shut down
     if (Status status = ensure(retry.deadline()); !status) return status;
     return call_once(std::move(request), retry);
   }
-  std::optional<std::string> sent_to;  // the run of the service that may have done it
+  std::optional<std::string> sent_to;  // instance to which the command was sent; it may have been done there
   const auto once = [&]() -> Result<Frame> {
     if (!repeatable(*command) && sent_to == instance_)
       return Status(
@@ -356,7 +434,7 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
     sent_to = instance_;
     return call_once(request, retry);
   };
-  return persist(retry, once, [](const Status&) { return false; });
+  return retry_until_deadline(retry, once, [](const Status&) { return false; });
 }
 
 Result<wire::Json> Session::ask_once(wire::Json request, const Retry& retry) {

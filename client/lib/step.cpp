@@ -1,4 +1,4 @@
-// Scene::step: check, push, and try again where that can help. What the answer says is read in step_answer.cpp.
+// Scene::step: check, push, and retry. The answer is read in step_answer.cpp.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -10,14 +10,13 @@
 #include "client/lib/push_source.hpp"
 #include "client/lib/scene.hpp"
 #include "client/lib/step_report.hpp"
+#include "common/base/axis_names.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
 namespace {
 
-constexpr const char* kAxisNames[] = {"x", "y", "z"};
-
-wire::Json plan_json(const plan::Plan& plan) {
+wire::Json plan_json(const layout::Layout& plan) {
   return {{"version", plan.version()}, {"checksum", wire::hex64(plan.checksum())}};
 }
 
@@ -27,7 +26,7 @@ Status Scene::State::wrong(std::string message, std::string hint) const {
   return {Code::invalid_argument, fmt::format("push to scene '{}': {}", name_, message), std::move(hint)};
 }
 
-Status Scene::State::check_positions(const Ask& ask) const {
+Status Scene::State::check_positions(const StepRequest& ask) const {
   const Positions& positions = ask.positions;
   if (positions.dims != dims_)
     return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims_),
@@ -46,28 +45,28 @@ Status Scene::State::check_positions(const Ask& ask) const {
     return wrong(fmt::format("{} particles, the scene has {}", positions.count, count_),
                  "push all particles of the scene, with those to insert or remove beside them, or create it anew with "
                  "replace");
-  if (ask.moved == Ask::Moved::ids && positions.count != ask.ids.size())
+  if (ask.moved == StepRequest::Moved::ids && positions.count != ask.ids.size())
     return wrong(fmt::format("{} positions of {} moved particles", positions.count, ask.ids.size()),
                  "give one position an id");
-  if (ask.moved != Ask::Moved::all && positions.in_plan_order())
+  if (ask.moved != StepRequest::Moved::all && positions.in_plan_order())
     return wrong("few particles of positions in the plan's order", "give rows or axes");
   return {};
 }
 
-Status Scene::State::check(const Ask& ask) const {
+Status Scene::State::check(const StepRequest& ask) const {
   const Positions& positions = ask.positions;
   const StepOptions& options = ask.options;
   if (Status status = check_positions(ask); !status) return status;
   if (ask.whole() && !options.ids.empty() && options.ids.size() != positions.count)
     return wrong(fmt::format("{} ids for {} particles", options.ids.size(), positions.count), "give one id a particle");
-  if (!options.weights.empty() && ask.moved != Ask::Moved::all)
+  if (!options.weights.empty() && ask.moved != StepRequest::Moved::all)
     return wrong("new weights in a push of few particles", "push all particles with their weights");
   if (!options.weights.empty() && options.weights.size() != positions.count)
     return wrong(fmt::format("{} weights for {} particles", options.weights.size(), positions.count),
                  "give one weight a particle, or none");
   if (has_particles() && !options.weights.empty() && !has_weights_)
     return wrong("weights, and the scene has none", "weights must be there from the first push on");
-  if ((told_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
+  if ((began_ || told_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
     for (std::size_t row = 0; row < options.ids.size(); ++row)
       if (const std::int64_t known = ids_.empty() ? static_cast<std::int64_t>(row) : ids_[row];
           options.ids[row] != known)
@@ -88,10 +87,11 @@ Status Scene::State::check(const Ask& ask) const {
 
 Status Scene::State::ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan) {
   if (!pushed_) {
-    plan_ = plan::Plan::blocks(count, session().ranks(), ids);
+    plan_.reset();
+    if (with_plan) plan_ = layout::Layout::blocks(count, session().ranks(), ids);
     return {};
   }
-  if (plan_ && plan_->ranks() != session().ranks()) plan_.reset();  // started again on other ranks
+  if (plan_ && plan_->ranks() != session().ranks()) plan_.reset();  // restarted with another number of ranks
   return plan_ || !with_plan ? Status{} : fetch_plan(ids_by_row(ids), retry);
 }
 
@@ -99,16 +99,16 @@ std::span<const std::int64_t> Scene::State::ids_by_row(std::span<const std::int6
   return ids_.empty() ? given : std::span<const std::int64_t>(ids_);
 }
 
-Result<Frame> Scene::State::push(const Ask& ask, std::int64_t step, std::optional<std::int64_t> base,
+Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
                                  const Retry& retry) {
   const Positions& positions = ask.positions;
   const StepOptions& options = ask.options;
-  const bool all = ask.moved == Ask::Moved::all;
+  const bool all = ask.moved == StepRequest::Moved::all;
   const bool send_ids = !pushed_ && !options.ids.empty();
   if (Status status = plan_ ? check_plan_order(positions, *plan_, version_for_caller()) : Status(); !status)
     return status;
   Selection few;
-  if (ask.moved == Ask::Moved::rows || ask.moved == Ask::Moved::ids) {
+  if (ask.moved == StepRequest::Moved::rows || ask.moved == StepRequest::Moved::ids) {
     auto selected = select(ask);
     if (!selected) return selected.status();
     few = std::move(*selected);
@@ -131,10 +131,15 @@ Result<Frame> Scene::State::push(const Ask& ask, std::int64_t step, std::optiona
                    {"dtype", single ? "<f4" : "<f8"},
                    {"weights", !options.weights.empty()},
                    {"ids", send_ids},
-                   {"changes", true},
+                   {"changes", plan_.has_value()},
+                   {"inserted", ask.inserted()},
+                   {"removed", options.removed.size()},
+                   {"inserted_ids", ask.inserted() > 0 && !options.inserted->ids.empty()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
-  // One pointer a rank: to the axes' elements, or to the slots.
+  const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
+  if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
+  // Pointers by rank: to the elements of the axes; [3]: to the slots.
   std::array<std::vector<const void*>, 4> by_rank;
   std::vector<Column> columns;
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
@@ -156,42 +161,65 @@ Result<Frame> Scene::State::push(const Ask& ask, std::int64_t step, std::optiona
     }
     columns.push_back({"slot", "<u8", nullptr, 1, by_rank[3].data()});
   }
-  return send(std::move(begin), rows, std::move(columns), ask,
-              fmt::format("push of step {} to scene '{}'", step, name_), retry.deadline());
+  return send(std::move(begin), rows, std::move(columns), ask, what, retry.deadline());
 }
 
-Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const Ask& ask,
-                                 const std::string& what, const Deadline& deadline) {
+bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) {
+  const Path path = session().path();
+  const bool may = (path == Path::automatic || path == Path::shared) && ask.moved == StepRequest::Moved::all &&
+                   ask.positions.count > 0 && !ask.positions.in_plan_order() && !(pushed_ && has_ids_) &&
+                   !shared_unsupported_ && session().can_share(retry.deadline());
+  if (!may || !pushed_) return may;
+  // After the first push the ranks take the row k as the particle k.
+  std::int64_t row = 0;
+  const auto ids = ids_by_row(ask.options.ids);
+  return std::all_of(ids.begin(), ids.end(), [&row](std::int64_t id) { return id == row++; });
+}
+
+Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
+                                        const Deadline& deadline) {
+  auto memory = arrays_.describe(session(),
+                                 {.positions = ask.positions,
+                                  .weights = ask.options.weights,
+                                  .ids = pushed_ ? std::span<const std::int64_t>() : ask.options.ids},
+                                 deadline);
+  if (!memory) return memory.status();
   const std::uint64_t request = session().next_request();
-  begin["inserted"] = ask.inserted();
-  begin["removed"] = ask.options.removed.size();
-  begin["inserted_ids"] = ask.inserted() > 0 && !ask.options.inserted->ids.empty();
+  const EditFrames edits = edit_frames(begin, request, ask, dims_);
+  begin["command"] = "push.begin";
+  begin["path"] = "shared";
+  begin["order"] = "id";
+  begin["memory"] = std::move(*memory);
+  begin["slices"] = edits.count;
+  return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, deadline);
+}
+
+Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns,
+                                 const StepRequest& ask, const std::string& what, const Deadline& deadline) {
+  const std::uint64_t request = session().next_request();
   const EditFrames edits = edit_frames(begin, request, ask, dims_);
   std::size_t particles = 0;
   for (const auto& of_rank : rows) particles += of_rank.size();
   const bool large = particles * particle_bytes(columns) >= kDirectBytesMin;
   const Path path = session().path();
-  if (particles > 0 && (path == Path::direct || (path == Path::automatic && large))) {
+  if (particles > 0 && (path == Path::direct || (path != Path::gateway && large))) {
     if (session().data(deadline) != nullptr) {
       wire::Json slice{{"command", "push.slice"}};
       for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice[name] = begin.at(name);
       begin["command"] = "push.begin";
       begin["path"] = "direct";
       begin["slices"] = edits.count;
-      wire::FrameHeader header;
-      header.request = request;
-      const std::string frames = wire::encode_frame(header, wire::dump_json(begin)) + edits.bytes;
-      return session().exchange_directly(request, frames, slice, rows, columns, what, deadline);
+      return session().exchange_directly(request, request_frame(request, begin) + edits.bytes, slice, rows, columns,
+                                         what, deadline);
     }
-    if (path == Path::direct)
-      return Status(Code::unavailable, fmt::format("{} has no direct path to its ranks", session().endpoint()),
-                    "leave the path to the library, or start the service without --gateway-only");
+    if (path == Path::direct) return session().no_data();
   }
   PushSource source(begin, request, rows, std::move(columns), edits.bytes, edits.count);
   return session().exchange(request, source, what, deadline);
 }
 
-Status Scene::State::check_plan_order(const Positions& positions, const plan::Plan& plan, std::uint64_t version) const {
+Status Scene::State::check_plan_order(const Positions& positions, const layout::Layout& plan,
+                                      std::uint64_t version) const {
   if (!positions.in_plan_order()) return {};
   const std::string hint = "ask Scene::plan() and put the positions into its order";
   if (positions.plan_version != version)
@@ -212,9 +240,9 @@ Status Scene::State::check_plan_order(const Positions& positions, const plan::Pl
   return {};
 }
 
-Result<StepResult> Scene::State::step(Ask ask) {
-  forget_lost_if_others(ask);
-  // A scene of no particles takes any, as new ones.
+Result<StepResult> Scene::State::step(StepRequest ask) {
+  forget_lost_if_replaced(ask);
+  // If the scene has no particles, those pushed are sent as insertions.
   Insertion all;
   if (pushed_ && !lost_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
     all = {ask.positions, ask.options.ids, ask.options.weights};
@@ -222,7 +250,7 @@ Result<StepResult> Scene::State::step(Ask ask) {
     ask.options.ids = {};
     ask.options.weights = {};
     ask.options.inserted = &all;
-    ask.moved = Ask::Moved::all;
+    ask.moved = StepRequest::Moved::all;
   }
   if (Status status = check(ask); !status) return status;
   const StepOptions& options = ask.options;
@@ -231,63 +259,86 @@ Result<StepResult> Scene::State::step(Ask ask) {
   if (!has_particles() && !ask.whole())
     return Status(Code::base_lost, fmt::format("push to scene '{}': it has no positions yet", name_),
                   "push all positions with step()");
+  if (options.step && last_step_ && *options.step <= *last_step_)
+    return Status(Code::stale_step,
+                  fmt::format("step {} of scene '{}' is not above the last one, {}", *options.step, name_, *last_step_),
+                  "to go back to an earlier state, push it as a later step, or create the scene again");
   const std::int64_t step = options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
   const std::optional<std::int64_t> base = last_step_;
-  if (!base) ask.moved = Ask::Moved::all;
+  if (!base) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
   Retry retry(options.deadline_seconds);
-  std::uint64_t plan_fetched_on = 0;  // the connection
+  std::uint64_t plan_fetched_on = 0;  // generation of the connection
   const auto once = [&] { return try_step(ask, step, base, retry); };
   const auto mend = [&](const Status& status) {
     switch (status.code()) {
       case Code::aborted: {
-        // A rank's connection went, and the push with it: another way, where the caller leaves the choice.
+        // A rank's connection was lost, and the push with it: retry on another path, if the caller leaves the choice.
         const bool data_lost = session().data_lost();
+        arrays_.share_again();
         return (data_lost || session().outlive()) &&
                session().wait(retry, status, fmt::format("scene '{}': {}", name_, status.message())).ok();
       }
       case Code::base_lost:
-        if (ask.moved != Ask::Moved::rows) return false;
-        ask.moved = Ask::Moved::all;
+        if (ask.moved != StepRequest::Moved::rows) return false;
+        ask.moved = StepRequest::Moved::all;
         return true;
       case Code::stale_plan:
         if (std::exchange(plan_fetched_on, session().generation()) == session().generation()) return false;
         plan_.reset();
-        if (!pushed_) generation_ = 0;  // another client pushed first
+        if (!pushed_) generation_ = 0;  // another client made the first push
+        return true;
+      case Code::unsupported:
+      case Code::too_large:
+      case Code::io_error:
+        if (!shared_ || shared_unsupported_) return false;
+        shared_unsupported_ = true;  // by another way, then
         return true;
       default:
         return false;
     }
   };
-  auto result = session().persist(retry, once, mend);
+  auto result = session().retry_until_deadline(retry, once, mend);
   if (result) lost_plan_.reset();
   return result;
 }
 
-Result<StepResult> Scene::State::try_step(const Ask& ask, std::int64_t step, std::optional<std::int64_t> base,
+Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
                                           const Retry& retry) {
   const std::uint64_t held_on = generation_;
   if (Status status = hold(retry); !status) return status;
   if (held_on != generation_)
     if (Status fits = check(ask); !fits) return fits;
-  Ask sent = ask;
+  StepRequest sent = ask;
   Buffer<std::byte> rows;
   if (lost_) {
-    auto whole = whole_again(ask, rows);
+    auto whole = with_all_particles(ask, rows);
     if (!whole) return whole.status();
     sent = *whole;
     if (ask.edits())
       if (Status status = restore(sent, retry); !status) return status;
-  } else if (in_lost_order(ask)) {  // an earlier try has restored the particles
+  } else if (in_lost_order(ask)) {  // an earlier attempt has restored the particles
     sent = by_rows(ask, rows);
   }
-  const bool with_plan = sent.moved != Ask::Moved::none || sent.edits();
+  // From shared memory the ranks take the particles by id. So the layout is of use only to tell which parts changed.
+  shared_ = by_shared_memory(sent, retry);
+  const bool asked = sent.options.want_parts || sent.options.want_changes;
+  const bool with_plan = (!shared_ && sent.moved != StepRequest::Moved::none) || asked || sent.edits();
+  if (shared_ && !with_plan) plan_.reset();
   const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
   if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;
+  const bool tried_before = std::exchange(unanswered_, step) == step;
   const auto answer = push(sent, step, base, retry);
-  if (!answer) return answer.status();
-  return finish(*answer, step, sent, retry);
+  if (!answer) {
+    // Any other failure says that this attempt wasn't committed.
+    const Code code = answer.status().code();
+    const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted;
+    if (!unknown && !tried_before) unanswered_.reset();
+    return answer.status();
+  }
+  unanswered_.reset();
+  return finish(*answer, step, sent, tried_before, retry);
 }
 
 }  // namespace rcb::client

@@ -1,5 +1,4 @@
-// Scene::step, when the step is committed: plan and parts are brought up to date, and the caller is told what has
-// changed.
+// Scene::step after the commit: updates layout and parts, and collects the changes for the caller.
 #include <algorithm>
 #include <limits>
 
@@ -14,7 +13,7 @@ namespace {
 
 constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max();
 
-// Those that are new have a part for the first time.
+// Inserted particles have a part for the first time, so each counts as changed.
 void add_inserted(StepResult& result, std::span<const std::int32_t> parts) {
   std::vector<std::uint64_t> rows;
   for (const RowMove& move : result.row_moves)
@@ -29,18 +28,19 @@ void add_inserted(StepResult& result, std::span<const std::int32_t> parts) {
 
 }  // namespace
 
-void Scene::State::take_first(const Ask& ask) {
+void Scene::State::take_first(const StepRequest& ask) {
   const StepOptions& options = ask.options;
   has_weights_ = !options.weights.empty();
   has_ids_ = !options.ids.empty();
   if (options.ids.empty() || options.ids.data() != ids_.data()) ids_.assign(options.ids.begin(), options.ids.end());
   count_ = ask.positions.count;
-  pushed_ = true;
+  pushed_ = began_ = true;
   lost_ = false;
 }
 
-// The step is committed: whatever happens here, it stands.
-Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, const Ask& ask, const Retry& retry) {
+// The step is committed: an error here doesn't undo it.
+Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, const StepRequest& ask,
+                                        bool tried_before, const Retry& retry) {
   const StepOptions& options = ask.options;
   const auto json = answer.json();
   if (!json) return json.status();
@@ -48,17 +48,21 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   if (found == json->end()) return Status(Code::protocol_error, "answer to a push: no 'report'");
   auto report = read_report(*found);
   if (!report) return report.status();
+  const auto repeated = wire::bool_field_or(*json, "repeated", false);
+  if (repeated && *repeated && !tried_before)
+    return Status(Code::stale_step,
+                  fmt::format("step {} of scene '{}' was pushed by another Scene of this client", step, name_),
+                  "use one Scene for each scene of a client");
   const bool first = !pushed_;
   if (first) take_first(ask);
   if (!options.weights.empty()) keep_weights(options.weights);
   if (restored_) mark_recreated(*report);
   if (report->parts == 0) report->parts = parts_count_;
-  // Another session's step in between may have changed parts without changing the plan.
+  // Another session's step in between may have changed parts without changing the layout.
   const auto before = wire::integer_field_or(*json, "previous_step", 0, kStepMax, last_step_.value_or(-1));
   const bool step_follows = first || (before && *before == last_step_.value_or(-1));
   last_step_ = std::max(step, last_step_.value_or(step));
 
-  const auto repeated = wire::bool_field_or(*json, "repeated", false);
   const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
   epoch_ = report->epoch;
   StepResult result;
@@ -77,17 +81,18 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   Status current;
   const bool asked = options.want_parts || options.want_changes;
   if (!plan_ && !asked && !ask.edits()) {
-    // Fetched when it is needed.
+    // The layout is fetched when it is needed.
   } else if (!follows || !plan_ || !apply(answer, *json, first, result.changes)) {
     current = fetch_plan(ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(options.ids), retry);
   }
   if (current && plan_ && parts_.size() == count_)
-    for (const plan::SlotMove& move : edit.moves.moves)
+    for (const layout::SlotMove& move : edit.moves.moves)
       if (move.arrival && parts_[move.to] < 0) parts_[move.to] = edit.inserted_part[move.from];
   if (!current) {
-    // Fetched again before the next push.
+    // The layout is fetched again before the next push.
     plan_.reset();
-    // Rows that were edited can't be pushed as this step once more, as all others are where the service was lost.
+    // Steps without edits are pushed again when the service is lost; edited rows can't be pushed as the same step
+    // again.
     const bool lost = current.code() == Code::unavailable && ask.edits();
     if (asked)
       return Status(lost ? Code::base_lost : current.code(),
@@ -111,7 +116,7 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   return result;
 }
 
-// Brings plan_ and parts_ up to date from the answer alone. A failure leaves parts_ as it was, and plan_ unusable.
+// Updates plan_ and parts_ from the answer alone. If that fails, parts_ is unchanged, and plan_ unusable.
 Status Scene::State::apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes) {
   const Status odd(Code::protocol_error, "answer to a push: its changes don't lead to its plan");
   const wire::Array* id = wire::find_array(answer.arrays, "changed_id");
@@ -128,7 +133,7 @@ Status Scene::State::apply(const Frame& answer, const wire::Json& json, bool fir
     if (i > 0 && ids[i] <= ids[i - 1]) return odd;
     if (!row || new_parts[i] < 0 || new_parts[i] >= parts_count_) return odd;
     rows[i] = *row;
-    ranks[i] = plan::rank_of_part(new_parts[i], parts_count_, plan_->ranks());
+    ranks[i] = layout::rank_of_part(new_parts[i], parts_count_, plan_->ranks());
   }
   if (Status status = plan_->apply(rows, ranks, first); !status) return status;
   const auto named = json.find("plan");

@@ -2,44 +2,33 @@
 
 #include <limits>
 
+#include "client/lib/session.hpp"
+#include "common/wire/field_reader.hpp"
+
 namespace rcb::client {
 namespace {
 
 constexpr double kHuge = std::numeric_limits<double>::max();
-constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();
 
-// Reads fields one after another and keeps the first fault.
+// Reads each field into the member of its type.
 class Reader {
  public:
-  explicit Reader(const wire::Json& json) : json_(json) {}
+  explicit Reader(const wire::Json& json) : fields_(json) {}
 
   template <typename T>
   void count(const char* name, T& out) {
-    if (const auto value = keep(wire::integer_field_or(
-            json_, name, 0, std::numeric_limits<T>::digits < 63 ? std::numeric_limits<T>::max() : kLarge, 0)))
-      out = static_cast<T>(*value);
+    constexpr std::int64_t kMost = std::numeric_limits<T>::digits < 63 ? std::numeric_limits<T>::max() : kLarge;
+    out = static_cast<T>(fields_.integer_or(name, 0, kMost, 0));
   }
-  void number(const char* name, double& out) {
-    if (const auto value = keep(wire::number_field_or(json_, name, -kHuge, kHuge, out))) out = *value;
+  void number(const char* name, double& out) { out = fields_.number_or(name, -kHuge, kHuge, out); }
+  void text(const char* name, std::string& out) { out = fields_.text(name, 1U << 16U); }
+  void flag(const char* name, bool& out) { out = fields_.flag(name); }
+  Status status() const {
+    return fields_.ok() ? Status() : Status(Code::protocol_error, "step report: " + fields_.status().message());
   }
-  void text(const char* name, std::string& out) {
-    if (auto value = keep(wire::string_field(json_, name, 1U << 16U))) out = std::move(*value);
-  }
-  void flag(const char* name, bool& out) {
-    if (const auto value = keep(wire::bool_field_or(json_, name, out))) out = *value;
-  }
-  const Status& status() const { return status_; }
 
  private:
-  template <typename T>
-  std::optional<T> keep(Result<T> value) {
-    if (value) return std::move(value).value();
-    if (status_) status_ = Status(Code::protocol_error, "step report: " + value.status().message());
-    return std::nullopt;
-  }
-
-  const wire::Json& json_;
-  Status status_;
+  wire::FieldReader fields_;
 };
 
 }  // namespace
@@ -71,6 +60,7 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("reductions", report.reductions);
   if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));
   reader.count("bytes", report.bytes);
+  if (json.contains("way")) reader.text("way", report.way);
   if (const auto skipped = json.find("skipped"); skipped != json.end() && skipped->is_array())
     for (const wire::Json& entry : *skipped)
       if (entry.is_string()) report.skipped.push_back(entry.get<std::string>());

@@ -1,4 +1,4 @@
-// A step report's JSON as the client's own type.
+// Reads the JSON of a step report into a StepReport.
 #pragma once
 
 #include "client/lib/client.hpp"
@@ -9,7 +9,7 @@ namespace rcb::client {
 // Errors: protocol_error, naming the field.
 Result<StepReport> read_report(const wire::Json& json);
 
-// Of a step before which the particles had to be pushed again: its own words, not the service's.
+// Sets scene_recreated in a report, also in its JSON: the client knows, not the service, that particles were restored.
 void mark_recreated(StepReport& report);
 
 }  // namespace rcb::client

@@ -26,7 +26,7 @@ constexpr std::int64_t kPartsMax = 1'048'576;
 
 volatile std::sig_atomic_t interrupt_seen = 0;
 
-// The first signal asks the loop to end; a second one ends the program at once.
+// The first signal makes the step loop end; a second one ends the program at once.
 void catch_interrupts() {
   struct sigaction action {};
   action.sa_handler = [](int) { interrupt_seen = 1; };
@@ -35,7 +35,7 @@ void catch_interrupts() {
   sigaction(SIGTERM, &action, nullptr);
 }
 
-// One line on a terminal, rewritten at every step; nothing elsewhere.
+// A progress line, rewritten at every step; only on a terminal.
 class Progress {
  public:
   explicit Progress(std::int64_t steps) : steps_(steps), on_(isatty(STDERR_FILENO) == 1) {}
@@ -58,13 +58,13 @@ class Progress {
   bool on_;
 };
 
-// The options as typed, before they are understood.
-struct Typed {
+// The numeric options as typed, not yet parsed.
+struct TypedOptions {
   std::string points, steps, parts, tolerance, deadline;
   std::vector<std::string> numbers;
 };
 
-void declare(CLI::App& app, const Program& program, RunOptions& options, Typed& typed) {
+void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOptions& typed) {
   const RunOptions& d = program.defaults;
   const auto number = [&app](const char* name, std::string& text, const std::string& fallback,
                              const std::string& help) {
@@ -110,7 +110,7 @@ Status wrong(const std::string& option, const Status& why) {
   return {Code::usage, fmt::format("{}: {}", option, why.message()), why.hint()};
 }
 
-Status understand(const Program& program, const Typed& typed, RunOptions& options) {
+Status understand(const Program& program, const TypedOptions& typed, RunOptions& options) {
   const auto whole = [](const char* name, const std::string& text, std::int64_t low, std::int64_t high, auto& value) {
     if (text.empty()) return Status{};
     const auto parsed = parse_whole(text, low, high);
@@ -137,8 +137,9 @@ Status understand(const Program& program, const Typed& typed, RunOptions& option
     return {Code::usage, fmt::format("--deadline: {} is no time to wait", typed.deadline), "give up to 3600 seconds"};
   for (std::size_t k = 0; k < typed.numbers.size(); ++k)
     if (Status s = real(program.numbers[k].name, typed.numbers[k], *program.numbers[k].value); !s.ok()) return s;
-  if (const auto endpoint = client::endpoint_to_serve(options.endpoint); !endpoint.ok() && !options.no_service)
-    return {Code::usage, endpoint.status().message(), endpoint.status().hint()};
+  const auto endpoints = client::endpoints_to_try(options.endpoint);
+  if (!options.no_service && endpoints.status().code() == Code::invalid_argument)
+    return {Code::usage, endpoints.status().message(), endpoints.status().hint()};
   return {};
 }
 
@@ -175,12 +176,12 @@ Result<std::unique_ptr<Service>> open_service(const Program& program, const RunO
   return std::unique_ptr<Service>(new Service{std::move(*client), std::move(*scene)});
 }
 
-// Everything after the command line is understood.
+// Runs the solver, once the command line has been parsed.
 Status run(const Program& program, const RunOptions& options, double& interval, RunRecord& record) {
   auto simulation = program.build(options.points);
   if (!simulation) {
     const Status& why = simulation.status();
-    // What can't be built was asked for by the options.
+    // A scene that can't be built is due to the options.
     return why.code() == Code::invalid_argument ? Status(Code::usage, why.message(), why.hint()) : why;
   }
   interval = simulation->interval;
@@ -221,8 +222,8 @@ Status run(const Program& program, const RunOptions& options, double& interval, 
 int run_command_line(const Program& program, int argc, char** argv) {
   RunOptions options = program.defaults;
   for (int k = 1; k < argc; ++k)
-    if (std::string_view(argv[k]) == "--json") options.json = true;  // known before anything can fail
-  Typed typed;
+    if (std::string_view(argv[k]) == "--json") options.json = true;  // must be known before anything can fail
+  TypedOptions typed;
   CLI::App app(program.description, program.name);
   declare(app, program, options, typed);
   try {
@@ -268,7 +269,7 @@ Result<double> parse_number(const std::string& text) {
 Result<std::int64_t> parse_whole(const std::string& text, std::int64_t low, std::int64_t high) {
   const auto value = parse_number(text);
   if (!value) return value.status();
-  // Up to 2^53 every whole number is a double; `high` keeps below that.
+  // Doubles represent all integers up to 2^53; `high` is below that.
   if (!(*value >= static_cast<double>(low) && *value <= static_cast<double>(high)) || *value != std::floor(*value))
     return Status(Code::invalid_argument, fmt::format("{} is not a whole number from {} to {}", text, low, high));
   return static_cast<std::int64_t>(*value);

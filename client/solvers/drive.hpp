@@ -1,8 +1,8 @@
-// What the example solvers have in common: command line, service, step loop, output. A solver names itself, its
-// numbers and how its scene is built; the rest happens here.
+// What the example solvers have in common: command line, connection to the service, step loop, output. A solver gives
+// its name, its numeric options and a function that builds its scene.
 //
-// 1. With --json exactly one JSON document goes to stdout, and nothing else.
-// 2. The exit code is that of rcbctl: 0 done, 1 refused or failed, 2 usage, 3 no service, 4 not authorised, 5 deadline.
+// 1. With --json exactly one JSON document is written to stdout, and nothing else.
+// 2. Exit codes are those of rcbctl: 0 done, 1 refused or failed, 2 usage, 3 no service, 4 not authorised, 5 deadline.
 #pragma once
 
 #include <cstdint>
@@ -19,22 +19,22 @@ struct RunOptions {
   std::uint64_t points = 0;
   std::int64_t steps = 0;
   int parts = 8;
-  double tolerance = 0.1;  // infinity: the first partition stays
+  double tolerance = 0.1;  // infinity: the first partition is kept
   std::string policy = "tolerance";
   std::string scene;
-  std::string endpoint;          // empty: as the client library finds it
+  std::string endpoint;          // empty: the client library's default
   std::string trajectory;        // empty: none
-  double deadline_seconds = 60;  // of one push
-  bool outlive = true;           // a service that dies and comes back
+  double deadline_seconds = 60;  // for one push
+  bool outlive = true;           // go on when the service dies and is restarted
   bool no_service = false;
   bool json = false;
 };
 
-// A physical number that the user may change.
+// A physical parameter that the user may set.
 struct NumberOption {
   std::string name;  // "--speed"
   std::string help;
-  double* value;  // holds the default
+  double* value;  // initially the default
 };
 
 struct Program {
@@ -48,24 +48,24 @@ struct Program {
 
 // The JSON document of a finished run.
 std::string json_document(const Program& program, const RunOptions& options, const RunRecord& record);
-// The same for people.
+// The summary of a finished run, for people.
 std::string summary(const Program& program, const RunOptions& options, double interval, const RunRecord& record);
 
-// And of a failed one, as rcbctl writes it.
+// The JSON document of a failed run, as rcbctl writes it.
 std::string failure_document(const Status& status);
 
 // Whether all that was printed on standard output got there. Errors: io_error.
 Status flush_output();
 
-// What a push waits for, on standard error; over the progress line, if there is one.
+// Prints on stderr what a push waits for, in place of the progress line if there is one.
 void say_notice(const std::string& program, const std::string& text);
 
-// A number in any of its spellings (-.5, 1e3, inf); not a number is refused.
+// Reads a number (-.5, 1e3, inf, ...); NaN is refused.
 Result<double> parse_number(const std::string& text);
-// A whole number in low..high, 1e6 among its spellings.
+// Reads a whole number in low..high; 1e6 is accepted, too.
 Result<std::int64_t> parse_whole(const std::string& text, std::int64_t low, std::int64_t high);
 
-// main() of a solver. Returns the exit code; no exception leaves it.
+// The main() of a solver. Returns the exit code; no exception escapes.
 int run_program(const Program& program, int argc, char** argv);
 
 }  // namespace rcb::solvers

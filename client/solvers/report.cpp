@@ -1,4 +1,4 @@
-// What a run says at its end: the JSON document, or a few lines for people.
+// The output at the end of a run: the JSON document, or a few lines for people.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -26,7 +26,8 @@ json energy_json(const PhysicsCheck& physics) {
           {"potential", physics.end.potential}};
 }
 
-// The front lies a little inside the body: it reaches `length` at the start and what it gains is what ran out.
+// The front lies a little inside the body, so the run-out is the difference between its places at the end and at the
+// start.
 json runout_json(const RunRecord& record) {
   if (!record.runout) return {};
   const auto& [length, start, end] = *record.runout;

@@ -1,4 +1,4 @@
-// slope: a submarine slope drives the service, a push a step.
+// slope: simulates a submarine slope and pushes every step to the service.
 #include "client/solvers/drive.hpp"
 
 int main(int argc, char** argv) {

@@ -1,5 +1,5 @@
-// The submarine slope: a wide sheet of sediment, thin at the head, tapering to a toe, on a weak bed. And, in the same
-// sediment but dry, the column whose collapse has been measured.
+// The submarine slope: a wide sheet of sediment on a weak bed, thin at its head and tapering to a toe. And a column of
+// the same material, but dry, whose collapse has been measured in experiments.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -8,38 +8,38 @@
 
 #include <fmt/format.h>
 
-#include "client/solvers/granular.hpp"
+#include "client/solvers/mpm/granular.hpp"
 #include "client/solvers/scenes.hpp"
 
 namespace rcb::solvers {
 namespace {
 
-// Metres. The bed falls by kFall over kLength and is level from there.
+// Metres. The bed falls by kFall over the length kLength and is level beyond.
 constexpr double kLength = 400;
 constexpr double kFall = 100;
 constexpr double kWidth = 320;
-constexpr double kThickness = 40;  // at its thickest, upright
-constexpr double kHead = 40;       // over which the thickness grows from 0
-constexpr double kToe = 200;       // over which it goes back to 0
-constexpr double kUpstream = 20;   // of domain beyond the body
+constexpr double kThickness = 40;  // largest, vertical
+constexpr double kHead = 40;       // length over which the thickness grows from 0
+constexpr double kToe = 200;       // length over which it falls back to 0
+constexpr double kUpstream = 20;   // of empty domain beyond the body
 constexpr double kDownstream = 600;
 constexpr double kAbove = 40;
-constexpr double kLowerShare = 0.4;  // of the thickness is the stiff lower layer
+constexpr double kLowerShare = 0.4;  // share of the thickness that the stiff lower layer takes
 
 constexpr double kGravity = 9.81;   // m/s^2
 constexpr double kSeaWater = 1025;  // kg/m^3
 
 struct Layer {
-  double from;  // as shares of the thickness
+  double from;  // shares of the thickness
   double to;
-  double stiffness;  // of the upper layer's
+  double stiffness;  // relative to the upper layer
   std::uint64_t seed;
 };
 constexpr std::array kLayers{Layer{0, kLowerShare, 1.5, 0x51093E01}, Layer{kLowerShare, 1, 1, 0x51093E02}};
 
 double bed(double x) { return kFall * (1 - x / kLength); }
 double thickness(double x) { return kThickness * std::min({1.0, x / kHead, (kLength - x) / kToe}); }
-constexpr double kSection = kThickness * (kLength - 0.5 * (kHead + kToe));  // m^2, of the body
+constexpr double kSection = kThickness * (kLength - 0.5 * (kHead + kToe));  // m^2, longitudinal section of the body
 
 Shape layer_shape(const Layer& layer) {
   Shape shape;
@@ -86,7 +86,7 @@ Result<Simulation> make_slope(const SlopeOptions& o) {
   auto mpm = Mpm::create(options);
   if (!mpm) return mpm.status();
 
-  // Water and grains move together, so the whole mass is moved, but only its weight in water pulls.
+  // Water and grains move together: all their mass has inertia, but only the submerged weight pulls.
   const double density = kSeaWater + o.unit_weight / kGravity;
   const Vec3 gravity{0, -o.unit_weight / density, 0};
   std::size_t left = o.points;
@@ -112,13 +112,13 @@ Result<Simulation> make_column(const ColumnOptions& o) {
     return Status(Code::invalid_argument, fmt::format("a column {} times as high as long", o.aspect), "give 0.1 to 20");
   constexpr double kBase = 40;  // m, from the wall at x = 0 to the gate
   constexpr double kDensity = 1600;
-  constexpr double kStrain = 0.005;  // at the foot, under the column's weight; sets the stiffness
+  constexpr double kStrain = 0.005;  // strain at the foot under the column's weight; sets the stiffness
   constexpr double kPoisson = 0.3;
   const double height = o.aspect * kBase;
   MpmOptions options;
   options.spacing = std::sqrt(16 * kBase * height / static_cast<double>(o.points));  // eight points a cell, two across
   const double width = 2 * options.spacing;
-  // Room for twice what is measured: 1.2 a of the base for low columns, 1.9 a^(2/3) for high ones.
+  // Room for twice the measured run-out: 1.2 a base lengths for low columns, 1.9 a^(2/3) for high ones (a: the aspect).
   options.hi = {kBase * (2 + 3 * o.aspect), height + 2 * options.spacing, width};
   options.ground = {{{}, {0, 1, 0}, tangent(o.friction_angle)}};
   auto mpm = Mpm::create(options);

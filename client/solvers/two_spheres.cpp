@@ -1,4 +1,4 @@
-// two_spheres: two colliding elastic spheres drive the service, a push a step.
+// two_spheres: simulates two colliding elastic spheres and pushes every step to the service.
 #include "client/solvers/drive.hpp"
 
 int main(int argc, char** argv) {

@@ -1,5 +1,5 @@
-// The scene of two colliding elastic spheres. Contact: Landau and Lifshitz, Theory of Elasticity, section 9 (Hertz);
-// here it needs no law of its own, since both balls share one grid.
+// The scene of two colliding elastic spheres. They need no contact law (Hertz; Landau and Lifshitz, Theory of
+// Elasticity, section 9), since both balls share one grid.
 #include <cmath>
 #include <memory>
 #include <numbers>
@@ -12,8 +12,8 @@ namespace rcb::solvers {
 namespace {
 
 constexpr std::uint64_t kSeeds[2] = {0x5EED0001, 0x5EED0002};
-const Vec3 kFlight{0.9, 0.36, 0.24};    // direction of flight, made a unit vector below
-const Vec3 kSideways{-0.36, 0.9, 0.0};  // at right angles to it
+const Vec3 kFlight{0.9, 0.36, 0.24};    // direction of flight, normalised below
+const Vec3 kSideways{-0.36, 0.9, 0.0};  // orthogonal to kFlight
 
 Status check(const TwoSpheresOptions& o) {
   const auto refuse = [](std::string what, std::string hint) {
@@ -47,7 +47,7 @@ Result<Simulation> make_two_spheres(const TwoSpheresOptions& o) {
   MpmOptions options;
   options.spacing = 2 * std::cbrt(2 * volume / static_cast<double>(o.points));  // eight points a cell
   for (std::size_t a = 0; a < 3; ++a) {
-    // Room for two radii beyond the start on every side; a longer flight meets the walls and comes back.
+    // Leaves two radii of free space beyond the start on every side; a longer flight is reflected by the walls.
     options.hi[a] = std::abs(centre[a]) + 3 * o.radius;
     options.lo[a] = -options.hi[a];
   }

@@ -29,7 +29,7 @@ std::string hex(std::span<const unsigned char> bytes) {
 std::string proof(Role role, std::string_view token, const Opening& opening) {
   CHECK(is_nonce(opening.service_nonce) && is_nonce(opening.client_nonce), "a proof over what is no nonce");
   CHECK(!token.empty() && token.size() <= std::numeric_limits<int>::max(), "a proof of no token");
-  // No field has a newline inside, so two openings that differ never give the same text.
+  // Fields contain no newlines, so different openings always give different texts.
   const std::string text =
       fmt::format("rcbd proof 1\n{}\n{}\n{}\n{}\n{}\n", role == Role::client ? "client" : "service", opening.listener,
                   opening.service_nonce, opening.client_nonce, opening.session);

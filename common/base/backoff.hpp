@@ -1,5 +1,5 @@
-// Backoff: the pauses before one try after the other at something that fails. They double up to a cap, and chance
-// shortens each, so that many who failed of the same cause don't all come back at the same moment.
+// Backoff: the pauses between retries. Each is twice as long as the one before, up to a maximum, and is shortened by a
+// random share, so that many clients that failed for the same reason don't all retry at the same moment.
 #pragma once
 
 #include <algorithm>
@@ -12,8 +12,8 @@ namespace rcb {
 struct BackoffOptions {
   double first_seconds;
   double most_seconds;
-  double shortened;      // by this share of it at most, 0 .. 1
-  bool at_once = false;  // before the first retry there is no pause
+  double shortened;      // largest random share, 0 .. 1, taken off a pause
+  bool at_once = false;  // the first retry comes without a pause
 };
 
 class Backoff {
@@ -28,7 +28,7 @@ class Backoff {
     return random_.uniform((1 - options_.shortened) * longest_, longest_);
   }
   int failures() const { return failures_; }
-  // What failed has worked for long enough.
+  // Call once the retried operation has worked for long enough: the next failure starts with the first pause again.
   void reset() {
     failures_ = 0;
     longest_ = 0;

@@ -1,5 +1,5 @@
-// Buffer: a growable plain array that leaves new elements uninitialised (a vector would write them first,
-// a whole pass over memory) and keeps its capacity. For trivially copyable types.
+// Buffer: a growable array for trivially copyable types. It leaves new elements uninitialised (a vector would write
+// them, one more pass over memory) and keeps its capacity when it shrinks.
 #pragma once
 
 #include <algorithm>
@@ -47,7 +47,7 @@ class Buffer {
   std::span<T> span() { return {data_, size_}; }
   std::span<const T> span() const { return {data_, size_}; }
 
-  // Makes room for `capacity` elements; false, with nothing changed, where there is no memory.
+  // Makes room for `capacity` elements. Returns false, and changes nothing, if the allocation fails.
   [[nodiscard]] bool try_reserve(std::size_t capacity) {
     if (capacity <= capacity_) return true;
     if (capacity > static_cast<std::size_t>(-1) / sizeof(T)) return false;
@@ -79,7 +79,7 @@ class Buffer {
     size_ = old + values.size();
   }
   void clear() { size_ = 0; }
-  // Gives back what lies behind the last element.
+  // Gives the unused capacity back to the allocator.
   void shrink() {
     if (size_ == 0) return release();
     if (void* less = std::realloc(data_, size_ * sizeof(T))) {
@@ -91,7 +91,8 @@ class Buffer {
     std::free(std::exchange(data_, nullptr));
     size_ = capacity_ = 0;
   }
-  // The same memory as elements of another type (a last piece of one is cut off); this buffer is left empty.
+  // Hands the memory over as elements of another type (bytes that don't fill a whole element are dropped); this buffer
+  // is left empty.
   template <typename U>
   Buffer<U> release_as() {
     Buffer<U> other;

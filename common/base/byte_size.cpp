@@ -1,6 +1,5 @@
 #include "common/base/byte_size.hpp"
 
-#include <array>
 #include <charconv>
 #include <string>
 
@@ -9,10 +8,6 @@
 
 namespace rcb {
 namespace {
-
-std::uint64_t machine_bytes() {
-  return static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
-}
 
 // The power of 1024 of a unit; -1: there is none of this name.
 int power_of(std::string unit) {
@@ -25,6 +20,10 @@ int power_of(std::string unit) {
 }
 
 }  // namespace
+
+std::uint64_t machine_bytes() {
+  return static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
+}
 
 Result<std::uint64_t> read_memory_size(std::string_view text) {
   std::uint64_t number = 0;

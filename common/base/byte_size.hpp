@@ -8,6 +8,9 @@
 
 namespace rcb {
 
+// The memory of this machine.
+std::uint64_t machine_bytes();
+
 // Digits and, after them, one of b, kb, mb, gb, tb (powers of 1024, in either case; kib and so on mean the same).
 // Errors: invalid_argument: anything else, 0, more than the memory of this machine.
 Result<std::uint64_t> read_memory_size(std::string_view text);

@@ -21,7 +21,7 @@ void check_failed(const char* file, int line_number, const char* expression, std
   const int bytes = std::snprintf(line, sizeof line, "rcb: bug: %s%s%s:%d: CHECK(%s) failed: %.*s\n",
                                   check_context.c_str(), check_context.empty() ? "" : ": ", file, line_number,
                                   expression, static_cast<int>(message.size()), message.data());
-  // Whoever should read it may be stopped; the end must not wait for that.
+  // The reader of stderr may be a stopped process: write only if that can't block, so that this process surely ends.
   pollfd fd{STDERR_FILENO, POLLOUT, 0};
   if (poll(&fd, 1, 0) > 0 && (fd.revents & POLLOUT) != 0)
     (void)!write(STDERR_FILENO, line, std::min(sizeof line - 1, static_cast<std::size_t>(std::max(bytes, 0))));

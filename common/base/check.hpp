@@ -1,12 +1,12 @@
-// CHECK: an invariant of ours, on in release too. A broken one prints what it knows and ends the process,
-// so that no other rank waits for ever (mpirun takes the job down).
+// CHECK: an invariant of our own code, checked in release builds too. If it is broken, the process prints the place and
+// aborts, so that no other rank waits for it for ever (mpirun then ends the job).
 #pragma once
 
 #include <string_view>
 
 namespace rcb {
 
-// Text put before every CHECK failure of this thread, such as "rank 3 of 8".
+// A text printed before every CHECK failure of this thread, such as "rank 3 of 8".
 void set_check_context(std::string_view context);
 
 [[noreturn]] void check_failed(const char* file, int line, const char* expression, std::string_view message);

@@ -1,4 +1,4 @@
-// Clock: the seam for time, so that tests can move it.
+// Clock: an interface to the time, so that tests can set it.
 #pragma once
 
 #include <chrono>

@@ -1,4 +1,4 @@
-// Integers narrow only here: a value that does not fit is a bug and is caught, never wrapped.
+// The only way in which integers are narrowed: a value that does not fit is a bug and ends the process; it never wraps.
 #pragma once
 
 #include <utility>

@@ -1,4 +1,4 @@
-// Names like a mistyped one, for hints.
+// Finds the names that a mistyped one may stand for, for hints in error messages.
 #pragma once
 
 #include <cstddef>
@@ -8,12 +8,12 @@
 
 namespace rcb {
 
-// How many single characters must be inserted, removed, replaced or swapped with their neighbour to make b of a
-// (optimal string alignment distance).
+// The number of single characters to insert, delete, replace or swap with their neighbour that turns a into b (optimal
+// string alignment distance).
 std::size_t edit_distance(std::string_view a, std::string_view b);
 
-// The names of which `word` may be a mistyping, the nearest first: up to a third of its characters differ, but at
-// least one may, or it is their beginning.
+// The names that the user may have meant by `word`, nearest first: those that begin with `word`, and those whose
+// distance is at most 1 or a third of the length of `word`.
 std::vector<std::string> names_like(std::string_view word, const std::vector<std::string>& names);
 
 }  // namespace rcb

@@ -1,4 +1,4 @@
-// Seeded random numbers that are the same on every machine (the standard's distributions are not).
+// Seeded random numbers that are the same on every machine (those of the standard library's distributions are not).
 // Source of the mixing function: Steele, Lea, Flood 2014, doi:10.1145/2660193.2660195 (SplitMix64).
 #pragma once
 

@@ -1,5 +1,5 @@
-// Status and Result: how a fault that comes from outside (input, peers, deadlines) is told.
-// Our own bugs are CHECK (check.hpp). The code numbers travel on the wire and are never renumbered.
+// Status and Result: how a fault that comes from outside (input, peers, deadlines) is reported. Bugs of our own code
+// are CHECKs (check.hpp). The code numbers are part of the protocol and never renumbered.
 #pragma once
 
 #include <cstdint>
@@ -16,11 +16,11 @@ enum class Code : std::uint16_t {
   ok = 0,
   invalid_argument = 1,    // a value, name or file content that can't be accepted
   not_found = 2,           // no such scene, file, part, particle
-  already_exists = 3,      // scene create without --replace
+  already_exists = 3,      // a scene of this name, created without --replace
   busy = 4,                // another push is open, the queue is full, the scene is in use
-  stale_plan = 5,          // plan version or checksum differs from the service's
-  stale_step = 6,          // the step number goes back, or is taken by another session
-  base_lost = 7,           // a partial push names a base step that isn't the scene's
+  stale_plan = 5,          // the layout's version or checksum (the protocol's "plan") differs from the service's
+  stale_step = 6,          // the step number goes back, or another session has used it
+  base_lost = 7,           // a push of only some particles names a base step that isn't the scene's last
   not_finite = 8,          // NaN or infinity in positions or weights
   protocol_error = 9,      // a frame that breaks the protocol; the connection is closed
   too_large = 10,          // over a stated limit
@@ -29,14 +29,14 @@ enum class Code : std::uint16_t {
   deadline_exceeded = 13,  // a wait ended without an answer
   aborted = 14,            // the push was given up; the previous step stands
   io_error = 15,           // a file can't be opened, read or written
-  unsupported = 16,        // understood, but not offered
-  internal = 17,           // a bug of ours that could be contained
+  unsupported = 16,        // understood, but not available here
+  internal = 17,           // a bug of ours that the service has survived
   usage = 18,              // wrong command line
 };
 
-// "invalid_argument", as the wire and --json name it.
+// The name of a code in the protocol and in --json, such as "invalid_argument".
 std::string_view code_name(Code code);
-// The code of that name; Code::internal if unknown (a newer peer may know more).
+// The code of that name; Code::internal for an unknown name (a newer peer may know more codes).
 Code code_from_name(std::string_view name);
 // rcbctl's exit code: 1 refused or failed, 2 usage, 3 unreachable, 4 not authorised, 5 deadline.
 int exit_code(Code code);

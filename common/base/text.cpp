@@ -5,7 +5,7 @@
 namespace rcb {
 namespace {
 
-// Bytes of the control character at `at`; 0 if there is none.
+// Length in bytes of the control character that starts at `at`; 0 if there is none.
 std::size_t control_bytes(std::string_view text, std::size_t at) {
   const auto byte = static_cast<unsigned char>(text[at]);
   if (byte < 0x20 || byte == 0x7F) return 1;

@@ -1,4 +1,5 @@
-// Text of others on its way to a log or a terminal, where control characters would forge lines or drive the terminal.
+// Makes text from outside safe to write to a log or a terminal, where control characters could forge lines or drive the
+// terminal.
 #pragma once
 
 #include <string>
@@ -6,9 +7,9 @@
 
 namespace rcb {
 
-// C0 and C1 control characters (the latter as UTF-8 writes them), and delete.
+// True if the text has a control character: C0, C1 (as UTF-8 encodes it) or delete.
 bool has_controls(std::string_view text);
-// With each byte of a control character written as \xHH, but for those in `kept`.
+// Replaces each byte of a control character by \xHH, except for the characters in `kept`.
 std::string escape_controls(std::string_view text, std::string_view kept = {});
 
 }  // namespace rcb

@@ -1,4 +1,4 @@
-// 128-bit integers, named once: sums of loads and products of counts.
+// 128-bit integers, for sums of loads and products of counts.
 #pragma once
 
 namespace rcb {

@@ -1,7 +1,8 @@
-// Axes, their order by extent, and the order-preserving integer image of a double.
+// Axes, their order by extent, and the order-preserving integer bits of a double.
 //
 // Invariants
-// 1. image(a) < image(b) exactly where a < b; image(-0.0) == image(0.0); NaN and infinity never come here.
+// 1. order_bits(a) < order_bits(b) exactly if a < b; order_bits(-0.0) == order_bits(0.0). NaN and infinity are never
+//    passed.
 // 2. An axis order is a permutation of 0..dims-1, longest extent first, equal extents by axis number.
 #pragma once
 
@@ -18,23 +19,23 @@ inline constexpr int kDimsMax = 3;
 using Point = std::array<double, kDimsMax>;           // the first `dims` entries count
 using AxisOrder = std::array<std::int8_t, kDimsMax>;  // the first `dims` entries count
 
-// The image of a finite double: compares as the double does, as an unsigned integer.
-constexpr std::uint64_t image(double value) {
+// The order-preserving bits of a finite double: as unsigned integers they compare as the doubles do.
+constexpr std::uint64_t order_bits(double value) {
   const auto bits = std::bit_cast<std::uint64_t>(value + 0.0);  // -0.0 + 0.0 == 0.0
   const auto sign = static_cast<std::uint64_t>(static_cast<std::int64_t>(bits) >> 63);
   return bits ^ (sign | 0x8000000000000000U);
 }
 
-// The double of that image; 0.0 for both zeros.
-constexpr double value_of_image(std::uint64_t key) {
+// The inverse of order_bits(); both zeros come back as 0.0.
+constexpr double value_of_order_bits(std::uint64_t key) {
   const std::uint64_t sign = (key >> 63U) - 1U;  // all ones for negative doubles
   return std::bit_cast<double>(key ^ (sign | 0x8000000000000000U));
 }
 
-// Length of [lo, hi] halved, so that it can't overflow: each half is rounded to double first.
+// Half the length of [lo, hi], which can't overflow; each half is rounded to double before the subtraction.
 constexpr double extent(double lo, double hi) { return hi * 0.5 - lo * 0.5; }
 
-// The axes by extent, longest first; equal extents: the lower axis first.
+// The axes by extent, longest first; of equal extents the lower axis comes first.
 constexpr AxisOrder order_by_extent(const Point& extents, int dims) {
   AxisOrder order{0, 1, 2};
   for (int i = 1; i < dims; ++i)
@@ -47,7 +48,7 @@ constexpr AxisOrder order_by_extent(const Point& extents, int dims) {
   return order;
 }
 
-// The same order with `first` moved to the front.
+// The same axis order with `first` moved to the front.
 constexpr AxisOrder with_first(AxisOrder order, int first, int dims) {
   int at = 0;
   while (at < dims && order[static_cast<std::size_t>(at)] != first) ++at;

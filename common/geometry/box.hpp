@@ -1,4 +1,4 @@
-// Box: an axis-aligned box, empty by default, so that a reduction needs no special case.
+// Box: an axis-aligned box. By default it is empty, which is the neutral element of a reduction.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@ namespace rcb::geometry {
 
 struct Box {
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  Point lo{kInfinity, kInfinity, kInfinity};  // lo > hi: no point
+  Point lo{kInfinity, kInfinity, kInfinity};  // lo > hi: the box is empty
   Point hi{-kInfinity, -kInfinity, -kInfinity};
 
   static Box unbounded() { return {{-kInfinity, -kInfinity, -kInfinity}, {kInfinity, kInfinity, kInfinity}}; }
@@ -25,7 +25,7 @@ struct Box {
       hi[a] = std::max(hi[a], point[a]);
     }
   }
-  // Nothing where `other` is empty.
+  // Changes nothing if `other` is empty.
   void extend(const Box& other) {
     for (std::size_t a = 0; a < kDimsMax; ++a) {
       lo[a] = std::min(lo[a], other.lo[a]);

@@ -1,15 +1,15 @@
-// Which reader a file goes to; nothing thrown below leaves here.
+// Chooses the reader of a file; no exception thrown below leaves here.
 #include "common/io/points.hpp"
 
 #include <new>
 
 #include <fmt/format.h>
 
-#include "common/io/foreign.hpp"
-#include "common/io/hdf5_file.hpp"
-#include "common/io/npy.hpp"
-#include "common/io/roots.hpp"
-#include "common/io/text.hpp"
+#include "common/io/files/roots.hpp"
+#include "common/io/formats/foreign.hpp"
+#include "common/io/formats/hdf5_file.hpp"
+#include "common/io/formats/npy.hpp"
+#include "common/io/formats/text.hpp"
 
 namespace rcb::io {
 namespace {
@@ -21,7 +21,8 @@ bool ends_with_npy(const std::string& path) {
   return ending == ".npy";
 }
 
-// What was read of the file, unless the file was changed meanwhile: then that is said, whatever it made of the points.
+// Returns the points, or reading's error; but if the file was changed meanwhile, the error that says so, whatever
+// reading returned.
 Result<Points> if_unchanged(const InputFile& file, Result<Points> points) {
   if (Status same = file.check_unchanged(); !same.ok()) return same;
   if (points.ok()) points->file = file.version();
@@ -37,6 +38,9 @@ Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int o
   }
   const auto rows = NpyRows::open(std::move(file), *header, options);
   if (!rows.ok()) return rows.status();
+  if (Status fits = check_bytes(rows->file().path(), u128{rows->rows()} * point_bytes(rows->columns()), options);
+      !fits.ok())
+    return fits;
   const std::uint64_t begin = share_begin(rows->rows(), k, of);
   Points points;
   const Status read = rows->read(begin, static_cast<std::size_t>(share_begin(rows->rows(), k + 1, of) - begin), points);
@@ -44,7 +48,9 @@ Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int o
 }
 
 Result<InputFile> open_file(const std::string& path, const ReadOptions& options) {
-  return options.below == nullptr ? InputFile::open(path) : options.below->open_file(path);
+  auto file = options.below == nullptr ? InputFile::open(path) : options.below->open_file(path);
+  if (file.ok()) file->set_stop(options.stop);
+  return file;
 }
 
 Result<Points> read_any(const std::string& path, const ReadOptions& options, int k, int of) {
@@ -54,9 +60,10 @@ Result<Points> read_any(const std::string& path, const ReadOptions& options, int
     if (file.ok()) return if_unchanged(*file, read_hdf5(*file, hdf5->second, options, k, of));
   }
   if (!file.ok()) return file.status();
-  if (file->starts_with(kHdf5Magic)) return hdf5_needs_path(*file, options);
+  if (file->starts_with(kHdf5Magic)) return read_hdf5(*file, "", options, k, of);
   if (file->starts_with(kNpyMagic) || ends_with_npy(path)) return read_npy(std::move(*file), options, k, of);
   if (Status foreign = check_not_foreign(*file); !foreign.ok()) return foreign;
+  if (Status fits = check_bytes(file->path(), file->size(), options); !fits.ok()) return fits;
   return if_unchanged(*file, read_text(*file, options, k, of));
 }
 
@@ -113,7 +120,7 @@ Result<std::unique_ptr<TrajectoryReader>> open_any(const std::string& path, cons
     const auto header = read_npy_header(*file, options);
     if (!header.ok()) return header.status();
     if (header->shape.size() == 3) {
-      constexpr std::uint64_t kEmptyFramesMax = 1U << 20U;  // no bytes bear out the number of frames without particles
+      constexpr std::uint64_t kEmptyFramesMax = 1U << 20U;  // frames without particles take no bytes of the file
       if (header->shape[1] == 0 && header->shape[0] > kEmptyFramesMax) {
         return Status(Code::invalid_argument, fmt::format("{}: {} frames without particles", path, header->shape[0]));
       }

@@ -8,7 +8,7 @@
 #include <fmt/ranges.h>
 
 #include "common/base/check.hpp"
-#include "common/io/output_file.hpp"
+#include "common/io/files/output_file.hpp"
 #include "common/io/points.hpp"
 
 namespace rcb::io {
@@ -65,7 +65,7 @@ class NpyTrajectoryWriter final : public TrajectoryWriter {
   Status append(std::span<const double> positions) override {
     CHECK(!closed_ && positions.size() == count_ * dims_, "a frame has count * dims numbers");
     Status written = file_.write(bytes_of(positions));
-    // Half a frame would shift all that follow.
+    // A frame written in part would shift all later ones: close() then refuses the file.
     if (written.ok()) ++steps_;
     failed_ = failed_ || !written.ok();
     return written;
@@ -90,18 +90,18 @@ class NpyTrajectoryWriter final : public TrajectoryWriter {
 }  // namespace
 
 Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
-                 const std::int64_t* id, const double* weight) {
+                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight) {
   auto file = OutputFile::create(path);
   if (!file.ok()) return file.status();
   return write_csv(std::move(*file), dims, position, count, id, weight);
 }
 
 Status write_csv(OutputFile file, int dims, std::span<const double* const> position, std::size_t count,
-                 const std::int64_t* id, const double* weight) {
+                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight) {
   CHECK(dims >= 1 && dims <= 3 && position.size() >= static_cast<std::size_t>(dims), "an array for each axis");
   std::string text = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
-  if (id != nullptr) text += ",id";
-  if (weight != nullptr) text += ",weight";
+  if (id) text += ",id";
+  if (weight) text += ",weight";
   text += '\n';
   text.reserve(kWriteBytes + 8 * kNumberChars);
   for (std::size_t i = 0; i < count; ++i) {
@@ -109,8 +109,8 @@ Status write_csv(OutputFile file, int dims, std::span<const double* const> posit
       if (a > 0) text += ',';
       append_number(text, position[a][i]);
     }
-    if (id != nullptr) append_number(text += ',', id[i]);
-    if (weight != nullptr) append_number(text += ',', weight[i]);
+    if (id) append_number(text += ',', (*id)[i]);
+    if (weight) append_number(text += ',', (*weight)[i]);
     text += '\n';
     if (text.size() < kWriteBytes) continue;
     if (Status written = file.write(text); !written.ok()) return written;

@@ -2,15 +2,17 @@
 
 #include <algorithm>
 
-// By hand: of the plain loop the compiler makes single steps.
+// Vectorised by hand: the compiler doesn't vectorise the plain loop.
 #if defined(__x86_64__)
 #include <immintrin.h>
+
+#include "common/base/cpu.hpp"
 #endif
 
 namespace rcb::particles {
 namespace {
 
-// A value that is not a number changes neither bound and is told by `known`.
+// A NaN changes neither bound; `known` records it.
 Range range_of_each(const double* values, std::size_t count, Range range) {
   bool known = true;
   for (std::size_t i = 0; i < count; ++i) {
@@ -25,7 +27,7 @@ Range range_of_each(const double* values, std::size_t count, Range range) {
 
 [[gnu::target("avx2")]] Range range_of_avx2(const double* values, std::size_t count) {
   constexpr std::size_t kLanes = 4;
-  // Two of each, since a minimum waits for the one before it.
+  // Two accumulators each, since every minimum depends on the one before it.
   __m256d lo[2] = {_mm256_set1_pd(Range{}.lo), _mm256_set1_pd(Range{}.lo)};
   __m256d hi[2] = {_mm256_set1_pd(Range{}.hi), _mm256_set1_pd(Range{}.hi)};
   __m256d unknown = _mm256_setzero_pd();
@@ -53,8 +55,7 @@ Range range_of_each(const double* values, std::size_t count, Range range) {
 
 Range range_of(std::span<const double> values) {
 #if defined(__x86_64__)
-  static const bool avx2 = __builtin_cpu_supports("avx2") != 0;
-  if (avx2) return range_of_avx2(values.data(), values.size());
+  if (has_avx2()) return range_of_avx2(values.data(), values.size());
 #endif
   return range_of_each(values.data(), values.size(), {});
 }

@@ -1,5 +1,5 @@
-// The ranges of the coordinates of 64 particles each: made by whoever reads the positions anyhow, so that others need
-// not read most of them again.
+// The coordinate ranges of blocks of 64 particles, made by a pass that reads the positions anyway, so that later passes
+// need not read most positions again.
 #pragma once
 
 #include <array>
@@ -12,11 +12,11 @@
 
 namespace rcb::particles {
 
-inline constexpr std::size_t kBlock = 64;  // particles; the last block of an array may have less
+inline constexpr std::size_t kBlock = 64;  // particles; the last block of an array may have fewer
 constexpr std::size_t blocks_of(std::size_t count) { return (count + kBlock - 1) / kBlock; }
 
 struct Range {
-  double lo = std::numeric_limits<double>::infinity();  // lo > hi: of no value
+  double lo = std::numeric_limits<double>::infinity();  // lo > hi: empty
   double hi = -std::numeric_limits<double>::infinity();
 
   static constexpr Range everything() { return {Range{}.hi, Range{}.lo}; }
@@ -27,14 +27,14 @@ struct Range {
   }
 };
 
-// Of these values; everything where one is not a number.
+// The range of these values; Range::everything() if one of them is NaN.
 Range range_of(std::span<const double> values);
 
-// By axis and block. Axes that there aren't have none.
+// of[axis][block]; nothing for axes >= dims.
 struct BlockRanges {
   std::array<Buffer<Range>, geometry::kDimsMax> of;
 
-  // Of no values yet.
+  // Empty ranges for `count` particles.
   void reset(int dims, std::size_t count) {
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
       of[a].resize(blocks_of(count));
@@ -43,7 +43,7 @@ struct BlockRanges {
   }
 };
 
-// One read of the positions.
+// Reads every position once. Local.
 BlockRanges ranges_of(const ParticleView& particles);
 
 }  // namespace rcb::particles

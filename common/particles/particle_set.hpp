@@ -1,4 +1,4 @@
-// The particles of one rank: one plain array an axis, ids always held, weights only if the scene has them.
+// The particles of one rank: one plain array per axis, always ids, weights only if the scene has them.
 #pragma once
 
 #include <array>
@@ -12,13 +12,13 @@ namespace rcb::particles {
 
 using Id = std::int64_t;  // 0 .. 2^63-1
 
-// A view of particles that live elsewhere. All arrays have `count` entries.
+// A view of particles stored elsewhere. All arrays have `count` entries.
 struct ParticleView {
   int dims = 3;
   std::size_t count = 0;
   std::array<const double*, geometry::kDimsMax> position{};  // axes >= dims are null
   const Id* id = nullptr;
-  const double* weight = nullptr;  // null: every particle counts 1
+  const double* weight = nullptr;  // null: all weights are 1
 
   geometry::Point point(std::size_t i) const {
     geometry::Point p{};

@@ -1,4 +1,5 @@
-// The entry points: what is asked is checked here; the levels are in build_tree.cpp, large sets go through guess.cpp.
+// The entry points: they check the options. The search level by level is in search/build_tree.cpp; large sets go
+// through incremental/guess.cpp.
 #include "common/partition/partition.hpp"
 
 #include <algorithm>
@@ -6,8 +7,9 @@
 #include <cmath>
 #include <limits>
 
-#include "common/partition/build_tree.hpp"
-#include "common/partition/guess.hpp"
+#include "common/partition/balance/bounding_box.hpp"
+#include "common/partition/incremental/guess.hpp"
+#include "common/partition/search/build_tree.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -46,7 +48,7 @@ void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& 
   cut.axes = geometry::order_by_extent(extents, tree.dims);
   const auto axis = static_cast<std::size_t>(cut.axes[0]);
   const double middle = lo[axis] * 0.5 + hi[axis] * 0.5 + 0.0;
-  cut.key = key_between(middle, tree.dims);  // all equal to the middle go right
+  cut.key = key_between(middle, tree.dims);  // coordinates equal to the middle go right
   Point left_hi = hi;
   Point right_lo = lo;
   left_hi[axis] = right_lo[axis] = middle;
@@ -54,7 +56,8 @@ void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& 
   halve(tree, range.right(), right_lo, hi);
 }
 
-PartitionResult equal_boxes(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options) {
+PartitionResult equal_boxes(comm::Comm& comm, const particles::ParticleView& particles,
+                            const PartitionOptions& options) {
   PartitionResult result;
   result.tree.dims = particles.dims;
   result.tree.method = options.method;
@@ -72,7 +75,7 @@ PartitionResult equal_boxes(Comm& comm, const particles::ParticleView& particles
   return result;
 }
 
-Result<PartitionResult> build(TreeBuilder builder, const GoOn& go_on) {
+Result<PartitionResult> build(TreeBuilder builder, const comm::GoOn& go_on) {
   PartitionResult result = builder.build(go_on);
   if (builder.abandoned()) return Status(Code::aborted, "the partition was given up");
   return result;
@@ -80,27 +83,8 @@ Result<PartitionResult> build(TreeBuilder builder, const GoOn& go_on) {
 
 }  // namespace
 
-geometry::Box bounding_box(Comm& comm, const particles::ParticleView& particles) {
-  std::array<std::uint64_t, 2 * geometry::kDimsMax> least{};
-  least.fill(~std::uint64_t{0});
-  const auto dims = static_cast<std::size_t>(particles.dims);
-  for (std::size_t a = 0; a < dims && particles.count > 0; ++a) {
-    const double* x = particles.position[a];
-    const auto [lo, hi] = std::minmax_element(x, x + particles.count);
-    least[a] = geometry::image(*lo);
-    least[geometry::kDimsMax + a] = ~geometry::image(*hi);
-  }
-  comm.all_min(least);
-  geometry::Box box;
-  for (std::size_t a = 0; a < dims && least[0] != ~std::uint64_t{0}; ++a) {
-    box.lo[a] = geometry::value_of_image(least[a]);
-    box.hi[a] = geometry::value_of_image(~least[geometry::kDimsMax + a]);
-  }
-  return box;
-}
-
-Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-                                  const GoOn& go_on) {
+Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleView& particles,
+                                  const PartitionOptions& options, const comm::GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
   if (options.method == Method::equal_boxes || options.method == Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
@@ -112,8 +96,8 @@ Result<PartitionResult> partition(Comm& comm, const particles::ParticleView& par
   return result;
 }
 
-Result<PartitionResult> baseline(Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-                                 const GoOn& go_on) {
+Result<PartitionResult> baseline(comm::Comm& comm, const particles::ParticleView& particles,
+                                 const PartitionOptions& options, const comm::GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
   if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
   if (options.method != Method::file_order)

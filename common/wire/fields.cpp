@@ -1,28 +1,29 @@
-// Typed reading of a message's fields, with errors that name the field, what was expected and what came.
+// Typed reading of a message's fields. Errors name the field, what was expected and what was found.
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include <fmt/format.h>
 
+#include "common/wire/field_reader.hpp"
 #include "common/wire/message.hpp"
 
 namespace rcb::wire {
 namespace {
 
-// The field; null if it is absent, null, or there is no object.
+// The field; nullptr if it is absent or null, or if `json` is not an object.
 const Json* field(const Json& json, const char* name) {
   const auto found = json.find(name);
   return found == json.end() || found->is_null() ? nullptr : &*found;
 }
 
-// What came, in a few words; never more than a line of it.
+// A short description of the value for an error message; at most about one line.
 std::string shown(const Json& value) {
   constexpr std::size_t kShownMax = 40;
   if (value.is_structured()) return value.is_array() ? "a list" : "an object";
   std::string text = dump_json(value);
   if (text.size() <= kShownMax) return text;
-  std::size_t end = kShownMax;  // not in the middle of a character
+  std::size_t end = kShownMax;  // don't split a UTF-8 character
   while (end > 0 && (static_cast<unsigned char>(text[end]) & 0xC0U) == 0x80U) --end;
   return text.substr(0, end) + "...";
 }
@@ -32,7 +33,7 @@ Status unexpected(const char* name, const std::string& expected, const Json* val
           fmt::format("field '{}': expected {}, got {}", name, expected, value == nullptr ? "nothing" : shown(*value))};
 }
 
-// Writers of some languages have doubles only: 8.0 is the integer 8.
+// Some languages write all numbers as doubles, so 8.0 counts as the integer 8.
 bool as_integer(const Json& value, std::int64_t& out) {
   if (value.is_number_unsigned()) {
     const auto number = value.get<std::uint64_t>();
@@ -46,7 +47,7 @@ bool as_integer(const Json& value, std::int64_t& out) {
   }
   if (!value.is_number_float()) return false;
   const auto number = value.get<double>();
-  constexpr double kExactMax = 9007199254740992.0;  // 2^53: beyond, a double may stand for several integers
+  constexpr double kExactMax = 9007199254740992.0;  // 2^53: a larger double may stand for several integers
   if (!(std::abs(number) <= kExactMax) || std::trunc(number) != number) return false;
   out = static_cast<std::int64_t>(number);
   return true;
@@ -119,6 +120,19 @@ Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char*
     numbers.push_back(entry.get<double>());
   }
   return numbers;
+}
+
+bool FieldReader::has(const char* name) const { return field(json_, name) != nullptr; }
+
+std::string FieldReader::word(const char* name, std::initializer_list<const char*> words) {
+  std::string found = text_or(name, 16, *words.begin());
+  std::string expected;
+  for (const char* const* word = words.begin(); word != words.end(); ++word) {
+    if (found == *word) return found;
+    expected += fmt::format("{}\"{}\"", word == words.begin() ? "" : word + 1 == words.end() ? " or " : ", ", *word);
+  }
+  fail({Code::invalid_argument, fmt::format("field '{}': expected {}, got \"{}\"", name, expected, found)});
+  return *words.begin();
 }
 
 Status check_scene_name(const std::string& name) {

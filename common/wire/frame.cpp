@@ -2,7 +2,7 @@
 
 #include <fmt/format.h>
 
-#define XXH_STATIC_LINKING_ONLY  // for a hash state on the stack
+#define XXH_STATIC_LINKING_ONLY  // needed for a hash state on the stack
 #include <algorithm>
 #include <concepts>
 

@@ -1,9 +1,9 @@
-// Frames of protocol version 1 (PROTOCOL.md): bytes to header and back. Knows no socket.
+// Frames of protocol version 1 (PROTOCOL.md): encodes and decodes headers. Independent of sockets.
 //
 // Invariants
-// 1. Any bytes may be decoded: what breaks the protocol comes back as protocol_error, never as a crash.
-// 2. The lengths of a decoded header are as the peer claims; the receiver compares them with its limits
-//    (check_lengths) before it makes room for anything.
+// 1. Any bytes may be decoded: a breach of the protocol is returned as protocol_error and never crashes.
+// 2. The lengths in a decoded header are the peer's claims; the receiver compares them with its limits (check_lengths)
+//    before it allocates anything.
 #pragma once
 
 #include <array>
@@ -45,18 +45,18 @@ using HeaderBytes = std::array<std::byte, kHeaderBytes>;
 
 // Sets json_bytes from `json` and computes the checksum over header and JSON.
 HeaderBytes encode_header(FrameHeader header, std::string_view json);
-// Header and JSON in one string, to be written before the bulk.
+// Header and JSON in one string, to be written before the bulk (the arrays).
 std::string encode_frame(FrameHeader header, std::string_view json);
-// Checks magic, version, type; not the checksum (the JSON isn't there yet) and not the limits.
-// Errors: protocol_error.
+// Checks magic, version and type; not the checksum (the JSON hasn't arrived yet), and not the limits. Errors:
+// protocol_error.
 Result<FrameHeader> decode_header(std::span<const std::byte, kHeaderBytes> bytes);
-// Errors: protocol_error. Call when the JSON has arrived, before believing any field of the header but its lengths.
+// Errors: protocol_error. To be called once the JSON has arrived. Until then only the header's lengths may be used.
 Status verify_checksum(std::span<const std::byte, kHeaderBytes> bytes, std::string_view json);
-// The claimed lengths against limits of the receiver. Errors: too_large; the connection is closed after it, as
+// Compares the claimed lengths with the receiver's limits. Errors: too_large; the connection must then be closed, as
 // the rest of the frame isn't read.
 Status check_lengths(const FrameHeader& header, std::uint64_t json_bytes_max, std::uint64_t bulk_bytes_max);
 
-// XXH3-64 of the bulk, piece by piece: what follows it where kFlagBulkChecksum is set (8 bytes, little-endian).
+// XXH3-64 of the bulk, computed piece by piece. With kFlagBulkChecksum its 8 bytes (little-endian) follow the bulk.
 class BulkChecksum {
  public:
   BulkChecksum();
@@ -65,7 +65,7 @@ class BulkChecksum {
   ~BulkChecksum();
   void add(std::span<const std::byte> bytes);
   std::uint64_t value() const;
-  // The 8 bytes as they travel.
+  // To and from the 8 bytes on the wire.
   static std::array<std::byte, 8> encode(std::uint64_t value);
   static std::uint64_t decode(std::span<const std::byte, 8> bytes);
 

@@ -1,4 +1,6 @@
-// Parsing hostile JSON: a SAX handler that stops at the first breach, so that nothing is built beyond the bounds.
+// Parses JSON that may be hostile: a SAX handler stops at the first breach, so nothing is built beyond the limits.
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include "common/wire/limits.hpp"
@@ -30,8 +32,9 @@ class Builder final : public nlohmann::json_sax<Json> {
   }
 
   bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception& why) override {
-    // nlohmann's words quote the text; cut short, they stay one readable line.
-    const std::string_view words = why.what();
+    // nlohmann's message quotes the input; truncated, it stays one readable line.
+    std::string_view words = why.what();
+    if (words.starts_with('[')) words.remove_prefix(std::min(words.find(']') + 2, words.size()));  // the library's name
     return fail(fmt::format("at byte {}: {}", position, words.substr(0, 200)));
   }
 
@@ -44,7 +47,7 @@ class Builder final : public nlohmann::json_sax<Json> {
     return false;
   }
 
-  // Where the next value goes: the root, the key just read, or the end of the open array.
+  // Stores a value where it belongs: as the root, under the key just read, or at the end of the open array.
   Json* put(Json value) {
     --values_left_;
     if (open_.empty()) {
@@ -82,7 +85,8 @@ class Builder final : public nlohmann::json_sax<Json> {
   }
 
   Json root_;
-  // The objects and arrays not yet closed. A pointer stays good: its parent grows only after it is closed.
+  // The objects and arrays not yet closed. The pointers stay valid: a container grows only after the one inside it is
+  // closed.
   std::vector<Json*> open_;
   Json* slot_ = nullptr;
   std::size_t values_left_;
@@ -94,7 +98,7 @@ class Builder final : public nlohmann::json_sax<Json> {
 Result<Json> parse_json(std::string_view text, std::size_t bytes_max, std::size_t values_max) {
   if (text.size() > bytes_max)
     return Status(Code::protocol_error, fmt::format("JSON: {} bytes, at most {} are taken", text.size(), bytes_max));
-  // The parser takes a zero byte for the end and would believe what stands before it.
+  // The parser takes a zero byte for the end of the text and would accept what stands before it.
   if (text.find('\0') != std::string_view::npos) return Status(Code::protocol_error, "JSON: a zero byte inside");
   Builder builder(values_max);
   if (!Json::sax_parse(text.begin(), text.end(), &builder))

@@ -8,28 +8,31 @@
 namespace rcb::wire {
 
 inline constexpr std::size_t kJsonBytesMax = 1U << 24U;            // of a request (part sizes of a million parts)
-inline constexpr std::size_t kJsonValuesMax = (1U << 20U) + 4096;  // of a request, each of which takes memory
-inline constexpr std::size_t kReplyJsonBytesMax = 1U << 23U;       // of a reply: what follows keeps every one below it
-inline constexpr std::size_t kListedMax = 8192;                    // parts of a list in a reply's JSON, or in a page
+inline constexpr std::size_t kJsonValuesMax = (1U << 20U) + 4096;  // of a request; each value takes memory
+inline constexpr std::size_t kReplyJsonBytesMax = 1U << 23U;       // of a reply; the next two limits keep it below this
+inline constexpr std::size_t kListedMax = 8192;                    // parts in a list of a reply's JSON, or in a page
 inline constexpr std::size_t kReportsMax = 4096;                   // step reports in a reply
 inline constexpr int kJsonDepthMax = 32;
 inline constexpr std::size_t kArraysMax = 16;          // in a frame
+inline constexpr std::size_t kSharedStrideMax = 4096;  // bytes from row to row in shared memory
 inline constexpr std::size_t kArrayDimensionsMax = 8;  // of a shape
 inline constexpr std::size_t kArrayNameMax = 64;
 inline constexpr std::size_t kBytesBeforeHelloMax = 4096;
 inline constexpr double kHelloSecondsMax = 5;
 inline constexpr double kFrameSecondsMax = 30;
-inline constexpr std::size_t kNewcomersMax = 64;  // connections to a listener that haven't said hello
+inline constexpr std::size_t kBeforeHelloMax = 64;  // connections to a listener before their hello
 inline constexpr int kSessionsMax = 256;
-inline constexpr int kSessionsReserved = 4;  // beyond them, for status, scene.list and shutdown alone
-inline constexpr int kOrdersMax = 512;       // unfinished ones, and of their requests
-inline constexpr std::uint64_t kOrderBytesMax = std::uint64_t{256} << 20U;
+inline constexpr int kSessionsReserved = 4;  // further ones, which may only ask status, scene.list and shutdown
+inline constexpr int kOrdersMax = 512;       // unfinished orders
+inline constexpr std::size_t kLargeRequest = std::size_t{64}
+                                             << 10U;  // from this size of its JSON on a request is large
+inline constexpr std::uint64_t kLargeRequestBytesMax = std::uint64_t{64} << 20U;  // of all unanswered large requests
 inline constexpr std::int64_t kPartsMax = 1 << 20;
-inline constexpr std::int64_t kPartsTotalMax = 1 << 23;  // of all scenes: some 200 bytes each on every rank
+inline constexpr std::int64_t kPartsTotalMax = 1 << 23;  // of all scenes: each takes some 200 bytes on every rank
 inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
 inline constexpr int kScenesMax = 1024;
-inline constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max() - 1;  // so that there is a next one
-// Instead of a rank, in slices of particles that have none yet or no more.
+inline constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max() - 1;  // so that step + 1 exists
+// Used instead of a rank, for the slices of inserted particles (on no rank yet) and of removed ones.
 inline constexpr int kInsertedSlice = -1;
 inline constexpr int kRemovedSlice = -2;
 inline constexpr double kDeadlineSecondsDefault = 60;

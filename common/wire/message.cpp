@@ -16,7 +16,7 @@ Status bad_array(std::size_t index, const std::string& what) {
           R"(an entry is {"name":"x","dtype":"<f8","shape":[n]})"};
 }
 
-// The text of a string field of an "arrays" entry; null if absent or something else.
+// The text of a string field of a JSON object; nullptr if it is absent or not a string.
 const std::string* text_of(const Json& entry, const char* name) {
   const auto found = entry.find(name);
   return found == entry.end() ? nullptr : found->get_ptr<const std::string*>();
@@ -41,7 +41,7 @@ Result<ArraySpec> array_spec(const Json& entry, std::size_t index) {
     spec.shape.push_back(length.get<std::uint64_t>());
     none = none || spec.shape.back() == 0;
   }
-  // An array with a zero length has no bytes, whatever its other lengths multiply to.
+  // An array with a zero length has no bytes, even if the product of its other lengths overflows.
   if (none) spec.bytes = 0;
   for (const std::uint64_t length : spec.shape)
     if (!none && __builtin_mul_overflow(spec.bytes, length, &spec.bytes))

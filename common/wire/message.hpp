@@ -1,9 +1,9 @@
-// Messages: the JSON of a frame and its arrays.
+// Messages: a frame's JSON and its arrays.
 //
 // Invariants
-// 1. Whatever a peer sends is checked here before anyone believes it; nothing throws.
+// 1. Everything a peer sends is checked here before it is used; nothing throws.
 // 2. A parsed message is an object without duplicate keys, at most kJsonDepthMax deep, all of it valid UTF-8.
-// 3. JSON leaves through dump_json alone: nlohmann's own dump() throws on text that isn't UTF-8 (file names).
+// 3. JSON is written by dump_json only: nlohmann's own dump() throws on text that isn't UTF-8 (such as file names).
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@ namespace rcb::wire {
 
 using Json = nlohmann::json;
 
-// A raw array with its description; bytes are little-endian, C order.
+// A raw array and its description; the bytes are little-endian, in C order.
 struct Array {
   std::string name;
   std::string dtype;  // "<f8", "<f4", "<i8", "<i4", "<u8"
@@ -40,44 +40,46 @@ struct ArraySpec {
 // Bytes of one element; 0 for an unknown dtype.
 std::size_t dtype_bytes(std::string_view dtype);
 
-// Parses a frame's JSON: an object, no duplicate keys; depth, size and number of values bounded. Errors:
+// Parses a frame's JSON: an object without duplicate keys; depth, size and number of values are limited. Errors:
 // protocol_error.
 Result<Json> parse_json(std::string_view text, std::size_t bytes_max = kJsonBytesMax,
                         std::size_t values_max = kJsonValuesMax);
 // Compact JSON; bytes that aren't UTF-8 become U+FFFD.
 std::string dump_json(const Json& json);
-// The "arrays" of a frame, checked against its bulk length (sizes may not overflow). Errors: protocol_error.
+// A frame's "arrays" entry, checked against the length of its bulk (the sizes may not overflow). Errors:
+// protocol_error.
 Result<std::vector<ArraySpec>> array_specs(const Json& json, std::uint64_t bulk_bytes);
-// The "arrays" entry that describes these.
+// The "arrays" entry that describes `arrays`.
 Json describe(std::span<const Array> arrays);
 
-// The array of that name; null if absent.
+// The array of that name; nullptr if there is none.
 const Array* find_array(std::span<const Array> arrays, std::string_view name);
 
-// {"failure":{"code","message","hint","exit"}}. Words of a peer in it lose their control characters.
+// {"failure":{"code","message","hint","exit"}}. Control characters in message and hint, which may quote a peer, are
+// escaped.
 Json failure_json(const Status& status);
 Status status_from_failure(const Json& json);
 
-// Typed reading of one field with a clear error: "field 'parts': expected an integer of 1 to 1048576, got \"x\"".
-// Errors: invalid_argument.
+// Each reads one field and checks type and range, with errors such as "field 'parts': expected an integer of 1 to
+// 1048576, got \"x\"". Errors: invalid_argument.
 Result<std::int64_t> integer_field(const Json& json, const char* name, std::int64_t low, std::int64_t high);
 Result<std::int64_t> integer_field_or(const Json& json, const char* name, std::int64_t low, std::int64_t high,
-                                      std::int64_t otherwise);  // absent or null
+                                      std::int64_t otherwise);  // `otherwise` if absent or null
 Result<double> number_field_or(const Json& json, const char* name, double low, double high, double otherwise,
-                               bool infinity_allowed = false);  // "inf" where allowed
-// Without a null character inside (it would cut a path short).
+                               bool infinity_allowed = false);  // accepts "inf" if infinity_allowed
+// A string with a null character, which would truncate a path, is refused.
 Result<std::string> string_field(const Json& json, const char* name, std::size_t length_max = 4096);
 Result<bool> bool_field_or(const Json& json, const char* name, bool otherwise);
-// Finite numbers; absent or null: none.
+// A list of finite numbers; empty if the field is absent or null.
 Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char* name, std::size_t count_max);
-// 1 to 64 of [A-Za-z0-9._-].
+// 1 to 64 characters of [A-Za-z0-9._-]. Errors: invalid_argument.
 Status check_scene_name(const std::string& name);
 
-// 64 bits as 16 hex digits, and back.
+// A 64-bit number as 16 hex digits, and back.
 std::string hex64(std::uint64_t value);
 Result<std::uint64_t> parse_hex64(std::string_view text);
 
-// A finite number, or "inf" / "-inf"; null for NaN (JSON has neither).
+// The number, or "inf" / "-inf", or null for NaN, which JSON numbers can't express.
 Json number_json(double value);
 
 }  // namespace rcb::wire

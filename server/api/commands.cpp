@@ -15,10 +15,10 @@ constexpr std::array<Fields, 12> kCreate{"scene",     "parts",           "dims",
                                          "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
                                          "recut",     "part_sizes",      "replace",       "recreated"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
-constexpr std::array<Fields, 22> kPushBegin{"scene",    "session",      "step",    "attempt",     "n",     "slices",
-                                            "order",    "plan",         "moved",   "base_step",   "dtype", "weights",
-                                            "ids",      "changes",      "path",    "counts",      "epoch", "places",
-                                            "inserted", "inserted_ids", "removed", "step_seconds"};
+constexpr std::array<Fields, 23> kPushBegin{"scene",    "session",      "step",    "attempt",      "n",     "slices",
+                                            "order",    "plan",         "moved",   "base_step",    "dtype", "weights",
+                                            "ids",      "changes",      "path",    "counts",       "epoch", "places",
+                                            "inserted", "inserted_ids", "removed", "step_seconds", "memory"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};
@@ -32,6 +32,7 @@ constexpr std::array<Fields, 3> kWriteParts{"scene", "directory", "prefix"};
 
 constexpr bool kFiles = true;
 constexpr bool kGivesWay = true;
+constexpr bool kLarge = true;
 
 constexpr std::array kCommands{
     CommandInfo{"status", session, reads, {}},
@@ -53,9 +54,9 @@ constexpr std::array kCommands{
     CommandInfo{"quality", ranks, reads, kQuality, !kFiles, kGivesWay},
     CommandInfo{"compare", ranks, reads, kCompare, !kFiles, kGivesWay},
     CommandInfo{"write_parts", ranks, reads, kWriteParts, kFiles, kGivesWay},
-    CommandInfo{"scene.create", ranks, changes, kCreate},
+    CommandInfo{"scene.create", ranks, changes, kCreate, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"scene.drop", ranks, changes, kScene},
-    CommandInfo{"push.begin", ranks, changes, kPushBegin},
+    CommandInfo{"push.begin", ranks, changes, kPushBegin, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"rebalance", ranks, changes, kRebalance, !kFiles, kGivesWay},
     CommandInfo{"load", ranks, changes, kLoad, kFiles, kGivesWay},
 };
@@ -75,14 +76,14 @@ void keep_known_fields(wire::Json& request, const CommandInfo& command) {
     const std::string_view key = entry.key();
     const bool known = key == "command" || key == "deadline_seconds" ||
                        std::find(command.fields.begin(), command.fields.end(), key) != command.fields.end();
-    entry = known ? std::next(entry) : request.erase(entry);
+    entry = known && !entry->is_null() ? std::next(entry) : request.erase(entry);
   }
 }
 
 bool changes_scene(const wire::Json& request, const CommandInfo& command) {
   if (command.effect == Effect::reads) return false;
   const auto dry_run = wire::bool_field_or(request, "dry_run", false);
-  return !(dry_run.ok() && *dry_run);  // a wrong type is refused by the service
+  return !(dry_run.ok() && *dry_run);  // the service refuses a wrong type
 }
 
 }  // namespace rcb::api

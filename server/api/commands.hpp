@@ -1,7 +1,7 @@
-// Commands: what the service knows of each command before it runs one, in one table.
+// Commands: one table of what is known of each command before it runs.
 //
-// The sessions ask it who runs a command, the engine whether a command may change a scene. A request is cut down to the
-// fields named here before anyone reads it, so a field of the inside (a push's "staged") can't come from a client.
+// The sessions look up who runs a command, the engine whether it may change a scene. A request is reduced to the fields
+// listed here before anything reads it, so a client can't set a field for internal use (such as a push's "staged").
 #pragma once
 
 #include <span>
@@ -13,8 +13,8 @@ namespace rcb::api {
 
 enum class RunsOn {
   session,  // the I/O thread answers it
-  root,     // rank 0's engine alone: all that it needs is the same on every rank
-  ranks,    // every rank's engine: it is collective, or changes what all ranks hold
+  root,     // rank 0's engine alone: the answer needs only what is the same on every rank
+  ranks,    // every rank's engine: the command is collective, or changes what all ranks hold
 };
 
 enum class Effect { reads, changes };
@@ -24,20 +24,21 @@ struct CommandInfo {
   RunsOn runs_on;
   Effect effect;                             // on scenes
   std::span<const std::string_view> fields;  // besides "command" and "deadline_seconds"
-  bool files = false;                        // has the ranks read or write files
-  bool gives_way = false;                    // may last for seconds; orders of other scenes go on meanwhile
+  bool files = false;                        // the ranks read or write files
+  bool gives_way = false;                    // may take seconds; orders of other scenes are executed meanwhile
+  bool large = false;                        // its request's JSON may have wire::kLargeRequest bytes and more
 
   bool reads() const { return effect == Effect::reads; }
 };
 
 std::span<const CommandInfo> commands();
-// Null if there is none of this name.
+// nullptr if there is no command of this name.
 const CommandInfo* find_command(std::string_view name);
 
-// Drops every field that the command doesn't have.
+// Removes the fields that the command does not have, and those that are null, which count as absent.
 void keep_known_fields(wire::Json& request, const CommandInfo& command);
 
-// Whether this request changes a scene: its command does, and it isn't a dry run.
+// True if the request changes a scene: its command may, and it isn't a dry run.
 bool changes_scene(const wire::Json& request, const CommandInfo& command);
 
 }  // namespace rcb::api

@@ -1,6 +1,6 @@
-// What the I/O thread may know of the scenes while the engine is busy: a summary of each. Every answer of the engine
-// brings that of the one scene that its order may have changed, so an order costs the same however many scenes there
-// are.
+// Snapshot: the summary of each scene that the I/O thread can read while the engine is busy. Every answer of the engine
+// brings the summary of the one scene that its order may have changed, so the cost of an order doesn't depend on the
+// number of scenes.
 #pragma once
 
 #include <cstdint>
@@ -16,20 +16,21 @@ struct SceneSummary {
   int dims = 3;
   int parts = 1;
   bool weights = false;
+  bool ids = false;  // ids aren't 0..n-1
   std::optional<std::int64_t> step;
   std::uint64_t steps = 0;  // committed
   std::uint64_t epoch = 0;
-  std::optional<double> error;  // these three: once it was pushed
+  std::optional<double> error;  // these three are set after the first push
   std::optional<double> imbalance;
   std::optional<double> mean_step_seconds;
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
-  std::vector<std::uint64_t> rank_counts;  // particles that each rank holds
+  std::vector<std::uint64_t> rank_counts;  // particles on each rank
 };
 
 using Snapshot = std::map<std::string, SceneSummary>;  // by name
 
-// What an order has made of its scene; no summary: there is none of that name.
+// The state of a scene after an order; no summary if the scene doesn't exist (any more).
 struct SceneChange {
   std::string scene;
   std::optional<SceneSummary> summary;

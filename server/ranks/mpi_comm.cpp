@@ -13,7 +13,7 @@
 namespace rcb::ranks {
 namespace {
 
-constexpr int kTag = 1;  // messages between two ranks keep their order, so one tag is enough
+constexpr int kTag = 1;  // MPI keeps the order of messages between two ranks, so one tag is enough
 
 void copy(std::span<const std::byte> from, std::span<std::byte> to) {
   CHECK(from.size() == to.size(), "both sides know the size");
@@ -86,7 +86,8 @@ void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte
                          std::vector<std::size_t>& sizes) {
   const auto ranks = static_cast<std::size_t>(size_);
   sizes.assign(ranks, 0);
-  // Sizes and, where they are small, the bytes themselves in one message: a second costs more than some empty bytes.
+  // One message with the sizes and, if they are small, the bytes themselves: a second message costs more than some
+  // unused bytes.
   const std::size_t room = kEagerBytes / ranks;
   std::vector<std::byte> mine(sizeof(std::uint64_t) + room);
   const std::uint64_t size = local.size();

@@ -1,27 +1,27 @@
-// MpiComm: the Comm over MPI. A failed MPI call ends the job with MPI's own text.
+// MpiComm: Comm implemented with MPI. A failed MPI call prints MPI's error text and ends the job.
 //
 // Invariants
 // 1. It works on its own duplicate of the communicator, freed with it (unless MPI has been finalised).
-// 2. No message is larger than kMessageBytesMax, and no reduction than kReduceValuesMax: larger ones are split.
-// 3. Only the engine thread (MPI_THREAD_FUNNELED) calls it.
+// 2. Messages larger than kMessageBytesMax and reductions of more than kReduceValuesMax values are split.
+// 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
 #pragma once
 
 #include <cstddef>
 
 #include <mpi.h>
 
-#include "common/partition/comm.hpp"
+#include "common/comm/comm.hpp"
 
 namespace rcb::ranks {
 
-class MpiComm final : public partition::Comm {
+class MpiComm final : public comm::Comm {
  public:
-  // MPI counts are ints; messages beyond 2^31 bytes go in pieces.
+  // MPI counts are ints, so larger messages are sent in pieces.
   static constexpr std::size_t kMessageBytesMax = std::size_t{1} << 30U;
-  // Open MPI's reductions are steady up to 32 KiB and erratic beyond.
+  // Run times of Open MPI's reductions are steady up to 32 KiB (4096 values) and erratic beyond.
   static constexpr std::size_t kReduceValuesMax = 4096;
 
-  // Collective over `parent`. MPI is initialised. message_bytes_max: smaller only in tests.
+  // Collective over `parent`. MPI must be initialised. message_bytes_max: only tests pass less.
   explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax);
   ~MpiComm() override;
   MpiComm(const MpiComm&) = delete;
@@ -54,7 +54,7 @@ class MpiComm final : public partition::Comm {
   int rank_ = 0;
   int size_ = 1;
   std::size_t message_bytes_max_;
-  static constexpr std::size_t kEagerBytes = 32 * 1024;  // of all ranks together, in an all_gather's first message
+  static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
 };
 
 }  // namespace rcb::ranks

@@ -26,7 +26,7 @@ MpiSession::~MpiSession() {
 }
 
 Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
-  // A rank that waits for another makes room: solvers and slices on their way share the cores with it.
+  // A rank that waits in MPI yields its core, which it may share with solvers and with incoming slices.
   ::setenv("OMPI_MCA_mpi_yield_when_idle", "1", 0);
   int provided = MPI_THREAD_SINGLE;
   MPI_Init_thread(argc, argv, MPI_THREAD_FUNNELED, &provided);
@@ -39,7 +39,7 @@ Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
 
 int MpiSession::rank() const { return state_->comm.rank(); }
 int MpiSession::size() const { return state_->comm.size(); }
-partition::Comm& MpiSession::comm() { return state_->comm; }
+comm::Comm& MpiSession::comm() { return state_->comm; }
 
 std::string MpiSession::share(const std::string& text) {
   std::uint64_t bytes = text.size();
@@ -48,6 +48,19 @@ std::string MpiSession::share(const std::string& text) {
   shared.resize(bytes);
   state_->comm.broadcast(std::as_writable_bytes(std::span(shared.data(), shared.size())), 0);
   return shared;
+}
+
+std::vector<std::string> MpiSession::gather(const std::string& text) {
+  std::vector<std::byte> bytes;
+  std::vector<std::size_t> sizes;
+  state_->comm.all_gather(std::as_bytes(std::span(text)), bytes, sizes);
+  std::vector<std::string> texts;
+  const char* at = reinterpret_cast<const char*>(bytes.data());
+  for (const std::size_t size : sizes) {
+    texts.emplace_back(at, size);
+    at += size;
+  }
+  return texts;
 }
 
 void MpiSession::finish(unsigned seconds) {

@@ -1,4 +1,4 @@
-// MpiSession: MPI from start to end, and the few words that ranks exchange before the service runs.
+// MpiSession: MPI from initialisation to finalisation, and the few texts that ranks exchange before the service runs.
 //
 // Invariants
 // 1. MPI_THREAD_FUNNELED: every method is called by the thread that made the session.
@@ -6,9 +6,10 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/base/status.hpp"
-#include "common/partition/comm.hpp"
+#include "common/comm/comm.hpp"
 
 namespace rcb::ranks {
 
@@ -20,12 +21,14 @@ class MpiSession {
   MpiSession& operator=(MpiSession&&) noexcept;
   ~MpiSession();  // Collective: MPI_Finalize, unless finish() was called
 
-  int rank() const;         // Local.
-  int size() const;         // Local.
-  partition::Comm& comm();  // Local.
-  // Collective. Rank 0's text, on every rank.
+  int rank() const;    // Local.
+  int size() const;    // Local.
+  comm::Comm& comm();  // Local.
+  // Collective. Returns rank 0's text on every rank.
   std::string share(const std::string& text);
-  // Collective. Ends MPI; a process that hangs in it is killed after `seconds`.
+  // Collective. Returns every rank's text, by rank, on every rank.
+  std::vector<std::string> gather(const std::string& text);
+  // Collective. Finalises MPI; a process that is not done after `seconds` is killed.
   void finish(unsigned seconds);
 
  private:
@@ -34,8 +37,8 @@ class MpiSession {
   std::unique_ptr<State> state_;
 };
 
-// What mpirun's environment says before MPI is up. Local.
+// Known from mpirun's environment variables before MPI is initialised. Local.
 bool started_by_mpirun();
-int rank_from_environment();  // 0 where mpirun didn't start this process
+int rank_from_environment();  // 0 if mpirun didn't start this process
 
 }  // namespace rcb::ranks

@@ -5,16 +5,16 @@
 
 #include <fmt/format.h>
 
-#include "common/io/roots.hpp"
-#include "common/plan/plan.hpp"
+#include "common/io/files/roots.hpp"
+#include "common/layout/layout.hpp"
 #include "server/api/commands.hpp"
-#include "server/service/context.hpp"
-#include "server/service/staging.hpp"
+#include "server/service/context/context.hpp"
+#include "server/service/push/staging.hpp"
 
 namespace rcb::service {
 namespace {
 
-// The command changes no scene.
+// True if the command changes no scene.
 bool reads(std::string_view command) {
   const api::CommandInfo* known = api::find_command(command);
   return known != nullptr && known->reads();
@@ -23,45 +23,32 @@ bool reads(std::string_view command) {
 }  // namespace
 
 struct Service::State {
-  partition::Comm& comm;
+  comm::Comm& comm;
   const Clock& clock;
   ServiceOptions options;
-  HistoryRoom histories{options.keep_reports, options.report_directory};  // the scenes' histories are in it
+  HistoryMemory histories{options.keep_reports, options.report_directory};  // outlives `scenes`
   std::map<std::string, Scene> scenes = {};
   std::map<std::string, Command> commands = {};
   std::vector<Spare> spares = {};
-  // What the scene lends is taken back for the time of an order that may change it.
-  Response run(const Command& command, const wire::Json& request, Context& context) {
-    Loans* const loans = options.loans;
-    if (loans == nullptr || reads(command.name)) return command.run(context, request);
-    const auto name = wire::string_field(request, "scene", 256);
-    if (name.ok())
-      context.loan = loans->take_back(*name);
-    else
-      loans->take_back_all();
-    Response response = command.run(context, request);
-    const auto scene = name.ok() ? scenes.find(*name) : scenes.end();
-    if (scene == scenes.end() || !scene->second.pushed) return response;
-    refresh_regions(scene->second, comm.rank(), comm.size());
-    loans->lend(scene->second);
-    return response;
+  Response call(const Command& command, const wire::Json& request, Context& context) {
+    if (command.run != nullptr) return command.run(context, request);
+    const auto scene = find_scene(context, request, command.needs);
+    return scene.ok() ? command.run_on(context, **scene, request) : failed(scene.status());
   }
 };
 
-Service::Service(partition::Comm& comm, const Clock& clock, ServiceOptions options)
+Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
     : state_(new State{comm, clock, std::move(options)}) {
   for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), paged_commands(),
                            quality_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
 }
 
-Service::~Service() {
-  if (state_->options.loans != nullptr) state_->options.loans->take_back_all();
-}
+Service::~Service() = default;
 
 namespace {
 
-// What its scene looks like after an order. Local.
+// The new summary of the order's scene. Local.
 std::optional<api::SceneChange> change_of(const Context& context, const wire::Json& request) {
   auto name = wire::string_field(request, "scene", 256);
   if (!name.ok()) return std::nullopt;
@@ -73,6 +60,7 @@ std::optional<api::SceneChange> change_of(const Context& context, const wire::Js
                     .dims = scene.options.dims,
                     .parts = scene.options.parts,
                     .weights = scene.particles.has_weights,
+                    .ids = scene.ids,
                     .step = scene.step,
                     .steps = scene.totals.steps,
                     .epoch = scene.epoch,
@@ -90,9 +78,9 @@ std::optional<api::SceneChange> change_of(const Context& context, const wire::Js
   return change;
 }
 
-// Counts a question that was answered from the particles. Local.
+// Counts a query whose answer took a pass over the particles. Local.
 void note_question(Context& context, const wire::Json& request, const std::string& name) {
-  const auto scene = find_scene(context, request);
+  const auto scene = find_scene(context, request, Needs::scene);
   if (!scene.ok()) return;
   ++scene.value()->totals.asked[name];
   scene.value()->asked = true;
@@ -117,13 +105,13 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
                   state_->options.no_skip,
                   state_->options.roots == nullptr ? kNowhere : *state_->options.roots,
                   state_->histories,
-                  nullptr,
+                  state_->options.bulk_bytes_max,
                   terms,
                   state_->clock.seconds()};
   // Before any work: it may have stood in the queue for long.
   if (command->second.computes)
     if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
-  Response response = state_->run(command->second, request, context);
+  Response response = state_->call(command->second, request, context);
   if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
   if (response.status.ok() && !reads(command->first)) response.change = change_of(context, request);
@@ -154,22 +142,16 @@ Status Context::check_time() {
   return {};
 }
 
-Result<Scene*> find_scene(Context& context, const wire::Json& request) {
+Result<Scene*> find_scene(Context& context, const wire::Json& request, Needs needs) {
   const auto name = wire::string_field(request, "scene", 256);
   if (!name.ok()) return name.status();
   const auto found = context.scenes.find(name.value());
   if (found == context.scenes.end())
     return Status(Code::not_found, fmt::format("no scene '{}'", name.value()),
                   "'rcbctl scene list' names those that are there");
+  if (needs == Needs::positions && !found->second.pushed)
+    return Status(Code::not_found, fmt::format("scene '{}' has no positions yet", name.value()), "push a step first");
   return &found->second;
-}
-
-Result<Scene*> find_pushed_scene(Context& context, const wire::Json& request) {
-  auto scene = find_scene(context, request);
-  if (scene.ok() && !scene.value()->pushed)
-    return Status(Code::not_found, fmt::format("scene '{}' has no positions yet", scene.value()->name),
-                  "push a step first");
-  return scene;
 }
 
 wire::Array make_array(std::string name, std::string dtype, std::uint64_t count, Buffer<std::byte> bytes) {

@@ -11,8 +11,9 @@
 #include <sys/utsname.h>
 #include <unistd.h>
 
-#include "client/launch/job.hpp"
+#include "client/launch/job/job.hpp"
 #include "common/base/clock.hpp"
+#include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/rows.hpp"
 #include "tests/bench/scenes.hpp"
@@ -22,8 +23,6 @@ namespace rcb::bench {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
-
 constexpr unsigned kPollMicroseconds = 20'000;
 
 std::atomic<bool> g_interrupted{false};

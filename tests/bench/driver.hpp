@@ -4,15 +4,14 @@
 #include <string>
 #include <vector>
 
-#include <nlohmann/json.hpp>
-
 #include "common/base/status.hpp"
+#include "tests/bench/json.hpp"
 #include "tests/bench/plan.hpp"
 
 namespace rcb::bench {
 
 struct Rows {
-  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
+  Json rows = Json::array();
   Status status;  // not ok: a job failed; `rows` has what was measured before
 };
 
@@ -34,8 +33,7 @@ void prepare_jobs();
 bool interrupted();  // by a signal since then
 // One MPI job of this program, `word` before its arguments: the plan in `folder`, and the file that it writes rows to,
 // which are added to `rows` also where it fails. Errors: as run_jobs().
-Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds,
-               nlohmann::ordered_json& rows);
+Status run_job(const std::string& folder, const char* word, int ranks, double stall_seconds, Json& rows);
 
 // Runs `plan` on each number of ranks through mpirun. Waits for a job as long as it goes on; one in which nothing
 // happens for kStallSeconds is killed. A peer whose turn it was gets a row that says so, and the rest is run without it
@@ -44,7 +42,7 @@ inline constexpr double kStallSeconds = 120;
 Rows run_jobs(const Plan& plan, const std::vector<int>& ranks);
 
 // CPU, cores, memory, system, MPI, compiler, load before the start.
-nlohmann::ordered_json describe_machine();
+Json describe_machine();
 // The peers that this build has, in words.
 std::string describe_peers();
 

@@ -13,8 +13,9 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "common/base/clock.hpp"
-#include "tests/bench/contender.hpp"
+#include "common/base/child.hpp"
+#include "tests/bench/json.hpp"
+#include "tests/bench/peers/contender.hpp"
 #include "tests/bench/report.hpp"
 
 extern char** environ;
@@ -22,9 +23,7 @@ extern char** environ;
 namespace rcb::bench {
 namespace {
 
-using Json = nlohmann::ordered_json;
-
-constexpr double kFloor = 1e-8;  // where an error of 0 is drawn on the logarithmic axis
+constexpr double kErrorFloor = 1e-8;  // where an error of 0 is drawn on the logarithmic axis
 constexpr double kPlotSeconds = 60;
 constexpr int kRanksPreferred = 2;
 constexpr int kPanelWidth = 420;
@@ -58,7 +57,7 @@ std::string points_of(const Json& rows, int ranks, int parts, const Look& look) 
     if (row["ranks"] != ranks || row["parts"] != parts || row["work"] != kPartition || !row["seconds"].is_number())
       continue;
     if (row["tool"] != look.tool || row["method"] != look.method) continue;
-    const double error = std::max(row["error"].get<double>(), kFloor);
+    const double error = std::max(row["error"].get<double>(), kErrorFloor);
     const double size = row["cut_tolerance"] == 0 ? 0.7 : 0.4;
     data += fmt::format("{} {} {}  # {}, tolerance {}\n", 1e3 * row["seconds"].get<double>(), error, size,
                         row["scene"].get<std::string>(), row["cut_tolerance"].dump());
@@ -79,7 +78,7 @@ std::string script(const Json& rows, int ranks, const std::vector<int>& parts, c
       "set yrange [{}:100]\n"
       "set ytics 100 add ('0' {})\n"
       "set xlabel 'milliseconds of one partition'\n",
-      std::max<std::size_t>(1, parts.size()) * kPanelWidth + 160, output, kFloor / 3, kFloor);
+      std::max<std::size_t>(1, parts.size()) * kPanelWidth + 160, output, kErrorFloor / 3, kErrorFloor);
   text += fmt::format(
       "set multiplot layout 1,{} title 'run time against largest relative error of a part, {} rank(s); "
       "a point: one scene at one tolerance (small: above 0)'\n",
@@ -115,18 +114,9 @@ Status run_gnuplot(const std::string& script_path) {
   if (fault != 0)
     return {Code::not_found, fmt::format("gnuplot can't be started: {}", std::strerror(fault)),
             fmt::format("install it (Debian: apt install gnuplot-nox), then: gnuplot {}", script_path)};
-  const SteadyClock clock;
-  const double deadline = clock.seconds() + kPlotSeconds;
-  int status = 0;
-  while (waitpid(pid, &status, WNOHANG) == 0) {
-    if (clock.seconds() > deadline) {
-      kill(pid, SIGKILL);
-      waitpid(pid, &status, 0);
-      return {Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds)};
-    }
-    usleep(5'000);
-  }
-  if (status != 0) return {Code::internal, "gnuplot failed on " + script_path};
+  const auto status = wait_or_kill(pid, kPlotSeconds);
+  if (!status) return {Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds)};
+  if (*status != 0) return {Code::internal, "gnuplot failed on " + script_path};
   return {};
 }
 

@@ -3,15 +3,14 @@
 
 #include <string>
 
-#include <nlohmann/json.hpp>
-
 #include "common/base/status.hpp"
+#include "tests/bench/json.hpp"
 
 namespace rcb::bench {
 
 // Draws a `static` document: one panel a number of parts, at 2 ranks if they were run, else at the most. Writes `path`
 // (SVG) and, beside it with .gp for its ending, what gnuplot was told. Errors: not_found without gnuplot, io_error.
-Status draw(const nlohmann::ordered_json& document, const std::string& path);
+Status draw(const Json& document, const std::string& path);
 
 // Runs a script that names its own output. Errors: not_found without gnuplot, deadline_exceeded, internal.
 Status run_gnuplot(const std::string& script_path);

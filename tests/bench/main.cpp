@@ -7,17 +7,18 @@
 #include <fmt/format.h>
 
 #include "rcb_bench_commit.hpp"
-#include "tests/bench/drift.hpp"
 #include "tests/bench/driver.hpp"
-#include "tests/bench/dynamic.hpp"
-#include "tests/bench/dynamic_peers.hpp"
+#include "tests/bench/dynamic/dynamic.hpp"
+#include "tests/bench/dynamic/dynamic_peers.hpp"
 #include "tests/bench/figure.hpp"
-#include "tests/bench/idle.hpp"
-#include "tests/bench/memory.hpp"
+#include "tests/bench/json.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
-#include "tests/bench/skips.hpp"
-#include "tests/bench/step.hpp"
+#include "tests/bench/step/drift.hpp"
+#include "tests/bench/step/idle.hpp"
+#include "tests/bench/step/memory.hpp"
+#include "tests/bench/step/skips.hpp"
+#include "tests/bench/step/step.hpp"
 #include "tests/bench/worker.hpp"
 
 namespace rcb::bench {
@@ -97,7 +98,7 @@ Plan scaling_plan(const Options& options) {
 }
 
 // Writes and prints what there is, also of a run that failed half-way.
-Status tell(const std::string& bench, const Options& options, nlohmann::ordered_json document, const Rows& result) {
+Status tell(const std::string& bench, const Options& options, Json document, const Rows& result) {
   document["rows"] = result.rows;
   document["summary"] = bench == "static" ? summarise_static(result.rows) : summarise_scaling(result.rows);
   print(bench == "static" ? static_tables(document) : scaling_tables(document));
@@ -108,7 +109,7 @@ Status tell(const std::string& bench, const Options& options, nlohmann::ordered_
   return verdict(document);
 }
 
-nlohmann::ordered_json start_document(const std::string& bench, int repeats) {
+Json start_document(const std::string& bench, int repeats) {
   return {{"bench", bench},
           {"commit", RCB_COMMIT},
           {"version", RCB_VERSION},
@@ -119,7 +120,7 @@ nlohmann::ordered_json start_document(const std::string& bench, int repeats) {
 
 Status run(const std::string& bench, Options& options) {
   if (Status status = check(options); !status.ok()) return status;
-  nlohmann::ordered_json document = start_document(bench, options.repeats);
+  Json document = start_document(bench, options.repeats);
   fmt::print(stderr, "rcb_bench {}: commit {}, {}\n", bench, RCB_COMMIT, describe_peers());
   const Plan plan = bench == "static" ? static_plan(options) : scaling_plan(options);
   return tell(bench, options, std::move(document), run_jobs(plan, options.ranks));

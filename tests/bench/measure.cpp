@@ -8,7 +8,7 @@
 #include <malloc.h>
 
 #include "common/base/clock.hpp"
-#include "common/partition/load.hpp"
+#include "common/partition/balance/load.hpp"
 
 namespace rcb::bench {
 namespace {
@@ -32,7 +32,7 @@ bool forget_peak_memory() {
 }
 
 // One contender's turn, timed. Collective. The slowest rank's seconds; nullopt if any rank failed.
-std::optional<double> turn(partition::Comm& comm, Contender& contender, std::string& failure) {
+std::optional<double> turn(comm::Comm& comm, Contender& contender, std::string& failure) {
   static const SteadyClock clock;
   comm.barrier();
   const double begin = clock.seconds();
@@ -41,13 +41,13 @@ std::optional<double> turn(partition::Comm& comm, Contender& contender, std::str
   // Positive doubles compare as their bits do.
   std::uint64_t bits = std::bit_cast<std::uint64_t>(clock.seconds() - begin);
   comm.all_max({&bits, 1});
-  if (partition::agree(comm, status.ok())) return std::bit_cast<double>(bits);
+  if (comm::agree(comm, status.ok())) return std::bit_cast<double>(bits);
   failure = status.ok() ? "failed on another rank" : status.message();
   return std::nullopt;
 }
 
 // Counts what the last run left. Collective.
-void judge(partition::Comm& comm, const Problem& problem, Contender& contender, Measurement& out) {
+void judge(comm::Comm& comm, const Problem& problem, Contender& contender, Measurement& out) {
   const Answer answer = contender.answer();
   const auto parts = static_cast<std::size_t>(problem.parts);
   std::vector<std::uint64_t> counts(parts + 1, 0);  // the last: of no part that there is
@@ -73,7 +73,7 @@ void judge(partition::Comm& comm, const Problem& problem, Contender& contender, 
 }
 
 // Growth of the resident memory during one run, from a heap that keeps nothing. Collective.
-std::optional<double> peak_growth(partition::Comm& comm, const Problem& problem, Contender& contender,
+std::optional<double> peak_growth(comm::Comm& comm, const Problem& problem, Contender& contender,
                                   std::string& failure) {
   malloc_trim(0);
   const bool known = forget_peak_memory();
@@ -82,7 +82,7 @@ std::optional<double> peak_growth(partition::Comm& comm, const Problem& problem,
   const std::uint64_t peak = memory_field("VmHWM");
   std::uint64_t growth = peak > before ? peak - before : 0;
   comm.all_sum({&growth, 1});
-  if (!partition::agree(comm, known && before > 0) || problem.n == 0) return std::nullopt;
+  if (!comm::agree(comm, known && before > 0) || problem.n == 0) return std::nullopt;
   return static_cast<double>(growth) / static_cast<double>(problem.n);
 }
 
@@ -100,7 +100,7 @@ double median(std::vector<double> values) {
   return values.size() % 2 == 1 ? values[middle] : (values[middle - 1] + values[middle]) / 2;
 }
 
-std::vector<Measurement> measure(partition::Comm& comm, const Problem& problem, const Contenders& contenders,
+std::vector<Measurement> measure(comm::Comm& comm, const Problem& problem, const Contenders& contenders,
                                  const MeasureOptions& options) {
   std::vector<Contender*> present;
   std::vector<Measurement> results;
@@ -109,15 +109,14 @@ std::vector<Measurement> measure(partition::Comm& comm, const Problem& problem, 
     if (status.code() == Code::unsupported) continue;
     Measurement result;
     result.setting = contender->setting();
-    if (!partition::agree(comm, status.ok()))
-      result.failure = status.ok() ? "failed on another rank" : status.message();
+    if (!comm::agree(comm, status.ok())) result.failure = status.ok() ? "failed on another rank" : status.message();
     present.push_back(contender.get());
     results.push_back(std::move(result));
   }
   const auto each = [&](std::size_t first, const auto& action) {
     for (std::size_t k = 0; k < present.size(); ++k) {
       const std::size_t c = (first + k) % present.size();
-      if (!partition::agree(comm, results[c].failure.empty())) continue;
+      if (!comm::agree(comm, results[c].failure.empty())) continue;
       present[c]->reset();
       if (options.on_turn) options.on_turn(results[c].setting);
       action(*present[c], results[c]);

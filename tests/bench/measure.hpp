@@ -13,8 +13,8 @@
 #include <string>
 #include <vector>
 
-#include "common/partition/comm.hpp"
-#include "tests/bench/contender.hpp"
+#include "common/comm/comm.hpp"
+#include "tests/bench/peers/contender.hpp"
 
 namespace rcb::bench {
 
@@ -42,7 +42,7 @@ struct MeasureOptions {
 void keep_freed_memory();
 
 // Collective. The same on every rank. Contenders that don't fit the problem (Code::unsupported) are left out.
-std::vector<Measurement> measure(partition::Comm& comm, const Problem& problem, const Contenders& contenders,
+std::vector<Measurement> measure(comm::Comm& comm, const Problem& problem, const Contenders& contenders,
                                  const MeasureOptions& options);
 
 // The middle value, of an even number the mean of the middle two; values not empty.

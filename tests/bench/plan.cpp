@@ -2,11 +2,9 @@
 
 #include <fstream>
 
-#include <nlohmann/json.hpp>
+#include "tests/bench/json.hpp"
 
 namespace rcb::bench {
-
-using Json = nlohmann::json;
 
 namespace {
 

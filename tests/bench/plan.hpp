@@ -5,10 +5,9 @@
 #include <string>
 #include <vector>
 
-#include <nlohmann/json.hpp>
-
 #include "common/base/status.hpp"
-#include "tests/bench/contender.hpp"
+#include "tests/bench/json.hpp"
+#include "tests/bench/peers/contender.hpp"
 
 namespace rcb::bench {
 
@@ -37,9 +36,9 @@ struct Plan {
   std::vector<Skip> skips;
 };
 
-nlohmann::json json_of(const Skip& skip);
+Json json_of(const Skip& skip);
 // Throws nlohmann::json::exception.
-Skip skip_of(const nlohmann::json& json);
+Skip skip_of(const Json& json);
 
 Status save(const Plan& plan, const std::string& path);
 Result<Plan> load(const std::string& path);

@@ -8,12 +8,12 @@
 
 #include <fmt/format.h>
 
+#include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
 
 namespace rcb::bench {
 namespace {
 
-using Json = nlohmann::ordered_json;
 using Line = std::vector<std::string>;
 
 }  // namespace
@@ -67,11 +67,11 @@ const Json* representative(const std::vector<const Json*>& rows, const std::stri
   return best;
 }
 
-std::string milliseconds(const Json& row) {
+std::string static_ms(const Json& row) {
   return measured(row) ? fmt::format("{:.1f}", 1e3 * row["seconds"].get<double>()) : "failed";
 }
 
-std::string error_text(const Json& row) {
+std::string static_error(const Json& row) {
   if (!measured(row)) return "failed";
   std::string text = fmt::format("{:.2g}", row["error"].get<double>());
   if (ours(row) || row["empty_parts"] == 0) return text;
@@ -212,9 +212,9 @@ std::string static_tables(const Json& document) {
   std::string text;
   for (const int ranks : values_of<int>(rows, "ranks")) {
     text += fmt::format("\n{} rank(s): milliseconds, median of {}\n\n", ranks, document["repeats"].get<int>());
-    text += wide_table(rows, ranks, names, milliseconds, true);
+    text += wide_table(rows, ranks, names, static_ms, true);
     text += fmt::format("\n{} rank(s): largest relative error of a part\n\n", ranks);
-    text += wide_table(rows, ranks, names, error_text, false);
+    text += wide_table(rows, ranks, names, static_error, false);
     text += fmt::format("\n{} rank(s): by tolerance, over the scenes\n\n", ranks);
     text += tolerance_table(rows, ranks);
   }
@@ -232,10 +232,10 @@ std::string scaling_tables(const Json& document) {
   for (const Json& row : document["rows"]) {
     const double n = row["n"];
     lines.push_back(
-        {name_of(row), row["scene"], row["ranks"].dump(), row["n"].dump(), row["parts"].dump(), milliseconds(row),
+        {name_of(row), row["scene"], row["ranks"].dump(), row["n"].dump(), row["parts"].dump(), static_ms(row),
          measured(row) ? fmt::format("{:.1f}", 1e9 * row["seconds"].get<double>() / n) : "-",
          row.contains("bytes_per_particle") ? fmt::format("{:.1f}", row["bytes_per_particle"].get<double>()) : "-",
-         error_text(row)});
+         static_error(row)});
   }
   std::vector<Line> summary{
       {"contender", "scene", "ranks", "time per point", "points", "time", "parts", "bytes/point"}};

@@ -4,19 +4,18 @@
 #include <string>
 #include <vector>
 
-#include <nlohmann/json.hpp>
-
 #include "common/base/status.hpp"
+#include "tests/bench/json.hpp"
 
 namespace rcb::bench {
 
 // By ranks, parts and peer: the median over the scenes of `ratio` on rcb's rows, and its largest (the worst for us).
-nlohmann::ordered_json summarise_static(const nlohmann::ordered_json& rows);
+Json summarise_static(const Json& rows);
 // By ranks and tool: time per particle at most points over that at fewest; time at most parts over that at fewest.
-nlohmann::ordered_json summarise_scaling(const nlohmann::ordered_json& rows);
+Json summarise_scaling(const Json& rows);
 
-std::string static_tables(const nlohmann::ordered_json& document);
-std::string scaling_tables(const nlohmann::ordered_json& document);
+std::string static_tables(const Json& document);
+std::string scaling_tables(const Json& document);
 
 // Aligned columns; the first `left` of them to the left.
 std::string table(const std::vector<std::vector<std::string>>& lines, std::size_t left);
@@ -25,9 +24,9 @@ void print(const std::string& text);
 // Through a file beside it and a rename. Errors: io_error.
 Status write_file(const std::string& path, const std::string& text);
 // The same of a bench's result; nothing where no path was given.
-Status write_result(const std::string& path, const nlohmann::ordered_json& document);
+Status write_result(const std::string& path, const Json& document);
 
 // internal if a run of ours failed, or if its hash isn't the same for every number of ranks.
-Status verdict(const nlohmann::ordered_json& document);
+Status verdict(const Json& document);
 
 }  // namespace rcb::bench

@@ -5,10 +5,10 @@
 
 #include <fmt/format.h>
 
+#include "tests/bench/json.hpp"
+
 namespace rcb::bench {
 namespace {
-
-using Json = nlohmann::ordered_json;
 
 // Each peer at its fastest setting, by its name in `ratio`.
 std::map<std::string, const Measurement*> fastest_peers(const std::vector<Measurement>& measured) {

@@ -3,15 +3,13 @@
 
 #include <vector>
 
-#include <nlohmann/json.hpp>
-
+#include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/plan.hpp"
 
 namespace rcb::bench {
 
 // ratios: whether this bench gives `ratio` on its exact partition rows.
-nlohmann::ordered_json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Measurement>& measured,
-                                      bool ratios);
+Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Measurement>& measured, bool ratios);
 
 }  // namespace rcb::bench

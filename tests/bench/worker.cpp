@@ -14,7 +14,7 @@
 #include "tests/bench/rows.hpp"
 #include "tests/bench/scenes.hpp"
 #ifdef RCB_BENCH_ZOLTAN2
-#include "tests/bench/multijagged.hpp"
+#include "tests/bench/peers/multijagged.hpp"
 #endif
 
 namespace rcb::bench {
@@ -23,10 +23,10 @@ namespace {
 constexpr unsigned kFinishSeconds = 30;
 
 // Collective.
-Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& rows_path) {
+Status run_static_cells(comm::Comm& comm, const Plan& plan, const std::string& rows_path) {
   std::ofstream rows;
   if (comm.rank() == 0) rows.open(rows_path);
-  if (!partition::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
+  if (!comm::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
   particles::ParticleSet points;
   const Cell* made = nullptr;
   const auto rank = static_cast<std::uint64_t>(comm.rank());
@@ -49,8 +49,7 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
       });
     });
     const auto tell_turn = [&](const Setting& setting) {
-      if (comm.rank() == 0)
-        rows << nlohmann::json{{"begun", json_of(Skip{cell, setting.tool, setting.method})}} << std::endl;
+      if (comm.rank() == 0) rows << Json{{"begun", json_of(Skip{cell, setting.tool, setting.method})}} << std::endl;
     };
     const auto measured =
         measure(comm, Problem{points.view(), cell.n, cell.parts}, contenders, {plan.repeats, plan.memory, tell_turn});
@@ -59,13 +58,13 @@ Status run_cells(partition::Comm& comm, const Plan& plan, const std::string& row
     rows.flush();
   }
   if (comm.rank() == 0) rows.close();
-  if (!partition::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
+  if (!comm::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
   return {};
 }
 
 }  // namespace
 
-Contenders make_contenders(partition::Comm& comm, const Wish& wish) {
+Contenders make_contenders(comm::Comm& comm, const Wish& wish) {
   Contenders all;
   add_rcbd(comm, wish, all);
 #ifdef RCB_BENCH_ZOLTAN
@@ -96,16 +95,16 @@ int run_as_rank(int argc, char** argv, const char* program, const RankBody& body
   return status.ok() ? 0 : 1;
 }
 
-RankBody with_plan(std::function<Status(partition::Comm&, const Plan&, const std::string& rows_path)> body) {
-  return [body = std::move(body)](partition::Comm& comm, const std::string& plan_path, const std::string& rows_path) {
+RankBody with_plan(std::function<Status(comm::Comm&, const Plan&, const std::string& rows_path)> body) {
+  return [body = std::move(body)](comm::Comm& comm, const std::string& plan_path, const std::string& rows_path) {
     const auto plan = load(plan_path);
-    return partition::agree(comm, plan.ok()) ? body(comm, *plan, rows_path) : plan.status();
+    return comm::agree(comm, plan.ok()) ? body(comm, *plan, rows_path) : plan.status();
   };
 }
 
 int run_worker(int argc, char** argv) {
   keep_freed_memory();
-  return run_as_rank(argc, argv, "rcb_bench", with_plan(run_cells));
+  return run_as_rank(argc, argv, "rcb_bench", with_plan(run_static_cells));
 }
 
 }  // namespace rcb::bench

@@ -5,17 +5,17 @@
 #include <string>
 
 #include "common/base/status.hpp"
-#include "common/partition/comm.hpp"
+#include "common/comm/comm.hpp"
 #include "tests/bench/plan.hpp"
 
 namespace rcb::bench {
 
 // One rank of a benchmark's MPI job, from MPI's start to its end: PROGRAM --as-rank PLAN ROWS. Collective. Returns the
 // exit code.
-using RankBody = std::function<Status(partition::Comm&, const std::string& plan_path, const std::string& rows_path)>;
+using RankBody = std::function<Status(comm::Comm&, const std::string& plan_path, const std::string& rows_path)>;
 int run_as_rank(int argc, char** argv, const char* program, const RankBody& body);
 // The body of a job whose plan is a Plan.
-RankBody with_plan(std::function<Status(partition::Comm&, const Plan&, const std::string& rows_path)> body);
+RankBody with_plan(std::function<Status(comm::Comm&, const Plan&, const std::string& rows_path)> body);
 
 // The word before its arguments: rcb_bench --as-rank PLAN ROWS. Rows go to the file ROWS, one JSON object a line, as
 // soon as their cell is measured, and {"begun": a skip} before every run; progress to standard error. Collective.

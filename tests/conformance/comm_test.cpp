@@ -1,5 +1,5 @@
 // One suite for every Comm: SelfComm, threads, MPI, and MPI in small pieces.
-#include "common/partition/comm.hpp"
+#include "common/comm/comm.hpp"
 
 #include <cstring>
 #include <limits>
@@ -7,14 +7,14 @@
 #include <gtest/gtest.h>
 
 #include "common/base/random.hpp"
-#include "common/partition/self_comm.hpp"
+#include "common/comm/self_comm.hpp"
 #include "tests/support/on_ranks.hpp"
 
 namespace rcb::partition {
 namespace {
 
-void on_every_comm(const std::function<void(Comm&)>& body) {
-  SelfComm self;
+void on_every_comm(const std::function<void(comm::Comm&)>& body) {
+  comm::SelfComm self;
   body(self);
   testing::on_every_comm(body);
 }
@@ -36,7 +36,7 @@ std::uint64_t seed_of(int from, int to, int round) {
 }
 
 TEST(Comm, RankAndSize) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     EXPECT_GE(comm.rank(), 0);
     EXPECT_LT(comm.rank(), comm.size());
     comm.barrier();
@@ -44,7 +44,7 @@ TEST(Comm, RankAndSize) {
 }
 
 TEST(Comm, ReducesSumsMinimaMaxima) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     const auto rank = static_cast<std::uint64_t>(comm.rank());
     const auto ranks = static_cast<std::uint64_t>(comm.size());
     for (const std::size_t count : {0U, 1U, 3U, 4096U, 10001U}) {
@@ -69,14 +69,15 @@ TEST(Comm, ReducesSumsMinimaMaxima) {
 }
 
 TEST(Comm, SumsWrap) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     std::vector<std::uint64_t> values{kMax};
     comm.all_sum(values);
     EXPECT_EQ(values[0], std::uint64_t{0} - static_cast<std::uint64_t>(comm.size()));
   });
 }
 
-void expect_gathered(Comm& comm, int round, const std::vector<std::byte>& all, const std::vector<std::size_t>& sizes) {
+void expect_gathered(comm::Comm& comm, int round, const std::vector<std::byte>& all,
+                     const std::vector<std::size_t>& sizes) {
   std::vector<std::byte> expected;
   ASSERT_EQ(sizes.size(), static_cast<std::size_t>(comm.size()));
   for (int r = 0; r < comm.size(); ++r) {
@@ -88,7 +89,7 @@ void expect_gathered(Comm& comm, int round, const std::vector<std::byte>& all, c
 }
 
 TEST(Comm, GathersUnevenAndEmptyShares) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     std::vector<std::byte> all(3);  // what is there before must not stay
     std::vector<std::size_t> sizes(9);
     for (int round = 0; round < 7; ++round) {
@@ -111,7 +112,7 @@ TEST(Comm, GathersUnevenAndEmptyShares) {
 }
 
 TEST(Comm, BroadcastsFromAnyRoot) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     for (int root = 0; root < comm.size(); ++root)
       for (const std::size_t size : {0U, 1U, 1000U}) {
         const std::vector<std::byte> expected = bytes_of(seed_of(root, 1, 0), size);
@@ -123,7 +124,7 @@ TEST(Comm, BroadcastsFromAnyRoot) {
 }
 
 TEST(Comm, ScattersUnevenPieces) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     for (int round = 0; round < 7; ++round) {
       const int root = round % comm.size();
       std::vector<std::vector<std::byte>> pieces;
@@ -140,7 +141,7 @@ TEST(Comm, ScattersUnevenPieces) {
 }
 
 TEST(Comm, ExchangesEveryPair) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     for (int round = 0; round < 7; ++round) {
       std::vector<std::vector<std::byte>> out;
       std::vector<std::vector<std::byte>> in;
@@ -159,21 +160,21 @@ TEST(Comm, ExchangesEveryPair) {
 }
 
 TEST(Comm, ExchangesCounts) {
-  on_every_comm([](Comm& comm) {
+  on_every_comm([](comm::Comm& comm) {
     const auto ranks = static_cast<std::size_t>(comm.size());
     std::vector<std::uint64_t> to(ranks);
     std::vector<std::uint64_t> from(ranks);
     for (std::size_t r = 0; r < ranks; ++r) to[r] = static_cast<std::uint64_t>(comm.rank()) * 1000 + r;
-    exchange_counts(comm, to, from);
+    comm::exchange_counts(comm, to, from);
     for (std::size_t r = 0; r < ranks; ++r) EXPECT_EQ(from[r], r * 1000 + static_cast<std::uint64_t>(comm.rank()));
   });
 }
 
 TEST(Comm, AgreesOnlyIfAllDo) {
-  on_every_comm([](Comm& comm) {
-    EXPECT_TRUE(agree(comm, true));
-    EXPECT_FALSE(agree(comm, false));
-    EXPECT_FALSE(agree(comm, comm.rank() != comm.size() - 1));
+  on_every_comm([](comm::Comm& comm) {
+    EXPECT_TRUE(comm::agree(comm, true));
+    EXPECT_FALSE(comm::agree(comm, false));
+    EXPECT_FALSE(comm::agree(comm, comm.rank() != comm.size() - 1));
   });
 }
 

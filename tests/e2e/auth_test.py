@@ -5,7 +5,7 @@ import threading
 import time
 
 import protocol_client
-from protocol_client import HELLO, REPLY, WELCOME, Client, Refused, frame
+from protocol_client import HELLO, REPLY, WELCOME, Client, frame
 from support import *
 
 
@@ -21,11 +21,13 @@ def token_of(service):
 
 
 class Listener:
-    """Takes a port and does with each connection what `script(socket)` says; keeps all bytes that come."""
+    """Takes a port, or a Unix socket's path, and does with each connection what `script(socket)` says; keeps all bytes
+    that come."""
 
     def __init__(self, port, script):
         self.heard, self.script = bytearray(), script
-        self.socket = socket.create_server(("127.0.0.1", port))
+        address, family = (port, socket.AF_UNIX) if isinstance(port, str) else (("127.0.0.1", port), socket.AF_INET)
+        self.socket = socket.create_server(address, family=family)
         self.thread = threading.Thread(target=self.serve, daemon=True)
         self.thread.start()
 
@@ -71,19 +73,13 @@ def impostor(greeting, **reply):
     return script
 
 
-class Auth(unittest.TestCase):
+class Auth(Refusals, unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.dir = tempfile.mkdtemp(prefix="rcb-auth-")
         cls.addClassCleanup(shutil.rmtree, cls.dir)
         cls.points = os.path.join(cls.dir, "points.npy")
         np.save(cls.points, np.random.default_rng(1).random((500, 3)))
-
-    def refused(self, code, call, *args, **kwargs):
-        with self.assertRaises(Refused) as caught:
-            call(*args, **kwargs)
-        self.assertEqual(caught.exception.args[0], code, caught.exception.args)
-        return caught.exception.args[1]
 
     def test_who_takes_the_port_learns_nothing(self):
         port = free_port()
@@ -105,6 +101,15 @@ class Auth(unittest.TestCase):
             for word in (b"command", b"scene", b"push", b"shutdown"):
                 self.assertNotIn(word, listener.heard)
             self.assertEqual(bool(listener.heard), b"hmac" in greeting and b"555" in greeting)
+
+    def test_an_answer_whose_lists_differ_in_length_is_told(self):
+        path = os.path.join(self.dir, "odd.sock")
+        lists = {"counts": [1, 2], "targets": [1.5, 1.5, 1.5], "ghosts": [0, 0], "neighbours": [1]}
+        with Listener(path, impostor(welcome("none"), **lists)):
+            for command in ("counts", "quality"):
+                done = run(command, "s", endpoint=f"unix:{path}")
+                self.assertEqual(done.returncode, 1, done.stderr)
+                self.assertIn("not as expected: its lists of parts differ in length", done.stderr)
 
     def test_relays_and_replays_prove_nothing(self):
         with Service(2, tcp=f"127.0.0.1:{free_port()}") as service:

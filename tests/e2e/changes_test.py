@@ -21,12 +21,8 @@ class Changing(PushClient):
         return self.answer() if send else None
 
 
-class Changes(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.service = Service(3)
-        cls.addClassCleanup(cls.service.stop)
-        cls.path = cls.service.endpoint[5:]
+class Changes(ServiceTest):
+    ranks = 3
 
     def state(self, scene):
         with Client(self.path) as client:
@@ -113,12 +109,12 @@ class Changes(unittest.TestCase):
             answer, bulk = client.change(f"{how}-{seed}", step, model, moved, step - 1 if moved is not None else None,
                                          dtype, **edit)
             report = answer["report"]
-            answers.append({k: v for k, v in report.items() if k not in ("scene", "seconds", "bytes")})
+            answers.append({k: v for k, v in report.items() if k not in ("scene", "seconds", "bytes", "way")})
             self.assertEqual("motion" in report["skipped"], moved is not None)
             self.assertEqual("double precision" in report["skipped"], dtype == "<f4")
             self.assertEqual(report["scanned"], len(ids) if moved is None else len(moved))
             width = dims * int(dtype[2])
-            inserted, own = edit.get("insert"), edit.get("own_ids")
+            own = edit.get("own_ids")
             self.assertEqual(report["bytes"], report["scanned"] * (width + (0 if moved is None else 8)) +
                              report["removed"] * 8 + report["inserted"] * (width + (0 if own is None else 8)))
         self.assertEqual(answers[0], answers[1])

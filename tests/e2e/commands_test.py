@@ -4,30 +4,25 @@ from support import *
 
 STEP_REPORT = {"scene", "step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason",
                "axes_flipped", "drifted", "moved", "migrated", "inserted", "removed", "scanned", "searched", "rounds", "reductions",
-               "skipped", "bytes", "seconds"}
+               "skipped", "bytes", "way", "seconds"}
 PARTITION = {"n", "dims", "parts", "ranks", "method", "error", "imbalance", "counts", "targets", "hash", "rounds",
              "reductions", "moved", "migrated", "seconds"}
 
 
-class Commands(unittest.TestCase):
+class Commands(ServiceTest):
+    ranks = 3
+
     @classmethod
     def setUpClass(cls):
-        cls.dir = tempfile.mkdtemp(prefix="rcb-commands-")
-        cls.service = Service(3)
-        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
+        super().setUpClass()
         cls.points = np.random.default_rng(8).random((400, 3))
-        cls.file = cls.path("points.npy")
-        np.save(cls.file, cls.points)
+        cls.file = cls.save("points.npy", cls.points)
         cls.service.json("scene", "create", "s", "--parts", 6, "--tolerance", "inf", "--axis-hysteresis", "1.5")
         cls.service.json("push", "s", cls.file)
         cls.tree, cls.part = judge.partition(cls.points, 6)
 
     @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.dir)
-
-    @classmethod
-    def path(cls, name):
+    def named(cls, name):
         return os.path.join(cls.dir, name)
 
     def test_status_and_scenes(self):
@@ -53,7 +48,7 @@ class Commands(unittest.TestCase):
         self.assertEqual(len(self.service.json("history", "p", "--last", 2)), 2)
 
     def test_insert_into_a_scene_with_weights(self):
-        some, more = self.path("some.csv"), self.path("more.csv")
+        some, more = self.named("some.csv"), self.named("more.csv")
         for name, rows in ((some, "0,0,0,1\n1,1,1,2\n"), (more, ".5,.5,.5,4\n")):
             with open(name, "w") as file:
                 file.write("x,y,z,w\n" + rows)
@@ -77,7 +72,7 @@ class Commands(unittest.TestCase):
         self.service.json("scene", "create", "c", "--parts", 4, "--policy", "cost", "--replace")
         self.assertEqual(self.service.json("scene", "show", "c")["policy"], "cost")
         self.service.json("push", "c", self.file)
-        moved = self.path("moved.csv")
+        moved = self.named("moved.csv")
         with open(moved, "w") as file:
             file.writelines(f"{x * x + y},{y},{z}\n" for x, y, z in self.points)
         steps = [self.service.json("push", "c", moved, "--step-seconds", 1000) for _ in range(2)]
@@ -106,7 +101,7 @@ class Commands(unittest.TestCase):
         cuts = self.service.json("cuts", "s")
         self.assertEqual(len(cuts["cuts"]), 5)
         self.assertEqual(self.service.json("stats", "s")["steps"], 1)
-        assign = self.path("a.npy")
+        assign = self.named("a.npy")
         self.service.json("assign", "s", "--out", assign)
         np.testing.assert_array_equal(np.load(assign), self.part)
 
@@ -180,7 +175,7 @@ class Commands(unittest.TestCase):
     def test_rebalance(self):
         self.service.json("scene", "create", "r", "--parts", 4, "--tolerance", "inf", "--replace")
         self.service.json("push", "r", self.file)
-        moved = self.path("moved.npy")
+        moved = self.named("moved.npy")
         np.save(moved, self.points ** 2)
         self.service.json("push", "r", moved)
         dry = self.service.json("rebalance", "r", "--dry-run")
@@ -198,7 +193,7 @@ class Commands(unittest.TestCase):
         self.assertEqual(len(self.service.json("history", "r")), 2)
 
     def test_export(self):
-        out = self.path("export")
+        out = self.named("export")
         self.service.json("export", "s", out, "--format", "csv,npy,vtk")
         self.assertGreaterEqual(len(os.listdir(out)), 3)
 

@@ -68,21 +68,19 @@ class Direct(Client):
         super().close()
 
 
-class DataPath(unittest.TestCase):
+class DataPath(ServiceTest):
+    ranks = 3
+
     @classmethod
     def setUpClass(cls):
-        cls.service = Service(3)
-        cls.addClassCleanup(cls.service.stop)
-        cls.path = cls.service.endpoint[5:]
-        rng = np.random.default_rng(4)
-        cls.walk = rng.random((5, 4000, 3)).cumsum(axis=0) * [1, 2, 1]
-        cls.walk[1] = cls.walk[0] + rng.normal(0, 1e-3, cls.walk[0].shape)
+        super().setUpClass()
+        cls.walk = random_walk(4, 4000)
 
     def state(self, scene):
         shown = self.service.json("scene", "show", scene)
         history = self.service.json("history", scene)
         for report in history:
-            for name in ("seconds", "scene", "bytes"):
+            for name in ("seconds", "scene", "bytes", "way"):
                 report.pop(name)
         kept = {name: shown[name] for name in ("hash", "counts", "error", "plan", "step", "epoch")}
         with Client(self.path) as client:
@@ -101,7 +99,7 @@ class DataPath(unittest.TestCase):
         self.assertEqual(self.state("direct"), self.state("by-id"))
         folder = os.path.join(self.service.dir, "walk.npy")
         np.save(folder, self.walk)
-        for path in ("direct", "gateway"):
+        for path in ("shared", "direct", "gateway"):
             done = self.service.ctl("replay", path + "-lib", folder, "--parts", 7, env={"RCBD_PATH": path})
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertEqual(self.state(path + "-lib"), self.state("by-id"))
@@ -192,6 +190,24 @@ class DataPath(unittest.TestCase):
             time.sleep(0.2)
             client.begin("early", 0, points)
             self.assertEqual(client.answer()[0]["report"]["step"], 0)
+
+    def test_an_older_attempt_does_not_replace_a_newer_one(self):
+        points = self.walk[0]
+        with Direct(self.path) as client:
+            client.ask("scene.create", scene="attempts", parts=3)
+            client.begin("attempts", 0, points, attempt=5)
+            newer, newer_id = client.number, client.push_id
+            with Direct(self.path, session=client.session) as late:
+                with self.assertRaises(Refused) as caught:
+                    late.begin("attempts", 0, points + 1, attempt=4)
+                    late.answer()
+                self.assertEqual(caught.exception.args[0], "aborted")
+                self.assertIn("newer than 4", caught.exception.args[1])
+            client.number, client.push_id = newer, newer_id
+            for rank, link in enumerate(client.links):
+                link.socket.sendall(b"".join(client.slice_frames(rank, points)))
+            self.assertEqual(client.answer()[0]["report"]["step"], 0)
+            client.ask("scene.drop", scene="attempts")
 
     def test_refused_at_the_begin(self):
         points = self.walk[0]

@@ -30,24 +30,14 @@ void advance(std::vector<double>& xyz) {
 """
 
 
-class Documents(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.dir = tempfile.mkdtemp(prefix="rcb-documents-")
-        cls.service = Service(2)
-        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
-
-    @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.dir)
-
+class Documents(ServiceTest):
     def test_the_readme_program(self):
         source, program = os.path.join(self.dir, "solver.cpp"), os.path.join(self.dir, "solver")
         with open(source, "w") as file:
             file.write(SOLVER + block("README.md", "cpp"))
         build = os.path.dirname(BIN)
         libraries = [os.path.join(build, f"librcb_{name}.a")
-                     for name in ("client_lib", "common_plan", "common_wire", "common_auth", "common_particles", "common_base")]
+                     for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_particles", "common_files", "common_base")]
         compiled = subprocess.run(["c++", "-std=c++20", "-I", ROOT, source, "-o", program,
                                    *filter(os.path.exists, libraries), "-lfmt", "-lxxhash", "-lcrypto", "-lpthread"],
                                   capture_output=True, text=True, timeout=200)

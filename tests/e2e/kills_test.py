@@ -10,7 +10,6 @@ kills_test.py --kills 80 [--ranks 8] [--seed S] is the long form; a service is g
 import argparse
 import random
 import threading
-import time
 
 import ranks
 from outliving_client import OutlivingClient
@@ -67,21 +66,25 @@ class Kills(unittest.TestCase):
         self.addCleanup(self.judge.stop)
 
     def disturbed(self, scene, steps, solve):
-        """Runs solve(service, folder) until all kills are done; each run on a service of its own. Gives what they gave."""
-        results, killed = [], 0
+        """Runs solve(service) until all kills are done; each run on a service of its own. Gives what they gave."""
+        results, killed, undisturbed = [], 0, 0
         while killed < OPTIONS.kills:
             with Service(OPTIONS.ranks) as service:
                 killer = Killer(service, scene, min(KILLS_EACH, OPTIONS.kills - killed), steps, self.rng)
                 killer.start()
                 try:
-                    results.append(solve(service))
+                    result = solve(service)
                 finally:
                     killer.stopped.set()
                     killer.join()
             killed += len(killer.killed)
             print(f"{self.id()}: kills at steps {killer.at} of ranks {killer.killed}, {killed} of {OPTIONS.kills} kills",
                   flush=True)
-            self.assertGreater(len(killer.killed), 0)
+            if killer.killed:
+                results.append(result)
+            else:  # a kill near the end comes too late where the machine is busy
+                undisturbed += 1
+                self.assertLess(undisturbed, 5)
         return results
 
     def run_solver(self, service, *command):

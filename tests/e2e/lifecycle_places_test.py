@@ -84,8 +84,11 @@ class Places(unittest.TestCase):
         if subprocess.run([*namespace, "true"], capture_output=True).returncode != 0:
             print("SKIPPED: no user namespaces here", file=sys.stderr)
             self.skipTest("no user namespaces here")
-        program, rest = [*namespace, RCBCTL], ("up", "-n", 1, "--data-dir", f"{self.dir}/data")
-        up = run(*program[1:], *rest, program=program[0], endpoint=self.endpoint, env={"TMPDIR": self.dir})
+        for name in ("rcbctl", "rcbd"):  # that user may not get to the folder of this checkout
+            shutil.copy(os.path.join(BIN, name), self.dir)
+        program = [*namespace, os.path.join(self.dir, "rcbctl")]
+        up = run(*program[1:], "up", "-n", 1, "--data-dir", f"{self.dir}/data", program=program[0], endpoint=self.endpoint,
+                 env={"TMPDIR": self.dir, "RCBD_BIN_DIR": self.dir})
         self.assertEqual(up.returncode, 0, up.stderr)
         self.assertEqual(run(*program[1:], "down", program=program[0], endpoint=self.endpoint).returncode, 0)
 

@@ -1,4 +1,6 @@
 """A service, or what looks after it, that is stopped: nobody waits for it, it is noticed, and `down` ends it."""
+import ctypes
+
 from protocol_client import Client, Refused
 from support import *
 
@@ -12,6 +14,18 @@ def refused(service, count):
         except Refused:
             pass
     client.socket.close()
+
+
+def held_thread(tid):
+    """Stops one thread of another process, as no signal can; it goes on when this process lets it go or ends."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.ptrace.argtypes = [ctypes.c_long] * 4
+    seize, interrupt, detach = 0x4206, 0x4207, 17
+    for request in (seize, interrupt):
+        if libc.ptrace(request, tid, 0, 0) != 0:
+            raise OSError(ctypes.get_errno(), "ptrace")
+    os.waitpid(tid, 0x40000000)  # __WALL
+    return lambda: libc.ptrace(detach, tid, 0, 0)
 
 
 class Silence(unittest.TestCase):
@@ -46,6 +60,64 @@ class Silence(unittest.TestCase):
             self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
             with open(os.path.join(service.data, "rcbd.log")) as log:
                 self.assertIn("it has not answered for", log.read())
+
+    def test_status_tells_what_has_been_at_work_for_long(self):
+        with Service(2) as service, Client(service.endpoint) as client:
+            client.ask("scene.create", scene="a", parts=4)
+            client.push("a", 0, np.random.default_rng(1).random((100, 3)))
+            self.assertEqual(service.json("status")["unfinished"], {"commands": 0, "oldest": None})
+            victim = service.processes("rcbd")[1]
+            os.kill(victim, signal.SIGSTOP)
+            try:
+                client.send({"command": "assign", "scene": "a"})
+                oldest = lambda: service.json("status")["unfinished"]["oldest"] or {"seconds": 0}
+                self.assertTrue(wait_for(lambda: oldest()["seconds"] > 2.5, 20))
+                self.assertEqual([oldest()[name] for name in ("command", "scene")], ["assign", "a"])
+                self.assertRegex(service.ctl("status").stdout, r"assign of a at work for \d+ s; 1 command")
+            finally:
+                os.kill(victim, signal.SIGCONT)
+            client.answer()
+            self.assertIsNone(service.json("status")["unfinished"]["oldest"])
+
+    def test_an_engine_that_stands_still_ends_the_service(self):
+        """Its I/O thread answers and sends heartbeats all the while: only the watchdog can tell."""
+        with Service(2, env={"RCBD_STALL_SECONDS": "1"}) as service, Client(service.endpoint) as client:
+            client.ask("scene.create", scene="a", parts=4)
+            client.push("a", 0, np.random.default_rng(1).random((100, 3)))
+            victim = service.processes("rcbd")[1]
+            try:
+                held_thread(victim)
+            except OSError as refusal:
+                print(f"SKIPPED: a thread can't be held here: {refusal}", file=sys.stderr)
+                self.skipTest("no ptrace here")
+            client.send({"command": "assign", "scene": "a", "deadline_seconds": 1})
+            self.assertTrue(wait_for(lambda: victim not in service.processes("rcbd"), 60))
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
+            with open(os.path.join(service.data, "rcbd.log")) as log:
+                self.assertIn("past its deadline", log.read())
+
+    def test_a_rank_killed_during_a_commit(self):
+        """The others wait for it inside the step when it dies: nothing of the step is seen afterwards."""
+        points = np.random.default_rng(2).random((500, 3))
+        with Service(3) as service, Client(service.endpoint) as client:
+            client.ask("scene.create", scene="a", parts=6)
+            client.push("a", 0, points)
+            ranks = service.processes("rcbd")
+            os.kill(ranks[2], signal.SIGSTOP)
+            begin, part, bulk = client.push_frames("a", 1, dict(zip("xyz", points[::-1].T)), len(points))
+            client.send(begin)
+            client.send(part, bulk)
+            time.sleep(0.5)
+            os.kill(ranks[2], signal.SIGKILL)
+            with self.assertRaises((EOFError, OSError, Refused)):
+                client.answer()
+            self.assertTrue(wait_for(lambda: not set(ranks) & set(service.processes("rcbd")), 60))
+            self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
+            status = service.json("status")
+            self.assertEqual((status["restarted"], status["scenes"]), (True, []))
+            with Client(service.endpoint) as again:
+                again.ask("scene.create", scene="a", parts=6)
+                self.assertEqual(again.push("a", 1, points)[0]["report"]["n"], 500)
 
     def test_down_ends_what_hangs(self):
         with Service(1) as service:

@@ -231,8 +231,43 @@ class Memory(unittest.TestCase):
             for step in range(5):
                 other.push("other", step, points[:1000])
                 other.ask("assign", scene="other")
-            while select.select([costly.socket], [], [], 0)[0]:
-                self.assertEqual(costly.receive()[0], NOTICE, "the costly command was over first")
+            # However many wait for its scene, or have a large question about it.
+            crowd = [Client(service.endpoint) for _ in range(160)]
+            for k, one in enumerate(crowd):
+                one.send({"command": "assign" if k % 8 else "compare", "scene": "costly", "deadline_seconds": 600,
+                          "nobody": "x" * (0 if k % 8 else 70_000)})
+            for step in range(5, 10):
+                other.push("other", step, points[:1000])
+                other.ask("scene.create", scene="many", parts=20_000, part_sizes=[1.5] * 20_000, replace=True)
+            with self.assertRaises(Refused) as refused:
+                other.ask("compare", scene="other", methods=["x" * 70_000])
+            self.assertEqual(refused.exception.args[0], "too_large")
+            for one in [costly, *crowd]:
+                while select.select([one.socket], [], [], 0)[0]:
+                    self.assertEqual(one.receive()[0], NOTICE, "the costly command was over first")
+            for one in crowd:
+                one.close()
+
+    def test_a_file_that_takes_long_to_read_holds_up_nobody(self):
+        points = np.random.default_rng(8).random((1000, 3))
+        with tempfile.TemporaryDirectory() as folder, Service(2, cwd=folder) as service, \
+                Client(service.endpoint) as reader, Client(service.endpoint) as other:
+            path = os.path.join(folder, "holes.csv")
+            with open(path, "wb") as file:
+                file.write(b"x,y,z\n")
+                file.truncate(3 << 30)  # nothing of it is on the disk
+            reader.ask("scene.create", scene="file", parts=2)
+            other.ask("scene.create", scene="other", parts=4)
+            reader.send({"command": "load", "scene": "file", "path": path, "deadline_seconds": 600})
+            for step in range(3):
+                other.push("other", step, points)
+            self.assertFalse(select.select([reader.socket], [], [], 0)[0], "the file was read first")
+            reader.close()
+            other.ask("scene.drop", scene="file")  # the ranks have given it up, too
+            other.ask("scene.create", scene="file", parts=2)
+            with self.assertRaises(Refused) as refused:
+                other.ask("load", scene="file", path=path, deadline_seconds=0.2)
+            self.assertEqual(refused.exception.args[0], "deadline_exceeded")
 
     def test_the_end_waits_for_no_question(self):
         with Service(2) as service, Client(service.endpoint) as costly:

@@ -224,18 +224,22 @@ class MembersDirect(unittest.TestCase):
         sizes = [report.pop("bytes") // 1500 for report in solved["reports"]]
         for report in solved["reports"]:
             report.pop("seconds"), report.pop("scene")
+        ways = {"gateway": "endpoint", "automatic": "endpoint", "direct": "sockets", "shared": "shared-memory"}
+        self.assertEqual([report.pop("way") for report in solved["reports"]],
+                         ["endpoint"] + [ways[path]] * (len(solved["reports"]) - 1))
         return solved, sizes
 
     def test_the_library_goes_to_the_ranks_by_itself(self):
         for processes in (RANKS, 2, 5):
             by_ids, sizes = self.solve(self.service, processes, "gateway", "gateway")
             self.assertEqual(sizes, [32] * 9)
-            direct, sizes = self.solve(self.service, processes, "direct", "direct", "--check")
-            self.assertEqual(sizes, [32] + [24] * 8)  # ids came at the first step alone
-            for name in ("reports", "held", "handed_over", "repartitions"):
-                self.assertEqual(direct[name], by_ids[name])
-            self.assertGreater(direct["repartitions"], 1)
-            self.assertEqual(self.state("direct"), self.state("gateway"))
+            for path in ("direct", "shared"):
+                direct, sizes = self.solve(self.service, processes, path, path, "--check")
+                self.assertEqual(sizes, [32] + [24] * 8)  # ids came at the first step alone
+                for name in ("reports", "held", "handed_over", "repartitions"):
+                    self.assertEqual(direct[name], by_ids[name])
+                self.assertGreater(direct["repartitions"], 1)
+                self.assertEqual(self.state(path), self.state("gateway"))
 
     def test_the_library_pushes_by_ids_where_it_must(self):
         running = self.solve(self.service, 4, "shaken", "direct", wait=False, steps=60)

@@ -12,12 +12,12 @@ def owner(parts, count, members):
     return of_part[parts]
 
 
-class Members(unittest.TestCase):
+class Members(ServiceTest):
+    ranks = 3
+
     @classmethod
     def setUpClass(cls):
-        cls.service = Service(3)
-        cls.addClassCleanup(cls.service.stop)
-        cls.path = cls.service.endpoint[5:]
+        super().setUpClass()
         rng = np.random.default_rng(7)
         cls.walk = rng.random((5, 600, 3)).cumsum(axis=0) * [1, 2, 1]
         cls.walk[2] = cls.walk[1] + rng.normal(0, 1e-2, cls.walk[0].shape)
@@ -38,7 +38,7 @@ class Members(unittest.TestCase):
         shown = self.control.ask("scene.show", scene=scene)[0]
         history = self.control.ask("history", scene=scene)[0]["history"]
         for report in history:
-            for name in ("seconds", "scene", "bytes"):
+            for name in ("seconds", "scene", "bytes", "way"):
                 report.pop(name)
         kept = {name: shown[name] for name in ("hash", "counts", "error", "plan", "step", "epoch", "ids")}
         return kept, history, self.control.ask("assign", scene=scene)[1]
@@ -331,6 +331,23 @@ class Members(unittest.TestCase):
             for one in team:
                 self.assertEqual(one.finish()[0]["report"]["step"], 1)
             done.join()
+
+
+class End(unittest.TestCase):
+    def test_a_clean_end_keeps_no_answers(self):
+        with Service(2) as service:
+            answers = lambda: [name for name in os.listdir(service.data) if name.startswith("answers.")]
+            with Client(service.endpoint[5:]) as client:
+                client.ask("scene.create", scene="s", parts=2)
+            team = [Member(service.endpoint[5:], "s", k, 2) for k in range(2)]
+            for k, one in enumerate(team):
+                one.start(0, np.arange(50) * 2 + k, np.random.default_rng(1).random((100, 3)))
+            for one in team:
+                one.finish()
+                one.close()
+            self.assertTrue(answers())
+            self.assertEqual(service.ctl("down").returncode, 0)
+            self.assertEqual(answers(), [])
 
 
 if __name__ == "__main__":

@@ -81,6 +81,39 @@ class Outlive(unittest.TestCase):
             stranger.push("s", 0, points)
         self.assertEqual(refused.exception.args[0], "busy")
 
+    def test_answers_to_a_run_that_is_over_are_nobodys(self):
+        """The next run's steps begin again at 0, pushed by the same session."""
+        points = np.random.default_rng(3).random((80, 3))
+
+        def push(count, generation):
+            with Member(self.path, scene, 0, 1, generation=generation, session=session) as member:
+                member.start(0, np.arange(count), points)
+                return member.finish()[0]
+
+        def create(**more):
+            with Client(self.path) as client:
+                client.ask("scene.create", scene=scene, parts=4, **more)
+
+        for scene in ("kill, replace", "kill, drop", "replace, kill"):
+            session = np.random.default_rng(len(scene)).bytes(8).hex()
+            what, scene = scene, scene.replace(", ", "-")
+            create()
+            self.assertEqual(push(50, 1)["report"]["n"], 50)
+            if what == "replace, kill":
+                create(replace=True)
+            self.kill_and_wait()
+            create(recreated=True)
+            if what != "replace, kill":
+                self.assertTrue(push(50, 2)["repeated"], what)
+            if what == "kill, replace":
+                create(replace=True)
+            if what == "kill, drop":
+                with Client(self.path) as client:
+                    client.ask("scene.drop", scene=scene)
+                create()
+            answer = push(80, 3)
+            self.assertEqual((answer.get("repeated", False), answer["report"]["n"]), (False, 80), what)
+
     def nothing(self, member, step):
         """A push that asks for the answer to this step alone."""
         return {"scene": "s", "session": member.session, "step": step, "attempt": 9, "n": 0, "slices": 0, "order": "id",
@@ -116,6 +149,20 @@ class Outlive(unittest.TestCase):
         parts = [report["parts"] for report in reports]
         self.assertEqual([p for k, p in enumerate(parts) if k == 0 or parts[k - 1] != p], [4, 5, 11])
 
+    def test_a_scene_made_anew_in_the_place_of_another_begins_a_run(self):
+        points = np.random.default_rng(7).random((60, 3))
+        session = "00000000000000aa"
+        with Client(self.path, session=session) as client:
+            client.ask("scene.create", scene="s", parts=2)
+            client.push("s", 3, points)
+            with self.assertRaises(Refused) as caught:
+                client.ask("scene.create", scene="s", parts=2, recreated=True)
+            self.assertEqual(caught.exception.args[0], "already_exists")
+            client.ask("scene.create", scene="s", parts=2, recreated=True, replace=True)
+            anew = client.push("s", 3, points + 1, attempt=1)[0]
+            self.assertFalse(anew.get("repeated", False))
+            self.assertTrue(anew["report"]["scene_recreated"])
+
     def test_parts_change_under_a_solver(self):
         self.check_parts_under(self.solver(os.path.join(BIN, "two_spheres"), "--steps", 2000, "--parts", 4, "--scene", "a",
                                            "--json"), "a", "two_spheres")
@@ -135,6 +182,21 @@ class Outlive(unittest.TestCase):
             running.kill()
         self.assertNotEqual(running.returncode, 0)
         self.assertNotIn("start it again", err)
+
+    def test_a_command_while_the_service_is_down_is_told_that_it_comes_back(self):
+        supervisor = ranks.supervisor(self.path)
+        os.kill(supervisor, signal.SIGSTOP)  # so that it doesn't come back at once
+        try:
+            for pid in ranks.ranks(supervisor) + ranks.children(supervisor):
+                ranks.kill(pid)
+            asking = subprocess.Popen([RCBCTL, "error", "s", "--json"], text=True, stdout=subprocess.PIPE,
+                                      stderr=subprocess.PIPE, env=dict(os.environ, RCBD_ENDPOINT=self.service.endpoint))
+            waiting = asking.stderr.readline()
+        finally:
+            os.kill(supervisor, signal.SIGCONT)
+        out, _ = asking.communicate(timeout=60)
+        self.assertIn("is being started again", waiting)
+        self.assertEqual(json.loads(out)["failure"]["code"], "not_found")  # the service is back, without its scenes
 
     def test_no_service_at_all_is_told_at_once(self):
         nowhere = run("status", "--json", "--endpoint", "unix:/nowhere/s")

@@ -94,6 +94,23 @@ class Partition(unittest.TestCase):
             order = np.argsort(table["id"])
             np.testing.assert_array_equal(table["x"][order], points[ids, 0])
 
+    def test_a_part_without_points_is_a_file_that_can_be_read(self):
+        csv = os.path.join(self.dir, "two.csv")
+        with open(csv, "w") as file:
+            file.write("x,y\n1,2\n3,4\n")
+        out = os.path.join(self.dir, "two")
+        done = run("partition", csv, "--parts", 3, "--ranks", 2, "--out", out, "--json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        counts = json.loads(done.stdout)["counts"]
+        self.assertEqual(sorted(counts), [0, 1, 1])
+        for count, name in zip(counts, sorted(os.listdir(out))):
+            with open(os.path.join(out, name)) as file:
+                lines = file.read().splitlines()
+            self.assertEqual((lines[0], len(lines)), ("x,y,id", 1 + count))
+            again = run("partition", os.path.join(out, name), "--parts", 1, "--ranks", 1, "--json")
+            self.assertEqual(again.returncode, 0, again.stderr)
+            self.assertEqual(json.loads(again.stdout)["n"], count)
+
     def test_no_point(self):
         empty = os.path.join(self.dir, "empty.csv")
         with open(empty, "w") as file:

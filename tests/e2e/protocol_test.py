@@ -7,21 +7,11 @@ from protocol_client import GOODBYE, REQUEST, Client, Refused, frame
 from support import *
 
 
-class Protocol(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.service = Service(3)
-        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
-        cls.path = cls.service.endpoint[5:]
+class Protocol(Refusals, ServiceTest):
+    ranks = 3
 
     def client(self, **kwargs):
         return Client(self.path, **kwargs)
-
-    def refused(self, code, call, *args, **kwargs):
-        with self.assertRaises(Refused) as caught:
-            call(*args, **kwargs)
-        self.assertEqual(caught.exception.args[0], code, caught.exception.args)
-        return caught.exception.args[1]
 
     def alive(self):
         self.assertEqual(self.service.ctl("status").returncode, 0)

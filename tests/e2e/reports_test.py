@@ -6,12 +6,12 @@ FIELDS = ("step", "epoch", "n", "error_before", "error", "imbalance", "repartiti
           "moved", "migrated")
 
 
-class Reports(unittest.TestCase):
+class Reports(ServiceTest):
+    ranks = 8
+
     @classmethod
     def setUpClass(cls):
-        cls.dir = tempfile.mkdtemp(prefix="rcb-reports-")
-        cls.service = Service(8)
-        cls.addClassCleanup(cls.service.stop)  # also where the rest of the set-up fails
+        super().setUpClass()
         cls.trajectory = os.path.join(cls.dir, "t.npy")
         cls.runs = {}
         for tolerance in ("inf", "0.1"):
@@ -20,10 +20,6 @@ class Reports(unittest.TestCase):
                        endpoint=cls.service.endpoint, program=os.path.join(BIN, "two_spheres"))
             assert done.returncode == 0, done.stdout + done.stderr
             cls.runs[tolerance] = json.loads(done.stdout)["reports"]
-
-    @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.dir)
 
     def compare(self, reports, expected):
         self.assertEqual(len(reports), len(expected))

@@ -10,6 +10,7 @@ import time
 import unittest
 
 import numpy as np
+import protocol_client
 
 BIN = os.environ.get("RCBD_BIN_DIR") or os.path.join(os.path.dirname(__file__), "..", "..", "build", "release", "bin")
 RCBCTL = os.path.join(BIN, "rcbctl")
@@ -88,12 +89,32 @@ class ServiceTest(unittest.TestCase):
         cls.addClassCleanup(shutil.rmtree, cls.dir)
         cls.service = Service(cls.ranks)
         cls.addClassCleanup(cls.service.stop)  # also where the rest of a set-up fails
+        cls.path = cls.service.endpoint[5:]
 
     @classmethod
     def save(cls, name, array):
         path = os.path.join(cls.dir, name)
         np.save(path, array)
         return path
+
+
+class Refusals:
+    """For tests that speak the protocol."""
+
+    def refused(self, code, call, *args, **kwargs):
+        """The message of the refusal that the call must meet."""
+        with self.assertRaises(protocol_client.Refused) as caught:
+            call(*args, **kwargs)
+        self.assertEqual(caught.exception.args[0], code, caught.exception.args)
+        return caught.exception.args[1]
+
+
+def random_walk(seed, n):
+    """Five steps of n points, shape (5, n, 3); in the second they have hardly moved."""
+    rng = np.random.default_rng(seed)
+    walk = rng.random((5, n, 3)).cumsum(axis=0) * [1, 2, 1]
+    walk[1] = walk[0] + rng.normal(0, 1e-3, walk[0].shape)
+    return walk
 
 
 def hard_scenes(seed=1):
@@ -150,5 +171,6 @@ def wait_for(condition, seconds=30):
     return False
 
 
-__all__ = ["BIN", "MPIRUN", "RCBCTL", "Service", "ServiceTest", "hard_scenes", "json", "np", "os", "process_name",
-           "processes_of", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "time", "unittest", "wait_for"]
+__all__ = ["BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "hard_scenes", "json", "np", "os",
+           "process_name", "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "time",
+           "unittest", "wait_for"]

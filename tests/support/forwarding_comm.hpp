@@ -3,14 +3,14 @@
 
 #include <vector>
 
-#include "common/partition/comm.hpp"
+#include "common/comm/comm.hpp"
 
 namespace rcb::testing {
 
 // before() is called ahead of every collective, on every rank.
-class ForwardingComm : public partition::Comm {
+class ForwardingComm : public comm::Comm {
  public:
-  explicit ForwardingComm(partition::Comm& comm) : comm_(comm) {}
+  explicit ForwardingComm(comm::Comm& comm) : comm_(comm) {}
   int rank() const override { return comm_.rank(); }
   int size() const override { return comm_.size(); }
   void all_sum(std::span<std::uint64_t> values) override { before(), comm_.all_sum(values); }
@@ -37,7 +37,7 @@ class ForwardingComm : public partition::Comm {
  protected:
   virtual void before() {}
 
-  partition::Comm& comm_;
+  comm::Comm& comm_;
 };
 
 }  // namespace rcb::testing

@@ -6,14 +6,14 @@
 
 namespace rcb::testing {
 
-void on_ranks(const std::function<void(partition::Comm&)>& body) { on_ranks({}, body); }
+void on_ranks(const std::function<void(comm::Comm&)>& body) { on_ranks({}, body); }
 
-void on_ranks(const std::vector<int>&, const std::function<void(partition::Comm&)>& body) {
+void on_ranks(const std::vector<int>&, const std::function<void(comm::Comm&)>& body) {
   ranks::MpiComm comm(MPI_COMM_WORLD);
   body(comm);
 }
 
-void on_every_comm(const std::function<void(partition::Comm&)>& body) {
+void on_every_comm(const std::function<void(comm::Comm&)>& body) {
   on_ranks(body);
   ranks::MpiComm pieces(MPI_COMM_WORLD, 24);
   body(pieces);

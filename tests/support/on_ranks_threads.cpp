@@ -8,9 +8,9 @@
 
 namespace rcb::testing {
 
-void on_ranks(const std::function<void(partition::Comm&)>& body) { on_ranks({1, 2, 3, 4, 7}, body); }
+void on_ranks(const std::function<void(comm::Comm&)>& body) { on_ranks({1, 2, 3, 4, 7}, body); }
 
-void on_ranks(const std::vector<int>& rank_counts, const std::function<void(partition::Comm&)>& body) {
+void on_ranks(const std::vector<int>& rank_counts, const std::function<void(comm::Comm&)>& body) {
   for (const int ranks : rank_counts) {
     SCOPED_TRACE("on " + std::to_string(ranks) + " ranks");
     ThreadWorld world(ranks);
@@ -21,7 +21,7 @@ void on_ranks(const std::vector<int>& rank_counts, const std::function<void(part
   }
 }
 
-void on_every_comm(const std::function<void(partition::Comm&)>& body) { on_ranks(body); }
+void on_every_comm(const std::function<void(comm::Comm&)>& body) { on_ranks(body); }
 
 bool ranks_are_threads() { return true; }
 

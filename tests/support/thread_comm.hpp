@@ -8,7 +8,7 @@
 #include <mutex>
 #include <vector>
 
-#include "common/partition/comm.hpp"
+#include "common/comm/comm.hpp"
 
 namespace rcb::testing {
 
@@ -35,7 +35,7 @@ class ThreadWorld {
   std::uint64_t meeting_ = 0;
 };
 
-class ThreadComm final : public partition::Comm {
+class ThreadComm final : public comm::Comm {
  public:
   ThreadComm(ThreadWorld& world, int rank) : world_(world), rank_(rank) {}
   int rank() const override { return rank_; }

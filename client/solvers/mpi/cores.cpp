@@ -51,7 +51,7 @@ void copy_rows(Mpm& mpm, const NodeBox& box, std::vector<Node>& to) {
   for_each_row(mpm, box, [&to](const Node* from, std::size_t length) { to.insert(to.end(), from, from + length); });
 }
 
-// Counts and where each begins, for MPI_Alltoallv.
+// Counts and displacements for MPI_Alltoallv.
 struct Layout {
   std::vector<int> count, first;
   explicit Layout(const std::vector<std::size_t>& counts) : count(counts.size()), first(counts.size()) {
@@ -72,7 +72,7 @@ MpiCores::MpiCores(MPI_Comm comm) : comm_(comm) {
   MPI_Comm_size(comm_, &size_);
 }
 
-Result<double> MpiCores::fastest(const Mpm& mpm, const Result<double>& mine) {
+Result<double> MpiCores::signal_speed(const Mpm& mpm, const Result<double>& mine) {
   std::array<double, 3> values{mine ? 0.0 : 1.0, mpm.wave_speed(), mpm.point_speed()};
   MPI_Allreduce(MPI_IN_PLACE, values.data(), 3, MPI_DOUBLE, MPI_MAX, comm_);
   if (values[0] > 0) return agree(mine.status());
@@ -94,7 +94,7 @@ void MpiCores::sum_grid(Mpm& mpm) {
     counts[r] = nodes_in(common) * kNodeDoubles;
     copy_rows(mpm, common, sent);
   }
-  const Layout layout(counts);  // the same both ways
+  const Layout layout(counts);  // the same for sending and receiving
   std::vector<Node> received(sent.size());
   MPI_Alltoallv(sent.data(), layout.count.data(), layout.first.data(), MPI_DOUBLE, received.data(), layout.count.data(),
                 layout.first.data(), MPI_DOUBLE, comm_);

@@ -1,8 +1,9 @@
-// MpiCores: the processes of an MPI job as the cores that share one material point run.
+// MpiCores: the processes of an MPI job as the cores that share one run of the material point method.
 //
 // Invariants
-// 1. Only nodes that two processes' points may reach are exchanged, straight between the two.
-// 2. A node's value is added up in the order of the ranks on every process, so that all have the same bits.
+// 1. Two processes exchange only the nodes that the points of both may reach, directly with each other.
+// 2. Every process sums a node's values in the order of the ranks, so that all get the same bits.
+//
 // Every method is collective over the communicator.
 #pragma once
 
@@ -13,7 +14,7 @@
 #include <mpi.h>
 
 #include "client/lib/member.hpp"
-#include "client/solvers/mpm.hpp"
+#include "client/solvers/mpm/mpm.hpp"
 #include "common/base/status.hpp"
 
 namespace rcb::solvers {
@@ -24,14 +25,14 @@ class MpiCores final : public OtherCores {
   int rank() const { return rank_; }
   int size() const { return size_; }
 
-  Result<double> fastest(const Mpm& mpm, const Result<double>& mine) override;
+  Result<double> signal_speed(const Mpm& mpm, const Result<double>& mine) override;
   void sum_grid(Mpm& mpm) override;
   Status agree(const Status& mine) override;
 
-  // Sends the points that leave and takes in those that enter, whole. Errors, the same everywhere: the lists don't fit
-  // the points or one another.
+  // Sends the leaving points with their whole state, and adds the entering ones. Errors, the same on every process: a
+  // list doesn't match the points, or another process's list.
   Status hand_over(Mpm& mpm, std::span<const client::Leaving> leave, std::span<const client::Entering> enter);
-  // All points' positions by id, (points, 3), on rank 0.
+  // Returns on rank 0 all points' positions in the order of their ids, (points, 3).
   std::vector<double> gather_positions(const Mpm& mpm, std::uint64_t points);
   Balance sum(const Balance& mine);
   double largest(double mine);

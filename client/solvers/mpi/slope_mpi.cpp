@@ -1,5 +1,5 @@
-// slope_mpi: the submarine slope on several processes, each a member of the scene that the service partitions. Every
-// process holds the points of its parts alone; after each step the report says which it hands over, and to whom.
+// slope_mpi: the submarine slope on several processes, each a member of the scene that the service partitions. A
+// process holds only the points of its own parts; each step's report says which points it hands over to whom.
 #include <algorithm>
 #include <array>
 #include <cstdio>
@@ -20,7 +20,7 @@
 #include "client/solvers/scenes.hpp"
 #include "common/base/clock.hpp"
 #include "common/io/points.hpp"
-#include "common/plan/plan.hpp"
+#include "common/layout/layout.hpp"
 
 namespace rcb::solvers {
 namespace {
@@ -43,13 +43,13 @@ struct Options {
 
 struct Record {
   std::vector<client::StepReport> reports;
-  std::vector<std::uint64_t> held;  // by process, after the last step
-  std::uint64_t handed_over = 0;    // by this process
+  std::vector<std::uint64_t> held;  // points by process, after the last step
+  std::uint64_t handed_over = 0;    // points, by this process
   Balance start, end;
   double seconds_physics = 0, seconds_service = 0, seconds_exchange = 0;
 };
 
-// Numbers as the other solvers read them: 8.0 and 1e6 are whole, a tolerance may be inf.
+// Reads numbers as the other solvers do: 8.0 and 1e6 are whole, a tolerance may be inf.
 CLI::Validator whole(std::int64_t low, std::int64_t high) {
   const auto read = [low, high](std::string& text) {
     const auto value = parse_whole(text, low, high);
@@ -96,15 +96,15 @@ void declare(CLI::App& app, Options& o) {
   app.set_version_flag("--version", std::string("slope_mpi ") + RCB_VERSION);
 }
 
-// The whole slope, of which each process keeps a block: the first push tells where its points belong.
+// Makes the whole slope and keeps this process's block of points; the first push tells where they belong.
 Result<Mpm> make_share(const Options& options, int rank, int size) {
   auto whole = make_slope(options.slope);
   if (!whole) return whole.status();
   Mpm mpm = std::move(whole->mpm);
   std::vector<std::size_t> others(mpm.size());
   std::iota(others.begin(), others.end(), std::size_t{0});
-  others.erase(others.begin() + static_cast<std::ptrdiff_t>(plan::row_begin(rank, mpm.size(), size)),
-               others.begin() + static_cast<std::ptrdiff_t>(plan::row_begin(rank + 1, mpm.size(), size)));
+  others.erase(others.begin() + static_cast<std::ptrdiff_t>(layout::row_begin(rank, mpm.size(), size)),
+               others.begin() + static_cast<std::ptrdiff_t>(layout::row_begin(rank + 1, mpm.size(), size)));
   mpm.exchange(others, {});
   return mpm;
 }
@@ -119,7 +119,7 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
   connect.endpoint = options.endpoint;
   connect.name = fmt::format("slope_mpi {} of {}", cores.rank(), cores.size());
   connect.outlive = options.outlive;
-  if (cores.rank() == 0)  // all of them wait for the same
+  if (cores.rank() == 0)  // all processes wait for the same service
     connect.on_notice = [](const std::string& text) { say_notice("slope_mpi", text); };
   auto client = client::Client::connect(connect);
   Status status = client.status();
@@ -133,12 +133,12 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
   return std::unique_ptr<Seat>(new Seat{std::move(*client), std::move(*scene)});
 }
 
-// The service's word against what is held here. Another client may change the parts, of which `report` tells; where it
-// has done so since that step, there is nothing to compare.
+// Compares the service's list of this process's points with those held here. Not possible if another client has changed
+// the partition since the step of `report`, or if the service was lost.
 Status check_held(client::Client& client, const Options& options, const client::StepReport& report,
                   const MpiCores& cores, const Mpm& mpm) {
   const auto reply = client.call("assign", json{{"scene", options.scene}}.dump(), options.deadline_seconds);
-  if (options.outlive && reply.status().code() == Code::not_found) return {};  // lost since the step
+  if (options.outlive && reply.status().code() == Code::not_found) return {};  // the service was lost since the step
   if (!reply) return reply.status();
   if (json::parse(reply->json).value("epoch", std::uint64_t{0}) != report.epoch) return {};
   const client::Array* id = reply->find("id");
@@ -146,7 +146,8 @@ Status check_held(client::Client& client, const Options& options, const client::
   if (id == nullptr || part == nullptr) return {Code::protocol_error, "answer to 'assign': no arrays"};
   std::vector<std::int64_t> expected;
   for (std::size_t k = 0; k < id->i8().size(); ++k)
-    if (plan::rank_of_part(part->i4()[k], report.parts, cores.size()) == cores.rank()) expected.push_back(id->i8()[k]);
+    if (layout::rank_of_part(part->i4()[k], report.parts, cores.size()) == cores.rank())
+      expected.push_back(id->i8()[k]);
   std::vector<std::int64_t> held(mpm.id().begin(), mpm.id().end());
   std::sort(held.begin(), held.end());
   if (held == expected) return {};
@@ -265,16 +266,16 @@ int run_on(MpiCores& cores, int argc, char** argv) {
   }
   Record record;
   std::uint64_t substeps = 0;
-  const Status status = run(options, cores, record, substeps);
+  Status status = run(options, cores, record, substeps);
   const auto handed_over = cores.gather(record.handed_over);
-  if (status.ok()) {
-    if (cores.rank() != 0) return 0;
+  if (status.ok() && cores.rank() == 0) {
     say_end(options, cores, record, substeps,
             std::accumulate(handed_over.begin(), handed_over.end(), std::uint64_t{0}));
-    const Status written = flush_output();
-    if (!written.ok()) fmt::print(stderr, "slope_mpi: {}\n", written.message());
-    return exit_code(written.code());
+    status = flush_output();
   }
+  if (status.ok()) return 0;
+  // What can't be done at all is due to the options.
+  if (status.code() == Code::invalid_argument) status = {Code::usage, status.message(), status.hint()};
   if (cores.rank() == 0) {
     if (options.json) fmt::print("{}\n", failure_document(status));
     fmt::print(stderr, "slope_mpi: {}{}{}\n", status.message(),
@@ -293,7 +294,7 @@ int main(int argc, char** argv) {
     rcb::solvers::MpiCores cores(MPI_COMM_WORLD);
     try {
       code = rcb::solvers::run_on(cores, argc, argv);
-    } catch (const std::exception& error) {  // one process can't go on, so none can
+    } catch (const std::exception& error) {  // if one process can't go on, none can
       std::fprintf(stderr, "slope_mpi: process %d: %s\n", cores.rank(), error.what());
       MPI_Abort(MPI_COMM_WORLD, 1);
     }

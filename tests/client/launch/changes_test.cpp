@@ -56,11 +56,11 @@ void walk(const std::string& endpoint, std::uint64_t seed) {
   Random random(seed);
   ConnectOptions where;
   where.endpoint = endpoint;
-  where.path = seed % 2 == 0 ? Path::gateway : Path::direct;
+  where.path = std::array{Path::gateway, Path::direct, Path::shared}[seed % 3];
   auto client = Client::connect(where);
   auto other = Client::connect(where);
   ASSERT_TRUE(client.ok() && other.ok());
-  ASSERT_TRUE(client->create_scene("walk", {.parts = 6, .tolerance = seed % 3 == 0 ? 1e9 : 0.1, .replace = true}).ok());
+  ASSERT_TRUE(client->create_scene("walk", {.parts = 6, .tolerance = seed % 2 == 0 ? 1e9 : 0.1, .replace = true}).ok());
   auto scene = client->open_scene("walk");
   ASSERT_TRUE(scene.ok());
   Rows rows;

@@ -13,10 +13,10 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "client/launch/job/programs.hpp"
 #include "client/launch/log_tail.hpp"
-#include "client/launch/programs.hpp"
-#include "common/base/endpoint_lock.hpp"
-#include "common/base/own_files.hpp"
+#include "common/files/endpoint_lock.hpp"
+#include "common/files/own_files.hpp"
 
 namespace rcb::launch {
 namespace {

@@ -78,7 +78,7 @@ class Supervised {
 };
 
 // What the solver believes, by row.
-struct Rows {
+struct WeightedRows {
   std::vector<double> xyz, weights;
   std::vector<std::int64_t> ids;
   std::vector<std::int32_t> parts;
@@ -87,7 +87,7 @@ struct Rows {
 
   void follow(const StepResult& result, const std::vector<double>& more, const std::vector<double>& more_weights,
               std::size_t n) {
-    const Rows old = *this;
+    const WeightedRows old = *this;
     const std::size_t most = std::max(n, ids.size());
     ids.resize(most);
     weights.resize(most);
@@ -136,7 +136,7 @@ struct Change {
   StepOptions options;
 };
 
-void choose(Change& change, Rows& rows, Random& random) {
+void choose(Change& change, WeightedRows& rows, Random& random) {
   const auto kind = random.below(3);  // all, few, none
   for (std::uint64_t row = 0; row < rows.ids.size(); ++row) {
     if (kind == 2 || (kind == 1 && random.below(9) != 0)) continue;
@@ -162,6 +162,48 @@ void choose(Change& change, Rows& rows, Random& random) {
   change.options.inserted = &change.in;
 }
 
+TEST(Outlive, AStepThatIsCommittedIsNotTakenForAnother) {
+  Supervised service(2);
+  auto client = Client::connect({.endpoint = service.endpoint()});
+  ASSERT_TRUE(client.ok()) << client.status().message();
+  ASSERT_TRUE(client->create_scene("twice", {.parts = 4}).ok());
+  auto one = client->open_scene("twice");
+  auto other = client->open_scene("twice");
+  ASSERT_TRUE(one.ok() && other.ok());
+  std::vector<double> xyz(300);
+  for (std::size_t i = 0; i < xyz.size(); ++i) xyz[i] = static_cast<double>(i * i % 101);
+  const auto positions = Positions::rows(xyz.data(), 100, 3);
+  ASSERT_TRUE(one->step(positions).ok());
+  EXPECT_EQ(other->step(positions).status().code(), Code::stale_step);
+  StepOptions back;
+  back.step = 0;
+  EXPECT_EQ(one->step(positions, back).status().code(), Code::stale_step);
+  EXPECT_TRUE(one->step(positions).ok());
+}
+
+// Rows without ids of their own, so that the memory is shared again with the ranks of the new service.
+TEST(Outlive, AnInsertionAfterARestartBringsAllParticles) {
+  Supervised service(2);
+  auto client = Client::connect({.endpoint = service.endpoint(), .path = Path::shared});
+  ASSERT_TRUE(client.ok()) << client.status().message();
+  ASSERT_TRUE(client->create_scene("grows", {.parts = 4}).ok());
+  auto scene = client->open_scene("grows");
+  ASSERT_TRUE(scene.ok());
+  std::vector<double> xyz(300);
+  for (std::size_t i = 0; i < xyz.size(); ++i) xyz[i] = static_cast<double>(i * i % 101);
+  const std::vector<double> more{1, 2, 3, 4, 5, 6};
+  ASSERT_TRUE(scene->step(Positions::rows(xyz.data(), 100, 3)).ok());
+  Random random(1);
+  service.kill_one(random);
+  Insertion in;
+  in.positions = Positions::rows(more.data(), 2, 3);
+  const auto grown = scene->step(Positions::rows(xyz.data(), 100, 3), {.inserted = &in});
+  ASSERT_TRUE(grown.ok()) << grown.status().message();
+  EXPECT_TRUE(grown->report.scene_recreated);
+  EXPECT_EQ(grown->report.n, 102U);
+  EXPECT_EQ(grown->report.way, "shared-memory");
+}
+
 TEST(Outlive, ARunOfStepsOfEveryKindIsWhatTheSolverBelieves) {
   const std::uint64_t seed = std::random_device{}();
   SCOPED_TRACE("seed " + std::to_string(seed));
@@ -169,13 +211,13 @@ TEST(Outlive, ARunOfStepsOfEveryKindIsWhatTheSolverBelieves) {
   Supervised service(3);
   ConnectOptions where;
   where.endpoint = service.endpoint();
-  where.path = seed % 2 == 0 ? Path::gateway : Path::direct;
+  where.path = std::array{Path::gateway, Path::direct, Path::shared}[seed % 3];
   auto client = Client::connect(where);
   ASSERT_TRUE(client.ok()) << client.status().message();
   ASSERT_TRUE(client->create_scene("walk", {.parts = 6, .tolerance = 0.1, .part_sizes = {1, 2, 1, 1, 1, 3}}).ok());
   auto scene = client->open_scene("walk");
   ASSERT_TRUE(scene.ok());
-  Rows rows;
+  WeightedRows rows;
   for (int i = 0; i < 400; ++i) rows.ids.push_back(7 * i);
   for (int i = 0; i < 400; ++i) rows.weights.push_back(random.uniform(0.5, 2));
   for (int k = 0; k < 1200; ++k) rows.xyz.push_back(random.uniform());

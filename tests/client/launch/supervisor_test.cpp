@@ -15,12 +15,12 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "client/launch/job/processes.hpp"
+#include "client/launch/job/programs.hpp"
 #include "client/launch/launch.hpp"
 #include "client/launch/probe.hpp"
-#include "client/launch/processes.hpp"
-#include "client/launch/programs.hpp"
 #include "client/launch/reach.hpp"
-#include "common/base/endpoint_lock.hpp"
+#include "common/files/endpoint_lock.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -91,7 +91,7 @@ TEST_F(Supervised, NeverGivesUpAndSaysWhatItDoes) {
 }
 
 TEST_F(Supervised, AServiceThatLivesLongEnoughEndsARowOfFailures) {
-  options_.steady_seconds = 0.1;
+  options_.backoff_reset_seconds = 0.1;
   ASSERT_TRUE(start_detached(options_, {}).ok());
   for (int death = 1; death <= 3; ++death) {
     const pid_t victim = rank0();
@@ -135,12 +135,22 @@ TEST_F(Supervised, AnotherWhoAnswersIsNotTakenForTheJob) {
   EXPECT_TRUE(stop_service(other.endpoint, 20).ok());
 }
 
+bool all_threads_stopped(pid_t process) {
+  for (const auto& thread : std::filesystem::directory_iterator(fmt::format("/proc/{}/task", process))) {
+    std::ifstream file(thread.path() / "stat");
+    const std::string line(std::istreambuf_iterator<char>(file), {});
+    if (line.substr(line.rfind(')') + 1, 2) != " T") return false;
+  }
+  return true;
+}
+
 TEST_F(Supervised, OneThatRefusesEverybodyLives) {
   options_.service_arguments = {};
   ASSERT_TRUE(start_detached(options_, {}).ok());
   EXPECT_TRUE(answers(options_.endpoint, 5));
   const pid_t rank = rank0();
   kill(rank, SIGSTOP);
+  while (!all_threads_stopped(rank)) usleep(1000);
   EXPECT_FALSE(answers(options_.endpoint, 0.2)) << "the kernel takes the connection, the service doesn't";
   kill(rank, SIGCONT);
   EXPECT_TRUE(answers(options_.endpoint, 5));

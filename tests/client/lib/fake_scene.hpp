@@ -1,10 +1,13 @@
 // A scene as a service would keep it, simple enough to be believed: particles by id, a part for each from a formula,
-// its own copy of the plan. It checks every push against what the test pushes and answers it, or does what it is told.
+// its own copy of the plan, by the plain rules of tests/support/protocol.hpp. It checks every push against what the
+// test pushes and answers it, or does what it is told.
 #pragma once
 
-#include <mutex>
+#include <algorithm>
+#include <array>
+#include <map>
+#include <numeric>
 
-#include "common/plan/plan.hpp"
 #include "tests/client/lib/fake_service.hpp"
 
 namespace rcb::client {
@@ -41,19 +44,18 @@ class FakeScene {
   int commits = 0;
   bool empty_now = false;  // the scene was dropped
   int restarts = 0;
-  wire::Json options = wire::Json::object();  // more of what scene.open tells
-  std::vector<wire::Json> created;            // scene.create of lost scenes
-  std::vector<double> weights;                // as pushed last, by row
+  protocol::Json options = protocol::Json::object();  // more of what scene.open tells
+  std::vector<protocol::Json> created;                // scene.create of lost scenes
+  std::vector<double> weights;                        // as pushed last, by row
   std::optional<std::int64_t> step;
   std::int64_t epoch = 0;
-  bool first_order_by_row = true;
 
   void serve(Peer& peer) {
     const auto hello = peer.greet(ranks_, "instance " + std::to_string(restarts));
     if (!hello) return;
     sessions.push_back(hello->json["session"].get<std::string>());
     while (auto frame = peer.receive()) {
-      if (frame->header.type == wire::FrameType::goodbye) return;
+      if (frame->type == protocol::FrameType::goodbye) return;
       const auto command = frame->json["command"].get<std::string>();
       commands.push_back(command);
       if (command == "scene.open") {
@@ -66,7 +68,7 @@ class FakeScene {
         empty_now = false;
         peer.reply(*frame, description());
       } else if (command == "scene.close") {
-        peer.reply(*frame, wire::Json::object());
+        peer.reply(*frame, protocol::Json::object());
       } else if (command == "plan") {
         send_plan(peer, *frame);
       } else if (command == "push.begin") {
@@ -77,43 +79,36 @@ class FakeScene {
     }
   }
 
-  std::vector<std::int32_t> parts_by_id() const { return part_; }
-
  private:
-  wire::Json description() const {
-    wire::Json json{{"scene", "s"},
-                    {"n", n_},
-                    {"dims", dims_},
-                    {"parts", parts_},
-                    {"ranks", ranks_},
-                    {"epoch", epoch},
-                    {"step", step ? wire::Json(*step) : wire::Json(nullptr)},
-                    {"ids", has_ids_},
-                    {"weights", weights_}};
+  using Slices = std::map<int, Received>;  // by rank
+  static constexpr std::array<const char*, 3> kAxes{"x", "y", "z"};
+
+  protocol::Json description() const {
+    protocol::Json json{{"scene", "s"},
+                        {"n", ids_.size()},
+                        {"dims", dims_},
+                        {"parts", parts_},
+                        {"ranks", ranks_},
+                        {"epoch", epoch},
+                        {"step", step ? protocol::Json(*step) : protocol::Json(nullptr)},
+                        {"ids", has_ids_},
+                        {"weights", weights_}};
     json.update(options);
     return json;
-  }
-  wire::Json plan_json() const { return {{"version", plan_->version()}, {"checksum", wire::hex64(plan_->checksum())}}; }
-  template <typename T>
-  static wire::Array array(const char* name, const char* dtype, const std::vector<T>& values) {
-    wire::Array out{name, dtype, {values.size()}, {}};
-    const auto bytes = std::as_bytes(std::span(values));
-    out.bytes.assign(bytes);
-    return out;
   }
   void send_plan(Peer& peer, const Received& request) const {
     std::vector<std::int64_t> ids;
     std::vector<std::int32_t> parts;
     std::vector<std::uint64_t> counts;
-    for (int rank = 0; rank < ranks_; ++rank) {
-      counts.push_back(plan_->rows(rank).size());
-      for (const std::uint64_t row : plan_->rows(rank)) {
-        ids.push_back(plan_->id_of_row(row));
-        parts.push_back(part_[row]);
+    for (const auto& of_rank : plan_->slots) {
+      counts.push_back(of_rank.size());
+      for (const std::int64_t id : of_rank) {
+        ids.push_back(id);
+        parts.push_back(part_.at(id));
       }
     }
-    peer.reply(request, {{"counts", counts}, {"plan", plan_json()}, {"parts", parts_}, {"ranks", ranks_}},
-               {array("id", "<i8", ids), array("part", "<i4", parts)}, true);
+    peer.reply(request, {{"counts", counts}, {"plan", plan_->json()}, {"parts", parts_}, {"ranks", ranks_}},
+               {protocol::array_of("id", "<i8", ids), protocol::array_of("part", "<i4", parts)}, true);
   }
 
   // False: the connection ends.
@@ -121,33 +116,33 @@ class FakeScene {
     const Fault now = fault(static_cast<int>(attempts.size()));
     attempts.push_back(begin.json["attempt"].get<std::int64_t>());
     const auto number = begin.json["step"].get<std::int64_t>();
-    const auto n = begin.json["n"].get<std::uint64_t>();
     if (now == Fault::busy_early) {
       peer.fail(begin, {Code::busy, "held by another"});
       // Slices that the client had begun are read by serve(), as a service reads and drops them.
       return true;
     }
     const bool first = !step;
-    if (first) plan_ = plan::Plan::blocks(n, ranks_, {});
-    std::vector<Received> slices;
+    Slices slices;
     for (int i = 0; i < begin.json["slices"].get<int>(); ++i) {
       auto slice = peer.receive();
       if (!slice) return false;
       EXPECT_EQ(slice->json["command"], "push.slice");
-      slices.push_back(std::move(*slice));
+      const int rank = slice->json["rank"].get<int>();
+      EXPECT_TRUE(slices.emplace(rank, std::move(*slice)).second) << "two slices of rank " << rank;
     }
     slices_read += static_cast<int>(slices.size());
     if (now == Fault::die_before_commit) return restart();
     if (now == Fault::close_before_commit) return false;
     if (step == number) {
-      peer.reply(begin, {{"report", report(number, 0)}, {"plan", plan_json()}, {"repeated", true}});
+      peer.reply(begin, {{"report", report(number, 0)}, {"plan", plan_->json()}, {"repeated", true}});
       return true;
     }
-    if (now == Fault::stale || (!first && begin.json["plan"] != plan_json())) {
+    if (first) take_ids(begin, slices);
+    if (now == Fault::stale || (!first && begin.json["plan"] != plan_->json())) {
       peer.fail(begin, {Code::stale_plan, "fetch the plan"});
       return true;
     }
-    check_slices(begin, slices, number, first);
+    check_slices(begin, slices, number);
     if (begin.json["weights"] == true) take_weights(slices);
     return commit(peer, begin, number, first, now);
   }
@@ -159,107 +154,104 @@ class FakeScene {
     plan_.reset();
     part_.clear();
     epoch = 0;
-    n_ = 0;
+    ids_.clear();
     has_ids_ = weights_ = false;
     weights.clear();
     return false;
   }
 
-  // Behind the axes.
-  void take_weights(const std::vector<Received>& slices) {
+  void take_weights(const Slices& slices) {
     weights_ = true;
-    weights.assign(n_ == 0 ? plan_->count() : n_, -1);
-    std::size_t next = 0;
-    for (int rank = 0; rank < ranks_; ++rank) {
-      const auto rows = plan_->rows(rank);
-      if (rows.empty()) continue;
-      const auto* from = slices[next++].bulk.data() + 8 * static_cast<std::size_t>(dims_) * rows.size();
-      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(&weights[rows[i]], from + 8 * i, 8);
+    std::map<std::int64_t, double> by_id;
+    for (const auto& [rank, slice] : slices) {
+      const auto values = slice.values<double>("w");
+      const auto& ids = plan_->slots[static_cast<std::size_t>(rank)];
+      for (std::size_t i = 0; i < ids.size(); ++i) by_id[ids[i]] = values.at(i);
     }
+    weights.clear();
+    for (const std::int64_t id : ids_) weights.push_back(by_id.at(id));
   }
 
-  // Every rank's slice, value by value.
-  void check_slices(const Received& begin, const std::vector<Received>& slices, std::int64_t number, bool first) {
-    if (first && begin.json["ids"] == true) take_ids(begin, slices);
-    EXPECT_EQ(begin.json["plan"], plan_json());
-    std::size_t next = 0;
-    for (int rank = 0; rank < ranks_; ++rank) {
-      const auto rows = plan_->rows(rank);
-      if (rows.empty()) continue;
-      ASSERT_LT(next, slices.size());
-      const Received& slice = slices[next++];
-      EXPECT_EQ(slice.json["rank"], rank);
-      ASSERT_EQ(slice.json["count"], rows.size());
-      EXPECT_EQ(slice.json["attempt"], begin.json["attempt"]);
-      ASSERT_GE(slice.bulk.size(), rows.size() * 8 * static_cast<std::size_t>(dims_));
+  // Every rank's slice: what it says of itself, and value by value.
+  void check_slices(const Received& begin, const Slices& slices, std::int64_t number) {
+    EXPECT_EQ(begin.json["session"], sessions.back());
+    EXPECT_EQ(begin.json["plan"], plan_->json());
+    EXPECT_EQ(begin.json["n"], ids_.size());
+    std::size_t with_particles = 0;
+    for (std::size_t rank = 0; rank < plan_->slots.size(); ++rank) {
+      const auto& ids = plan_->slots[rank];
+      if (ids.empty()) continue;
+      ++with_particles;
+      const auto found = slices.find(static_cast<int>(rank));
+      ASSERT_NE(found, slices.end()) << "no slice of rank " << rank;
+      const Received& slice = found->second;
+      for (const char* field : {"scene", "session", "step", "attempt", "plan"})
+        EXPECT_EQ(slice.json[field], begin.json[field]) << field;
+      EXPECT_EQ(slice.json["count"], ids.size());
+      protocol::Json arrays = protocol::Json::array();
+      const auto describe = [&](const char* name, const char* dtype) {
+        arrays.push_back({{"name", name}, {"dtype", dtype}, {"shape", {ids.size()}}});
+      };
+      for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) describe(kAxes[axis], "<f8");
+      if (begin.json["weights"] == true) describe("w", "<f8");
+      if (begin.json["ids"] == true) describe("id", "<i8");
+      ASSERT_EQ(slice.json["arrays"], arrays);
       std::size_t wrong = 0;
-      for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis)
-        for (std::size_t i = 0; i < rows.size(); ++i) {
-          double value = 0;
-          std::memcpy(&value, slice.bulk.data() + 8 * (axis * rows.size() + i), 8);
-          wrong += value != position(plan_->id_of_row(rows[i]), axis, number) ? 1U : 0U;
-        }
+      for (std::size_t axis = 0; axis < static_cast<std::size_t>(dims_); ++axis) {
+        const auto values = slice.values<double>(kAxes[axis]);
+        for (std::size_t i = 0; i < ids.size(); ++i) wrong += values[i] != position(ids[i], axis, number) ? 1U : 0U;
+      }
       EXPECT_EQ(wrong, 0U) << "rank " << rank << " step " << number;
     }
-    EXPECT_EQ(next, slices.size());
+    EXPECT_EQ(with_particles, slices.size());
   }
 
-  void take_ids(const Received& begin, const std::vector<Received>& slices) {
-    std::vector<std::int64_t> ids;
-    for (const Received& slice : slices) {
-      const auto count = slice.json["count"].get<std::size_t>();
-      const std::size_t at = ids.size();
-      ids.resize(at + count);
-      std::memcpy(ids.data() + at, slice.bulk.data() + slice.bulk.size() - 8 * count, 8 * count);
-    }
-    has_ids_ = true;
-    plan_ = plan::Plan::blocks(begin.json["n"].get<std::uint64_t>(), ranks_, ids);
+  // At a first push: the solver's own, in its order, or 0..n-1.
+  void take_ids(const Received& begin, const Slices& slices) {
+    has_ids_ = begin.json["ids"] == true;
+    ids_.assign(has_ids_ ? 0 : begin.json["n"].get<std::size_t>(), 0);
+    std::iota(ids_.begin(), ids_.end(), 0);
+    if (has_ids_)
+      for (const auto& [rank, slice] : slices)
+        for (const std::int64_t id : slice.values<std::int64_t>("id")) ids_.push_back(id);
+    plan_.emplace(ids_, ranks_);
   }
 
   bool commit(Peer& peer, const Received& begin, std::int64_t number, bool first, Fault now) {
-    n_ = begin.json["n"].get<std::uint64_t>();
-    std::vector<std::uint64_t> rows;
-    std::vector<std::int32_t> to;
-    std::vector<std::pair<std::int64_t, std::int32_t>> changed;
-    if (first) part_.assign(n_, -1);
-    for (std::uint64_t row = 0; row < n_; ++row) {
-      const std::int32_t part = part_of(plan_->id_of_row(row), number);
-      if (part == part_[row]) continue;
-      part_[row] = part;
-      rows.push_back(row);
-      to.push_back(plan::rank_of_part(part, parts_, ranks_));
-      changed.emplace_back(plan_->id_of_row(row), part);
-    }
-    EXPECT_TRUE(plan_->apply(rows, to, first).ok());
-    std::sort(changed.begin(), changed.end());
+    std::map<std::int64_t, std::int32_t> after;
+    for (const std::int64_t id : ids_) after[id] = part_of(id, number);
     std::vector<std::int64_t> ids;
     std::vector<std::int32_t> parts;
-    for (const auto& [id, part] : changed) {
+    for (const auto& [id, part] : after) {
+      if (!first && part_.at(id) == part) continue;
       ids.push_back(id);
       parts.push_back(part);
     }
+    part_ = std::move(after);
+    plan_->commit(part_, parts_, first);
     if (first) epoch = 1;
     step = number;
     ++commits;
     first_of_recreated_ = first && restarts > 0;
     if (now == Fault::die_after_commit) return restart();
     if (now == Fault::close_after_commit) return false;
-    wire::Json plan = plan_json();
+    protocol::Json plan = plan_->json();
     if (now == Fault::wrong_checksum) plan["checksum"] = "0123456789abcdef";
-    std::string bytes = Peer::frame(
-        wire::FrameType::reply, begin.header.request, {{"report", report(number, ids.size())}, {"plan", plan}},
-        {array("changed_id", "<i8", ids), array("changed_part", "<i4", parts)}, number % 2 == 0);
+    std::string bytes = protocol::frame(
+        protocol::FrameType::reply, begin.request, {{"report", report(number, ids.size())}, {"plan", plan}},
+        {protocol::array_of("changed_id", "<i8", ids), protocol::array_of("changed_part", "<i4", parts)},
+        number % 2 == 0);
     if (now == Fault::close_in_answer) bytes.resize(bytes.size() / 2);
-    peer.send(wire::FrameType::notice, begin.header.request, {{"notice", "nearly done"}});
+    peer.send(protocol::FrameType::notice, begin.request, {{"notice", "nearly done"}});
     peer.send_bytes(bytes);
     return now != Fault::close_in_answer;
   }
 
-  wire::Json report(std::int64_t number, std::size_t moved) const {
+  protocol::Json report(std::int64_t number, std::size_t moved) const {
     return {{"scene", "s"},
             {"step", number},
             {"epoch", epoch},
-            {"n", n_},
+            {"n", ids_.size()},
             {"parts", parts_},
             {"scene_recreated", first_of_recreated_},
             {"error_before", nullptr},
@@ -279,12 +271,12 @@ class FakeScene {
   int dims_;
   int parts_;
   int ranks_;
-  std::uint64_t n_ = 0;
   bool has_ids_ = false;
   bool weights_ = false;
   bool first_of_recreated_ = false;
-  std::optional<plan::Plan> plan_;
-  std::vector<std::int32_t> part_;  // by row
+  std::vector<std::int64_t> ids_;  // by row
+  std::optional<protocol::Plan> plan_;
+  std::map<std::int64_t, std::int32_t> part_;  // by id
 };
 
 }  // namespace rcb::client

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdlib>
 #include <cstring>
+#include <exception>
 #include <filesystem>
 #include <functional>
 #include <optional>
@@ -21,10 +22,11 @@
 #include <unistd.h>
 
 #include "common/auth/proof.hpp"
-#include "common/wire/frame.hpp"
-#include "common/wire/message.hpp"
+#include "tests/support/protocol.hpp"
 
 namespace rcb::client {
+
+namespace protocol = testing::protocol;
 
 class TemporaryDirectory {
  public:
@@ -42,11 +44,7 @@ class TemporaryDirectory {
   std::string path_;
 };
 
-struct Received {
-  wire::FrameHeader header;
-  wire::Json json;
-  std::vector<std::byte> bulk;
-};
+using Received = protocol::Frame;
 
 // One connection, seen from the service.
 class Peer {
@@ -68,33 +66,16 @@ class Peer {
     }
     return true;
   }
-  static std::string frame(wire::FrameType type, std::uint64_t request, wire::Json json,
-                           const std::vector<wire::Array>& arrays = {}, bool summed = false) {
-    if (!arrays.empty()) json["arrays"] = wire::describe(arrays);
-    wire::FrameHeader header;
-    header.type = type;
-    header.request = request;
-    header.flags = summed ? wire::kFlagBulkChecksum : 0;
-    wire::BulkChecksum sum;
-    std::string bulk;
-    for (const wire::Array& array : arrays) {
-      bulk.append(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size());
-      sum.add(array.bytes.span());
-    }
-    header.bulk_bytes = bulk.size();
-    const auto tail = wire::BulkChecksum::encode(sum.value());
-    if (summed) bulk.append(reinterpret_cast<const char*>(tail.data()), tail.size());
-    return wire::encode_frame(header, wire::dump_json(json)) + bulk;
+  bool send(protocol::FrameType type, std::uint64_t request, protocol::Json json,
+            const std::vector<protocol::Array>& arrays = {}, bool summed = false) {
+    return send_bytes(protocol::frame(type, request, std::move(json), arrays, summed));
   }
-  bool send(wire::FrameType type, std::uint64_t request, wire::Json json, const std::vector<wire::Array>& arrays = {},
-            bool summed = false) {
-    return send_bytes(frame(type, request, std::move(json), arrays, summed));
-  }
-  bool reply(const Received& to, wire::Json json, const std::vector<wire::Array>& arrays = {}, bool summed = false) {
-    return send(wire::FrameType::reply, to.header.request, std::move(json), arrays, summed);
+  bool reply(const Received& to, protocol::Json json, const std::vector<protocol::Array>& arrays = {},
+             bool summed = false) {
+    return send(protocol::FrameType::reply, to.request, std::move(json), arrays, summed);
   }
   bool fail(const Received& to, const Status& status) {
-    return send(wire::FrameType::failure, to.header.request, wire::failure_json(status));
+    return send(protocol::FrameType::failure, to.request, protocol::failure_json(status));
   }
 
   bool read(void* data, std::size_t size) {
@@ -107,31 +88,17 @@ class Peer {
     }
     return true;
   }
-  // The next frame, checked as a service checks it; none at the end of the connection.
+  // The next frame, by the rules of PROTOCOL.md; none at the end of the connection.
   std::optional<Received> receive() {
-    wire::HeaderBytes bytes{};
-    if (!read(bytes.data(), bytes.size())) return std::nullopt;
-    const auto header = wire::decode_header(bytes);
-    EXPECT_TRUE(header.ok());
-    if (!header.ok()) return std::nullopt;
-    Received received{*header, {}, std::vector<std::byte>(header->bulk_bytes)};
-    std::string text(header->json_bytes, '\0');
-    if (!read(text.data(), text.size()) || !read(received.bulk.data(), received.bulk.size())) return std::nullopt;
-    EXPECT_TRUE(wire::verify_checksum(bytes, text).ok());
-    auto json = wire::parse_json(text);
-    EXPECT_TRUE(json.ok()) << json.status().message();
-    if (!json.ok()) return std::nullopt;
-    EXPECT_TRUE(wire::array_specs(*json, header->bulk_bytes).ok());
-    received.json = std::move(*json);
-    return received;
+    return protocol::receive([this](char* to, std::size_t size) { return read(to, size); });
   }
 
   // nonce: where a proof of the token is asked for.
-  static wire::Json welcome(const std::string& nonce = {}) {
-    wire::Json json{{"server", "rcbd"},
-                    {"protocol", 1},
-                    {"authentication", nonce.empty() ? "none" : "hmac-sha256"},
-                    {"limits", wire::Json::object()}};
+  static protocol::Json welcome(const std::string& nonce = {}) {
+    protocol::Json json{{"server", "rcbd"},
+                        {"protocol", 1},
+                        {"authentication", nonce.empty() ? "none" : "hmac-sha256"},
+                        {"limits", protocol::Json::object()}};
     if (!nonce.empty()) json["nonce"] = nonce;
     return json;
   }
@@ -140,10 +107,10 @@ class Peer {
   std::optional<Received> greet(int ranks, const std::string& instance = "0000000000000001",
                                 const std::string& token = {}) {
     const std::string nonce = token.empty() ? "" : auth::random_nonce();
-    if (!send(wire::FrameType::welcome, 0, welcome(nonce))) return std::nullopt;
+    if (!send(protocol::FrameType::welcome, 0, welcome(nonce))) return std::nullopt;
     auto hello = receive();
     if (!hello) return hello;
-    wire::Json json{{"session", hello->json["session"]}, {"ranks", ranks}, {"instance", instance}};
+    protocol::Json json{{"session", hello->json["session"]}, {"ranks", ranks}, {"instance", instance}};
     if (!token.empty()) json["proof"] = proof(auth::Role::service, token, nonce, *hello);
     reply(*hello, std::move(json));
     return hello;
@@ -204,7 +171,11 @@ class FakeService {
       const int connection = ::accept4(handle_, nullptr, nullptr, SOCK_CLOEXEC);
       if (connection < 0) return;
       Peer peer(connection);
-      if (!stopped_) script_(peer, number);
+      try {
+        if (!stopped_) script_(peer, number);
+      } catch (const std::exception& wrong) {
+        ADD_FAILURE() << "what the client sent: " << wrong.what();
+      }
     }
   }
 

@@ -7,7 +7,7 @@
 namespace rcb::client {
 namespace {
 
-using wire::Json;
+using protocol::Json;
 
 // A service with one scene's history, of which it gives at most `page` reports at once.
 class Historian {
@@ -22,7 +22,7 @@ class Historian {
     return [this](Peer& peer, int) {
       if (!peer.greet(1)) return;
       while (auto frame = peer.receive()) {
-        if (frame->header.type == wire::FrameType::goodbye) return;
+        if (frame->type == protocol::FrameType::goodbye) return;
         requests.push_back(frame->json);
         if (before) before(static_cast<int>(requests.size()));
         peer.reply(*frame, answer(frame->json));

@@ -10,27 +10,17 @@
 
 #include "client/lib/member.hpp"
 #include "tests/client/lib/fake_service.hpp"
+#include "tests/client/lib/three_particles.hpp"
 
 namespace rcb::client {
 namespace {
 
-using wire::Json;
-
-const std::vector<double> kX{0.5, 1.5, 2.5};
-const std::vector<double> kY{10, 11, 12};
-const std::vector<std::int64_t> kIds{7, 3, 900};
-const std::array<const double*, 2> kAxes{kX.data(), kY.data()};
-
-template <typename T>
-wire::Array array_of(const char* name, const char* dtype, const std::vector<T>& values) {
-  wire::Array array{name, dtype, {values.size()}, {}};
-  array.bytes.assign(std::as_bytes(std::span(values)));
-  return array;
-}
+using protocol::array_of;
+using protocol::Json;
 
 // Nothing is handed over; the places told are these, of the ids.
-std::vector<wire::Array> news(const std::vector<std::int64_t>& ids, const std::vector<std::int32_t>& ranks,
-                              const std::vector<std::uint64_t>& slots) {
+std::vector<protocol::Array> news(const std::vector<std::int64_t>& ids, const std::vector<std::int32_t>& ranks,
+                                  const std::vector<std::uint64_t>& slots) {
   return {array_of<std::int64_t>("leave_id", "<i8", {}),
           array_of<std::int32_t>("leave_to", "<i4", {}),
           array_of<std::int64_t>("enter_id", "<i8", {}),
@@ -58,7 +48,7 @@ class TwoRanks {
   explicit TwoRanks(Script script) : script_(std::move(script)) {
     for (int rank = 0; rank < 2; ++rank)
       ranks_.push_back(std::make_unique<FakeService>([this, rank](Peer& peer, int) {
-        peer.send(wire::FrameType::welcome, 0, Peer::welcome());
+        peer.send(protocol::FrameType::welcome, 0, Peer::welcome());
         const auto hello = peer.receive();
         if (!hello) return;
         peer.reply(*hello, {{"rank", rank}});
@@ -68,7 +58,7 @@ class TwoRanks {
         }
       }));
     control_ = std::make_unique<FakeService>([this](Peer& peer, int number) {
-      peer.send(wire::FrameType::welcome, 0, Peer::welcome());
+      peer.send(protocol::FrameType::welcome, 0, Peer::welcome());
       const auto hello = peer.receive();
       if (!hello) return;
       peer.reply(*hello, {{"session", hello->json["session"]},
@@ -107,8 +97,10 @@ class TwoRanks {
 };
 
 std::vector<double> doubles(const Received& frame) {
-  std::vector<double> values(frame.bulk.size() / sizeof(double));
-  std::memcpy(values.data(), frame.bulk.data(), frame.bulk.size());
+  EXPECT_EQ(frame.arrays.size(), 2U);
+  std::vector<double> values = frame.values<double>("x");
+  const std::vector<double> y = frame.values<double>("y");
+  values.insert(values.end(), y.begin(), y.end());
   return values;
 }
 

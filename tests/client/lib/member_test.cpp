@@ -8,23 +8,13 @@
 #include <gtest/gtest.h>
 
 #include "tests/client/lib/fake_service.hpp"
+#include "tests/client/lib/three_particles.hpp"
 
 namespace rcb::client {
 namespace {
 
-using wire::Json;
-
-template <typename T>
-wire::Array array_of(const char* name, const char* dtype, const std::vector<T>& values) {
-  wire::Array array{name, dtype, {values.size()}, {}};
-  array.bytes.assign(std::as_bytes(std::span(values)));
-  return array;
-}
-
-const std::vector<double> kX{0.5, 1.5, 2.5};
-const std::vector<double> kY{10, 11, 12};
-const std::vector<std::int64_t> kIds{7, 3, 900};
-const std::array<const double*, 2> kAxes{kX.data(), kY.data()};
+using protocol::array_of;
+using protocol::Json;
 
 Json seat_reply(int generation, int step) {
   return {{"scene", "s"},
@@ -35,7 +25,7 @@ Json seat_reply(int generation, int step) {
 
 Json report(int step) { return {{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}}}}; }
 
-std::vector<wire::Array> news(std::int32_t to = 2) {
+std::vector<protocol::Array> news(std::int32_t to = 2) {
   return {array_of<std::int64_t>("changed_id", "<i8", {3}),  array_of<std::int32_t>("changed_part", "<i4", {4}),
           array_of<std::int64_t>("leave_id", "<i8", {3, 7}), array_of<std::int32_t>("leave_to", "<i4", {0, to}),
           array_of<std::int64_t>("enter_id", "<i8", {5}),    array_of<std::int32_t>("enter_from", "<i4", {2}),
@@ -99,10 +89,10 @@ TEST(MemberScene, SendsItsOwnParticlesWithTheirIdsAndReadsWhatMoves) {
   EXPECT_EQ(got[1].json["order"], "id");
   EXPECT_EQ(got[1].json["ids"], true);
   EXPECT_EQ(got[1].json["step"], 7);
-  ASSERT_EQ(got[2].bulk.size(), 72U);
-  EXPECT_EQ(std::memcmp(got[2].bulk.data(), kX.data(), 24), 0);
-  EXPECT_EQ(std::memcmp(got[2].bulk.data() + 24, kY.data(), 24), 0);
-  EXPECT_EQ(std::memcmp(got[2].bulk.data() + 48, kIds.data(), 24), 0);
+  ASSERT_EQ(got[2].arrays.size(), 3U);
+  EXPECT_EQ(got[2].values<double>("x"), kX);
+  EXPECT_EQ(got[2].values<double>("y"), kY);
+  EXPECT_EQ(got[2].values<std::int64_t>("id"), kIds);
   EXPECT_EQ(got[3].json["command"], "scene.close");
 }
 

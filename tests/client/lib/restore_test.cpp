@@ -112,7 +112,7 @@ TEST(Restore, TheSceneIsMadeWithTheOptionsThatTheServiceSaidLast) {
   ASSERT_TRUE(solver.step(0).ok() && solver.step(1).ok());
   solver.end();
   ASSERT_EQ(fake.created.size(), 1U);
-  const wire::Json& made = fake.created[0];
+  const protocol::Json& made = fake.created[0];
   EXPECT_EQ(made["parts"], kParts);
   EXPECT_EQ(made["dims"], kDims);
   EXPECT_EQ(made["tolerance"], "inf");

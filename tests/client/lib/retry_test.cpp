@@ -12,7 +12,7 @@ namespace {
 
 TEST(Retry, EndsAtTheDeadlineAndTellsWhatItWaitsFor) {
   std::vector<std::string> told;
-  Retry retry(0.8);
+  Retry retry(2);
   int tries = 0;
   while (retry.wait("the service at E, which has gone", [&told](const std::string& text) { told.push_back(text); }))
     ++tries;
@@ -55,7 +55,7 @@ TEST(Outlive, TheDeadlineEndsItAndTheHintIsTrue) {
   for (const bool goodbye : {false, true}) {
     auto service = std::make_unique<FakeService>([goodbye](Peer& peer, int) {
       if (!peer.greet(1) || !peer.receive()) return;
-      if (goodbye) peer.send(wire::FrameType::goodbye, 0, wire::Json::object());
+      if (goodbye) peer.send(protocol::FrameType::goodbye, 0, protocol::Json::object());
     });
     auto client = Client::connect({.endpoint = service->endpoint()});
     ASSERT_TRUE(client.ok());
@@ -74,10 +74,10 @@ TEST(Outlive, ACommandThatDiedWithItsServiceIsGivenToTheNext) {
   FakeService service([&seen](Peer& peer, int number) {
     if (!peer.greet(1, number == 0 ? "first" : "second")) return;
     while (const auto request = peer.receive()) {
-      if (request->header.type == wire::FrameType::goodbye) return;
+      if (request->type == protocol::FrameType::goodbye) return;
       seen.push_back(request->json["command"]);
       if (number == 0) return;
-      peer.reply(*request, wire::Json::object());
+      peer.reply(*request, protocol::Json::object());
     }
   });
   {

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <limits>
 #include <numeric>
 #include <random>
 
@@ -11,7 +12,7 @@
 namespace rcb::client {
 namespace {
 
-double value_of(std::int64_t id, std::size_t axis, std::int64_t step) {
+double coordinate_of(std::int64_t id, std::size_t axis, std::int64_t step) {
   return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
 }
 
@@ -23,7 +24,7 @@ std::int32_t wandering(std::int64_t id, std::int64_t step, std::uint64_t rarity,
 }
 
 // The caller's arrays for a step, as rows (n, dims) or one array an axis.
-struct Caller {
+struct StepCaller {
   std::size_t n;
   int dims;
   std::vector<std::int64_t> ids;  // empty: rows
@@ -37,7 +38,8 @@ struct Caller {
     for (std::size_t a = 0; a < d; ++a) {
       axes.push_back(values.data() + a * n);
       for (std::size_t i = 0; i < n; ++i)
-        values[rows ? i * d + a : a * n + i] = value_of(ids.empty() ? static_cast<std::int64_t>(i) : ids[i], a, step);
+        values[rows ? i * d + a : a * n + i] =
+            coordinate_of(ids.empty() ? static_cast<std::int64_t>(i) : ids[i], a, step);
     }
     return rows ? Positions::rows(values.data(), n, dims) : Positions::axes(axes, n);
   }
@@ -71,7 +73,7 @@ struct Session {
 
 FakeScene scene_of(int dims, int parts, int ranks, std::uint64_t rarity) {
   FakeScene fake(dims, parts, ranks);
-  fake.position = value_of;
+  fake.position = coordinate_of;
   fake.part_of = [=](std::int64_t id, std::int64_t step) { return wandering(id, step, rarity, parts); };
   return fake;
 }
@@ -85,7 +87,7 @@ StepOptions wanting(std::span<const std::int64_t> ids = {}) {
 }
 
 // Parts and changes of a step against the formula.
-void expect_parts(const StepResult& result, const Caller& caller, std::int64_t step, std::uint64_t rarity,
+void expect_parts(const StepResult& result, const StepCaller& caller, std::int64_t step, std::uint64_t rarity,
                   std::int32_t parts, bool all_rows) {
   ASSERT_EQ(result.parts.size(), caller.n);
   std::vector<PartChange> expected;
@@ -112,7 +114,7 @@ TEST(Step, SlicesFollowThePlan) {
     for (const std::uint64_t rarity : {std::uint64_t{2}, std::uint64_t{100}}) {
       const int dims = 1 + static_cast<int>(random.below(3));
       const std::int32_t parts = 5;
-      Caller caller{random.below(3000), dims, {}, {}, {}};
+      StepCaller caller{random.below(3000), dims, {}, {}, {}};
       if (random.below(2) == 0) {
         for (std::size_t i = 0; i < caller.n; ++i)
           caller.ids.push_back(static_cast<std::int64_t>(7 * i + random.below(7)));
@@ -136,7 +138,7 @@ TEST(Step, SlicesFollowThePlan) {
 TEST(Step, ReportIsRead) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   Session session(fake);
-  Caller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}};
   const auto result = session.scene->step(caller.at(0, true));
   ASSERT_TRUE(result.ok()) << result.status().message();
   const StepReport& report = result->report;
@@ -156,14 +158,14 @@ TEST(Step, ReportIsRead) {
   EXPECT_EQ(report.seconds_total, 2);
   EXPECT_TRUE(result->parts.empty());
   EXPECT_TRUE(result->changes.empty());
-  EXPECT_EQ(wire::parse_json(report.json)->at("bytes"), 5);
+  EXPECT_EQ(protocol::Json::parse(report.json).at("bytes"), 5);
 }
 
 TEST(Step, LargeSlicesGoThroughManyWrites) {
   for (const bool rows : {true, false}) {
     FakeScene fake = scene_of(3, 4, 3, 50);
     Session session(fake);
-    Caller caller{400000, 3, {}, {}, {}};
+    StepCaller caller{400000, 3, {}, {}, {}};
     for (std::int64_t step = 0; step < 3; ++step) {
       const auto result = session.scene->step(caller.at(step, rows), wanting());
       ASSERT_TRUE(result.ok()) << result.status().message();
@@ -176,7 +178,7 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
 TEST(Step, NothingChangedNothingFetched) {
   FakeScene fake = scene_of(3, 4, 3, 1U << 30U);
   Session session(fake);
-  Caller caller{500, 3, {}, {}, {}};
+  StepCaller caller{500, 3, {}, {}, {}};
   for (std::int64_t step = 0; step < 3; ++step) {
     const auto result = session.scene->step(caller.at(step, true), wanting());
     ASSERT_TRUE(result.ok()) << result.status().message();
@@ -198,7 +200,7 @@ TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   fake.fault = [](int push) { return push == 1 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
   Session session(fake);
-  Caller caller{1000, 3, {}, {}, {}};
+  StepCaller caller{1000, 3, {}, {}, {}};
   ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
   const auto result = session.scene->step(caller.at(1, true), wanting());
   ASSERT_TRUE(result.ok()) << result.status().message();
@@ -213,7 +215,7 @@ TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
 TEST(Step, NoPushOfAConnectionBearsAnothersName) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   Session session(fake);
-  Caller caller{1000, 3, {}, {}, {}};
+  StepCaller caller{1000, 3, {}, {}, {}};
   ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
   session.open();
   ASSERT_TRUE(session.scene->step(caller.at(1, true)).ok());
@@ -225,7 +227,7 @@ TEST(Step, StaleTwiceIsToldAndTheNextStepGoesOn) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   fake.fault = [](int push) { return push == 1 || push == 2 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
   Session session(fake);
-  Caller caller{1000, 3, {}, {}, {}};
+  StepCaller caller{1000, 3, {}, {}, {}};
   ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
   EXPECT_EQ(session.scene->step(caller.at(1, true)).status().code(), Code::stale_plan);
   EXPECT_EQ(session.scene->last_step(), 0);
@@ -233,14 +235,14 @@ TEST(Step, StaleTwiceIsToldAndTheNextStepGoesOn) {
 }
 
 TEST(Step, LostConnectionIsMendedAndTheStepAppliedOnce) {
-  using Fault = FakeScene::Fault;
-  for (const Fault fault : {Fault::close_before_commit, Fault::close_after_commit, Fault::close_in_answer})
+  for (const auto fault :
+       {FakeScene::Fault::close_before_commit, FakeScene::Fault::close_after_commit, FakeScene::Fault::close_in_answer})
     for (const int when : {0, 2}) {
       SCOPED_TRACE("fault " + std::to_string(static_cast<int>(fault)) + " at push " + std::to_string(when));
       FakeScene fake = scene_of(2, 5, 3, 20);
-      fake.fault = [=](int push) { return push == when ? fault : Fault::none; };
+      fake.fault = [=](int push) { return push == when ? fault : FakeScene::Fault::none; };
       Session session(fake);
-      Caller caller{1000, 2, {}, {}, {}};
+      StepCaller caller{1000, 2, {}, {}, {}};
       for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(5000 - 3 * i));
       for (std::int64_t step = 0; step < 5; ++step) {
         const auto result = session.scene->step(caller.at(step, false), wanting(caller.ids));
@@ -263,7 +265,7 @@ TEST(Step, ASceneThatWasDroppedMeanwhileIsAClearError) {
     return FakeScene::Fault::close_before_commit;
   };
   Session session(fake);
-  Caller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}};
   ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
   for (int again = 0; again < 2; ++again) {
     const Status status = session.scene->step(caller.at(1, true)).status();
@@ -276,7 +278,7 @@ TEST(Step, AnswerThatContradictsThePlanIsMendedByFetching) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   fake.fault = [](int push) { return push <= 1 ? FakeScene::Fault::wrong_checksum : FakeScene::Fault::none; };
   Session session(fake);
-  Caller caller{1000, 3, {}, {}, {}};
+  StepCaller caller{1000, 3, {}, {}, {}};
   for (std::int64_t step = 0; step < 4; ++step) {
     const auto result = session.scene->step(caller.at(step, true), wanting());
     ASSERT_TRUE(result.ok()) << result.status().message();
@@ -295,7 +297,7 @@ TEST(Step, ARebalanceInBetweenIsNoticedByItsEpoch) {
     return FakeScene::Fault::none;
   };
   Session session(fake);
-  Caller caller{1000, 3, {}, {}, {}};
+  StepCaller caller{1000, 3, {}, {}, {}};
   for (std::int64_t step = 0; step < 3; ++step) {
     const auto result = session.scene->step(caller.at(step, true), wanting());
     ASSERT_TRUE(result.ok());
@@ -308,7 +310,7 @@ TEST(Step, ARebalanceInBetweenIsNoticedByItsEpoch) {
 TEST(Step, AnotherSceneObjectGoesOnWhereTheFirstEnded) {
   FakeScene fake = scene_of(3, 5, 3, 20);
   Session session(fake);
-  Caller caller{1000, 3, {}, {}, {}};
+  StepCaller caller{1000, 3, {}, {}, {}};
   for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * i + 1));
   ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
   session.open();
@@ -327,7 +329,7 @@ TEST(Step, EarlyRefusalOfALargePush) {
   FakeScene fake = scene_of(3, 7, 7, 20);
   fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::busy_early : FakeScene::Fault::none; };
   Session session(fake);
-  Caller caller{500000, 3, {}, {}, {}};
+  StepCaller caller{500000, 3, {}, {}, {}};
   const Status status = session.scene->step(caller.at(0, true)).status();
   EXPECT_EQ(status.code(), Code::busy);
   EXPECT_EQ(status.message(), "held by another");
@@ -358,7 +360,7 @@ TEST(Step, RefusalAndCloseWhileTheClientSends) {
     ASSERT_TRUE(client.ok());
     auto scene = client->open_scene("s");
     ASSERT_TRUE(scene.ok());
-    Caller caller{1000000, 3, {}, {}, {}};
+    StepCaller caller{1000000, 3, {}, {}, {}};
     const Status status = scene->step(caller.at(0, true)).status();
     EXPECT_EQ(status.code(), Code::too_large) << status.message();
   }
@@ -377,7 +379,7 @@ TEST(Step, AServiceThatStopsReadingMeetsTheDeadline) {
   ASSERT_TRUE(client.ok());
   auto scene = client->open_scene("s");
   ASSERT_TRUE(scene.ok());
-  Caller caller{1000000, 3, {}, {}, {}};
+  StepCaller caller{1000000, 3, {}, {}, {}};
   StepOptions options;
   options.deadline_seconds = 0.1;
   EXPECT_EQ(scene->step(caller.at(0, true), options).status().code(), Code::deadline_exceeded);
@@ -386,7 +388,7 @@ TEST(Step, AServiceThatStopsReadingMeetsTheDeadline) {
 TEST(Step, WhatCannotFitIsRefusedBeforeItIsSent) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   Session session(fake);
-  Caller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}};
   const auto refused = [&](const Positions& positions, const StepOptions& options, const std::string& words) {
     const Status status = session.scene->step(positions, options).status();
     EXPECT_EQ(status.code(), Code::invalid_argument);
@@ -409,6 +411,7 @@ TEST(Step, WhatCannotFitIsRefusedBeforeItIsSent) {
   refused(good, {.weights = weights}, "101 weights for 100");
   refused(good, {.step = -1}, "step -1");
   refused(good, {.deadline_seconds = 0}, "deadline");
+  refused(good, {.deadline_seconds = std::numeric_limits<double>::quiet_NaN()}, "deadline");
   ASSERT_TRUE(session.scene->step(good).ok());
   refused(Positions::rows(caller.values.data(), 99, 3), {}, "99 particles, the scene has 100");
   refused(good, {.weights = std::span(weights).first(100)}, "the scene has none");

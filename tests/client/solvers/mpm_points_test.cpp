@@ -6,8 +6,8 @@
 
 #include <gtest/gtest.h>
 
-#include "client/solvers/granular.hpp"
-#include "client/solvers/mpm.hpp"
+#include "client/solvers/mpm/granular.hpp"
+#include "client/solvers/mpm/mpm.hpp"
 
 namespace rcb::solvers {
 namespace {

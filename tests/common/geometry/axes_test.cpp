@@ -28,21 +28,21 @@ TEST(Image, KeepsTheOrder) {
                                       1e300,
                                       Limits::max()};
   for (std::size_t i = 0; i < ascending.size(); ++i) {
-    EXPECT_EQ(value_of_image(image(ascending[i])), ascending[i]);
+    EXPECT_EQ(value_of_order_bits(order_bits(ascending[i])), ascending[i]);
     for (std::size_t j = 0; j < ascending.size(); ++j)
-      EXPECT_EQ(image(ascending[i]) < image(ascending[j]), i < j) << ascending[i] << " " << ascending[j];
+      EXPECT_EQ(order_bits(ascending[i]) < order_bits(ascending[j]), i < j) << ascending[i] << " " << ascending[j];
   }
 }
 
 TEST(Image, TakesBothZerosAsOne) {
-  EXPECT_EQ(image(-0.0), image(0.0));
-  EXPECT_FALSE(std::signbit(value_of_image(image(-0.0))));
+  EXPECT_EQ(order_bits(-0.0), order_bits(0.0));
+  EXPECT_FALSE(std::signbit(value_of_order_bits(order_bits(-0.0))));
 }
 
 TEST(Image, LeavesTheExtremesFree) {
   // The search uses all ones for "nothing".
-  EXPECT_LT(image(Limits::max()), ~std::uint64_t{0});
-  EXPECT_GT(image(Limits::lowest()), 0U);
+  EXPECT_LT(order_bits(Limits::max()), ~std::uint64_t{0});
+  EXPECT_GT(order_bits(Limits::lowest()), 0U);
 }
 
 TEST(Axes, LongestFirstEqualByNumber) {

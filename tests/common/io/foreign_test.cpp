@@ -1,5 +1,5 @@
 // Formats that aren't read are named as what they are, with what to do; what is read is never taken for one.
-#include "common/io/foreign.hpp"
+#include "common/io/formats/foreign.hpp"
 
 #include <gtest/gtest.h>
 

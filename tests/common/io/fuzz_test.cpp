@@ -119,8 +119,8 @@ TEST(Fuzz, Hdf5Data) {
   H5Pclose(plist);
   H5Sclose(space);
   H5Fclose(file);
-  fuzz(contents(path), "fuzz.h5", 301, 600, ":/a");
-  fuzz(contents(path), "fuzz.h5", 302, 600, ":/b");
+  fuzz(contents(path), "fuzz.h5", 301, 150, ":/a");
+  fuzz(contents(path), "fuzz.h5", 302, 150, ":/b");
 }
 
 }  // namespace

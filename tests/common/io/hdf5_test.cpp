@@ -1,4 +1,5 @@
 // HDF5 datasets, made here with the same library: layouts, types, and what is refused.
+#include <atomic>
 #include <limits>
 
 #include <gtest/gtest.h>
@@ -116,6 +117,37 @@ TEST_F(Hdf5, ClaimsWithoutBytesAreRefused) {
     EXPECT_TRUE(has(refusal(read_points(path, {})), "needs more bytes than the 0")) << chunked;
   }
   EXPECT_FALSE(read_points(make({hsize_t{1} << 62U, 4}, {}, {H5T_IEEE_F32LE, false, false}, true), {2, ""}).ok());
+}
+
+TEST_F(Hdf5, AFileThatKillsItsReaderIsDamaged) {
+  const std::string path = make({4, 2}, {1, 2, 3, 4, 5, 6, 7, 8}, {});
+  const std::string good = testing::contents(directory_ / "a.h5");
+  const std::size_t heap = good.find("HEAP");
+  ASSERT_NE(heap, std::string::npos);
+  for (const std::size_t field : {std::size_t{8}, std::size_t{24}}) {  // the size of the heap of names, and where it lies
+    std::string bad = good;
+    bad.replace(heap + field, 8, 8, '\xFF');
+    directory_.write("a.h5", bad);
+    for (const std::string& name : {path, directory_ / "a.h5"}) {
+      const auto points = read_points(name, {});
+      EXPECT_FALSE(points.ok());
+      EXPECT_NE(points.status().code(), Code::internal) << refusal(points);
+    }
+  }
+}
+
+TEST_F(Hdf5, ReadingEndsAtTheOrderToStop) {
+  const std::string path = make({4, 2}, {1, 2, 3, 4, 5, 6, 7, 8}, {});
+  const std::atomic<bool> stop = true;
+  ReadOptions options;
+  options.stop = &stop;
+  EXPECT_EQ(read_points(path, options).status().code(), Code::aborted);
+}
+
+TEST_F(Hdf5, RowsOfManyColumnsAreRefused) {
+  const auto wide = read_points(make({3, 5000}, std::vector<double>(15000), {}), {3, ""});
+  EXPECT_EQ(wide.status().code(), Code::too_large);
+  EXPECT_TRUE(has(refusal(wide), "has 5000 columns")) << refusal(wide);
 }
 
 TEST_F(Hdf5, ChunksThatUnpackToTooLittleAreRefused) {

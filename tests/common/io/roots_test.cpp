@@ -1,5 +1,5 @@
 // Files on somebody else's word: only below the roots, whatever links and swaps lead out, and without a word of them.
-#include "common/io/roots.hpp"
+#include "common/io/files/roots.hpp"
 
 #include <atomic>
 #include <cstdio>
@@ -9,7 +9,7 @@
 #include <gtest/gtest.h>
 #include <hdf5.h>
 
-#include "common/io/output_file.hpp"
+#include "common/io/files/output_file.hpp"
 #include "common/io/points.hpp"
 #include "tests/common/io/files.hpp"
 

@@ -37,7 +37,7 @@ TEST(Write, CsvComesBackBitForBit) {
   }
   const std::array<const double*, 3> axes{x.data(), y.data(), z.data()};
   const std::string path = directory / "p.csv";
-  ASSERT_TRUE(write_csv(path, 3, axes, x.size(), id.data(), weight.data()).ok());
+  ASSERT_TRUE(write_csv(path, 3, axes, x.size(), id, weight).ok());
   EXPECT_EQ(contents(path).substr(0, 16), "x,y,z,id,weight\n");
   const auto points = read_points(path, {0, "weight"});
   ASSERT_TRUE(points.ok()) << refusal(points);
@@ -46,10 +46,10 @@ TEST(Write, CsvComesBackBitForBit) {
   EXPECT_EQ(points->weight, weight);
   EXPECT_EQ(directory.file_count(), 1U);
 
-  ASSERT_TRUE(write_csv(path, 1, axes, 2, nullptr, nullptr).ok());
+  ASSERT_TRUE(write_csv(path, 1, axes, 2, std::nullopt, std::nullopt).ok());
   EXPECT_EQ(contents(path).substr(0, 2), "x\n");
   EXPECT_EQ(read_points(path, {})->count, 2U);
-  ASSERT_TRUE(write_csv(path, 2, axes, 0, id.data(), nullptr).ok());
+  ASSERT_TRUE(write_csv(path, 2, axes, 0, std::span<const std::int64_t>(), std::nullopt).ok());
   EXPECT_EQ(contents(path), "x,y,id\n");
 }
 

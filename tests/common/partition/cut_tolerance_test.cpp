@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-#include "common/partition/load.hpp"
+#include "common/partition/balance/load.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/scenes.hpp"
@@ -21,7 +21,7 @@ using testing::Shape;
 using testing::Share;
 using testing::Weights;
 
-constexpr std::uint64_t kSeed = 20261121;
+constexpr std::uint64_t kToleranceSeed = 20261121;
 
 struct Met {
   std::mutex mutex;
@@ -31,8 +31,8 @@ struct Met {
 };
 
 void run(const Scene& scene, const PartitionOptions& options, Met& met) {
-  on_ranks([&](Comm& comm) {
-    const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+  on_ranks([&](comm::Comm& comm) {
+    const Share share = deal(scene, comm.rank(), comm.size(), kToleranceSeed);
     const particles::ParticleView view = share.particles.view();
     const PartitionResult got = partition(comm, view, options).value();
     EXPECT_TRUE(got.tree.validate().ok()) << got.tree.validate().message();
@@ -52,11 +52,11 @@ void run(const Scene& scene, const PartitionOptions& options, Met& met) {
 // A level adds at most one whole particle to what the tolerance allows, and with weights one particle's weight.
 TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
   for (std::uint64_t round = 0; round < 160; ++round) {
-    Random random(kSeed + round);
+    Random random(kToleranceSeed + round);
     const auto shape = static_cast<Shape>(random.below(testing::kShapes));
     const Weights weights = round % 3 == 0 ? Weights::uniform : Weights::none;
     const Scene scene = make_scene(shape, weights, 1 + static_cast<int>(random.below(3)), 4000 + random.below(4000),
-                                   true, kSeed + round);
+                                   true, kToleranceSeed + round);
     PartitionOptions options;
     options.parts = 2 + static_cast<int>(random.below(40));
     if (random.below(3) == 0)
@@ -65,7 +65,7 @@ TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
     constexpr std::array kTolerances{0.001, 0.02, 0.1, 0.5, 1.0};
     options.cut_tolerance = kTolerances[random.below(kTolerances.size())];
     SCOPED_TRACE(scene.name + ", parts " + std::to_string(options.parts) + ", cut tolerance " +
-                 std::to_string(options.cut_tolerance) + ", seed " + std::to_string(kSeed + round));
+                 std::to_string(options.cut_tolerance) + ", seed " + std::to_string(kToleranceSeed + round));
     Met met;
     run(scene, options, met);
     EXPECT_EQ(met.hashes.size(), 1U);
@@ -80,7 +80,7 @@ TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
 // hangs in the balance.
 TEST(CutTolerance, TheBinsAreTheSameHoweverTheParticlesAreDealt) {
   for (int step = 0; step < 60; ++step) {
-    Scene scene = make_scene(Shape::uniform, Weights::none, 1, 20000, true, kSeed + static_cast<std::uint64_t>(step));
+    Scene scene = make_scene(Shape::uniform, Weights::none, 1, 20000, true, kToleranceSeed + static_cast<std::uint64_t>(step));
     for (double& x : scene.x[0]) x = std::pow(10.0, -0.1 * step * x);
     PartitionOptions options;
     options.parts = 5;
@@ -92,7 +92,7 @@ TEST(CutTolerance, TheBinsAreTheSameHoweverTheParticlesAreDealt) {
 }
 
 TEST(CutTolerance, SavesMessagesAndLosesExactness) {
-  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 20000, false, kSeed);
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 20000, false, kToleranceSeed);
   PartitionOptions options;
   options.parts = 16;
   Met exact;
@@ -107,7 +107,7 @@ TEST(CutTolerance, SavesMessagesAndLosesExactness) {
 }
 
 TEST(CutTolerance, FindsTheExactCutWhereTiesLeaveNoOther) {
-  const Scene scene = make_scene(Shape::coincident, Weights::none, 3, 5000, true, kSeed);
+  const Scene scene = make_scene(Shape::coincident, Weights::none, 3, 5000, true, kToleranceSeed);
   PartitionOptions options;
   options.parts = 7;
   options.cut_tolerance = 0.5;

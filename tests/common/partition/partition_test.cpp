@@ -29,9 +29,9 @@ using testing::Shape;
 using testing::Share;
 using testing::Weights;
 
-constexpr std::uint64_t kSeed = 20240611;
+constexpr std::uint64_t kPartitionSeed = 20240611;
 
-void check_share(Comm& comm, const Scene& scene, const PartitionOptions& options, const Judgement& judged,
+void check_share(comm::Comm& comm, const Scene& scene, const PartitionOptions& options, const Judgement& judged,
                  std::uint64_t deal_seed) {
   const Share share = deal(scene, comm.rank(), comm.size(), deal_seed);
   const Result<PartitionResult> got = partition(comm, share.particles.view(), options);
@@ -47,11 +47,11 @@ void check(const Scene& scene, const JudgeOptions& asked, const CutTree* previou
   for (const std::int32_t part : judged.part) ++counts[static_cast<std::size_t>(part)];
   PartitionOptions options = options_of(asked);
   options.previous = previous;
-  on_ranks([&](Comm& comm) { check_share(comm, scene, options, judged, kSeed + scene.count()); });
+  on_ranks([&](comm::Comm& comm) { check_share(comm, scene, options, judged, kPartitionSeed + scene.count()); });
 }
 
 TEST(Partition, AgreesWithTheJudgeOnEveryShape) {
-  std::uint64_t seed = kSeed;
+  std::uint64_t seed = kPartitionSeed;
   for (int shape = 0; shape < testing::kShapes; ++shape)
     for (const int dims : {1, 2, 3})
       for (const int parts : {1, 2, 3, 5, 7, 8, 13, 37, 64}) {
@@ -65,7 +65,7 @@ TEST(Partition, AgreesWithTheJudgeOnEveryShape) {
 }
 
 TEST(Partition, AgreesWithTheJudgeOnEveryWeighting) {
-  std::uint64_t seed = 2 * kSeed;
+  std::uint64_t seed = 2 * kPartitionSeed;
   for (int shape = 0; shape < testing::kShapes; ++shape)
     for (int weights = 1; weights < testing::kWeights; ++weights)
       for (const int parts : {2, 5, 8, 37}) {
@@ -81,7 +81,7 @@ TEST(Partition, AgreesWithTheJudgeOnEveryWeighting) {
 
 // Too many particles to gather at once, so that every node is searched by histograms.
 TEST(Partition, AgreesWithTheJudgeOnLargerScenes) {
-  std::uint64_t seed = 5 * kSeed;
+  std::uint64_t seed = 5 * kPartitionSeed;
   for (int shape = 0; shape < testing::kShapes; ++shape)
     for (const Weights weights : {Weights::none, Weights::none, Weights::zeros, Weights::giant, Weights::wide}) {
       ++seed;
@@ -96,14 +96,14 @@ TEST(Partition, AgreesWithTheJudgeOnLargerScenes) {
 
 // Asked between the levels of the tree, so that no partition goes on for long once nobody wants it.
 TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
-  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 500, false, kSeed);
-  on_ranks([&](Comm& comm) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 500, false, kPartitionSeed);
+  on_ranks([&](comm::Comm& comm) {
     const Share share = deal(scene, comm.rank(), comm.size(), 7);
     PartitionOptions options;
     options.parts = 64;
     for (int last = 0; last < 9; ++last) {
       int asked = 0;
-      const GoOn go_on = [&] { return ++asked <= last; };
+      const comm::GoOn go_on = [&] { return ++asked <= last; };
       const auto found = partition(comm, share.particles.view(), options, go_on);
       EXPECT_EQ(found.ok(), last >= 6) << last;
       if (!found.ok()) {
@@ -127,7 +127,7 @@ TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
 }
 
 TEST(Partition, BandsHaveOneOrder) {
-  std::uint64_t seed = 3 * kSeed;
+  std::uint64_t seed = 3 * kPartitionSeed;
   for (const Shape shape : {Shape::uniform, Shape::lattice, Shape::planes, Shape::coincident})
     for (int axis = 0; axis < 3; ++axis)
       for (const Weights weights : {Weights::none, Weights::small_integers}) {
@@ -141,7 +141,7 @@ TEST(Partition, BandsHaveOneOrder) {
 }
 
 TEST(Partition, PartSizes) {
-  std::uint64_t seed = 4 * kSeed;
+  std::uint64_t seed = 4 * kPartitionSeed;
   for (const Shape shape : {Shape::uniform, Shape::coincident})
     for (const Weights weights : {Weights::none, Weights::uniform, Weights::zeros}) {
       ++seed;
@@ -156,17 +156,17 @@ TEST(Partition, PartSizes) {
 TEST(Partition, KeepsAxesWithHysteresis) {
   JudgeOptions first;
   first.parts = 16;
-  const Scene before = make_scene(Shape::uniform, Weights::none, 3, 500, false, kSeed);
+  const Scene before = make_scene(Shape::uniform, Weights::none, 3, 500, false, kPartitionSeed);
   const Judgement old_cuts = judge(before, first);
   CutTree previous;
-  on_ranks({1}, [&](Comm& comm) {
+  on_ranks({1}, [&](comm::Comm& comm) {
     const Share share = deal(before, comm.rank(), comm.size(), 1);
     CutTree tree = partition(comm, share.particles.view(), options_of(first)).value().tree;
     if (comm.rank() == 0) previous = tree;
   });
   for (const double hysteresis : {1.0, 1.0001, 1.2, 2.0, 1e300}) {
     for (const Shape shape : {Shape::uniform, Shape::decades, Shape::huge, Shape::coincident}) {
-      const Scene after = make_scene(shape, Weights::none, 3, shape == Shape::coincident ? 5 : 400, false, kSeed + 1);
+      const Scene after = make_scene(shape, Weights::none, 3, shape == Shape::coincident ? 5 : 400, false, kPartitionSeed + 1);
       JudgeOptions asked = first;
       asked.hysteresis = hysteresis;
       for (const JudgeCut& cut : old_cuts.cuts) asked.old_axis.push_back(cut.axes[0]);
@@ -189,8 +189,8 @@ TEST(Partition, ManyPartsFewParticles) {
   for (const std::size_t count : {0U, 1U, 5U, 100U, 5000U}) {
     JudgeOptions asked;
     asked.parts = 4096;
-    check(make_scene(Shape::lattice, Weights::none, 3, count, false, kSeed + count), asked);
-    check(make_scene(Shape::uniform, Weights::uniform, 2, count, true, kSeed + count), asked);
+    check(make_scene(Shape::lattice, Weights::none, 3, count, false, kPartitionSeed + count), asked);
+    check(make_scene(Shape::uniform, Weights::uniform, 2, count, true, kPartitionSeed + count), asked);
     if (HasFatalFailure()) return;
   }
 }
@@ -204,14 +204,14 @@ TEST(Partition, RoundsAreBounded) {
   // Large enough for the histogram search on every level; at most 8 rounds a level for each key word, and mostly two.
   for (int shape = 0; shape < testing::kShapes; ++shape)
     for (const Weights weights : {Weights::none, Weights::zeros}) {
-      const Scene scene = make_scene(static_cast<Shape>(shape), weights, 3, 20000, true, kSeed);
+      const Scene scene = make_scene(static_cast<Shape>(shape), weights, 3, 20000, true, kPartitionSeed);
       SCOPED_TRACE(scene.name);
       PartitionOptions options;
       options.parts = 8;
       std::mutex mutex;
       std::map<std::uint64_t, int> hashes;
-      on_ranks({1, 3}, [&](Comm& comm) {
-        const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+      on_ranks({1, 3}, [&](comm::Comm& comm) {
+        const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
         const PartitionResult got = partition(comm, share.particles.view(), options).value();
         EXPECT_LE(got.rounds, static_cast<Shape>(shape) == Shape::coincident ? 3U * 8U : 3U * 8U * 4U);
         const std::lock_guard lock(mutex);
@@ -230,15 +230,15 @@ struct CountingComm final : testing::ForwardingComm {
 // A large set begins with the tree of a sample; the answer is that of a search among all particles.
 TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
   for (const Shape shape : {Shape::uniform, Shape::coincident}) {
-    const Scene scene = make_scene(shape, Weights::none, 3, 200000, false, kSeed);
+    const Scene scene = make_scene(shape, Weights::none, 3, 200000, false, kPartitionSeed);
     SCOPED_TRACE(scene.name);
     PartitionOptions options;
     options.parts = 4;
     PartitionOptions guessed = options;
     guessed.limits.guess.count_min = 0;
     guessed.limits.guess.stride = 32;
-    on_ranks([&](Comm& comm) {
-      const Share share = deal(scene, comm.rank(), comm.size(), kSeed);
+    on_ranks([&](comm::Comm& comm) {
+      const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
       const PartitionResult all = partition(comm, share.particles.view(), options).value();
       CountingComm counting(comm);
       const PartitionResult few = partition(counting, share.particles.view(), guessed).value();
@@ -254,7 +254,7 @@ TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
 
 TEST(Partition, RefusesBadOptions) {
   const Scene scene = make_scene(Shape::uniform, Weights::none, 2, 10, false, 1);
-  on_ranks([&](Comm& comm) {
+  on_ranks([&](comm::Comm& comm) {
     const Share share = deal(scene, comm.rank(), comm.size(), 1);
     const auto refused = [&](const PartitionOptions& options) {
       const Result<PartitionResult> got = partition(comm, share.particles.view(), options);

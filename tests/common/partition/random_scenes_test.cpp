@@ -18,8 +18,8 @@
 #include <gtest/gtest.h>
 #include <rapidcheck.h>
 
-#include "common/partition/load.hpp"
-#include "common/partition/self_comm.hpp"
+#include "common/comm/self_comm.hpp"
+#include "common/partition/balance/load.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/judge.hpp"
 #include "tests/support/scenes.hpp"
@@ -265,7 +265,7 @@ std::string wrong_with(const RandomScene& from) {
     options.limits.guess = {0, 2, from.parts, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1};
     options.limits.bracket_sigmas = code % 8 == 0 ? 1 : 0;
     options.limits.bracket_margin = code % 7 == 0 ? 1 : 0;
-    options.limits.few_share = 1;
+    options.limits.boundary_divisor = 1;
   }
 
   Scene weighed = scene;
@@ -273,7 +273,7 @@ std::string wrong_with(const RandomScene& from) {
   const Judgement judged = testing::judge(weighed, asked);
   std::mutex mutex;
   std::string wrong;
-  const auto body = [&](Comm& comm) {
+  const auto body = [&](comm::Comm& comm) {
     const Share share = testing::take(scene, rows_of(from, scene.count(), comm.rank()));
     const Result<PartitionResult> got = partition(comm, share.particles.view(), options);
     const std::string here =
@@ -282,7 +282,7 @@ std::string wrong_with(const RandomScene& from) {
     if (!here.empty()) wrong += fmt::format("rank {}: {}\n", comm.rank(), here);
   };
   if (from.ranks == 1) {
-    SelfComm self;
+    comm::SelfComm self;
     body(self);
   } else {
     testing::ThreadWorld world(from.ranks);

@@ -10,9 +10,12 @@
 
 #include "common/wire/frame.hpp"
 #include "common/wire/message.hpp"
-#include "server/net/control.hpp"
+#include "server/net/control/control.hpp"
 
 namespace rcb::net::testing {
+
+inline constexpr const char* kAnna = "00000000000000aa";  // sessions
+inline constexpr const char* kBert = "00000000000000bb";
 
 // Executes orders one by one on its own thread. Knows scene.create, scene.drop, push and fetch (an answer with as many
 // doubles as the scene's name says: "n1000"); anything else is answered with {"echo": command}.

@@ -3,7 +3,9 @@
 #include "server/ranks/engine_loop.hpp"
 
 #include <algorithm>
+#include <condition_variable>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -23,22 +25,35 @@ using wire::Json;
 
 constexpr std::uint64_t kCount = 300;
 
-// A rank's queue, filled as the coordinator fills it: what rank 0 executes alone has a number and comes to no other.
+// A rank's queue, filled as rank 0 fills it: what rank 0 executes alone has a number and comes to no other, and what
+// must wait for the end of a command that may last is added after it.
 class Queue {
  public:
-  Queue(partition::Comm& comm, EngineLoop& loop) : comm_(comm), loop_(loop) {}
+  Queue(comm::Comm& comm, EngineLoop& loop) : comm_(comm), loop_(loop) {}
 
   void add(Json request, std::vector<service::PushSlice> slices = {}) {
     const std::string name = request["command"];
     const api::CommandInfo* command = api::find_command(name);
     ++number_;
-    if (comm_.rank() != 0 && command != nullptr && command->runs_on == api::RunsOn::root) return;
+    const bool root = command != nullptr && command->runs_on == api::RunsOn::root;
+    if (comm_.rank() != 0 && root) return;
+    const bool lasts = name == "shutdown" || (command != nullptr && command->gives_way);
+    if (!root) {
+      std::unique_lock lock(mutex_);
+      ended_.wait(lock, [&] { return !lasting_ || (!lasts && request.value("scene", Json()) != *lasting_); });
+      if (lasts) lasting_ = request["scene"];
+    }
     EngineOrder order;
     order.number = number_;
     const bool wrong = request.contains("scene") && !request["scene"].is_string();
     const std::string text = name + " " + (wrong ? "?" : request.value("scene", "-"));
-    order.done = [this, text, wrong](const service::Response& response) {
+    order.done = [this, text, wrong, lasts](const service::Response& response) {
       done.push_back(text);
+      if (lasts) {
+        const std::lock_guard lock(mutex_);
+        lasting_.reset();
+        ended_.notify_one();
+      }
       if (comm_.rank() != 0) return;
       EXPECT_EQ(response.status.ok(), !wrong) << text << ": " << response.status.message();
     };
@@ -74,13 +89,16 @@ class Queue {
   std::vector<std::string> done;
 
  private:
-  partition::Comm& comm_;
+  comm::Comm& comm_;
   EngineLoop& loop_;
   std::uint64_t number_ = 0;
+  std::mutex mutex_;
+  std::condition_variable ended_;
+  std::optional<Json> lasting_;  // the scene of a command that may last and hasn't ended
 };
 
-TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
-  on_ranks([](partition::Comm& comm) {
+TEST(EngineLoop, WhatMayLastGivesWay) {
+  on_ranks([](comm::Comm& comm) {
     EngineLoop loop(100);
     Queue queue(comm, loop);
     for (const char* scene : {"long", "other"}) {
@@ -88,21 +106,20 @@ TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
       queue.push_step(scene, 0);
     }
     queue.add("compare", "long");
-    queue.add("error", "long");     // of the same scene: after it
-    queue.add("quality", "other");  // may last itself: after it, in nobody's way
-    queue.push_step("other", 1);    // before that one
+    queue.add("error", "long");
+    queue.push_step("other", 1);
     queue.add({{"command", "scene.create"}, {"scene", "third"}, {"parts", 2}, {"dims", 3}});
     queue.push_step("third", 0);
     queue.add("error", "third");
     queue.add({{"command", "assign"}, {"scene", 7}});  // refused, and no more
-    queue.add("shutdown", "");
+    std::thread at_its_end([&] { queue.add("shutdown", ""); });
     const SteadyClock clock;
     service::Service service(comm, clock);
     loop.run(service);
-    std::vector<std::string> expected{"scene.create long", "push long",          "scene.create other", "push other",
-                                      "push other",        "scene.create third", "push third",         "error third",
-                                      "assign ?",          "compare long",       "error long",         "quality other",
-                                      "shutdown "};
+    at_its_end.join();
+    std::vector<std::string> expected{"scene.create long", "push long",  "scene.create other", "push other",
+                                      "error long",        "push other", "scene.create third", "push third",
+                                      "error third",       "assign ?",   "compare long",       "shutdown "};
     if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("error"); });
     EXPECT_EQ(queue.done, expected);
   });
@@ -112,7 +129,7 @@ TEST(EngineLoop, WhatMayLastGivesWayToOtherScenes) {
 TEST(EngineLoop, EveryRankExecutesTheSameSequence) {
   std::mutex mutex;
   std::vector<std::vector<std::string>> all;
-  on_ranks([&](partition::Comm& comm) {
+  on_ranks([&](comm::Comm& comm) {
     EngineLoop loop(1000);
     Queue queue(comm, loop);
     const SteadyClock clock;

@@ -10,8 +10,9 @@
 
 #include <gtest/gtest.h>
 
+#include "common/base/clock.hpp"
 #include "common/base/random.hpp"
-#include "common/plan/plan.hpp"
+#include "common/layout/layout.hpp"
 #include "server/service/service.hpp"
 
 namespace rcb::testing {
@@ -19,6 +20,8 @@ namespace rcb::testing {
 using service::PushSlice;
 using service::Response;
 using wire::Json;
+
+inline const SteadyClock kClock;
 
 struct Particles {
   int dims = 3;
@@ -48,7 +51,7 @@ inline void drift(Particles& particles, std::uint64_t seed, double width) {
 // Every rank makes one over its own Service; all do the same.
 class Driver {
  public:
-  Driver(partition::Comm& comm, service::Service& service, std::string scene)
+  Driver(comm::Comm& comm, service::Service& service, std::string scene)
       : comm_(comm), service_(service), scene_(std::move(scene)) {}
 
   Response create(Json options) {
@@ -65,12 +68,11 @@ class Driver {
 
   // In the plan's order; the plan follows from the answer's changes (which all ranks are told, for the test's sake).
   Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
-    if (first_) plan_ = plan::Plan::blocks(particles.count(), comm_.size(), particles.ids);
+    if (first_) plan_ = layout::Layout::blocks(particles.count(), comm_.size(), particles.ids);
     std::vector<PushSlice> slices;
     Json request = begin(particles, step, session, "plan");
-    if (arrive) {
+    if (directly) {
       slices.push_back(slice_of(particles, comm_.rank()));
-      slices.back().arrival = arrive(slices.back());
       request["staged"] = 1;
     } else if (comm_.rank() == 0) {
       for (int r = 0; r < comm_.size(); ++r) slices.push_back(slice_of(particles, r));
@@ -85,18 +87,17 @@ class Driver {
   Response push_by_id(const Particles& particles, std::int64_t step, const std::string& session = "s") {
     std::vector<PushSlice> slices;
     if (comm_.rank() == 0) {
-      const plan::Plan whole = plan::Plan::blocks(particles.count(), 1, particles.ids);
+      const layout::Layout whole = layout::Layout::blocks(particles.count(), 1, particles.ids);
       slices.push_back(slice_by_rows(particles, 0, whole.rows(0)));
     }
     Response response = service_.execute(begin(particles, step, session, "id"), std::move(slices));
     return response;
   }
 
-  const plan::Plan& plan() const { return plan_; }
+  const layout::Layout& plan() const { return plan_; }
 
-  // Where it is there, pushes go straight to the ranks: what is seen of this rank's slice as it comes.
-  std::function<std::shared_ptr<const service::Arrival>(const PushSlice& slice)> arrive;
-  Json step_seconds;  // said with every push; null: nothing
+  bool directly = false;  // pushes go straight to the ranks
+  Json step_seconds;      // said with every push; null: nothing
 
  private:
   Json begin(const Particles& particles, std::int64_t step, const std::string& session, const char* order) const {
@@ -158,7 +159,7 @@ class Driver {
     std::vector<std::int32_t> ranks;
     for (std::size_t k = 0; k < ids.size(); ++k) {
       const std::uint64_t row = row_of(particles, ids[k]);
-      const int rank = plan::rank_of_part(parts[k], static_cast<int>(part_count), comm_.size());
+      const int rank = layout::rank_of_part(parts[k], static_cast<int>(part_count), comm_.size());
       if (rank_of_row_[row] == rank) continue;
       rank_of_row_[row] = rank;
       rows.push_back(row);
@@ -176,7 +177,7 @@ class Driver {
   std::vector<int> block_ranks(std::uint64_t n) const {
     std::vector<int> ranks(n);
     for (int r = 0; r < comm_.size(); ++r)
-      for (std::uint64_t i = plan::row_begin(r, n, comm_.size()); i < plan::row_begin(r + 1, n, comm_.size()); ++i)
+      for (std::uint64_t i = layout::row_begin(r, n, comm_.size()); i < layout::row_begin(r + 1, n, comm_.size()); ++i)
         ranks[i] = r;
     return ranks;
   }
@@ -189,10 +190,10 @@ class Driver {
     return 0;
   }
 
-  partition::Comm& comm_;
+  comm::Comm& comm_;
   service::Service& service_;
   std::string scene_;
-  plan::Plan plan_ = plan::Plan::blocks(0, 1, {});
+  layout::Layout plan_ = layout::Layout::blocks(0, 1, {});
   std::vector<int> rank_of_row_;
   bool first_ = true;
 };

@@ -15,8 +15,6 @@ namespace {
 
 using service::Service;
 
-const SteadyClock kClock;
-
 // What must not depend on the rank count.
 Json comparable(Json report) {
   for (const char* name : {"seconds", "migrated", "skipped", "searched", "rounds", "reductions"}) report.erase(name);
@@ -24,7 +22,7 @@ Json comparable(Json report) {
 }
 
 TEST(Service, FirstPushIsPartitioned) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 8}});
@@ -44,7 +42,7 @@ TEST(Service, FirstPushIsPartitioned) {
 
 TEST(Service, ReportsAreTheSameOnAnyNumberOfRanks) {
   Reference reference;
-  on_ranks([&](partition::Comm& comm) {
+  on_ranks([&](comm::Comm& comm) {
     for (const int dims : {1, 2, 3}) {
       Service service(comm, kClock);
       Driver driver(comm, service, "walk");
@@ -69,7 +67,7 @@ TEST(Service, ReportsAreTheSameOnAnyNumberOfRanks) {
 
 TEST(Service, IdsOfTheSolversOwnAndWeights) {
   Reference reference;
-  on_ranks([&](partition::Comm& comm) {
+  on_ranks([&](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "w");
     driver.create({{"parts", 5}, {"tolerance", 0.2}});
@@ -93,7 +91,7 @@ TEST(Service, IdsOfTheSolversOwnAndWeights) {
 }
 
 TEST(Service, OrderByIdEqualsThePlanOrder) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver by_plan(comm, service, "plan");
     Driver by_id(comm, service, "id");
@@ -112,7 +110,7 @@ TEST(Service, OrderByIdEqualsThePlanOrder) {
 }
 
 TEST(Service, ARefusedPushChangesNothing) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 3}});
@@ -148,7 +146,7 @@ TEST(Service, ARefusedPushChangesNothing) {
 }
 
 TEST(Service, StalePlanIsRefused) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 4}});
@@ -162,7 +160,7 @@ TEST(Service, StalePlanIsRefused) {
 }
 
 TEST(Service, RebalanceByThePureRule) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 8}, {"tolerance", "inf"}});
@@ -190,7 +188,7 @@ TEST(Service, RebalanceByThePureRule) {
 }
 
 TEST(Service, NoAndFewParticles) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     for (const std::size_t n : {std::size_t{0}, std::size_t{1}, std::size_t{5}}) {
       Service service(comm, kClock);
       Driver driver(comm, service, "a");
@@ -213,7 +211,7 @@ TEST(Service, NoAndFewParticles) {
 }
 
 TEST(Service, DuplicateAndNegativeIds) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "a");
     driver.create({{"parts", 2}});
@@ -232,7 +230,7 @@ TEST(Service, DuplicateAndNegativeIds) {
 }
 
 TEST(Service, BadRequests) {
-  on_ranks([](partition::Comm& comm) {
+  on_ranks([](comm::Comm& comm) {
     Service service(comm, kClock);
     Driver driver(comm, service, "a");
     const std::vector<std::pair<Response, Code>> answers{

@@ -1,0 +1,153 @@
+// export: writes a scene's particles as files for ParaView and scripts.
+#include <bit>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/files/fetched.hpp"
+#include "client/cli/files/part_files.hpp"
+#include "client/cli/print/output.hpp"
+#include "common/files/paths.hpp"
+#include "common/io/files/output_file.hpp"
+#include "common/io/points.hpp"
+
+namespace rcb::cli {
+namespace {
+
+struct ExportOptions {
+  std::string name;
+  std::string directory;
+  std::vector<std::string> formats{"csv"};
+  bool replace = false;
+};
+
+// Legacy VTK is big-endian.
+template <typename T>
+void append_big(std::string& out, T value) {
+  char bytes[sizeof(T)];
+  std::memcpy(bytes, &value, sizeof(T));
+  static_assert(std::endian::native == std::endian::little);
+  out.append(std::make_reverse_iterator(bytes + sizeof(T)), std::make_reverse_iterator(bytes));
+}
+
+// Polydata with one vertex for each particle; part, id and weight (if any) for colouring.
+std::string vtk_text(const Fetched& set, const std::string& scene) {
+  const std::size_t n = set.id.size();
+  std::string out =
+      fmt::format("# vtk DataFile Version 3.0\nrcbd scene {}\nBINARY\nDATASET POLYDATA\nPOINTS {} double\n", scene, n);
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t a = 0; a < 3; ++a) append_big(out, a < set.axes.size() ? set.axes[a][i] : 0.0);
+  out += fmt::format("\nVERTICES {} {}\n", n, 2 * n);
+  for (std::size_t i = 0; i < n; ++i) {
+    append_big(out, std::int32_t{1});
+    append_big(out, static_cast<std::int32_t>(i));
+  }
+  out += fmt::format("\nPOINT_DATA {}\nSCALARS part int 1\nLOOKUP_TABLE default\n", n);
+  for (const std::int32_t part : set.part) append_big(out, part);
+  out += "\nSCALARS id double 1\nLOOKUP_TABLE default\n";
+  for (const std::int64_t id : set.id) append_big(out, static_cast<double>(id));
+  if (!set.weight.empty()) {
+    out += "\nSCALARS weight double 1\nLOOKUP_TABLE default\n";
+    for (const double weight : set.weight) append_big(out, weight);
+  }
+  return out + "\n";
+}
+
+Status write_vtk(const Fetched& set, const ExportOptions& options, Json& files) {
+  if (set.id.size() > static_cast<std::size_t>(std::numeric_limits<std::int32_t>::max()))
+    return {Code::too_large, "legacy VTK holds at most 2^31 - 1 points", "--format npy"};
+  const std::string path = join_path(options.directory, options.name + ".vtk");
+  files.push_back(path);
+  return io::write_file(path, vtk_text(set, options.name));
+}
+
+Status write_arrays(const Fetched& set, const ExportOptions& options, Json& files) {
+  const std::size_t dims = set.axes.size();
+  std::vector<double> rows(set.id.size() * dims);
+  for (std::size_t a = 0; a < dims; ++a)
+    for (std::size_t i = 0; i < set.id.size(); ++i) rows[i * dims + a] = set.axes[a][i];
+  const auto path = [&](const char* name) {
+    files.push_back(join_path(options.directory, name));
+    return files.back().get<std::string>();
+  };
+  if (Status status = io::write_npy(path("positions.npy"), rows, {set.id.size(), dims}); !status) return status;
+  if (Status status = io::write_npy(path("id.npy"), set.id); !status) return status;
+  if (!set.weight.empty())
+    if (Status status = io::write_npy(path("weight.npy"), set.weight, {set.weight.size()}); !status) return status;
+  return io::write_npy(path("part.npy"), set.part);
+}
+
+// The names of the files that an export writes.
+std::vector<std::string> file_names(const ExportOptions& options, const Json& shown) {
+  std::vector<std::string> names;
+  for (const std::string& format : options.formats) {
+    if (format == "csv")
+      for (std::string& name : part_file_names(shown.at("parts").get<int>())) names.push_back(std::move(name));
+    if (format == "vtk") names.push_back(options.name + ".vtk");
+    if (format != "npy") continue;
+    names.insert(names.end(), {"positions.npy", "id.npy", "part.npy"});
+    if (shown.at("weights").get<bool>()) names.push_back("weight.npy");
+  }
+  return names;
+}
+
+Status write_files(const Fetched& set, const ExportOptions& options, int parts, Json& files) {
+  if (Status status = make_directory(options.directory); !status) return status;
+  for (const std::string& format : options.formats) {
+    Status status;
+    if (format == "csv") status = write_part_files(set, parts, options.directory, files);
+    if (format == "npy") status = write_arrays(set, options, files);
+    if (format == "vtk") status = write_vtk(set, options, files);
+    if (!status) return status;
+  }
+  return {};
+}
+
+Status export_scene(const ExportOptions& options, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  auto shown = ask(*client, "scene.show", {{"scene", options.name}});
+  if (!shown) return shown.status();
+  const auto left = LeftoverFiles::find(options.directory, file_names(options, *shown), options.replace);
+  if (!left) return left.status();
+  auto answer = ask_arrays(*client, "fetch", {{"scene", options.name}});
+  if (!answer) return answer.status();
+  auto set = fetched(answer->reply);
+  if (!set) return set.status();
+  Json files = Json::array();
+  if (Status status = write_files(*set, options, shown->at("parts").get<int>(), files); !status) return status;
+  if (Status status = left->remove(); !status) return status;
+  if (context.json) {
+    print_json({{"scene", options.name},
+                {"n", answer->json.at("n")},
+                {"step", answer->json.at("step")},
+                {"epoch", answer->json.at("epoch")},
+                {"files", files}});
+    return {};
+  }
+  for (const Json& file : files) print_line(file.get<std::string>());
+  return {};
+}
+
+}  // namespace
+
+void add_export_command(CLI::App& app, Context& context) {
+  auto options = std::make_shared<ExportOptions>();
+  CLI::App* command = add_command(app, context,
+                                  {"export", "Writes a scene's particles for ParaView and scripts",
+                                   "  rcbctl export jet out\n  rcbctl export jet out --format vtk,npy", kSceneGroup},
+                                  [options, &context] { return export_scene(*options, context); });
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "DIR", options->directory, kind::text("DIR"), "made if missing")->required();
+  add_value(*command, "--format", options->formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
+            "csv (a file a part), npy, vtk; several with commas between")
+      ->default_str("csv")
+      ->delimiter(',');
+  command->add_flag("--replace", options->replace, kReplaceFilesHelp);
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,325 @@
+// push, replay: steps from files.
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/files/point_file.hpp"
+#include "client/cli/print/output.hpp"
+#include "client/cli/print/report_csv.hpp"
+#include "common/base/clock.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::cli {
+namespace {
+
+struct PushOptions {
+  std::string name;
+  FileOptions file;
+  bool subset = false;
+  bool unmoved = false;
+  FileOptions inserted;
+  std::vector<std::int64_t> removed;
+  std::optional<std::int64_t> step;
+  std::optional<double> step_seconds;
+};
+
+struct ReplayOptions {
+  std::string name;
+  std::vector<std::string> files;
+  FileOptions file;  // dims and weights of each file
+  std::optional<int> parts;
+  double tolerance = 0.1;
+  double axis_hysteresis = 1.2;
+  std::string policy = "tolerance";
+  std::string recut = "all";
+  std::optional<double> step_seconds;
+  std::string history;
+  bool replace = false;
+};
+
+// Positions that float32 represents exactly are sent as float32: half the bytes, the same values.
+class CompactPositions {
+ public:
+  explicit CompactPositions(const io::Points& points) : points_(points) {
+    for (const auto& axis : points.position)
+      for (const double value : axis)
+        if (static_cast<double>(static_cast<float>(value)) != value) return;
+    for (const auto& axis : points.position) single_.emplace_back(axis.begin(), axis.end());
+  }
+  bool single() const { return !single_.empty() && points_.count > 0; }
+  client::Positions positions(bool as_single) const {
+    if (!as_single) return positions_of(points_);
+    std::vector<const float*> axes;
+    for (const auto& axis : single_) axes.push_back(axis.data());
+    return client::Positions::axes(axes, points_.count);
+  }
+  client::Positions positions() const { return positions(single()); }
+
+ private:
+  const io::Points& points_;
+  std::vector<std::vector<float>> single_;
+};
+
+void print_report(const Json& report) {
+  Facts facts;
+  facts.add("step", fmt::format("{}, epoch {}", text_of(report, "step"), text_of(report, "epoch")));
+  const Json& before = report.at("error_before");
+  facts.add("error", fmt::format("{}{}, imbalance {}", before.is_null() ? "" : text_of(before) + " on arrival, now ",
+                                 text_of(report, "error"), text_of(report, "imbalance")));
+  facts.add("repartition", fmt::format("{}: {}", text_of(report, "repartitioned"), text_of(report, "reason")));
+  facts.add("points", fmt::format("{} drifted, {} moved, {} migrated", text_of(report, "drifted"),
+                                  text_of(report, "moved"), text_of(report, "migrated")));
+  facts.add("skipped", text_of(report, "skipped"));
+  facts.add("time", milliseconds(report.at("seconds").at("total").get<double>()) + " ms");
+  facts.print();
+}
+
+// Such a push would make a scene without particles, which is hardly meant.
+Status no_points(const std::string& file, const std::string& scene) {
+  return {Code::invalid_argument, fmt::format("{}: holds no points, and scene '{}' has none yet", file, scene),
+          "push a file that holds some; was this one written to its end?"};
+}
+
+// Reads as many columns as the scene has dimensions, unless the options say otherwise.
+Result<io::Points> read_for_scene(FileOptions file, int dims, const std::string& scene) {
+  if (file.dims != 0) return read_single(file);
+  const auto natural = [file] { return read_single(file); };
+  file.dims = dims;
+  auto points = read_single(file);
+  if (points) return points;
+  if (const auto own = natural(); own && own->dims != dims)
+    return Status(Code::invalid_argument,
+                  fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, own->dims,
+                              own->dims == 1 ? "" : "s", scene, dims),
+                  fmt::format("create the scene with --dims {}, or give a file with more columns", own->dims));
+  return points;
+}
+
+Status push(const PushOptions& options, const Context& context) {
+  if (options.file.path.empty() && !options.unmoved && options.inserted.path.empty() && options.removed.empty())
+    return {Code::usage, "push: FILE, --unmoved, --insert or --remove is wanted", "rcbctl push --help"};
+  auto client = connect(context);
+  if (!client) return client.status();
+  auto shown = ask(*client, "scene.show", {{"scene", options.name}});
+  if (!shown) return shown.status();
+  const int dims = shown->at("dims").get<int>();
+  const auto read = [dims, &options](const FileOptions& file) -> Result<io::Points> {
+    if (file.path.empty()) return io::Points{.dims = dims};
+    return read_for_scene(file, dims, options.name);
+  };
+  const auto points = read(options.file);
+  if (!points) return points.status();
+  if (points->count == 0 && !options.file.path.empty() && shown->at("n") == 0)
+    return no_points(options.file.path, options.name);
+  FileOptions new_file = options.inserted;
+  new_file.weights = options.file.weights;
+  const auto inserted = read(new_file);
+  if (!inserted) return inserted.status();
+  if (inserted->count > 0 && inserted->weight.empty() && shown->at("weights").get<bool>())
+    return {Code::invalid_argument,
+            fmt::format("{}: no weights, and scene '{}' has them", options.inserted.path, options.name),
+            "name the file's column: --weights w"};
+  if (options.subset && points->id.size() != points->count)
+    return {Code::invalid_argument, fmt::format("{}: no column 'id' says which particles moved", options.file.path),
+            "name the columns, as in \"id,x,y,z\""};
+  auto scene = client->open_scene(options.name);
+  if (!scene) return scene.status();
+  client::StepOptions step;
+  step.step = options.step;
+  step.step_seconds = options.step_seconds;
+  step.weights = points->weight;
+  const CompactPositions sent(*points), new_sent(*inserted);
+  const bool alone = options.file.path.empty();
+  const bool single = alone ? new_sent.single() : sent.single() && (inserted->count == 0 || new_sent.single());
+  const client::Insertion insertion{new_sent.positions(single && inserted->count > 0), inserted->id, inserted->weight};
+  if (inserted->count > 0) step.inserted = &insertion;
+  step.removed = options.removed;
+  if (!options.subset) step.ids = points->id;
+  auto result = alone            ? scene->step_unmoved(step)
+                : options.subset ? scene->step_moved(points->id, sent.positions(single), step)
+                                 : scene->step(sent.positions(single), step);
+  if (!result) return result.status();
+  const Json report = Json::parse(result->report.json);
+  return show(context, report, [&] { print_report(report); });
+}
+
+// Sums over a replay so far.
+struct Tally {
+  Json reports = Json::array();
+  std::uint64_t repartitions = 0;
+  double error_sum = 0;
+  double error_max = 0;
+};
+
+void add(Tally& tally, const client::StepReport& report) {
+  tally.reports.push_back(Json::parse(report.json));
+  if (report.repartitioned && report.error_before) ++tally.repartitions;
+  const double error = report.error_before.value_or(report.error);
+  tally.error_sum += error;
+  tally.error_max = std::max(tally.error_max, error);
+}
+
+class Replay {
+ public:
+  Replay(const ReplayOptions& options, const Context& context)
+      : options_(options), context_(context), progress_("replay " + options.name) {}
+
+  Status run() {
+    auto client = connect_persistent(context_);
+    if (!client) return client.status();
+    const double start = clock_.seconds();
+    Status status;
+    for (const std::string& file : options_.files)
+      if (status = replay_file(*client, file); !status) break;
+    progress_.clear();
+    // The steps before a bad frame are committed, so their history is written, too.
+    if (!options_.history.empty() && !tally_.reports.empty()) {
+      std::string table = reports_csv_header();
+      for (const Json& report : tally_.reports) table += report_csv_line(report);
+      if (Status written = io::write_file(options_.history, table); !written) return written;
+    }
+    if (!status) return status;
+    print(clock_.seconds() - start);
+    return {};
+  }
+
+ private:
+  Status replay_file(client::Client& client, const std::string& path) {
+    auto reader = io::open_trajectory(path, {options_.file.dims, options_.file.weights});
+    if (!reader) return reader.status();
+    const std::uint64_t frames = (*reader)->frames();
+    if (frames == 0) return {Code::invalid_argument, path + ": holds no frames", "save at least one step in it"};
+    for (std::uint64_t k = 0; k < frames; ++k) {
+      auto points = (*reader)->frame(k);
+      if (!points) return points.status();
+      if (!scene_ && points->count == 0) return no_points(path, options_.name);
+      if (!scene_)
+        if (Status status = open(client, *points); !status) return status;
+      client::StepOptions step;
+      step.step = static_cast<std::int64_t>(tally_.reports.size());
+      step.step_seconds = options_.step_seconds;
+      step.weights = points->weight;
+      const CompactPositions sent(*points);
+      auto result = scene_->step(sent.positions(), step);
+      if (!result)
+        return {result.status().code(),
+                fmt::format("{}, frame {} (step {}): {}", path, k, tally_.reports.size(), result.status().message()),
+                result.status().hint()};
+      add(tally_, result->report);
+      const std::uint64_t total = options_.files.size() == 1 ? frames : options_.files.size();
+      progress_.at(tally_.reports.size(), total, "error " + number(result->report.error));
+    }
+    return {};
+  }
+
+  Status open(client::Client& client, const io::Points& points) {
+    parts_ = options_.parts.value_or(client.ranks());
+    client::SceneOptions scene;
+    scene.parts = parts_;
+    scene.dims = points.dims;
+    scene.tolerance = options_.tolerance;
+    scene.axis_hysteresis = options_.axis_hysteresis;
+    scene.policy = options_.policy;
+    scene.recut = options_.recut;
+    scene.replace = options_.replace;
+    if (Status status = client.create_scene(options_.name, scene); !status) return status;
+    auto opened = client.open_scene(options_.name);
+    if (!opened) return opened.status();
+    scene_.emplace(std::move(*opened));
+    return {};
+  }
+
+  void print(double seconds) const {
+    const double mean = tally_.reports.empty() ? 0 : tally_.error_sum / static_cast<double>(tally_.reports.size());
+    if (context_.json) {
+      print_json({{"scene", options_.name},
+                  {"steps", tally_.reports.size()},
+                  {"parts", parts_},
+                  {"tolerance", tolerance_json(options_.tolerance)},
+                  {"policy", options_.policy},
+                  {"repartitions", tally_.repartitions},
+                  {"error_mean", mean},
+                  {"error_max", tally_.error_max},
+                  {"seconds", seconds},
+                  {"last", tally_.reports.empty() ? Json() : tally_.reports.back()}});
+      return;
+    }
+    Facts facts;
+    facts.add("scene", fmt::format("{}, {} parts, tolerance {}", options_.name, parts_, options_.tolerance));
+    facts.add("steps", std::to_string(tally_.reports.size()));
+    facts.add("repartitions", fmt::format("{} after the first partition", tally_.repartitions));
+    facts.add("error", fmt::format("mean {}, largest {} (as found when a step arrived)", number(mean),
+                                   number(tally_.error_max)));
+    facts.add("time", fmt::format("{:.3g} s", seconds));
+    facts.print();
+  }
+
+  const ReplayOptions& options_;
+  const Context& context_;
+  SteadyClock clock_;
+  Progress progress_;
+  Tally tally_;
+  int parts_ = 0;
+  std::optional<client::Scene> scene_;
+};
+
+}  // namespace
+
+void add_push_commands(CLI::App& app, Context& context) {
+  auto push_options = std::make_shared<PushOptions>();
+  CLI::App* command =
+      add_command(app, context,
+                  {"push", "One step from a file",
+                   "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7\n"
+                   "  rcbctl push jet moved.csv --subset\n  rcbctl push jet --insert inflow.csv --remove 17,42",
+                   kSceneGroup},
+                  [push_options, &context] { return push(*push_options, context); });
+  add_value(*command, "NAME", push_options->name, kind::text("NAME"), "the scene")->required();
+  CLI::Option* file = add_file_options(*command, push_options->file);
+  file->required(false);
+  CLI::Option* unmoved = command->add_flag("--unmoved", push_options->unmoved, "nothing moved; no FILE");
+  unmoved->excludes(file);
+  command
+      ->add_flag("--subset", push_options->subset, "FILE holds the particles that moved alone, and their ids: id,x,y,z")
+      ->needs(file);
+  add_value(*command, "--insert", push_options->inserted.path, kind::text("FILE"),
+            "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
+  add_value(*command, "--remove", push_options->removed, kind::whole_number("IDS", 0),
+            "ids of particles to remove, with commas between")
+      ->delimiter(',');
+  add_value(*command, "--step", push_options->step, kind::whole_number("K", 0, wire::kStepMax),
+            "its number (default: the last + 1, 0 at first)");
+  add_value(*command, "--step-seconds", push_options->step_seconds, kind::number_from_zero("SECONDS"),
+            kStepSecondsHelp);
+
+  auto replay_options = std::make_shared<ReplayOptions>();
+  command = add_command(app, context,
+                        {"replay", "Makes a scene and pushes a trajectory into it, steps numbered from 0",
+                         "  rcbctl replay jet run.npy --parts 8 --tolerance 0.1\n"
+                         "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv --replace",
+                         kSceneGroup},
+                        [replay_options, &context] { return Replay(*replay_options, context).run(); });
+  add_value(*command, "NAME", replay_options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "FILES", replay_options->files, kind::text("FILE..."),
+            "a file a step, or .npy of shape (steps, n, dims)")
+      ->required()
+      ->expected(-1);
+  command->add_flag("--replace", replay_options->replace, "drop a scene of that name first");
+  add_value(*command, "--parts", replay_options->parts, kind::part_count(), "number of parts (default: one a rank)");
+  add_value(*command, "--tolerance", replay_options->tolerance, kind::tolerance(), kToleranceHelp)
+      ->capture_default_str();
+  add_value(*command, "--axis-hysteresis", replay_options->axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
+      ->capture_default_str();
+  add_value(*command, "--policy", replay_options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(*command, "--recut", replay_options->recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_value(*command, "--step-seconds", replay_options->step_seconds, kind::number_from_zero("SECONDS"),
+            std::string(kStepSecondsHelp) + ", said with each step");
+  add_value(*command, "--dims", replay_options->file.dims, kind::dimensions(), kDimsHelp);
+  add_value(*command, "--weights", replay_options->file.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_value(*command, "--history", replay_options->history, kind::output_file(kind::Format::csv),
+            "also write the step reports to this file");
+}
+
+}  // namespace rcb::cli

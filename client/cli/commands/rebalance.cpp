@@ -1,0 +1,69 @@
+// rebalance: repartitions now, or tells what that would change.
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "client/cli/app.hpp"
+#include "client/cli/print/output.hpp"
+
+namespace rcb::cli {
+namespace {
+
+struct RebalanceOptions {
+  std::string name;
+  std::optional<std::string> method;
+  std::optional<int> parts;
+  std::optional<double> tolerance;
+  bool dry_run = false;
+  bool force = false;
+};
+
+void print(const Json& reply, bool dry_run) {
+  Facts facts;
+  facts.add("scene", text_of(reply, "scene"));
+  facts.add("partition", fmt::format("{}, {} parts", text_of(reply, "method"), text_of(reply, "parts")));
+  facts.add("error", fmt::format("{} -> {}", text_of(reply, "error_before"), text_of(reply, "error")));
+  facts.add(dry_run ? "would move" : "moved", fmt::format("{} points to another part, {} to another rank",
+                                                          text_of(reply, "moved"), text_of(reply, "migrated")));
+  facts.add("axes flipped", text_of(reply, "axes_flipped"));
+  if (const auto quality = reply.find("quality"); quality != reply.end() && quality->is_object()) {
+    std::uint64_t ghosts = 0;
+    for (const Json& count : quality->at("ghosts")) ghosts += count.get<std::uint64_t>();
+    facts.add("interface", text_of(*quality, "interface_area"));
+    facts.add("ghosts", fmt::format("{} within {}", ghosts, text_of(*quality, "ghost_width")));
+  }
+  facts.add("epoch", text_of(reply, "epoch"));
+  facts.add("result", text_of(reply, "reason"));
+  facts.add("time", milliseconds(reply.value("seconds", 0.0)) + " ms");
+  facts.print();
+}
+
+Status rebalance(const RebalanceOptions& options, const Context& context) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  Json arguments{{"scene", options.name}, {"dry_run", options.dry_run}, {"force", options.force}};
+  if (options.method) arguments["method"] = *options.method;
+  if (options.parts) arguments["parts"] = *options.parts;
+  if (options.tolerance) arguments["tolerance"] = tolerance_json(*options.tolerance);
+  auto reply = ask(*client, "rebalance", arguments);
+  if (!reply) return reply.status();
+  return show(context, *reply, [&] { print(*reply, options.dry_run); });
+}
+
+}  // namespace
+
+void add_rebalance_command(CLI::App& app, Context& context) {
+  auto options = std::make_shared<RebalanceOptions>();
+  CLI::App* command = add_command(app, context,
+                                  {"rebalance", "Repartitions now; what is changed here holds from then on",
+                                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12", kSceneGroup},
+                                  [options, &context] { return rebalance(*options, context); });
+  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z");
+  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts");
+  add_value(*command, "--tolerance", options->tolerance, kind::tolerance(), kToleranceHelp);
+  command->add_flag("--force", options->force, "change the number of parts even under those who have the scene open");
+  command->add_flag("--dry-run", options->dry_run, "tell error, points to move and quality; change nothing");
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,108 @@
+#include "client/cli/files/part_files.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "common/files/paths.hpp"
+#include "common/io/points.hpp"
+
+namespace rcb::cli {
+namespace {
+
+// "part-07.csv", or "weight.npy", which an export writes only if the scene has weights.
+bool is_export_name(const std::string& name) {
+  constexpr std::string_view kBegin = "part-", kEnd = ".csv";
+  if (name == "weight.npy") return true;
+  if (name.size() <= kBegin.size() + kEnd.size() || !name.starts_with(kBegin) || !name.ends_with(kEnd)) return false;
+  return std::all_of(name.begin() + kBegin.size(), name.end() - kEnd.size(),
+                     [](char c) { return c >= '0' && c <= '9'; });
+}
+
+bool same_kind(const std::string& name, const std::vector<std::string>& written) {
+  return std::any_of(written.begin(), written.end(),
+                     [&name](const std::string& other) { return other.ends_with(name.substr(name.rfind('.'))); });
+}
+
+}  // namespace
+
+std::vector<std::string> part_file_names(int parts) {
+  std::vector<std::string> names;
+  const std::size_t digits = std::to_string(parts - 1).size();
+  for (int p = 0; p < parts; ++p) names.push_back(fmt::format("part-{:0{}}.csv", p, digits));
+  return names;
+}
+
+Result<LeftoverFiles> LeftoverFiles::find(const std::string& directory, const std::vector<std::string>& written,
+                                          bool replace) {
+  std::vector<std::string> sorted = written, names;
+  std::sort(sorted.begin(), sorted.end());
+  std::error_code fault;
+  for (auto entry = std::filesystem::directory_iterator(directory, fault);
+       !fault && entry != std::filesystem::directory_iterator(); entry.increment(fault)) {
+    const std::string name = entry->path().filename().string();
+    if (is_export_name(name) && same_kind(name, written) && !std::binary_search(sorted.begin(), sorted.end(), name) &&
+        entry->is_regular_file(fault))
+      names.push_back(name);
+  }
+  if (fault && fault != std::errc::no_such_file_or_directory)
+    return Status(Code::io_error, fmt::format("{}: {}", directory, fault.message()));
+  LeftoverFiles left;
+  std::sort(names.begin(), names.end());
+  for (const std::string& name : names) left.paths_.push_back(join_path(directory, name));
+  if (names.empty() || replace) return left;
+  return Status(Code::already_exists,
+                fmt::format("{} holds {}{}, which this partition doesn't have", directory, names.front(),
+                            names.size() == 1 ? "" : fmt::format(" and {} more files", names.size() - 1)),
+                "--replace removes them; or name another folder");
+}
+
+Status LeftoverFiles::remove() const {
+  for (const std::string& path : paths_)
+    if (unlink(path.c_str()) != 0 && errno != ENOENT)
+      return {Code::io_error, fmt::format("{}: can't be removed: {}", path, std::strerror(errno))};
+  return {};
+}
+
+Status write_part_files(const Fetched& set, int parts, const std::string& directory, nlohmann::ordered_json& files) {
+  // Rows sorted by part, within a part by id: one pass to count, one to place.
+  std::vector<std::size_t> begin(static_cast<std::size_t>(parts) + 1);
+  for (const std::int32_t part : set.part) {
+    if (part < 0 || part >= parts) return {Code::protocol_error, fmt::format("part {} of {}", part, parts)};
+    ++begin[static_cast<std::size_t>(part) + 1];
+  }
+  for (std::size_t p = 1; p < begin.size(); ++p) begin[p] += begin[p - 1];
+  std::vector<std::size_t> row(set.part.size());
+  std::vector<std::size_t> next(begin.begin(), begin.end() - 1);
+  for (std::size_t i = 0; i < row.size(); ++i) row[next[static_cast<std::size_t>(set.part[i])]++] = i;
+  const std::vector<std::string> names = part_file_names(parts);
+  for (int p = 0; p < parts; ++p) {
+    const std::size_t from = begin[static_cast<std::size_t>(p)];
+    const std::size_t count = begin[static_cast<std::size_t>(p) + 1] - from;
+    std::vector<std::vector<double>> axes(set.axes.size(), std::vector<double>(count));
+    std::vector<std::int64_t> id(count);
+    std::vector<double> weight(set.weight.empty() ? 0 : count);
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::size_t i = row[from + k];
+      for (std::size_t a = 0; a < axes.size(); ++a) axes[a][k] = set.axes[a][i];
+      id[k] = set.id[i];
+      if (!weight.empty()) weight[k] = set.weight[i];
+    }
+    std::vector<const double*> position;
+    for (const auto& axis : axes) position.push_back(axis.data());
+    const std::string path = join_path(directory, names[static_cast<std::size_t>(p)]);
+    if (Status status =
+            io::write_csv(path, static_cast<int>(axes.size()), position, count, id,
+                          set.weight.empty() ? std::nullopt : std::optional<std::span<const double>>(weight));
+        !status)
+      return status;
+    files.push_back(path);
+  }
+  return {};
+}
+
+}  // namespace rcb::cli

@@ -1,0 +1,34 @@
+// A folder of part files: part-0.csv and so on, as `export` and `partition --out` write them. Files left by an earlier
+// partition could be mistaken for the new ones: so they are refused, or removed on request. No other file is ever
+// removed.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "client/cli/files/fetched.hpp"
+#include "common/base/status.hpp"
+
+namespace rcb::cli {
+
+std::vector<std::string> part_file_names(int parts);
+
+class LeftoverFiles {
+ public:
+  // Finds the files in `directory` that an export may have written, except those of `written` (to be written). Errors:
+  // already_exists, if there are some and `replace` is false; io_error.
+  static Result<LeftoverFiles> find(const std::string& directory, const std::vector<std::string>& written,
+                                    bool replace);
+  // To be called after the new files are complete. Errors: io_error.
+  Status remove() const;
+
+ private:
+  std::vector<std::string> paths_;
+};
+
+// Writes one CSV for each part and appends their paths to `files`. The directory must exist.
+Status write_part_files(const Fetched& set, int parts, const std::string& directory, nlohmann::ordered_json& files);
+
+}  // namespace rcb::cli

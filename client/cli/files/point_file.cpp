@@ -1,0 +1,175 @@
+#include "client/cli/files/point_file.hpp"
+
+#include <filesystem>
+#include <random>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "client/cli/print/output.hpp"
+#include "common/base/clock.hpp"
+
+namespace rcb::cli {
+namespace {
+
+constexpr int kDropTriesMax = 600;
+constexpr int kProbeSlices = 4096;
+constexpr int kDimsDefault = 3;
+
+std::string unique_name() {
+  std::random_device random;
+  return fmt::format("rcbctl-{}-{:08x}{:08x}", getpid(), random(), random());
+}
+
+// Runs in a process that waits for the end of this one and then drops the scene.
+[[noreturn]] void run_janitor(const std::string& endpoint, const std::string& scene, int lifeline_fd) {
+  setsid();
+  signal(SIGINT, SIG_IGN);
+  signal(SIGTERM, SIG_IGN);
+  const int pipe_fd = dup2(lifeline_fd, 0);
+  const int null_fd = open("/dev/null", O_WRONLY);
+  dup2(null_fd, 1);
+  dup2(null_fd, 2);
+  close_range(3, ~0U, 0);
+  char byte = 0;
+  if (::read(pipe_fd, &byte, 1) > 0) _exit(0);
+  // The service may take a moment to notice that the scene's client has gone.
+  for (int i = 0; i < kDropTriesMax; ++i) {
+    auto client = launch::reach(endpoint, "rcbctl", 2);
+    if (!client) break;
+    const Status status = client->drop_scene(scene);
+    if (status || status.code() == Code::not_found) break;
+    usleep(200'000);
+  }
+  _exit(0);
+}
+
+// The dims of a file that ranks can read in slices, from its first rows.
+Result<int> sliceable_dims(const FileOptions& options) {
+  auto slice = io::read_points_slice(options.path, {options.dims, options.weights}, 0, kProbeSlices);
+  if (!slice) return slice.status();
+  return slice->dims > 0 ? slice->dims : kDimsDefault;
+}
+
+// Every rank of the service reads its own slice of the file.
+Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, int dims, Json scene_arguments) {
+  scene_arguments["dims"] = dims;
+  auto scene = TemporaryScene::create(session, std::move(scene_arguments));
+  if (!scene) return scene.status();
+  Json arguments{{"scene", scene->name()}, {"path", absolute_path(options.path)}};
+  if (options.dims > 0) arguments["dims"] = options.dims;
+  if (!options.weights.empty()) arguments["weights"] = options.weights;
+  auto reply = ask(*session.client, "load", arguments, kLongSeconds);
+  if (!reply) {
+    // The service doesn't quote the file's content in messages; this program may, since its user can read the file.
+    const Code code = reply.status().code();
+    const auto own =
+        code == Code::invalid_argument || code == Code::not_finite ? read_single(options).status() : Status();
+    return own ? session.explain(reply.status()) : own;
+  }
+  Json report = reply->at("report");
+  const double read_seconds = report.at("seconds").at("receive").get<double>();
+  return LoadedScene{std::move(*scene), std::move(report), read_seconds};
+}
+
+}  // namespace
+
+CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
+  CLI::Option* file =
+      add_value(command, "FILE", options.path, kind::text("FILE"), "CSV or text, .xyz, .npy, or FILE.h5:/path");
+  add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
+  add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
+  return file->required();
+}
+
+std::string absolute_path(const std::string& path) { return std::filesystem::absolute(path).string(); }
+
+Result<io::Points> read_single(const FileOptions& options) {
+  auto reader = io::open_trajectory(options.path, {options.dims, options.weights});
+  if (!reader) return reader.status();
+  if ((*reader)->frames() != 1)
+    return Status(Code::invalid_argument,
+                  fmt::format("{}: holds {} frames, one is wanted", options.path, (*reader)->frames()),
+                  "rcbctl replay pushes a trajectory");
+  return (*reader)->frame(0);
+}
+
+client::Positions positions_of(const io::Points& points) {
+  client::Positions positions;
+  positions.count = points.count;
+  positions.dims = points.dims;
+  for (std::size_t a = 0; a < points.position.size(); ++a) positions.axis[a] = points.position[a].data();
+  return positions;
+}
+
+Result<TemporaryScene> TemporaryScene::create(Session& session, Json arguments) {
+  TemporaryScene scene;
+  scene.name_ = unique_name();
+  arguments["scene"] = scene.name_;
+  if (!session.embedded) {
+    int lifeline[2];
+    if (pipe2(lifeline, O_CLOEXEC) != 0) return Status(Code::io_error, "no pipe can be made");
+    std::fflush(nullptr);
+    const std::string endpoint = session.client->endpoint();
+    const pid_t child = fork();
+    if (child == 0) {
+      close(lifeline[1]);
+      run_janitor(endpoint, scene.name_, lifeline[0]);
+    }
+    close(lifeline[0]);
+    scene.lifeline_fd_ = lifeline[1];
+    scene.janitor_ = child;
+    if (child < 0) return Status(Code::io_error, "no process can be started");
+  }
+  auto reply = ask(*session.client, "scene.create", arguments);
+  if (!reply) return reply.status();
+  scene.client_ = &*session.client;
+  return scene;
+}
+
+TemporaryScene::TemporaryScene(TemporaryScene&& other) noexcept
+    : client_(std::exchange(other.client_, nullptr)),
+      name_(std::move(other.name_)),
+      lifeline_fd_(std::exchange(other.lifeline_fd_, -1)),
+      janitor_(std::exchange(other.janitor_, -1)) {}
+
+TemporaryScene::~TemporaryScene() {
+  // An embedded service ends with all its scenes.
+  if (lifeline_fd_ < 0) return;
+  const char done = 'd';
+  const bool dropped = client_ == nullptr || client_->drop_scene(name_).ok();
+  // Otherwise the janitor tries on a connection of its own.
+  if (dropped && write(lifeline_fd_, &done, 1) != 1) note("the process that watches the temporary scene has gone");
+  close(lifeline_fd_);
+  if (janitor_ > 0) waitpid(janitor_, nullptr, 0);
+}
+
+Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Json scene_arguments) {
+  const SteadyClock clock;
+  const double start = clock.seconds();
+  if (session.embedded) {
+    // A file that can't be sliced, such as a trajectory of one frame, or can't be read at all, is read by this program.
+    const auto dims = sliceable_dims(options);
+    if (dims) return load_in_ranks(session, options, *dims, std::move(scene_arguments));
+  }
+  auto points = read_single(options);
+  if (!points) return points.status();
+  const double read_seconds = clock.seconds() - start;
+  scene_arguments["dims"] = points->dims > 0 ? points->dims : kDimsDefault;
+  auto scene = TemporaryScene::create(session, std::move(scene_arguments));
+  if (!scene) return scene.status();
+  auto open = session.client->open_scene(scene->name());
+  if (!open) return open.status();
+  client::StepOptions step;
+  step.ids = points->id;
+  step.weights = points->weight;
+  step.deadline_seconds = kLongSeconds;
+  auto result = open->step(positions_of(*points), step);
+  if (!result) return result.status();
+  return LoadedScene{std::move(*scene), Json::parse(result->report.json), read_seconds};
+}
+
+}  // namespace rcb::cli

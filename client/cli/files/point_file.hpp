@@ -1,0 +1,65 @@
+// Room `files`: files of points as rcbctl reads and writes them.
+//
+// A point file as a scene: either read here and pushed, or read by the ranks of an embedded service.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "client/cli/app.hpp"
+#include "common/io/points.hpp"
+
+namespace rcb::cli {
+
+struct FileOptions {
+  std::string path;
+  int dims = 0;         // 0: as the file says
+  std::string weights;  // a column; empty: none
+};
+
+inline constexpr const char* kDimsHelp =
+    "1, 2 or 3 dimensions (default: as many as there are columns named x, y, z, or else columns)";
+inline constexpr const char* kWeightsHelp = "the column of weights, by name or by number, counted from 0";
+
+// Adds FILE, --dims and --weights; returns FILE's option.
+CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
+
+// The only frame of a point file or trajectory. Errors: those of io; invalid_argument if there are more frames.
+Result<io::Points> read_single(const FileOptions& options);
+client::Positions positions_of(const io::Points& points);
+// "FILE" or "FILE.h5:/path", absolute.
+std::string absolute_path(const std::string& path);
+
+// A scene with a unique name, dropped with this object, or when this program dies.
+class TemporaryScene {
+ public:
+  // arguments: those of scene.create except the name. The session must outlive this object.
+  static Result<TemporaryScene> create(Session& session, Json arguments);
+  TemporaryScene(TemporaryScene&& other) noexcept;
+  TemporaryScene& operator=(TemporaryScene&&) = delete;
+  ~TemporaryScene();
+  const std::string& name() const { return name_; }
+
+ private:
+  TemporaryScene() = default;
+
+  client::Client* client_ = nullptr;
+  std::string name_;
+  int lifeline_fd_ = -1;  // to the janitor, the process that drops the scene if this one dies; -1: none
+  int janitor_ = -1;
+};
+
+struct LoadedScene {
+  TemporaryScene scene;
+  Json report;              // of its first step
+  double read_seconds = 0;  // until the points were in memory, in the ranks or here
+};
+
+// Loads the file as a scene of `session`. scene_arguments: those of scene.create except name and dims.
+Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Json scene_arguments);
+
+}  // namespace rcb::cli

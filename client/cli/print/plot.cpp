@@ -1,0 +1,138 @@
+#include "client/cli/print/plot.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <set>
+
+#include <fmt/format.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "common/base/child.hpp"
+#include "common/io/files/output_file.hpp"
+
+extern char** environ;
+
+namespace rcb::cli {
+namespace {
+
+constexpr double kPlotSeconds = 60;
+constexpr std::array kColours{"#1f5f99", "#e08214", "#3a8f5c", "#7b5ea7", "#666666"};
+
+// A nameless file in memory, for gnuplot's standard streams.
+class MemoryFile {
+ public:
+  explicit MemoryFile(const char* name) : fd_(memfd_create(name, MFD_CLOEXEC)) {}
+  ~MemoryFile() {
+    if (fd_ >= 0) close(fd_);
+  }
+  MemoryFile(const MemoryFile&) = delete;
+  MemoryFile& operator=(const MemoryFile&) = delete;
+  int fd() const { return fd_; }
+
+  bool fill(const std::string& text) const {
+    std::size_t done = 0;
+    while (done < text.size()) {
+      const ssize_t wrote = write(fd_, text.data() + done, text.size() - done);
+      if (wrote <= 0) return false;
+      done += static_cast<std::size_t>(wrote);
+    }
+    return lseek(fd_, 0, SEEK_SET) == 0;
+  }
+
+  std::string content() const {
+    std::string text;
+    char bytes[65536];
+    for (ssize_t got = 0; (got = pread(fd_, bytes, sizeof bytes, static_cast<off_t>(text.size()))) > 0;)
+      text.append(bytes, static_cast<std::size_t>(got));
+    return text;
+  }
+
+  std::string first_line() const {
+    std::string text = content();
+    text.erase(0, std::min(text.find_first_not_of(" \n\t"), text.size()));
+    return text.substr(0, text.find('\n'));
+  }
+
+ private:
+  int fd_;
+};
+
+std::string script(const std::vector<Curve>& curves) {
+  std::string text =
+      "set terminal svg size 900,480 noenhanced font 'sans-serif,14' background '#ffffff'\n"
+      "set border 3 linecolor '#444444'\n"
+      "set tics out nomirror textcolor '#222222'\n"
+      "set grid ytics linecolor '#dddddd' linetype 1 linewidth 0.5\n"
+      "set key outside top center horizontal reverse Left samplen 2 spacing 1.2\n"
+      "set xlabel 'step'\n"
+      "set ylabel 'largest error of a part'\n"
+      "set yrange [0:*]\n"
+      "set autoscale xfix\n"
+      "set offsets 0, graph 0.01, graph 0.05, 0\n";
+  std::string plots;
+  std::set<double> tolerances;
+  bool dots = false;
+  for (std::size_t c = 0; c < curves.size(); ++c) {
+    const Curve& curve = curves[c];
+    text += fmt::format("$line{} << EOD\n{}EOD\n", c, curve.line_data());
+    plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}'",
+                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], curve.name);
+    if (curve.tolerance) tolerances.insert(*curve.tolerance);
+  }
+  for (const double tolerance : tolerances)
+    plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' title 'tolerance {:g}'", tolerance,
+                         tolerance);
+  for (std::size_t c = 0; c < curves.size(); ++c) {
+    const std::string data = curves[c].dot_data();
+    if (data.empty()) continue;
+    text += fmt::format("$dots{} << EOD\n{}EOD\n", c, data);
+    plots += fmt::format(", $dots{} using 1:2 with points pointtype 7 pointsize 0.6 linecolor '#d62728' {}", c,
+                         dots ? "notitle" : "title 'repartition'");
+    dots = true;
+  }
+  return text + plots + "\n";
+}
+
+// Runs gnuplot and returns the figure.
+Result<std::string> run_gnuplot(const std::string& commands) {
+  const MemoryFile input("gnuplot-input");
+  const MemoryFile output("gnuplot-output");
+  const MemoryFile errors("gnuplot-errors");
+  if (input.fd() < 0 || output.fd() < 0 || errors.fd() < 0 || !input.fill(commands))
+    return Status(Code::io_error, fmt::format("no memory file for gnuplot: {}", std::strerror(errno)));
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  posix_spawn_file_actions_adddup2(&actions, input.fd(), STDIN_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, output.fd(), STDOUT_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, errors.fd(), STDERR_FILENO);
+  std::string program = "gnuplot";
+  std::array<char*, 2> argv{program.data(), nullptr};
+  pid_t pid = -1;
+  const int fault = posix_spawnp(&pid, program.c_str(), &actions, nullptr, argv.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  if (fault != 0)
+    return Status(Code::not_found, fmt::format("gnuplot can't be started: {}", std::strerror(fault)),
+                  "install it (Debian: apt install gnuplot-nox), or plot the table of --csv yourself");
+  const auto status = wait_or_kill(pid, kPlotSeconds);
+  if (!status) return Status(Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds));
+  if (*status != 0) return Status(Code::internal, "gnuplot failed: " + errors.first_line());
+  return output.content();
+}
+
+}  // namespace
+
+Status plot_history(const std::string& path, const std::vector<Curve>& curves) {
+  if (std::all_of(curves.begin(), curves.end(), [](const Curve& curve) { return curve.empty(); }))
+    return {Code::invalid_argument, "there are no steps to plot yet", "push positions first"};
+  const auto figure = run_gnuplot(script(curves));
+  if (!figure) return figure.status();
+  return io::write_file(path, *figure);
+}
+
+}  // namespace rcb::cli

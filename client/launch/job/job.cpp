@@ -1,0 +1,144 @@
+#include "client/launch/job/job.hpp"
+
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <string_view>
+#include <vector>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "common/files/paths.hpp"
+
+extern char** environ;
+
+namespace rcb::launch {
+namespace {
+
+constexpr int kKillRoundsMax = 500;  // pauses of 10 ms
+
+// Whether an environment entry is left out for the job: those of an outer MPI job, by which mpirun would take itself
+// for one of its ranks, and variables that the job gets anew or must not have.
+bool excluded_from_job(std::string_view entry) {
+  for (const std::string_view prefix :
+       {"PMIX_", "OMPI_COMM_WORLD_", "OMPI_MCA_ess", "OMPI_MCA_orte_", "OMPI_MCA_pmix", "OMPI_UNIVERSE", "OMPI_APP_CTX",
+        "OMPI_FIRST_RANKS", "OMPI_NUM_APP", "ORTE_",
+        "RCBD_ENDPOINT=", "RCBD_RESTARTED=", "RCBD_LAUNCHER_HOST=", "RCBD_SUPERVISOR=", "RCBD_JOB_FOLDER=", "TMPDIR="})
+    if (entry.starts_with(prefix)) return true;
+  return false;
+}
+
+std::vector<std::string> job_environment(const std::string& folder, bool restarted) {
+  std::vector<std::string> environment;
+  for (char** entry = environ; *entry != nullptr; ++entry)
+    if (!excluded_from_job(*entry)) environment.emplace_back(*entry);
+  environment.push_back("TMPDIR=" + folder);
+  environment.push_back(fmt::format("{}={}", kJobFolderVariable, folder));
+  environment.push_back(fmt::format("{}={}", kSupervisorVariable, ProcessId::self().text()));
+  environment.push_back(fmt::format("{}={}", kLauncherHostVariable, host_name()));
+  if (restarted) environment.emplace_back("RCBD_RESTARTED=1");
+  return environment;
+}
+
+std::vector<char*> pointers(std::vector<std::string>& strings) {
+  std::vector<char*> list;
+  for (std::string& text : strings) list.push_back(text.data());
+  list.push_back(nullptr);
+  return list;
+}
+
+// The children of this process, from /proc. Includes orphaned ranks, since this process is their reaper.
+std::vector<pid_t> children() {
+  std::vector<pid_t> list;
+  std::ifstream in(fmt::format("/proc/self/task/{}/children", getpid()));
+  for (pid_t pid = 0; in >> pid;) list.push_back(pid);
+  return list;
+}
+
+JobEnd ending(int status) {
+  if (WIFSIGNALED(status)) return {false, fmt::format("signal {}", WTERMSIG(status))};
+  return {WEXITSTATUS(status) == 0, fmt::format("exit code {}", WEXITSTATUS(status))};
+}
+
+}  // namespace
+
+Job::Job(JobSpec spec, std::string fallback, int output_fd)
+    : spec_(std::move(spec)), fallback_(std::move(fallback)), output_fd_(output_fd) {}
+
+Job::~Job() { kill(); }
+
+Status Job::start(bool restarted) {
+  folder_.reset();
+  auto folder = JobFolder::make(fallback_, spec_.ranks);
+  if (!folder.ok()) return folder.status();
+  folder_.emplace(std::move(*folder));
+  EndpointNote owner;
+  owner.process = ProcessId::self();
+  owner.endpoint = spec_.endpoint;
+  owner.data_dir = spec_.data_dir;
+  folder_->sign(owner);
+  spec_.folder = folder_->path();
+  auto arguments = mpirun_arguments(spec_);
+  if (!arguments) return arguments.status();
+  std::vector<std::string> environment = job_environment(folder_->path(), restarted);
+  const std::vector<char*> argv = pointers(*arguments);
+  const std::vector<char*> envp = pointers(environment);
+  const pid_t parent = getpid();
+  pid_ = fork();
+  if (pid_ < 0) return {Code::io_error, fmt::format("mpirun can't be started: {}", std::strerror(errno))};
+  if (pid_ == 0) {
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    if (getppid() != parent) _exit(127);
+    setpgid(0, 0);
+    const int null_fd = open("/dev/null", O_RDONLY);
+    if (dup2(null_fd, STDIN_FILENO) < 0 || dup2(output_fd_, STDOUT_FILENO) < 0 || dup2(output_fd_, STDERR_FILENO) < 0)
+      _exit(127);
+    close_range(3, ~0U, 0);
+    sigset_t none;
+    sigemptyset(&none);
+    sigprocmask(SIG_SETMASK, &none, nullptr);
+    for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGCHLD}) signal(number, SIG_DFL);
+    execve(argv[0], argv.data(), envp.data());
+    _exit(127);
+  }
+  return {};
+}
+
+bool Job::ready() const { return folder_ && access(join_path(folder_->path(), kReadyFile).c_str(), F_OK) == 0; }
+
+std::optional<JobEnd> Job::poll() {
+  if (pid_ <= 0) return std::nullopt;
+  int status = 0;
+  for (;;) {
+    const pid_t ended = waitpid(-1, &status, WNOHANG);
+    if (ended < 0 && errno == EINTR) continue;
+    if (ended <= 0) return std::nullopt;
+    if (ended != pid_) continue;  // an orphaned rank
+    pid_ = -1;
+    return ending(status);
+  }
+}
+
+void Job::kill() {
+  if (pid_ > 0) ::kill(-pid_, SIGKILL);
+  if (pid_ > 0) ::kill(pid_, SIGKILL);
+  pid_ = -1;
+  // mpirun gives each rank a process group of its own, so ranks are found as orphans that this process has adopted. The
+  // number of rounds is limited, since a process that hangs in the kernel can't be waited for.
+  for (int round = 0; round < kKillRoundsMax; ++round) {
+    for (const pid_t child : children()) ::kill(child, SIGKILL);
+    pid_t ended = 0;
+    while ((ended = waitpid(-1, nullptr, WNOHANG)) > 0) continue;
+    if (ended < 0 && errno == ECHILD) break;
+    usleep(10'000);
+  }
+  folder_.reset();
+}
+
+}  // namespace rcb::launch

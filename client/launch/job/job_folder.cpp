@@ -1,0 +1,114 @@
+#include "client/launch/job/job_folder.hpp"
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <utility>
+
+#include <fmt/format.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include "common/files/own_files.hpp"
+#include "common/files/paths.hpp"
+#include "common/files/socket_file.hpp"
+
+namespace rcb::launch {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kSharedMemory = "/dev/shm";
+constexpr std::string_view kOwnerFile = "owner";
+constexpr int kTriesMax = 20;
+constexpr std::uint64_t kSessionBytes = 16 << 20;
+constexpr std::uint64_t kRankBytes = 4 << 20;
+
+std::string prefix() { return fmt::format("{}{}-", kJobFolderPrefix, ::geteuid()); }
+
+bool has_room(const std::string& folder, int ranks) {
+  struct statvfs info {};
+  if (::statvfs(folder.c_str(), &info) != 0) return false;
+  return std::uint64_t{info.f_bavail} * info.f_frsize > kSessionBytes + static_cast<std::uint64_t>(ranks) * kRankBytes;
+}
+
+void remove_tree(const std::string& path, std::vector<std::string>& removed) {
+  std::error_code error;
+  if (is_own_directory(path) && fs::remove_all(path, error) > 0 && !error) removed.push_back(path);
+}
+
+// Removes what a job whose owner is dead has left besides its folder: the sockets.
+void remove_rest(const std::string& text, std::vector<std::string>& removed) {
+  const EndpointNote owner = EndpointNote::parse(text);
+  // If another process holds the endpoint's lock by now, it has dealt with these sockets.
+  if (owner.endpoint.starts_with("unix:"))
+    if (const auto lock = take_endpoint(owner); lock.ok())
+      for (const std::string& socket : remove_dead_sockets(owner.endpoint.substr(5))) removed.push_back(socket);
+}
+
+std::string note_in(const std::string& path) {
+  std::string note(LockFile::kNoteBytes, '\0');
+  FILE* file = std::fopen(path.c_str(), "re");
+  if (file == nullptr) return {};
+  note.resize(std::fread(note.data(), 1, note.size(), file));
+  std::fclose(file);
+  return note;
+}
+
+}  // namespace
+
+Result<JobFolder> JobFolder::make(const std::string& fallback, int ranks) {
+  if (has_room(kSharedMemory, ranks))
+    if (auto folder = make_in(kSharedMemory); folder.ok()) return folder;
+  return make_in(fallback);
+}
+
+Result<JobFolder> JobFolder::make_in(const std::string& parent) {
+  Status status;
+  for (int i = 0; i < kTriesMax; ++i) {
+    std::string path = join_path(parent, prefix() + "XXXXXX");
+    if (::mkdtemp(path.data()) == nullptr)
+      return Status(Code::io_error, fmt::format("no folder can be made in {}: {}", parent, std::strerror(errno)));
+    // Before the note was locked, a sweep may have taken the folder for a left-over one: then try another.
+    auto lock = LockFile::take(join_path(path, kOwnerFile), "");
+    if (lock.ok()) return JobFolder(std::move(path), std::move(*lock));
+    status = lock.status();
+    std::error_code ignored;
+    fs::remove_all(path, ignored);
+    if (status.code() != Code::busy && status.code() != Code::not_found) break;
+  }
+  return status;
+}
+
+JobFolder::JobFolder(JobFolder&& other) noexcept
+    : path_(std::exchange(other.path_, "")), lock_(std::move(other.lock_)) {}
+
+JobFolder::~JobFolder() {
+  std::error_code ignored;
+  if (!path_.empty()) fs::remove_all(path_, ignored);
+}
+
+void JobFolder::sign(const EndpointNote& owner) const {
+  (void)lock_.write(owner.text());  // if this fails, only the sockets of a killed job stay
+}
+
+std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
+  std::vector<std::string> removed;
+  for (const std::string& parent : {std::string(kSharedMemory), fallback}) {
+    std::error_code error;
+    for (const auto& entry : fs::directory_iterator(parent, error)) {
+      const std::string path = entry.path().string();
+      if (!entry.path().filename().string().starts_with(prefix()) || !is_own_directory(path)) continue;
+      // A folder without a note is just being created, or is of another version.
+      if (!fs::exists(join_path(path, kOwnerFile), error)) continue;
+      const std::string note = note_in(join_path(path, kOwnerFile));
+      const auto lock = LockFile::take(join_path(path, kOwnerFile), note);
+      if (!lock.ok()) continue;  // its owner lives
+      remove_rest(note, removed);
+      remove_tree(path, removed);
+    }
+  }
+  return removed;
+}
+
+}  // namespace rcb::launch

@@ -1,0 +1,54 @@
+#include "client/launch/job/processes.hpp"
+
+#include <cstdlib>
+#include <fstream>
+#include <utility>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+#include <poll.h>
+#include <signal.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+namespace rcb::launch {
+ProcessInfo process_info(pid_t pid) {
+  ProcessInfo info;
+  std::ifstream in(fmt::format("/proc/{}/status", pid));
+  for (std::string line; std::getline(in, line);) {
+    if (line.starts_with("Name:\t")) info.name = line.substr(6);
+    if (line.starts_with("PPid:\t")) info.parent = std::atoi(line.c_str() + 6);
+  }
+  return info;
+}
+
+pid_t rank0_of(client::Client& client, double deadline_seconds) {
+  const auto status = client.call("status", "{}", deadline_seconds);
+  if (!status) return -1;
+  const auto json = nlohmann::json::parse(status->json, nullptr, false);
+  if (!json.is_object() || !json.contains("pid") || !json["pid"].is_number_integer()) return -1;
+  return json["pid"].get<pid_t>();
+}
+
+Process::Process(const ProcessId& id) : id_(id), handle_(static_cast<int>(syscall(SYS_pidfd_open, id.pid, 0))) {
+  // The number may have been reused before the handle was opened.
+  if (handle_ >= 0 && !id_.exists()) close(std::exchange(handle_, -1));
+}
+
+Process::Process(Process&& other) noexcept : id_(other.id_), handle_(std::exchange(other.handle_, -1)) {}
+
+Process::~Process() {
+  if (handle_ >= 0) close(handle_);
+}
+
+bool Process::ended(double seconds) const {
+  if (handle_ < 0) return !id_.exists();
+  pollfd fd{handle_, POLLIN, 0};
+  return poll(&fd, 1, static_cast<int>(seconds * 1000)) > 0;
+}
+
+void Process::signal(int number) const {
+  if (handle_ >= 0) syscall(SYS_pidfd_send_signal, handle_, number, nullptr, 0);
+}
+
+}  // namespace rcb::launch

@@ -1,0 +1,41 @@
+// Processes of this machine: their names and parents, and handles that can't be mistaken for a later process with the
+// same number.
+#pragma once
+
+#include <string>
+
+#include <sys/types.h>
+
+#include "client/lib/client.hpp"
+#include "common/files/process_id.hpp"
+
+namespace rcb::launch {
+
+struct ProcessInfo {
+  std::string name;
+  pid_t parent = 0;
+};
+// Empty if there is no such process.
+ProcessInfo process_info(pid_t pid);
+
+// The process number of rank 0, as told by the service; -1 if it doesn't tell.
+pid_t rank0_of(client::Client& client, double deadline_seconds);
+
+class Process {
+ public:
+  explicit Process(const ProcessId& id);
+  Process(Process&& other) noexcept;
+  Process& operator=(Process&&) = delete;
+  ~Process();
+
+  pid_t pid() const { return id_.pid; }
+  // Whether the process has ended; waits at most `seconds` for that.
+  bool ended(double seconds) const;
+  void signal(int number) const;
+
+ private:
+  ProcessId id_;
+  int handle_ = -1;
+};
+
+}  // namespace rcb::launch

@@ -1,0 +1,174 @@
+#include "client/launch/job/programs.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <set>
+#include <sstream>
+
+#include <fmt/format.h>
+#include <sched.h>
+#include <unistd.h>
+
+#include "common/files/paths.hpp"
+
+extern char** environ;
+
+namespace rcb::launch {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kDefaultRanksMax = 8;
+
+bool runnable(const fs::path& path) {
+  std::error_code error;
+  return fs::is_regular_file(path, error) && access(path.c_str(), X_OK) == 0;
+}
+
+// Path of the program in a colon-separated list of folders; empty if none has it.
+std::string search(const std::string& folders, const std::string& program) {
+  std::size_t begin = 0;
+  while (begin <= folders.size()) {
+    const std::size_t end = std::min(folders.find(':', begin), folders.size());
+    const std::string folder = folders.substr(begin, end - begin);
+    const fs::path path = fs::path(folder.empty() ? "." : folder) / program;
+    if (runnable(path)) return fs::absolute(path).string();
+    begin = end + 1;
+  }
+  return {};
+}
+
+// What says where the service is rather than how it works.
+const std::set<std::string> kOfThisMachine{"RCBD_ENDPOINT",      "RCBD_BIN_DIR",     "RCBD_TOKEN",
+                                           "RCBD_TOKEN_FILE",    kJobFolderVariable, "RCBD_SUPERVISOR",
+                                           kLauncherHostVariable};
+
+void add_hosts(const Hosts& hosts, std::vector<std::string>& arguments) {
+  if (!hosts.list.empty()) arguments.insert(arguments.end(), {"--host", hosts.list});
+  if (!hosts.file.empty()) arguments.insert(arguments.end(), {"--hostfile", hosts.file});
+  if (std::getenv("OMPI_MCA_btl") == nullptr) arguments.insert(arguments.end(), {"--mca", "btl", "vader,tcp,self"});
+  // What a remote shell doesn't bring along.
+  arguments.insert(arguments.end(), {"-x", kLauncherHostVariable});
+  for (char** entry = environ; *entry != nullptr; ++entry)
+    if (const std::string_view text(*entry); text.starts_with("RCBD_"))
+      if (const std::string name(text.substr(0, text.find('='))); !kOfThisMachine.contains(name))
+        arguments.insert(arguments.end(), {"-x", name});
+  if (hosts.interface.empty()) return;
+  for (const char* part : {"btl_tcp_if_include", "oob_tcp_if_include"})
+    arguments.insert(arguments.end(), {"--mca", part, hosts.interface});
+}
+
+// The number behind "slots=" or a colon; 1 if there is none.
+Result<int> slots_in(const std::string& host, const std::string& mark) {
+  std::size_t at = host.find(mark);
+  if (at != std::string::npos && at > 0 && host[at - 1] == '_') at = host.find(mark, at + 1);  // max_slots
+  if (at == std::string::npos) return 1;
+  const char* begin = host.data() + at + mark.size();
+  int slots = 0;
+  const auto [end, fault] = std::from_chars(begin, host.data() + host.size(), slots);
+  if (fault != std::errc() || slots < 1 ||
+      (end != host.data() + host.size() && *end != ' ' && *end != '\t' && *end != '\r'))
+    return Status(Code::invalid_argument, fmt::format("'{}' doesn't say how many ranks it has room for", host),
+                  "for example a:4,b:4, or in a hostfile: a slots=4");
+  return slots;
+}
+
+std::string path_variable() {
+  const char* path = std::getenv("PATH");
+  return path != nullptr ? path : "/usr/local/bin:/usr/bin:/bin";
+}
+
+}  // namespace
+
+Result<int> Hosts::slots() const {
+  // Open MPI takes nothing else; an address would be of one machine alone.
+  if (interface.find(':') != std::string::npos ||
+      (interface.find('/') == std::string::npos && interface.find_first_not_of("0123456789.") == std::string::npos &&
+       !interface.empty()))
+    return Status(Code::invalid_argument, fmt::format("'{}' is no interface and no IPv4 network", interface),
+                  "for example eth0 or 10.0.0.0/8");
+  std::istringstream lines(list);
+  std::ifstream in;
+  if (!file.empty()) {
+    in.open(file);
+    if (!in) return Status(Code::not_found, fmt::format("the hostfile {} can't be read", file));
+  }
+  std::istream& hosts = file.empty() ? static_cast<std::istream&>(lines) : in;
+  int sum = 0;
+  for (std::string host; std::getline(hosts, host, file.empty() ? ',' : '\n');) {
+    host = host.substr(0, host.find('#'));
+    if (host.find_first_not_of(" \t\r") == std::string::npos) continue;
+    const auto slots = slots_in(host, file.empty() ? ":" : "slots=");
+    if (!slots) return slots.status();
+    sum += *slots;
+  }
+  if (sum == 0) return Status(Code::invalid_argument, "no host is named", "for example --hosts a:4,b:4");
+  return sum;
+}
+
+int default_ranks() {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  const int cores = sched_getaffinity(0, sizeof set, &set) == 0 ? CPU_COUNT(&set) : 1;
+  return std::clamp(cores, 1, kDefaultRanksMax);
+}
+
+Result<std::string> find_in_path(const std::string& program) {
+  const std::string found = search(path_variable(), program);
+  if (found.empty())
+    return Status(Code::not_found, program + " is not in PATH", "install Open MPI (Debian: apt install openmpi-bin)");
+  return found;
+}
+
+Result<std::string> find_rcbd() {
+  const char* named = std::getenv("RCBD_BIN_DIR");
+  if (named != nullptr && *named != '\0') {
+    const fs::path path = fs::path(named) / "rcbd";
+    if (runnable(path)) return fs::absolute(path).string();
+    return Status(Code::not_found, fmt::format("RCBD_BIN_DIR is {}, where there is no program rcbd", named),
+                  "set it to the folder of rcbd, or unset it");
+  }
+  std::error_code error;
+  const fs::path self = fs::read_symlink("/proc/self/exe", error);
+  if (!error && runnable(self.parent_path() / "rcbd")) return (self.parent_path() / "rcbd").string();
+  const std::string found = search(path_variable(), "rcbd");
+  if (found.empty())
+    return Status(Code::not_found, "rcbd was found neither beside this program nor in PATH",
+                  "build it (target rcbd), or set RCBD_BIN_DIR to its folder");
+  return found;
+}
+
+Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
+  auto mpirun = find_in_path("mpirun");
+  if (!mpirun) return mpirun.status();
+  std::vector<std::string> arguments{*mpirun, "--bind-to", "none", "--oversubscribe"};
+  if (geteuid() == 0) arguments.emplace_back("--allow-run-as-root");
+  if (spec.hosts.several())
+    add_hosts(spec.hosts, arguments);
+  else
+    arguments.insert(arguments.end(), {"--mca", "btl", "vader,self"});
+  // The folder is on this machine alone.
+  if (!spec.folder.empty() && !spec.hosts.several())
+    arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.folder});
+  arguments.insert(arguments.end(), {"-n", std::to_string(spec.ranks)});
+  if (!spec.command.empty()) {
+    arguments.insert(arguments.end(), spec.command.begin(), spec.command.end());
+    return arguments;
+  }
+  auto rcbd = find_rcbd();
+  if (!rcbd) return rcbd.status();
+  arguments.push_back(*rcbd);
+  if (spec.endpoint.starts_with("unix:"))
+    arguments.insert(arguments.end(), {"--socket", spec.endpoint.substr(5)});
+  else
+    arguments.insert(arguments.end(), {"--listen", spec.endpoint});
+  arguments.insert(arguments.end(), {"--data-dir", spec.data_dir});
+  if (!spec.hosts.interface.empty()) arguments.insert(arguments.end(), {"--interface", spec.hosts.interface});
+  arguments.insert(arguments.end(), spec.service_arguments.begin(), spec.service_arguments.end());
+  return arguments;
+}
+
+}  // namespace rcb::launch

@@ -1,0 +1,48 @@
+// Where rcbd and mpirun are, and the arguments of mpirun, the same for every mpirun of the project.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+
+namespace rcb::launch {
+
+// The number of cores that this process may use, at most 8.
+int default_ranks();
+
+// rcbd in RCBD_BIN_DIR if that is set; else beside this program, then in PATH. Errors: not_found, with the places
+// searched.
+Result<std::string> find_rcbd();
+// Errors: not_found.
+Result<std::string> find_in_path(const std::string& program);
+
+// The machines of a job, as mpirun takes them. All empty: this one.
+struct Hosts {
+  std::string list;  // A:4,B:4
+  std::string file;  // a hostfile of Open MPI
+  std::string
+      interface;  // for the traffic between ranks: an interface (eth0) or an IPv4 network (10.0.0.0/8); empty: any
+
+  bool several() const { return !list.empty() || !file.empty(); }
+  // How many ranks the list or the file has room for. Errors: invalid_argument, not_found.
+  Result<int> slots() const;
+};
+
+struct JobSpec {
+  std::string endpoint;  // unix:PATH or HOST:PORT
+  std::string data_dir;
+  int ranks = 1;
+  Hosts hosts;                                 // where the ranks run
+  std::string folder;                          // for the ranks' shared memory; empty: Open MPI's default place
+  std::vector<std::string> service_arguments;  // further options of rcbd
+  // Another MPI program with its arguments; empty: rcbd on `endpoint` with `data_dir`.
+  std::vector<std::string> command;
+};
+
+// The complete command line of mpirun. --bind-to none, since a rank bound to one core would have both its threads
+// there; --oversubscribe, since ranks outnumber cores on small machines. On one machine only vader and self as
+// transports, so that ranks open no port; on several tcp besides, unless OMPI_MCA_btl says otherwise.
+Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec);
+
+}  // namespace rcb::launch

@@ -1,0 +1,26 @@
+// The collectives that are built on Comm's methods.
+#include "common/comm/comm.hpp"
+
+#include "common/base/check.hpp"
+
+namespace rcb::comm {
+
+void exchange_counts(Comm& comm, std::span<const std::uint64_t> to, std::span<std::uint64_t> from) {
+  const auto ranks = static_cast<std::size_t>(comm.size());
+  CHECK(to.size() == ranks && from.size() == ranks, "one count a rank");
+  std::vector<std::span<const std::byte>> send(ranks);
+  std::vector<std::span<std::byte>> receive(ranks);
+  for (std::size_t r = 0; r < ranks; ++r) {
+    send[r] = std::as_bytes(to.subspan(r, 1));
+    receive[r] = std::as_writable_bytes(from.subspan(r, 1));
+  }
+  comm.exchange(send, receive);
+}
+
+bool agree(Comm& comm, bool here) {
+  std::uint64_t verdict = here ? 1 : 0;
+  comm.all_min({&verdict, 1});
+  return verdict == 1;
+}
+
+}  // namespace rcb::comm

@@ -1,0 +1,100 @@
+// Points as they are read. Which columns of a table are positions, id and weight; and the conversion of table rows into
+// Points.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "common/base/wide.hpp"
+#include "common/io/files/input_file.hpp"
+
+namespace rcb::io {
+
+class Roots;
+
+struct ReadOptions {
+  int dims = 0;         // 1..3; 0: columns named x, y, z, else all columns but the weights one (more than 3: refused,
+                        // with the advice --dims)
+  std::string weights;  // a column's name, or its number from 0; empty: none
+  // Set when files are read for a client: only files below these, and no message shows what a file holds. Null:
+  // whatever this process may read.
+  const Roots* below = nullptr;
+  std::uint64_t bytes_max = 0;              // of all ranks' points together, or of a text file; 0: no limit
+  const std::atomic<bool>* stop = nullptr;  // set by another thread to end reading, with the error aborted; may be null
+};
+
+struct Points {
+  int dims = 0;
+  std::size_t count = 0;
+  std::vector<std::vector<double>> position;  // [dims][count]
+  std::vector<std::int64_t> id;               // [count]; empty: ids by row
+  std::vector<double> weight;                 // [count] or empty
+  FileVersion file;                           // all slices of a set must be of one file in one state
+};
+
+constexpr std::size_t kNoColumn = static_cast<std::size_t>(-1);
+
+struct Columns {
+  int dims = 0;
+  std::array<std::size_t, 3> axis{kNoColumn, kNoColumn, kNoColumn};
+  std::size_t id = kNoColumn;
+  std::size_t weight = kNoColumn;
+
+  bool weighted() const { return weight != kNoColumn; }
+};
+
+// Errors: too_large, if `bytes` are more than the options allow.
+Status check_bytes(const std::string& file, u128 bytes, const ReadOptions& options);
+// Bytes of a particle in memory.
+std::uint64_t point_bytes(const Columns& columns);
+
+// names: the header's, one per column; empty: there is no header. If x, y or z is named, columns are taken by name,
+// else the first ones that are neither id nor weight. file: for messages.
+Result<Columns> choose_columns(const std::string& file, const ReadOptions& options, std::span<const std::string> names,
+                               std::size_t column_count);
+
+// Text of a file for a message, in quotation marks. If the file is read for somebody else (options.below), only the
+// `kind` of text, such as "its text".
+std::string quoted(std::string_view text, const char* kind, const ReadOptions& options);
+
+// Points with dims and array lengths for `count` rows of these columns.
+Points make_points(const Columns& columns, std::size_t count);
+
+// float32 or float64 in a file's byte order.
+struct NumberType {
+  std::size_t bytes = 8;
+  bool swapped = false;
+};
+
+// A block of rows whose element (row, column) lies at first + row * row_stride + column * column_stride.
+struct RowBlock {
+  const std::byte* first = nullptr;
+  std::size_t row_stride = 0;
+  std::size_t column_stride = 0;
+  NumberType type;
+};
+
+// A value that is refused: NaN, infinity or a negative weight.
+struct BadValue {
+  std::size_t row = 0;  // in the block
+  std::size_t column = 0;
+  double value = 0;
+};
+std::string describe(double bad_value);
+
+// Stores `count` rows as points [begin, begin + count). Returns the first bad value in row order, if any.
+std::optional<BadValue> store_rows(const RowBlock& block, std::size_t count, const Columns& columns, std::size_t begin,
+                                   Points& points);
+
+// Share k of `of` has the rows [share_begin(k), share_begin(k + 1)).
+std::uint64_t share_begin(std::uint64_t count, int k, int of);
+
+}  // namespace rcb::io

@@ -1,0 +1,92 @@
+#include "common/io/formats/fields.hpp"
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+
+#include <fast_float/fast_float.h>
+
+namespace rcb::io {
+namespace {
+
+std::string_view unquoted(std::string_view field) {
+  field = trimmed(field);
+  if (field.size() >= 2 && (field.front() == '"' || field.front() == '\'') && field.back() == field.front()) {
+    field = trimmed(field.substr(1, field.size() - 2));
+  }
+  return field;
+}
+
+// The end of the field that begins at `begin`; a separator in double quotes does not end it.
+std::size_t field_end(std::string_view line, std::size_t begin, char separator) {
+  std::size_t at = begin;
+  if (at < line.size() && line[at] == '"') {
+    const std::size_t close = line.find('"', at + 1);
+    if (close != std::string_view::npos) at = close + 1;
+  }
+  while (at < line.size() && !(separator == kBlankSeparator ? is_blank(line[at]) : line[at] == separator)) ++at;
+  return at;
+}
+
+}  // namespace
+
+std::string_view trimmed(std::string_view text) {
+  while (!text.empty() && is_blank(text.front())) text.remove_prefix(1);
+  while (!text.empty() && is_blank(text.back())) text.remove_suffix(1);
+  return text;
+}
+
+char separator_of(std::string_view line) {
+  // Semicolons first: beside them a comma can only be a decimal one, which is then reported as no number.
+  if (line.find(';') != std::string_view::npos) return ';';
+  if (line.find(',') != std::string_view::npos) return ',';
+  return kBlankSeparator;
+}
+
+std::vector<std::string_view> split_fields(std::string_view line, char separator) {
+  std::vector<std::string_view> fields;
+  line = trimmed(line);
+  std::size_t at = 0;
+  while (at < line.size()) {
+    while (at < line.size() && is_blank(line[at])) ++at;
+    const std::size_t end = field_end(line, at, separator);
+    fields.push_back(unquoted(line.substr(at, end - at)));
+    at = end + 1;
+  }
+  return fields;
+}
+
+std::optional<double> number_in(std::string_view field) {
+  field = unquoted(field);
+  if (!field.empty() && field.front() == '+') {
+    field.remove_prefix(1);
+    if (!field.empty() && field.front() == '-') return std::nullopt;
+  }
+  // Fortran writes the exponent of a double with a D.
+  std::array<char, 64> copy;
+  const std::size_t exponent = field.find_first_of("dD");
+  if (exponent != std::string_view::npos && field.size() < copy.size()) {
+    std::copy(field.begin(), field.end(), copy.begin());
+    copy[exponent] = 'e';
+    field = std::string_view(copy.data(), field.size());
+  }
+  double value = 0;
+  const auto [end, error] = fast_float::from_chars(field.data(), field.data() + field.size(), value);
+  if (end != field.data() + field.size() || field.empty()) return std::nullopt;
+  if (error != std::errc{} && error != std::errc::result_out_of_range) return std::nullopt;
+  return value;
+}
+
+std::optional<std::int64_t> id_in(std::string_view field) {
+  field = unquoted(field);
+  if (!field.empty() && field.front() == '+') field.remove_prefix(1);
+  std::int64_t id = 0;
+  const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), id);
+  if (error == std::errc{} && end == field.data() + field.size()) return id >= 0 ? std::optional(id) : std::nullopt;
+  const auto number = number_in(field);
+  if (!number || !(*number >= 0) || *number > 0x1p53 || *number != std::floor(*number)) return std::nullopt;
+  return static_cast<std::int64_t>(*number);
+}
+
+}  // namespace rcb::io

@@ -1,0 +1,13 @@
+// The extents of all ranks' particles.
+#pragma once
+
+#include "common/comm/comm.hpp"
+#include "common/geometry/box.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::partition {
+
+// The box of all ranks' particles; empty if there are none. Collective (one reduction).
+geometry::Box bounding_box(comm::Comm& comm, const particles::ParticleView& particles);
+
+}  // namespace rcb::partition

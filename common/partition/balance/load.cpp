@@ -1,0 +1,232 @@
+// Loads, targets and errors. A product of a load and a sum of part sizes has up to 254 bits.
+#include "common/partition/balance/load.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <numeric>
+
+#include <boost/multiprecision/cpp_int.hpp>
+
+#include "common/comm/wide_sum.hpp"
+#include "common/geometry/axes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using Wide = boost::multiprecision::uint512_t;
+
+// numerator / denominator * 2^exponent, rounded once (ties to even), subnormal results too. Both below 2^256.
+double rounded(Wide numerator, Wide denominator, int exponent) {
+  if (numerator == 0) return 0;
+  int magnitude =
+      static_cast<int>(msb(numerator)) - static_cast<int>(msb(denominator));  // of the quotient, or one more
+  if (magnitude >= 0 ? numerator < (denominator << magnitude) : (numerator << -magnitude) < denominator) --magnitude;
+  const int result = magnitude + exponent;
+  const int bits = result >= -1022 ? 53 : std::max(53 + 1022 + result, -1);  // significant bits
+  const int shift = bits - 1 - magnitude;
+  if (shift >= 0)
+    numerator <<= shift;
+  else
+    denominator <<= -shift;
+  Wide whole;
+  Wide rest;
+  divide_qr(numerator, denominator, whole, rest);
+  auto significand = static_cast<std::uint64_t>(whole);
+  rest <<= 1;
+  if (rest > denominator || (rest == denominator && (significand & 1U) != 0)) ++significand;
+  return std::ldexp(static_cast<double>(significand), exponent - shift);
+}
+
+bool small(u128 value) { return value < (u128{1} << 53U); }
+
+// True if a double holds a * b and every smaller whole number exactly.
+bool fit_together(u128 a, u128 b) {
+  constexpr u128 half = u128{1} << 64U;
+  return a < half && b < half && small(a * b);
+}
+
+// a * b / (c * d) * 2^exponent, rounded once; c and d > 0.
+double quotient_of_products(u128 a, u128 b, u128 c, u128 d, int exponent) {
+  if (exponent == 0 && fit_together(a, b) && fit_together(c, d))
+    return static_cast<double>(a * b) / static_cast<double>(c * d);  // both exact: one rounding
+  return rounded(Wide(a) * b, Wide(c) * d, exponent);
+}
+
+// Fills in what follows from counts and loads: error, imbalance, targets.
+void finish(LoadSummary& summary, std::span<const double> sizes) {
+  const int parts = static_cast<int>(summary.loads.size());
+  const std::vector<u128> shares = exact_sizes(sizes, parts);
+  const u128 all = std::accumulate(shares.begin(), shares.end(), u128{0});
+  const u128 total = std::accumulate(summary.loads.begin(), summary.loads.end(), u128{0});
+  const auto count = shares.size();
+  summary.part_errors.assign(count, 0.0);
+  summary.targets.assign(count, 0.0);
+  summary.load_values.assign(count, 0.0);
+  summary.error = 0;
+  summary.imbalance = 1;
+  if (total == 0) return;
+  summary.imbalance = 0;
+  for (std::size_t p = 0; p < count; ++p) {
+    summary.part_errors[p] = relative_error(summary.loads[p], total, shares[p], all);
+    summary.imbalance = std::max(summary.imbalance, quotient_of_products(summary.loads[p], all, total, shares[p], 0));
+    // Rounding is monotonic: the maximum of the rounded errors is the maximum error, rounded.
+    summary.error = std::max(summary.error, summary.part_errors[p]);
+    summary.targets[p] = quotient_of_products(total, shares[p], all, 1, -summary.scale_exponent);
+    summary.load_values[p] = quotient_of_products(summary.loads[p], 1, 1, 1, -summary.scale_exponent);
+  }
+}
+
+}  // namespace
+
+ExactScale::ExactScale(double largest, std::uint64_t count) {
+  CHECK(largest > 0 && std::isfinite(largest) && count >= 1, "a positive largest value");
+  int above = 0;
+  std::frexp(largest, &above);                                            // largest < 2^above
+  exponent_ = 127 - above - static_cast<int>(std::bit_width(count - 1));  // count <= 2^bit_width(count - 1)
+}
+
+u128 ExactScale::operator()(double value) const {
+  const auto bits = std::bit_cast<std::uint64_t>(value);
+  const auto biased = static_cast<int>((bits >> 52U) & 0x7FFU);
+  const std::uint64_t fraction = bits & 0xFFFFFFFFFFFFFU;
+  const std::uint64_t significand = biased == 0 ? fraction : fraction | (std::uint64_t{1} << 52U);
+  const int shift = std::max(biased, 1) - 1075 + exponent_;
+  if (shift <= -64) return 0;
+  if (shift < 0) return significand >> static_cast<unsigned>(-shift);
+  if (significand == 0) return 0;
+  CHECK(static_cast<int>(std::bit_width(significand)) + shift <= 127, "a value beyond the largest");
+  return u128{significand} << static_cast<unsigned>(shift);
+}
+
+std::vector<u128> exact_sizes(std::span<const double> sizes, int parts) {
+  std::vector<u128> exact(static_cast<std::size_t>(parts), u128{1});
+  if (sizes.empty() || std::ranges::all_of(sizes, [&](double size) { return size == sizes[0]; })) return exact;
+  CHECK(sizes.size() == exact.size(), "a size for each part");
+  const ExactScale scale(*std::ranges::max_element(sizes), sizes.size());
+  // A size too small for the common scale counts as 1, not 0, so that every part has a target.
+  for (std::size_t p = 0; p < exact.size(); ++p) exact[p] = std::max(scale(sizes[p]), u128{1});
+  return exact;
+}
+
+std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes, int parts) {
+  const std::vector<u128> exact = exact_sizes(sizes, parts);
+  const u128 all = std::accumulate(exact.begin(), exact.end(), u128{0});
+  std::vector<std::uint64_t> result(exact.size());
+  u128 running = 0;
+  std::uint64_t before = 0;
+  for (std::size_t p = 0; p < exact.size(); ++p) {
+    running += exact[p];
+    const std::uint64_t prefix = floor_share(n, running, all);
+    result[p] = prefix - before;
+    before = prefix;
+  }
+  return result;
+}
+
+std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole) {
+  if ((part >> 64U) == 0) return static_cast<std::uint64_t>(u128{n} * part / whole);
+  return static_cast<std::uint64_t>(Wide(n) * part / whole);
+}
+
+LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes) {
+  LoadSummary summary;
+  summary.loads.assign(counts.begin(), counts.end());
+  summary.counts = std::move(counts);
+  finish(summary, sizes);
+  return summary;
+}
+
+LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& particles,
+                            std::span<const std::int32_t> part, std::span<const double> sizes, int parts) {
+  CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
+  const auto count = static_cast<std::size_t>(parts);
+  // One more sum: the number of ranks with weights, since a rank without particles doesn't know whether there are any.
+  std::vector<std::uint64_t> counts(count + 1, 0);
+  for (const std::int32_t p : part) ++counts[static_cast<std::size_t>(p)];
+  counts[count] = particles.weight != nullptr && particles.count > 0 ? 1 : 0;
+  comm.all_sum(counts);
+  const bool any_weights = counts[count] > 0;
+  counts.pop_back();
+  if (!any_weights) return summarise_counts(std::move(counts), sizes);
+  const std::optional<WeightRange> range = weight_range(comm, particles);
+  if (!range) return summarise_counts(std::move(counts), sizes);
+  const ExactScale scale(range->largest, std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}));
+  LoadSummary summary;
+  summary.weighted = true;
+  summary.scale_exponent = scale.exponent();
+  summary.loads.assign(count, u128{0});
+  for (std::size_t i = 0; i < particles.count; ++i)
+    summary.loads[static_cast<std::size_t>(part[i])] += scale(particles.weight[i]);
+  comm::all_sum_wide(comm, summary.loads);
+  summary.counts = std::move(counts);
+  finish(summary, sizes);
+  return summary;
+}
+
+LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particles, const LoadSummary& before,
+                        std::span<const std::int32_t> part, std::span<const std::uint64_t> slot,
+                        std::span<const std::int32_t> to, std::span<const double> sizes) {
+  CHECK(slot.size() == to.size() && part.size() == particles.count, "a part for each particle");
+  const std::size_t parts = before.counts.size();
+  const ExactScale scale(before.scale_exponent);
+  // Of every part: counts gained, counts lost, then weights gained, weights lost.
+  std::vector<u128> change((before.weighted ? 4 : 2) * parts, 0);
+  for (std::size_t k = 0; k < slot.size(); ++k) {
+    const auto new_part = static_cast<std::size_t>(to[k]);
+    const auto old_part = static_cast<std::size_t>(part[slot[k]]);
+    ++change[new_part];
+    ++change[parts + old_part];
+    if (!before.weighted) continue;
+    const u128 weight = scale(particles.weight[slot[k]]);
+    change[2 * parts + new_part] += weight;
+    change[3 * parts + old_part] += weight;
+  }
+  comm::all_sum_wide(comm, change);
+  LoadSummary summary;
+  summary.weighted = before.weighted;
+  summary.scale_exponent = before.scale_exponent;
+  for (std::size_t p = 0; p < parts; ++p) {
+    summary.counts.push_back(before.counts[p] + static_cast<std::uint64_t>(change[p] - change[parts + p]));
+    summary.loads.push_back(before.weighted ? before.loads[p] + change[2 * parts + p] - change[3 * parts + p]
+                                            : u128{summary.counts[p]});
+  }
+  finish(summary, sizes);
+  return summary;
+}
+
+std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles) {
+  std::array<std::uint64_t, 2> order_bits{~std::uint64_t{0}, ~std::uint64_t{0}};
+  if (particles.weight == nullptr || particles.count == 0) return order_bits;
+  const auto [least, largest] = std::minmax_element(particles.weight, particles.weight + particles.count);
+  return {geometry::order_bits(*least), ~geometry::order_bits(*largest)};
+}
+
+std::optional<WeightRange> weight_range_of_order_bits(std::span<const std::uint64_t, 2> reduced) {
+  if (reduced[0] == ~std::uint64_t{0} || reduced[0] == ~reduced[1]) return std::nullopt;
+  return WeightRange{geometry::value_of_order_bits(reduced[0]), geometry::value_of_order_bits(~reduced[1])};
+}
+
+std::optional<WeightRange> weight_range(comm::Comm& comm, const particles::ParticleView& particles) {
+  std::array<std::uint64_t, 2> order_bits = weight_order_bits(particles);
+  comm.all_min(order_bits);
+  return weight_range_of_order_bits(order_bits);
+}
+
+double relative_error(u128 load, u128 total, u128 size, u128 all) {
+  if (fit_together(load, all) && fit_together(total, size)) {
+    const u128 has = load * all;
+    const u128 should = total * size;
+    return static_cast<double>(has > should ? has - should : should - has) / static_cast<double>(should);
+  }
+  const Wide has = Wide(load) * all;
+  const Wide should = Wide(total) * size;
+  return rounded(has > should ? has - should : should - has, should, 0);
+}
+
+double quotient(u128 numerator, u128 denominator) {
+  CHECK(denominator > 0, "a quotient needs a denominator");
+  return quotient_of_products(numerator, 1, denominator, 1, 0);
+}
+
+}  // namespace rcb::partition

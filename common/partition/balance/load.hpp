@@ -1,0 +1,92 @@
+// Room `balance`: weights, quotas, loads and errors. All sums are of integers, so that they are bit-identical for any
+// number of ranks; whatever is added here must keep to that.
+//
+// Loads, targets, quotas and the error, in exact integers: no decision depends on a floating-point sum.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "common/base/wide.hpp"
+#include "common/comm/comm.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::partition {
+
+// Turns non-negative finite doubles into integers by one power-of-two scale for all: value * 2^scale, rounded down. The
+// scale is chosen so that the sum of `count` values fits in 127 bits. A value loses less than 2^-(125 - log2(count)) of
+// the largest one, and nothing while largest / smallest spans fewer than 73 - log2(count) binades (a double has 53
+// bits).
+class ExactScale {
+ public:
+  ExactScale() = default;
+  // largest: the greatest value, > 0; count: how many values are summed, >= 1.
+  ExactScale(double largest, std::uint64_t count);
+  explicit ExactScale(int exponent) : exponent_(exponent) {}
+  u128 operator()(double value) const;
+  int exponent() const { return exponent_; }
+
+ private:
+  int exponent_ = 0;
+};
+
+// Part sizes as exact integers, each at least 1; all 1 if `sizes` is empty or all sizes are equal.
+std::vector<u128> exact_sizes(std::span<const double> sizes, int parts);
+
+// quotas[p]: how many particles a partition of n gives part p: differences of floor(n * S_p / S), S_p the prefix sums
+// of the sizes.
+std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes, int parts);
+
+// floor(n * part / whole), exactly; part <= whole, whole > 0.
+std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole);
+
+// The least and greatest weight of all particles.
+struct WeightRange {
+  double least = 0;
+  double largest = 0;
+};
+// The two numbers whose all_min over ranks is the argument of weight_range_of_order_bits(). Local.
+std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles);
+// nullopt where weights don't count: absent on all ranks, all equal, or all zero. Local.
+std::optional<WeightRange> weight_range_of_order_bits(std::span<const std::uint64_t, 2> reduced);
+// Both, with the reduction between them. Collective (one reduction).
+std::optional<WeightRange> weight_range(comm::Comm& comm, const particles::ParticleView& particles);
+
+// Load per part and what follows from it. Weighted loads are exact integers in the scene's scale. In the formulas W is
+// the sum of all loads, s a part's size and S the sum of all sizes.
+struct LoadSummary {
+  std::vector<std::uint64_t> counts;  // particles per part
+  std::vector<u128> loads;            // exact; equal to counts where nothing is weighted
+  bool weighted = false;              // false where weights are absent, all equal or all zero
+  int scale_exponent = 0;             // a load in the user's unit is loads[p] * 2^-scale_exponent
+  double error = 0;                   // max |load*S - W*s| / (W*s), rounded once
+  double imbalance = 1;               // max load*S / (W*s), rounded once
+  std::vector<double> part_errors;    // likewise of each part
+  std::vector<double> targets;        // n/P, n*s_p/S or the share of the total weight, rounded once
+  std::vector<double> load_values;    // loads in the user's unit, rounded once
+};
+
+// Collective (one reduction without weights, three with).
+//   part  [particles.count], each 0..parts-1
+LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& particles,
+                            std::span<const std::int32_t> part, std::span<const double> sizes, int parts);
+// The summary after some particles have changed their part, from the summary before; n and all weights are unchanged.
+// Collective (one reduction). Cost in proportion to the parts and to the changed particles.
+//   part  [particles.count], before the change
+//   slot  local particles that change their part; to: their new parts
+LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particles, const LoadSummary& before,
+                        std::span<const std::int32_t> part, std::span<const std::uint64_t> slot,
+                        std::span<const std::int32_t> to, std::span<const double> sizes);
+// Local: the summary of known counts, nothing weighted.
+LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes);
+
+// abs(load * all - total * size) / (total * size), rounded once: the relative error of parts that together have this
+// load out of `total` and this size out of `all` sizes. total and size > 0.
+double relative_error(u128 load, u128 total, u128 size, u128 all);
+// numerator / denominator rounded once to the nearest double (ties to even); denominator > 0.
+double quotient(u128 numerator, u128 denominator);
+
+}  // namespace rcb::partition

@@ -1,0 +1,151 @@
+#include "common/partition/incremental/brackets.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <numeric>
+
+#include "common/base/index.hpp"
+#include "common/partition/incremental/sample.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr double kInfinity = geometry::Box::kInfinity;
+// Sampled particles of all ranks together: so many per part, within these limits.
+constexpr std::uint64_t kSampleOfPart = 128;
+constexpr std::uint64_t kSampleMin = 4096;
+constexpr std::uint64_t kSampleMax = 8192;
+
+// Descends from a root and guesses the new cuts; each node gets the sampled particles that the guessed cuts above leave
+// it.
+class BracketGuess {
+ public:
+  BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
+               const Sample& sample, std::vector<geometry::Box>& out)
+      : tree_(tree), own_(own), limits_(limits), sample_(sample), out_(out) {
+    prefix_.assign(1, 0.0);
+    for (const double load : loads) prefix_.push_back(prefix_.back() + load);
+    size_prefix_.assign(1, 0.0);
+    for (int p = 0; p < tree.parts; ++p)
+      size_prefix_.push_back(size_prefix_.back() + (tree.part_sizes.empty() ? 1.0 : tree.part_sizes[at(p)]));
+    sampled_prefix_.assign(at(tree.parts) + 1, 0);
+    for (std::uint32_t k = 0; k < sample.count(); ++k) ++sampled_prefix_[at(sample.part[k]) + 1];
+    std::partial_sum(sampled_prefix_.begin(), sampled_prefix_.end(), sampled_prefix_.begin());
+  }
+
+  // New cuts divide a root's particles among its own parts.
+  void visit_root(const NodeRange& range) {
+    indices_.clear();
+    for (std::uint32_t k = 0; k < sample_.count(); ++k)
+      if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
+    visit(range, geometry::Box::unbounded(), indices_, load(range.first, range.last));
+  }
+
+ private:
+  struct Guess {
+    double lo = -kInfinity;
+    double at = -kInfinity;
+    double hi = kInfinity;
+  };
+
+  double load(int first, int last) const { return prefix_[at(last)] - prefix_[at(first)]; }
+  double share(const NodeRange& range) const {
+    return (size_prefix_[at(range.middle())] - size_prefix_[at(range.first)]) /
+           (size_prefix_[at(range.last)] - size_prefix_[at(range.first)]);
+  }
+
+  // own: the sampled particles of the node; wanted: its load under the new cuts.
+  void visit(const NodeRange& range, const geometry::Box& inner, std::span<std::uint32_t> own, double wanted) {
+    if (range.last <= own_.first || range.first >= own_.last) return;
+    if (range.leaf()) {
+      out_[at(range.first - own_.first)] = inner;
+      return;
+    }
+    const Cut& cut = tree_.cuts[at(range.node)];
+    const auto axis = at(cut.axes[0]);
+    const Guess guess = cut.right_empty ? Guess{} : guess_cut(range, own, axis, cut.key.at[0], wanted);
+    geometry::Box left = inner;
+    geometry::Box right = inner;
+    left.hi[axis] = std::min(left.hi[axis], guess.lo);
+    right.lo[axis] = std::max(right.lo[axis], guess.hi);
+    const auto middle =
+        std::partition(own.begin(), own.end(), [&](std::uint32_t k) { return sample_.x(axis, k) < guess.at; });
+    const auto before = static_cast<std::size_t>(middle - own.begin());
+    visit(range.left(), left, own.first(before), wanted * share(range));
+    visit(range.right(), right, own.subspan(before), wanted * (1 - share(range)));
+  }
+
+  Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, std::size_t axis, double old,
+                  double wanted) {
+    left_.clear();
+    right_.clear();
+    // The load below the old cut is that of the left parts, plus what the node has gained there, minus what they have
+    // lost, both estimated from the sample.
+    double gained = 0;
+    double stayed_left = 0;
+    for (const std::uint32_t k : own) {
+      const double x = sample_.x(axis, k);
+      (x < old ? left_ : right_).push_back(x);
+      const std::int32_t part = sample_.part[k];
+      const bool mine = part >= range.first && part < range.last;
+      stayed_left += mine && part < range.middle() ? 1 : 0;
+      gained += !mine && x < old ? 1 : 0;
+    }
+    const auto had = [&](int first, int last) {
+      return static_cast<double>(sampled_prefix_[at(last)] - sampled_prefix_[at(first)]);
+    };
+    const double lost = had(range.first, range.middle()) - stayed_left;
+    const double load_of_one = prefix_.back() / static_cast<double>(sample_.count());
+    if (own.empty() || !(load_of_one > 0)) return {};
+    const double excess = (load(range.first, range.middle()) - wanted * share(range)) / load_of_one + gained - lost;
+    const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess) + gained + lost) + limits_.bracket_margin;
+    return {coordinate(std::ceil(excess + margin)), coordinate(std::round(excess)),
+            coordinate(std::floor(excess - margin))};
+  }
+
+  // The coordinate of a sampled particle near the old cut. before > 0: of the one in this place below the cut (1 is the
+  // nearest); else of the one in place -before above it (0 is the nearest). Infinite if there is none.
+  double coordinate(double before) {
+    const bool is_left = before > 0;
+    std::vector<double>& side = is_left ? left_ : right_;
+    const double place = is_left ? before - 1 : -before;
+    if (place >= static_cast<double>(side.size())) return is_left ? -kInfinity : kInfinity;
+    const auto nth = side.begin() + static_cast<std::ptrdiff_t>(place);
+    if (is_left)
+      std::nth_element(side.begin(), nth, side.end(), std::greater<>());
+    else
+      std::nth_element(side.begin(), nth, side.end());
+    return *nth;
+  }
+
+  const CutTree& tree_;
+  OwnParts own_;
+  const SearchLimits& limits_;
+  const Sample& sample_;
+  std::vector<geometry::Box>& out_;
+  std::vector<double> prefix_;
+  std::vector<double> size_prefix_;
+  std::vector<std::size_t> sampled_prefix_;
+  std::vector<std::uint32_t> indices_;
+  std::vector<double> left_;
+  std::vector<double> right_;
+};
+
+}  // namespace
+
+std::vector<geometry::Box> inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
+                                         std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
+                                         std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
+                                         const SearchLimits& limits) {
+  const std::uint64_t wanted =
+      std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
+  const Sample sample =
+      share_sample(comm, particles, part.data(), pick(particles.count, std::max<std::uint64_t>(count / wanted, 1)));
+  std::vector<geometry::Box> inner(at(own.last - own.first), geometry::Box::unbounded());
+  BracketGuess walk(tree, loads, own, limits, sample, inner);
+  for (const NodeRange& root : roots) walk.visit_root(root);
+  return inner;
+}
+
+}  // namespace rcb::partition

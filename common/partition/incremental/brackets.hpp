@@ -1,0 +1,39 @@
+// Brackets: the intervals in which a new search is expected to find a tree's cuts, guessed before any particle is
+// looked at. The loads tell exactly how far each cut is off its target; a sample tells how far that is in space. A
+// part's inner region is what no bracket reaches: the particles in it are expected to stay.
+//
+// Invariants
+// 1. A wrong guess costs time only: the search verifies that particles really stay (interior.hpp).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/comm/comm.hpp"
+#include "common/geometry/box.hpp"
+#include "common/partition/search/request.hpp"
+#include "common/partition/tree/cut_tree.hpp"
+
+namespace rcb::partition {
+
+// The parts [first, last) that this rank owns: its particles are of these parts, but for some that have just left them.
+// Where particles may lie on any rank: all parts, on every rank.
+struct OwnParts {
+  int first = 0;
+  int last = 0;
+};
+
+// The inner regions of this rank's own parts, [last - first]; open boxes, some unbounded, some empty. That of a part
+// outside the roots is all of space.
+//   part   [particles.count]: the particles' parts under the tree
+//   count  of all ranks' particles
+//   loads  of each part, all ranks; only their ratios count
+//   roots  nodes to be cut again; all other cuts stay
+// Collective (one gather of a sample of some thousand particles).
+std::vector<geometry::Box> inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
+                                         std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
+                                         std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
+                                         const SearchLimits& limits);
+
+}  // namespace rcb::partition

@@ -1,0 +1,233 @@
+// A part's box grows with the interior particles that are found. Almost all particles lie in their part's box as it is
+// already, and this one comparison shows that they are interior, since the box lies in the inner region; only the
+// others are looked at one by one.
+#include "common/partition/incremental/classify_interior.hpp"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+
+#include "common/base/cpu.hpp"
+#include "common/partition/search/four_points.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using particles::kBlock;
+constexpr std::size_t kLanes = 4;
+
+// One cache line. Lanes beyond the last axis are unbounded.
+struct alignas(64) Bounds {
+  std::array<double, kLanes> lo;
+  std::array<double, kLanes> hi;
+};
+
+class Pass {
+ public:
+  Pass(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
+       std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own, std::size_t boundary_max,
+       OwnInterior& out)
+      : particles_(particles),
+        blocks_(blocks),
+        part_(part),
+        inner_(inner),
+        first_(own.first),
+        boundary_max_(boundary_max),
+        out_(out) {
+    Bounds none;
+    none.lo.fill(-geometry::Box::kInfinity);
+    none.hi.fill(geometry::Box::kInfinity);
+    for (std::size_t a = 0; a < axes(); ++a) std::swap(none.lo[a], none.hi[a]);
+    bounds_.assign(inner.size() + 1, none);
+  }
+
+  // Grows the boxes with some thousand particles from everywhere first. Otherwise sorted arrays would be slow: each
+  // particle would lie outside of the box of those before it.
+  void seed() {
+    const std::size_t stride = std::max<std::size_t>(particles_.count / 4096, 1);
+    for (std::size_t i = 0; i < particles_.count; i += stride) look(i);
+    out_.boundary.resize(0);
+    out_.slot.clear();
+    out_.part.clear();
+  }
+
+  void run() {
+#if defined(__x86_64__)
+    if (has_avx2()) return run_blocks<true>();
+#endif
+    run_blocks<false>();
+  }
+
+  geometry::Box box(std::size_t p) const {
+    geometry::Box box;
+    std::copy_n(bounds_[p].lo.begin(), axes(), box.lo.begin());
+    std::copy_n(bounds_[p].hi.begin(), axes(), box.hi.begin());
+    return box;
+  }
+
+ private:
+  std::size_t axes() const { return static_cast<std::size_t>(particles_.dims); }
+  // The index of a part's bounds. Parts of other ranks share the last one, which stays empty.
+  std::size_t index_of(std::int32_t part) const {
+    return std::min<std::size_t>(static_cast<std::uint32_t>(part - first_), inner_.size());
+  }
+  std::size_t index(std::size_t i) const { return index_of(part_[i]); }
+
+  // Looks at a particle outside of its part's box: if it is interior, the box grows, else it joins the boundary
+  // particles.
+  void look(std::size_t i) {
+    const std::size_t p = index(i);
+    bool inside = p < inner_.size();
+    for (std::size_t a = 0; a < axes() && inside; ++a)
+      inside = particles_.position[a][i] > inner_[p].lo[a] && particles_.position[a][i] < inner_[p].hi[a];
+    if (!inside) {
+      out_.slot.push_back(i);
+      out_.part.push_back(part_[i]);
+      for (std::size_t a = 0; a < axes(); ++a) out_.boundary.position[a].push_back(particles_.position[a][i]);
+      return;
+    }
+    for (std::size_t a = 0; a < axes(); ++a) {
+      bounds_[p].lo[a] = std::min(bounds_[p].lo[a], particles_.position[a][i]);
+      bounds_[p].hi[a] = std::max(bounds_[p].hi[a], particles_.position[a][i]);
+    }
+  }
+
+  using Axes = std::array<const double*, geometry::kDimsMax>;
+
+  template <bool kAvx2>
+  void run_blocks() {
+    // Axes >= dims read the first axis; their lanes are unbounded.
+    Axes x = particles_.position;
+    for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
+    for (std::size_t begin = 0; begin < particles_.count && out_.slot.size() <= boundary_max_; begin += kBlock) {
+      const std::size_t count = std::min(kBlock, particles_.count - begin);
+      const std::int32_t* const part = part_.data() + begin;
+      std::int32_t other = 0;
+      for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
+      if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index(begin))) continue;
+      const Axes at{x[0] + begin, x[1] + begin, x[2] + begin};
+      std::uint64_t beyond =
+          other == 0 ? beyond_same<kAvx2>(at, bounds_[index(begin)], count) : beyond_own<kAvx2>(at, part, count);
+      for (; beyond != 0; beyond &= beyond - 1) look(begin + static_cast<std::size_t>(std::countr_zero(beyond)));
+    }
+  }
+
+  // True if the ranges of a block of part p show that all its particles are interior; then p's box grows by the block.
+  bool stays(std::size_t block, std::size_t p) {
+    bool inside = p < inner_.size();
+    for (std::size_t a = 0; a < axes() && inside; ++a)
+      inside = blocks_->of[a][block].strictly_inside(inner_[p].lo[a], inner_[p].hi[a]);
+    for (std::size_t a = 0; a < axes() && inside; ++a) {
+      bounds_[p].lo[a] = std::min(bounds_[p].lo[a], blocks_->of[a][block].lo);
+      bounds_[p].hi[a] = std::max(bounds_[p].hi[a], blocks_->of[a][block].hi);
+    }
+    return inside;
+  }
+
+  // The particles of a block, one bit each, that lie outside of these bounds; in beyond_own, outside of their own
+  // part's.
+  template <bool kAvx2>
+  std::uint64_t beyond_same(const Axes& x, const Bounds& box, std::size_t count) const {
+#if defined(__x86_64__)
+    if constexpr (kAvx2) return beyond_same_avx2(x, box, count);
+#endif
+    std::uint64_t beyond = 0;
+    for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box, i) << i;
+    return beyond;
+  }
+  template <bool kAvx2>
+  std::uint64_t beyond_own(const Axes& x, const std::int32_t* part, std::size_t count) const {
+#if defined(__x86_64__)
+    if constexpr (kAvx2) return beyond_own_avx2(x, part, count);
+#endif
+    std::uint64_t beyond = 0;
+    for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, bounds_[index_of(part[i])], i) << i;
+    return beyond;
+  }
+  static std::uint64_t is_beyond(const Axes& x, const Bounds& box, std::size_t i) {
+    bool in = true;
+    for (std::size_t a = 0; a < x.size(); ++a) in &= (x[a][i] >= box.lo[a]) & (x[a][i] <= box.hi[a]);
+    return in ? 0U : 1U;
+  }
+
+#if defined(__x86_64__)
+  // Four particles at a time, one axis after the other.
+  [[gnu::target("avx2")]] static std::uint64_t beyond_same_avx2(const Axes& x, const Bounds& box, std::size_t count) {
+    std::uint64_t beyond = 0;
+    std::size_t i = 0;
+    for (; i + kLanes <= count; i += kLanes) {
+      __m256d in = _mm256_castsi256_pd(_mm256_set1_epi64x(-1));
+      for (std::size_t a = 0; a < x.size(); ++a) {
+        const __m256d value = _mm256_loadu_pd(x[a] + i);
+        in = _mm256_and_pd(in, _mm256_cmp_pd(value, _mm256_set1_pd(box.lo[a]), _CMP_GE_OQ));
+        in = _mm256_and_pd(in, _mm256_cmp_pd(value, _mm256_set1_pd(box.hi[a]), _CMP_LE_OQ));
+      }
+      beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in) ^ 0xF) << i;
+    }
+    for (; i < count; ++i) beyond |= is_beyond(x, box, i) << i;
+    return beyond;
+  }
+  // Four particles at a time, each with all axes in one vector.
+  [[gnu::target("avx2")]] std::uint64_t beyond_own_avx2(const Axes& x, const std::int32_t* part,
+                                                        std::size_t count) const {
+    const Bounds* const bounds = bounds_.data();
+    const auto last = static_cast<std::uint32_t>(inner_.size());
+    std::uint64_t beyond = 0;
+    std::size_t i = 0;
+    for (; i + kLanes <= count; i += kLanes) {
+      __m256d point[kLanes];
+      load_four_points(x, i, point);
+      __m256d in[kLanes];
+      for (std::size_t k = 0; k < kLanes; ++k) {
+        const Bounds& box = bounds[std::min(static_cast<std::uint32_t>(part[i + k] - first_), last)];
+        in[k] = _mm256_and_pd(_mm256_cmp_pd(point[k], _mm256_load_pd(box.lo.data()), _CMP_GE_OQ),
+                              _mm256_cmp_pd(point[k], _mm256_load_pd(box.hi.data()), _CMP_LE_OQ));
+      }
+      // Mostly all are inside.
+      const __m256d all = _mm256_and_pd(_mm256_and_pd(in[0], in[1]), _mm256_and_pd(in[2], in[3]));
+      if (_mm256_movemask_pd(all) == 0xF) continue;
+      for (std::size_t k = 0; k < kLanes; ++k)
+        beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in[k]) != 0xF) << (i + k);
+    }
+    for (; i < count; ++i) beyond |= is_beyond(x, bounds[index_of(part[i])], i) << i;
+    return beyond;
+  }
+#endif
+
+  const particles::ParticleView& particles_;
+  const particles::BlockRanges* blocks_;
+  std::span<const std::int32_t> part_;
+  std::span<const geometry::Box> inner_;
+  std::int32_t first_;
+  std::size_t boundary_max_;
+  OwnInterior& out_;
+  std::vector<Bounds> bounds_;  // [own parts + 1]: of the interior particles so far
+};
+
+}  // namespace
+
+OwnInterior classify_interior(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
+                              std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
+                              std::size_t boundary_max) {
+  OwnInterior out;
+  out.boundary.dims = particles.dims;
+  out.boundary.has_weights = particles.weight != nullptr;
+  const std::size_t room = particles.count / 16;
+  out.boundary.resize(room);
+  out.boundary.resize(0);
+  out.slot.reserve(room);
+  out.part.reserve(room);
+  Pass pass(particles, blocks, part, inner, own, boundary_max, out);
+  if (blocks == nullptr) pass.seed();  // with blocks not needed: those that stay as a whole soon make the boxes grow
+  pass.run();
+  out.too_many = out.slot.size() > boundary_max;
+  if (!out.too_many) {
+    // Copied after the pass, to keep these scattered reads out of its loop.
+    copy_of(particles.id, out.slot, out.boundary.id);
+    if (out.boundary.has_weights) copy_of(particles.weight, out.slot, out.boundary.weight);
+  }
+  for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));
+  return out;
+}
+
+}  // namespace rcb::partition

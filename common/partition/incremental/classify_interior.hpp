@@ -1,0 +1,39 @@
+// A repartition's one pass over all particles: which are expected to stay in their part (interior), and which few have
+// to be searched (boundary).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/particles/block_ranges.hpp"
+#include "common/partition/incremental/brackets.hpp"
+
+namespace rcb::partition {
+
+// to[k] = from[slot[k]].
+template <typename T>
+void copy_of(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
+  to.resize(slot.size());
+  for (std::size_t k = 0; k < slot.size(); ++k) to[k] = from[slot[k]];
+}
+
+struct OwnInterior {
+  bool too_many = false;             // the pass stopped at boundary_max: the rest is meaningless
+  particles::ParticleSet boundary;   // the boundary particles, copied
+  Buffer<std::uint64_t> slot;        // their slots, ascending
+  Buffer<std::int32_t> part;         // and their current parts
+  std::vector<geometry::Box> boxes;  // [own parts]: the exact boxes of the interior particles; empty: none
+};
+
+// inner: the inner regions of this rank's own parts; a particle strictly inside that of its part is interior. Particles
+// of other ranks' parts are boundary particles.
+//   blocks  the ranges of these positions; null: not known
+// Local. Reads every position once, except in blocks whose ranges show that all their particles stay; stops at more
+// than boundary_max boundary particles, since these are copied.
+OwnInterior classify_interior(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
+                              std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
+                              std::size_t boundary_max);
+
+}  // namespace rcb::partition

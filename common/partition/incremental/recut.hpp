@@ -1,0 +1,16 @@
+// Recut: which subtrees are to be cut again if not the whole tree.
+#pragma once
+
+#include <vector>
+
+#include "common/partition/balance/load.hpp"
+#include "common/partition/tree/cut_tree.hpp"
+
+namespace rcb::partition {
+
+// The smallest subtrees whose new cuts bring every part's error below `wanted`, judging by the loads: new cuts give
+// each part of a subtree its share of the subtree's load. Ascending, none below another. The root alone if nothing less
+// suffices, and always for bands, whose cuts form one sequence. Empty if no part's error reaches `wanted`. Local.
+std::vector<NodeRange> smallest_roots(const CutTree& tree, const LoadSummary& loads, double wanted);
+
+}  // namespace rcb::partition

@@ -1,0 +1,60 @@
+#include "common/partition/incremental/sample.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+
+#include "common/base/random.hpp"
+
+namespace rcb::partition {
+
+std::vector<std::size_t> pick(std::size_t count, std::uint64_t stride) {
+  std::vector<std::size_t> slots;
+  for (std::size_t begin = 0; begin < count; begin += stride)
+    slots.push_back(begin + mix64(begin) % std::min<std::uint64_t>(stride, count - begin));
+  return slots;
+}
+
+Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, const std::int32_t* part,
+                    std::span<const std::size_t> slots) {
+  const auto axes = static_cast<std::size_t>(particles.dims);
+  // The message holds one array after the other.
+  const std::size_t bytes_of_one = (axes + 1) * sizeof(double) + sizeof(std::int32_t);
+  Buffer<std::byte> mine;
+  mine.reserve(slots.size() * bytes_of_one);
+  const auto send = [&](const auto* from, auto otherwise) {
+    for (const std::size_t slot : slots) {
+      const auto value = from == nullptr ? otherwise : from[slot];
+      mine.append(std::as_bytes(std::span(&value, 1)));
+    }
+  };
+  for (std::size_t a = 0; a < axes; ++a) send(particles.position[a], 0.0);
+  send(particles.weight, 1.0);
+  send(part, std::int32_t{0});
+  std::vector<std::byte> all;
+  std::vector<std::size_t> sizes;
+  comm.all_gather(mine.span(), all, sizes);
+
+  Sample sample;
+  sample.particles.dims = particles.dims;
+  sample.particles.has_weights = true;
+  sample.particles.resize(all.size() / bytes_of_one);
+  sample.part.resize(sample.count());
+  std::iota(sample.particles.id.begin(), sample.particles.id.end(), particles::Id{0});
+  const std::byte* next = all.data();
+  std::size_t begin = 0;
+  for (const std::size_t size : sizes) {
+    const std::size_t count = size / bytes_of_one;
+    const auto take = [&](auto& values) {
+      if (count > 0) std::memcpy(values.data() + begin, next, count * sizeof(values[0]));
+      next += count * sizeof(values[0]);
+    };
+    for (std::size_t a = 0; a < axes; ++a) take(sample.particles.position[a]);
+    take(sample.particles.weight);
+    take(sample.part);
+    begin += count;
+  }
+  return sample;
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,279 @@
+#include "common/partition/quality/ghosts.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "common/base/check.hpp"
+#include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
+#include "common/geometry/axes.hpp"
+#include "common/partition/tree/cut_tree.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using geometry::Box;
+using geometry::Point;
+
+constexpr std::uint64_t kNone = ~std::uint64_t{0};
+
+// The bounding box of each part's particles, on all ranks; empty for a part without any. Collective.
+std::vector<Box> part_boxes(comm::Comm& comm, const particles::ParticleView& particles,
+                            std::span<const std::int32_t> part, int parts) {
+  std::vector<Box> boxes(at(parts));
+  for (std::size_t i = 0; i < particles.count; ++i) boxes[at(part[i])].extend(particles.point(i), particles.dims);
+  const auto dims = at(particles.dims);
+  std::vector<std::uint64_t> least(boxes.size() * dims * 2, kNone);
+  for (std::size_t p = 0; p < boxes.size(); ++p)
+    for (std::size_t a = 0; a < dims && !boxes[p].empty(particles.dims); ++a) {
+      least[(p * dims + a) * 2] = geometry::order_bits(boxes[p].lo[a]);
+      least[(p * dims + a) * 2 + 1] = ~geometry::order_bits(boxes[p].hi[a]);
+    }
+  comm.all_min(least);
+  for (std::size_t p = 0; p < boxes.size(); ++p)
+    for (std::size_t a = 0; a < dims && least[p * dims * 2] != kNone; ++a) {
+      boxes[p].lo[a] = geometry::value_of_order_bits(least[(p * dims + a) * 2]);
+      boxes[p].hi[a] = geometry::value_of_order_bits(~least[(p * dims + a) * 2 + 1]);
+    }
+  return boxes;
+}
+
+// A tree over the parts' boxes, its nodes numbered like NodeRange's.
+class BoxTree {
+ public:
+  BoxTree(std::vector<Box> leaves, int dims, double width)
+      : leaves_(std::move(leaves)), inner_(leaves_.size()), dims_(at(dims)), width_(width) {
+    build(root());
+  }
+  // Calls visit(first, last) for ranges that together are the parts whose boxes are within the width of the point, in
+  // the maximum norm, ascending. Returns how many boxes were looked at.
+  template <typename Visit>
+  std::uint64_t near(const Point& point, const Visit& visit) const {
+    return descend(root(), point, visit);
+  }
+
+ private:
+  // Of the boxes of a subtree: the box around all, the greatest of their lower faces and the least of their upper
+  // faces.
+  struct Bounds {
+    Box around;
+    Point last_lo;
+    Point first_hi;
+  };
+
+  NodeRange root() const { return {0, 0, static_cast<int>(leaves_.size())}; }
+  Bounds of(const NodeRange& range) const {
+    if (!range.leaf()) return inner_[at(range.node)];
+    const Box& box = leaves_[at(range.first)];
+    return {box, box.lo, box.hi};
+  }
+  void build(const NodeRange& range) {
+    if (range.leaf()) return;
+    build(range.left());
+    build(range.right());
+    Bounds bounds = of(range.left());
+    const Bounds right = of(range.right());
+    bounds.around.extend(right.around);
+    for (std::size_t a = 0; a < dims_; ++a) {
+      bounds.last_lo[a] = std::max(bounds.last_lo[a], right.last_lo[a]);
+      bounds.first_hi[a] = std::min(bounds.first_hi[a], right.first_hi[a]);
+    }
+    inner_[at(range.node)] = bounds;
+  }
+  // An empty box begins at infinity and ends at minus infinity: it is far from everything.
+  bool far(const Box& box, const Point& point) const {
+    for (std::size_t a = 0; a < dims_; ++a)
+      if (box.lo[a] > box.hi[a] || box.lo[a] - point[a] > width_ || point[a] - box.hi[a] > width_) return true;
+    return false;
+  }
+  bool all_near(const Bounds& bounds, const Point& point) const {
+    for (std::size_t a = 0; a < dims_; ++a)
+      if (bounds.last_lo[a] - point[a] > width_ || point[a] - bounds.first_hi[a] > width_) return false;
+    return true;
+  }
+  template <typename Visit>
+  std::uint64_t descend(const NodeRange& range, const Point& point, const Visit& visit) const {
+    if (range.leaf()) {
+      if (!far(leaves_[at(range.first)], point)) visit(range.first, range.last);
+      return 1;
+    }
+    const Bounds& bounds = inner_[at(range.node)];
+    if (far(bounds.around, point)) return 1;
+    if (all_near(bounds, point)) {
+      visit(range.first, range.last);
+      return 1;
+    }
+    return 1 + descend(range.left(), point, visit) + descend(range.right(), point, visit);
+  }
+
+  std::vector<Box> leaves_;
+  std::vector<Bounds> inner_;
+  std::size_t dims_;
+  double width_;
+};
+
+// The local particles' rows by part.
+struct ByPart {
+  std::vector<std::size_t> start;  // of each part, and the end
+  std::vector<std::size_t> row;
+};
+
+ByPart group(std::span<const std::int32_t> part, int parts) {
+  ByPart by;
+  by.start.assign(at(parts) + 1, 0);
+  for (const std::int32_t p : part) ++by.start[at(p) + 1];
+  for (std::size_t p = 0; p < at(parts); ++p) by.start[p + 1] += by.start[p];
+  by.row.resize(part.size());
+  std::vector<std::size_t> next(by.start.begin(), by.start.end() - 1);
+  for (std::size_t i = 0; i < part.size(); ++i) by.row[next[at(part[i])]++] = i;
+  return by;
+}
+
+// The owner that has this turn has particles near all parts of [first, last).
+struct NearRange {
+  std::int32_t owner_index;
+  std::int32_t first;
+  std::int32_t last;
+};
+
+// Merges ranges of the same owner that overlap or touch.
+template <typename Reaches>
+void join(Reaches& reaches) {
+  std::sort(reaches.begin(), reaches.end(), [](const NearRange& a, const NearRange& b) {
+    return std::pair(a.owner_index, a.first) < std::pair(b.owner_index, b.first);
+  });
+  std::size_t kept = 0;
+  for (const NearRange& reach : reaches) {
+    NearRange* const last = kept == 0 ? nullptr : &reaches[kept - 1];
+    if (last != nullptr && last->owner_index == reach.owner_index && last->last >= reach.first)
+      last->last = std::max(last->last, reach.last);
+    else
+      reaches[kept++] = reach;
+  }
+  reaches.resize(kept);
+}
+
+class GhostSearch {
+ public:
+  GhostSearch(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part, int parts,
+              double width, const GhostLimits& limits)
+      : comm_(comm),
+        particles_(particles),
+        limits_(limits),
+        parts_(parts),
+        boxes_(part_boxes(comm, particles, part, parts), particles.dims, width),
+        by_(group(part, parts)),
+        ghost_differences_(at(parts) + 1, 0),
+        neighbour_differences_(at(parts) + 1, 0) {}
+
+  bool run(const comm::GoOn& go_on, GhostCounts& counts) {
+    std::uint64_t done = 0;
+    while (done < static_cast<std::uint64_t>(parts_)) {
+      if (!go_on()) return false;
+      advance();
+      done = static_cast<std::uint64_t>(turn_);
+      comm_.all_min({&done, 1});
+      count_finished_owners(static_cast<std::int32_t>(done));
+    }
+    finish(counts);
+    return true;
+  }
+
+ private:
+  static constexpr std::size_t kJoinAt = 1024;  // ranges of one owner, merged once there are so many
+
+  // The order of owners takes one part of each rank in turn: where every rank has the particles of its own parts, none
+  // waits for others.
+  int owner_of(int owner_index) const {
+    const int ranks = comm_.size();
+    const int each = parts_ / ranks;
+    const int dealt = each * ranks;
+    return owner_index < dealt ? owner_index % ranks * each + owner_index / ranks : owner_index;
+  }
+
+  // Looks at more particles, until the round is over.
+  void advance() {
+    std::uint64_t visits = 0;
+    for (; turn_ < parts_; ++turn_, next_ = 0) {
+      const std::size_t owner = at(owner_of(turn_));
+      const std::size_t before = own_.size();
+      for (std::size_t k = by_.start[owner] + next_; k < by_.start[owner + 1]; ++k, ++next_) {
+        if (visits >= limits_.round_visits || (pending_.size() > limits_.pending_max && before == 0)) return;
+        visits += boxes_.near(particles_.point(by_.row[k]), [this](int first, int last) {
+          ++ghost_differences_[at(first)];
+          --ghost_differences_[at(last)];
+          own_.push_back({turn_, first, last});
+        });
+        if (own_.size() >= join_at_) {
+          join(own_);
+          join_at_ = std::max(kJoinAt, 2 * own_.size());
+        }
+      }
+      join(own_);
+      pending_.insert(pending_.end(), own_.begin(), own_.end());
+      own_.clear();
+      join_at_ = kJoinAt;
+    }
+  }
+
+  // All ranks are done with owners below `done`: rank 0 counts them as neighbours of the parts they are near.
+  // Collective.
+  void count_finished_owners(std::int32_t done) {
+    const auto end = std::partition_point(pending_.begin(), pending_.end(),
+                                          [done](const NearRange& reach) { return reach.owner_index < done; });
+    const auto count = static_cast<std::size_t>(end - pending_.begin());
+    Buffer<NearRange> all = comm::gather_values<NearRange>(comm_, std::span(pending_).first(count));
+    pending_.erase(pending_.begin(), end);
+    join(all);
+    for (const NearRange& reach : all) {
+      ++neighbour_differences_[at(reach.first)];
+      --neighbour_differences_[at(reach.last)];
+    }
+  }
+
+  // Prefix sums give counts. A part is near its own particles, too: these are no ghosts, and it is not its own
+  // neighbour.
+  void finish(GhostCounts& counts) {
+    counts.ghosts.resize(at(parts_));
+    std::vector<std::uint64_t> neighbours(at(parts_));
+    std::uint64_t ghosts = 0;
+    std::uint64_t owners = 0;
+    std::vector<std::uint64_t> own(at(parts_));
+    for (std::size_t p = 0; p < at(parts_); ++p) own[p] = by_.start[p + 1] - by_.start[p];
+    for (std::size_t p = 0; p < at(parts_); ++p) {
+      counts.ghosts[p] = (ghosts += ghost_differences_[p]) - own[p];
+      neighbours[p] = owners += neighbour_differences_[p];
+    }
+    comm_.all_sum(counts.ghosts);
+    comm_.all_sum(own);
+    comm_.broadcast(std::as_writable_bytes(std::span(neighbours)), 0);
+    for (std::size_t p = 0; p < at(parts_); ++p)
+      counts.neighbours.push_back(static_cast<std::int32_t>(neighbours[p] - (own[p] > 0 ? 1 : 0)));
+  }
+
+  comm::Comm& comm_;
+  const particles::ParticleView& particles_;
+  const GhostLimits& limits_;
+  int parts_;
+  BoxTree boxes_;
+  ByPart by_;
+  // By part, the difference of its count from that of the part before.
+  std::vector<std::uint64_t> ghost_differences_;
+  std::vector<std::uint64_t> neighbour_differences_;
+  // Where advance() goes on: the owner's turn, and how many of its particles have been looked at.
+  std::int32_t turn_ = 0;
+  std::size_t next_ = 0;
+  std::vector<NearRange> own_;  // ranges of that owner
+  std::size_t join_at_ = kJoinAt;
+  std::vector<NearRange> pending_;  // ranges of earlier owners, ascending by turn
+};
+
+}  // namespace
+
+bool count_ghosts(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
+                  int parts, double width, const comm::GoOn& go_on, GhostCounts& counts, const GhostLimits& limits) {
+  CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
+  return GhostSearch(comm, particles, part, parts, width, limits).run(go_on, counts);
+}
+
+}  // namespace rcb::partition

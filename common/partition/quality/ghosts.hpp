@@ -1,0 +1,36 @@
+// Ghosts and neighbours: for each part, how many particles of other parts lie near its particles' bounding box, and how
+// many parts own them. They are found by a tree of the boxes: a particle that is near all boxes of a subtree is counted
+// there once, for all of its parts, so the widest ghosts cost no more than narrow ones.
+//
+// Memory beyond a few numbers per part is bounded, however many pairs of parts are neighbours: all ranks take the
+// owners of particles in one order, and what is known of an owner is summed up and dropped once all ranks have looked
+// at its particles.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/comm/comm.hpp"
+#include "common/geometry/box.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::partition {
+
+struct GhostCounts {
+  std::vector<std::uint64_t> ghosts;     // per part: particles of other parts within the width (maximum norm)
+  std::vector<std::int32_t> neighbours;  // per part: how many parts own those
+};
+
+struct GhostLimits {
+  std::uint64_t round_visits = std::uint64_t{1} << 21U;  // boxes looked at between two calls of go_on
+  std::size_t pending_max = std::size_t{1} << 19U;       // ranges of parts that a rank keeps while other ranks catch up
+};
+
+// False if go_on said no: `counts` is then meaningless. Collective.
+//   part  [particles.count], 0 .. parts - 1
+bool count_ghosts(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
+                  int parts, double width, const comm::GoOn& go_on, GhostCounts& counts,
+                  const GhostLimits& limits = {});
+
+}  // namespace rcb::partition

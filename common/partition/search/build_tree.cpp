@@ -1,0 +1,300 @@
+#include "common/partition/search/build_tree.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+
+#include "common/base/index.hpp"
+#include "common/comm/wide_sum.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr std::uint64_t kNoOrderBits = ~std::uint64_t{0};
+
+}  // namespace
+
+TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                         int axes)
+    : comm_(comm),
+      particles_(particles),
+      options_(options),
+      axes_(axes),
+      q_axes_(at(std::max(axes, 1))),
+      rule_(options, axes) {
+  CutTree& tree = result_.tree;
+  tree.dims = particles.dims;
+  tree.method = options.method;
+  tree.parts = options.parts;
+  const auto& sizes = options.part_sizes;
+  if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
+  tree.cuts.resize(at(options.parts) - 1);
+  // (1 + level tolerance)^levels <= 1 + tolerance
+  const double levels = std::bit_width(static_cast<unsigned>(options.parts - 1));
+  level_tolerance_ = std::expm1(std::log1p(options.cut_tolerance) / std::max(levels, 1.0));
+}
+
+TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                         const Start& start)
+    : TreeBuilder(comm, particles, options, particles.dims) {
+  start_ = &start;
+  interior_ = start.interior;
+  scale_ = start.scale;
+  if (start.rule != nullptr) rule_ = *start.rule;
+  result_.tree = *start.tree;
+}
+
+PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
+  if (options_.parts == 1) {
+    result_.part.resize(particles_.count);
+    std::fill(result_.part.begin(), result_.part.end(), 0);
+    return std::move(result_);
+  }
+  measure_all();
+  if (!scale_) result_.counts.resize(at(options_.parts));
+  quantise();
+  lay_out_roots();
+  Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
+  std::vector<Question> asked;
+  while (!level_.empty() && !abandoned()) {
+    stopped_ = go_on && !go_on();
+    if (stopped_) break;
+    order_axes();
+    asked.clear();
+    for (const Node& node : level_) asked.push_back(question(node));
+    selector.select(asked, spans_);
+    split(asked);
+    level_.swap(next_);
+    spans_.swap(next_spans_);
+  }
+  if (abandoned()) return {};
+  // Parts outside the roots have no quantised points.
+  for (std::size_t c = 0; c < starts_.size(); ++c)
+    for (std::size_t p = c * at(options_.parts) + 1; p < (c + 1) * at(options_.parts); ++p)
+      ends_[p] = std::max(ends_[p], ends_[p - 1]);
+  result_.part = points_.into_parts(ends_, options_.parts);
+  result_.rounds = selector.rounds();
+  result_.reductions += selector.reductions();
+  return std::move(result_);
+}
+
+Extents TreeBuilder::extents_of(const Node& node) const {
+  Extents extents;
+  const QBounds& bounds = node.bounds;
+  const geometry::Box beside =
+      interior_ == nullptr ? geometry::Box{} : interior_->box(node.range.first, node.range.last);
+  const bool none = beside.empty(axes_);
+  for (std::size_t a = 0; a < at(axes_); ++a) {
+    const AxisMap& map = maps_[a];
+    if (bounds.empty() && none) continue;
+    // lo and hi: intervals that hold the least and the greatest coordinate.
+    std::array<double, 2> lo{beside.lo[a], beside.lo[a]};
+    std::array<double, 2> hi{beside.hi[a], beside.hi[a]};
+    if (!bounds.empty()) {
+      lo = {std::min(lo[0], map.least(bounds.lo[a])), std::min(lo[1], map.most(bounds.lo[a]))};
+      hi = {std::max(hi[0], map.least(bounds.hi[a])), std::max(hi[1], map.most(bounds.hi[a]))};
+    }
+    extents.least[a] = std::max(geometry::extent(lo[1], hi[0]), 0.0);
+    extents.most[a] = geometry::extent(lo[0], hi[1]);
+  }
+  return extents;
+}
+
+void TreeBuilder::order_axes() {
+  std::vector<std::size_t> open;
+  for (std::size_t n = 0; n < level_.size(); ++n) {
+    Node& node = level_[n];
+    if (const auto axes = rule_.axes_of(node.range, extents_of(node)))
+      node.axes = *axes;
+    else
+      open.push_back(n);
+  }
+  if (open.empty()) return;
+  const std::vector<Point> extents = measure(open);
+  for (std::size_t o = 0; o < open.size(); ++o) {
+    Node& node = level_[open[o]];
+    node.axes = *rule_.axes_of(node.range, {extents[o], extents[o]});
+  }
+}
+
+std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
+  const std::size_t words = 2 * at(axes_);
+  std::vector<std::uint64_t> least(nodes.size() * words, kNoOrderBits);
+  const std::size_t chunks = starts_.size();
+  for (std::size_t n = 0; n < nodes.size(); ++n) {
+    const QBounds& bounds = level_[nodes[n]].bounds;
+    std::uint64_t* const own = &least[n * words];
+    for (const Span& span : std::span(spans_).subspan(nodes[n] * chunks, chunks))
+      for (const QuantisedPoint& point : span.all())
+        for (std::size_t a = 0; a < at(axes_); ++a) {
+          if (point.q[a] != bounds.lo[a] && point.q[a] != bounds.hi[a]) continue;
+          const std::uint64_t order_bits = geometry::order_bits(particles_.position[a][span.base + point.index]);
+          own[2 * a] = std::min(own[2 * a], order_bits);
+          own[2 * a + 1] = std::min(own[2 * a + 1], ~order_bits);
+        }
+  }
+  result_.reductions += all_min_in_messages(comm_, least);
+  std::vector<Point> extents(nodes.size());
+  for (std::size_t n = 0; n < nodes.size(); ++n) {
+    const NodeRange& range = level_[nodes[n]].range;
+    const geometry::Box beside = interior_ == nullptr ? geometry::Box{} : interior_->box(range.first, range.last);
+    for (std::size_t a = 0; a < at(axes_); ++a) {
+      std::uint64_t lo = least[n * words + 2 * a];
+      std::uint64_t hi = ~least[n * words + 2 * a + 1];
+      if (!beside.empty(axes_)) {
+        lo = std::min(lo, geometry::order_bits(beside.lo[a]));
+        hi = std::max(hi, geometry::order_bits(beside.hi[a]));
+      }
+      extents[n][a] = geometry::extent(geometry::value_of_order_bits(lo), geometry::value_of_order_bits(hi));
+    }
+  }
+  return extents;
+}
+
+Question TreeBuilder::question(const Node& node) const {
+  Question ask;
+  ask.axes = node.axes;
+  ask.bounds = node.bounds;
+  ask.count = node.count;
+  ask.weight = node.weight;
+  const auto [index, first, last] = node.range;
+  ask.left_size = rule_.size(first, node.range.middle());
+  ask.size = rule_.size(first, last);
+  if (options_.cut_tolerance > 0) {
+    ask.rank = floor_share(node.count, ask.left_size, ask.size);
+    ask.slack = slack_of(node);
+  } else {
+    ask.rank = rule_.quota(first, node.range.middle());
+  }
+  if (interior_ != nullptr) add_interior(node.range, ask);
+  ask.search = !ask.failed && !node.bounds.empty() && (scale_ || ask.rank < ask.below + ask.count);
+  return ask;
+}
+
+void TreeBuilder::add_interior(const NodeRange& range, Question& ask) const {
+  ask.below = interior_->count(range.first, range.middle());
+  const std::uint64_t beyond = interior_->count(range.middle(), range.last);
+  // If the cut axis flipped, hardly any interior particle stays: not worth a search.
+  if (ask.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && ask.below + beyond > 0) {
+    ask.failed = true;
+    return;
+  }
+  if (!scale_) {
+    const std::uint64_t most = ask.below + ask.count;
+    ask.failed = ask.rank < ask.below || ask.rank > most || (ask.rank == most && beyond > 0);
+    return;
+  }
+  const u128 own = ask.weight;
+  ask.weight_below = interior_->weight(range.first, range.middle());
+  ask.weight += interior_->weight(range.first, range.last);
+  if (ask.bounds.empty()) {
+    ask.failed = ask.below + beyond > 0;
+    return;
+  }
+  const u128 threshold = threshold_of(ask);
+  ask.failed = threshold == 0 ? ask.below > 0 : threshold <= ask.weight_below || threshold > ask.weight_below + own;
+}
+
+bool TreeBuilder::cut_still_valid(const NodeRange& range, const Question& answer) const {
+  if (answer.failed) return false;
+  const geometry::Box left = interior_->box(range.first, range.middle());
+  const geometry::Box right = interior_->box(range.middle(), range.last);
+  const auto axis = at(answer.axes[0]);
+  const bool any_left = !left.empty(axes_);
+  if (answer.right_empty && !right.empty(axes_)) return false;
+  if (answer.search && any_left && geometry::order_bits(left.hi[axis]) >= answer.lowest_relied_on[0]) return false;
+  return answer.right_empty || right.empty(axes_) || answer.highest_relied_on[0] < geometry::order_bits(right.lo[axis]);
+}
+
+void TreeBuilder::mark_failed(std::size_t node) {
+  const NodeRange& range = level_[node].range;
+  failed_.push_back(range);
+  failed_count_ += (scale_ ? 0 : level_[node].count) + interior_->count(range.first, range.last);
+  const std::size_t chunks = starts_.size();
+  for (std::size_t c = 0; c < chunks; ++c)
+    for (int p = range.first; p < range.last; ++p)
+      ends_[c * at(options_.parts) + at(p)] = static_cast<std::size_t>(spans_[node * chunks + c].last - starts_[c]);
+}
+
+// Neither side may be off its target by more than this fraction, so the smaller side decides.
+u128 TreeBuilder::slack_of(const Node& node) const {
+  const u128 left = rule_.size(node.range.first, node.range.middle());
+  const u128 right = rule_.size(node.range.middle(), node.range.last);
+  const double share = quotient(std::min(left, right), left + right);
+  const double load = scale_ ? static_cast<double>(node.weight) : static_cast<double>(node.count);
+  return static_cast<u128>(std::min(level_tolerance_, 1.0) * share * load);
+}
+
+void TreeBuilder::split(std::span<const Question> answers) {
+  next_.clear();
+  next_spans_.clear();
+  for (std::size_t n = 0; n < level_.size(); ++n) {
+    const Node& node = level_[n];
+    const Question& answer = answers[n];
+    if (interior_ != nullptr && !cut_still_valid(node.range, answer)) {
+      mark_failed(n);
+      continue;
+    }
+    Cut& cut = result_.tree.cuts[at(node.range.node)];
+    cut = {};
+    cut.axes = answer.axes;
+    cut.right_empty = answer.right_empty;
+    if (!cut.right_empty) {
+      for (std::size_t w = 0; w < at(axes_); ++w) cut.key.at[w] = geometry::value_of_order_bits(answer.key[w]);
+      cut.key.id = static_cast<Id>(answer.key[at(axes_)]);
+    }
+    Node left = node;
+    Node right = node;
+    left.range = node.range.left();
+    right.range = node.range.right();
+    if (!scale_) left.count = answer.right_empty ? node.count : answer.left_count - answer.below;
+    if (scale_) left.weight = answer.right_empty ? node.weight : answer.left_weight - answer.weight_below;
+    right.count = node.count - left.count;
+    right.weight = node.weight - left.weight;
+    left.bounds = right.bounds = QBounds{};
+    take_child(left, false, n);
+    take_child(right, true, n);
+  }
+  reduce_bounds(next_);
+}
+
+void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) {
+  const std::size_t chunks = starts_.size();
+  const std::span<const Span> from = std::span<const Span>(spans_).subspan(parent * chunks, chunks);
+  if (child.range.leaf()) {
+    const std::uint64_t beside = interior_ == nullptr ? 0 : interior_->count(child.range.first, child.range.last);
+    if (!scale_) result_.counts[at(child.range.first)] = child.count + beside;
+    for (std::size_t c = 0; c < chunks; ++c) {
+      const QuantisedPoint* const end = right ? from[c].last : from[c].middle;
+      ends_[c * at(options_.parts) + at(child.range.first)] = static_cast<std::size_t>(end - starts_[c]);
+    }
+    return;
+  }
+  next_.push_back(child);
+  for (const Span& span : from) {
+    QuantisedPoint* const first = right ? span.middle : span.first;
+    QuantisedPoint* const last = right ? span.last : span.middle;
+    next_spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
+    widen(next_.back().bounds, {first, last});
+  }
+}
+
+void TreeBuilder::reduce_bounds(std::span<Node> nodes) {
+  std::vector<std::uint64_t> least;
+  least.reserve(nodes.size() * q_axes_ * 2);
+  for (const Node& node : nodes)
+    for (std::size_t a = 0; a < q_axes_; ++a) {
+      least.push_back(static_cast<std::uint64_t>(node.bounds.lo[a]));
+      least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.bounds.hi[a]));
+    }
+  result_.reductions += all_min_in_messages(comm_, least);
+  std::size_t word = 0;
+  for (Node& node : nodes)
+    for (std::size_t a = 0; a < q_axes_; ++a) {
+      node.bounds.lo[a] = static_cast<std::int32_t>(least[word++]);
+      node.bounds.hi[a] = static_cast<std::int32_t>(QBounds::kNone - static_cast<std::int64_t>(least[word++]));
+    }
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,127 @@
+// TreeBuilder: makes a tree level by level. For each level it orders the axes of the nodes, searches their cuts, which
+// also divides their quantised points (select.hpp), and passes once over the children's quantised points for their
+// bounds.
+//
+// It may begin below the root, at nodes of an existing tree that are to be cut anew, and it may search among boundary
+// particles alone while interior particles are expected to stay (interior.hpp). A node whose interior particles would
+// not stay has failed.
+//
+// Invariants
+// 1. A node has one span of quantised points per chunk; the spans of a level's nodes lie in the nodes' order. The
+//    quantised points of a finished part never move again.
+// 2. A node's count (without weights) or weight (with) is known from its parent's cut and never counted again.
+// 3. Axis orders are exact: where the bounds of the quantised points leave the order open, the coordinates decide.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "common/partition/balance/load.hpp"
+#include "common/partition/search/interior.hpp"
+#include "common/partition/search/quantised_points.hpp"
+#include "common/partition/search/request.hpp"
+#include "common/partition/search/select.hpp"
+#include "common/partition/search/split_rule.hpp"
+
+namespace rcb::partition {
+
+// Where to begin, if not with all particles at the root.
+struct Start {
+  std::vector<NodeRange> roots;        // inner nodes, none below another, ascending
+  std::vector<std::size_t> ends;       // [roots]: the particles are sorted by root; those of root r end here
+  const CutTree* tree = nullptr;       // its cuts outside of the roots are kept
+  const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
+  std::optional<ExactScale> scale;     // of the weights, if they count
+  const Interior* interior = nullptr;  // particles that are not searched; null: none
+  std::uint64_t failed_max = 0;        // the build is abandoned once failed nodes hold more particles
+};
+
+class TreeBuilder {
+ public:
+  // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
+  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
+  // `start` must outlive this.
+  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+              const Start& start);
+
+  // The result's `counts` are set for parts below the roots only. go_on: called before each level. Collective.
+  PartitionResult build(const comm::GoOn& go_on = {});
+
+  // Nodes that can't be cut without their interior particles: the cuts in them are unspecified, and their particles are
+  // all reported in the node's first part.
+  const std::vector<NodeRange>& failed() const { return failed_; }
+  // True if failed nodes hold too many particles or go_on said no: the result is then meaningless.
+  bool abandoned() const { return stopped_ || (start_ != nullptr && failed_count_ > start_->failed_max); }
+  const SplitRule& rule() const { return rule_; }
+
+ private:
+  struct Node {
+    NodeRange range;
+    // Of the quantised points of all ranks.
+    std::uint64_t count = 0;  // without weights
+    u128 weight = 0;          // with weights
+    QBounds bounds;
+    AxisOrder axes{0, 1, 2};
+  };
+
+  // Measures all particles: bounds, maps, the roots' counts. Collective.
+  void measure_all();
+  void weigh_roots();
+  std::size_t root_begin(std::size_t root) const { return root == 0 ? 0 : root_end(root - 1); }
+  std::size_t root_end(std::size_t root) const { return start_ == nullptr ? particles_.count : start_->ends[root]; }
+  void choose_maps(std::span<const std::uint64_t> samples);
+  std::vector<std::size_t> sampled_slots() const;
+  std::vector<std::uint64_t> sample_maps() const;
+  // Collective (one reduction at most).
+  void quantise();
+  // The roots' spans and, if there are several, each one's bounds. Collective.
+  void lay_out_roots();
+  void order_axes();
+  Extents extents_of(const Node& node) const;
+  // The exact extents of these nodes. Collective (one reduction).
+  std::vector<Point> measure(std::span<const std::size_t> nodes);
+  Question question(const Node& node) const;
+  // Adds the interior particles to a question, and marks it failed if the quantised points alone can't answer it.
+  void add_interior(const NodeRange& range, Question& ask) const;
+  // True if all interior particles stay on their side of the cut found.
+  bool cut_still_valid(const NodeRange& range, const Question& answer) const;
+  void mark_failed(std::size_t node);
+  u128 slack_of(const Node& node) const;
+  // Makes the level's cuts from the answers, and the next level's nodes.
+  void split(std::span<const Question> answers);
+  void take_child(const Node& child, bool right, std::size_t parent);
+  // Turns this rank's bounds of these nodes into those of all ranks. Collective.
+  void reduce_bounds(std::span<Node> nodes);
+
+  comm::Comm& comm_;
+  particles::ParticleView particles_;
+  const PartitionOptions& options_;
+  int axes_;
+  std::size_t q_axes_;  // coordinates in a quantised point
+  const Start* start_ = nullptr;
+  bool stopped_ = false;
+  const Interior* interior_ = nullptr;
+  SplitRule rule_;
+  double level_tolerance_ = 0;
+  std::optional<ExactScale> scale_;  // of the weights, if they count
+  Point lo_{};                       // of all particles
+  Point hi_{};
+  Id id_lo_ = 0;
+  Id id_hi_ = 0;
+  AxisMaps maps_;
+  std::array<std::uint64_t, geometry::kDimsMax> lossless_{};  // 1: nothing lost in the sample; see quantise()
+  QuantisedPoints points_;
+
+  PartitionResult result_;
+  std::vector<Node> level_;
+  std::vector<Node> next_;
+  std::vector<Span> spans_;  // [level_ * chunks]
+  std::vector<Span> next_spans_;
+  std::vector<QuantisedPoint*> starts_;  // [chunks]: where their quantised points begin
+  std::vector<std::size_t> ends_;        // [chunk * parts + part]: where its quantised points end
+  std::vector<NodeRange> failed_;
+  std::uint64_t failed_count_ = 0;  // particles in failed nodes
+};
+
+}  // namespace rcb::partition

@@ -1,0 +1,192 @@
+// The start of a build: bounds and counts of all particles, the maps from coordinates to integers, the quantised points
+// of the roots.
+#include <algorithm>
+#include <utility>
+
+#include "common/base/index.hpp"
+#include "common/base/random.hpp"
+#include "common/comm/wide_sum.hpp"
+#include "common/partition/search/build_tree.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr std::uint64_t kNoOrderBits = ~std::uint64_t{0};
+constexpr std::size_t kSampleMax = 256;  // particles per rank, sampled to choose a map
+constexpr std::size_t kSampleBins = 512;
+constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
+
+// Minimum and maximum of an array, with four accumulators each, since every step of one would wait for the step before.
+void least_and_most(std::span<const double> values, double& lo, double& hi) {
+  std::array<double, 4> least;
+  std::array<double, 4> most;
+  least.fill(lo);
+  most.fill(hi);
+  std::size_t i = 0;
+  for (; i + 4 <= values.size(); i += 4)
+    for (std::size_t k = 0; k < 4; ++k) {
+      const double value = values[i + k];
+      least[k] = value < least[k] ? value : least[k];
+      most[k] = value > most[k] ? value : most[k];
+    }
+  for (; i < values.size(); ++i) {
+    least[0] = std::min(least[0], values[i]);
+    most[0] = std::max(most[0], values[i]);
+  }
+  lo = *std::ranges::min_element(least);
+  hi = *std::ranges::max_element(most);
+}
+
+}  // namespace
+
+void TreeBuilder::measure_all() {
+  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
+  for (int a = 0; a < axes_ && particles_.count > 0; ++a) {
+    double lo = particles_.position[at(a)][0];
+    double hi = lo;
+    least_and_most({particles_.position[at(a)], particles_.count}, lo, hi);
+    least[at(a)] = geometry::order_bits(lo);
+    least[geometry::kDimsMax + at(a)] = ~geometry::order_bits(hi);
+  }
+  if (axes_ > 0) {
+    std::ranges::copy(weight_order_bits(particles_), least.end() - 2);
+  } else if (particles_.count > 0) {
+    const auto [lo, hi] = std::minmax_element(particles_.id, particles_.id + particles_.count);
+    least[0] = static_cast<std::uint64_t>(*lo);
+    least[geometry::kDimsMax] = ~static_cast<std::uint64_t>(*hi);
+  }
+  comm_.all_min(least);
+  const bool none = least[0] == kNoOrderBits;
+  for (std::size_t a = 0; a < at(axes_) && !none; ++a) {
+    lo_[a] = geometry::value_of_order_bits(least[a]);
+    hi_[a] = geometry::value_of_order_bits(~least[geometry::kDimsMax + a]);
+  }
+  id_lo_ = axes_ == 0 && !none ? static_cast<Id>(least[0]) : 0;
+  id_hi_ = axes_ == 0 && !none ? static_cast<Id>(~least[geometry::kDimsMax]) : 0;
+  level_.resize(start_ == nullptr ? 1 : start_->roots.size());
+  std::vector<std::uint64_t> sums = sample_maps();
+  const std::size_t samples = sums.size();
+  for (std::size_t r = 0; r < level_.size(); ++r) sums.push_back(root_end(r) - root_begin(r));
+  comm_.all_sum(sums);
+  result_.reductions += 2;
+  choose_maps(sums);
+  std::uint64_t count = interior_ == nullptr ? 0 : interior_->count_prefix.back();
+  for (std::size_t r = 0; r < level_.size(); ++r) {
+    level_[r].range = start_ == nullptr ? result_.tree.root() : start_->roots[r];
+    level_[r].count = sums[samples + r];
+    result_.searched += sums[samples + r];
+  }
+  count += result_.searched;
+  if (start_ == nullptr || start_->rule == nullptr) {
+    geometry::Box all = interior_ == nullptr ? geometry::Box{} : interior_->box(0, options_.parts);
+    if (!none) all.extend(lo_, axes_), all.extend(hi_, axes_);
+    Point extents{};
+    for (std::size_t a = 0; a < at(axes_) && count > 0; ++a) extents[a] = geometry::extent(all.lo[a], all.hi[a]);
+    rule_.set_all(count, extents);
+  }
+  if (level_.size() == 1)
+    for (std::size_t a = 0; a < q_axes_ && !none; ++a) {
+      level_[0].bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](lo_[a]);
+      level_[0].bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](hi_[a]);
+    }
+  if (start_ == nullptr)
+    if (const auto range = weight_range_of_order_bits(std::span<const std::uint64_t>(least).last<2>()))
+      scale_.emplace(range->largest, count);
+  if (scale_) weigh_roots();
+}
+
+void TreeBuilder::weigh_roots() {
+  std::vector<u128> weights(level_.size(), 0);
+  for (std::size_t r = 0; r < level_.size(); ++r)
+    for (std::size_t i = root_begin(r); i < root_end(r); ++i) weights[r] += (*scale_)(particles_.weight[i]);
+  comm::all_sum_wide(comm_, weights);
+  ++result_.reductions;
+  for (std::size_t r = 0; r < level_.size(); ++r) level_[r].weight = weights[r];
+}
+
+// The slots of a sample. With a cut tolerance cuts lie between a map's bins, so the tree depends on the map: the sample
+// must then be the same however the particles are distributed, hence one id of 64, chosen by a hash.
+std::vector<std::size_t> TreeBuilder::sampled_slots() const {
+  std::vector<std::size_t> slots;
+  if (options_.cut_tolerance > 0) {
+    for (std::size_t i = 0; i < particles_.count; ++i)
+      if (mix64(static_cast<std::uint64_t>(particles_.id[i])) % 64 == 0) slots.push_back(i);
+    return slots;
+  }
+  const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
+  for (std::size_t i = 0; i < particles_.count; i += stride) slots.push_back(i);
+  return slots;
+}
+
+// Histograms of the sample on each axis, in equal steps of the value and of the order-preserving bits. Where the former
+// puts most particles into one bin and the latter doesn't, the latter suits the axis (many decades of scale).
+std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
+  // By axis: the bins of both maps, then the number of ranks on whose sample the map by value isn't lossless.
+  std::vector<std::uint64_t> counts(at(axes_) * kSampleWords, 0);
+  const std::vector<std::size_t> slots = sampled_slots();
+  std::vector<double> sample;
+  for (std::size_t a = 0; a < at(axes_); ++a) {
+    sample.clear();
+    for (const std::size_t i : slots) sample.push_back(particles_.position[a][i]);
+    const std::array maps{AxisMap::by_value(lo_[a], hi_[a]), AxisMap::by_order_bits(lo_[a], hi_[a])};
+    for (std::size_t m = 0; m < maps.size(); ++m) {
+      const auto top = static_cast<std::uint64_t>(std::max(maps[m](hi_[a]), 1));
+      for (const double x : sample)
+        ++counts[a * kSampleWords + m * kSampleBins + static_cast<std::uint64_t>(maps[m](x)) * (kSampleBins - 1) / top];
+    }
+    if (maps[0].even() && zeros_of_lossless(maps[0], sample) < 0) ++counts[(a + 1) * kSampleWords - 1];
+  }
+  return counts;
+}
+
+void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
+  if (axes_ == 0) maps_[0] = AxisMap::of_ids(id_lo_, id_hi_);
+  for (std::size_t a = 0; a < at(axes_); ++a) {
+    const auto most = [&](std::size_t m) {
+      return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
+    };
+    maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_order_bits(lo_[a], hi_[a]) : AxisMap::by_value(lo_[a], hi_[a]);
+    lossless_[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
+  }
+}
+
+// For axes that are lossless in the sample, the pass that quantises checks all particles.
+void TreeBuilder::quantise() {
+  const bool tell = std::ranges::max(lossless_) != 0 &&
+                    std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.even(); });
+  const std::array<int, geometry::kDimsMax> zeros =
+      points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell);
+  if (!tell) return;
+  // 1 + the trailing zeros; 0 if the axis is not lossless.
+  for (std::size_t a = 0; a < lossless_.size(); ++a)
+    lossless_[a] = lossless_[a] == 0 ? 0 : static_cast<std::uint64_t>(zeros[a] + 1);
+  comm_.all_min(lossless_);
+  ++result_.reductions;
+  for (std::size_t a = 0; a < at(axes_); ++a)
+    if (lossless_[a] != 0) maps_[a].set_lossless(static_cast<unsigned>(lossless_[a] - 1));
+}
+
+void TreeBuilder::lay_out_roots() {
+  for (const Span& span : points_.spans()) {
+    spans_.push_back(span);
+    starts_.push_back(span.first);
+  }
+  const std::size_t chunks = starts_.size();
+  ends_.resize(chunks * at(options_.parts));
+  if (level_.size() == 1) return;
+  const std::vector<Span> whole = std::move(spans_);
+  spans_.clear();
+  for (std::size_t r = 0; r < level_.size(); ++r)
+    for (const Span& span : whole) {
+      const auto within = [&span](std::size_t particle) {
+        return span.first + std::clamp<std::size_t>(particle, span.base, span.base + span.size()) - span.base;
+      };
+      QuantisedPoint* const first = within(root_begin(r));
+      QuantisedPoint* const last = within(root_end(r));
+      spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
+      widen(level_[r].bounds, {first, last});
+    }
+  reduce_bounds(level_);
+}
+
+}  // namespace rcb::partition

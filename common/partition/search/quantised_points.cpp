@@ -1,0 +1,343 @@
+#include "common/partition/search/quantised_points.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "common/base/check.hpp"
+#include "common/base/cpu.hpp"
+#include "common/partition/search/four_points.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// A quantised point as one vector: moved by one load and one store.
+using Lanes = std::int32_t __attribute__((vector_size(sizeof(QuantisedPoint)), may_alias));
+
+constexpr unsigned kOrderBits = 30;
+
+// What a pass learns of an axis: whether quantising changed any coordinate, and the bits set in any integer.
+struct Lossless {
+  std::int64_t differ = 0;
+  std::int32_t bits = std::int32_t{1} << 30U;
+
+  void look(double value, double again, std::int32_t q) {
+    differ |= std::bit_cast<std::int64_t>(again - value);  // no branch, so that the loop can be vectorised
+    bits |= q;
+  }
+  // The shift drops the sign: -0.0 is no difference either.
+  int zeros() const { return differ << 1U != 0 ? -1 : std::countr_zero(static_cast<std::uint32_t>(bits)); }
+};
+
+// The constants of maps by value, per axis: q = (x / 2 - base) * scale, and back. Axes >= dims give 0.
+struct ByValue {
+  std::array<const double*, geometry::kDimsMax> x;
+  alignas(32) std::array<double, 4> base{};
+  alignas(32) std::array<double, 4> scale{};
+  alignas(32) std::array<double, 4> step{};
+
+  ByValue(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps, std::size_t axes) {
+    x.fill(particles.position[0] + first);
+    for (std::size_t a = 0; a < axes; ++a) {
+      x[a] = particles.position[a] + first;
+      base[a] = maps[a].half_base();
+      scale[a] = maps[a].scale();
+      step[a] = 1 / scale[a];  // exact: a power of two
+    }
+  }
+};
+
+#if defined(__x86_64__)
+// Makes quantised points four at a time, each with all axes in one vector; returns how many.
+template <bool kCheckLossless>
+[[gnu::target("avx2")]] std::size_t fill_fours(const ByValue& even, std::span<QuantisedPoint> out,
+                                               std::array<Lossless, geometry::kDimsMax>& lossless) {
+  const __m256d base = _mm256_load_pd(even.base.data());
+  const __m256d scale = _mm256_load_pd(even.scale.data());
+  const __m256d step = _mm256_load_pd(even.step.data());
+  const __m256d half = _mm256_set1_pd(0.5);
+  const __m256d two = _mm256_set1_pd(2);
+  __m256d differ = _mm256_setzero_pd();
+  __m128i bits = _mm_setzero_si128();
+  std::size_t i = 0;
+  for (; i + 4 <= out.size(); i += 4) {
+    __m256d point[4];
+    load_four_points(even.x, i, point);
+    for (std::size_t k = 0; k < 4; ++k) {
+      const __m128i q = _mm256_cvttpd_epi32(_mm256_mul_pd(_mm256_sub_pd(_mm256_mul_pd(point[k], half), base), scale));
+      if constexpr (kCheckLossless) {
+        const __m256d again = _mm256_mul_pd(two, _mm256_add_pd(base, _mm256_mul_pd(_mm256_cvtepi32_pd(q), step)));
+        differ = _mm256_or_pd(differ, _mm256_sub_pd(again, point[k]));
+        bits = _mm_or_si128(bits, q);
+      }
+      _mm_store_si128(reinterpret_cast<__m128i*>(&out[i + k]), _mm_insert_epi32(q, static_cast<int>(i + k), 3));
+    }
+  }
+  alignas(32) std::array<std::int64_t, 4> all_differ;
+  alignas(16) std::array<std::int32_t, 4> all_bits;
+  _mm256_store_si256(reinterpret_cast<__m256i*>(all_differ.data()), _mm256_castpd_si256(differ));
+  _mm_store_si128(reinterpret_cast<__m128i*>(all_bits.data()), bits);
+  for (std::size_t a = 0; a < lossless.size(); ++a) {
+    lossless[a].differ |= all_differ[a];
+    lossless[a].bits |= all_bits[a];
+  }
+  return i;
+}
+#endif
+
+// All maps are by value: one loop over all axes takes half the time of one loop per axis.
+template <std::size_t kAxes, bool kCheckLossless>
+void fill_by_value(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps,
+                   std::span<QuantisedPoint> out, std::array<Lossless, geometry::kDimsMax>& lossless) {
+  const ByValue even(particles, first, maps, kAxes);
+  std::size_t i = 0;
+#if defined(__x86_64__)
+  if (has_avx2()) i = fill_fours<kCheckLossless>(even, out, lossless);
+#endif
+  std::array<Lossless, kAxes> found;
+  for (; i < out.size(); ++i) {
+    QuantisedPoint point;
+    for (std::size_t a = 0; a < kAxes; ++a) {
+      const double x = even.x[a][i];
+      const auto q = static_cast<std::int32_t>((x * 0.5 - even.base[a]) * even.scale[a]);
+      if constexpr (kCheckLossless) found[a].look(x, 2 * (even.base[a] + q * even.step[a]), q);
+      point.q[a] = q;
+    }
+    point.index = static_cast<std::uint32_t>(i);
+    out[i] = point;
+  }
+  for (std::size_t a = 0; a < kAxes; ++a) {
+    lossless[a].differ |= found[a].differ;
+    lossless[a].bits |= found[a].bits;
+  }
+}
+
+template <std::size_t kAxes>
+void fill(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps,
+          std::span<QuantisedPoint> out, bool check_lossless, std::array<Lossless, geometry::kDimsMax>& lossless) {
+  if (std::all_of(maps.begin(), maps.begin() + kAxes, [](const AxisMap& map) { return map.even(); })) {
+    check_lossless ? fill_by_value<kAxes, true>(particles, first, maps, out, lossless)
+                   : fill_by_value<kAxes, false>(particles, first, maps, out, lossless);
+    return;
+  }
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    QuantisedPoint point;
+    for (std::size_t a = 0; a < kAxes; ++a) point.q[a] = maps[a](particles.position[a][first + i]);
+    point.index = static_cast<std::uint32_t>(i);
+    out[i] = point;
+  }
+}
+
+}  // namespace
+
+AxisMap AxisMap::by_value(double lo, double hi) {
+  AxisMap map = by_order_bits(lo, hi);
+  const double most = static_cast<double>(kTop) / (hi * 0.5 - lo * 0.5);
+  if (!std::isnormal(most)) return map;
+  map.half_base_ = lo * 0.5;
+  map.scale_ = std::ldexp(1.0, std::ilogb(most));
+  map.lossless_ = false;
+  return map;
+}
+
+AxisMap AxisMap::by_order_bits(double lo, double hi) {
+  AxisMap map;
+  map.lo_ = geometry::order_bits(lo);
+  map.hi_ = geometry::order_bits(hi);
+  map.shift_ = shift_to(map.hi_ - map.lo_, kOrderBits);
+  map.lossless_ = map.shift_ == 0;
+  return map;
+}
+
+AxisMap AxisMap::of_ids(Id lo, Id hi) {
+  AxisMap map;
+  map.lo_ = static_cast<std::uint64_t>(lo);
+  map.hi_ = static_cast<std::uint64_t>(hi);
+  map.shift_ = shift_to(map.hi_ - map.lo_, kOrderBits);
+  return map;
+}
+
+// Rounding moves a coordinate by far less than one step before it is truncated to an integer: a margin of one step is
+// enough.
+double AxisMap::least(std::int32_t q) const {
+  if (lossless_) return value(q);
+  if (even()) return std::nextafter(2 * (half_base_ + (q - 1) / scale_), -kInfinity);
+  return geometry::value_of_order_bits(lo_ + (static_cast<std::uint64_t>(q) << shift_));
+}
+
+double AxisMap::most(std::int32_t q) const {
+  if (lossless_) return value(q);
+  if (even()) return std::nextafter(2 * (half_base_ + (q + 2.0) / scale_), kInfinity);
+  return geometry::value_of_order_bits(std::min(hi_, lo_ + ((static_cast<std::uint64_t>(q) + 1) << shift_) - 1));
+}
+
+double AxisMap::first_value(std::int32_t q) const {
+  std::uint64_t low = lo_;
+  std::uint64_t high = hi_;
+  while (low < high) {
+    const std::uint64_t middle = low + (high - low) / 2;
+    if ((*this)(geometry::value_of_order_bits(middle)) >= q)
+      high = middle;
+    else
+      low = middle + 1;
+  }
+  return geometry::value_of_order_bits(low);
+}
+
+int zeros_of_lossless(const AxisMap& map, std::span<const double> x) {
+  Lossless lossless;
+  for (const double value : x) lossless.look(value, map.value(map(value)), map(value));
+  return lossless.zeros();
+}
+
+std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::ParticleView& particles, int axes,
+                                                           const AxisMaps& maps, std::size_t chunk_max,
+                                                           bool check_lossless) {
+  std::array<Lossless, geometry::kDimsMax> lossless;
+  chunks_.clear();
+  for (std::size_t first = 0; first < particles.count || first == 0; first += chunk_max) {
+    Buffer<QuantisedPoint>& chunk = chunks_.emplace_back(std::min(chunk_max, particles.count - first));
+    switch (axes) {
+      case 0:
+        for (std::size_t i = 0; i < chunk.size(); ++i)
+          chunk[i] = {{maps[0](particles.id[first + i]), 0, 0}, static_cast<std::uint32_t>(i)};
+        break;
+      case 1:
+        fill<1>(particles, first, maps, chunk.span(), check_lossless, lossless);
+        break;
+      case 2:
+        fill<2>(particles, first, maps, chunk.span(), check_lossless, lossless);
+        break;
+      default:
+        fill<3>(particles, first, maps, chunk.span(), check_lossless, lossless);
+        break;
+    }
+  }
+  std::array<int, geometry::kDimsMax> zeros{-1, -1, -1};
+  for (std::size_t a = 0; a < zeros.size() && check_lossless; ++a) zeros[a] = lossless[a].zeros();
+  return zeros;
+}
+
+std::vector<Span> QuantisedPoints::spans() {
+  std::vector<Span> spans;
+  std::uint64_t base = 0;
+  for (Buffer<QuantisedPoint>& chunk : chunks_) {
+    spans.push_back({chunk.begin(), chunk.begin(), chunk.end(), chunk.end(), nullptr, nullptr, base});
+    base += chunk.size();
+  }
+  return spans;
+}
+
+Buffer<std::int32_t> QuantisedPoints::into_parts(std::span<const std::size_t> ends, int parts) {
+  // Works in the quantised points' own memory: a chunk's indices move to its front, the parts are written behind them
+  // and then moved to the front.
+  Buffer<std::int32_t> all;
+  for (std::size_t c = 0; c < chunks_.size(); ++c) {
+    const std::size_t size = chunks_[c].size();
+    Buffer<std::int32_t> own = chunks_[c].release_as<std::int32_t>();
+    constexpr std::size_t kWords = sizeof(QuantisedPoint) / sizeof(std::int32_t);
+    for (std::size_t i = 0; i < size; ++i) own[i] = own[i * kWords + kWords - 1];
+    std::int32_t* const part = own.data() + size;
+    std::size_t i = 0;
+    for (std::int32_t p = 0; p < parts; ++p)
+      for (const std::size_t end = ends[c * static_cast<std::size_t>(parts) + static_cast<std::size_t>(p)]; i < end;
+           ++i)
+        part[static_cast<std::uint32_t>(own[i])] = p;
+    CHECK(i == size, "every quantised point is in a part");
+    if (size > 0) std::memmove(own.data(), part, size * sizeof(std::int32_t));
+    own.resize(size);
+    own.shrink();
+    if (c == 0)
+      all = std::move(own);
+    else
+      all.append(own.span());
+  }
+  chunks_.clear();
+  return all;
+}
+
+// Points at either end that are on the right side already are skipped, since solvers' orders are seldom random. All
+// others are swapped without a branch, which would often be mispredicted.
+QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
+  while (!points.empty() && points.front().q[axis] < at) points = points.subspan(1);
+  while (!points.empty() && points.back().q[axis] >= at) points = points.first(points.size() - 1);
+  auto* const lanes = reinterpret_cast<Lanes*>(points.data());
+  const QuantisedPoint* const from = points.data();
+  std::size_t below = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Lanes own = lanes[i];
+    const bool left = from[i].q[axis] < at;
+    lanes[i] = lanes[below];
+    lanes[below] = own;
+    below += static_cast<std::size_t>(left);
+  }
+  return points.data() + below;
+}
+
+QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
+  constexpr std::size_t kStride = 8;  // most groups of so many have none to move
+  QuantisedPoint* next = points.data();
+  std::size_t i = 0;
+  for (; i + kStride <= points.size(); i += kStride) {
+    std::int32_t any = 0;
+    for (std::size_t k = 0; k < kStride; ++k) any |= points[i + k].q[axis] <= at ? 1 : 0;
+    if (any == 0) continue;
+    for (std::size_t k = 0; k < kStride; ++k)
+      if (points[i + k].q[axis] <= at) std::swap(points[i + k], *next++);
+  }
+  for (; i < points.size(); ++i)
+    if (points[i].q[axis] <= at) std::swap(points[i], *next++);
+  return next;
+}
+
+void count_bins(std::span<const QuantisedPoint> points, std::size_t axis, std::int32_t lo, unsigned shift,
+                std::span<std::uint32_t> bins) {
+  // Two tables: neighbours often fall into the same bin, and its increments would wait for each other.
+  static thread_local Buffer<std::uint32_t> spare;
+  spare.resize(bins.size());
+  std::fill(spare.begin(), spare.end(), 0);
+  std::uint32_t* const even = bins.data();
+  std::uint32_t* const odd = spare.data();
+  const auto bin = [&](std::size_t i) { return static_cast<std::uint32_t>(points[i].q[axis] - lo) >> shift; };
+  std::size_t i = 0;
+  for (; i + 2 <= points.size(); i += 2) {
+    ++even[bin(i)];
+    ++odd[bin(i + 1)];
+  }
+  if (i < points.size()) ++even[bin(i)];
+  for (std::size_t b = 0; b < bins.size(); ++b) even[b] += odd[b];
+}
+
+// Compiled twice: with AVX2's vector minimum a pass takes half the time. The version is chosen while the program is
+// loaded, which is before the thread sanitizer has started, hence not with it.
+#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+void widen(QBounds& bounds, std::span<const QuantisedPoint> points) {
+  const auto* const lanes = reinterpret_cast<const Lanes*>(points.data());
+  Lanes lo{bounds.lo[0], bounds.lo[1], bounds.lo[2], 0};
+  Lanes hi{bounds.hi[0], bounds.hi[1], bounds.hi[2], 0};
+  Lanes other_lo = lo;
+  Lanes other_hi = hi;
+  std::size_t i = 0;
+  for (; i + 2 <= points.size(); i += 2) {
+    lo = lanes[i] < lo ? lanes[i] : lo;
+    hi = lanes[i] > hi ? lanes[i] : hi;
+    other_lo = lanes[i + 1] < other_lo ? lanes[i + 1] : other_lo;
+    other_hi = lanes[i + 1] > other_hi ? lanes[i + 1] : other_hi;
+  }
+  if (i < points.size()) {
+    lo = lanes[i] < lo ? lanes[i] : lo;
+    hi = lanes[i] > hi ? lanes[i] : hi;
+  }
+  for (int a = 0; a < geometry::kDimsMax; ++a) {
+    bounds.lo[static_cast<std::size_t>(a)] = std::min(lo[a], other_lo[a]);
+    bounds.hi[static_cast<std::size_t>(a)] = std::max(hi[a], other_hi[a]);
+  }
+}
+
+}  // namespace rcb::partition

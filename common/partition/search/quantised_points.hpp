@@ -1,0 +1,151 @@
+// Quantised points: what the search reads and moves instead of the particles: 16 bytes each, the coordinates as 31-bit
+// integers and the particle's index. The quantised points of a tree node are contiguous, so a level of the tree takes a
+// few linear passes over memory, and the particles stay where they are.
+//
+// Invariants
+// 1. Quantising preserves order: q(a) < q(b) implies a < b. Where integers are equal, the particles' coordinates
+//    decide.
+// 2. The map from coordinates to integers is the same on every rank.
+// 3. Quantised points come in chunks, since a particle's index in its chunk has 32 bits.
+#pragma once
+
+#include <array>
+#include <bit>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/partition/tree/key.hpp"
+
+namespace rcb::partition {
+
+struct alignas(16) QuantisedPoint {
+  std::array<std::int32_t, geometry::kDimsMax> q{};
+  std::uint32_t index = 0;
+};
+
+// A node's quantised points in one chunk. Those before `middle` are known to go left, those from `upper` on to go
+// right.
+struct Span {
+  QuantisedPoint* first = nullptr;
+  QuantisedPoint* middle = nullptr;
+  QuantisedPoint* upper = nullptr;
+  QuantisedPoint* last = nullptr;
+  // [tie_break, tie_break_last): the quantised points whose integers on the cut axis are replaced by another key word
+  // for now.
+  QuantisedPoint* tie_break = nullptr;
+  QuantisedPoint* tie_break_last = nullptr;
+  std::uint64_t base = 0;  // the chunk's first particle
+
+  std::size_t size() const { return static_cast<std::size_t>(last - first); }
+  std::span<QuantisedPoint> all() const { return {first, last}; }
+  std::span<QuantisedPoint> open() const { return {middle, upper}; }
+};
+
+// The right shift that makes 0..span fit in `bits` bits.
+constexpr unsigned shift_to(std::uint64_t span, unsigned bits) {
+  const auto width = static_cast<unsigned>(std::bit_width(span));
+  return width > bits ? width - bits : 0;
+}
+
+// Maps a coordinate to an integer in [0, kTop], in equal steps of the value or, where that would put too many particles
+// into one step, in equal steps of the order-preserving bits.
+class AxisMap {
+ public:
+  static constexpr std::int32_t kTop = 0x7FFFFFFE;
+
+  AxisMap() = default;
+  // By value, with a power of two as step, if the range allows it (it is neither a point nor tiny); else by
+  // order-preserving bits. lo <= hi, finite.
+  static AxisMap by_value(double lo, double hi);
+  static AxisMap by_order_bits(double lo, double hi);
+  static AxisMap of_ids(Id lo, Id hi);
+
+  bool even() const { return scale_ > 0; }
+  double half_base() const { return half_base_; }
+  double scale() const { return scale_; }
+
+  std::int32_t operator()(double value) const {
+    return even() ? static_cast<std::int32_t>((value * 0.5 - half_base_) * scale_)
+                  : of_word(geometry::order_bits(value));
+  }
+  std::int32_t operator()(Id id) const { return of_word(static_cast<std::uint64_t>(id)); }
+
+  // True if the integer determines the coordinate. A map by order-preserving bits with steps of 1 always is lossless;
+  // one by value may turn out to be for a particle set (lattices, coordinates of few digits).
+  bool lossless() const { return lossless_; }
+  // Makes the map lossless, with all integers multiples of 2^zeros.
+  void set_lossless(unsigned zeros) {
+    lossless_ = true;
+    zeros_ = zeros;
+  }
+  unsigned zeros() const { return zeros_; }
+  // The coordinate of integer q, if the map is lossless.
+  double value(std::int32_t q) const {
+    return even() ? 2 * (half_base_ + q / scale_)
+                  : geometry::value_of_order_bits(lo_ + (static_cast<std::uint64_t>(q) << shift_));
+  }
+  // Every coordinate whose integer is q lies in [least(q), most(q)].
+  double least(std::int32_t q) const;
+  double most(std::int32_t q) const;
+  // The least double whose integer is at least q.
+  double first_value(std::int32_t q) const;
+
+ private:
+  std::int32_t of_word(std::uint64_t word) const { return static_cast<std::int32_t>((word - lo_) >> shift_); }
+
+  double half_base_ = 0;
+  double scale_ = 0;
+  std::uint64_t lo_ = 0;  // order-preserving bits, or ids
+  std::uint64_t hi_ = 0;
+  unsigned shift_ = 0;
+  bool lossless_ = false;
+  unsigned zeros_ = 0;
+};
+
+using AxisMaps = std::array<AxisMap, geometry::kDimsMax>;
+
+// Bounds of quantised coordinates; lo > hi: there are none.
+struct QBounds {
+  static constexpr std::int32_t kNone = 0x7FFFFFFF;
+  std::array<std::int32_t, geometry::kDimsMax> lo{kNone, kNone, kNone};
+  std::array<std::int32_t, geometry::kDimsMax> hi{-1, -1, -1};
+
+  bool empty() const { return lo[0] > hi[0]; }
+};
+
+class QuantisedPoints {
+ public:
+  // Makes one quantised point per particle. axes: 0 quantises the ids instead. If `tell` (only where all maps are by
+  // value), returns zeros_of_lossless() of every axis, found in the same pass; else -1. Local.
+  std::array<int, geometry::kDimsMax> build(const particles::ParticleView& particles, int axes, const AxisMaps& maps,
+                                            std::size_t chunk_max, bool check_lossless);
+
+  std::size_t chunks() const { return chunks_.size(); }
+  // All quantised points, one span per chunk.
+  std::vector<Span> spans();
+  // Replaces the quantised points by the parts of their particles, which it returns. ends[chunk * parts + p]: where the
+  // quantised points of part p end. Needs no memory beyond that of the quantised points.
+  Buffer<std::int32_t> into_parts(std::span<const std::size_t> ends, int parts);
+
+ private:
+  std::vector<Buffer<QuantisedPoint>> chunks_;
+};
+
+// The number of trailing zero bits that all integers share, if a map by value is lossless for these coordinates; else
+// -1. Local.
+int zeros_of_lossless(const AxisMap& map, std::span<const double> x);
+
+// Passes over quantised points.
+
+// Moves points with q < at on this axis to the front; returns where the others begin.
+QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
+// Moves points with q <= at (expected to be few) to the front; returns where the others begin.
+QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
+// Adds one to bins[(q - lo) >> shift] for each point; q in [lo, lo + (bins << shift)).
+void count_bins(std::span<const QuantisedPoint> points, std::size_t axis, std::int32_t lo, unsigned shift,
+                std::span<std::uint32_t> bins);
+void widen(QBounds& bounds, std::span<const QuantisedPoint> points);
+
+}  // namespace rcb::partition

@@ -1,0 +1,65 @@
+// Room `search`: the exact cuts of a tree, level by level, from histograms of quantised coordinates. Entry: TreeBuilder
+// (build_tree.hpp). No optimisation may change the tree: tests/common/partition compares it with brute force.
+//
+// What is asked of a search for cuts, and what it finds.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/partition/tree/cut_tree.hpp"
+
+namespace rcb::partition {
+
+// When a partition begins with the tree of a sample (guess.hpp), and how much that sample is trusted.
+struct GuessLimits {
+  std::uint64_t count_min = std::uint64_t{3} << 18U;  // particles per rank
+  int parts_min = 4;
+  int parts_max = 8;
+  std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow
+  std::uint64_t sample_min = 4096;
+  std::uint64_t sample_max = 65536;
+  // A node's particles are assumed to reach beyond its sampled ones by at most this fraction of the sampled extent, on
+  // either side.
+  double overhang_max = 0.05;
+  // No guess is made if more than this fraction of a node's sampled particles lies on its cut: all particles on the cut
+  // would have to be searched.
+  double tied = 0.01;
+};
+
+// Tuning of the search; the tree does not depend on it.
+struct SearchLimits {
+  std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles per chunk, indexed with 32 bits
+  std::uint64_t gather_max = 512;                     // candidates of a node that are gathered at once, >= 1
+  std::uint64_t bins_max = 2048;                      // of a histogram; a power of two >= 2
+  // Incremental search: a bracket extends this many standard deviations of a sampled count, plus this many sampled
+  // particles, to either side. If brackets, or nodes that failed, hold more than 1 / boundary_divisor of all particles,
+  // a full search is made.
+  double bracket_sigmas = 3;
+  double bracket_margin = 2;
+  std::uint64_t boundary_divisor = 5;
+  GuessLimits guess;
+};
+
+struct PartitionOptions {
+  Method method = Method::rcb;
+  int parts = 1;
+  std::vector<double> part_sizes;     // empty: equal; else `parts` finite numbers > 0
+  double axis_hysteresis = 1.0;       // finite, >= 1; 1: always the longest axis
+  const CutTree* previous = nullptr;  // the current tree, for hysteresis; null: none
+  // 0: exact. Else a cut is accepted as soon as no part's load can be off its target by more than this fraction.
+  double cut_tolerance = 0;
+  SearchLimits limits;
+};
+
+struct PartitionResult {
+  CutTree tree;
+  Buffer<std::int32_t> part;          // [local count], the part of each local particle
+  std::vector<std::uint64_t> counts;  // of each part, all ranks; empty where weights count
+  std::uint64_t searched = 0;         // particles that were searched, all ranks
+  std::uint64_t rounds = 0;           // search rounds (a round: one histogram reduction for a group of nodes)
+  std::uint64_t reductions = 0;       // collectives used
+};
+
+}  // namespace rcb::partition

@@ -1,0 +1,454 @@
+// The search itself: rounds, brackets, and the division of the quantised points. The last candidates are gathered in
+// select_candidates.cpp.
+#include "common/partition/search/select.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <limits>
+
+#include <boost/multiprecision/cpp_int.hpp>
+
+#include "common/base/check.hpp"
+#include "common/comm/wide_sum.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using Wide = boost::multiprecision::uint512_t;
+
+constexpr std::size_t kBinsMin = 64;
+constexpr std::size_t kWeightedBinsMax = 256;  // with weights, where a cell has four words
+constexpr int kRoundsMax = 3;                  // before the integers are replaced by a key word
+constexpr unsigned kKeyBits = 31;
+constexpr std::uint64_t kGatherAlways = 8;  // so few candidates aren't worth a histogram
+constexpr std::uint64_t kNone = ~std::uint64_t{0};
+
+}  // namespace
+
+std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> values) {
+  std::uint64_t messages = 0;
+  for (; !values.empty(); ++messages) {
+    const std::size_t count = std::min(kMessageWordsMax, values.size());
+    comm.all_min(values.first(count));
+    values = values.subspan(count);
+  }
+  return messages;
+}
+
+u128 threshold_of(const Question& ask) {
+  const Wide wanted = Wide(ask.weight) * ask.left_size;
+  return static_cast<u128>(Wide((wanted + ask.size - 1) / ask.size));
+}
+
+void Selector::select(std::span<Question> nodes, std::span<Span> spans) {
+  nodes_ = nodes;
+  spans_ = spans;
+  chunks_ = nodes.empty() ? 1 : spans.size() / nodes.size();
+  states_.assign(nodes.size(), State{});
+  neighbours_.clear();
+  for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
+  for (count_round(); any(Phase::count) || any(Phase::next_word); count_round()) next_word();
+  gather_candidates();
+  find_neighbours();
+}
+
+bool Selector::any(Phase phase) const {
+  return std::ranges::any_of(states_, [phase](const State& state) { return state.phase == phase; });
+}
+
+std::vector<std::size_t> Selector::in_phase(Phase phase) const {
+  std::vector<std::size_t> found;
+  for (std::size_t n = 0; n < states_.size(); ++n)
+    if (states_[n].phase == phase) found.push_back(n);
+  return found;
+}
+
+void Selector::start(std::size_t node) {
+  Question& ask = nodes_[node];
+  State& state = states_[node];
+  for (Span& span : spans_of(node)) {
+    span.middle = span.first;
+    span.upper = span.last;
+  }
+  if (!ask.search) {
+    ask.right_empty = true;
+    ask.left_count = ask.below + ask.count;
+    ask.left_weight = ask.weight;
+    for (Span& span : spans_of(node)) span.middle = span.last;
+    return;
+  }
+  state.phase = Phase::count;
+  state.lo = ask.bounds.lo[axis_of(node)];
+  state.hi = ask.bounds.hi[axis_of(node)];
+  state.below = ask.below;
+  state.weight_below = ask.weight_below;
+  if (!weighted()) {
+    state.inside = ask.count;
+    if (state.inside <= gather_limit()) state.phase = Phase::gather;
+    return;
+  }
+  state.threshold = threshold_of(ask);
+  if (state.threshold == 0) {  // no weight at all: the left side takes nothing
+    state.phase = Phase::neighbour;
+    neighbours_.push_back({.node = node, .weighted_before_bound = false, .from_start = true, .bound = {}});
+  }
+}
+
+// Up to so many candidates of a node are gathered instead of counted: about two messages for all nodes together.
+std::uint64_t Selector::gather_limit() const {
+  const std::uint64_t share = 2 * kMessageWordsMax / candidate_words() / states_.size();
+  return std::min(std::max(share, kGatherAlways), limits_.gather_max);
+}
+
+// Decides how a node goes on after its bracket has changed. Integers that separate little more are replaced by a key
+// word, unless it is cheaper to gather what is left.
+void Selector::choose_next_phase(std::size_t node, std::uint64_t before) {
+  State& state = states_[node];
+  ++state.rounds;
+  const bool tied = state.rounds > 1 && state.inside > before / 2;
+  const bool spent = state.lo == state.hi || (!state.tie_break && (tied || state.rounds >= kRoundsMax));
+  const bool cheap = state.lo == state.hi && !state.tie_break && lossless(node, 0) && lossless(node, 1);
+  if (state.inside <= gather_limit() ||
+      (spent && !cheap && state.inside <= std::min(8 * gather_limit(), limits_.gather_max)))
+    state.phase = Phase::gather;
+  else if (spent)
+    state.phase = Phase::next_word;
+}
+
+void Selector::sum_message() {
+  comm_.all_sum(message_.span());
+  ++reductions_;
+}
+
+Selector::BinSum Selector::cell(std::size_t at, std::size_t bin) const {
+  if (!weighted()) {
+    const auto bits = static_cast<unsigned>(64 / per_word_);
+    const std::uint64_t word = message_[at + bin / per_word_] >> (bits * static_cast<unsigned>(bin % per_word_));
+    return {per_word_ == 1 ? word : word & ((std::uint64_t{1} << bits) - 1), 0};
+  }
+  const std::uint64_t* words = &message_[at + bin * cell_words_];
+  return {words[0], comm::value_of_limbs(std::span<const std::uint64_t, comm::kLimbs>(words + 1, comm::kLimbs))};
+}
+
+// Carries are propagated at once, so that no limb overflows, however many particles are added.
+void Selector::add_weight(std::size_t at, u128 weight) {
+  const std::span<std::uint64_t, comm::kLimbs> limbs(&message_[at + 1], comm::kLimbs);
+  std::ranges::copy(comm::limbs_of(comm::value_of_limbs(limbs) + weight), limbs.begin());
+}
+
+std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t at, BinSum& found) {
+  State& state = states_[node];
+  for (std::size_t bin = 0; bin < bins; ++bin) {
+    found = cell(at, bin);
+    const bool holds = weighted() ? state.weight_below + found.weight >= state.threshold
+                                  : state.below + found.count > nodes_[node].rank;
+    if (holds) return bin;
+    state.below += found.count;
+    state.weight_below += found.weight;
+  }
+  CHECK(false, "no bin holds the wanted key");
+}
+
+// Histograms of the integers on the cut axis, with as many bins as fit in one message for all nodes. Where no count can
+// reach 2^8 (2^16, 2^32), several share a word.
+void Selector::count_round() {
+  const std::vector<std::size_t> asked = in_phase(Phase::count);
+  if (asked.empty()) return;
+  ++rounds_;
+  std::uint64_t most = 0;
+  for (const std::size_t node : asked) most = std::max(most, states_[node].inside);
+  per_word_ = weighted() ? 1 : most < 0x100 ? 8 : most < 0x10000 ? 4 : most < 0x100000000 ? 2 : 1;
+  const std::size_t fit = kMessageWordsMax * per_word_ / (cell_words_ * asked.size());
+  const std::size_t most_bins =
+      std::min<std::size_t>(limits_.bins_max, weighted() ? kWeightedBinsMax : limits_.bins_max);
+  const std::size_t least_bins = std::min(kBinsMin, most_bins);
+  const std::size_t bins = std::clamp(std::bit_floor(std::max<std::size_t>(fit, 1)), least_bins, most_bins);
+  const auto bin_bits = static_cast<unsigned>(std::bit_width(bins) - 1);
+  const auto words_of = [this](std::size_t count) { return (count * cell_words_ + per_word_ - 1) / per_word_; };
+  const std::size_t group = std::max<std::size_t>(kMessageWordsMax / words_of(bins), 1);
+  for (std::size_t first = 0; first < asked.size(); first += group) {
+    const auto own = std::span(asked).subspan(first, std::min(group, asked.size() - first));
+    const auto shift = [&](std::size_t node) {
+      const State& state = states_[node];
+      // A lossless axis' integers are multiples of 2^zeros: narrower bins would stay empty.
+      const unsigned least = state.tie_break ? 0 : zeros_of(node, 0);
+      return std::max(shift_to(static_cast<std::uint64_t>(state.hi - state.lo), bin_bits), least);
+    };
+    // Bins beyond the widest bracket would stay empty: they aren't sent.
+    std::size_t used = 1;
+    for (const std::size_t node : own)
+      used = std::max(used, (static_cast<std::size_t>(states_[node].hi - states_[node].lo) >> shift(node)) + 1);
+    const std::size_t words = words_of(used);
+    message_.resize(own.size() * words);
+    std::fill(message_.begin(), message_.end(), 0);
+    for (std::size_t n = 0; n < own.size(); ++n) count_node(own[n], shift(own[n]), used, n * words);
+    sum_message();
+    for (std::size_t n = 0; n < own.size(); ++n) take_count(own[n], shift(own[n]), used, n * words);
+  }
+}
+
+void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
+  const std::int32_t lo = states_[node].lo;
+  const std::size_t axis = axis_of(node);
+  if (weighted()) {
+    for (const Span& span : spans_of(node))
+      for (const QuantisedPoint& point : span.open()) {
+        const std::size_t own = at + (static_cast<std::uint32_t>(point.q[axis] - lo) >> shift) * cell_words_;
+        ++message_[own];
+        add_weight(own, (*scale_)(particles_.weight[span.base + point.index]));
+      }
+    return;
+  }
+  const auto bits = static_cast<unsigned>(64 / per_word_);
+  bins_.resize(bins);
+  for (const Span& span : spans_of(node)) {
+    if (span.open().empty()) continue;
+    std::fill(bins_.begin(), bins_.end(), 0);
+    count_bins(span.open(), axis, lo, shift, bins_.span());
+    for (std::size_t b = 0; b < bins; ++b)
+      message_[at + b / per_word_] += std::uint64_t{bins_[b]} << (bits * static_cast<unsigned>(b % per_word_));
+  }
+}
+
+// The bin that holds the wanted key becomes the bracket.
+void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
+  State& state = states_[node];
+  BinSum found;
+  const std::uint64_t before = state.inside;
+  const std::size_t bin = crossing(node, bins, at, found);
+  if (take_near(node, shift, bin, found)) return;
+  state.inside = found.count;
+  const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);
+  const bool uniform = !state.tie_break && lossless(node, 0) && shift == zeros_of(node, 0);
+  const auto step = uniform ? 0 : static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
+  narrow(node, lo, state.hi - lo > step ? lo + step : state.hi, found.count < before / 16);
+  choose_next_phase(node, before);
+}
+
+// With slack: cuts between two bins, if that is near enough to the target.
+bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& found) {
+  Question& ask = nodes_[node];
+  const State& state = states_[node];
+  if (ask.slack == 0 || state.tie_break) return false;
+  const u128 wanted =
+      weighted() ? static_cast<u128>(Wide(Wide(ask.weight) * ask.left_size / ask.size)) : u128{ask.rank};
+  const u128 before = weighted() ? state.weight_below : state.below;
+  const u128 after = before + (weighted() ? found.weight : found.count);
+  const auto off = [wanted](u128 got) { return got < wanted ? wanted - got : got - wanted; };
+  const bool take = off(after) < off(before);
+  // Behind the last bin the integer may not fit in 32 bits.
+  const std::uint64_t beyond = static_cast<std::uint64_t>(state.lo) + (std::uint64_t{bin + (take ? 1 : 0)} << shift);
+  const auto top = static_cast<std::uint64_t>(ask.bounds.hi[axis_of(node)]);
+  if (off(take ? after : before) > ask.slack || beyond > top) return false;
+  const auto q = static_cast<std::int32_t>(beyond);
+  ask.left_count = state.below + (take ? found.count : 0);
+  ask.left_weight = state.weight_below + (take ? found.weight : 0);
+  ask.key = {};
+  const Key key = key_between(maps_[axis_of(node)].first_value(q), static_cast<int>(axes_));
+  for (std::size_t w = 0; w < axes_; ++w) ask.key[w] = geometry::order_bits(key.at[w]);
+  for (Span& span : spans_of(node)) span.middle = span.upper = split(span.open(), axis_of(node), q);
+  states_[node].phase = Phase::done;
+  return true;
+}
+
+void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few) {
+  State& state = states_[node];
+  const std::size_t axis = axis_of(node);
+  for (Span& span : spans_of(node)) {
+    if (lo > state.lo) span.middle = split(span.open(), axis, lo);
+    if (hi < state.hi) span.upper = few ? split_few(span.open(), axis, hi) : split(span.open(), axis, hi + 1);
+  }
+  state.lo = lo;
+  state.hi = hi;
+}
+
+void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) const {
+  const std::size_t from = states_[node].word;
+  const auto look = [bounds](std::size_t word, std::uint64_t own) {
+    bounds[2 * word] = std::min(bounds[2 * word], own);
+    bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
+  };
+  bool any_lossless = false;
+  for (std::size_t w = from; w < axes_; ++w) any_lossless |= lossless(node, w);
+  for (const Span& span : spans_of(node)) {
+    const std::span<const QuantisedPoint> open = span.open();
+    if (open.empty()) continue;
+    QBounds integers;
+    if (any_lossless) widen(integers, open);
+    std::array<const double*, geometry::kDimsMax> x{};
+    std::array<double, geometry::kDimsMax> first{};
+    std::array<bool, geometry::kDimsMax> same{true, true, true};
+    for (std::size_t w = from; w < axes_; ++w) {
+      const auto axis = static_cast<std::size_t>(nodes_[node].axes[w]);
+      if (lossless(node, w)) {
+        look(w, static_cast<std::uint64_t>(integers.lo[axis] >> zeros_of(node, w)));
+        look(w, static_cast<std::uint64_t>(integers.hi[axis] >> zeros_of(node, w)));
+        continue;
+      }
+      x[w] = particles_.position[axis] + span.base;
+      first[w] = x[w][open[0].index];
+      look(w, geometry::order_bits(first[w]));
+    }
+    // Mostly all coordinates are equal, or the search would not have come here: one pass finds that out.
+    if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
+      for (const QuantisedPoint& point : open) {
+        same[0] &= x[0][point.index] == first[0];
+        same[1] &= x[1][point.index] == first[1];
+        same[2] &= x[2][point.index] == first[2];
+      }
+    } else {
+      for (std::size_t w = from; w < axes_; ++w)
+        for (std::size_t i = 0; i < open.size() && x[w] != nullptr; ++i) same[w] &= x[w][open[i].index] == first[w];
+    }
+    for (std::size_t w = from; w < axes_; ++w)
+      for (std::size_t i = 0; i < open.size() && !same[w]; ++i) look(w, geometry::order_bits(x[w][open[i].index]));
+    const Id* const id = particles_.id + span.base;
+    for (const QuantisedPoint& point : open) look(axes_, static_cast<std::uint64_t>(id[point.index]));
+  }
+}
+
+// A key word with one value only is decided; the integers are replaced by the first one with more. On a lossless axis
+// its bounds are the node's; others are measured among the open quantised points.
+void Selector::next_word() {
+  std::vector<std::size_t> measured;
+  for (const std::size_t node : in_phase(Phase::next_word)) {
+    State& state = states_[node];
+    if (!state.tie_break) {
+      state.uniform = state.lo == state.hi;
+      state.uniform_value = state.lo;
+    }
+    // A single integer decides the word if it determines the coordinate.
+    if (state.lo == state.hi && (state.tie_break ? state.shift == 0 : lossless(node, 0))) state.word += state.words;
+    state.words = 1;
+    CHECK(state.word < words_, "two particles have the same id");
+    if (state.word > 0 && lossless(node, state.word)) {
+      const WordValues own = steps_of(node, state.word);
+      const std::uint64_t both =
+          lossless(node, state.word + 1) ? own.count * steps_of(node, state.word + 1).count : ~std::uint64_t{0};
+      if (both <= std::uint64_t{1} << kKeyBits) {
+        state.words = 2;
+        enter(node, 0, both - 1);
+      } else {
+        enter(node, own.first, own.first + own.count - 1);
+      }
+    } else {
+      measured.push_back(node);
+    }
+  }
+  if (measured.empty()) return;
+  // The least value of every word and the complement of the greatest, so that one minimum gives both.
+  Buffer<std::uint64_t> bounds(measured.size() * words_ * 2);
+  std::fill(bounds.begin(), bounds.end(), kNone);
+  for (std::size_t m = 0; m < measured.size(); ++m)
+    measure_words(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
+  reductions_ += all_min_in_messages(comm_, bounds.span());
+  for (std::size_t m = 0; m < measured.size(); ++m) {
+    State& state = states_[measured[m]];
+    const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
+    const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
+    // All have one coordinate, hence one integer, which restore() can put back.
+    if (axes_ > 0 && !state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
+      state.uniform = true;
+      state.uniform_value = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
+    }
+    while (lo() == hi()) {
+      CHECK(state.word + 1 < words_, "two particles have the same id");
+      ++state.word;
+    }
+    enter(measured[m], lo(), hi());
+  }
+}
+
+void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
+  State& state = states_[node];
+  state.base = lo;
+  state.shift = shift_to(hi - lo, kKeyBits);
+  state.lo = 0;
+  state.hi = static_cast<std::int32_t>((hi - lo) >> state.shift);
+  state.rounds = 0;
+  state.phase = Phase::count;
+  write_words(node);
+}
+
+Selector::WordValues Selector::steps_of(std::size_t node, std::size_t word) const {
+  const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
+  const unsigned zeros = zeros_of(node, word);
+  const std::int32_t first = nodes_[node].bounds.lo[axis] >> zeros;
+  const std::int32_t last = nodes_[node].bounds.hi[axis] >> zeros;
+  return {axis, zeros, static_cast<std::uint64_t>(first), static_cast<std::uint64_t>(last - first) + 1};
+}
+
+// Replaces the integers by two key words as one number.
+void Selector::write_both(Span& span, std::size_t axis, const WordValues& one, const WordValues& other) {
+  const auto factor = static_cast<std::uint32_t>(other.count);
+  const auto base = static_cast<std::uint32_t>(one.first) * factor + static_cast<std::uint32_t>(other.first);
+  for (QuantisedPoint& point : span.open())
+    point.q[axis] = static_cast<std::int32_t>(static_cast<std::uint32_t>(point.q[one.axis] >> one.zeros) * factor +
+                                              static_cast<std::uint32_t>(point.q[other.axis] >> other.zeros) - base);
+}
+
+void Selector::write_words(std::size_t node) {
+  State& state = states_[node];
+  const std::size_t axis = axis_of(node);
+  const unsigned zeros = zeros_of(node, state.word);
+  const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
+  for (Span& span : spans_of(node)) {
+    if (!state.tie_break) {
+      span.tie_break = span.middle;
+      span.tie_break_last = span.upper;
+    }
+    if (state.words == 2)
+      write_both(span, axis, steps_of(node, state.word), steps_of(node, state.word + 1));
+    else if (lossless(node, state.word))
+      for (QuantisedPoint& point : span.open())
+        point.q[axis] = (point.q[from] >> zeros) - static_cast<std::int32_t>(state.base);
+    else
+      for (QuantisedPoint& point : span.open())
+        point.q[axis] =
+            static_cast<std::int32_t>((word_of(node, state.word, span.base + point.index) - state.base) >> state.shift);
+  }
+  state.tie_break = true;
+}
+
+// Puts the quantised coordinates of the cut axis back in place.
+void Selector::restore(std::size_t node) {
+  const State& state = states_[node];
+  if (!state.tie_break) return;
+  const std::size_t axis = axis_of(node);
+  for (Span& span : spans_of(node))
+    for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
+      const std::size_t particle = span.base + point.index;
+      point.q[axis] = state.uniform ? state.uniform_value
+                      : axes_ == 0  ? maps_[0](particles_.id[particle])
+                                    : maps_[axis](particles_.position[axis][particle]);
+    }
+}
+
+// The right side has the quantised points whose key isn't less than the cut's.
+void Selector::divide(std::size_t node) {
+  const Question& ask = nodes_[node];
+  restore(node);
+  for (Span& span : spans_of(node)) {
+    if (ask.right_empty) {
+      span.middle = span.upper = span.last;
+      continue;
+    }
+    span.middle = std::partition(span.middle, span.upper, [&](const QuantisedPoint& point) {
+      return key_words(node, span.base + point.index) < ask.key;
+    });
+    span.upper = span.middle;
+  }
+}
+
+std::uint64_t Selector::word_of(std::size_t node, std::size_t word, std::size_t particle) const {
+  if (word == axes_) return static_cast<std::uint64_t>(particles_.id[particle]);
+  return geometry::order_bits(particles_.position[static_cast<std::size_t>(nodes_[node].axes[word])][particle]);
+}
+
+KeyWords Selector::key_words(std::size_t node, std::size_t particle) const {
+  KeyWords key{};
+  for (std::size_t w = 0; w < words_; ++w) key[w] = word_of(node, w, particle);
+  return key;
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,221 @@
+// Selector: exact distributed selection, for all nodes of a tree level together. For each node it finds the smallest
+// key of the right side: the same bits on every rank, however the particles are distributed. Afterwards each node's
+// quantised points are divided by that key.
+//
+// Invariants
+// 1. The wanted key is that of one of the node's open quantised points (Span); `below` particles have smaller keys than
+//    all of these. A round looks at the open quantised points alone.
+// 2. A round makes a histogram of the open points' integers on the cut axis; the bin that holds the wanted key becomes
+//    the bracket, and the quantised points outside of it are no longer open.
+// 3. Where integers no longer separate the open points, and these are too many to be gathered, the integers are
+//    replaced until the search ends by the offset of a key word from its least value: key words are the coordinates in
+//    the node's axis order, then the id. Earlier words are decided by then. Each round divides a bracket by at least
+//    64: a word takes at most 3 rounds and 11 further ones, whatever the distribution; one that all open points share
+//    takes none.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/base/wide.hpp"
+#include "common/comm/comm.hpp"
+#include "common/partition/balance/load.hpp"
+#include "common/partition/search/quantised_points.hpp"
+#include "common/partition/search/request.hpp"
+#include "common/partition/tree/key.hpp"
+
+namespace rcb::partition {
+
+// A key as words: the coordinates' order-preserving bits in the node's axis order, then the id in [words - 1]; unused
+// words are 0.
+using KeyWords = std::array<std::uint64_t, geometry::kDimsMax + 1>;
+
+inline constexpr std::size_t kMessageBytesMax = 32 * 1024;
+inline constexpr std::size_t kMessageWordsMax = kMessageBytesMax / sizeof(std::uint64_t);
+
+// Comm::all_min in messages of at most kMessageBytesMax; returns their number. Collective.
+std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> values);
+
+struct Question {
+  // Asked
+  bool search = true;  // false: nothing goes right
+  AxisOrder axes{0, 1, 2};
+  QBounds bounds;           // of the quantised points' integers, all ranks
+  std::uint64_t count = 0;  // quantised points
+  // Interior particles of the left parts (they have no quantised point).
+  std::uint64_t below = 0;
+  u128 weight_below = 0;
+  // Without weights: wanted is the key in this place (from 0) of the ascending keys of `below` and the quantised
+  // points.
+  std::uint64_t rank = 0;
+  // With weights: the left side takes the prefix with the weight nearest to weight * left_size / size; `weight` is that
+  // of all the node's particles, interior ones too.
+  u128 weight = 0;
+  u128 left_size = 0;
+  u128 size = 1;
+  // The left side may have so many particles (so much weight) more or less than wanted. 0: exact.
+  u128 slack = 0;
+
+  // Answered
+  bool failed = false;  // the answer depends on interior particles; the rest is unspecified
+  bool right_empty = false;
+  KeyWords key{};  // smallest key of the right side
+  // The least and the greatest key that the answer depends on. It holds if on the cut axis the left parts' interior
+  // particles lie below the former and the right parts' above the latter.
+  KeyWords lowest_relied_on{};
+  KeyWords highest_relied_on{};
+  std::uint64_t left_count = 0;  // without weights; includes `below`
+  u128 left_weight = 0;          // with weights; includes `weight_below`
+};
+
+// With weights: the left side's target, rounded up. The cut lies before or behind the particle whose prefix reaches it.
+u128 threshold_of(const Question& ask);
+
+class Selector {
+ public:
+  // axes: how many coordinate words a key has; 0: keys are ids alone. scale: null without weights.
+  Selector(comm::Comm& comm, const particles::ParticleView& particles, const AxisMaps& maps, int axes,
+           const ExactScale* scale, const SearchLimits& limits)
+      : comm_(comm),
+        particles_(particles),
+        maps_(maps),
+        axes_(static_cast<std::size_t>(axes)),
+        words_(axes_ + 1),
+        scale_(scale),
+        limits_(limits),
+        cell_words_(scale == nullptr ? 1 : 4) {}
+
+  // Collective.
+  //   spans  [nodes * chunks], each node's quantised points; on return middle == upper, where the right side begins
+  void select(std::span<Question> nodes, std::span<Span> spans);
+
+  std::uint64_t rounds() const { return rounds_; }
+  std::uint64_t reductions() const { return reductions_; }
+
+ private:
+  enum class Phase : std::uint8_t { done, count, next_word, gather, neighbour };
+
+  // The search of one node.
+  struct State {
+    Phase phase = Phase::done;
+    bool uniform = false;  // all integers that were replaced were `uniform_value`
+    std::int32_t uniform_value = 0;
+    bool tie_break = false;  // the integers are replaced by a key word: (its value - base) >> shift
+    std::size_t word = 0;
+    std::size_t words = 1;  // how many key words the integers hold, from `word` on
+    unsigned shift = 0;
+    std::uint64_t base = 0;
+    int rounds = 0;  // since the integers hold this word
+    // The bracket: the open quantised points' integers lie in [lo, hi].
+    std::int32_t lo = 0;
+    std::int32_t hi = 0;
+    std::uint64_t below = 0;
+    std::uint64_t inside = 0;
+    u128 weight_below = 0;
+    u128 threshold = 0;  // with weights: the shortest prefix of at least this weight ends in the bracket
+  };
+  struct Candidate {
+    std::size_t node;
+    KeyWords key;
+    u128 weight;
+  };
+  struct BinSum {
+    std::uint64_t count = 0;
+    u128 weight = 0;
+  };
+  // A request for the key next to a bound, among all of a node's particles (weights only).
+  struct Neighbour {
+    std::size_t node = 0;
+    bool weighted_before_bound = false;  // step back first: to the last particle before the bound that has weight
+    bool from_start = false;             // no bound: the node's first key is wanted
+    KeyWords bound{};
+  };
+
+  void start(std::size_t node);
+  std::uint64_t gather_limit() const;
+  bool any(Phase phase) const;
+  std::vector<std::size_t> in_phase(Phase phase) const;
+  void choose_next_phase(std::size_t node, std::uint64_t before);
+  // Histograms are summed over ranks in messages of bounded size, for a group of nodes at a time.
+  void count_round();
+  void count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at);
+  void take_count(std::size_t node, unsigned shift, std::size_t bins, std::size_t at);
+  bool take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& cell);
+  void narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few);
+  void next_word();
+  // For each key word from the node's current one on: the least value among the open quantised points, and the
+  // complement of the greatest. Local.
+  void measure_words(std::size_t node, std::span<std::uint64_t> bounds) const;
+  // The values of a key word on a lossless axis: `count` of them from `first` on, in units of 2^zeros of the integers.
+  struct WordValues {
+    std::size_t axis;
+    unsigned zeros;
+    std::uint64_t first;
+    std::uint64_t count;
+  };
+  WordValues steps_of(std::size_t node, std::size_t word) const;
+  static void write_both(Span& span, std::size_t axis, const WordValues& one, const WordValues& other);
+  void write_words(std::size_t node);
+  void restore(std::size_t node);
+  void sum_message();
+  void enter(std::size_t node, std::uint64_t lo, std::uint64_t hi);
+  BinSum cell(std::size_t at, std::size_t bin) const;
+  void add_weight(std::size_t at, u128 weight);
+  // Finds the bin that holds the wanted key, and adds what lies before it to `below` and `weight_below`.
+  std::size_t crossing(std::size_t node, std::size_t bins, std::size_t at, BinSum& found);
+
+  void gather_candidates();
+  void gather_group(std::span<const std::size_t> group);
+  void pick(std::span<const Candidate> candidates);
+  void pick_weighted(std::span<const Candidate> candidates);
+  void look_beside(const Neighbour& wanted);
+  void find_neighbours();
+  // The key nearest to each bound: after it or, if backward, before it and with weight > 0. False where there is none.
+  std::vector<std::uint8_t> nearest(std::span<const Neighbour> wanted, bool backward, std::vector<KeyWords>& keys);
+  // Divides the open quantised points by the key found. Where it may lie outside of the bracket, all must be open
+  // again.
+  void divide(std::size_t node);
+
+  bool weighted() const { return scale_ != nullptr; }
+  std::size_t axis_of(std::size_t node) const {
+    return axes_ == 0 ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
+  }
+  std::span<Span> spans_of(std::size_t node) const { return spans_.subspan(node * chunks_, chunks_); }
+  // True if a key word's axis is lossless: the integers may then stand for the word.
+  bool lossless(std::size_t node, std::size_t word) const {
+    return word < axes_ && maps_[static_cast<std::size_t>(nodes_[node].axes[word])].lossless();
+  }
+  // The trailing zero bits of that axis' integers; 0 if it is not lossless.
+  unsigned zeros_of(std::size_t node, std::size_t word) const {
+    return lossless(node, word) ? maps_[static_cast<std::size_t>(nodes_[node].axes[word])].zeros() : 0;
+  }
+  std::uint64_t word_of(std::size_t node, std::size_t word, std::size_t particle) const;
+  KeyWords key_words(std::size_t node, std::size_t particle) const;
+  std::size_t candidate_words() const { return words_ + 1 + (weighted() ? 2 : 0); }
+
+  comm::Comm& comm_;
+  const particles::ParticleView& particles_;
+  const AxisMaps& maps_;
+  std::size_t axes_;
+  std::size_t words_;
+  const ExactScale* scale_;
+  const SearchLimits& limits_;
+  std::size_t cell_words_;  // words of a histogram's cell: a count; with weights also three limbs
+
+  std::span<Question> nodes_;
+  std::span<Span> spans_;
+  std::size_t chunks_ = 1;
+  std::vector<State> states_;
+  std::vector<Neighbour> neighbours_;
+  Buffer<std::uint64_t> message_;
+  std::size_t per_word_ = 1;  // counts packed into a word of the message
+  Buffer<std::uint32_t> bins_;
+
+  std::uint64_t rounds_ = 0;
+  std::uint64_t reductions_ = 0;
+};
+
+}  // namespace rcb::partition

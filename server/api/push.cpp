@@ -1,0 +1,137 @@
+#include "server/api/push.hpp"
+
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::api {
+
+namespace {
+
+constexpr std::int64_t kLargest = std::numeric_limits<std::int64_t>::max();
+
+Status read_counts(wire::FieldReader& fields, int ranks, Push& push) {
+  const std::size_t slices = push.by_id ? 1 : static_cast<std::size_t>(ranks);
+  const std::vector<double> counts = fields.numbers("counts", static_cast<std::size_t>(ranks));
+  if (!fields.ok()) return fields.status();
+  if (counts.size() != slices && (push.moved == Moved::some || !counts.empty()))
+    return {Code::invalid_argument,
+            fmt::format("field 'counts': expected {} numbers of particles, got {}", slices, counts.size()),
+            "one number for each rank; in order \"id\" a single one"};
+  for (const double count : counts) {
+    if (!(count >= 0 && count <= static_cast<double>(push.n)) || count != std::floor(count))
+      return {Code::invalid_argument,
+              fmt::format("field 'counts': {} isn't a number of the push's {} particles", count, push.n)};
+    push.counts.push_back(static_cast<std::uint64_t>(count));
+  }
+  return {};
+}
+
+}  // namespace
+
+const char* name_of(Way way) {
+  switch (way) {
+    case Way::endpoint:
+      return "endpoint";
+    case Way::sockets:
+      return "sockets";
+    case Way::shared_memory:
+      return "shared-memory";
+    case Way::file:
+      return "file";
+  }
+  return "";
+}
+
+// Which arrays must be there is checked with what is known of the scene; that they lie within the memory, by each rank.
+Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
+  const Status odd(Code::invalid_argument, "field 'memory': expected a list of objects, one for each array");
+  const auto memory = request.find("memory");
+  if (memory == request.end() || !memory->is_array() || memory->size() > wire::kArraysMax) return odd;
+  std::vector<SharedArray> arrays;
+  for (const wire::Json& entry : *memory) {
+    if (!entry.is_object()) return odd;
+    wire::FieldReader fields(entry);
+    arrays.push_back({fields.text("name", 8), fields.integer("number", 0, kLargest),
+                      static_cast<std::uint64_t>(fields.integer("offset", 0, kLargest / 2)),
+                      static_cast<std::uint64_t>(fields.integer("stride", 1, wire::kSharedStrideMax))});
+    if (!fields.ok()) return fields.status();
+  }
+  return arrays;
+}
+
+Result<PushId> read_push_id(const wire::Json& request, const std::string& session) {
+  wire::FieldReader fields(request);
+  PushId id;
+  id.scene = fields.text("scene", 256);
+  if (fields.ok()) fields.fail(wire::check_scene_name(id.scene));
+  id.session = fields.text_or("session", 16, session);
+  if (const auto number = wire::parse_hex64(id.session); fields.has("session") && number.ok())
+    id.session = wire::hex64(*number);
+  else if (fields.has("session"))
+    fields.fail({number.status().code(), "field 'session': " + number.status().message()});
+  id.step = fields.integer("step", 0, wire::kStepMax);
+  id.attempt = fields.integer_or("attempt", 0, kLargest, 0);
+  if (!fields.ok()) return fields.status();
+  return id;
+}
+
+Result<PlanId> read_plan(const wire::Json& request) {
+  const auto found = request.find("plan");
+  if (found == request.end() || !found->is_object())
+    return Status(Code::invalid_argument, "field 'plan': expected an object with 'version' and 'checksum'");
+  wire::FieldReader fields(*found);
+  const std::int64_t version = fields.integer("version", 0, kLargest);
+  const std::string text = fields.text("checksum", 16);
+  if (!fields.ok()) return fields.status();
+  const auto checksum = wire::parse_hex64(text);
+  if (!checksum.ok()) return checksum.status();
+  return PlanId{static_cast<std::uint64_t>(version), *checksum};
+}
+
+std::uint64_t Push::moving() const {
+  if (moved == Moved::all) return n;
+  return moved == Moved::some ? std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}) : 0;
+}
+
+Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
+  wire::FieldReader fields(request);
+  Push push{.id = std::move(id)};
+  push.n = fields.particles("n");
+  push.slices = static_cast<std::uint64_t>(fields.integer_or("slices", 0, ranks + 2, 0));
+  push.by_id = fields.word("order", {"plan", "id"}) == "id";
+  const std::string path = fields.word("path", {"gateway", "direct", "shared"});
+  push.way = path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
+  push.weights = fields.flag("weights");
+  push.ids = fields.flag("ids");
+  push.changes = fields.flag("changes");
+  push.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
+  const std::string moved = fields.word("moved", {"all", "some", "none"});
+  push.moved = moved == "all" ? Moved::all : moved == "some" ? Moved::some : Moved::none;
+  push.inserted = fields.particles("inserted");
+  push.removed = fields.particles("removed");
+  push.inserted_ids = fields.flag("inserted_ids") && push.inserted > 0;
+  if (fields.has("base_step")) push.base_step = fields.integer("base_step", 0, wire::kStepMax);
+  if (fields.has("step_seconds"))
+    push.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);
+  if (!fields.ok()) return fields.status();
+  if (Status status = read_counts(fields, ranks, push); !status.ok()) return status;
+  if (push.from_memory()) {
+    auto shared = read_shared(request);
+    if (!shared.ok()) return shared.status();
+    push.shared = std::move(*shared);
+  }
+  if (push.by_id || !fields.has("plan")) return push;
+  const auto plan = read_plan(request);
+  if (!plan.ok()) return plan.status();
+  push.plan = *plan;
+  return push;
+}
+
+}  // namespace rcb::api

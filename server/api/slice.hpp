@@ -1,0 +1,31 @@
+// Slice: the particles of a push that go to one rank, as the client sent them, or the memory in which they are.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "common/files/shared_memory.hpp"
+#include "common/wire/message.hpp"
+#include "server/api/push.hpp"
+
+namespace rcb::api {
+
+// An array in memory that the client shares with this rank; no memory if the client shares none of that number.
+struct SharedColumn {
+  SharedArray where;
+  std::shared_ptr<const SharedMemory> memory;
+};
+
+struct Slice {
+  int rank = 0;                          // of members' contributions: the member
+  std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
+  std::vector<wire::Array> arrays = {};  // x y z (w) (id)
+  // Instead of arrays, if the client shares memory:
+  std::vector<SharedColumn> shared = {};
+  std::uint64_t rows = 0;       // of each array but "row"
+  std::uint64_t first_row = 0;  // in the array "row": the first for this rank
+  bool is_float32 = false;      // positions
+};
+
+}  // namespace rcb::api

@@ -1,0 +1,479 @@
+#include "server/net/control/coordinator.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <numeric>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include "common/auth/proof.hpp"
+#include "common/base/nearest.hpp"
+#include "common/base/wide.hpp"
+#include "common/files/paths.hpp"
+#include "server/net/control/session.hpp"
+#include "server/net/files/process_memory.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engine& engine)
+    : context_(context),
+      options_(std::move(options)),
+      instance_(auth::random_hex(8)),
+      engine_(engine),
+      answers_(options_.bulk_bytes_max),
+      large_requests_(wire::kLargeRequestBytesMax),
+      memory_bytes_(static_cast<std::size_t>(options_.ranks)) {}
+
+void Coordinator::leave(Session* session) {
+  sessions_.erase(session);
+  std::vector<std::shared_ptr<OpenPush>> lost;
+  for (const auto& [name, gate] : gates_)
+    if (gate.push && gate.push->connection == session->connection()) lost.push_back(gate.push);
+  for (const auto& push : lost) abort(push, {Code::aborted, "the client's connection was lost"});
+  groups_.leave_all(session->connection().get());
+}
+
+class Coordinator::OrderReservation {
+ public:
+  OrderReservation(std::shared_ptr<Coordinator> of, OrderOptions order, const Json& request)
+      : of_(std::move(of)), order_(std::move(order)) {
+    for (const char* name : {"command", "scene"}) what_[name] = request.contains(name) ? request[name] : Json();
+    of_->unfinished_.insert(this);
+    if (!order_.changes.empty()) ++of_->gate(order_.changes).changes_unfinished;
+  }
+  OrderReservation(const OrderReservation&) = delete;
+  OrderReservation& operator=(const OrderReservation&) = delete;
+  // Runs on the I/O thread, as everything here.
+  ~OrderReservation() { end(); }
+  void end() {
+    if (std::exchange(ended_, true)) return;
+    of_->unfinished_.erase(this);
+    order_.held.reset();
+    of_->charged_bytes_ -= order_.charged_bytes;
+    if (order_.changes.empty()) return;
+    SceneGate& gate = of_->gate(order_.changes);
+    --gate.changes_unfinished;
+    gate.wake();
+    of_->erase_gate_if_unused(order_.changes);
+  }
+  const OrderOptions& order() const { return order_; }
+  TimePoint since() const { return since_; }
+  // Its command, scene and age.
+  Json told() const {
+    Json told = what_;
+    told["seconds"] = seconds_since(since_);
+    return told;
+  }
+
+ private:
+  std::shared_ptr<Coordinator> of_;
+  OrderOptions order_;
+  Json what_;
+  TimePoint since_ = now();
+  bool ended_ = false;
+};
+
+Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions order) {
+  std::string text = wire::dump_json(request);
+  Status refused;
+  if (shutting_down_)
+    refused = Status(Code::unavailable, "the service is shutting down");
+  else if (unfinished_.size() >= static_cast<std::size_t>(options_.orders_max))
+    refused =
+        Status(Code::busy, fmt::format("{} commands are unfinished", unfinished_.size()), "try again in a moment");
+  else if (text.size() > wire::kJsonBytesMax)  // dump_json writes 1e9 as 1000000000.0
+    refused = Status(Code::too_large, fmt::format("the command has {} bytes, written out in full", text.size()));
+  if (!refused.ok()) {
+    charged_bytes_ -= order.charged_bytes;
+    return refused;
+  }
+  auto pending = std::make_shared<Pending>(context_);
+  auto slices = std::exchange(order.slices, {});
+  auto unfinished = std::make_shared<OrderReservation>(shared_from_this(), std::move(order), request);
+  const OrderOptions& kept = unfinished->order();
+  Order out{std::move(request),    std::move(text),       std::move(slices),
+            kept.received_seconds, kept.deadline_seconds, kept.cancelled};
+  auto done = [self = shared_from_this(), unfinished, pending](Answer answer) mutable {
+    // The posted function may be copied, the answer should not be: hence the shared pointer.
+    auto shared = std::make_shared<Answer>(std::move(answer));
+    asio::post(self->context_, [self, unfinished = std::move(unfinished), pending, shared] {
+      self->complete(std::move(*shared), unfinished, pending);
+    });
+  };
+  unfinished.reset();  // kept alive by `done` alone from here on
+  engine_.submit(std::move(out), std::move(done));
+  return pending;
+}
+
+void Coordinator::complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
+                           const std::shared_ptr<Pending>& pending) {
+  if (answer.change) api::apply(*std::move(answer.change), snapshot_);
+  const OrderOptions& order = unfinished->order();
+  unfinished->end();
+  if (order.ends_run && answer.status.ok()) groups_.forget_answers(order.changes);
+  if (!order.changes.empty()) groups_.scene_changed(order.changes);
+  if (order.then) return order.then(std::move(answer));
+  pending->answer = std::move(answer);
+  pending->signal.cancel();
+}
+
+void Coordinator::erase_gate_if_unused(const std::string& scene) {
+  const auto found = gates_.find(scene);
+  if (found == gates_.end()) return;
+  const SceneGate& gate = found->second;
+  if (!gate.push && gate.changes_unfinished == 0 && gate.queue.empty()) gates_.erase(found);
+}
+
+std::shared_ptr<OpenPush> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
+                                                 std::string client, double deadline_seconds) {
+  auto push = std::make_shared<OpenPush>(context_, std::move(terms));
+  push->connection = std::move(connection);
+  push->client = std::move(client);
+  arm(push, push->started + duration_of(deadline_seconds));
+  gate(push->slices.terms().id.scene).push = push;
+  return push;
+}
+
+void Coordinator::charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes) {
+  const std::uint64_t room = options_.bulk_bytes_max - std::min(charged_bytes_, options_.bulk_bytes_max);
+  charged_bytes_ += bytes;
+  push->charged_bytes += bytes;
+  if (bytes <= room) return;
+  abort(push, {Code::busy,
+               fmt::format("all pushes together have brought more than the {} bytes that the service takes",
+                           options_.bulk_bytes_max),
+               "try again when the others are done"});
+}
+
+Result<std::shared_ptr<void>> Coordinator::hold_answer(std::uint64_t bytes) {
+  if (auto held = answers_.take(bytes)) return held;
+  return Status(Code::busy,
+                fmt::format("answers of {} bytes wait for clients that don't read them, and this one has {}",
+                            answers_.taken(), bytes),
+                "try again when they have been read");
+}
+
+Result<std::shared_ptr<void>> Coordinator::hold_request(std::uint64_t bytes) {
+  if (auto held = large_requests_.take(bytes)) return held;
+  return Status(
+      Code::busy,
+      fmt::format("large requests of {} bytes are unanswered, and this one has {}", large_requests_.taken(), bytes),
+      "try again in a moment");
+}
+
+void Coordinator::cancel(std::atomic<bool>& cancelled) {
+  cancelled = true;
+  engine_.drop_cancelled();
+}
+
+void Coordinator::arm(const std::shared_ptr<OpenPush>& push, TimePoint end) {
+  push->end = end;
+  push->next_check = now() + duration_of(options_.frame_seconds);
+  watch_arrival(push);
+}
+
+void Coordinator::watch_arrival(const std::shared_ptr<OpenPush>& push) {
+  push->deadline.expires_at(std::min(push->end, push->next_check));
+  push->deadline.async_wait([self = shared_from_this(), weak = std::weak_ptr(push)](error_code error) {
+    const auto open = weak.lock();
+    // A handler whose timer has expired already still runs without an error when the timer is cancelled: hence
+    // `closed`.
+    if (error || !open || open->closed) return;
+    if (now() >= open->end)
+      return self->abort_at_deadline(
+          open, {Code::deadline_exceeded, fmt::format("the push wasn't whole at its deadline: {}", open->progress()),
+                 "the previous step stands; push again"});
+    if (now() >= open->next_check) {
+      const std::uint64_t seen = std::exchange(open->progress_seen, open->bytes_arrived());
+      if (!open->ready() && open->progress_seen - seen < kProgressBytes)
+        return self->abort(open,
+                           {Code::deadline_exceeded,
+                            fmt::format("the push stopped arriving: {} bytes in {} s ({})", open->progress_seen - seen,
+                                        self->options_.frame_seconds, open->progress()),
+                            "the previous step stands; push again"});
+      open->next_check = now() + duration_of(self->options_.frame_seconds);
+    }
+    self->watch_arrival(open);
+  });
+}
+
+void Coordinator::abort_at_deadline(const std::shared_ptr<OpenPush>& push, const Status& why) {
+  if (push->round) return groups_.abort(push->round, nullptr, groups_.late(*push->round));
+  abort(push, why);
+}
+
+std::shared_ptr<OpenPush> Coordinator::find_push(const PushId& id, const Connection* connection) {
+  const auto found = gates_.find(id.scene);
+  if (found == gates_.end() || !found->second.push) return nullptr;
+  auto push = found->second.push;
+  if (push->round) {
+    const auto& contributions = push->round->contributions;
+    const auto own = std::find_if(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
+      return contribution && contribution->connection.get() == connection;
+    });
+    if (own == contributions.end()) return nullptr;
+    push = *own;
+  }
+  const bool here = push->number == 0 || !push->slices.whole();
+  const bool fits = here && push->slices.terms().id == id && push->connection.get() == connection;
+  return fits ? push : nullptr;
+}
+
+void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
+  push->closed = true;
+  push->deadline.cancel();
+  SceneGate& of = gate(push->slices.terms().id.scene);
+  CHECK(of.push == push, "the push isn't the open one");
+  of.push.reset();
+  of.wake();
+}
+
+void Coordinator::abort(std::shared_ptr<OpenPush> push, const Status& why) {
+  if (push->closed) return;
+  if (push->round) return groups_.abort(push->round, push->member < 0 ? nullptr : push.get(), why);
+  push->given_up = true;
+  const PushId id = push->slices.terms().id;
+  spdlog::info("push of step {} of scene '{}' by {} given up: {}", id.step, id.scene, push->client, why.message());
+  close_push(push);
+  give_back(*push);
+  erase_gate_if_unused(id.scene);
+  if (push->number != 0) data_->drop(id);
+  push->connection->send(FrameType::failure, push->request, wire::failure_json(why));
+}
+
+bool OpenPush::ready() const { return slices.whole() && std::find(whole.begin(), whole.end(), false) == whole.end(); }
+
+std::uint64_t OpenPush::bytes_arrived() const {
+  const std::uint64_t here = connection ? connection->bytes_received() : 0;
+  return std::accumulate(arrived_bytes.begin(), arrived_bytes.end(), here);
+}
+
+std::string OpenPush::progress() const {
+  if (round) return round->progress();
+  if (number == 0) return slices.progress();
+  return fmt::format("{} of {} ranks have their slices", std::count(whole.begin(), whole.end(), true), whole.size());
+}
+
+void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
+  const PushTerms& terms = push->slices.terms();
+  push->number = ++pushes_numbered_;
+  const auto ranks = static_cast<std::uint64_t>(options_.ranks);
+  push->whole.assign(ranks, false);
+  push->arrived_bytes.assign(ranks, 0);
+  const auto scene = snapshot_.find(terms.id.scene);
+  std::vector<std::uint64_t> counts;
+  if (scene != snapshot_.end() && scene->second.step) counts = scene->second.rank_counts;
+  if (!terms.counts.empty()) counts = terms.counts;
+  if (counts.empty())  // the first push: equal blocks of rows
+    for (std::uint64_t r = 0; r < ranks; ++r)
+      counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
+  CHECK(counts.size() == ranks, "a count for each rank");
+  const bool contribution = push->round != nullptr;
+  for (std::size_t r = 0; contribution && r < ranks; ++r) push->whole[r] = counts[r] == 0 || terms.moved == Moved::none;
+  if (terms.moved == Moved::none) return;  // no slices will come
+  data_->open({push->number, terms, contribution}, counts);
+}
+
+std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {
+  if (number == 0) return nullptr;
+  for (const auto& [name, gate] : gates_) {
+    if (!gate.push) continue;
+    if (gate.push->number == number) return gate.push;
+    if (!gate.push->round) continue;
+    for (const auto& contribution : gate.push->round->contributions)
+      if (contribution && contribution->number == number) return contribution;
+  }
+  return nullptr;
+}
+
+void Coordinator::slice_reported(int rank, const SliceReport& report) {
+  const std::shared_ptr<OpenPush> push = find_push(report.number);
+  if (!push) return;
+  if (!report.status.ok()) return abort(push, report.status);
+  std::uint64_t& known = push->arrived_bytes[static_cast<std::size_t>(rank)];
+  const std::uint64_t before = std::exchange(known, std::max(known, report.bytes));
+  charge(push, known - before);
+  if (!report.whole || push->given_up) return;
+  push->whole[static_cast<std::size_t>(rank)] = true;
+  if (!push->ready()) return;
+  if (push->round)
+    groups_.contribution_whole(push);
+  else
+    push->on_complete();
+}
+
+void Coordinator::refuse_directly(const PushId& id) {
+  if (data_ != nullptr) data_->drop(id);
+}
+
+void Coordinator::serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses) {
+  data_ = &plane;
+  data_addresses_[endpoint] = std::move(addresses);
+}
+
+const std::vector<std::string>& Coordinator::data_addresses(const std::string& endpoint) const {
+  static const std::vector<std::string> kNone;
+  const auto found = data_addresses_.find(endpoint);
+  return found == data_addresses_.end() ? kNone : found->second;
+}
+
+std::vector<std::string> Coordinator::members(const std::string& scene, const std::string& except) const {
+  std::vector<std::string> names;
+  for (const Session* session : sessions_)
+    if (session->has_open(scene) && (except.empty() || session->number() != except)) names.push_back(session->client());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+Status Coordinator::unknown_scene(const std::string& scene) const {
+  constexpr std::size_t kNamesMax = 8;
+  constexpr std::size_t kComparedMax = 100;  // comparing more names takes too long on the I/O thread
+  std::vector<std::string> names;
+  for (const auto& [name, info] : snapshot_) names.push_back(name);
+  std::string hint;
+  if (!names.empty()) {
+    if (names.size() <= kComparedMax)
+      if (const auto near = names_like(scene, names); !near.empty())
+        hint = fmt::format("did you mean {}? ", near.front());
+    const std::size_t shown = std::min(names.size(), kNamesMax);
+    hint += fmt::format("there {} {}", names.size() == 1 ? "is" : "are:",
+                        fmt::join(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(shown), ", "));
+    if (shown < names.size()) hint += fmt::format(" and {} more", names.size() - shown);
+    if (options_.restarted) hint += "; what was there before the service was restarted is lost";
+  } else if (options_.restarted) {
+    hint = "the service was restarted and is empty: create the scene again and push everything";
+  } else {
+    hint = "there is none yet: create it first";
+  }
+  return {Code::not_found, fmt::format("no scene '{}'", scene), hint};
+}
+
+Json Coordinator::scenes_json() const {
+  std::map<std::string, std::vector<std::string>> holders;
+  for (const Session* session : sessions_)
+    for (const std::string& scene : session->open()) holders[scene].push_back(session->client());
+  const auto number = [](const std::optional<double>& value) { return value ? Json(*value) : Json(); };
+  Json scenes = Json::array();
+  for (const auto& [name, scene] : snapshot_) {
+    std::vector<std::string>& names = holders[name];
+    std::sort(names.begin(), names.end());
+    scenes.push_back({{"scene", name},
+                      {"n", scene.n},
+                      {"dims", scene.dims},
+                      {"parts", scene.parts},
+                      {"step", scene.step ? Json(*scene.step) : Json()},
+                      {"epoch", scene.epoch},
+                      {"error", number(scene.error)},
+                      {"imbalance", number(scene.imbalance)},
+                      {"mean_step_seconds", number(scene.mean_step_seconds)},
+                      {"holders", names}});
+  }
+  return scenes;
+}
+
+Json Coordinator::log_json() const {
+  // The launcher redirects standard error to this file. A file last written before this service started is an earlier
+  // service's. The file system's clock may lag a little.
+  constexpr std::chrono::seconds kLag(2);
+  const std::filesystem::path path = join_path(options_.data_dir, kLogFile);
+  std::error_code fault;
+  const auto written = std::filesystem::last_write_time(path, fault);
+  if (fault || written + kLag < started_on_disk_) return nullptr;
+  return path.string();
+}
+
+Json Coordinator::status_json() const {
+  Json memory = Json::array({resident_bytes()});
+  for (std::size_t rank = 1; rank < memory_bytes_.size(); ++rank)
+    memory.push_back(memory_bytes_[rank] == 0 ? Json() : Json(memory_bytes_[rank]));
+  std::uint64_t steps = 0;
+  for (const auto& [name, scene] : snapshot_) steps += scene.steps;
+  return {{"version", options_.version},
+          {"ranks", options_.ranks},
+          {"pid", ::getpid()},
+          {"uptime_seconds", seconds_since(started_)},
+          {"endpoints", endpoints_},
+          {"data_dir", options_.data_dir},
+          {"log", log_json()},
+          {"memory_bytes", memory},
+          {"hosts", hosts_json()},
+          {"empty", snapshot_.empty()},
+          {"restarted", options_.restarted},
+          {"sessions", sessions_.size()},
+          {"silent", silent_json()},
+          {"unfinished", unfinished_json()},
+          {"scenes", scenes_json()},
+          {"steps", steps}};
+}
+
+Json Coordinator::hosts_json() const {
+  Json hosts = Json::array();
+  for (std::size_t rank = 0; rank < options_.hosts.size(); ++rank) {
+    Json addresses = Json::array();
+    for (const auto& [endpoint, of_ranks] : data_addresses_)
+      if (rank < of_ranks.size()) addresses.push_back(of_ranks[rank]);
+    const RankHost& one = options_.hosts[rank];
+    hosts.push_back({{"rank", rank}, {"host", one.host}, {"pid", one.pid}, {"addresses", std::move(addresses)}});
+  }
+  return hosts;
+}
+
+Json Coordinator::unfinished_json() const {
+  const auto oldest = std::ranges::min_element(unfinished_, {}, &OrderReservation::since);
+  return {{"commands", unfinished_.size()}, {"oldest", oldest == unfinished_.end() ? Json() : (*oldest)->told()}};
+}
+
+Json Coordinator::silent_json() const {
+  Json silent = Json::array();
+  if (!silent_ranks_) return silent;
+  for (const SilentRank& one : silent_ranks_()) silent.push_back({{"rank", one.rank}, {"seconds", one.seconds}});
+  return silent;
+}
+
+std::string Coordinator::engine_in_words() const {
+  std::string words;
+  if (silent_ranks_)
+    for (const SilentRank& one : silent_ranks_())
+      words += fmt::format("{}rank {}, silent for {:.0f} s", words.empty() ? "" : ", ", one.rank, one.seconds);
+  return words.empty() ? "the engine" : words;
+}
+
+void Coordinator::shut_down(const std::string& why, std::function<void()> told) {
+  if (ended_) return told();
+  shutdown_callbacks_.push_back(std::move(told));
+  if (std::exchange(shutting_down_, true)) return;
+  spdlog::info("shutting down: {}", why);
+  std::vector<std::shared_ptr<OpenPush>> open;
+  for (auto& [name, gate] : gates_) {
+    if (gate.push) open.push_back(gate.push);
+    gate.wake();
+  }
+  for (const auto& push : open) abort(push, {Code::aborted, "the service is shutting down"});
+  // Orders that may be cancelled end early, unless they have begun to change a scene.
+  for (const OrderReservation* one : unfinished_)
+    if (one->order().cancelled) one->order().cancelled->store(true);
+  engine_.drop_cancelled();
+  Order order;
+  order.request = {{"command", "shutdown"}};
+  order.text = wire::dump_json(order.request);
+  engine_.submit(std::move(order), [self = shared_from_this()](const Answer&) {
+    asio::post(self->context_, [self] { self->say_goodbye(); });
+  });
+}
+
+void Coordinator::say_goodbye() {
+  ended_ = true;
+  groups_.forget_all_answers();
+  for (auto& told : std::exchange(shutdown_callbacks_, {})) told();
+  for (Session* session : sessions_) session->say_goodbye();
+}
+
+}  // namespace rcb::net

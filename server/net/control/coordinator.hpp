@@ -1,0 +1,239 @@
+// Coordinator: what all sessions share. It puts all commands into one order and decides which session may change a
+// scene.
+//
+// Invariants
+// 1. At most `orders_max` orders are unfinished, which is more than there can be sessions, and large requests have at
+//    most wire::kLargeRequestBytesMax bytes together. A command beyond that is refused (busy) before it is ordered,
+//    never after.
+// 2. A scene has at most one open push. Commands that change the scene wait for the end of that push; later pushes and
+//    commands queue behind them, first come, first served (SceneGate::queue).
+// 3. An order's changes are in the snapshot before its answer is sent.
+// 4. The arrays of open and unfinished pushes have about `bulk_bytes_max` bytes at most. Only bytes that have arrived
+//    count: a push that is merely announced takes nothing from others. An open push must go on arriving (kProgressBytes
+//    in `frame_seconds`).
+// 5. What an order has reserved is released when the order ends, however it ends (Coordinator::OrderReservation).
+// Everything runs on the I/O thread.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "server/net/control/control.hpp"
+#include "server/net/control/members.hpp"
+#include "server/net/push/data_plane.hpp"
+#include "server/net/push/engine.hpp"
+#include "server/net/push/push.hpp"
+#include "server/net/sockets/asio.hpp"
+#include "server/net/sockets/connection.hpp"
+
+namespace rcb::net {
+
+class Session;
+
+// An open push that brings less than this in `frame_seconds` is given up.
+inline constexpr std::uint64_t kProgressBytes = std::uint64_t{64} << 10U;
+
+// A push whose slices are being received.
+struct OpenPush {
+  OpenPush(asio::io_context& context, PushTerms terms) : slices(std::move(terms)), deadline(context) {}
+  PushSlices slices;
+  std::shared_ptr<Connection> connection;  // of the client that pushes
+  std::string client;
+  std::uint64_t request = 0;  // request number of its push.begin
+  wire::Json begin;
+  TimePoint started = now();
+  TimePoint end;
+  Timer deadline;
+  bool given_up = false;
+  bool closed = false;              // given up or ordered: the scene's gate is free again
+  std::uint64_t charged_bytes = 0;  // taken from the budget for the bytes that have arrived
+  std::uint64_t progress_seen = 0;  // bytes at the last check
+  TimePoint next_check;             // time of the next check for progress
+  // For the direct path only:
+  std::uint64_t number = 0;                  // identifies the push; 0: it isn't on the direct path
+  std::vector<bool> whole;                   // by rank: its slice is complete
+  std::vector<std::uint64_t> arrived_bytes;  // by rank, as far as it has reported
+  std::function<void()> on_complete;         // called when all ranks have their slices
+  std::shared_ptr<void> held;                // memory of a large push.begin (Coordinator::hold_request)
+  // For a parallel solver only: the members' step. `member` says whose contribution this is; -1: this push stands for
+  // the whole step in the scene's gate.
+  std::shared_ptr<MemberPush> round;
+  int member = -1;
+
+  bool ready() const;  // everything has arrived
+  std::uint64_t bytes_arrived() const;
+  std::string progress() const;
+};
+
+// Limits the memory of one kind of data that is on its way.
+class ByteBudget {
+ public:
+  explicit ByteBudget(std::uint64_t max) : max_(max) {}
+  // Reserves the bytes until the result is released; null if they don't fit. The first to come may have any size.
+  std::shared_ptr<void> take(std::uint64_t bytes) {
+    if (*taken_ > 0 && bytes > max_ - std::min(*taken_, max_)) return nullptr;
+    *taken_ += bytes;
+    return {taken_.get(), [taken = taken_, bytes](void*) { *taken -= bytes; }};
+  }
+  std::uint64_t taken() const { return *taken_; }
+
+ private:
+  std::uint64_t max_;
+  std::shared_ptr<std::uint64_t> taken_ = std::make_shared<std::uint64_t>(0);
+};
+
+struct SceneGate {
+  std::shared_ptr<OpenPush> push;
+  int changes_unfinished = 0;  // ordered, unfinished commands that change the scene
+  std::deque<Timer*> queue;    // the requests that wait for their turn
+  void wake() {
+    for (Timer* timer : queue) timer->cancel();
+  }
+};
+
+// Holds an order's answer once there is one.
+struct Pending {
+  explicit Pending(asio::io_context& context) : signal(context, TimePoint::max()) {}
+  std::optional<Answer> answer;
+  Timer signal;  // cancelled when the answer is there
+};
+
+struct OrderOptions {
+  std::vector<Slice> slices;
+  double received_seconds = 0;
+  double deadline_seconds = 60;
+  bool ends_run = false;                         // drop, or create anew: kept answers to members are dropped
+  std::string changes;                           // name of the scene that the order changes; empty: none
+  std::uint64_t charged_bytes = 0;               // released when the order is answered
+  std::shared_ptr<std::atomic<bool>> cancelled;  // set to end the order early; null: it can't be
+  std::shared_ptr<void> held;                    // memory of a large request (Coordinator::hold_request)
+  std::function<void(Answer)> then;              // gets the answer at once, instead of a Pending
+};
+
+class Coordinator : public std::enable_shared_from_this<Coordinator> {
+ public:
+  Coordinator(asio::io_context& context, ControlOptions options, Engine& engine);
+
+  const ControlOptions& options() const { return options_; }
+  // Identifies this run of the service: 16 hex digits, different at every start.
+  const std::string& instance() const { return instance_; }
+  asio::io_context& context() { return context_; }
+  const api::Snapshot& snapshot() const { return snapshot_; }
+  bool shutting_down() const { return shutting_down_; }
+  std::size_t session_count() const { return sessions_.size(); }
+  // Reserves the memory of an answer until it is sent; letting go of the result releases it. Errors: busy, if answers
+  // to clients that don't read them take all of the budget.
+  Result<std::shared_ptr<void>> hold_answer(std::uint64_t bytes);
+  // Reserves memory for the JSON of a large request; released with the result. Errors: busy.
+  Result<std::shared_ptr<void>> hold_request(std::uint64_t bytes);
+  void memory_reported(int rank, std::uint64_t bytes) { memory_bytes_.at(static_cast<std::size_t>(rank)) = bytes; }
+  // Before the loop starts: `ask` returns the ranks that have gone silent.
+  void set_silence_query(std::function<std::vector<SilentRank>()> ask) { silent_ranks_ = std::move(ask); }
+  // What unfinished orders wait for, in words: "the engine", or the silent ranks.
+  std::string engine_in_words() const;
+  void add_endpoint(std::string endpoint) { endpoints_.push_back(std::move(endpoint)); }
+
+  void join(Session* session) { sessions_.insert(session); }
+  // Removes the session and aborts its pushes.
+  void leave(Session* session);
+
+  // Errors: busy, too_large, unavailable.
+  Result<std::shared_ptr<Pending>> order(wire::Json request, OrderOptions order);
+  // Sets the flag of an order whose answer nobody waits for any more.
+  void cancel(std::atomic<bool>& cancelled);
+
+  // The reference stays valid while a push, a change or a queued request uses the gate; tidy() erases an unused one.
+  SceneGate& gate(const std::string& scene) { return gates_[scene]; }
+  void erase_gate_if_unused(const std::string& scene);
+
+  // Starts the push's deadline. The scene's gate must be free.
+  std::shared_ptr<OpenPush> open_push(PushTerms terms, std::shared_ptr<Connection> connection, std::string client,
+                                      double deadline_seconds);
+  // Sets the push's deadline, replacing an earlier one. The push is aborted at `end`, or before that if it stops
+  // arriving.
+  void arm(const std::shared_ptr<OpenPush>& push, TimePoint end);
+  // Counts `bytes` more of the push as arrived. Aborts the push if the budget of all pushes is exceeded.
+  void charge(const std::shared_ptr<OpenPush>& push, std::uint64_t bytes);
+  void give_back(OpenPush& push) { charged_bytes_ -= std::exchange(push.charged_bytes, 0); }
+  MemberGroups& groups() { return groups_; }
+  // The open push or contribution with this id, if this connection opened it; else null.
+  std::shared_ptr<OpenPush> find_push(const PushId& id, const Connection* connection);
+  // Tells the ranks to receive the slices of a push or contribution on the direct path. When all ranks have theirs,
+  // on_complete() is called, or for a contribution MemberGroups::contribution_whole().
+  void receive_directly(const std::shared_ptr<OpenPush>& push);
+  void slice_reported(int rank, const SliceReport& report);
+  // Tells the ranks to drop the slices of a push that will not be opened.
+  void refuse_directly(const PushId& id);
+  void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
+  // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there is no direct path.
+  const std::vector<std::string>& data_addresses(const std::string& endpoint) const;
+
+  // Ends the push and tells its client why. Nothing was ordered yet, so the scene is unchanged.
+  void abort(std::shared_ptr<OpenPush> push, const Status& why);  // by value, since the gate's pointer is reset
+  // Ends the receiving and frees the gate. The bytes charged stay charged; the caller passes them to the order.
+  void close_push(std::shared_ptr<OpenPush> push);
+
+  // Names of the clients that have the scene open; sessions with the number `except` are left out.
+  std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
+  Status unknown_scene(const std::string& scene) const;
+
+  wire::Json status_json() const;
+  wire::Json silent_json() const;
+  wire::Json unfinished_json() const;
+  wire::Json hosts_json() const;
+  wire::Json scenes_json() const;
+
+  // Orders the end of the service: open pushes are aborted, orders already submitted are still executed. `told` runs
+  // when all ranks have agreed to end, before the sessions say goodbye.
+  void shut_down(const std::string& why, std::function<void()> told);
+
+ private:
+  // The open push or contribution with this number; else null.
+  std::shared_ptr<OpenPush> find_push(std::uint64_t number) const;
+  // What an order has reserved: its place among the unfinished orders, its scene's gate, bytes of the budget.
+  class OrderReservation;
+  void complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
+                const std::shared_ptr<Pending>& pending);
+  void watch_arrival(const std::shared_ptr<OpenPush>& push);
+  // Aborts a push at its deadline; a contribution takes the whole step of the members with it.
+  void abort_at_deadline(const std::shared_ptr<OpenPush>& push, const Status& why);
+  void say_goodbye();
+  wire::Json log_json() const;
+
+  asio::io_context& context_;
+  ControlOptions options_;
+  std::string instance_;
+  Engine& engine_;
+  ByteBudget answers_;         // not yet sent
+  ByteBudget large_requests_;  // not yet answered
+  DataPlane* data_ = nullptr;
+  std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
+  std::uint64_t pushes_numbered_ = 0;
+  api::Snapshot snapshot_;
+  std::set<Session*> sessions_;
+  MemberGroups groups_{*this};
+  std::map<std::string, SceneGate> gates_;
+  std::vector<std::string> endpoints_;
+  std::function<std::vector<SilentRank>()> silent_ranks_;
+  std::vector<std::uint64_t> memory_bytes_;  // by rank, as last reported; 0: not yet
+  std::vector<std::function<void()>> shutdown_callbacks_;
+  std::uint64_t charged_bytes_ = 0;
+  std::set<OrderReservation*> unfinished_;
+  bool shutting_down_ = false;
+  bool ended_ = false;
+  TimePoint started_ = now();
+  std::filesystem::file_time_type started_on_disk_ = std::filesystem::file_time_type::clock::now();
+};
+
+}  // namespace rcb::net

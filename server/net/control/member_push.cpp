@@ -1,0 +1,326 @@
+// MemberGroups, part 2: a step of all members, from the first push.begin to the last answer.
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include "server/net/control/coordinator.hpp"
+#include "server/net/control/members.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+namespace {
+
+bool asked(const Json& begin, const char* name) {
+  const auto value = wire::bool_field_or(begin, name, false);
+  return value.ok() && *value;
+}
+
+// A copy of the arrays for one member: changes and places only if its push.begin asked for them.
+std::vector<wire::Array> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
+  std::vector<wire::Array> copy;
+  for (const wire::Array& array : arrays)
+    if ((asked(begin, "changes") || !array.name.starts_with("changed_")) &&
+        (asked(begin, "places") || !array.name.starts_with("place_")))
+      copy.push_back(array);
+  return copy;
+}
+
+}  // namespace
+
+Status MemberGroups::begin(ContributionBegin begin) {
+  const std::string& scene = begin.id.scene;
+  Group* group = find(scene);
+  // While this push.begin waited for its turn, another generation may have taken the seat, or the scene was dropped.
+  const auto nobody = std::vector<Seat>::iterator();
+  const auto seat =
+      group == nullptr ? nobody : std::find_if(group->seats.begin(), group->seats.end(), [&](const Seat& one) {
+        return one.connection == begin.connection.get();
+      });
+  if (group == nullptr || seat == group->seats.end())
+    return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
+            "open the scene again with a higher generation"};
+  const auto member = static_cast<std::size_t>(seat - group->seats.begin());
+  if (const MemberAnswers* before = kept_.before(scene); before != nullptr && answer_again(*before, member, begin))
+    return {};
+  const auto info = coordinator_.snapshot().find(scene);
+  if (info == coordinator_.snapshot().end()) return coordinator_.unknown_scene(scene);
+  if (info->second.step && begin.id.step <= *info->second.step) {
+    if (group->last && answer_again(*group->last, member, begin)) return {};
+    return {
+        Code::stale_step,
+        fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
+        fmt::format("push step {} or a later one", *info->second.step + 1)};
+  }
+  const auto open = coordinator_.gate(scene).push;
+  std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
+  if (step && step->step != begin.id.step)
+    return {Code::invalid_argument,
+            fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),
+            "all members push the same step"};
+  if (step && step->contributions[member])
+    return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
+  auto terms = read_terms(begin, info->second, step.get());
+  if (!terms.ok()) return terms.status();
+  if (terms->to_ranks() && !group->follow)
+    return {Code::unsupported, "members that don't follow their parts push in order \"id\""};
+  if (step && step->to_ranks() && !terms->to_ranks()) withdraw_direct(*step, member);
+  if (!step) step = open_step(scene, begin.id.step, *group);
+  auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
+  contribution->connection = std::move(begin.connection);
+  contribution->client = std::move(begin.client);
+  contribution->request = begin.request;
+  contribution->begin = std::move(begin.json);
+  contribution->held = std::move(begin.held);
+  contribution->round = step;
+  contribution->member = static_cast<int>(member);
+  step->contributions[member] = contribution;
+  if (begin.end < step->end) {
+    step->end = begin.end;
+    coordinator_.arm(step->front.lock(), begin.end);
+  }
+  if (contribution->slices.terms().to_ranks()) {
+    if (contribution->slices.terms().direct()) coordinator_.receive_directly(contribution);
+    if (Status counted = check_counts(*step); !counted.ok()) abort(step, nullptr, counted);
+  }
+  if (contribution->given_up) return {};
+  if (contribution->ready())
+    contribution_whole(contribution);
+  else
+    coordinator_.arm(contribution, begin.end);
+  return {};
+}
+
+void MemberGroups::withdraw_direct(MemberPush& step, std::size_t because_of) {
+  const Status why(Code::stale_plan,
+                   fmt::format("step {} of scene '{}': {} pushes by ids, so all members do", step.step, step.scene,
+                               name(step.scene, because_of)),
+                   "push this step in order \"id\"");
+  for (auto& one : step.contributions) {
+    if (!one) continue;
+    const auto contribution = std::exchange(one, nullptr);
+    contribution->given_up = true;
+    coordinator_.give_back(*contribution);
+    coordinator_.refuse_directly(contribution->slices.terms().id);
+    contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(why));
+  }
+}
+
+Status MemberGroups::check_counts(const MemberPush& step) const {
+  if (std::find(step.contributions.begin(), step.contributions.end(), nullptr) != step.contributions.end()) return {};
+  const auto& held = coordinator_.snapshot().at(step.scene).rank_counts;
+  for (std::size_t rank = 0; rank < held.size(); ++rank) {
+    std::uint64_t count = 0;
+    for (const auto& contribution : step.contributions) count += contribution->slices.terms().counts[rank];
+    if (count != held[rank])
+      return {Code::stale_plan,
+              fmt::format("step {} of scene '{}': the members push {} particles of rank {}, which holds {}", step.step,
+                          step.scene, count, rank, held[rank]),
+              "push this step in order \"id\""};
+  }
+  return {};
+}
+
+std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {
+  PushTerms none;
+  none.id.scene = scene;
+  none.id.step = step;
+  const auto front =
+      coordinator_.open_push(std::move(none), nullptr, "the members of the scene", wire::kDeadlineSecondsMax);
+  auto round = std::make_shared<MemberPush>(coordinator_.context(), scene, step);
+  round->contributions.resize(group.seats.size());
+  round->front = front;
+  front->round = round;
+  asio::co_spawn(coordinator_.context(), watch(coordinator_.shared_from_this(), round), asio::detached);
+  return round;
+}
+
+Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const api::SceneSummary& info,
+                                           const MemberPush* step) const {
+  auto terms = read_push_terms(begin.json, begin.id, info, coordinator_.options().ranks,
+                               coordinator_.options().bulk_bytes_max, Pusher::member);
+  if (!terms.ok()) return terms.status();
+  if (step != nullptr && terms->to_ranks() && !step->to_ranks())
+    return Status(Code::stale_plan,
+                  fmt::format("other members push step {} of scene '{}' by ids, so all do", begin.id.step, step->scene),
+                  "push this step in order \"id\"");
+  if (step != nullptr)
+    for (const auto& contribution : step->contributions)
+      if (contribution && contribution->slices.terms().weights != terms->weights)
+        return Status(Code::invalid_argument,
+                      fmt::format("this push {} weights, that of member {} does{}", terms->weights ? "has" : "has no",
+                                  contribution->member, terms->weights ? " not" : ""),
+                      "all members push weights, or none does");
+  return terms;
+}
+
+bool MemberGroups::answer_again(const MemberAnswers& answers, std::size_t member, const ContributionBegin& begin) {
+  if (answers.step != begin.id.step || member >= answers.sessions.size() ||
+      answers.sessions[member] != begin.id.session)
+    return false;
+  if (begin.json.value("path", Json()) == "direct") coordinator_.refuse_directly(begin.id);
+  Json json = answers.json;
+  json["repeated"] = true;
+  static_cast<void>(begin.connection->send_message(FrameType::reply, begin.request, std::move(json),
+                                                   copy_for(begin.json, answers.arrays[member])));
+  return true;
+}
+
+void MemberGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
+  const auto step = contribution->round;
+  const bool all = std::all_of(step->contributions.begin(), step->contributions.end(),
+                               [](const auto& one) { return one && one->ready(); });
+  if (all) order(step);
+}
+
+namespace {
+
+// By what the ranks find a contribution: the number of its slices, or where it is in the memory that they share.
+Json staged_by(const OpenPush& contribution) {
+  const PushTerms& terms = contribution.slices.terms();
+  if (!terms.from_memory()) return contribution.number;
+  return {{"session", terms.id.session},
+          {"memory", contribution.begin.at("memory")},
+          {"n", terms.n},
+          {"dtype", terms.is_float32 ? "<f4" : "<f8"},
+          {"counts", terms.counts}};
+}
+
+}  // namespace
+
+void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
+  const bool to_ranks = step->to_ranks();
+  Json request{
+      {"command", "push.members"},         {"scene", step->scene}, {"session", "members"}, {"step", step->step},
+      {"order", to_ranks ? "plan" : "id"}, {"ids", !to_ranks}};
+  OrderOptions order;
+  std::uint64_t n = 0;
+  bool changes = false;
+  bool places = find(step->scene)->follow;  // only if all ask: without places a member can't use the direct path next
+  Json unmoved = Json::array();
+  double seconds = -1;
+  for (const auto& contribution : step->contributions) {
+    n += contribution->slices.terms().n;
+    changes = changes || asked(contribution->begin, "changes");
+    places = places && asked(contribution->begin, "places");
+    if (to_ranks) request["staged"].push_back(staged_by(*contribution));
+    if (contribution->slices.terms().moved == Moved::none) unmoved.push_back(contribution->member);
+    if (contribution->begin.contains("step_seconds") && contribution->begin["step_seconds"].is_number())
+      seconds = std::max(seconds, contribution->begin["step_seconds"].get<double>());
+    order.charged_bytes += std::exchange(contribution->charged_bytes, 0);
+    for (Slice& slice : contribution->slices.take()) {
+      slice.rank = contribution->member;
+      order.slices.push_back(std::move(slice));
+    }
+  }
+  request["n"] = n;
+  if (to_ranks) {
+    request["plan"] = step->contributions.front()->begin["plan"];
+    request["base_step"] = step->contributions.front()->begin["base_step"];
+    request["moved"] = unmoved.size() == step->contributions.size() ? "none" : "all";
+    request["unmoved"] = std::move(unmoved);
+  }
+  request["changes"] = changes;
+  request["places"] = places;
+  request["weights"] = step->contributions.front()->slices.terms().weights;
+  request["members"] = step->contributions.size();
+  request["follow"] = find(step->scene)->follow;
+  if (seconds >= 0) request["step_seconds"] = seconds;
+  order.received_seconds = seconds_since(step->started);
+  order.deadline_seconds = std::chrono::duration<double>(step->end - step->started).count();
+  request["deadline_seconds"] = order.deadline_seconds;
+  order.changes = step->scene;
+  const std::shared_ptr<Coordinator> coordinator = coordinator_.shared_from_this();
+  order.then = [coordinator, step](Answer answer) { coordinator->groups().answered(step, std::move(answer)); };
+  coordinator_.close_push(step->front.lock());
+  step->ordered = true;
+  const auto pending = coordinator_.order(std::move(request), std::move(order));
+  coordinator_.erase_gate_if_unused(step->scene);
+  if (pending.ok()) return;
+  for (const auto& contribution : step->contributions)
+    if (to_ranks) coordinator_.refuse_directly(contribution->slices.terms().id);
+  answered(step, {pending.status(), Json::object(), {}});
+}
+
+void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answer) {
+  const auto contributions = std::exchange(step->contributions, {});
+  const bool told = std::exchange(step->over, true);
+  step->timer.cancel();
+  if (!answer.status.ok()) {
+    spdlog::info("step {} of scene '{}' by {} members: {}: {}", step->step, step->scene, contributions.size(),
+                 code_name(answer.status.code()), answer.status.message());
+    for (const auto& contribution : contributions)
+      if (!told)
+        contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(answer.status));
+    return;
+  }
+  MemberAnswers kept{step->step, {}, std::move(answer.json), {}};
+  const std::size_t each = answer.arrays.size() / contributions.size();
+  auto next = std::make_move_iterator(answer.arrays.begin());
+  for (const auto& contribution : contributions) {
+    kept.sessions.push_back(contribution->slices.terms().id.session);
+    kept.arrays.emplace_back(next, next + static_cast<std::ptrdiff_t>(each));
+    next += static_cast<std::ptrdiff_t>(each);
+  }
+  kept_.keep(step->scene, kept);  // before the first answer is sent
+  for (std::size_t member = 0; member < contributions.size() && !told; ++member) {
+    const OpenPush& contribution = *contributions[member];
+    const Status sent = contribution.connection->send_message(FrameType::reply, contribution.request, kept.json,
+                                                              copy_for(contribution.begin, kept.arrays[member]));
+    if (!sent.ok()) contribution.connection->send(FrameType::failure, contribution.request, wire::failure_json(sent));
+  }
+  if (Group* group = find(step->scene); group != nullptr && group->seats.size() == contributions.size())
+    group->last = std::move(kept);
+}
+
+void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why) {
+  if (step->ordered || step->over) return;
+  const auto front = step->front.lock();
+  const std::string who =
+      contribution != nullptr ? name(step->scene, static_cast<std::size_t>(contribution->member)) + ": " : "";
+  const Status named(why.code(), who + why.message(), why.hint());
+  spdlog::info("step {} of scene '{}' by {} members given up: {}", step->step, step->scene, step->contributions.size(),
+               named.message());
+  step->over = true;
+  step->timer.cancel();
+  front->given_up = true;
+  coordinator_.close_push(front);
+  for (const auto& one : std::exchange(step->contributions, {})) {
+    if (!one) continue;
+    one->given_up = true;
+    if (one->number != 0) coordinator_.refuse_directly(one->slices.terms().id);
+    coordinator_.give_back(*one);
+    one->connection->send(FrameType::failure, one->request, wire::failure_json(named));
+  }
+  coordinator_.erase_gate_if_unused(step->scene);
+}
+
+awaitable<void> MemberGroups::watch(std::shared_ptr<Coordinator> self, std::shared_ptr<MemberPush> step) {
+  const auto between = duration_of(self->options().notice_seconds);
+  while (!step->over) {
+    const TimePoint next = now() + between;
+    step->timer.expires_at(step->ordered ? std::min(next, step->end) : next);
+    co_await step->timer.async_wait(kAwait);
+    if (step->over) break;
+    if (step->ordered && now() >= step->end) {
+      for (const auto& contribution : step->contributions)
+        contribution->connection->send(
+            FrameType::failure, contribution->request,
+            wire::failure_json({Code::deadline_exceeded,
+                                fmt::format("step {} wasn't committed at its deadline; it goes on", step->step),
+                                "push it again to hear what came of it"}));
+      step->over = true;
+      break;
+    }
+    const std::string notice = fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", step->step, step->scene,
+                                           seconds_since(step->started), step->ordered ? "the engine" : missing(*step));
+    for (const auto& contribution : step->contributions)
+      if (contribution) contribution->connection->send(FrameType::notice, contribution->request, {{"notice", notice}});
+  }
+}
+
+}  // namespace rcb::net

@@ -1,0 +1,206 @@
+// MemberGroups, part 1: who holds which seat, and how members are named in messages.
+#include "server/net/control/members.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spdlog/spdlog.h>
+
+#include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
+#include "server/net/control/coordinator.hpp"
+
+namespace rcb::net {
+
+using wire::Json;
+
+Json membership_json(const Membership& membership) {
+  return {{"member", membership.member},
+          {"members", membership.members},
+          {"generation", membership.generation},
+          {"follow", membership.follow}};
+}
+
+Result<std::optional<Membership>> read_membership(const Json& request) {
+  const auto given = [&request](const char* name) { return request.contains(name) && !request[name].is_null(); };
+  if (!given("member") && !given("members")) return std::optional<Membership>();
+  wire::FieldReader fields(request);
+  Membership asked;
+  asked.members = static_cast<int>(fields.integer("members", 1, wire::kSessionsMax));
+  asked.member = static_cast<int>(fields.integer("member", 0, asked.members - 1));
+  asked.follow = fields.flag("follow");
+  asked.generation =
+      static_cast<std::uint64_t>(fields.integer_or("generation", 1, std::numeric_limits<std::int64_t>::max() - 1, 0));
+  if (!fields.ok()) return fields.status();
+  return std::optional(asked);
+}
+
+std::string MemberPush::progress() const {
+  const auto whole = std::count_if(contributions.begin(), contributions.end(),
+                                   [](const auto& contribution) { return contribution && contribution->ready(); });
+  return fmt::format("{} of {} members", whole, contributions.size());
+}
+
+bool MemberPush::awaits(const Connection* connection) const {
+  return std::any_of(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
+    return contribution && contribution->connection.get() == connection && !contribution->ready();
+  });
+}
+
+bool MemberPush::to_ranks() const {
+  return std::any_of(contributions.begin(), contributions.end(),
+                     [](const auto& one) { return one && one->slices.terms().to_ranks(); });
+}
+
+MemberGroups::MemberGroups(Coordinator& coordinator)
+    : coordinator_(coordinator), kept_(coordinator.options().data_dir, coordinator.options().restarted) {}
+
+MemberGroups::Group* MemberGroups::find(const std::string& scene) {
+  const auto found = groups_.find(scene);
+  return found == groups_.end() ? nullptr : &found->second;
+}
+
+const MemberGroups::Group* MemberGroups::find(const std::string& scene) const {
+  const auto found = groups_.find(scene);
+  return found == groups_.end() ? nullptr : &found->second;
+}
+
+bool MemberGroups::knows(const std::string& scene, const Connection* connection) const {
+  const Group* group = find(scene);
+  return group != nullptr && std::any_of(group->seats.begin(), group->seats.end(), [&](const Seat& seat) {
+           return seat.connection == connection ||
+                  std::find(seat.former.begin(), seat.former.end(), connection) != seat.former.end();
+         });
+}
+
+std::string MemberGroups::holders(const std::string& scene) const {
+  const Group* group = find(scene);
+  if (group == nullptr) return "";
+  const bool any = std::any_of(group->seats.begin(), group->seats.end(),
+                               [](const Seat& seat) { return seat.connection != nullptr; });
+  return any ? fmt::format("{} member{}", group->seats.size(), group->seats.size() == 1 ? "" : "s") : "";
+}
+
+Result<Membership> MemberGroups::join(const std::string& scene, Membership wanted, const Connection* connection,
+                                      const std::string& client) {
+  const auto members = static_cast<std::size_t>(wanted.members);
+  if (knows(scene, connection))
+    return Status(Code::invalid_argument, fmt::format("this connection is a member of scene '{}' already", scene),
+                  "a connection for each member");
+  Group* group = find(scene);
+  if (group != nullptr && (group->seats.size() != members || group->follow != wanted.follow)) {
+    if (!holders(scene).empty())
+      return Status(Code::invalid_argument,
+                    fmt::format("member {} of {}{}, but scene '{}' is open by members of {}{}", wanted.member,
+                                wanted.members, wanted.follow ? " with follow" : "", scene, group->seats.size(),
+                                group->follow ? " with follow" : ""),
+                    "all members say the same 'members' and 'follow'");
+    groups_.erase(scene);
+    group = nullptr;
+  }
+  if (group == nullptr) {
+    group = &groups_[scene];
+    group->seats.resize(members);
+    group->follow = wanted.follow;
+  }
+  Seat& seat = group->seats[static_cast<std::size_t>(wanted.member)];
+  if (wanted.generation == 0 && seat.connection != nullptr)
+    return Status(Code::busy,
+                  fmt::format("member {} of scene '{}' is '{}', generation {}", wanted.member, scene, seat.client,
+                              seat.generation),
+                  "another number, or the next generation if that client is known to be gone");
+  if (wanted.generation == 0) wanted.generation = seat.generation + 1;
+  if (wanted.generation <= seat.generation)
+    return Status(Code::busy,
+                  fmt::format("member {} of scene '{}' has had generation {}; {} is not above it", wanted.member, scene,
+                              seat.generation, wanted.generation),
+                  "a member that returns comes with a higher generation");
+  if (seat.connection != nullptr) {
+    const Connection* older = seat.connection;
+    abort_step_because_of(scene, static_cast<std::size_t>(wanted.member),
+                          fmt::format("has returned with generation {}", wanted.generation));
+    seat.former.push_back(older);
+  }
+  seat.connection = connection;
+  seat.client = client;
+  seat.generation = wanted.generation;
+  return wanted;
+}
+
+void MemberGroups::leave(const std::string& scene, const Connection* connection, const std::string& why) {
+  Group* group = find(scene);
+  if (group == nullptr) return;
+  for (std::size_t k = 0; k < group->seats.size(); ++k) {
+    Seat& seat = group->seats[k];
+    std::erase(seat.former, connection);
+    if (seat.connection != connection) continue;
+    abort_step_because_of(scene, k, why);
+    seat.connection = nullptr;
+  }
+  const auto in_use = [](const Seat& seat) { return seat.connection != nullptr || !seat.former.empty(); };
+  if (!coordinator_.snapshot().contains(scene) && std::none_of(group->seats.begin(), group->seats.end(), in_use))
+    groups_.erase(scene);
+}
+
+void MemberGroups::close(const std::string& scene, const Connection* connection) {
+  leave(scene, connection, "has closed the scene");
+  if (Group* group = find(scene); group != nullptr && holders(scene).empty()) group->last.reset();
+}
+
+void MemberGroups::leave_all(const Connection* connection) {
+  std::vector<std::string> scenes;
+  for (const auto& [scene, group] : groups_)
+    if (knows(scene, connection)) scenes.push_back(scene);
+  for (const std::string& scene : scenes) leave(scene, connection, "has lost its connection");
+}
+
+// Aborts the open step of the members, if there is one, and names this member as the cause.
+void MemberGroups::abort_step_because_of(const std::string& scene, std::size_t member, const std::string& why) {
+  const auto push = coordinator_.gate(scene).push;
+  if (push && push->round)
+    abort(push->round, nullptr,
+          {Code::aborted,
+           fmt::format("step {} of scene '{}' was given up: {} {}", push->round->step, scene, name(scene, member), why),
+           "the previous step stands; push again"});
+  coordinator_.erase_gate_if_unused(scene);
+}
+
+std::string MemberGroups::name(const std::string& scene, std::size_t member) const {
+  const Group* group = find(scene);
+  if (group == nullptr) return fmt::format("member {}", member);
+  const Seat& seat = group->seats[member];
+  if (seat.generation == 0) return fmt::format("member {} (has not opened the scene)", member);
+  if (seat.connection == nullptr) return fmt::format("member {} ('{}', gone)", member, seat.client);
+  return fmt::format("member {} ('{}')", member, seat.client);
+}
+
+std::string MemberGroups::missing(const MemberPush& step) const {
+  constexpr std::size_t kNamedMax = 8;
+  std::vector<std::string> names;
+  for (std::size_t k = 0; k < step.contributions.size(); ++k)
+    if (!step.contributions[k] || !step.contributions[k]->ready()) names.push_back(name(step.scene, k));
+  const std::size_t more = names.size() - std::min(names.size(), kNamedMax);
+  names.resize(names.size() - more);
+  return fmt::format("{}{}", fmt::join(names, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
+}
+
+Status MemberGroups::late(const MemberPush& step) const {
+  return {Code::deadline_exceeded,
+          fmt::format("step {} of scene '{}' was given up at its deadline: {} had not pushed it", step.step, step.scene,
+                      missing(step)),
+          "the previous step stands; push again"};
+}
+
+void MemberGroups::scene_changed(const std::string& scene) {
+  const auto& scenes = coordinator_.snapshot();
+  const auto info = scenes.find(scene);
+  Group* group = find(scene);
+  if (group == nullptr) return;
+  if (info == scenes.end() && holders(scene).empty())
+    groups_.erase(scene);
+  else if (info == scenes.end() || !info->second.step)
+    group->last.reset();
+}
+
+}  // namespace rcb::net

@@ -1,0 +1,145 @@
+// MemberGroups: parallel solvers. A scene opened by M members is pushed by all of them together: each contributes the
+// particles it has, and the step is ordered once the last contribution is complete.
+//
+// Invariants
+// 1. A seat belongs to one connection. A member that takes its seat again does so with a higher generation; pushes and
+//    slices from the older connection are refused or dropped from then on.
+// 2. A step of the members ends for all of them at once: it is ordered, or aborted with a message that names the member
+//    at fault.
+// 3. The answers to the last step are kept, so that a member that lost its connection gets its answer when it pushes
+//    that step again; after a crash of the service, from the restarted one (kept_answers.hpp).
+// Everything runs on the I/O thread.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "server/net/control/kept_answers.hpp"
+#include "server/net/push/engine.hpp"
+#include "server/net/push/push.hpp"
+#include "server/net/sockets/asio.hpp"
+#include "server/net/sockets/connection.hpp"
+
+namespace rcb::net {
+
+class Coordinator;
+struct OpenPush;
+
+struct Membership {
+  int member = 0;
+  int members = 1;
+  bool follow = false;
+  std::uint64_t generation = 0;  // 0: one above the seat's last generation
+};
+
+wire::Json membership_json(const Membership& membership);
+// The membership that a scene.open asks for; nothing if it asks for none. Errors: invalid_argument.
+Result<std::optional<Membership>> read_membership(const wire::Json& request);
+
+// A step that members are pushing. An OpenPush without particles stands for it in the scene's gate.
+struct MemberPush {
+  MemberPush(asio::io_context& context, std::string of, std::int64_t number)
+      : scene(std::move(of)), step(number), timer(context) {}
+  std::string scene;
+  std::int64_t step;
+  std::vector<std::shared_ptr<OpenPush>> contributions;  // by member; null: not begun
+  std::weak_ptr<OpenPush> front;                         // the OpenPush in the gate
+  Timer timer;                                           // until the next notice to waiting members
+  TimePoint started = now();
+  TimePoint end = TimePoint::max();
+  bool ordered = false;
+  bool over = false;  // every contribution is answered
+
+  // Whether the contributions come straight to the ranks: all of them do, or none.
+  bool to_ranks() const;
+  // Whether this connection has begun a contribution that isn't complete, so that its slices must come next.
+  bool awaits(const Connection* connection) const;
+  std::string progress() const;  // "2 of 4 members"
+};
+
+// A member's push.begin.
+struct ContributionBegin {
+  PushId id;
+  std::shared_ptr<Connection> connection;
+  std::string client;
+  std::uint64_t request = 0;
+  wire::Json json;
+  TimePoint end;
+  std::shared_ptr<void> held;  // memory of a large request (Coordinator::hold_request)
+};
+
+class MemberGroups {
+ public:
+  explicit MemberGroups(Coordinator& coordinator);
+
+  // Takes a seat. Errors: busy (it is taken), invalid_argument (other terms than those of the other members).
+  Result<Membership> join(const std::string& scene, Membership wanted, const Connection* connection,
+                          const std::string& client);
+  // Frees the connection's seat and aborts a step that isn't ordered yet. why: completes the message, as "has closed
+  // the scene".
+  void leave(const std::string& scene, const Connection* connection, const std::string& why);
+  void leave_all(const Connection* connection);
+  // leave() for a member that has closed the scene. Once all members have, the kept answers are dropped, since nobody
+  // can ask for them.
+  void close(const std::string& scene, const Connection* connection);
+  // Whether the connection holds a seat of the scene, or held one that a later generation has taken.
+  bool knows(const std::string& scene, const Connection* connection) const;
+  // "4 members" if any seat of the scene is taken; else "".
+  std::string holders(const std::string& scene) const;
+
+  // Begins a contribution. The gate must hold no other push, and no change of the scene may be under way. A step that
+  // is committed already is answered again. Errors: what is wrong with the push.begin.
+  Status begin(ContributionBegin begin);
+  // To be called when all slices of a contribution have arrived.
+  void contribution_whole(const std::shared_ptr<OpenPush>& contribution);
+  // contribution: the one at fault; null: none is.
+  void abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why);
+  // The error at a step's deadline: it names the missing members.
+  Status late(const MemberPush& step) const;
+  // To be called after every change of a scene.
+  void forget_answers(const std::string& scene) { kept_.forget(scene); }
+  void forget_all_answers() { kept_.forget_all(); }
+  void scene_changed(const std::string& scene);
+
+ private:
+  struct Seat {
+    std::string client;
+    std::uint64_t generation = 0;            // 0: never taken
+    const Connection* connection = nullptr;  // null: free
+    std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
+  };
+  struct Group {
+    bool follow = false;
+    std::vector<Seat> seats;
+    std::optional<MemberAnswers> last;
+  };
+
+  Group* find(const std::string& scene);
+  const Group* find(const std::string& scene) const;
+  void abort_step_because_of(const std::string& scene, std::size_t member, const std::string& why);
+  std::string name(const std::string& scene, std::size_t member) const;
+  std::string missing(const MemberPush& step) const;
+  // Answers a push.begin of a step that is committed. False: the push isn't of that step.
+  bool answer_again(const MemberAnswers& answers, std::size_t member, const ContributionBegin& begin);
+  Result<PushTerms> read_terms(const ContributionBegin& begin, const api::SceneSummary& info,
+                               const MemberPush* step) const;
+  // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.
+  void withdraw_direct(MemberPush& step, std::size_t because_of);
+  // For the direct path, when all members have begun: the counts of the members must add up to each rank's particles.
+  Status check_counts(const MemberPush& step) const;
+  std::shared_ptr<MemberPush> open_step(const std::string& scene, std::int64_t step, const Group& group);
+  void order(const std::shared_ptr<MemberPush>& step);
+  void answered(const std::shared_ptr<MemberPush>& step, Answer answer);
+  awaitable<void> watch(std::shared_ptr<Coordinator> self, std::shared_ptr<MemberPush> step);
+
+  Coordinator& coordinator_;
+  std::map<std::string, Group> groups_;
+  KeptAnswers kept_;
+};
+
+}  // namespace rcb::net

@@ -1,0 +1,428 @@
+// Session, part 1: hello, the commands that aren't pushes, waiting and answering.
+#include "server/net/control/session.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spdlog/spdlog.h>
+
+#include "server/api/commands.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+namespace {
+
+bool flag(const Json& request, const char* name) {
+  const auto value = wire::bool_field_or(request, name, false);
+  return value.ok() && *value;  // a wrong type is refused by the service
+}
+
+// Whether this is an unforced rebalance that changes the number of parts, on which clients with the scene open rely.
+bool changes_parts(const std::string& command, const Json& request, const api::Snapshot& snapshot,
+                   const std::string& scene) {
+  if (command != "rebalance" || flag(request, "dry_run") || flag(request, "force")) return false;
+  const auto info = snapshot.find(scene);
+  if (info == snapshot.end()) return false;
+  const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, info->second.parts);
+  return parts.ok() && *parts != info->second.parts;
+}
+
+constexpr std::chrono::milliseconds kLookEvery(500);  // how often to check that the waiting client is still there
+
+// A place in a scene's queue, freed by the destructor.
+class Place {
+ public:
+  Place(SceneGate& gate, asio::io_context& context) : gate_(gate), timer_(context) { gate_.queue.push_back(&timer_); }
+  Place(const Place&) = delete;
+  Place& operator=(const Place&) = delete;
+  ~Place() { gate_.queue.erase(std::find(gate_.queue.begin(), gate_.queue.end(), &timer_)); }
+  bool first() const { return gate_.queue.front() == &timer_; }
+  Timer& timer() { return timer_; }
+
+ private:
+  SceneGate& gate_;
+  Timer timer_;
+};
+
+}  // namespace
+
+Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, Entrance entrance)
+    : coordinator_(std::move(coordinator)),
+      connection_(std::make_shared<Connection>(std::move(socket), coordinator_->options().frame_seconds)),
+      entrance_(std::move(entrance)) {}
+
+Session::~Session() = default;
+
+void Session::fail(std::uint64_t request, const Status& why) {
+  connection_->send(FrameType::failure, request, wire::failure_json(why));
+}
+
+awaitable<void> Session::refuse(Status why) {
+  fail(0, why);
+  co_await connection_->end_gently();
+}
+
+awaitable<void> Session::run() {
+  Status end = co_await hello();
+  const bool silent = number_.empty() && end.code() != Code::not_authorised;
+  while (end.ok()) {
+    co_await connection_->flush();
+    Result<Frame> frame = co_await connection_->read_frame(wire::kJsonBytesMax, coordinator_->options().bulk_bytes_max);
+    if (frame.ok())
+      end = co_await serve(std::move(*frame));
+    else
+      end = frame.status();
+  }
+  coordinator_->leave(this);
+  if (end.code() == Code::unavailable) {  // the peer is gone or said goodbye
+    if (!end.message().empty()) spdlog::info("connection of {} lost: {}", client_, end.message());
+    co_await connection_->flush();
+    connection_->close();
+    co_return;
+  }
+  spdlog::log(silent ? spdlog::level::debug : spdlog::level::info, "connection of {} ended: {}: {}", client_,
+              code_name(end.code()), end.message());
+  fail(0, end);
+  co_await connection_->end_gently();
+}
+
+awaitable<Status> Session::hello() {
+  const Result<Hello> hello = co_await entrance_.door->greet(connection_);
+  if (!hello.ok()) co_return hello.status();
+  client_ = hello->client;
+  number_ = hello->session;
+  coordinator_->join(this);
+  if (!place_is_free()) late_.emplace(*entrance_.late, *connection_);
+  const ControlOptions& options = coordinator_->options();
+  Json reply{{"version", options.version},
+             {"ranks", options.ranks},
+             {"instance", coordinator_->instance()},
+             {"limits",
+              {{"json_bytes", wire::kJsonBytesMax},
+               {"bulk_bytes", options.bulk_bytes_max},
+               {"frame_seconds", options.frame_seconds},
+               {"sessions", options.sessions_max}}}};
+  if (const auto& data = coordinator_->data_addresses(entrance_.endpoint); !data.empty()) {
+    reply["data"] = data;
+    const auto is_unix = [](const std::string& address) { return address.starts_with("unix:"); };
+    // Over a Unix socket the client is of the service's user, who may read the token anyway.
+    if (is_unix(entrance_.endpoint) && !std::all_of(data.begin(), data.end(), is_unix))
+      reply["data_token"] = options.token;
+  }
+  Door::let_in(*connection_, *hello, std::move(reply));
+  co_return Status();
+}
+
+bool Session::place_is_free() const {
+  return coordinator_->session_count() <= static_cast<std::size_t>(coordinator_->options().sessions_max);
+}
+
+Status Session::check_allowed(const Request& request) {
+  if (late_ && place_is_free()) late_.reset();
+  if (late_ && request.info->runs_on != api::RunsOn::session)
+    return {Code::busy, fmt::format("{} sessions are open, which is the most", coordinator_->options().sessions_max),
+            "try again later; status, scene.list and shutdown are answered meanwhile"};
+  if (!entrance_.files && request.info->files)
+    return {Code::not_authorised,
+            fmt::format("'{}' uses files of the service, which no client over TCP may", request.command),
+            "push the points instead, or start the service with --files-below DIR"};
+  return {};
+}
+
+awaitable<Status> Session::serve(Frame frame) {
+  if (frame.header.type == FrameType::goodbye) co_return Status(Code::unavailable, "");
+  if (frame.header.type != FrameType::request)
+    co_return Status(Code::protocol_error,
+                     fmt::format("a client doesn't send frames of type {}", static_cast<int>(frame.header.type)));
+  auto command = wire::string_field(frame.json, "command", 64);
+  if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
+  if (frame.header.bulk_bytes > 0) {
+    // The bulk is dropped, since no other command takes arrays; but a frame whose specs contradict its size ends the
+    // session.
+    if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok())
+      co_return specs.status();
+    Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes);
+    if (!status.ok()) co_return status;
+  }
+  const auto deadline = wire::number_field_or(frame.json, "deadline_seconds", 0, wire::kDeadlineSecondsMax,
+                                              wire::kDeadlineSecondsDefault);
+  const api::CommandInfo* info = command.ok() ? api::find_command(*command) : nullptr;
+  if (info == nullptr || !deadline.ok()) {
+    fail(frame.header.request, !command.ok() ? command.status()
+                               : info == nullptr
+                                   ? Status(Code::unsupported, fmt::format("unknown command '{}'", *command),
+                                            "the service may be older than the client: see 'status'")
+                                   : deadline.status());
+    co_return Status();
+  }
+  Request request{frame.header.request,  info,      std::move(*command),
+                  std::move(frame.json), *deadline, now() + duration_of(*deadline)};
+  if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())
+    co_await dispatch(request);
+  else
+    fail(request.number, admitted);
+  co_return Status();
+}
+
+Status Session::admit_size(Request& request, std::size_t bytes) {
+  api::keep_known_fields(request.json, *request.info);
+  if (bytes < wire::kLargeRequest) return {};
+  bytes = wire::dump_json(request.json).size();
+  if (bytes < wire::kLargeRequest) return {};
+  if (!request.info->large)
+    return {Code::too_large, fmt::format("'{}' takes less than {} bytes of JSON, and this has {}", request.command,
+                                         wire::kLargeRequest, bytes)};
+  auto held = coordinator_->hold_request(bytes);
+  if (held.ok()) request.held = std::move(*held);
+  return held.status();
+}
+
+OrderOptions Session::options_of(const Request& request) const {
+  OrderOptions order;
+  order.deadline_seconds = request.deadline_seconds;
+  order.cancelled = request.cancelled;
+  order.held = request.held;
+  return order;
+}
+
+awaitable<void> Session::dispatch(Request& request) {
+  if (const Status allowed = check_allowed(request); !allowed.ok()) {
+    fail(request.number, allowed);
+    co_return;
+  }
+  // Requests that a client sent before it left still come in; those that only read are dropped.
+  if (request.info->reads() && connection_->peer_is_lost()) co_return;
+  if (answer_here(request)) co_return;
+  if (request.command == "shutdown") co_return co_await shut_down(request);
+  if (coordinator_->shutting_down()) {
+    fail(request.number, {Code::unavailable, "the service is shutting down"});
+    co_return;
+  }
+  if (request.command == "push.begin") co_return co_await push_begin(request);
+  if (request.command == "scene.open") co_return co_await open_scene(request);
+  if (api::changes_scene(request.json, *request.info)) co_return co_await scene_change(request);
+  co_await order_and_reply(request, options_of(request));
+}
+
+// Answers commands that need no engine. True if this was one.
+bool Session::answer_here(const Request& request) {
+  if (request.command == "status") {
+    connection_->send(FrameType::reply, request.number, coordinator_->status_json());
+  } else if (request.command == "scene.list") {
+    connection_->send(FrameType::reply, request.number, {{"scenes", coordinator_->scenes_json()}});
+  } else if (request.command == "scene.close") {
+    const auto scene = wire::string_field(request.json, "scene", 256);
+    if (!scene.ok())
+      fail(request.number, scene.status());
+    else if (open_.erase(*scene) == 0)
+      fail(request.number, {Code::not_found, fmt::format("this connection doesn't have scene '{}' open", *scene)});
+    else {
+      coordinator_->groups().close(*scene, connection_.get());
+      connection_->send(FrameType::reply, request.number, Json::object());
+    }
+  } else {
+    return false;
+  }
+  return true;
+}
+
+awaitable<void> Session::shut_down(Request& request) {
+  coordinator_->shut_down("asked by " + client_, [connection = connection_, number = request.number] {
+    connection->send(FrameType::reply, number, Json::object());
+  });
+  co_return;
+}
+
+awaitable<void> Session::scene_change(Request& request) {
+  const auto scene = wire::string_field(request.json, "scene", 256);
+  const Status named = scene.ok() ? wire::check_scene_name(*scene) : scene.status();
+  if (!named.ok()) {
+    fail(request.number, named);
+    co_return;
+  }
+  SceneGate& gate = coordinator_->gate(*scene);
+  const bool drops = request.command == "scene.drop" || flag(request.json, "replace");
+  const bool waits = request.command != "scene.create" || drops;
+  Status turn;
+  const auto own_is_open = [this, &gate] {
+    if (!gate.push) return false;
+    return gate.push->round ? gate.push->round->awaits(connection_.get()) : gate.push->connection == connection_;
+  };
+  if (own_is_open())
+    turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
+  else
+    turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
+  const bool changes = changes_parts(request.command, request.json, coordinator_->snapshot(), *scene);
+  if (turn.ok() && (drops || changes)) {
+    const auto holders = coordinator_->members(*scene, number_);
+    if (!holders.empty())
+      turn = Status(
+          Code::busy, fmt::format("scene '{}' is held open by {}", *scene, fmt::join(holders, ", ")),
+          changes ? "try again when it is closed; with \"force\" (--force) its parts change all the same, and the next "
+                    "step's report tells"
+                  : "try again when it is closed");
+  }
+  if (!turn.ok()) {
+    fail(request.number, turn);
+    coordinator_->gate(*scene).wake();
+    coordinator_->erase_gate_if_unused(*scene);
+    co_return;
+  }
+  OrderOptions order = options_of(request);
+  order.changes = *scene;
+  const bool restores =
+      flag(request.json, "recreated") && !flag(request.json, "replace") && !coordinator_->snapshot().contains(*scene);
+  order.ends_run = request.command == "scene.drop" || (request.command == "scene.create" && !restores);
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
+  coordinator_->gate(*scene).wake();
+  coordinator_->erase_gate_if_unused(*scene);
+  if (!pending.ok()) {
+    fail(request.number, pending.status());
+    co_return;
+  }
+  co_await reply_when_done(request, *pending);
+}
+
+// The scene counts as open as soon as this is ordered, so that a drop which another client orders next is refused.
+awaitable<void> Session::open_scene(Request& request) {
+  const auto scene = wire::string_field(request.json, "scene", 256);
+  if (!scene.ok()) {
+    fail(request.number, scene.status());
+    co_return;
+  }
+  auto membership = read_membership(request.json);
+  if (membership.ok() && *membership && !coordinator_->snapshot().contains(*scene))
+    membership = coordinator_->unknown_scene(*scene);
+  if (membership.ok() && *membership) {
+    auto joined = coordinator_->groups().join(*scene, **membership, connection_.get(), client_);
+    if (joined.ok())
+      request.json["membership"] = membership_json(*joined);
+    else
+      membership = joined.status();
+  }
+  if (!membership.ok()) {
+    fail(request.number, membership.status());
+    co_return;
+  }
+  const bool fresh = open_.insert(*scene).second;
+  Json show = request.json;
+  show["command"] = "scene.show";
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(std::move(show), options_of(request));
+  if (pending.ok()) co_await reply_when_done(request, *pending);
+  if (!pending.ok()) fail(request.number, pending.status());
+  const bool opened = pending.ok() && (*pending)->answer && (*pending)->answer->status.ok();
+  if (fresh && !opened) open_.erase(*scene);
+  if (!opened && *membership) coordinator_->groups().leave(*scene, connection_.get(), "could not open the scene");
+}
+
+awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
+  Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
+  if (!pending.ok()) {
+    fail(request.number, pending.status());
+    co_return;
+  }
+  co_await reply_when_done(request, *pending);
+}
+
+awaitable<void> Session::reply_when_done(Request& request, std::shared_ptr<Pending> pending) {
+  TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  ++answering_;
+  while (!pending->answer && now() < request.end && !connection_->peer_is_lost())
+    co_await nap(pending->signal, request, notice_at, coordinator_->engine_in_words());
+  if (pending->answer) {
+    Answer answer = std::move(*pending->answer);
+    pending->answer.emplace();
+    pending->answer->status = answer.status;
+    reply(request, std::move(answer));
+  } else {
+    if (request.cancelled) coordinator_->cancel(*request.cancelled);
+    fail(request.number,
+         {Code::deadline_exceeded,
+          fmt::format("'{}' wasn't done within {} s; {}", request.command, request.deadline_seconds,
+                      request.info->reads() ? "it is given up" : "it goes on where it has begun to change the scene"),
+          "ask again later, or give it a longer deadline"});
+  }
+  --answering_;
+  if (goodbye_due_) say_goodbye();
+}
+
+void Session::reply(const Request& request, Answer answer) {
+  if (!answer.status.ok()) {
+    Status why = answer.status;
+    const auto scene = wire::string_field(request.json, "scene", 256);
+    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().contains(*scene))
+      why = coordinator_->unknown_scene(*scene);
+    spdlog::info("{} of {}: {}: {}", request.command, client_, code_name(why.code()), why.message());
+    fail(request.number, why);
+    return;
+  }
+  if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create")
+    answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
+  if (request.command == "scene.open" && request.json.contains("membership"))
+    answer.json["membership"] = request.json["membership"];
+  std::shared_ptr<void> held;
+  if (request.info->reads()) {  // the answer to a change is always sent, whatever its size
+    std::uint64_t bytes = 0;
+    for (const wire::Array& array : answer.arrays) bytes += array.bytes.size();
+    auto room = coordinator_->hold_answer(bytes);
+    if (!room.ok()) return fail(request.number, room.status());
+    held = std::move(*room);
+  }
+  const Status sent = connection_->send_message(FrameType::reply, request.number, std::move(answer.json),
+                                                std::move(answer.arrays), std::move(held));
+  if (!sent.ok()) fail(request.number, sent);
+}
+
+awaitable<Status> Session::wait_turn(const Request& request, const std::string& scene, std::function<bool()> ready,
+                                     std::function<bool()> overtake) {
+  SceneGate& gate = coordinator_->gate(scene);
+  if ((gate.queue.empty() && ready()) || overtake()) co_return Status();
+  Place place(gate, coordinator_->context());  // the gate isn't erased while this is in its queue
+  TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  Status status;
+  while (!(place.first() && ready()) && !overtake()) {
+    if (coordinator_->shutting_down())
+      status = Status(Code::unavailable, "the service is shutting down");
+    else if (now() >= request.end)
+      status = Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for its turn at scene '{}'",
+                                                           request.command, request.deadline_seconds, scene));
+    if (!status.ok()) break;
+    co_await nap(place.timer(), request, notice_at, gate.push ? "a push of the scene to end" : "its turn at the scene");
+  }
+  co_return status;
+}
+
+awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what) {
+  timer.expires_at(std::min({request.end, notice_at, now() + kLookEvery}));
+  co_await timer.async_wait(kAwait);
+  // A peer that has closed only its sending side still receives this notice; for any other the send breaks the
+  // connection.
+  if (connection_->peer_has_gone() && !connection_->broken() && !std::exchange(asked_whether_gone_, true))
+    notice_at = now();
+  if (now() < notice_at) co_return;
+  const auto waited =
+      static_cast<std::int64_t>(request.deadline_seconds - std::chrono::duration<double>(request.end - now()).count());
+  connection_->send(FrameType::notice, request.number,
+                    {{"notice", fmt::format("'{}' has waited {} s for {}", request.command, waited, what)}});
+  notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+}
+
+void Session::say_goodbye() {
+  goodbye_due_ = answering_ > 0;
+  if (goodbye_due_) return;
+  connection_->send(FrameType::goodbye, 0, Json::object());
+  asio::co_spawn(
+      coordinator_->context(),
+      [connection = connection_]() -> awaitable<void> {
+        co_await connection->flush();
+        connection->close();
+      },
+      asio::detached);
+}
+
+}  // namespace rcb::net

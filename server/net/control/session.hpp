@@ -1,0 +1,118 @@
+// Session: one client's connection, from welcome to goodbye. Requests are answered in order, one at a time.
+//
+// Invariants
+// 1. Nothing but hello is accepted before hello (Door), and the session takes a place only after it. When all places
+//    are taken, a few more clients are still served what the service's owner needs: status, scene.list, shutdown.
+// 2. A breach of the protocol is answered where possible and ends this connection; no other is affected.
+// 3. Every request has a deadline; a client that waits long is told what it waits for.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "server/api/commands.hpp"
+#include "server/net/control/coordinator.hpp"
+#include "server/net/sockets/hello.hpp"
+
+namespace rcb::net {
+
+// The listener through which a client came.
+struct Entrance {
+  std::string endpoint;  // the name by which clients know it
+  std::shared_ptr<Door> door;
+  std::shared_ptr<Lobby> late;  // for clients that come when all places are taken
+  bool files = false;           // clients may have the service read and write files
+};
+
+class Session : public std::enable_shared_from_this<Session> {
+ public:
+  Session(std::shared_ptr<Coordinator> coordinator, Socket socket, Entrance entrance);
+  ~Session();
+
+  // Serves the client until it leaves.
+  awaitable<void> run();
+  // Refuses the client with `why` and ends the connection.
+  awaitable<void> refuse(Status why);
+
+  const std::shared_ptr<Connection>& connection() const { return connection_; }
+  const std::string& client() const { return client_; }
+  const std::string& number() const { return number_; }
+  bool has_open(const std::string& scene) const { return open_.contains(scene); }
+  const std::set<std::string>& open() const { return open_; }
+  // Sends goodbye after the answer that is under way, then closes.
+  void say_goodbye();
+
+ private:
+  struct Request {
+    std::uint64_t number = 0;
+    const api::CommandInfo* info = nullptr;
+    std::string command;
+    wire::Json json;
+    double deadline_seconds = 0;
+    TimePoint end;
+    std::shared_ptr<void> held = nullptr;  // memory of a large request (Coordinator::hold_request)
+    // Set when the client no longer waits, so that a long command may end early.
+    std::shared_ptr<std::atomic<bool>> cancelled = std::make_shared<std::atomic<bool>>(false);
+  };
+
+  awaitable<Status> hello();
+  // Whether a place is free for this session, which has already joined.
+  bool place_is_free() const;
+  // Ok if this client may give this command; else why not.
+  Status check_allowed(const Request& request);
+  // Drops the fields that the command doesn't have; reserves memory for the rest if it is large. Errors: too_large,
+  // busy.
+  Status admit_size(Request& request, std::size_t bytes);
+  OrderOptions options_of(const Request& request) const;
+  // An error ends the session.
+  awaitable<Status> serve(Frame frame);
+  awaitable<void> dispatch(Request& request);
+  bool answer_here(const Request& request);
+  awaitable<void> scene_change(Request& request);
+  awaitable<void> open_scene(Request& request);
+  awaitable<void> shut_down(Request& request);
+  awaitable<void> order_and_reply(Request& request, OrderOptions order);
+  awaitable<void> reply_when_done(Request& request, std::shared_ptr<Pending> pending);
+  void reply(const Request& request, Answer answer);
+
+  awaitable<void> push_begin(Request& request);
+  // Handles the push.begin of a connection that has opened the scene as a member.
+  awaitable<void> begin_contribution(Request& request, const PushId& id);
+  // Opens the direct path of the push. A step that is committed already is ordered at once: only the service knows its
+  // answer.
+  awaitable<void> begin_directly(std::shared_ptr<OpenPush> push);
+  Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
+  Status push_conflict(const SceneGate& gate, const PushId& id);
+  awaitable<Status> push_slice(Frame frame);
+  // Reads the bulk of a slice into its arrays. If the push is aborted meanwhile, the rest is read and dropped.
+  awaitable<Status> receive(const Frame& frame, const std::shared_ptr<OpenPush>& push, Slice& slice);
+  awaitable<void> order_push(std::shared_ptr<OpenPush> push);
+
+  // Waits until this request is first in the scene's queue and `ready` holds, or until `overtake` holds, whoever is
+  // first. Errors: deadline_exceeded, unavailable.
+  awaitable<Status> wait_turn(
+      const Request& request, const std::string& scene, std::function<bool()> ready,
+      std::function<bool()> overtake = [] { return false; });
+  // Sleeps until the timer is cancelled, the request's deadline, or the next notice, which it then sends.
+  awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what);
+
+  void fail(std::uint64_t request, const Status& why);
+
+  std::shared_ptr<Coordinator> coordinator_;
+  std::shared_ptr<Connection> connection_;
+  Entrance entrance_;
+  std::optional<Lobby::Place> late_;  // set while it is served although all places were taken when it came
+  std::string client_ = "a client that hasn't said hello";
+  std::string number_;  // session id, 16 hex digits
+  std::set<std::string> open_;
+  bool asked_whether_gone_ = false;  // a notice was sent to find out whether the peer still reads
+  int answering_ = 0;                // orders of this session that aren't answered
+  bool goodbye_due_ = false;         // goodbye waits for the answer under way
+};
+
+}  // namespace rcb::net

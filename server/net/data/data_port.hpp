@@ -1,0 +1,78 @@
+// Room `data`: how a rank receives its slices from clients.
+//
+// DataPort: one rank's own listeners. Over these, clients that push on the direct path send the rank its slices, which
+// are read straight into the memory that the engine takes over; and clients on this host hand over memory that they
+// share with the rank, from which later pushes are read.
+//
+// Invariants
+// 1. A slice is received only for a push that the coordinator has opened, from one connection, in order of its slots.
+//    Slices of another, unknown or ended push are read and dropped; a slice that comes before its push is opened stays
+//    unread for at most `unknown_seconds`.
+// 2. Memory is reserved when a push is opened, of the size that the coordinator has admitted; the kernel provides pages
+//    as bytes arrive.
+// 3. An opened push ends with one report: the slice is complete, or why it won't be. Reports before that say how many
+//    bytes have come.
+// 4. Memory that a client shares is kept as long as the connection that brought it, and as long as an order reads it.
+// Everything but recycle() runs on the I/O thread.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/base/status.hpp"
+#include "common/files/shared_memory.hpp"
+#include "common/wire/limits.hpp"
+#include "server/net/push/data_plane.hpp"
+#include "server/net/sockets/io_loop.hpp"
+
+namespace rcb::net {
+
+struct DataOptions {
+  int rank = 0;
+  std::string token;  // clients over TCP prove that they know it
+  std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
+  double hello_seconds = wire::kHelloSecondsMax;
+  double frame_seconds = wire::kFrameSecondsMax;
+  double unknown_seconds = wire::kDeadlineSecondsDefault;  // how long a slice waits for its push to be opened
+  int connections_max = wire::kSessionsMax;
+};
+
+class DataPort {
+ public:
+  using Report = std::function<void(const SliceReport& report)>;
+
+  DataPort(IoLoop& loop, DataOptions options);
+  ~DataPort();  // the loop must have stopped
+
+  // Before the loop starts. Errors: those of listen_unix and listen_tcp.
+  Status listen_unix(const std::string& path);
+  // Returns the address that was bound. May listen on the interface of any endpoint, since the service's owner has
+  // chosen that endpoint.
+  Result<std::string> listen_tcp(const std::string& where);
+  void start(Report report);
+  // Closes listeners and connections and removes the socket.
+  void finish();
+
+  void open(PushTicket ticket);
+  void drop(const PushId& id);
+  // To be called every kTickSeconds: reports how many bytes of incomplete slices have come.
+  void tick();
+  // The slice of the order's push; empty if there is none.
+  std::vector<Slice> take(std::uint64_t number);
+  // The memory that a session shares under this number; null if there is none.
+  std::shared_ptr<const SharedMemory> memory(const std::string& session, std::int64_t number) const;
+  int rank() const;
+
+  // Any thread. Keeps `buffers` for the scene's next slice and frees those kept so far; if empty, it only frees.
+  void recycle(const std::string& scene, std::vector<Buffer<std::byte>> buffers);
+
+ private:
+  struct State;
+  std::shared_ptr<State> state_;
+};
+
+}  // namespace rcb::net

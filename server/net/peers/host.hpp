@@ -1,0 +1,34 @@
+// Which ranks are on which machine, and the addresses by which machines reach each other.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+
+namespace rcb::net {
+
+// The machine of a process, as far as its sockets reach: containers may share a name, and namespaces a boot.
+struct Host {
+  std::string name;
+  std::string key;  // the same for two processes if and only if each reaches the other's Unix sockets
+
+  static Host here();
+};
+
+// Where a rank runs.
+struct RankHost {
+  std::string host;
+  std::int64_t pid = 0;
+};
+
+// The addresses of this machine at which others may reach it, without ports: none of the loopback interface, IPv4
+// first. `interface` is the name of one (eth0), an address, or a network (10.0.0.0/8); empty: all. Errors:
+// invalid_argument (none is left), io_error.
+Result<std::vector<std::string>> addresses_on(const std::string& interface);
+
+// "10.0.0.1:7470", "[fe80::1]:7470".
+std::string with_port(const std::string& address, unsigned port);
+
+}  // namespace rcb::net

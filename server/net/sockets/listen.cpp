@@ -1,0 +1,177 @@
+#include "server/net/sockets/listen.hpp"
+
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <utility>
+
+#include <fmt/format.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/files/paths.hpp"
+#include "common/files/socket_file.hpp"
+
+namespace rcb::net {
+namespace {
+
+// Removes a socket on which nobody listens. Errors: busy, io_error.
+Status remove_stale(const std::string& path) {
+  switch (socket_state(path)) {
+    case SocketState::absent:
+      return {};
+    case SocketState::live:
+      return {Code::busy, fmt::format("a service already answers at unix:{}", path),
+              "stop it ('rcbctl down'), or give this one another endpoint"};
+    case SocketState::foreign:
+      return {Code::io_error, fmt::format("{} is there and is no socket of this user", path),
+              "give the service another endpoint"};
+    case SocketState::dead:
+      break;
+  }
+  if (::unlink(path.c_str()) == 0 || errno == ENOENT) return {};
+  return {Code::io_error, fmt::format("can't remove the stale socket {}: {}", path, std::strerror(errno))};
+}
+
+struct HostPort {
+  std::string host;
+  std::string port;
+};
+
+Result<HostPort> split(const std::string& where) {
+  const std::size_t colon = where.rfind(':');
+  HostPort parts{where.substr(0, colon), colon == std::string::npos ? "" : where.substr(colon + 1)};
+  if (parts.host.size() > 2 && parts.host.front() == '[' && parts.host.back() == ']')
+    parts.host = parts.host.substr(1, parts.host.size() - 2);
+  unsigned port = 65536;
+  const char* end = parts.port.data() + parts.port.size();
+  const auto [stop, fault] = std::from_chars(parts.port.data(), end, port);
+  if (fault != std::errc() || stop != end || port > 65535 || parts.host.empty())
+    return Status(Code::invalid_argument, fmt::format("'{}' is not HOST:PORT", where), "for example 127.0.0.1:7470");
+  return parts;
+}
+
+}  // namespace
+
+Result<UnixListener> listen_unix(asio::io_context& context, const std::string& path) {
+  if (path.empty() || path.size() > kSocketPathMax)
+    return Status(
+        Code::invalid_argument,
+        fmt::format("the socket path has {} bytes, 1 to {} are possible: {}", path.size(), kSocketPathMax, path),
+        "give the service an endpoint with a shorter path");
+  if (Status status = remove_stale(path); !status.ok()) return status;
+  UnixAcceptor acceptor(context);
+  error_code error;
+  acceptor.open({}, error);
+  const mode_t mask = ::umask(0177);
+  if (!error) acceptor.bind({path}, error);
+  ::umask(mask);
+  if (error)
+    return Status(Code::io_error, fmt::format("can't listen on unix:{}: {}", path, error.message()),
+                  "make the socket's directory, or give the service another endpoint");
+  SocketName name(path);
+  acceptor.listen(asio::socket_base::max_listen_connections, error);
+  if (error) return Status(Code::io_error, fmt::format("can't listen on unix:{}: {}", path, error.message()));
+  return UnixListener{std::move(acceptor), std::move(name)};
+}
+
+Status LastingListener::listen(asio::io_context& context, const std::string& path) {
+  Result<UnixListener> listener = listen_unix(context, path);
+  if (!listener.ok()) return listener.status();
+  context_ = &context;
+  path_ = path;
+  listeners_.push_back(std::move(*listener));
+  return {};
+}
+
+void LastingListener::start(std::function<void(UnixAcceptor&)> accept) {
+  accept_ = std::move(accept);
+  if (!listeners_.empty()) accept_(listeners_.back().acceptor);
+}
+
+void LastingListener::look() {
+  if (!accept_ || listeners_.empty() || !listeners_.back().acceptor.is_open() || listeners_.back().name.in_place())
+    return;
+  Result<UnixListener> again = listen_unix(*context_, path_);
+  if (!again.ok()) {
+    if (std::exchange(complaint_, again.status().message()) != complaint_)
+      spdlog::error("the socket {} was removed and can't be made again: {}", path_, complaint_);
+    return;
+  }
+  spdlog::warn("the socket {} was removed; it is made again", path_);
+  complaint_.clear();
+  close();
+  listeners_.push_back(std::move(*again));
+  accept_(listeners_.back().acceptor);
+}
+
+void LastingListener::close() {
+  if (listeners_.empty()) return;
+  error_code ignored;
+  listeners_.back().name.remove();
+  listeners_.back().acceptor.close(ignored);
+}
+
+Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name) {
+  UnixAcceptor acceptor(context);
+  error_code error;
+  acceptor.open({}, error);
+  if (!error) acceptor.bind({nameless_address(name)}, error);
+  if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
+  if (error) return Status(Code::io_error, fmt::format("can't listen at {}: {}", name, error.message()));
+  return acceptor;
+}
+
+std::string nameless_address(const std::string& name) { return std::string(1, '\0') + name; }
+
+Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network) {
+  Result<HostPort> parts = split(where);
+  if (!parts.ok()) return parts.status();
+  error_code error;
+  asio::ip::tcp::resolver resolver(context);
+  const auto found = resolver.resolve(parts->host, parts->port, asio::ip::tcp::resolver::passive, error);
+  if (error || found.empty())
+    return Status(Code::invalid_argument, fmt::format("--listen {}: no such host: {}", where, error.message()));
+  const asio::ip::tcp::endpoint endpoint = found.begin()->endpoint();
+  if (network == Network::loopback && !endpoint.address().is_loopback())
+    return Status(
+        Code::invalid_argument,
+        fmt::format("--listen {}: other machines reach {}, and everything travels unencrypted: who is on that "
+                    "network can read and alter positions and commands",
+                    where, endpoint.address().to_string()),
+        "listen on 127.0.0.1 and reach it through a tunnel (ssh -L 7470:127.0.0.1:7470 HOST), or say with "
+        "--trusted-network that nobody on the network is to be feared");
+  TcpAcceptor acceptor(context);
+  acceptor.open(endpoint.protocol(), error);
+  if (!error) acceptor.set_option(asio::socket_base::reuse_address(true), error);
+  if (!error && endpoint.address().is_unspecified() && endpoint.address().is_v6())
+    acceptor.set_option(asio::ip::v6_only(false), error);  // IPv4 too, whatever the system's default is
+  if (!error) acceptor.bind(endpoint, error);
+  if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
+  if (error == asio::error::address_in_use)
+    return Status(Code::busy, fmt::format("{} is in use by another program", where), "name another with --listen");
+  if (error) return Status(Code::io_error, fmt::format("can't listen on {}: {}", where, error.message()));
+  return acceptor;
+}
+
+std::string bound_address(const TcpAcceptor& acceptor) {
+  error_code error;
+  const asio::ip::tcp::endpoint endpoint = acceptor.local_endpoint(error);
+  if (error) return "";
+  const std::string host = endpoint.address().to_string();
+  return endpoint.address().is_v6() ? fmt::format("[{}]:{}", host, endpoint.port())
+                                    : fmt::format("{}:{}", host, endpoint.port());
+}
+
+Status check_peer_user(int socket) {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  if (::getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0)
+    return {Code::not_authorised, fmt::format("can't tell who connects: {}", std::strerror(errno))};
+  if (peer.uid == ::geteuid() || peer.uid == 0) return {};
+  return {Code::not_authorised, fmt::format("user {} is not the service's user ({})", peer.uid, ::geteuid()),
+          "ask the service's owner, or start your own service"};
+}
+
+}  // namespace rcb::net

@@ -1,0 +1,73 @@
+#include "server/service/commands/cuts_json.hpp"
+
+#include <cmath>
+
+namespace rcb::service {
+namespace {
+
+using partition::Cut;
+using partition::CutTree;
+using partition::NodeRange;
+
+wire::Json child_json(const NodeRange& child) {
+  if (child.leaf()) return {{"part", child.first}};
+  return {{"node", child.node}};
+}
+
+wire::Json ties_json(const Cut& cut, int dims) {
+  wire::Json axes = wire::Json::array();
+  wire::Json at = wire::Json::array();
+  for (std::size_t i = 1; i < static_cast<std::size_t>(dims); ++i) {
+    axes.push_back(cut.axes[i]);
+    at.push_back(cut.key.at[i]);
+  }
+  return {{"axes", std::move(axes)}, {"at", std::move(at)}, {"id", cut.key.id}};
+}
+
+wire::Json cut_json(const CutTree& tree, const NodeRange& range) {
+  const Cut& cut = tree.cuts[static_cast<std::size_t>(range.node)];
+  return {{"node", range.node},
+          {"axis", cut.axes[0]},
+          {"at", cut.right_empty ? wire::Json(nullptr) : wire::Json(cut.key.at[0])},
+          {"ties", cut.right_empty ? wire::Json(nullptr) : ties_json(cut, tree.dims)},
+          {"left", child_json(range.left())},
+          {"right", child_json(range.right())}};
+}
+
+// Appends the cuts of the nodes [first, last). The subtree of node v with k parts has the nodes v to v + k - 2.
+void append_cuts(const CutTree& tree, const NodeRange& range, int first, int last, wire::Json& out) {
+  if (range.leaf() || range.node >= last || range.node + range.parts() - 1 <= first) return;
+  if (range.node >= first) out.push_back(cut_json(tree, range));
+  append_cuts(tree, range.left(), first, last, out);
+  append_cuts(tree, range.right(), first, last, out);
+}
+
+wire::Json bound_json(double bound) { return std::isfinite(bound) ? wire::Json(bound) : wire::Json(nullptr); }
+
+}  // namespace
+
+wire::Json cuts_json(const CutTree& tree, int first, int last) {
+  wire::Json cuts = wire::Json::array();
+  append_cuts(tree, tree.root(), first, last, cuts);
+  return cuts;
+}
+
+wire::Json regions_json(const CutTree& tree, int first, int last) {
+  wire::Json regions = wire::Json::array();
+  for (int part = first; part < last; ++part) {
+    const geometry::Box box = tree.region(part);
+    const bool empty = box.empty(tree.dims);
+    wire::Json lo = wire::Json::array();
+    wire::Json hi = wire::Json::array();
+    for (std::size_t a = 0; a < static_cast<std::size_t>(tree.dims); ++a) {
+      lo.push_back(empty ? wire::Json(nullptr) : bound_json(box.lo[a]));
+      hi.push_back(empty ? wire::Json(nullptr) : bound_json(box.hi[a]));
+    }
+    wire::Json region{{"part", part}, {"lo", std::move(lo)}, {"hi", std::move(hi)}};
+    if (empty) region["empty"] = true;
+    regions.push_back(std::move(region));
+  }
+  return regions;
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,305 @@
+// Commands by which the ranks read and write files in parallel, as in the paper: every rank loads its own points and
+// writes its own output.
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <cstring>
+#include <filesystem>
+#include <functional>
+#include <future>
+#include <limits>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "common/base/text.hpp"
+#include "common/io/files/output_file.hpp"
+#include "common/io/files/roots.hpp"
+#include "common/io/points.hpp"
+#include "common/layout/layout.hpp"
+#include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
+#include "server/service/context/collective.hpp"
+#include "server/service/step/step.hpp"
+
+namespace rcb::service {
+namespace {
+
+constexpr std::size_t kPrefixBytesMax = 64;
+constexpr std::size_t kListedBytesMax = 1U << 20U;  // of all paths listed in an answer
+
+struct LoadRequest {
+  std::string path;
+  io::ReadOptions options;
+  std::int64_t step = 0;
+};
+
+// A path on the ranks' machine; absolute, since clients don't know the service's working directory.
+Result<std::string> absolute_path_field(const wire::Json& request, const char* name) {
+  auto path = wire::string_field(request, name);
+  if (path.ok() && !std::filesystem::path(*path).is_absolute())
+    return Status(Code::invalid_argument, fmt::format("field '{}': \"{}\" is not an absolute path", name, *path),
+                  "the service doesn't work in your directory");
+  return path;
+}
+
+Result<LoadRequest> read_load(const wire::Json& request) {
+  LoadRequest load;
+  const auto path = absolute_path_field(request, "path");
+  if (!path.ok()) return path.status();
+  load.path = path.value();
+  wire::FieldReader fields(request);
+  load.options.dims = static_cast<int>(fields.integer_or("dims", 1, 3, 0));
+  if (fields.has("weights")) load.options.weights = fields.text("weights");
+  load.step = fields.integer_or("step", 0, wire::kStepMax, 0);
+  if (!fields.ok()) return fields.status();
+  return load;
+}
+
+// What the slices of all ranks, which must form one set, have in common; made by join_slices() (collective).
+struct SliceTotals {
+  std::uint64_t total = 0;
+  std::uint64_t first_row = 0;  // of this rank's slice
+  bool ids = false;
+  bool weights = false;
+  int dims = 0;
+  bool one_file = true;  // all ranks have read the same file in the same state
+};
+
+SliceTotals join_slices(comm::Comm& comm, const io::Points& points) {
+  struct Slice {
+    std::uint64_t count;
+    std::uint64_t ids;
+    std::uint64_t weights;
+    std::uint64_t dims;
+    std::array<std::uint64_t, 3> file;
+  };
+  const Slice mine{points.count,
+                   points.id.empty() ? 0U : 1U,
+                   points.weight.empty() ? 0U : 1U,
+                   points.count == 0 ? 0U : static_cast<std::uint64_t>(points.dims),
+                   {points.file.inode, points.file.size, static_cast<std::uint64_t>(points.file.changed_nanoseconds)}};
+  const auto all = comm::all_gather_values<Slice>(comm, std::span(&mine, 1)).values;
+  SliceTotals slices;
+  for (std::size_t r = 0; r < all.size(); ++r) {
+    const Slice& theirs = all[r];
+    if (r < static_cast<std::size_t>(comm.rank())) slices.first_row += theirs.count;
+    slices.total += theirs.count;
+    slices.ids = slices.ids || theirs.ids != 0;
+    slices.weights = slices.weights || theirs.weights != 0;
+    slices.dims = std::max(slices.dims, static_cast<int>(theirs.dims));
+    slices.one_file = slices.one_file && theirs.file == all[0].file;
+  }
+  return slices;
+}
+
+// The points as a rank's particles; each array is freed once it is copied. Errors: too_large.
+Result<particles::ParticleSet> particles_of(io::Points points, const SliceTotals& slices, int dims) {
+  particles::ParticleSet set;
+  set.dims = dims;
+  set.has_weights = slices.weights;
+  bool fits = set.id.try_reserve(points.count);
+  const auto take = [&fits](auto& to, auto& from) {
+    fits = fits && to.try_reserve(from.size());
+    if (fits) to.assign(from);
+    from = {};
+  };
+  for (std::size_t a = 0; a < points.position.size() && a < static_cast<std::size_t>(dims); ++a)
+    take(set.position[a], points.position[a]);
+  if (slices.weights) take(set.weight, points.weight);
+  if (slices.ids) take(set.id, points.id);
+  if (!fits)
+    return Status(Code::too_large, fmt::format("no memory for {} particles", points.count),
+                  "give the file to more ranks or a larger machine");
+  if (!slices.ids) {
+    set.id.resize(points.count);
+    std::iota(set.id.begin(), set.id.end(), static_cast<particles::Id>(slices.first_row));
+  }
+  return set;
+}
+
+bool ids_are_rows(comm::Comm& comm, const particles::ParticleSet& set, std::uint64_t first_row) {
+  bool rows = true;
+  for (std::size_t i = 0; i < set.count() && rows; ++i) rows = set.id[i] == static_cast<particles::Id>(first_row + i);
+  return comm::agree(comm, rows);
+}
+
+// Reads this rank's slice on a thread of its own, while the ranks give way to orders of other scenes. Collective.
+// Errors: those of check_time(), else the same on all ranks.
+Result<io::Points> read_slice(Context& context, LoadRequest& load) {
+  constexpr std::chrono::milliseconds kBetweenLooks(20);
+  comm::Comm& comm = context.comm;
+  std::atomic<bool> stop = false;
+  load.options.stop = &stop;
+  auto reading = std::async(std::launch::async, [&load, rank = comm.rank(), ranks = comm.size()] {
+    return io::read_points_slice(load.path, load.options, rank, ranks);
+  });
+  Status given_up;
+  for (std::uint64_t read = 0; read == 0;) {
+    read = reading.wait_for(kBetweenLooks) == std::future_status::ready ? 1 : 0;
+    comm.all_min({&read, 1});
+    if (read != 0) break;
+    const Status time = context.check_time();
+    if (time.ok() || stop) continue;
+    given_up = time;
+    stop = true;
+  }
+  auto points = reading.get();
+  if (!given_up.ok()) return given_up;
+  if (Status status = agree_status(comm, points.status()); !status.ok()) return status;
+  return points;
+}
+
+Response load(Context& context, Scene& scene, const wire::Json& request) {
+  auto load = read_load(request);
+  if (!load.ok()) return failed(load.status());
+  if (scene.pushed)
+    return failed({Code::invalid_argument, fmt::format("scene '{}' has positions already", scene.name),
+                   "load is for a scene's first positions; push the file instead"});
+  if (load->options.dims == 0) load->options.dims = scene.options.dims;
+  load->options.below = &context.roots;
+  load->options.bytes_max = context.bulk_bytes_max;
+  const double start = context.clock.seconds();
+  comm::Comm& comm = context.comm;
+  auto points = read_slice(context, *load);
+  if (!points.ok()) return failed(points.status());
+  const SliceTotals slices = join_slices(comm, points.value());
+  if (!slices.one_file)
+    return failed({Code::io_error,
+                   fmt::format("{}: was changed while it was read, or isn't the same for all ranks", load->path),
+                   "wait until it is written, then try again"});
+  if (slices.total > 0 && slices.dims != scene.options.dims)
+    return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
+                                                       slices.dims, scene.name, scene.options.dims)});
+  Staged staged;
+  staged.n = slices.total;
+  auto particles = particles_of(std::move(points).value(), slices, scene.options.dims);
+  if (Status status = agree_status(comm, particles.status()); !status.ok()) return failed(std::move(status));
+  staged.arrays = std::move(particles).value();
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  if (Status status = check_values(comm, staged.arrays.view(), true, slices.first_row); !status.ok())
+    return failed(std::move(status));
+  if (slices.ids) {
+    if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
+      return failed({Code::invalid_argument, fmt::format("{}: id {} occurs more than once", load->path, *twin),
+                     "ids must be distinct"});
+    staged.ids = !ids_are_rows(comm, staged.arrays, slices.first_row);
+  }
+  // Last look at the deadline: from here on the command runs to its end, since the commit can't be stopped halfway.
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  staged.seconds = context.clock.seconds() - start;
+  PushRequest push;
+  push.id.session = "load";
+  push.id.step = load->step;
+  push.n = staged.n;
+  push.way = api::Way::file;
+  const StepReport report = commit(context, scene, staged, push, nullptr);
+  return done({{"report", to_json(report)},
+               {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+}
+
+// This rank's slots, part after part.
+struct ByPart {
+  std::vector<std::uint64_t> start;  // index in `slot` where each of this rank's parts begins, and the end
+  std::vector<std::uint64_t> slot;
+};
+
+ByPart slots_by_part(const Scene& scene, std::int64_t first, std::int64_t last) {
+  ByPart by;
+  by.start.assign(static_cast<std::size_t>(last - first) + 1, 0);
+  for (const std::int32_t part : scene.part) ++by.start[static_cast<std::size_t>(part - first) + 1];
+  std::partial_sum(by.start.begin(), by.start.end(), by.start.begin());
+  by.slot.resize(scene.part.size());
+  std::vector<std::uint64_t> next(by.start.begin(), by.start.end() - 1);
+  for (std::size_t i = 0; i < scene.part.size(); ++i)
+    by.slot[next[static_cast<std::size_t>(scene.part[i] - first)]++] = i;
+  return by;
+}
+
+// Writes the particles in these slots as CSV.
+Status write_part(const Scene& scene, std::span<const std::uint64_t> slots, const io::Folder& folder,
+                  const std::string& name) {
+  auto file = io::OutputFile::create_in(folder, name);
+  if (!file.ok()) return file.status();
+  particles::ParticleSet chosen;
+  chosen.dims = scene.options.dims;
+  chosen.has_weights = scene.particles.has_weights;
+  for (const std::uint64_t i : slots) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(chosen.dims); ++a)
+      chosen.position[a].push_back(scene.particles.position[a][i]);
+    chosen.id.push_back(scene.particles.id[i]);
+    if (chosen.has_weights) chosen.weight.push_back(scene.particles.weight[i]);
+  }
+  const auto view = chosen.view();
+  std::optional<std::span<const double>> weight;
+  if (chosen.has_weights) weight = chosen.weight.span();
+  return io::write_csv(std::move(*file), chosen.dims,
+                       std::span(view.position.data(), static_cast<std::size_t>(chosen.dims)), view.count,
+                       chosen.id.span(), weight);
+}
+
+// The beginning of the files' names: without a slash, and without control characters, which could drive a terminal.
+Result<std::string> read_prefix(const wire::Json& request) {
+  if (!request.contains("prefix") || request["prefix"].is_null()) return std::string("part");
+  const auto prefix = wire::string_field(request, "prefix", kPrefixBytesMax);
+  if (!prefix.ok()) return prefix.status();
+  if (prefix->empty() || *prefix == "." || *prefix == ".." || prefix->find('/') != std::string::npos ||
+      has_controls(*prefix))
+    return Status(Code::invalid_argument,
+                  fmt::format("field 'prefix': \"{}\" can't begin the name of a file", escape_controls(*prefix)),
+                  fmt::format("give 1 to {} bytes without slash and control characters", kPrefixBytesMax));
+  return prefix;
+}
+
+// Each rank writes the files of its parts; after every kBetween parts all ranks check the time. Collective.
+Status write_own_parts(Context& context, const Scene& scene, const io::Folder& folder,
+                       const std::function<std::string(std::int64_t)>& name_of) {
+  constexpr std::int64_t kBetween = 16;
+  const int ranks = context.comm.size();
+  const std::int64_t begin = layout::part_begin(context.comm.rank(), scene.options.parts, ranks);
+  const std::int64_t end = layout::part_begin(context.comm.rank() + 1, scene.options.parts, ranks);
+  const std::int64_t most = (scene.options.parts + ranks - 1) / ranks;  // most parts of any rank
+  const ByPart by = slots_by_part(scene, begin, end);
+  Status written;
+  for (std::int64_t k = 0; k < most; ++k) {
+    if (k % kBetween == 0)
+      if (Status status = context.check_time(); !status.ok()) return status;
+    if (begin + k >= end || !written.ok()) continue;
+    const auto at = static_cast<std::size_t>(k);
+    written = write_part(scene, std::span(by.slot).subspan(by.start[at], by.start[at + 1] - by.start[at]), folder,
+                         name_of(begin + k));
+  }
+  return agree_status(context.comm, written);
+}
+
+Response write_parts(Context& context, Scene& scene, const wire::Json& request) {
+  const auto directory = absolute_path_field(request, "directory");
+  if (!directory.ok()) return failed(directory.status());
+  const auto prefix = read_prefix(request);
+  if (!prefix.ok()) return failed(prefix.status());
+
+  const int parts = scene.options.parts;
+  const auto name_of = [&](std::int64_t part) {
+    return fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size());
+  };
+  const auto folder = context.roots.make_folder(*directory);
+  Status made = agree_status(context.comm, folder.status());
+  if (made.ok()) made = write_own_parts(context, scene, *folder, name_of);
+  if (!made.ok()) return failed(std::move(made));
+  if (!context.root()) return {};
+  const auto path_of = [&](std::int64_t part) { return (std::filesystem::path(*directory) / name_of(part)).string(); };
+  const bool listed = static_cast<std::size_t>(parts) * path_of(0).size() <= kListedBytesMax;
+  wire::Json files = listed ? wire::Json::array() : wire::Json(nullptr);
+  for (int p = 0; p < parts && listed; ++p) files.push_back(path_of(p));
+  return done({{"files", std::move(files)}, {"first", path_of(0)}, {"last", path_of(parts - 1)}});
+}
+
+constexpr Command kFileCommands[] = {{"load", load, Needs::scene},
+                                     {"write_parts", write_parts, Needs::positions, true}};
+
+}  // namespace
+
+std::span<const Command> file_commands() { return kFileCommands; }
+
+}  // namespace rcb::service

@@ -1,0 +1,68 @@
+// Room `commands`: one file for each family of commands, with a table of handlers that service.cpp joins. A handler
+// reads its request, calls the rooms below, and fills in the answer.
+//
+// This header: lists whose length grows with the number of parts. Up to wire::kListedMax entries are in the answer's
+// JSON. A longer list is an array of the frame, and its field in the JSON is null. So the JSON of every answer is
+// bounded, and a client that doesn't know this rule sees no list instead of a part of it.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <cstring>
+#include <span>
+#include <string>
+#include <type_traits>
+
+#include "common/wire/limits.hpp"
+#include "server/service/context/context.hpp"
+
+namespace rcb::service {
+
+template <typename T>
+constexpr const char* dtype_of() {
+  if constexpr (std::is_same_v<T, double>) return "<f8";
+  if constexpr (std::is_same_v<T, std::uint64_t>) return "<u8";
+  static_assert(sizeof(T) == 4 || sizeof(T) == 8);
+  return sizeof(T) == 8 ? "<i8" : "<i4";
+}
+
+// Infinity and NaN as number_json() writes them.
+inline wire::Json list_json(std::span<const double> values) {
+  wire::Json list = wire::Json::array();
+  for (const double value : values) list.push_back(wire::number_json(value));
+  return list;
+}
+template <typename T>
+wire::Json list_json(std::span<const T> values) {
+  return wire::Json(std::vector<T>(values.begin(), values.end()));
+}
+
+// Puts a list into `json`, which is the answer's or an object within it. Long lists of the same name are appended to
+// one array.
+template <typename T>
+void put_list(Response& response, wire::Json& json, const char* name, std::span<const T> values) {
+  if (values.size() <= wire::kListedMax) {
+    json[name] = list_json(values);
+    return;
+  }
+  json[name] = nullptr;
+  const auto found = std::find_if(response.arrays.begin(), response.arrays.end(),
+                                  [name](const wire::Array& array) { return array.name == name; });
+  if (found == response.arrays.end()) {
+    response.arrays.push_back(make_array<T>(name, dtype_of<T>(), values));
+    return;
+  }
+  const std::size_t before = found->bytes.size();
+  found->bytes.resize(before + values.size_bytes());
+  std::memcpy(found->bytes.data() + before, values.data(), values.size_bytes());
+  found->shape[0] += values.size();
+}
+
+// Puts the scene's "counts", "targets" and, with weights, "loads".
+inline void put_loads(Response& response, const Scene& scene) {
+  put_list<std::uint64_t>(response, response.json, "counts", scene.loads.counts);
+  put_list<double>(response, response.json, "targets", scene.loads.targets);
+  if (scene.particles.has_weights) put_list<double>(response, response.json, "loads", scene.loads.load_values);
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,86 @@
+// The push: all ranks prepare it, then all commit it or all give it up.
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <malloc.h>
+
+#include "common/layout/layout.hpp"
+#include "server/service/step/step.hpp"
+
+namespace rcb::service {
+namespace {
+
+wire::Json plan_json(const Scene& scene) {
+  return {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}};
+}
+
+auto find_step(const Scene& scene, std::int64_t step) {
+  return std::lower_bound(scene.recent_steps.begin(), scene.recent_steps.end(), step,
+                          [](const RememberedStep& one, std::int64_t number) { return one.step < number; });
+}
+
+// True if this session's step has been committed before: a step is applied only once. The same on every rank.
+bool is_repeated(const Scene& scene, const PushRequest& push) {
+  const auto found = find_step(scene, push.id.step);
+  return found != scene.recent_steps.end() && found->step == push.id.step &&
+         found->session == session_key(push.id.session);
+}
+
+// The report of the committed step. The layout may have changed since then: the client fetches it if the versions
+// differ.
+Response repeated(const Context& context, const Scene& scene, const PushRequest& push) {
+  if (!context.root()) return {};
+  wire::Json json{{"plan", plan_json(scene)}, {"repeated", true}};
+  const auto later = static_cast<std::uint64_t>(scene.recent_steps.end() - find_step(scene, push.id.step));
+  const std::uint64_t number = scene.history->total() - later;
+  scene.history->read(number, number + 1, [&json](wire::Json report) { json["report"] = std::move(report); });
+  if (!json.contains("report"))
+    return failed(
+        {Code::io_error,
+         fmt::format("step {} is committed, but its report was lost: {}", push.id.step, scene.history->loss()),
+         "go on with the next step"});
+  return done(std::move(json));
+}
+
+Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes,
+                Buffer<std::int32_t> inserted_part, std::optional<std::int64_t> previous_step) {
+  Response response = done({{"report", to_json(report)},
+                            {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
+                            {"plan", plan_json(scene)}});
+  if (!push.changes) return response;
+  if (!inserted_part.empty() || push.inserted > 0) {
+    const std::uint64_t inserted = inserted_part.size();
+    response.arrays.push_back(make_array("inserted_part", "<i4", inserted, inserted_part.release_as<std::byte>()));
+  }
+  const std::uint64_t count = changes.id.size();
+  response.arrays.push_back(make_array("changed_id", "<i8", count, changes.id.release_as<std::byte>()));
+  response.arrays.push_back(make_array("changed_part", "<i4", count, changes.part.release_as<std::byte>()));
+  return response;
+}
+
+Response push(Context& context, Scene& scene, const wire::Json& request) {
+  const auto push = read_order(request, context.comm.size());
+  if (!push.ok()) return failed(push.status());
+  if (is_repeated(scene, push.value())) return repeated(context, scene, push.value());
+  auto staged = prepare(context, scene, push.value());
+  if (!staged.ok()) return failed(staged.status());
+  PartChanges changes;
+  const std::optional<std::int64_t> previous_step = scene.step;
+  const StepReport report = commit(context, scene, *staged, push.value(), push->changes ? &changes : nullptr);
+  give_back(context, scene, push.value(), *staged);
+  // Returns memory to the system that only a full change needs.
+  if (!previous_step || layout::is_full_change(report.migrated, report.n)) {
+    staged->scan = {};
+    ::malloc_trim(0);
+  }
+  if (!context.root()) return {};  // only rank 0's response is used
+  return answer(scene, report, push.value(), std::move(changes), std::move(staged->edits.inserted_part), previous_step);
+}
+
+constexpr Command kPushCommands[] = {{"push", push, Needs::scene}};
+
+}  // namespace
+
+std::span<const Command> push_commands() { return kPushCommands; }
+
+}  // namespace rcb::service

@@ -1,0 +1,194 @@
+// Queries: nothing here changes a scene.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "common/base/axis_names.hpp"
+#include "common/base/random.hpp"
+#include "server/service/commands/lists.hpp"
+#include "server/service/context/collective.hpp"
+#include "server/service/context/context.hpp"
+
+namespace rcb::service {
+namespace {
+
+Response error(Context&, Scene& s, const wire::Json&) {
+  return done({{"scene", s.name},
+               {"step", *s.step},
+               {"epoch", s.epoch},
+               {"error", s.loads.error},
+               {"imbalance", s.loads.imbalance},
+               {"tolerance", wire::number_json(s.options.tolerance)}});
+}
+
+Response counts(Context& context, Scene& s, const wire::Json&) {
+  if (!context.root()) return {};
+  Response response = done({{"epoch", s.epoch}});
+  put_loads(response, s);
+  return response;
+}
+
+Response stats(Context&, Scene& scene, const wire::Json&) {
+  const SceneTotals& totals = scene.totals;
+  return done({{"scene", scene.name},
+               {"steps", totals.steps},
+               {"repartitions", totals.repartitions},
+               {"bytes", totals.bytes},
+               {"drifted", totals.drifted},
+               {"moved", totals.moved},
+               {"migrated", totals.migrated},
+               {"scanned", totals.scanned},
+               {"searched", totals.searched},
+               {"rounds", totals.rounds},
+               {"reductions", totals.reductions},
+               {"skipped", totals.skipped},
+               {"asked", totals.asked},
+               {"seconds", to_json(totals.seconds)}});
+}
+
+// A field of exactly `dims` finite numbers.
+Result<geometry::Point> point_field(const wire::Json& request, const char* name, int dims) {
+  const auto values = wire::numbers_field_or_empty(request, name, 16);
+  if (!values.ok()) return values.status();
+  if (values->size() != static_cast<std::size_t>(dims))
+    return Status(Code::invalid_argument,
+                  fmt::format("{}: {} number{} given, the scene has {} dimension{}", name, values->size(),
+                              values->size() == 1 ? "" : "s", dims, dims == 1 ? "" : "s"),
+                  "give one number a dimension");
+  geometry::Point point{};
+  for (std::size_t a = 0; a < values->size(); ++a) {
+    point[a] = values.value()[a];
+    if (!std::isfinite(point[a]))
+      return Status(Code::not_finite, fmt::format("{}[{}] is {}: must be finite", name, a, point[a]));
+  }
+  return point;
+}
+
+Response owner(Context&, Scene& s, const wire::Json& request) {
+  const auto position = point_field(request, "position", s.options.dims);
+  if (!position.ok()) return failed(position.status());
+  const auto id = wire::integer_field_or(request, "id", 0, std::numeric_limits<std::int64_t>::max(), -1);
+  if (!id.ok()) return failed(id.status());
+  wire::Json json{{"scene", s.name}, {"epoch", s.epoch}};
+  if (id.value() >= 0) {
+    json["owner"] = s.tree.part_of(position.value(), id.value());
+    return done(std::move(json));
+  }
+  const std::vector<int> candidates = s.tree.candidates(position.value());
+  if (candidates.size() == 1) {
+    json["owner"] = candidates.front();
+  } else {
+    json["owner"] = nullptr;
+  }
+  Response response = done(std::move(json));
+  if (candidates.size() > 1) put_list<int>(response, response.json, "candidates", candidates);
+  return response;
+}
+
+Response box(Context& context, Scene& s, const wire::Json& request) {
+  const auto lo = point_field(request, "lo", s.options.dims);
+  if (!lo.ok()) return failed(lo.status());
+  const auto hi = point_field(request, "hi", s.options.dims);
+  if (!hi.ok()) return failed(hi.status());
+  for (std::size_t a = 0; a < static_cast<std::size_t>(s.options.dims); ++a)
+    if (lo.value()[a] > hi.value()[a])
+      return failed({Code::invalid_argument,
+                     fmt::format("{}: lo {} is above hi {}", kAxisNames[a], lo.value()[a], hi.value()[a]),
+                     "give the low corner first, then the high one"});
+  if (!context.root()) return {};
+  Response response = done({{"scene", s.name}, {"epoch", s.epoch}});
+  put_list<int>(response, response.json, "parts", s.tree.parts_touching({lo.value(), hi.value()}));
+  return response;
+}
+
+// Whether rank 0 has memory for an answer of so many bytes a particle, and for gathering it. What is asked for here is
+// given back at once: the kernel counts it, but no page of it is touched. Collective. Errors: too_large.
+Status check_room(Context& context, const Scene& scene, std::uint64_t bytes_each) {
+  constexpr std::uint64_t kGathering = 4 * sizeof(double);  // the order, twice; an array as bytes, and as values
+  Status room;
+  if (Buffer<std::byte> probe; context.root() && !probe.try_reserve(scene.n * (bytes_each + kGathering)))
+    room = {Code::too_large, fmt::format("no memory for an answer about {} particles", scene.n),
+            "write_parts has every rank write its own"};
+  return agree_status(context.comm, room);
+}
+
+template <typename T>
+Status append_sorted(Context& context, Response& response, const char* name, const char* dtype,
+                     std::span<const T> values, const Buffer<std::uint64_t>& order) {
+  if (Status status = context.check_time(); !status.ok()) return status;
+  const auto gathered = gather_values<T>(context.comm, values);
+  Buffer<T> sorted(order.size());
+  for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = gathered[order[k]];
+  if (context.root())
+    response.arrays.push_back(make_array(name, dtype, order.size(), sorted.template release_as<std::byte>()));
+  return {};
+}
+
+// Appends the particles of all ranks in ascending id: id, then positions and weight if `positions`, then part. Errors:
+// those of check_time. Collective.
+Status append_particles(Context& context, const Scene& scene, bool positions, Response& response) {
+  const auto dims = static_cast<std::uint64_t>(scene.options.dims);
+  const std::uint64_t each = 12 + (positions ? 8 * (dims + (scene.particles.has_weights ? 1U : 0U)) : 0);
+  if (Status room = check_room(context, scene, each); !room.ok()) return room;
+  const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
+  const Buffer<std::uint64_t> order = order_by_id(ids);
+  Status status = append_sorted<particles::Id>(context, response, "id", "<i8", scene.particles.id.span(), order);
+  for (std::size_t a = 0; positions && a < static_cast<std::size_t>(scene.options.dims) && status.ok(); ++a)
+    status = append_sorted<double>(context, response, kAxisNames[a], "<f8", scene.particles.position[a].span(), order);
+  if (positions && scene.particles.has_weights && status.ok())
+    status = append_sorted<double>(context, response, "w", "<f8", scene.particles.weight.span(), order);
+  if (status.ok()) status = append_sorted<std::int32_t>(context, response, "part", "<i4", scene.part.span(), order);
+  return status;
+}
+
+Response assign(Context& context, Scene& s, const wire::Json& request) {
+  const auto checksum = wire::bool_field_or(request, "checksum", false);
+  if (!checksum.ok()) return failed(checksum.status());
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}});
+  if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));
+  if (checksum.value()) {
+    std::uint64_t sum = 0;
+    for (std::size_t i = 0; i < s.part.size(); ++i)
+      sum += mix64(static_cast<std::uint64_t>(s.particles.id[i]) + mix64(static_cast<std::uint64_t>(s.part[i])));
+    context.comm.all_sum({&sum, 1});
+    response.json["checksum"] = wire::hex64(sum);
+  }
+  return response;
+}
+
+Response fetch(Context& context, Scene& s, const wire::Json&) {
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"step", *s.step}});
+  if (Status status = append_particles(context, s, true, response); !status.ok()) return failed(std::move(status));
+  return response;
+}
+
+Response plan(Context& context, Scene& s, const wire::Json&) {
+  if (Status room = check_room(context, s, 12); !room.ok()) return failed(std::move(room));
+  const std::uint64_t held = s.part.size();
+  const auto held_by_rank = gather_values<std::uint64_t>(context.comm, {&held, 1});
+  auto ids = gather_values<particles::Id>(context.comm, s.particles.id.span());
+  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  auto parts = gather_values<std::int32_t>(context.comm, s.part.span());
+  Response response = done({{"counts", std::vector<std::uint64_t>(held_by_rank.begin(), held_by_rank.end())},
+                            {"plan", {{"version", s.plan_version}, {"checksum", wire::hex64(s.plan_checksum)}}},
+                            {"parts", s.options.parts},
+                            {"ranks", context.comm.size()}});
+  const std::uint64_t count = ids.size();
+  response.arrays.push_back(make_array("id", "<i8", count, ids.release_as<std::byte>()));
+  response.arrays.push_back(make_array("part", "<i4", count, parts.release_as<std::byte>()));
+  return response;
+}
+
+constexpr Command kQueryCommands[] = {
+    {"error", error, Needs::positions},       {"counts", counts, Needs::positions},
+    {"stats", stats, Needs::scene},           {"owner", owner, Needs::positions},
+    {"box", box, Needs::positions},           {"assign", assign, Needs::positions, true},
+    {"fetch", fetch, Needs::positions, true}, {"plan", plan, Needs::positions, true}};
+
+}  // namespace
+
+std::span<const Command> query_commands() { return kQueryCommands; }
+
+}  // namespace rcb::service

@@ -1,0 +1,199 @@
+// Create, show and drop scenes. Only the coordinator knows who has a scene open; it refuses a request before it orders
+// it.
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+#include <xxhash.h>
+
+#include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
+#include "server/service/commands/lists.hpp"
+#include "server/service/context/context.hpp"
+
+namespace rcb::service {
+
+Scene Scene::create(std::string name, SceneOptions options) {
+  Scene scene;
+  scene.name = std::move(name);
+  scene.particles.dims = options.dims;
+  scene.options = std::move(options);
+  return scene;
+}
+
+std::uint64_t session_key(const std::string& session) { return XXH3_64bits(session.data(), session.size()); }
+
+std::uint64_t Scene::cuts_hash() {
+  if (!tree_hash) tree_hash = tree.hash();
+  return *tree_hash;
+}
+
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kLargest = std::numeric_limits<double>::max();
+constexpr double kSizeRatioMax = 1e15;  // within it all sizes are exact in the integers of ExactScale
+
+Status read_part_sizes(const wire::Json& request, SceneOptions& options) {
+  auto sizes = wire::numbers_field_or_empty(request, "part_sizes", static_cast<std::size_t>(wire::kPartsMax));
+  if (!sizes.ok()) return sizes.status();
+  if (sizes->empty()) return {};
+  if (sizes->size() != static_cast<std::size_t>(options.parts))
+    return {Code::invalid_argument, fmt::format("part_sizes has {} entries for {} parts", sizes->size(), options.parts),
+            "give one size a part"};
+  for (std::size_t p = 0; p < sizes->size(); ++p)
+    if (!std::isfinite(sizes.value()[p]) || !(sizes.value()[p] > 0))
+      return {Code::invalid_argument, fmt::format("part_sizes[{}] is {}: must be finite and > 0", p, sizes.value()[p])};
+  const auto [least, largest] = std::minmax_element(sizes->begin(), sizes->end());
+  if (*largest > *least * kSizeRatioMax)
+    return {Code::invalid_argument,
+            fmt::format("part_sizes: {} is more than {} times {}", *largest, kSizeRatioMax, *least),
+            "shares so far apart can't be met by whole particles"};
+  options.part_sizes = std::move(sizes).value();
+  return {};
+}
+
+}  // namespace
+
+Result<partition::Method> read_method(const wire::Json& request, int dims, partition::Method otherwise) {
+  if (!request.contains("method") || request["method"].is_null()) return otherwise;
+  const auto name = wire::string_field(request, "method", 64);
+  if (!name.ok()) return name.status();
+  const auto method = partition::method_from_name(name.value());
+  if (!method || *method == partition::Method::equal_boxes || *method == partition::Method::file_order)
+    return Status(Code::invalid_argument, fmt::format("unknown method '{}'", name.value()),
+                  "methods: rcb, bands-x, bands-y, bands-z");
+  if ((*method == partition::Method::bands_y && dims < 2) || (*method == partition::Method::bands_z && dims < 3))
+    return Status(Code::invalid_argument,
+                  fmt::format("method {} needs an axis that {} dimension(s) don't have", name.value(), dims));
+  return *method;
+}
+
+Status check_parts_total(const std::map<std::string, Scene>& scenes, const std::string& changed, int parts) {
+  std::int64_t total = parts;
+  for (const auto& [name, scene] : scenes) total += name == changed ? 0 : scene.options.parts;
+  if (total <= wire::kPartsTotalMax) return {};
+  return {
+      Code::too_large,
+      fmt::format("the service's scenes would have {} parts together, {} is its limit", total, wire::kPartsTotalMax),
+      "drop a scene: rcbctl scene drop NAME"};
+}
+
+namespace {
+
+Result<Policy> read_policy(const wire::Json& request) {
+  if (!request.contains("policy") || request["policy"].is_null()) return Policy::tolerance;
+  const auto name = wire::string_field(request, "policy", 64);
+  if (!name.ok()) return name.status();
+  const auto policy = policy_from_name(name.value());
+  if (!policy)
+    return Status(Code::invalid_argument, fmt::format("unknown policy '{}'", name.value()),
+                  "policies: tolerance, cost");
+  return *policy;
+}
+
+Result<SceneOptions> read_options(const wire::Json& request) {
+  SceneOptions options;
+  wire::FieldReader fields(request);
+  options.parts = static_cast<int>(fields.integer("parts", 1, wire::kPartsMax));
+  options.dims = static_cast<int>(fields.integer_or("dims", 1, 3, 3));
+  options.tolerance = fields.number_or("tolerance", 0, kInfinity, 0.1, true);
+  options.axis_hysteresis = fields.number_or("axis_hysteresis", 1, kLargest, 1.2);
+  options.cut_tolerance = fields.number_or("cut_tolerance", 0, 1, 0);
+  const std::string recut = fields.text_or("recut", 16, "all");
+  if (!fields.ok()) return fields.status();
+  const auto method = read_method(request, options.dims, partition::Method::rcb);
+  if (!method.ok()) return method.status();
+  options.method = method.value();
+  const auto policy = read_policy(request);
+  if (!policy.ok()) return policy.status();
+  options.policy = policy.value();
+  if (recut != "all" && recut != "subtree")
+    return Status(Code::invalid_argument, fmt::format("unknown recut '{}'", recut), "recut: all, subtree");
+  options.recut = recut == "all" ? Recut::all : Recut::subtree;
+  if (const Status status = read_part_sizes(request, options); !status.ok()) return status;
+  return options;
+}
+
+Response describe_scene(Scene& scene) {
+  const SceneOptions& options = scene.options;
+  wire::Json json{{"scene", scene.name},
+                  {"n", scene.n},
+                  {"dims", options.dims},
+                  {"parts", options.parts},
+                  {"method", partition::method_name(options.method)},
+                  {"tolerance", wire::number_json(options.tolerance)},
+                  {"axis_hysteresis", options.axis_hysteresis},
+                  {"cut_tolerance", options.cut_tolerance},
+                  {"policy", policy_name(options.policy)},
+                  {"recut", options.recut == Recut::all ? "all" : "subtree"},
+                  {"part_sizes", nullptr},
+                  {"weights", scene.particles.has_weights},
+                  {"ids", scene.ids},
+                  {"step", scene.step ? wire::Json(*scene.step) : wire::Json(nullptr)},
+                  {"epoch", scene.epoch},
+                  {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}};
+  for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
+    json[name] = nullptr;
+  Response response = done(std::move(json));
+  if (!options.part_sizes.empty()) put_list<double>(response, response.json, "part_sizes", options.part_sizes);
+  if (!scene.pushed) return response;
+  response.json["error"] = scene.loads.error;
+  response.json["imbalance"] = scene.loads.imbalance;
+  response.json["hash"] = wire::hex64(scene.cuts_hash());
+  response.json["rounds"] = scene.search_rounds;
+  response.json["reductions"] = scene.search_reductions;
+  put_loads(response, scene);
+  return response;
+}
+
+Response show(Context& context, Scene& scene, const wire::Json&) {
+  if (!context.root()) return {};
+  Response response = describe_scene(scene);
+  response.json["ranks"] = context.comm.size();
+  return response;
+}
+
+Response create(Context& context, const wire::Json& request) {
+  wire::FieldReader fields(request);
+  const std::string name = fields.text("scene", 256);
+  if (fields.ok()) fields.fail(wire::check_scene_name(name));
+  const bool replace = fields.flag("replace");
+  const bool recreated = fields.flag("recreated");
+  if (!fields.ok()) return failed(fields.status());
+  auto options = read_options(request);
+  if (!options.ok()) return failed(options.status());
+  const bool exists = context.scenes.contains(name);
+  if (exists && !replace)
+    return failed({Code::already_exists, fmt::format("scene '{}' exists already", name),
+                   "drop it first, or create it with --replace"});
+  if (!exists && context.scenes.size() >= static_cast<std::size_t>(wire::kScenesMax))
+    return failed({Code::too_large, fmt::format("the service holds {} scenes, its limit", wire::kScenesMax),
+                   "drop one: rcbctl scene drop NAME"});
+  if (Status status = check_parts_total(context.scenes, name, options->parts); !status.ok())
+    return failed(std::move(status));
+  if (exists) context.spares.push_back({name, {}});
+  Scene scene = Scene::create(name, std::move(options).value());
+  scene.recreated = recreated;
+  if (context.root()) scene.history = std::make_unique<History>(context.histories, name);
+  context.scenes.insert_or_assign(name, std::move(scene));
+  return show(context, context.scenes.at(name), request);
+}
+
+Response drop(Context& context, Scene& scene, const wire::Json&) {
+  const std::string name = scene.name;
+  context.scenes.erase(name);
+  context.spares.push_back({name, {}});
+  return done(wire::Json::object());
+}
+
+constexpr Command kSceneCommands[] = {{"scene.create", create},
+                                      {"scene.show", show, Needs::scene},
+                                      {"scene.open", show, Needs::scene},
+                                      {"scene.drop", drop, Needs::scene}};
+
+}  // namespace
+
+std::span<const Command> scene_commands() { return kSceneCommands; }
+
+}  // namespace rcb::service

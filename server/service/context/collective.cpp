@@ -1,0 +1,101 @@
+#include "server/service/context/collective.hpp"
+
+#include <algorithm>
+#include <array>
+#include <limits>
+#include <numeric>
+#include <string>
+#include <vector>
+
+#include "common/base/random.hpp"
+
+namespace rcb::service {
+Status agree_status(comm::Comm& comm, const Status& here) {
+  const auto size = static_cast<std::uint64_t>(comm.size());
+  std::uint64_t first = here.ok() ? size : static_cast<std::uint64_t>(comm.rank());
+  comm.all_min({&first, 1});
+  if (first == size) return {};
+  const int root = static_cast<int>(first);
+  const bool mine = comm.rank() == root;
+  std::array<std::uint64_t, 3> header{};
+  if (mine) header = {static_cast<std::uint64_t>(here.code()), here.message().size(), here.hint().size()};
+  comm.broadcast(std::as_writable_bytes(std::span(header)), root);
+  std::string text = mine ? here.message() + here.hint() : std::string(header[1] + header[2], '\0');
+  comm.broadcast(std::as_writable_bytes(std::span(text)), root);
+  return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
+}
+
+template <typename Slot>
+void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids) {
+  std::vector<std::size_t> ends;  // ends of the ascending runs
+  for (std::size_t k = 1; k < slots.size(); ++k)
+    if (ids[slots[k]] < ids[slots[k - 1]]) ends.push_back(k);
+  if (ends.empty()) return;
+  ends.push_back(slots.size());
+  const auto less = [ids](Slot a, Slot b) { return ids[a] < ids[b]; };
+  Buffer<Slot> merged(slots.size());
+  while (ends.size() > 1) {
+    std::vector<std::size_t> merged_ends;
+    std::size_t begin = 0;
+    for (std::size_t r = 0; r < ends.size(); r += 2) {
+      const std::size_t middle = ends[r];
+      const std::size_t end = r + 1 < ends.size() ? ends[r + 1] : middle;
+      std::merge(slots.begin() + begin, slots.begin() + middle, slots.begin() + middle, slots.begin() + end,
+                 merged.begin() + begin, less);
+      merged_ends.push_back(end);
+      begin = end;
+    }
+    slots.swap(merged);
+    ends.swap(merged_ends);
+  }
+}
+
+template void sort_slots_by_id(Buffer<std::uint32_t>&, std::span<const particles::Id>);
+template void sort_slots_by_id(Buffer<std::uint64_t>&, std::span<const particles::Id>);
+
+Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids) {
+  Buffer<std::uint64_t> order(ids.size());
+  std::iota(order.begin(), order.end(), std::uint64_t{0});
+  sort_slots_by_id(order, ids.span());
+  return order;
+}
+
+void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part) {
+  if (std::is_sorted(particles.id.begin(), particles.id.end())) return;
+  const Buffer<std::uint64_t> order = order_by_id(particles.id);
+  Buffer<std::byte> spare;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
+    put_in_order(particles.position[a], order, spare);
+  put_in_order(particles.id, order, spare);
+  if (particles.has_weights) put_in_order(particles.weight, order, spare);
+  put_in_order(part, order, spare);
+}
+
+std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids) {
+  const auto ranks = static_cast<std::uint64_t>(comm.size());
+  std::vector<Buffer<particles::Id>> to(ranks);
+  for (const particles::Id id : ids) to[mix64(static_cast<std::uint64_t>(id)) % ranks].push_back(id);
+  std::vector<std::uint64_t> to_counts(ranks), from_counts(ranks);
+  for (std::size_t r = 0; r < ranks; ++r) to_counts[r] = to[r].size();
+  comm::exchange_counts(comm, to_counts, from_counts);
+  std::uint64_t total = 0;
+  for (const std::uint64_t count : from_counts) total += count;
+  Buffer<particles::Id> mine(total);
+  std::vector<std::span<const std::byte>> send;
+  std::vector<std::span<std::byte>> receive;
+  std::uint64_t at = 0;
+  for (std::size_t r = 0; r < ranks; ++r) {
+    send.push_back(std::as_bytes(to[r].span()));
+    receive.push_back(std::as_writable_bytes(mine.span().subspan(at, from_counts[r])));
+    at += from_counts[r];
+  }
+  comm.exchange(send, receive);
+  std::sort(mine.begin(), mine.end());
+  const auto* twin = std::adjacent_find(mine.begin(), mine.end());
+  std::uint64_t least = twin == mine.end() ? kNone : static_cast<std::uint64_t>(*twin);
+  comm.all_min({&least, 1});
+  if (least == kNone) return std::nullopt;
+  return static_cast<particles::Id>(least);
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,51 @@
+// Helpers that the commands share: collectives, and sorting gathered particles by id.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <span>
+
+#include "common/base/buffer.hpp"
+#include "common/base/status.hpp"
+#include "common/comm/gather.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::service {
+
+using comm::gather_values;
+
+// No index and no id: greater than all of them, so that a least one over the ranks tells whether there is any.
+inline constexpr std::uint64_t kNone = std::numeric_limits<std::uint64_t>::max();
+
+// Returns on every rank the failure of the lowest rank that has one; ok if none has. Collective.
+Status agree_status(comm::Comm& comm, const Status& here);
+
+// The k-th entry is the index of the particle with the k-th smallest id. Ids come in a few ascending runs (one from
+// each rank), so the runs are merged in pairs. Local.
+Buffer<std::uint64_t> order_by_id(const Buffer<particles::Id>& ids);
+// Sorts slots (32 or 64 bits each) by the ids of their particles. Local.
+template <typename Slot>
+void sort_slots_by_id(Buffer<Slot>& slots, std::span<const particles::Id> ids);
+
+// Reorders an array so that entry k becomes the former entry order[k]. Uses the memory of `spare`, and leaves in
+// `spare` as much of the array's former memory as the next array needs.
+template <typename T, typename Slot>
+void put_in_order(Buffer<T>& values, const Buffer<Slot>& order, Buffer<std::byte>& spare) {
+  Buffer<T> sorted = spare.release_as<T>();
+  sorted.resize(order.size());
+  for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = values[order[k]];
+  spare = values.template release_as<std::byte>();
+  spare.resize(std::min(spare.size(), order.size() * sizeof(double)));
+  spare.shrink();
+  values = std::move(sorted);
+  values.shrink();
+}
+
+// Puts particles and their parts in ascending id. Local.
+void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part);
+
+// The smallest id that occurs more than once on all ranks together; nothing if all are distinct. Collective.
+std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids);
+
+}  // namespace rcb::service

@@ -1,0 +1,131 @@
+#include "server/service/push/member_slices.hpp"
+
+#include <optional>
+
+#include <fmt/format.h>
+
+#include "common/layout/layout.hpp"
+#include "server/service/push/shared_source.hpp"
+
+namespace rcb::service {
+namespace {
+
+// Number of particles on this rank by the member whose parts they are in.
+std::vector<std::uint64_t> counts_by_member(const Scene& scene, std::int64_t part_begin, std::int64_t part_end,
+                                            int members) {
+  std::vector<std::uint64_t> counts(static_cast<std::size_t>(members), 0);
+  for (std::int64_t p = part_begin; p < part_end; ++p) {
+    const int member = layout::rank_of_part(static_cast<int>(p), scene.options.parts, members);
+    counts[static_cast<std::size_t>(member)] += scene.loads.counts[static_cast<std::size_t>(p)];
+  }
+  return counts;
+}
+
+// Where a member's values for this rank come from, slot after slot.
+class Feed {
+ public:
+  // Errors: those of SharedSource.
+  static Result<Feed> open(const PushSlice& slice, int dims) {
+    Feed feed;
+    feed.slice_ = &slice;
+    if (slice.shared.empty()) return feed;
+    auto source = SharedSource::open(slice, dims);
+    if (!source.ok()) return source.status();
+    feed.source_ = std::move(*source);
+    feed.rows_.resize(slice.count);
+    if (Status status = feed.source_->rows(feed.rows_.data()); !status.ok()) return status;
+    return feed;
+  }
+
+  // Array number a, of which the axes are the first.
+  void begin(std::size_t a, std::size_t dims) {
+    next_ = 0;
+    if (!source_) {
+      values_ = reinterpret_cast<const double*>(slice_->arrays[a].bytes.data());
+      return;
+    }
+    if (copied_.size() != slice_->count) copied_.resize(slice_->count);
+    a < dims ? source_->positions(a, rows_.span(), copied_.data()) : source_->weights(rows_.span(), copied_.data());
+    values_ = copied_.data();
+  }
+  double next() { return values_[next_++]; }
+
+ private:
+  const PushSlice* slice_ = nullptr;
+  std::optional<SharedSource> source_;
+  Buffer<particles::Id> rows_;
+  Buffer<double> copied_;
+  const double* values_ = nullptr;
+  std::size_t next_ = 0;
+};
+
+bool has_arrays(const PushSlice& slice, std::span<const std::string> names) {
+  if (!slice.shared.empty()) return slice.shared.size() == names.size() + 1;  // and the rows
+  bool fits = slice.arrays.size() == names.size();
+  for (const wire::Array& array : slice.arrays) fits = fits && array.bytes.size() == slice.count * 8;
+  return fits;
+}
+
+}  // namespace
+
+Status join_member_slices(const comm::Comm& comm, const Scene& scene, const std::vector<bool>& unmoved,
+                          std::span<const std::string> names, std::array<Buffer<double>, 3>& room,
+                          std::vector<PushSlice>& slices) {
+  const int rank = comm.rank();
+  const int members = static_cast<int>(unmoved.size());
+  const auto dims = static_cast<std::size_t>(scene.options.dims);
+  const std::int64_t first_part = layout::part_begin(rank, scene.options.parts, comm.size());
+  const std::int64_t end_part = layout::part_begin(rank + 1, scene.options.parts, comm.size());
+  std::vector<std::uint64_t> missing = counts_by_member(scene, first_part, end_part, members);
+  std::vector<std::size_t> slice_of(static_cast<std::size_t>(members), slices.size());  // slices.size(): none
+  bool fits = true;
+  for (std::size_t s = 0; s < slices.size() && fits; ++s) {
+    const auto member = static_cast<std::size_t>(slices[s].rank);
+    fits = member < missing.size() && has_arrays(slices[s], names) && missing[member] == slices[s].count;
+    if (fits) missing[member] = 0;
+    if (fits) slice_of[member] = s;
+  }
+  for (std::size_t k = 0; k < missing.size(); ++k) fits = fits && (missing[k] == 0 || unmoved[k]);
+  if (!fits)
+    return {Code::stale_plan, fmt::format("what the members bring to rank {} isn't what their parts have there", rank),
+            "push this step in order \"id\""};
+  PushSlice whole{.rank = rank, .count = scene.part.size()};
+  if (slices.size() == 1 && slices.front().count == whole.count && slices.front().shared.empty()) {
+    slices.front().rank = rank;
+    return {};
+  }
+  std::vector<std::size_t> slice_of_part;
+  for (std::int64_t p = first_part; p < end_part; ++p)
+    slice_of_part.push_back(
+        slice_of[static_cast<std::size_t>(layout::rank_of_part(static_cast<int>(p), scene.options.parts, members))]);
+  std::vector<Feed> feeds;
+  for (const PushSlice& slice : slices) {
+    auto feed = Feed::open(slice, scene.options.dims);
+    if (!feed.ok())
+      return {feed.status().code(), fmt::format("member {}: {}", slice.rank, feed.status().message()),
+              feed.status().hint()};
+    feeds.push_back(std::move(*feed));
+  }
+  for (std::size_t a = 0; a < names.size(); ++a) {
+    const bool axis = a < dims;  // if weights come, no member is unmoved
+    Buffer<double> joined;
+    if (axis) joined.swap(room[a]);
+    if (!joined.try_reserve(whole.count))
+      return {Code::too_large, fmt::format("rank {} has no memory for {} particles", rank, whole.count)};
+    joined.resize(whole.count);
+    for (Feed& feed : feeds) feed.begin(a, dims);
+    const double* own = axis ? scene.particles.position[a].data() : nullptr;
+    for (std::size_t i = 0; i < joined.size(); ++i) {
+      const std::size_t slice = slice_of_part[static_cast<std::size_t>(scene.part[i] - first_part)];
+      joined[i] = slice < feeds.size() ? feeds[slice].next() : own[i];
+    }
+    for (PushSlice& slice : slices)
+      if (slice.shared.empty()) slice.arrays[a].bytes.release();
+    whole.arrays.push_back({names[a], "<f8", {whole.count}, joined.release_as<std::byte>()});
+  }
+  slices.clear();
+  slices.push_back(std::move(whole));
+  return {};
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,435 @@
+#include "server/service/push/staging.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "common/base/axis_names.hpp"
+#include "common/layout/layout.hpp"
+#include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
+#include "server/service/context/collective.hpp"
+#include "server/service/push/member_slices.hpp"
+
+namespace rcb::service {
+namespace {
+
+// True if any value is NaN or infinite; a loop without branches.
+bool any_not_finite(const double* values, std::size_t count) {
+  constexpr std::uint64_t kExponent = 0x7FF0000000000000U;
+  std::uint64_t bad = 0;
+  for (std::size_t i = 0; i < count; ++i)
+    bad |= static_cast<std::uint64_t>((std::bit_cast<std::uint64_t>(values[i]) & kExponent) == kExponent);
+  return bad != 0;
+}
+
+bool any_below_zero(const double* values, std::size_t count) {
+  bool bad = false;
+  for (std::size_t i = 0; i < count; ++i) bad |= values[i] < 0;
+  return bad;
+}
+
+// Describes what is wrong with particle i; empty if nothing is.
+std::string fault_of(const particles::ParticleView& view, std::size_t i) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
+    if (!std::isfinite(view.position[a][i])) return fmt::format("{} is {}", kAxisNames[a], view.position[a][i]);
+  if (view.weight != nullptr && !(view.weight[i] >= 0 && std::isfinite(view.weight[i])))
+    return fmt::format("weight is {}", view.weight[i]);
+  if (view.id != nullptr && view.id[i] < 0) return fmt::format("id is {}", view.id[i]);
+  return {};
+}
+
+bool suspicious(const particles::ParticleView& view) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
+    if (any_not_finite(view.position[a], view.count)) return true;
+  if (view.weight != nullptr && (any_not_finite(view.weight, view.count) || any_below_zero(view.weight, view.count)))
+    return true;
+  return view.id != nullptr && std::any_of(view.id, view.id + view.count, [](particles::Id id) { return id < 0; });
+}
+
+// The names of the arrays of every slice, in order.
+std::vector<std::string> array_names(const Scene& scene, const PushRequest& push) {
+  std::vector<std::string> names(kAxisNames, kAxisNames + scene.options.dims);
+  if (push.weights) names.emplace_back("w");
+  if (push.ids) names.emplace_back("id");
+  return names;
+}
+
+Status check_slice(const PushSlice& slice, const std::vector<std::string>& names) {
+  if (slice.arrays.size() != names.size())
+    return {Code::invalid_argument,
+            fmt::format("slice of rank {} has {} arrays, expected {}", slice.rank, slice.arrays.size(), names.size()),
+            "send x (y, z), then w and id where push.begin says so"};
+  for (std::size_t a = 0; a < names.size(); ++a) {
+    const wire::Array& array = slice.arrays[a];
+    const std::string dtype = names[a] == "id" ? "<i8" : "<f8";
+    if (array.name != names[a] || array.dtype != dtype || array.shape != std::vector<std::uint64_t>{slice.count} ||
+        array.bytes.size() != slice.count * 8)
+      return {Code::invalid_argument, fmt::format("slice of rank {}: array {} must be '{}' {} of shape [{}]",
+                                                  slice.rank, a, names[a], dtype, slice.count)};
+  }
+  return {};
+}
+
+// Rank 0: checks that every rank that holds particles has exactly one slice, of the right length.
+Status check_slices(const Context& context, const Scene& scene, const PushRequest& push) {
+  const int ranks = context.comm.size();
+  const auto names = array_names(scene, push);
+  std::vector<bool> seen(static_cast<std::size_t>(ranks), false);
+  for (const PushSlice& slice : context.slices) {
+    if (slice.rank < 0 || slice.rank >= ranks)
+      return {Code::invalid_argument, fmt::format("slice for rank {} of {}", slice.rank, ranks)};
+    if (seen[static_cast<std::size_t>(slice.rank)])
+      return {Code::invalid_argument, fmt::format("two slices for rank {}", slice.rank)};
+    seen[static_cast<std::size_t>(slice.rank)] = true;
+    const std::uint64_t expected =
+        push.by_id ? (slice.rank == 0 ? push.n : 0) : held_by(scene, push.n, slice.rank, ranks);
+    if (slice.count != expected)
+      return {Code::stale_plan,
+              fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank, slice.count, expected),
+              "fetch the plan and push again"};
+    if (Status status = check_slice(slice, names); !status.ok()) return status;
+  }
+  for (int r = 0; r < ranks; ++r) {
+    const bool needed = push.by_id ? r == 0 && push.n > 0 : held_by(scene, push.n, r, ranks) > 0;
+    if (needed && !seen[static_cast<std::size_t>(r)])
+      return {Code::invalid_argument, fmt::format("the slice of rank {} is missing", r)};
+  }
+  return {};
+}
+
+// For each particle in the layout's order, its index in an array sorted by ascending id.
+Buffer<std::uint64_t> places_by_id(const Scene& scene, const Buffer<particles::Id>& plan_ids) {
+  Buffer<std::uint64_t> places(plan_ids.size());
+  if (!scene.ids) {
+    for (std::size_t k = 0; k < plan_ids.size(); ++k) places[k] = static_cast<std::uint64_t>(plan_ids[k]);
+    return places;
+  }
+  Buffer<particles::Id> sorted = plan_ids;
+  std::sort(sorted.begin(), sorted.end());
+  for (std::size_t k = 0; k < plan_ids.size(); ++k)
+    places[k] =
+        static_cast<std::uint64_t>(std::lower_bound(sorted.begin(), sorted.end(), plan_ids[k]) - sorted.begin());
+  return places;
+}
+
+Buffer<std::byte> permuted(const Buffer<std::byte>& values, const Buffer<std::uint64_t>& places) {
+  Buffer<std::byte> out(values.size());
+  for (std::size_t k = 0; k < places.size(); ++k) std::memcpy(out.data() + 8 * k, values.data() + 8 * places[k], 8);
+  return out;
+}
+
+// Array a of rank 0's own slice, if the push is in the layout's order: it can be taken without a copy. Else nullptr.
+Buffer<std::byte>* own_piece(Context& context, const PushRequest& push, std::size_t a) {
+  if (!context.root() || push.by_id) return nullptr;
+  for (PushSlice& slice : context.slices)
+    if (slice.rank == 0) return &slice.arrays[a].bytes;
+  return nullptr;
+}
+
+// Sends array a of every slice to its rank, except for own_piece(). Collective.
+void scatter_array(Context& context, const Scene& scene, const PushRequest& push, std::size_t a,
+                   const Buffer<std::uint64_t>& places, std::span<std::byte> mine) {
+  const int ranks = context.comm.size();
+  std::vector<std::span<const std::byte>> pieces;
+  Buffer<std::byte> sorted;
+  if (context.root()) {
+    pieces.resize(static_cast<std::size_t>(ranks));
+    if (push.by_id && push.n > 0) {
+      Buffer<std::byte>& whole = context.slices.front().arrays[a].bytes;
+      if (scene.pushed) sorted = permuted(whole, places);
+      const std::span<const std::byte> all = scene.pushed ? sorted.span() : whole.span();
+      std::uint64_t at = 0;
+      for (int r = 0; r < ranks; ++r) {
+        const std::uint64_t count = held_by(scene, push.n, r, ranks);
+        pieces[static_cast<std::size_t>(r)] = all.subspan(8 * at, 8 * count);
+        at += count;
+      }
+    } else {
+      for (const PushSlice& slice : context.slices)
+        if (slice.rank != 0) pieces[static_cast<std::size_t>(slice.rank)] = slice.arrays[a].bytes.span();
+    }
+  }
+  context.comm.scatter(pieces, 0, mine);
+  if (context.root())  // frees the memory of what was sent, for the next array
+    for (PushSlice& slice : context.slices)
+      if (a < slice.arrays.size() && (slice.rank != 0 || push.by_id)) slice.arrays[a].bytes.release();
+}
+
+Status check_header(const Scene& scene, const PushRequest& push) {
+  if (scene.step && push.id.step <= *scene.step)
+    return {Code::stale_step,
+            fmt::format("step {} of scene '{}' is not above the last one, {}", push.id.step, scene.name, *scene.step),
+            fmt::format("push step {} or a later one", *scene.step + 1)};
+  if (scene.pushed && push.n != scene.n)
+    return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
+            "push all of the scene's particles, or create a scene anew with --replace"};
+  if (Status status = check_changes(scene, push); !status.ok()) return status;
+  if (scene.pushed && push.ids) return {Code::invalid_argument, "ids may come with a scene's first push alone"};
+  if (scene.pushed && push.weights && !scene.particles.has_weights)
+    return {Code::invalid_argument, fmt::format("scene '{}' has no weights", scene.name),
+            "weights must be there from the first push on"};
+  if (scene.pushed && !push.by_id && push.moved != Moved::none &&
+      (push.plan.version != scene.plan_version || push.plan.checksum != scene.plan_checksum))
+    return {
+        Code::stale_plan,
+        fmt::format("push has plan version {}, scene '{}' is at {}", push.plan.version, scene.name, scene.plan_version),
+        "fetch the plan and push again"};
+  if (!scene.pushed && !push.by_id && push.plan.version != 0)
+    return {Code::stale_plan,
+            fmt::format("push has plan version {}, but scene '{}' has no positions yet", push.plan.version, scene.name),
+            "the first push goes by blocks of rows, plan version 0"};
+  return {};
+}
+
+// Checks the slice that this rank received directly.
+Status check_own_slice(const Context& context, const Scene& scene, const PushRequest& push, std::uint64_t held) {
+  if (context.slices.size() != 1 || context.slices.front().rank != context.comm.rank())
+    return {Code::internal, fmt::format("rank {} has no slice of the push", context.comm.rank())};
+  const PushSlice& slice = context.slices.front();
+  if (slice.count != held)
+    return {Code::stale_plan,
+            fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank, slice.count, held),
+            "fetch the plan and push again"};
+  return check_slice(slice, array_names(scene, push));
+}
+
+// Makes the slice's arrays the staged ones, without a copy.
+void take_own_slice(Context& context, const PushRequest& push, Staged& staged) {
+  std::vector<wire::Array>& arrays = context.slices.front().arrays;
+  const auto dims = static_cast<std::size_t>(staged.arrays.dims);
+  for (std::size_t a = 0; a < dims; ++a) staged.arrays.position[a] = arrays[a].bytes.release_as<double>();
+  if (push.weights) staged.arrays.weight = arrays[dims].bytes.release_as<double>();
+  if (push.ids) staged.arrays.id = arrays[dims + (push.weights ? 1 : 0)].bytes.release_as<particles::Id>();
+  context.slices.clear();
+}
+
+bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
+  bool fits = true;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(set.dims); ++a)
+    fits = fits && set.position[a].try_reserve(count);
+  if (set.has_weights) fits = fits && set.weight.try_reserve(count);
+  return fits && (!ids || set.id.try_reserve(count));
+}
+
+}  // namespace
+
+Result<PushRequest> read_order(const wire::Json& request, int ranks) {
+  wire::FieldReader fields(request);
+  api::PushId id{.scene = fields.text("scene", 64), .session = fields.text("session", 64)};
+  id.step = fields.integer("step", 0, wire::kStepMax);
+  if (!fields.ok()) return fields.status();
+  auto push = api::read_push(request, std::move(id), ranks);
+  if (!push.ok()) return push.status();
+  return PushRequest{std::move(*push), request.contains("staged")};
+}
+
+Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row) {
+  std::uint64_t least = kNone;
+  std::size_t least_at = 0;
+  if (suspicious(view))
+    for (std::size_t i = 0; i < view.count; ++i) {
+      if (fault_of(view, i).empty()) continue;
+      const std::uint64_t name = first ? first_row + i : static_cast<std::uint64_t>(view.id[i]);
+      if (name < least) least = name, least_at = i;
+    }
+  std::uint64_t global_least = least;
+  comm.all_min({&global_least, 1});
+  if (global_least == kNone) return {};
+  Status mine;
+  if (least == global_least) {
+    const std::string fault = fault_of(view, least_at);
+    const bool finite = fault.find("nan") == std::string::npos && fault.find("inf") == std::string::npos;
+    mine = {finite ? Code::invalid_argument : Code::not_finite,
+            first ? fmt::format("particle {} (index, from 0): {}", least, fault)
+                  : fmt::format("particle {}: {}", least, fault),
+            "positions must be finite, weights finite and >= 0, ids >= 0; the previous step stands"};
+  }
+  return agree_status(comm, mine);
+}
+
+namespace {
+
+// Sends the slices that rank 0 received to their ranks. Collective.
+Status distribute(Context& context, const Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
+  comm::Comm& comm = context.comm;
+  Status ready;
+  if (context.root()) ready = check_slices(context, scene, push);
+  if (ready.ok() && !reserve(staged.arrays, mine, !scene.pushed))
+    ready = {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
+  if (Status status = agree_status(comm, ready); !status.ok()) return status;
+  Buffer<std::uint64_t> places;
+  if (push.by_id && scene.pushed) {
+    const auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
+    if (context.root()) places = places_by_id(scene, plan_ids);
+  }
+  std::size_t a = 0;
+  const auto receive = [&](auto& buffer) {
+    Buffer<std::byte>* own = own_piece(context, push, a);
+    if (own == nullptr) buffer.resize(mine);
+    scatter_array(context, scene, push, a++, places, std::as_writable_bytes(buffer.span()));
+    if (own != nullptr) buffer = own->template release_as<std::remove_reference_t<decltype(buffer[0])>>();
+  };
+  for (std::size_t axis = 0; axis < static_cast<std::size_t>(staged.arrays.dims); ++axis)
+    receive(staged.arrays.position[axis]);
+  if (push.weights) receive(staged.arrays.weight);
+  if (push.ids) receive(staged.arrays.id);
+  return {};
+}
+
+// A scene's first push: checks every value; makes the ids, or checks those that came. Collective.
+Status check_first(comm::Comm& comm, const PushRequest& push, std::uint64_t mine, Staged& staged) {
+  const std::uint64_t first_row = layout::row_begin(comm.rank(), push.n, comm.size());
+  if (!push.ids) {
+    staged.arrays.id.resize(mine);
+    for (std::uint64_t i = 0; i < mine; ++i) staged.arrays.id[i] = static_cast<particles::Id>(first_row + i);
+  }
+  if (Status status = check_values(comm, staged.arrays.view(), true, first_row); !status.ok()) return status;
+  if (push.ids)
+    if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
+      return {Code::invalid_argument, fmt::format("id {} occurs more than once", *twin), "ids must be distinct"};
+  return {};
+}
+
+// Makes room for the positions of `mine` particles, if possible in the memory of the last push.
+Status take_room(const comm::Comm& comm, Scene& scene, std::uint64_t mine, Staged& staged) {
+  for (std::size_t a = 0; a < scene.spare.size(); ++a) staged.arrays.position[a].swap(scene.spare[a]);
+  if (!reserve(staged.arrays, mine, !scene.pushed))
+    return {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
+  for (std::size_t a = 0; a < static_cast<std::size_t>(staged.arrays.dims); ++a) staged.arrays.position[a].resize(mine);
+  if (staged.arrays.has_weights) staged.arrays.weight.resize(mine);
+  return {};
+}
+
+// Opens the shared memory, and reads from it what a later push's scan doesn't: weights, and at a first push everything.
+// The positions of a later push are read with the scan. Local.
+Status read_shared(const Context& context, Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
+  const comm::Comm& comm = context.comm;
+  if (context.slices.empty()) return {Code::internal, fmt::format("rank {} has no slice of the push", comm.rank())};
+  auto source = SharedSource::open(context.slices.front(), scene.options.dims);
+  if (!source.ok()) return source.status();
+  if (Status room = take_room(comm, scene, mine, staged); !room.ok()) return room;
+  if (scene.pushed) {
+    if (push.weights) source->weights(scene.particles.id.span(), staged.arrays.weight.data());
+    staged.source = std::move(*source);
+    return {};
+  }
+  const std::uint64_t first = layout::row_begin(comm.rank(), push.n, comm.size());
+  for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
+    source->positions(a, first, mine, staged.arrays.position[a].data());
+  if (push.weights) source->weights(first, mine, staged.arrays.weight.data());
+  if (push.ids) {
+    staged.arrays.id.resize(mine);
+    source->ids(first, mine, staged.arrays.id.data());
+  }
+  return {};
+}
+
+// A later push: one scan and one reduction. `ready`: a fault that only this rank knows of. Collective.
+Status check_later(Context& context, Scene& scene, Moved moved, const Status& ready, Staged& staged) {
+  comm::Comm& comm = context.comm;
+  particles::ParticleView view = staged.arrays.view();
+  const bool all = moved == Moved::all;
+  if (all) {
+    view.count = scene.particles.count();
+    view.id = scene.particles.id.data();
+  }
+  if (ready.ok() && staged.source)
+    staged.scan = scan_shared(scene, *std::exchange(staged.source, {}), staged.arrays, comm.rank(), comm.size());
+  else if (ready.ok())
+    staged.scan = all ? scan_positions(scene, view, comm.rank(), comm.size())
+                      : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());
+  forget_removed(staged.edits, staged.scan.drift);
+  staged.sums = sum_scans(comm, scene, staged.scan, !ready.ok() || staged.scan.fault);
+  if (staged.sums.faults == 0) return {};
+  if (Status status = agree_status(comm, ready); !status.ok()) return status;
+  Status status = check_values(comm, view, false, 0);
+  CHECK(!status.ok(), "the pass found a fault that isn't there");
+  return status;
+}
+
+// Bytes of all arrays as received.
+std::uint64_t bytes_of(const Scene& scene, const PushRequest& push) {
+  const std::uint64_t point = static_cast<std::uint64_t>(scene.options.dims) * (push.is_float32 ? 4U : 8U);
+  const std::uint64_t beside = (push.weights ? 8U : 0U) + (push.ids || push.moved == Moved::some ? 8U : 0U);
+  const std::uint64_t inserted = point + (scene.particles.has_weights ? 8U : 0U) + (push.inserted_ids ? 8U : 0U);
+  return push.moving() * (point + beside) + push.inserted * inserted + push.removed * 8;
+}
+
+}  // namespace
+
+std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) {
+  if (!scene.pushed) return layout::row_begin(rank + 1, n, ranks) - layout::row_begin(rank, n, ranks);
+  std::uint64_t held = 0;
+  const int parts = scene.options.parts;
+  for (std::int64_t p = layout::part_begin(rank, parts, ranks); p < layout::part_begin(rank + 1, parts, ranks); ++p)
+    held += scene.loads.counts[static_cast<std::size_t>(p)];
+  return held;
+}
+
+void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged) {
+  if (push.moved == Moved::none) return;  // the kept memory stays for a later push
+  scene.spare = {};
+  if (push.from_memory() || staged.joined) scene.spare = std::move(staged.arrays.position);
+  Spare spare{scene.name, {}};
+  if (push.staged) {
+    for (auto& axis : staged.arrays.position)
+      if (axis.capacity() > 0) spare.buffers.push_back(axis.release_as<std::byte>());
+    if (spare.buffers.empty()) return;
+  }
+  context.spares.push_back(std::move(spare));
+}
+
+Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) {
+  const double start = context.clock.seconds();
+  comm::Comm& comm = context.comm;
+  if (Status status = check_header(scene, push); !status.ok()) return status;
+
+  Staged staged;
+  staged.n = push.n;
+  staged.ids = scene.pushed ? scene.ids : push.ids;
+  staged.arrays.dims = scene.options.dims;
+  staged.arrays.has_weights = push.weights;
+  staged.bytes = bytes_of(scene, push);
+  auto edits = prepare_edits(context, scene, push);
+  if (!edits.ok()) return edits.status();
+  staged.edits = std::move(*edits);
+  if (push.moved == Moved::none) {
+    staged.seconds = context.received_seconds + context.clock.seconds() - start;
+    return staged;
+  }
+  const std::uint64_t mine = scene.pushed ? scene.particles.count() : held_by(scene, push.n, comm.rank(), comm.size());
+  Status ready;
+  if (push.moved == Moved::some) {
+    Status status = receive_subset(context, scene, push, staged.arrays, staged.subset, ready);
+    if (!status.ok()) return status;
+  } else if (push.from_memory() && push.members == 0) {
+    ready = read_shared(context, scene, push, mine, staged);
+    if (!scene.pushed)
+      if (Status status = agree_status(comm, ready); !status.ok()) return status;
+  } else if (push.staged) {
+    staged.joined = push.members > 0 && (context.slices.size() != 1 || !context.slices.front().shared.empty());
+    if (push.members > 0)
+      ready = join_member_slices(comm, scene, push.unmoved, array_names(scene, push), scene.spare, context.slices);
+    if (ready.ok()) ready = check_own_slice(context, scene, push, mine);
+    if (ready.ok()) take_own_slice(context, push, staged);
+    if (!scene.pushed)
+      if (Status status = agree_status(comm, ready); !status.ok()) return status;
+  } else if (Status status = distribute(context, scene, push, mine, staged); !status.ok()) {
+    return status;
+  }
+  // The staged arrays become the scene's, so they need room for the inserted particles, too.
+  const std::uint64_t arriving = staged.edits.arriving.count();
+  if (ready.ok() && arriving > 0 && push.moved == Moved::all && !reserve(staged.arrays, mine + arriving, false))
+    ready = {Code::too_large, fmt::format("rank {} has no memory for {} more particles", comm.rank(), arriving)};
+  const Status checked =
+      scene.pushed ? check_later(context, scene, push.moved, ready, staged) : check_first(comm, push, mine, staged);
+  if (!checked.ok()) return checked;
+  staged.seconds = context.received_seconds + context.clock.seconds() - start;
+  return staged;
+}
+
+}  // namespace rcb::service

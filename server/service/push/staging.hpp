@@ -1,0 +1,53 @@
+// Room `push`: turns received slices into checked particles on the ranks that hold them. A failure here changes
+// nothing.
+//
+// Prepare: brings the particles of a push to the ranks that hold them and checks them. They are kept beside the scene's
+// particles, not yet in the scene.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "server/service/context/context.hpp"
+#include "server/service/push/changes.hpp"
+#include "server/service/push/scan.hpp"
+
+namespace rcb::service {
+
+struct Staged {
+  std::uint64_t n = 0;
+  bool ids = false;                    // ids aren't 0..n-1
+  particles::ParticleSet arrays;       // this rank's; ids only at a first push, weights only if sent
+  std::optional<SharedSource> source;  // of positions that the scan is to read
+  bool joined = false;                 // the positions were joined from members' slices, in memory of the scene's
+  Subset subset;                       // Moved::some: the slots of `arrays`, which then have ids
+  Edits edits;
+  std::uint64_t bytes = 0;  // of all arrays, as received
+  double seconds = 0;       // time to receive and stage
+  Scan scan;                // unset at a scene's first push
+  StepSums sums;
+
+  // The ranges of the blocks' positions; nullptr if no scan has read all positions.
+  const particles::BlockRanges* ranges() const { return scan.ranges.of[0].empty() ? nullptr : &scan.ranges; }
+};
+
+// Local. Reads an order to push. Errors: invalid_argument.
+Result<PushRequest> read_order(const wire::Json& request, int ranks);
+
+// Number of particles that the rank holds before a push of n particles: those of its parts or, at a first push, of its
+// block of rows. Local.
+std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks);
+
+// Collective. Leaves the scene as it was, except for what it caches (regions, index of ids, next id). Errors: faults of
+// the push, the same on every rank. If the ranks received their slices directly, a step after the first costs one scan
+// and one reduction.
+Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
+
+// Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory. Local.
+void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged);
+
+// Collective. Checks that positions and weights are finite, weights >= 0 and ids >= 0. The error names the first
+// offender: at a first push by its row (`first_row` is this rank's first row), later by its id.
+Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row);
+
+}  // namespace rcb::service

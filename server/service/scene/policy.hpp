@@ -1,0 +1,78 @@
+// Policy: decides when a step repartitions, and says why in words.
+//
+// `tolerance` compares the error with a tolerance. `cost` compares the time lost by the error with the time of a
+// repartition: of the step times that the solver reports, the share 1 - best / imbalance was spent waiting for the most
+// loaded part, and new cuts are searched once the sum of these losses since the last repartition exceeds the time of a
+// repartition. If the loss per step grows steadily, this is the best interval possible; however it develops, the total
+// cost is at most about twice the least possible. Sources: Nicol and Saltz 1988, doi:10.1109/12.2131; Menon and others
+// 2012, doi:10.1109/CLUSTER.2012.61.
+//
+// Invariants
+// 1. No clock is read here: a decision follows from its input, so ranks with the same input decide alike.
+// 2. A CostAccount is the same on all ranks: rank 0 measures the seconds of a repartition and broadcasts them.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <optional>
+#include <string>
+#include <string_view>
+
+namespace rcb::service {
+
+enum class Policy { tolerance, cost };
+
+std::string_view policy_name(Policy policy);
+std::optional<Policy> policy_from_name(std::string_view name);
+
+// The time that imbalance has cost since the last repartition, and the time that repartitions take.
+class CostAccount {
+ public:
+  static constexpr std::size_t kRemembered = 5;  // repartitions whose times are kept
+
+  // Restarts the sum: new cuts are in force, or a search found none better. imbalance: max(load / target) of the cuts
+  // now in force, the best that can be expected.
+  void start_again(double imbalance);
+  // The step of a repartition and its seconds, the same on every rank. The seconds of the first partition, which starts
+  // from nothing and moves every particle, are used only until there are others.
+  void repartitioned(std::int64_t step, double seconds, bool first);
+  // The solver computed for `seconds` under this imbalance.
+  void computed(double seconds, double imbalance);
+
+  double lost_seconds() const { return lost_seconds_; }
+  double repartition_seconds() const;  // median of the last kRemembered
+  std::optional<std::int64_t> since() const { return since_; }
+
+ private:
+  double best_imbalance_ = 1;
+  double lost_seconds_ = 0;
+  std::optional<std::int64_t> since_;  // step of the last repartition; unset if the sum was restarted otherwise
+  std::optional<double> first_seconds_;
+  std::deque<double> seconds_;  // of the last kRemembered repartitions
+};
+
+struct Decision {
+  bool search = false;  // look for new cuts
+  std::string reason;
+};
+
+struct PolicyInput {
+  double error_before = 0;
+  double tolerance = 0.1;      // may be infinity
+  bool may_be_wasted = false;  // new cuts might fail to lower the error (weights, inexact or partial recuts)
+  double quota_error = 0;      // without weights: the error that quotas of whole particles leave
+  std::optional<double> error_when_not_adopted;  // if may_be_wasted: error_before of the last wasted search
+  Policy policy = Policy::tolerance;
+  bool timed = false;       // the solver reported this step's seconds; else the tolerance decides
+  double lost_seconds = 0;  // from CostAccount, if the policy is cost
+  double repartition_seconds = 0;
+  std::optional<std::int64_t> since{};
+};
+
+Decision decide(const PolicyInput& input);
+
+// The final reason, after a search. If may_be_wasted, new cuts are adopted only if they lower the error.
+std::string reason_adopted(const Decision& decision, double error_after);
+std::string reason_not_adopted(const Decision& decision, double error_after);
+
+}  // namespace rcb::service

@@ -1,0 +1,78 @@
+// StepReport: what a committed step did, and its JSON form (its fields are part of the protocol).
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/wire/message.hpp"
+#include "server/api/push.hpp"
+
+namespace rcb::service {
+
+struct StepSeconds {
+  double receive = 0;   // from the first byte until all ranks hold their slices
+  double exchange = 0;  // migration in a step without new cuts
+  double search = 0;    // search for cuts
+  double migrate = 0;   // migration in a step with new cuts, of drifted particles too
+  double total = 0;
+
+  StepSeconds& operator+=(const StepSeconds& other);
+};
+
+// Work that a step could skip; reports list the names in this order.
+enum class Skip : std::uint8_t {
+  dimension,
+  weights,
+  ids,
+  double_precision,
+  motion,
+  exchange,
+  search,
+  far_from_cuts,
+};
+
+class Skips {
+ public:
+  void add(Skip skip) { bits_ |= static_cast<std::uint8_t>(1U << static_cast<unsigned>(skip)); }
+  std::vector<std::string> names() const;
+
+ private:
+  std::uint8_t bits_ = 0;
+};
+
+// Kept small, since many are kept in memory (history.hpp).
+struct StepReport {
+  std::string scene;
+  std::int64_t step = 0;
+  std::uint64_t epoch = 0;
+  std::uint64_t n = 0;
+  int parts = 1;
+  bool scene_recreated = false;  // first step of a scene that its client made anew after the service lost it
+  std::optional<double> error_before;
+  double error = 0;
+  double imbalance = 1;
+  bool repartitioned = false;
+  std::string reason;
+  int axes_flipped = 0;
+  std::uint64_t drifted = 0;   // particles that moved across a cut into another part
+  std::uint64_t moved = 0;     // particles whose part new cuts changed
+  std::uint64_t migrated = 0;  // particles that changed rank; 0 at the first push
+  std::uint64_t inserted = 0;
+  std::uint64_t removed = 0;
+  std::optional<std::int64_t> first_id;  // of the inserted particles, if the service chose their ids
+  std::uint64_t scanned = 0;             // particles whose positions were received and scanned
+  std::uint64_t searched = 0;            // particles in the search for cuts
+  std::uint64_t rounds = 0;              // of the search for cuts; 0: no search
+  std::uint64_t reductions = 0;          // collectives of the search
+  Skips skipped;
+  std::uint64_t bytes = 0;  // of arrays, as received
+  api::Way way = api::Way::endpoint;
+  StepSeconds seconds;
+};
+
+wire::Json to_json(const StepSeconds& seconds);
+wire::Json to_json(const StepReport& report);
+
+}  // namespace rcb::service

@@ -1,0 +1,269 @@
+#include "server/service/step/exchange.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <limits>
+#include <numeric>
+#include <utility>
+
+#include "common/comm/comm.hpp"
+#include "common/layout/layout.hpp"
+#include "server/service/context/collective.hpp"
+
+namespace rcb::service {
+namespace {
+
+// Calls apply(scene's array, arrivals' array) for every array of particle data.
+template <typename Apply>
+void for_each_array(Scene& scene, Arrivals& arrivals, const Apply& apply) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
+    apply(scene.particles.position[a], arrivals.particles.position[a]);
+  apply(scene.particles.id, arrivals.particles.id);
+  if (scene.particles.has_weights) apply(scene.particles.weight, arrivals.particles.weight);
+  apply(scene.part, arrivals.part);
+}
+
+// Who sends which particles to whom. A rank's exports are grouped by destination, beginning with the next higher rank,
+// so that not all ranks send to the same one at the same time.
+template <typename Slot>
+struct Exchange {
+  Buffer<Slot> grouped;              // slots of the exports, group after group
+  std::vector<std::uint64_t> begin;  // by destination: start of its group
+  std::vector<std::uint64_t> count;
+  std::vector<std::uint64_t> from_count;  // by source
+  std::uint64_t arriving = 0;
+  // Only for an exchange in rounds:
+  std::vector<std::uint64_t> begin_at_source;  // by source: start of the group for this rank there
+  std::uint64_t leaving_max = 0;               // most exports of any rank
+};
+
+// Fills in what needs no communication. Local.
+template <typename Slot>
+Exchange<Slot> plan_exchange(const comm::Comm& comm, const Scene& scene, const Exports& exports,
+                             std::span<const std::uint64_t> from) {
+  const auto ranks = static_cast<std::size_t>(comm.size());
+  const auto rank = static_cast<std::size_t>(comm.rank());
+  Exchange<Slot> exchange;
+  exchange.count = exports.counts;
+  exchange.begin.resize(ranks);
+  std::uint64_t at = 0;
+  for (std::size_t k = 1; k <= ranks; ++k) {
+    const std::size_t r = (rank + k) % ranks;
+    exchange.begin[r] = std::exchange(at, at + exchange.count[r]);
+  }
+  exchange.grouped.resize(exports.slots.size());
+  std::vector<std::uint64_t> next = exchange.begin;
+  for (const std::uint64_t slot : exports.slots) {
+    const int r = layout::rank_of_part(scene.part[slot], scene.options.parts, comm.size());
+    exchange.grouped[next[static_cast<std::size_t>(r)]++] = static_cast<Slot>(slot);
+  }
+  exchange.from_count.assign(from.begin(), from.end());
+  exchange.arriving = std::accumulate(from.begin(), from.end(), std::uint64_t{0});
+  return exchange;
+}
+
+// Fills in what an exchange in rounds needs. Collective.
+template <typename Slot>
+void agree_on_rounds(comm::Comm& comm, Exchange<Slot>& exchange) {
+  exchange.begin_at_source.resize(exchange.begin.size());
+  comm::exchange_counts(comm, exchange.begin, exchange.begin_at_source);
+  exchange.leaving_max = exchange.grouped.size();
+  comm.all_max({&exchange.leaving_max, 1});
+}
+
+struct Window {
+  std::uint64_t first;
+  std::uint64_t last;
+
+  // The part of a group that lies in this window.
+  Window of(std::uint64_t begin, std::uint64_t count) const {
+    const std::uint64_t lo = std::max(first, begin);
+    return {lo, std::max(lo, std::min(last, begin + count))};
+  }
+  std::uint64_t size() const { return last - first; }
+};
+
+// Sends the exports of one array to their new ranks, in rounds of at most round_bytes. They are received straight into
+// `to` [exchange.arriving], in the order of the sending ranks. Collective.
+template <typename T, typename Slot>
+void exchange_column(comm::Comm& comm, const Exchange<Slot>& exchange, const T* from, T* to,
+                     std::uint64_t round_bytes) {
+  const std::size_t ranks = exchange.count.size();
+  const std::uint64_t each = std::max<std::uint64_t>(1, round_bytes / sizeof(T));
+  const std::uint64_t leaving = exchange.grouped.size();
+  Buffer<T> packed(std::min(each, leaving));
+  std::vector<std::span<const std::byte>> send(ranks);
+  std::vector<std::span<std::byte>> receive(ranks);
+  for (Window round{0, each}; round.first < exchange.leaving_max; round.first += each, round.last += each) {
+    for (std::uint64_t k = round.first; k < std::min(round.last, leaving); ++k)
+      packed[k - round.first] = from[exchange.grouped[k]];
+    T* place = to;
+    for (std::size_t r = 0; r < ranks; ++r) {
+      const Window out = round.of(exchange.begin[r], exchange.count[r]);
+      send[r] = {};
+      if (out.size() > 0) send[r] = std::as_bytes(packed.span().subspan(out.first - round.first, out.size()));
+      const Window in = round.of(exchange.begin_at_source[r], exchange.from_count[r]);
+      receive[r] = {};
+      if (in.size() > 0)
+        receive[r] = std::as_writable_bytes(std::span(place + (in.first - exchange.begin_at_source[r]), in.size()));
+      place += exchange.from_count[r];
+    }
+    comm.exchange(send, receive);
+  }
+}
+
+// One array of particle data: the scene's, and the one for its arrivals.
+struct Column {
+  const std::byte* from;
+  std::byte* to;
+  std::size_t width;  // bytes per element
+};
+
+// Sends all columns in one exchange; a destination's message holds one column after another. Collective.
+void exchange_at_once(comm::Comm& comm, const Exchange<std::uint64_t>& exchange, std::span<const Column> columns) {
+  std::size_t width = 0;
+  for (const Column& column : columns) width += column.width;
+  Buffer<std::byte> packed(exchange.grouped.size() * width);
+  Buffer<std::byte> arrived(exchange.arriving * width);
+  std::vector<std::span<const std::byte>> send;
+  std::vector<std::span<std::byte>> receive;
+  std::byte* to = packed.data();
+  std::byte* at = arrived.data();
+  for (std::size_t r = 0; r < exchange.count.size(); ++r) {
+    send.emplace_back(to, exchange.count[r] * width);
+    receive.emplace_back(at, exchange.from_count[r] * width);
+    at += exchange.from_count[r] * width;
+    const std::uint64_t* slots = exchange.grouped.data() + exchange.begin[r];
+    for (const Column& column : columns)
+      for (std::uint64_t k = 0; k < exchange.count[r]; ++k, to += column.width)
+        std::memcpy(to, column.from + slots[k] * column.width, column.width);
+  }
+  comm.exchange(send, receive);
+  std::uint64_t before = 0;
+  for (std::size_t r = 0; r < exchange.count.size(); ++r) {
+    const std::byte* from = receive[r].data();
+    for (const Column& column : columns) {
+      const std::size_t bytes = exchange.from_count[r] * column.width;
+      if (bytes > 0) std::memcpy(column.to + before * column.width, from, bytes);
+      from += bytes;
+    }
+    before += exchange.from_count[r];
+  }
+}
+
+// Collective. Receives the arrivals into arrays of their own. Few particles travel with all columns in one exchange,
+// since each exchange costs a synchronisation; many travel column by column, which takes less memory.
+Arrivals receive_apart(comm::Comm& comm, Scene& scene, const Exports& exports, std::span<const std::uint64_t> from,
+                       bool few, const ExchangeLimits& limits) {
+  auto exchange = plan_exchange<std::uint64_t>(comm, scene, exports, from);
+  Arrivals arrivals;
+  arrivals.particles.dims = scene.options.dims;
+  arrivals.particles.has_weights = scene.particles.has_weights;
+  arrivals.particles.resize(exchange.arriving);
+  arrivals.part.resize(exchange.arriving);
+  if (few) {
+    std::vector<Column> columns;
+    for_each_array(scene, arrivals, [&columns](auto& mine, auto& theirs) {
+      columns.push_back(
+          {std::as_bytes(mine.span()).data(), std::as_writable_bytes(theirs.span()).data(), sizeof(mine[0])});
+    });
+    exchange_at_once(comm, exchange, columns);
+  } else {
+    agree_on_rounds(comm, exchange);
+    for_each_array(scene, arrivals, [&](const auto& mine, auto& theirs) {
+      exchange_column(comm, exchange, mine.data(), theirs.data(), limits.round_bytes);
+    });
+  }
+  return arrivals;
+}
+
+// A full change: all of a rank's particles, old and new, in ascending id. Array by array, the arrivals are received
+// behind the last element and the array is reordered. Collective.
+template <typename Slot>
+void change_all(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
+                const ExchangeLimits& limits) {
+  auto exchange = plan_exchange<Slot>(comm, scene, exports, from);
+  agree_on_rounds(comm, exchange);
+  const std::size_t before = scene.part.size();
+  Buffer<Slot> order(before - exports.slots.size() + exchange.arriving);
+  std::size_t placed = 0;
+  auto exported = exports.slots.begin();
+  for (std::uint64_t slot = 0; slot < before + exchange.arriving; ++slot) {
+    if (exported != exports.slots.end() && *exported == slot)
+      ++exported;
+    else
+      order[placed++] = static_cast<Slot>(slot);
+  }
+  exports = {};
+  const auto take_in = [&](auto& values) {
+    values.resize(before + exchange.arriving);
+    exchange_column(comm, exchange, std::as_const(values).data(), values.data() + before, limits.round_bytes);
+  };
+  take_in(scene.particles.id);
+  sort_slots_by_id(order, scene.particles.id.span());
+  const bool in_order = order.size() == before + exchange.arriving && std::is_sorted(order.begin(), order.end());
+  Buffer<std::byte> spare;
+  const auto arrange = [&](auto& values) {
+    if (!in_order) put_in_order(values, order, spare);
+  };
+  arrange(scene.particles.id);
+  const auto change = [&](auto& values) {
+    take_in(values);
+    arrange(values);
+  };
+  for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a) change(scene.particles.position[a]);
+  if (scene.particles.has_weights) change(scene.particles.weight);
+  change(scene.part);
+}
+
+// Updates the index of ids, if it is current, for an edit that raises the layout's version by one.
+void keep_index(Scene& scene, const layout::SlotEdit& edit, const Exports& exports, const Arrivals& arrivals) {
+  IdIndex& index = scene.index;
+  if (index.plan_version != scene.plan_version) return;
+  for (const std::uint64_t slot : exports.slots) index.slot.erase(scene.particles.id[slot]);
+  for (const layout::SlotMove& move : edit.moves)
+    index.slot[move.arrival ? arrivals.particles.id[move.from] : scene.particles.id[move.from]] = move.to;
+  index.plan_version = scene.plan_version + 1;
+}
+
+}  // namespace
+
+void count_by_rank(const comm::Comm& comm, const Scene& scene, Exports& exports) {
+  exports.counts.assign(static_cast<std::size_t>(comm.size()), 0);
+  for (const std::uint64_t slot : exports.slots)
+    ++exports
+          .counts[static_cast<std::size_t>(layout::rank_of_part(scene.part[slot], scene.options.parts, comm.size()))];
+}
+
+std::uint64_t fill_holes(Scene& scene, int rank, const Exports& exports, Arrivals& arrivals,
+                         const layout::SlotEdit& edit) {
+  keep_index(scene, edit, exports, arrivals);
+  const std::uint64_t gain = layout::checksum_change(edit, rank, scene.particles.id.span(), exports.slots,
+                                                     std::as_const(arrivals.particles.id).span());
+  for_each_array(scene, arrivals,
+                 [&edit](auto& mine, auto& theirs) { layout::apply_edit(edit, mine, std::as_const(theirs).span()); });
+  return gain;
+}
+
+void exchange_particles(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
+                        std::uint64_t changed, bool full, const ExchangeLimits& limits) {
+  std::uint64_t checksum = 0;
+  if (full) {
+    const std::uint64_t slots = std::accumulate(from.begin(), from.end(), std::uint64_t{scene.part.size()});
+    if (slots <= limits.narrow_slots)
+      change_all<std::uint32_t>(comm, scene, std::move(exports), from, limits);
+    else
+      change_all<std::uint64_t>(comm, scene, std::move(exports), from, limits);
+    checksum = layout::checksum_of_rank(comm.rank(), scene.particles.id.span());
+  } else {
+    Arrivals arrivals = receive_apart(comm, scene, exports, from, changed <= limits.few, limits);
+    sort_by_id(arrivals.particles, arrivals.part);
+    checksum = fill_holes(scene, comm.rank(), exports, arrivals,
+                          layout::edit_of_rank(scene.part.size(), exports.slots, arrivals.part.size()));
+  }
+  comm.all_sum({&checksum, 1});
+  scene.plan_checksum = full ? checksum : scene.plan_checksum + checksum;
+  ++scene.plan_version;
+}
+
+}  // namespace rcb::service

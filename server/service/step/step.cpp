@@ -1,0 +1,352 @@
+#include "server/service/step/step.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "common/layout/layout.hpp"
+#include "common/partition/incremental/recut.hpp"
+#include "common/partition/incremental/repartition.hpp"
+#include "server/service/context/collective.hpp"
+#include "server/service/scene/policy.hpp"
+#include "server/service/step/gather_changes.hpp"
+#include "server/service/step/migration.hpp"
+
+namespace rcb::service {
+namespace {
+
+partition::PartitionOptions options_of(const Scene& scene) {
+  partition::PartitionOptions options;
+  options.method = scene.options.method;
+  options.parts = scene.options.parts;
+  options.part_sizes = scene.options.part_sizes;
+  options.cut_tolerance = scene.options.cut_tolerance;
+  return options;
+}
+
+// The ids and parts of all local particles.
+PartChanges all_changes(const Scene& scene) {
+  PartChanges changes;
+  changes.id.assign(scene.particles.id.span());
+  changes.part.assign(scene.part.span());
+  return changes;
+}
+
+// Local particles that new cuts moved to another part.
+struct Moves {
+  Buffer<std::uint64_t> slot;  // ascending
+  Buffer<std::int32_t> old_part;
+};
+
+// Calls visit(slot, part before the step) for the particles that drifted or that new cuts moved, in ascending slots.
+template <typename Visit>
+void for_each_touched(const Drift& drift, const Moves& moves, const Visit& visit) {
+  std::size_t d = 0;
+  for (std::size_t m = 0; m < moves.slot.size(); ++m) {
+    for (; d < drift.count() && drift.slot[d] < moves.slot[m]; ++d) visit(drift.slot[d], drift.part[d]);
+    const bool both = d < drift.count() && drift.slot[d] == moves.slot[m];
+    visit(moves.slot[m], both ? drift.part[d++] : moves.old_part[m]);
+  }
+  for (; d < drift.count(); ++d) visit(drift.slot[d], drift.part[d]);
+}
+
+// The particles whose part after the step isn't that before it. To be called before they migrate.
+PartChanges changes_of_step(const Scene& scene, const Drift& drift, const Moves& moves) {
+  PartChanges changes;
+  changes.id.reserve(drift.count() + moves.slot.size());
+  changes.part.reserve(drift.count() + moves.slot.size());
+  for_each_touched(drift, moves, [&](std::uint64_t slot, std::int32_t old_part) {
+    if (scene.part[slot] == old_part) return;
+    changes.id.push_back(scene.particles.id[slot]);
+    changes.part.push_back(scene.part[slot]);
+  });
+  return changes;
+}
+
+void note_skips(const Scene& scene, const api::Push& push, const NoSkip& no_skip, StepReport& report) {
+  if (scene.options.dims < 3) report.skipped.add(Skip::dimension);
+  if (!scene.particles.has_weights) report.skipped.add(Skip::weights);
+  if (!scene.ids) report.skipped.add(Skip::ids);
+  if (push.is_float32) report.skipped.add(Skip::double_precision);
+  if (push.moved != Moved::all) report.skipped.add(Skip::motion);
+  if (report.migrated == 0 && !no_skip.exchange) report.skipped.add(Skip::exchange);
+  if (report.reductions == 0) report.skipped.add(Skip::search);
+  if (report.reductions > 0 && report.searched < scene.n) report.skipped.add(Skip::far_from_cuts);
+}
+
+void take_positions(Scene& scene, Staged& staged, Moved moved) {
+  if (moved == Moved::none) return;
+  if (moved == Moved::some) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
+      for (std::size_t k = 0; k < staged.subset.slot.size(); ++k)
+        scene.particles.position[a][staged.subset.slot[k]] = staged.arrays.position[a][k];
+    return;
+  }
+  for (std::size_t a = 0; a < static_cast<std::size_t>(scene.options.dims); ++a)
+    scene.particles.position[a].swap(staged.arrays.position[a]);
+  if (staged.arrays.has_weights) scene.particles.weight.swap(staged.arrays.weight);
+}
+
+void first_step(Context& context, Scene& scene, Staged& staged, StepReport& report) {
+  scene.particles = std::move(staged.arrays);
+  scene.n = staged.n;
+  scene.ids = staged.ids;
+  scene.pushed = true;
+  const double start = context.clock.seconds();
+  auto found = partition::partition(context.comm, scene.particles.view(), options_of(scene));
+  CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
+  report.searched = found->searched;
+  report.rounds = found->rounds;
+  report.reductions = found->reductions;
+  scene.part = std::move(found->part);
+  auto loads = found->counts.empty()
+                   ? partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
+                                                scene.options.part_sizes, scene.options.parts)
+                   : partition::summarise_counts(std::move(found->counts), scene.options.part_sizes);
+  adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
+  report.repartitioned = true;
+  report.reason = "first positions";
+  report.seconds.search = context.clock.seconds() - start;
+}
+
+constexpr int kFullSearchesMax = 7;
+
+// Searches new cuts; returns them with the particles that they would move. Collective.
+partition::Repartition search(Context& context, Scene& scene, Staged& staged, StepReport& report) {
+  partition::RepartitionOptions options;
+  options.partition = options_of(scene);
+  options.partition.axis_hysteresis = scene.options.axis_hysteresis;
+  options.partition.previous = &scene.tree;
+  options.incremental = !context.no_skip.incremental && scene.full_searches_left == 0;
+  options.before_search_of_all = [&staged] {
+    for (auto& axis : staged.arrays.position) axis.release();  // a full search needs as much memory
+  };
+  if (scene.options.recut == Recut::subtree)
+    options.roots = partition::smallest_roots(scene.tree, scene.loads, scene.options.tolerance / 2);
+  const auto part_begin = [&](int rank) {
+    return static_cast<int>(layout::part_begin(rank, scene.options.parts, context.comm.size()));
+  };
+  const partition::OwnParts own{part_begin(context.comm.rank()), part_begin(context.comm.rank() + 1)};
+  // Insertions and removals have changed the slots, so the scan's ranges of blocks are no longer valid.
+  const particles::BlockRanges* ranges = staged.edits.any() ? nullptr : staged.ranges();
+  partition::Repartition found = partition::repartition(context.comm, scene.particles.view(), options,
+                                                        {scene.tree, scene.part.span(), scene.loads, own, ranges});
+  // After a wasted incremental search the next 1, 3, then kFullSearchesMax repartitions search all particles.
+  if (options.incremental)
+    scene.full_searches_left = scene.full_searches_last =
+        found.wasted ? std::min(2 * scene.full_searches_last + 1, kFullSearchesMax) : 0;
+  else if (scene.full_searches_left > 0)
+    --scene.full_searches_left;
+  report.searched = found.looked_at;
+  report.rounds = found.rounds;
+  report.reductions = found.reductions;
+  return found;
+}
+
+// True if new cuts may turn out not to lower the error.
+bool may_be_wasted(const Scene& scene) {
+  return scene.loads.weighted || scene.options.cut_tolerance > 0 || scene.options.recut == Recut::subtree;
+}
+
+// Searches new cuts and adopts them if they lower the error. Collective.
+void try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,
+                     Moves& moves, StepReport& report) {
+  partition::Repartition found = search(context, scene, staged, report);
+  if (may_be_wasted(scene) && !(found.loads.error < error_before)) {
+    scene.error_when_not_adopted = error_before;
+    scene.costs.start_again(scene.loads.imbalance);
+    report.reason = reason_not_adopted(decision, found.loads.error);
+    return;
+  }
+  report.repartitioned = true;
+  report.reason = reason_adopted(decision, found.loads.error);
+  report.axes_flipped = partition::axes_flipped(scene.tree, found.tree);
+  report.moved = found.delta.slot.size();
+  context.comm.all_sum({&report.moved, 1});
+  moves.slot = std::move(found.delta.slot);
+  moves.old_part = std::move(found.delta.part);
+  for (std::size_t k = 0; k < moves.slot.size(); ++k) std::swap(scene.part[moves.slot[k]], moves.old_part[k]);
+  adopt(scene, {std::move(found.tree), found.rounds, found.reductions}, std::move(found.loads));
+}
+
+// Decides whether this step searches new cuts. Local.
+Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_computed_under) {
+  const SceneOptions& options = scene.options;
+  PolicyInput input{scene.loads.error, options.tolerance, may_be_wasted(scene), 0, scene.error_when_not_adopted};
+  input.policy = options.policy;
+  if (options.policy == Policy::cost && push.step_seconds) {
+    scene.costs.computed(*push.step_seconds, imbalance_computed_under);
+    input.timed = true;
+    input.lost_seconds = scene.costs.lost_seconds();
+    input.repartition_seconds = scene.costs.repartition_seconds();
+    input.since = scene.costs.since();
+  }
+  if (!input.may_be_wasted && (input.timed || input.error_before >= options.tolerance))
+    input.quota_error =
+        partition::summarise_counts(partition::quotas(scene.n, options.part_sizes, options.parts), options.part_sizes)
+            .error;
+  // Cuts made without particles divide nothing, so they are searched anew, whatever the policy.
+  if (push.n == 0 && scene.n > 0) return {true, "the scene had no particles before"};
+  return decide(input);
+}
+
+// Puts the parts that prepare() found in force, leaving the old ones in `drift`; then inserts and removes particles,
+// and updates the loads. Collective.
+void take_drift(Context& context, Scene& scene, Staged& staged) {
+  Drift& drift = staged.scan.drift;
+  const bool weighted = scene.particles.has_weights;
+  std::vector<std::uint64_t> change = std::move(staged.sums.count_change);
+  if (!weighted && change.empty() && staged.sums.drifted > 0) {
+    change = count_changes(scene, drift);
+    context.comm.all_sum(change);
+  }
+  Edits& edits = staged.edits;
+  const bool same_weights = weighted && !staged.arrays.has_weights && !edits.any();
+  if (same_weights && staged.sums.drifted > 0)
+    scene.loads = partition::moved_loads(context.comm, scene.particles.view(), scene.loads, scene.part.span(),
+                                         drift.slot.span(), drift.part.span(), scene.options.part_sizes);
+  for (std::size_t k = 0; k < drift.count(); ++k) std::swap(scene.part[drift.slot[k]], drift.part[k]);
+  if (edits.any()) apply_edits(context.comm, scene, edits, drift);
+  if (!weighted && change.empty() && edits.any()) change.resize(scene.loads.counts.size());
+  if (!weighted) {
+    for (std::size_t p = 0; p < edits.inserted_counts.size(); ++p) change[p] += edits.inserted_counts[p];
+    for (const std::int32_t part : edits.removed_parts) --change[static_cast<std::size_t>(part)];
+  }
+  if (same_weights) return;
+  if (weighted) {
+    scene.loads = partition::summarise_loads(context.comm, scene.particles.view(), scene.part.span(),
+                                             scene.options.part_sizes, scene.options.parts);
+  } else if (staged.sums.drifted > 0 || edits.any()) {
+    std::vector<std::uint64_t> counts = std::move(scene.loads.counts);
+    for (std::size_t p = 0; p < counts.size(); ++p) counts[p] += change[p];
+    scene.loads = partition::summarise_counts(std::move(counts), scene.options.part_sizes);
+  }
+}
+
+void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Moves& moves,
+                StepReport& report) {
+  const double imbalance_computed_under = scene.loads.imbalance;
+  take_positions(scene, staged, push.moved);
+  take_drift(context, scene, staged);
+  report.inserted = staged.edits.inserted;
+  report.removed = staged.edits.removed;
+  report.first_id = staged.edits.first_id;
+  report.drifted = staged.sums.drifted;
+  const double error_before = scene.loads.error;
+  report.error_before = error_before;
+  const Decision decision = decide_step(scene, push, imbalance_computed_under);
+  report.reason = decision.reason;
+  const double start = context.clock.seconds();
+  if (decision.search)
+    try_repartition(context, scene, staged, decision, error_before, moves, report);
+  else if (context.no_skip.search)
+    search(context, scene, staged, report);
+  report.seconds.search = context.clock.seconds() - start;
+}
+
+// Gives the cost account of all ranks the time that the repartition took by rank 0's clock. Collective if the policy is
+// cost.
+void account_repartition(Context& context, Scene& scene, const StepReport& report, bool first) {
+  if (scene.options.policy != Policy::cost) return;
+  double seconds = report.seconds.search + report.seconds.migrate;
+  context.comm.broadcast(std::as_writable_bytes(std::span(&seconds, 1)), 0);
+  scene.costs.repartitioned(report.step, seconds, first);
+}
+
+void remember(Scene& scene, const PushRequest& push, const StepReport& report, bool root) {
+  scene.step = push.id.step;
+  scene.recent_steps.push_back({push.id.step, session_key(push.id.session)});
+  if (scene.recent_steps.size() > Scene::kRememberedSteps) scene.recent_steps.pop_front();
+  SceneTotals& totals = scene.totals;
+  ++totals.steps;
+  totals.repartitions += report.repartitioned ? 1 : 0;
+  totals.bytes += report.bytes;
+  totals.drifted += report.drifted;
+  totals.moved += report.moved;
+  totals.migrated += report.migrated;
+  totals.seconds += report.seconds;
+  totals.scanned += report.scanned;
+  totals.searched += report.searched;
+  totals.rounds += report.rounds;
+  totals.reductions += report.reductions;
+  for (const std::string& name : report.skipped.names()) ++totals.skipped[name];
+  if (!scene.asked) ++totals.skipped["questions"];
+  scene.asked = false;
+  if (root) scene.history->add(report);
+}
+
+}  // namespace
+
+std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b) {
+  CHECK(a.size() == b.size(), "assignments of different length");
+  std::uint64_t count = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) count += static_cast<std::uint64_t>(a[i] != b[i]);
+  return count;
+}
+
+void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
+  scene.search_rounds = found.rounds;
+  scene.search_reductions = found.reductions;
+  scene.tree = std::move(found.tree);
+  scene.tree_hash.reset();
+  scene.loads = std::move(loads);
+  scene.error_when_not_adopted.reset();
+  scene.costs.start_again(scene.loads.imbalance);
+  ++scene.epoch;
+}
+
+StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
+  const double start = context.clock.seconds();
+  const bool first = !scene.pushed;
+  StepReport report;
+  report.scene = scene.name;
+  report.step = push.id.step;
+  report.bytes = staged.bytes;
+  report.way = push.way;
+  report.scanned = push.moving();
+  report.seconds.receive = staged.seconds;
+
+  Moves moves;
+  if (first) {
+    first_step(context, scene, staged, report);
+  } else {
+    later_step(context, scene, staged, push, moves, report);
+  }
+  report.n = scene.n;
+  report.parts = scene.options.parts;
+  report.scene_recreated = first && scene.recreated;
+  report.epoch = scene.epoch;
+  report.error = scene.loads.error;
+  report.imbalance = scene.loads.imbalance;
+
+  PartChanges mine;
+  const Drift& drift = staged.scan.drift;
+  const bool any = first || report.drifted > 0 || report.moved > 0;
+  if (changes != nullptr && any && !first) mine = changes_of_step(scene, drift, moves);
+  const double migrating = context.clock.seconds();
+  std::uint64_t changed_rank = 0;
+  if (first) {
+    changed_rank = migrate(context.comm, scene, true);
+  } else if (report.moved > 0) {
+    std::vector<std::uint64_t> touched;
+    touched.reserve(drift.count() + moves.slot.size());
+    for_each_touched(drift, moves, [&touched](std::uint64_t slot, std::int32_t) { touched.push_back(slot); });
+    staged.scan.drift = {};  // frees its memory for the migration
+    moves = {};
+    changed_rank = migrate_touched(context.comm, scene, std::move(touched));
+  } else if (staged.sums.migrating > 0 || context.no_skip.exchange) {
+    changed_rank = migrate_drifted(context.comm, scene, drift, staged.sums);
+  }
+  (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
+  report.migrated = first ? 0 : changed_rank;
+  if (report.repartitioned) account_repartition(context, scene, report, first);
+  if (changes != nullptr && first) mine = all_changes(scene);
+  if (changes != nullptr && any)
+    gather_changes(context.comm, mine, first ? scene.n : report.drifted + report.moved, *changes);
+
+  note_skips(scene, push, context.no_skip, report);
+  report.seconds.total = staged.seconds + context.clock.seconds() - start;
+  remember(scene, push, report, context.root());
+  return report;
+}
+
+}  // namespace rcb::service

@@ -1,0 +1,36 @@
+// Room `step`: turns checked particles into the scene's next state: drift, policy, new cuts, migration, results for
+// members. Entry point: commit(), which can't fail.
+//
+// Commit: staged positions become the scene's, drift is applied, new cuts are searched if the policy says so, and every
+// particle goes to the rank that owns it.
+#pragma once
+
+#include "common/partition/partition.hpp"
+#include "server/service/push/staging.hpp"
+
+namespace rcb::service {
+
+// Particles whose part changed in this step, with their new parts, in ascending id; on rank 0.
+struct PartChanges {
+  Buffer<particles::Id> id;
+  Buffer<std::int32_t> part;
+};
+
+// Collective. Can't fail: prepare() has checked everything. `changes`: nullptr if nobody asks for them. After any step
+// but the first, `staged` holds the positions before the step, whose memory may be used again.
+StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
+
+struct NewCuts {
+  partition::CutTree tree;
+  std::uint64_t rounds = 0;
+  std::uint64_t reductions = 0;
+};
+
+// Puts new cuts in force: tree, loads, epoch, statistics of the search. The caller has set scene.part, and migrates
+// afterwards. Local.
+void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads);
+
+// Number of local particles whose parts differ in two assignments. Local.
+std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b);
+
+}  // namespace rcb::service

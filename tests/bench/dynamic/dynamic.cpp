@@ -1,0 +1,202 @@
+#include "tests/bench/dynamic/dynamic.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/launch/launch.hpp"
+#include "client/launch/reach.hpp"
+#include "tests/bench/driver.hpp"
+#include "tests/bench/dynamic/dynamic_peers.hpp"
+#include "tests/bench/dynamic/dynamic_replay.hpp"
+#include "tests/bench/dynamic/dynamic_report.hpp"
+#include "tests/bench/dynamic/dynamic_trajectory.hpp"
+#include "tests/bench/json.hpp"
+#include "tests/bench/report.hpp"
+
+namespace rcb::bench {
+namespace {
+
+constexpr int kPartsMax = 1 << 20;
+constexpr int kRanksMax = 256;
+constexpr int kRepeatsMax = 1000;
+constexpr int kStepsMax = 1'000'000;
+
+Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench dynamic --help"}; }
+
+Status check(const DynamicOptions& options) {
+  for (const int parts : options.parts)
+    if (parts < 1 || parts > kPartsMax) return usage(fmt::format("--parts {}: give 1 to {}", parts, kPartsMax));
+  for (const int ranks : options.ranks)
+    if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
+  for (const double tolerance : options.tolerances)
+    if (!(tolerance >= 0)) return usage(fmt::format("--tolerances {}: give numbers >= 0, or inf", tolerance));
+  for (const double hysteresis : options.hystereses)
+    if (!(hysteresis >= 1) || std::isinf(hysteresis))
+      return usage(fmt::format("--axis-hysteresis {}: give finite numbers >= 1", hysteresis));
+  for (const std::string& recut : options.recuts)
+    if (recut != "all" && recut != "subtree") return usage(fmt::format("--recut {}: give all, subtree or both", recut));
+  if (options.repeats < 1 || options.repeats > kRepeatsMax)
+    return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
+  if (!(options.points >= 0 && options.points <= 1e9) || options.points != std::floor(options.points))
+    return usage(fmt::format("--points {}: give a whole number", options.points));
+  if (options.steps < 0 || options.steps > kStepsMax)
+    return usage(fmt::format("--steps {}: give 1 to {}", options.steps, kStepsMax));
+  for (const std::string& scene : options.scenes)
+    if (find_solver(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
+  return {};
+}
+
+// peer: Zoltan, which of a setting has the tolerance alone.
+Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSetting& setting, bool peer,
+            std::vector<DynamicRun> runs) {
+  std::sort(runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.seconds < b.seconds; });
+  DynamicRun run = runs[(runs.size() - 1) / 2];
+  if (!setting.cost) run.take_medians(runs);  // the policy cost need not repartition at the same steps
+  Json tolerance;
+  if (!setting.cost) tolerance = std::isinf(setting.tolerance) ? Json("inf") : Json(setting.tolerance);
+  return {{"scene", trajectory.scene},
+          {"n", trajectory.points},
+          {"dims", 3},
+          {"parts", parts},
+          {"ranks", ranks},
+          {"tool", peer ? "Zoltan" : "rcbd"},
+          {"method", peer ? "RCB" : "rcb"},
+          {"work", "dynamic"},
+          {"cut_tolerance", 0},
+          {"policy", setting.cost ? "cost" : "tolerance"},
+          {"tolerance", tolerance},
+          {"axis_hysteresis", peer ? Json() : Json(setting.axis_hysteresis)},
+          {"recut", peer ? Json() : Json(setting.recut)},
+          {"steps", trajectory.solver_seconds.size() - 1},
+          {"seconds", run.seconds},
+          {"seconds_min", runs.front().seconds},
+          {"seconds_max", runs.back().seconds},
+          {"seconds_balancing", run.seconds_search + run.seconds_migrate},
+          {"seconds_search", run.seconds_search},
+          {"seconds_migrate", run.seconds_migrate},
+          {"seconds_exchange", run.seconds_exchange},
+          {"seconds_client", run.seconds_client},
+          {"seconds_first", run.seconds_first},
+          {"seconds_lost", run.seconds_lost},
+          {"seconds_both", run.seconds + run.seconds_lost},
+          {"repartitions", run.repartitions},
+          {"drifted", run.drifted},
+          {"moved", run.moved},
+          {"migrated", run.migrated},
+          {"error", run.error_mean},
+          {"error_max", run.error_max},
+          {"error_before_mean", run.arrival_mean},
+          {"error_before_max", run.arrival_max},
+          {"ratio", Json::object()}};
+}
+
+// All settings along one trajectory, in a service of its own.
+Status measure_service(const DynamicOptions& options, const Trajectory& trajectory, int ranks, Json& rows) {
+  auto service = launch::Embedded::start(ranks, [](double) {});
+  if (!service) return service.status();
+  auto client = launch::reach(service->endpoint(), "rcb_bench");
+  if (!client) return service->explain(client.status());
+  std::vector<DynamicSetting> settings;
+  for (const double hysteresis : options.hystereses)
+    for (const std::string& recut : options.recuts) {
+      for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis, recut});
+      settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis, recut});
+    }
+  for (const int parts : options.parts) {
+    fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, trajectory.scene, trajectory.points, parts);
+    std::vector<std::vector<DynamicRun>> runs(settings.size());
+    for (int repeat = 0; repeat < options.repeats; ++repeat)
+      for (std::size_t k = 0; k < settings.size(); ++k) {
+        const std::size_t s = (k + static_cast<std::size_t>(repeat)) % settings.size();
+        auto run = replay(*client, trajectory, parts, settings[s], interrupted);
+        if (!run) return service->explain(run.status());
+        runs[s].push_back(*run);
+      }
+    for (std::size_t s = 0; s < settings.size(); ++s)
+      rows.push_back(row_of(trajectory, parts, ranks, settings[s], false, runs[s]));
+  }
+  return {};
+}
+
+// Zoltan along the same trajectory, in an MPI job of its own.
+Status measure_peer(const DynamicOptions& options, const Trajectory& trajectory, int ranks, const std::string& folder,
+                    Json& rows) {
+  fmt::print(stderr, "ranks {}: {}, {} points, Zoltan\n", ranks, trajectory.scene, trajectory.points);
+  const PeerPlan plan{trajectory, options.parts, options.tolerances, options.repeats};
+  if (Status status = save(plan, folder + "/plan"); !status.ok()) return status;
+  Json lines = Json::array();
+  Status status = run_job(folder, kPeerWord, ranks, kStallSeconds, lines);
+  std::vector<PeerRun> runs;
+  try {
+    for (const Json& line : lines) runs.push_back(peer_run_of(line));
+  } catch (const nlohmann::json::exception& error) {
+    return {Code::internal, fmt::format("a run of Zoltan: {}", error.what())};
+  }
+  for (const int parts : options.parts)
+    for (const double tolerance : options.tolerances) {
+      std::vector<DynamicRun> own;
+      for (const PeerRun& run : runs)
+        if (run.parts == parts && run.tolerance == tolerance) own.push_back(run.run);
+      if (!own.empty()) rows.push_back(row_of(trajectory, parts, ranks, {.tolerance = tolerance}, true, own));
+    }
+  return status;
+}
+
+Status measure_all(const DynamicOptions& options, Json& rows) {
+  const TemporaryFolder folder;
+  if (folder.path().empty()) return {Code::io_error, "no temporary folder can be made", "see TMPDIR"};
+  prepare_jobs();
+  for (const std::string& scene : options.scenes) {
+    const SolverKind& kind = *find_solver(scene);
+    const auto points = options.points > 0 ? static_cast<std::uint64_t>(options.points) : kind.points;
+    const int steps = options.steps > 0 ? options.steps : kind.steps;
+    fmt::print(stderr, "{}: {} points, {} steps are computed\n", scene, points, steps);
+    const auto trajectory = record(kind, points, steps, folder.path() + "/" + scene + ".npy", interrupted);
+    if (!trajectory) return trajectory.status();
+    for (const int ranks : options.ranks) {
+      if (Status status = measure_service(options, *trajectory, ranks, rows); !status.ok()) return status;
+      if (!options.peers || !has_dynamic_peer()) continue;
+      if (Status status = measure_peer(options, *trajectory, ranks, folder.path(), rows); !status.ok()) return status;
+    }
+    std::remove(trajectory->path.c_str());
+  }
+  return {};
+}
+
+}  // namespace
+
+CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
+  options.tolerances = {0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, std::numeric_limits<double>::infinity()};
+  auto* command = app.add_subcommand("dynamic", "time in service and error along a solver's run, for every tolerance");
+  const auto list = [](CLI::Option* option) { return option->delimiter(',')->capture_default_str(); };
+  list(command->add_option("--scenes", options.scenes, "two_spheres, slope"));
+  list(command->add_option("--tolerances", options.tolerances, "tolerances; the policy cost is run beside them"));
+  list(command->add_option("--parts", options.parts, "numbers of parts"));
+  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  list(command->add_option("--axis-hysteresis", options.hystereses, "of our scenes"));
+  list(command->add_option("--recut", options.recuts, "what our new cuts cut anew: all, subtree"));
+  command->add_flag("!--no-peers", options.peers, "leave Zoltan out");
+  command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
+  command->add_option("--points", options.points, "points of every scene, instead of its own number");
+  command->add_option("--steps", options.steps, "steps of every scene, instead of its own number");
+  command->add_option("--json", options.json, "write the result to this file");
+  command->add_option("--figure", options.figure,
+                      "draw time in service against error as SVG (gnuplot source beside it)");
+  return command;
+}
+
+Status run_dynamic(const DynamicOptions& options, Json document) {
+  if (Status status = check(options); !status.ok()) return status;
+  document["rows"] = Json::array();
+  const Status measured = measure_all(options, document["rows"]);
+  print(dynamic_tables(document));
+  if (Status status = write_result(options.json, document); !status.ok()) return status;
+  if (!measured.ok() || options.figure.empty()) return measured;
+  return draw_dynamic(document, options.figure);
+}
+
+}  // namespace rcb::bench

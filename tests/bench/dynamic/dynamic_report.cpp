@@ -1,0 +1,148 @@
+#include "tests/bench/dynamic/dynamic_report.hpp"
+
+#include <algorithm>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "tests/bench/figure.hpp"
+#include "tests/bench/json.hpp"
+#include "tests/bench/report.hpp"
+
+namespace rcb::bench {
+namespace {
+
+constexpr double kDynamicFloor = 1e-4;  // where an error of 0 is drawn on the logarithmic axis
+
+std::string setting_of(const Json& row) {
+  if (row["policy"] == "cost") return "cost";
+  return row["tolerance"].is_string() ? row["tolerance"].get<std::string>()
+                                      : fmt::format("{:g}", row["tolerance"].get<double>());
+}
+
+bool is_peer(const Json& row) { return row["tool"] != "rcbd"; }
+
+std::string tool_of(const Json& row, const Json& head) {
+  std::string name = row["tool"].get<std::string>() + " " + row["method"].get<std::string>();
+  if (!is_peer(row) && row["axis_hysteresis"] != head["axis_hysteresis"])
+    name += fmt::format(", hysteresis {:g}", row["axis_hysteresis"].get<double>());
+  if (!is_peer(row) && row["recut"] != head["recut"]) name += ", recut " + row["recut"].get<std::string>();
+  return name;
+}
+
+std::string milliseconds(const Json& row, const char* field) {
+  return fmt::format("{:.2f}", 1e3 * row[field].get<double>() / std::max(1.0, row["steps"].get<double>()));
+}
+
+std::string error_text(const Json& row, const char* field) { return fmt::format("{:.2g}", row[field].get<double>()); }
+
+std::string title_of(const Json& row) {
+  return fmt::format("{}: {} points, {} steps, {} parts, {} rank(s)", row["scene"].get<std::string>(),
+                     row["n"].get<std::uint64_t>(), row["steps"].get<int>(), row["parts"].get<int>(),
+                     row["ranks"].get<int>());
+}
+
+// The rows of one scene, number of parts and of ranks, in the order in which they come.
+std::vector<std::vector<const Json*>> groups_of(const Json& rows) {
+  std::vector<std::vector<const Json*>> groups;
+  for (const Json& row : rows) {
+    const auto same = [&row](const auto& group) { return title_of(*group.front()) == title_of(row); };
+    const auto found = std::find_if(groups.begin(), groups.end(), same);
+    if (found != groups.end())
+      found->push_back(&row);
+    else
+      groups.push_back({&row});
+  }
+  return groups;
+}
+
+// What gnuplot is told of one scene; its points are added to `data`, in blocks that begin with `name`.
+std::string panel_of(const std::vector<const Json*>& group, const std::string& name, std::string& data) {
+  const Json& head = *group.front();
+  std::string by_tolerance, by_cost, by_peer;
+  for (const Json* row : group) {
+    if (!is_peer(*row) && tool_of(*row, head) != tool_of(head, head)) continue;
+    (is_peer(*row)                ? by_peer
+     : (*row)["policy"] == "cost" ? by_cost
+                                  : by_tolerance) +=
+        fmt::format("{} {} {}\n", 1e3 * (*row)["seconds"].get<double>() / std::max(1.0, head["steps"].get<double>()),
+                    std::max((*row)["error"].get<double>(), kDynamicFloor), setting_of(*row));
+  }
+  data += fmt::format("{0} << EOD\n{1}EOD\n{0}c << EOD\n{2}EOD\n{0}z << EOD\n{3}EOD\n", name, by_tolerance, by_cost,
+                      by_peer);
+  std::string plot = fmt::format(
+      "set title '{}'\nplot {} using 1:2 with linespoints pointtype 7 pointsize 0.7 linecolor '#c1272d' title "
+      "'rcbd', "
+      "'' using 1:2:3 with labels left offset 0.7,0.3 notitle",
+      title_of(head), name);
+  if (!by_cost.empty())
+    plot += fmt::format(
+        ", {}c using 1:2 with points pointtype 3 pointsize 0.8 linecolor '#c1272d' title 'rcbd, policy cost'", name);
+  if (!by_peer.empty())
+    plot += fmt::format(
+        ", {}z using 1:2 with linespoints pointtype 4 pointsize 0.9 linecolor '#1f5f99' title 'Zoltan RCB', "
+        "'' using 1:2:3 with labels left offset 0.7,-0.3 textcolor '#1f5f99' notitle",
+        name);
+  return plot + "\n";
+}
+
+}  // namespace
+
+std::string dynamic_tables(const Json& document) {
+  std::string text;
+  for (const auto& group : groups_of(document["rows"])) {
+    text += "\n" + title_of(*group.front()) + "; milliseconds a step\n";
+    std::vector<std::vector<std::string>> lines{{"tool", "tolerance", "seconds", "balancing", "waited", "lost", "both",
+                                                 "repartitions", "drifted", "moved", "migrated", "mean error",
+                                                 "largest", "on arrival", "largest"}};
+    for (const Json* row : group) {
+      std::vector<std::string> line{tool_of(*row, *group.front()), setting_of(*row)};
+      for (const char* field : {"seconds", "seconds_balancing", "seconds_client", "seconds_lost", "seconds_both"})
+        line.push_back(milliseconds(*row, field));
+      for (const char* field : {"repartitions", "drifted", "moved", "migrated"}) line.push_back((*row)[field].dump());
+      for (const char* field : {"error", "error_max", "error_before_mean", "error_before_max"})
+        line.push_back(error_text(*row, field));
+      lines.push_back(std::move(line));
+    }
+    text += table(lines, 2);
+  }
+  return text;
+}
+
+Status draw_dynamic(const Json& document, const std::string& path) {
+  if (path.find_first_of("'\n\\") != std::string::npos)
+    return {Code::invalid_argument, path + ": a quote, backslash or line break in the figure's name"};
+  const auto groups = groups_of(document["rows"]);
+  if (groups.empty()) return {Code::invalid_argument, "there is nothing to draw"};
+  std::vector<std::string> panels;
+  std::string data;
+  for (const auto& group : groups) {
+    const Json& head = *group.front();
+    if (head["parts"] != groups.front().front()->at("parts") || head["ranks"] != groups.front().front()->at("ranks"))
+      continue;
+    panels.push_back(panel_of(group, fmt::format("$p{}", panels.size()), data));
+  }
+  std::string script = fmt::format(
+      "set terminal svg size {},480 noenhanced font 'sans-serif,13' background '#ffffff'\n"
+      "set output '{}'\n"
+      "set border 3 linecolor '#444444'\n"
+      "set tics nomirror textcolor '#222222'\n"
+      "set grid linecolor '#dddddd' linetype 1 linewidth 0.5\n"
+      "set logscale xy\n"
+      "set offsets graph 0.02, graph 0.15, 0, 0\n"
+      "set key top right\n"
+      "set format xy '%g'\n"
+      "set yrange [{}:10]\n"
+      "set ytics add ('0' {})\n"
+      "set xlabel 'milliseconds a step'\n"
+      "set ylabel 'mean over the steps of the largest relative error of a part'\n",
+      panels.size() * 620, path, kDynamicFloor / 2, kDynamicFloor);
+  script += data + fmt::format("set multiplot layout 1,{}\n", panels.size());
+  for (const std::string& panel : panels) script += panel;
+  script += "unset multiplot\n";
+  const std::string script_path = (path.ends_with(".svg") ? path.substr(0, path.size() - 4) : path) + ".gp";
+  if (Status status = write_file(script_path, script); !status.ok()) return status;
+  return run_gnuplot(script_path);
+}
+
+}  // namespace rcb::bench

@@ -1,0 +1,45 @@
+// rcb_bench step: one step of a scene in which every particle moved a little and nothing is repartitioned, beside the
+// floors: the same bytes through as many bare Unix sockets into the memory of as many processes, and copied there once
+// by these processes from memory that they share.
+//
+// Invariants
+// 1. Floor and variants take turns in one run, over the same positions; each variant has a scene of its own.
+// 2. What is timed is what a solver waits for: the call of step() until its report, the floor until every process has
+//    said that it has its bytes. Moving the particles, and keeping them in the plan's order, is the solver's own.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "common/base/status.hpp"
+#include "tests/bench/json.hpp"
+
+namespace rcb::bench {
+
+struct StepBenchOptions {
+  std::vector<std::string> scenes{"moving", "moving-2d"};
+  std::vector<std::string> variants{"shared-memory",
+                                    "shared-memory-axes",
+                                    "shared-memory-copy",
+                                    "layout",
+                                    "axes",
+                                    "rows",
+                                    "endpoint",
+                                    "float32",
+                                    "subset",
+                                    "unmoved"};
+  std::vector<int> parts{8};
+  std::vector<int> ranks{2, 8};
+  int members = 4;
+  int repeats = 15;
+  double points = 1'068'285;
+  std::string json;
+};
+
+CLI::App* add_step(CLI::App& app, StepBenchOptions& options);
+// `document`: what is told of machine and commit; rows are added. Writes and prints.
+Status run_step(const StepBenchOptions& options, Json document);
+
+}  // namespace rcb::bench

@@ -1,0 +1,102 @@
+#include "tests/bench/step/step_members.hpp"
+
+#include <algorithm>
+#include <barrier>
+#include <optional>
+#include <thread>
+
+#include <fmt/format.h>
+
+#include "client/lib/member.hpp"
+#include "common/base/clock.hpp"
+#include "common/layout/layout.hpp"
+
+namespace rcb::bench {
+
+struct MemberTeam::Member {
+  std::optional<client::Client> client;
+  std::optional<client::MemberScene> scene;
+  std::vector<std::int64_t> ids;  // of the particles it has: their rows
+  std::array<std::vector<double>, 3> position;
+  Status status;
+  client::StepReport report;
+  std::vector<client::Leaving> leaving;  // as the last answer said
+  std::vector<client::Entering> entering;
+
+  void take_positions(const std::array<std::vector<double>, 3>& axes, int dims) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
+      position[a].resize(ids.size());
+      for (std::size_t i = 0; i < ids.size(); ++i) position[a][i] = axes[a][static_cast<std::size_t>(ids[i])];
+    }
+  }
+  void push(int dims) {
+    std::array<const double*, 3> pointers{};
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) pointers[a] = position[a].data();
+    auto answer = scene->step(
+        client::Positions::axes(std::span(pointers).first(static_cast<std::size_t>(dims)), ids.size()), ids);
+    status = answer.status();
+    if (!status.ok()) return;
+    report = std::move(answer->report);
+    leaving = std::move(answer->leave);
+    entering = std::move(answer->enter);
+  }
+  void exchange_particles() {
+    const auto leaves = [this](std::int64_t id) {
+      const auto found = std::lower_bound(leaving.begin(), leaving.end(), id,
+                                          [](const client::Leaving& one, std::int64_t i) { return one.id < i; });
+      return found != leaving.end() && found->id == id;
+    };
+    std::erase_if(ids, leaves);
+    for (const client::Entering& one : entering) ids.push_back(one.id);
+  }
+};
+
+MemberTeam::MemberTeam(const std::array<std::vector<double>, 3> (&axes)[2], int dims, int members)
+    : axes_(axes), dims_(dims) {
+  for (int k = 0; k < members; ++k) members_.push_back(std::make_unique<Member>());
+}
+MemberTeam::~MemberTeam() = default;
+MemberTeam::MemberTeam(MemberTeam&&) noexcept = default;
+
+Status MemberTeam::open(const std::string& endpoint, const std::string& scene, client::Path path) {
+  const int members = static_cast<int>(members_.size());
+  for (int k = 0; k < members; ++k) {
+    Member& mine = *members_[static_cast<std::size_t>(k)];
+    auto client = client::Client::connect({.endpoint = endpoint, .name = fmt::format("member {}", k), .path = path});
+    if (!client.ok()) return client.status();
+    mine.client.emplace(std::move(*client));
+    auto opened = client::MemberScene::open(*mine.client, scene, {.member = k, .members = members, .follow = true});
+    if (!opened.ok()) return opened.status();
+    mine.scene.emplace(std::move(*opened));
+    const std::uint64_t n = axes_[0][0].size();
+    for (std::uint64_t row = layout::row_begin(k, n, members); row < layout::row_begin(k + 1, n, members); ++row)
+      mine.ids.push_back(static_cast<std::int64_t>(row));
+  }
+  return {};
+}
+
+Result<double> MemberTeam::step(int phase, client::StepReport& report) {
+  const SteadyClock clock;
+  double start = 0;
+  std::barrier ready(static_cast<std::ptrdiff_t>(members_.size()), [&]() noexcept { start = clock.seconds(); });
+  std::vector<double> ended(members_.size());
+  {
+    std::vector<std::jthread> threads;
+    for (std::size_t k = 0; k < members_.size(); ++k)
+      threads.emplace_back([&, k] {
+        Member& mine = *members_[k];
+        mine.take_positions(axes_[phase], dims_);
+        ready.arrive_and_wait();
+        mine.push(dims_);
+        ended[k] = clock.seconds();
+      });
+  }
+  for (const auto& mine : members_) {
+    if (!mine->status.ok()) return mine->status;
+    mine->exchange_particles();
+  }
+  report = members_.front()->report;
+  return *std::max_element(ended.begin(), ended.end()) - start;
+}
+
+}  // namespace rcb::bench

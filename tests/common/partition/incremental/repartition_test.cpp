@@ -1,0 +1,284 @@
+// repartition() against partition(): new cuts after a drift are those of a search among all particles, however good or
+// bad the guesses were.
+#include "common/partition/incremental/repartition.hpp"
+
+#include <algorithm>
+#include <mutex>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+
+#include "common/comm/self_comm.hpp"
+#include "common/partition/incremental/recut.hpp"
+#include "common/partition/partition.hpp"
+#include "tests/support/on_ranks.hpp"
+#include "tests/support/scenes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using testing::make_scene;
+using testing::on_ranks;
+using testing::Scene;
+using testing::Shape;
+using testing::Share;
+using testing::Weights;
+
+constexpr std::uint64_t kRepartitionSeed = 20260711;
+
+struct Case {
+  Scene scene;
+  PartitionOptions options;
+  double drift = 0;  // of a particle's coordinate, as a share of another particle's distance
+  std::uint64_t seed = 0;
+
+  std::string text() const {
+    return fmt::format("{}, {} particles, {} parts, method {}, hysteresis {}, drift {}, seed {}", scene.name,
+                       scene.count(), options.parts, method_name(options.method), options.axis_hysteresis, drift, seed);
+  }
+};
+
+// The tree before the drift, and the scene after it.
+CutTree drift(Case& trial) {
+  std::vector<std::size_t> rows(trial.scene.count());
+  std::iota(rows.begin(), rows.end(), std::size_t{0});
+  comm::SelfComm self;
+  const Share all = testing::take(trial.scene, rows);
+  PartitionOptions first = trial.options;
+  first.previous = nullptr;
+  CutTree tree = partition(self, all.particles.view(), first)->tree;
+  Random random(trial.seed);
+  for (std::size_t a = 0; a < static_cast<std::size_t>(trial.scene.dims); ++a)
+    for (std::size_t i = 0; i < trial.scene.count(); ++i) {
+      if (random.below(100) >= static_cast<std::uint64_t>(100 * trial.drift)) continue;
+      // Somewhere that occurs, so that ties and decades stay what they are.
+      trial.scene.x[a][i] = trial.scene.x[a][random.below(trial.scene.count())];
+    }
+  return tree;
+}
+
+// Every particle on the rank that owns its part, but for one in 23, as after a drift. by_part: part after part, so that
+// particles side by side in the arrays are side by side in space.
+Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnParts& own, std::vector<std::int32_t>& part,
+           bool by_part = false) {
+  const auto begin = [&](int r) { return static_cast<int>(std::int64_t{r} * tree.parts / ranks); };
+  own = {begin(rank), begin(rank + 1)};
+  std::vector<std::size_t> rows;
+  for (std::size_t i = 0; i < scene.count(); ++i) {
+    const geometry::Point at{scene.x[0][i], scene.dims > 1 ? scene.x[1][i] : 0, scene.dims > 2 ? scene.x[2][i] : 0};
+    const int owner = tree.part_of(at, scene.id[i]);
+    const bool stray = i % 23 == 0;
+    if (stray ? static_cast<int>(i / 23 % static_cast<std::size_t>(ranks)) == rank
+              : owner >= own.first && owner < own.last) {
+      rows.push_back(i);
+      part.push_back(owner);
+    }
+  }
+  if (by_part) {
+    std::vector<std::size_t> order(rows.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::ranges::stable_sort(order, {}, [&part](std::size_t k) { return part[k]; });
+    std::vector<std::size_t> sorted;
+    for (const std::size_t k : order) sorted.push_back(rows[k]);
+    rows = std::move(sorted);
+    std::ranges::sort(part);
+  }
+  return testing::take(scene, std::move(rows));
+}
+
+std::string differs(const LoadSummary& a, const LoadSummary& b) {
+  if (a.counts != b.counts) return "counts";
+  if (a.loads != b.loads || a.scale_exponent != b.scale_exponent || a.weighted != b.weighted) return "loads";
+  return a.error == b.error && a.imbalance == b.imbalance ? "" : "error";
+}
+
+// How many repartitions were warm, counted by each rank of this process.
+std::uint64_t check(Case trial) {
+  SCOPED_TRACE(trial.text());
+  const CutTree before = drift(trial);
+  std::mutex mutex;
+  std::uint64_t incremental = 0;
+  on_ranks([&](comm::Comm& comm) {
+    OwnParts own;
+    std::vector<std::int32_t> part;
+    const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part, trial.seed % 2 == 0);
+    const particles::ParticleView view = share.particles.view();
+    const particles::BlockRanges blocks = particles::ranges_of(view);
+    const auto& sizes = trial.options.part_sizes;
+    RepartitionOptions options{trial.options, {}, true};
+    options.partition.previous = &before;
+    const LoadSummary loads = summarise_loads(comm, view, part, sizes, before.parts);
+    const Result<PartitionResult> full = partition(comm, view, options.partition);
+    ASSERT_TRUE(full.ok());
+    const Repartition got =
+        repartition(comm, view, options, {before, part, loads, own, trial.seed % 3 == 0 ? nullptr : &blocks});
+    EXPECT_TRUE(got.tree.cuts == full->tree.cuts);
+    EXPECT_EQ(got.tree.hash(), full->tree.hash());
+    std::vector<std::int32_t> parts = part;
+    for (std::size_t k = 0; k < got.delta.slot.size(); ++k) {
+      EXPECT_NE(parts[got.delta.slot[k]], got.delta.part[k]);
+      EXPECT_TRUE(k == 0 || got.delta.slot[k - 1] < got.delta.slot[k]);
+      parts[got.delta.slot[k]] = got.delta.part[k];
+    }
+    EXPECT_TRUE(std::equal(parts.begin(), parts.end(), full->part.begin(), full->part.end()));
+    EXPECT_EQ(differs(got.loads, summarise_loads(comm, view, parts, sizes, before.parts)), "");
+    const std::scoped_lock lock(mutex);
+    incremental += got.incremental ? 1U : 0U;
+  });
+  return incremental;
+}
+
+TEST(Repartition, GivesTheCutsOfASearchAmongAll) {
+  std::uint64_t seed = kRepartitionSeed;
+  std::uint64_t incremental = 0;
+  for (int shape = 0; shape < testing::kShapes; ++shape)
+    for (int weights = 0; weights < testing::kWeights; ++weights)
+      for (const int parts : {1, 2, 5, 8, 16})
+        for (const double drift : {0.0, 0.02, 0.3}) {
+          ++seed;
+          const int dims = 1 + static_cast<int>(mix64(seed) % 3);
+          Case trial{make_scene(static_cast<Shape>(shape), static_cast<Weights>(weights), dims,
+                                1 + mix64(seed + 1) % 900, seed % 2 == 0, seed),
+                     {},
+                     drift,
+                     seed};
+          trial.options.parts = parts;
+          trial.options.axis_hysteresis = seed % 3 == 0 ? 1 : 1.2;
+          if (seed % 5 == 0) trial.options.method = Method::bands_x;
+          if (seed % 7 == 0)
+            for (int p = 0; p < parts; ++p) trial.options.part_sizes.push_back(1 + static_cast<double>(p % 3));
+          // From a good guess to none; mostly any number may be looked at.
+          trial.options.limits.bracket_sigmas = static_cast<double>(seed % 4);
+          trial.options.limits.bracket_margin = static_cast<double>(seed % 3);
+          trial.options.limits.boundary_divisor = seed % 4 == 0 ? 5 : 1;
+          incremental += check(trial);
+          if (HasFailure()) return;
+        }
+  EXPECT_GT(incremental, 100U);
+}
+
+TEST(Repartition, LooksAtFewWhereLittleHasMoved) {
+  Case trial{make_scene(Shape::uniform, Weights::none, 3, 40000, false, kRepartitionSeed), {}, 0.01, kRepartitionSeed};
+  trial.options.parts = 4;
+  trial.options.axis_hysteresis = 1.5;
+  const CutTree before = drift(trial);
+  on_ranks([&](comm::Comm& comm) {
+    OwnParts own;
+    std::vector<std::int32_t> part;
+    const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+    RepartitionOptions options{trial.options, {}, true};
+    options.partition.previous = &before;
+    const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 4);
+    const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads, own});
+    EXPECT_TRUE(got.incremental);
+    EXPECT_LT(got.looked_at, trial.scene.count() / 5);
+    EXPECT_EQ(got.loads.error, 0);
+    options.incremental = false;
+    const Repartition full = repartition(comm, share.particles.view(), options, {before, part, loads, own});
+    EXPECT_FALSE(full.incremental);
+    EXPECT_EQ(full.looked_at, trial.scene.count());
+    EXPECT_EQ(full.tree.hash(), got.tree.hash());
+  });
+}
+
+// Some subtrees alone: each is the partition of its particles into its parts, all other cuts stay.
+TEST(Repartition, CutsSomeSubtreesAnew) {
+  for (std::uint64_t seed = kRepartitionSeed; seed < kRepartitionSeed + 60; ++seed) {
+    Case trial{make_scene(static_cast<Shape>(seed % testing::kShapes),
+                          seed % 4 == 0 ? Weights::small_integers : Weights::none, 3, 200 + seed % 300, false, seed),
+               {},
+               0.1,
+               seed};
+    trial.options.parts = 11;
+    SCOPED_TRACE(trial.text());
+    const CutTree before = drift(trial);
+    const NodeRange root = before.root();
+    RepartitionOptions options{trial.options, {root.left().left(), root.right()}, seed % 2 == 0};
+    options.partition.limits.boundary_divisor = 1;
+    options.partition.limits.bracket_sigmas = 1;
+    on_ranks([&](comm::Comm& comm) {
+      OwnParts own;
+      std::vector<std::int32_t> part;
+      const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+      const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 11);
+      const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads, own});
+      std::vector<std::int32_t> parts = part;
+      for (std::size_t k = 0; k < got.delta.slot.size(); ++k) parts[got.delta.slot[k]] = got.delta.part[k];
+      CutTree wanted = before;
+      for (const NodeRange& range : options.roots) {
+        std::vector<std::size_t> rows;
+        for (std::size_t i = 0; i < part.size(); ++i)
+          if (part[i] >= range.first && part[i] < range.last) rows.push_back(share.row[i]);
+        const Share own_share = testing::take(trial.scene, rows);
+        PartitionOptions alone = trial.options;
+        alone.parts = range.parts();
+        const auto found = partition(comm, own_share.particles.view(), alone);
+        std::copy(found->tree.cuts.begin(), found->tree.cuts.end(), wanted.cuts.begin() + range.node);
+        for (std::size_t k = 0, i = 0; i < part.size(); ++i) {
+          if (part[i] < range.first || part[i] >= range.last) continue;
+          EXPECT_EQ(parts[i], found->part[k++] + range.first);
+        }
+      }
+      if (!trial.scene.weight.empty()) return;  // a scale of its own: cuts may differ
+      EXPECT_TRUE(got.tree.cuts == wanted.cuts);
+      EXPECT_EQ(differs(got.loads, summarise_loads(comm, share.particles.view(), parts, {}, 11)), "");
+    });
+    if (HasFailure()) return;
+  }
+}
+
+// The root as the one subtree is everything: bands order their other axes by the extents of the whole set.
+TEST(Repartition, TheRootAsASubtreeIsEverything) {
+  for (const Method method : {Method::rcb, Method::bands_x}) {
+    Case trial{make_scene(Shape::uniform, Weights::none, 3, 5000, false, kRepartitionSeed), {}, 0.02, kRepartitionSeed};
+    for (double& z : trial.scene.x[2]) z *= 3;  // longer than y, so their order isn't that of their numbers
+    trial.options.parts = 5;
+    trial.options.method = method;
+    const CutTree before = drift(trial);
+    on_ranks([&](comm::Comm& comm) {
+      OwnParts own;
+      std::vector<std::int32_t> part;
+      const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+      const particles::ParticleView view = share.particles.view();
+      const LoadSummary loads = summarise_loads(comm, view, part, {}, 5);
+      const Result<PartitionResult> full = partition(comm, view, trial.options);
+      for (const bool incremental : {true, false}) {
+        const RepartitionOptions options{trial.options, {before.root()}, incremental, {}};
+        const Repartition got = repartition(comm, view, options, {before, part, loads, own});
+        EXPECT_EQ(got.tree.hash(), full->tree.hash());
+      }
+    });
+  }
+}
+
+LoadSummary loads_of(std::vector<std::uint64_t> counts) { return summarise_counts(std::move(counts), {}); }
+
+std::vector<std::pair<int, int>> roots_of(const std::vector<std::uint64_t>& counts, double wanted,
+                                          Method method = Method::rcb) {
+  CutTree tree;
+  tree.parts = static_cast<int>(counts.size());
+  tree.method = method;
+  tree.cuts.resize(counts.size() - 1);
+  std::vector<std::pair<int, int>> found;
+  for (const NodeRange& range : smallest_roots(tree, loads_of(counts), wanted))
+    found.emplace_back(range.first, range.last);
+  return found;
+}
+
+TEST(Recut, FindsTheSmallestSubtreesThatHelp) {
+  using Roots = std::vector<std::pair<int, int>>;
+  EXPECT_EQ(roots_of({100, 100, 100, 100}, 0.05), Roots{});
+  EXPECT_EQ(roots_of({110, 90, 100, 100}, 0.05), (Roots{{0, 2}}));
+  EXPECT_EQ(roots_of({110, 90, 90, 110}, 0.05), (Roots{{0, 2}, {2, 4}}));
+  EXPECT_EQ(roots_of({110, 100, 90, 100}, 0.05), (Roots{{0, 4}}));
+  EXPECT_EQ(roots_of({110, 90, 100, 100, 100, 100, 80, 120}, 0.05), (Roots{{0, 2}, {6, 8}}));
+  EXPECT_EQ(roots_of({110, 100, 90, 100, 100, 100, 100, 100}, 0.05), (Roots{{0, 4}}));
+  // Nodes that are off by exactly as much as is wanted, as the parts' errors are reckoned.
+  EXPECT_EQ(roots_of({8, 8, 12, 12}, 0.2), (Roots{{0, 4}}));
+  EXPECT_EQ(roots_of({9, 9, 10, 11, 9, 12}, 0.1), (Roots{{0, 3}, {3, 6}}));
+  EXPECT_EQ(roots_of({110, 90, 100, 100}, 0.05, Method::bands_x), (Roots{{0, 4}}));
+}
+
+}  // namespace
+}  // namespace rcb::partition

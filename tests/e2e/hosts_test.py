@@ -1,0 +1,218 @@
+"""A service over several machines (tests/hosts): the answers of one machine, solvers on any of them, and machines that
+vanish. Needs root, since the machines are made of network namespaces."""
+import re
+
+import judge
+from support import *
+
+sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "hosts"))
+from hosts import Hosts
+
+TCP = "10.77.0.1:7470"
+STRANGER = """
+import os, socket, sys, time
+held = []
+for place in sys.argv[1:]:
+    host, port = place.split(":")
+    for words in (b"", b"GET / HTTP/1.0\\r\\n\\r\\n", os.urandom(5000)):
+        try:
+            held.append(socket.create_connection((host, int(port)), timeout=2))
+            held[-1].sendall(words)
+        except OSError:
+            pass
+time.sleep(2)
+print(len(held))
+"""
+
+
+class HostsTest(unittest.TestCase):
+    def setUp(self):
+        if os.geteuid() != 0 or shutil.which("ip") is None:
+            self.skipTest("machines made of namespaces need root and the program ip")
+
+    def machines(self, count):
+        self.hosts = Hosts(count)
+        self.addCleanup(self.hosts.close)
+        self.data = os.path.join(self.hosts.shared, "data")
+        self.bin = os.path.join(self.hosts.shared, "bin")  # a checkout in /tmp isn't seen there
+        os.mkdir(self.bin)
+        for program in ("rcbd", "rcbctl", "two_spheres", "slope_mpi"):
+            shutil.copy(os.path.join(BIN, program), self.bin)
+        shutil.copy(MPIRUN, self.bin)
+
+    def on(self, name, *args, endpoint=TCP, timeout=120, **more):
+        """The program's end, run on a machine."""
+        settings = {"RCBD_ENDPOINT": endpoint, "RCBD_BIN_DIR": self.bin, "RCBD_TOKEN_FILE": os.path.join(self.data, "token")}
+        environment = self.hosts.environment(**settings | more)
+        return self.hosts.run(name, *args, env=environment, capture_output=True, text=True, timeout=timeout,
+                              cwd=self.hosts.shared)
+
+    def ctl(self, *args, name="a", **kwargs):
+        done = self.on(name, os.path.join(self.bin, "rcbctl"), *args, **kwargs)
+        self.assertEqual(done.returncode, 0, f"rcbctl {args}: {done.stdout}{done.stderr}\n{self.log()}")
+        return json.loads(done.stdout) if "--json" in args else done.stdout
+
+    def up(self, *args, **kwargs):
+        self.ctl("up", "--data-dir", self.data, *args, **kwargs)
+
+    def log(self):
+        try:
+            with open(os.path.join(self.data, "rcbd.log")) as file:
+                return file.read()
+        except OSError:
+            return ""
+
+    def down(self, **kwargs):
+        self.ctl("down", **kwargs)
+        self.assertTrue(wait_for(lambda: not any(self.hosts.processes(name) for name in self.hosts.names)),
+                        "processes are left")
+
+    def test_answers_are_those_of_one_machine(self):
+        for layout, ranks in (("a:2,b:2,c:2", 6), ("a:4,b:4", 8)):
+            with self.subTest(layout):
+                self.machines(len(layout.split(",")))
+                self.up("--hosts", layout, "--trusted-network", endpoint="unix:/tmp/rcbd.sock")
+                status = self.ctl("status", "--json", endpoint="unix:/tmp/rcbd.sock")
+                self.assertEqual([one["host"] for one in status["hosts"]],
+                                 [part[0] for part in layout.split(",") for _ in range(int(part[2]))])
+                self.assertEqual(status["ranks"], ranks)
+                for name, points in hard_scenes().items():
+                    parts = min(7, max(1, len(points)))
+                    file = os.path.join(self.hosts.shared, f"{name}.npy")
+                    np.save(file, points)
+                    assign = os.path.join(self.hosts.shared, "assign.npy")
+                    self.ctl("partition", file, "--parts", parts, "--assign", assign, "--json",
+                             endpoint="unix:/tmp/rcbd.sock")
+                    np.testing.assert_array_equal(np.load(assign), judge.partition(points, parts)[1], name)
+                self.down(endpoint="unix:/tmp/rcbd.sock")
+
+    def test_solvers_run_on_every_machine_and_on_others(self):
+        self.machines(4)  # d has no rank
+        self.up("--hosts", "a:2,b:2,c:1", "--trusted-network", "--interface", "10.77.0.0/24")
+        alone = None
+        for name in "abcd":
+            done = self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 40, "--parts", 6, "--json",
+                           RCBD_PATH="direct")
+            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+            result = json.loads(done.stdout)
+            steps = [(report["error"], report["repartitioned"]) for report in result["reports"]]
+            alone = alone or steps
+            self.assertEqual(steps, alone)
+            self.assertEqual({report["way"] for report in result["reports"]}, {"sockets"})
+        addresses = [one["addresses"][0] for one in self.ctl("status", "--json")["hosts"]]
+        self.assertEqual([re.sub(":.*", "", address) for address in addresses],
+                         [f"10.77.0.{k}" for k in (1, 1, 2, 2, 3)])
+        done = self.on("d", os.path.join(self.bin, "mpirun"), 3, os.path.join(self.bin, "slope_mpi"), "--points", 1000, "--steps", 6, "--interval", 0.3,
+                       "--parts", 6, "--check")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        self.down()
+
+    def test_a_client_of_the_socket_reaches_ranks_on_other_machines(self):
+        self.machines(2)
+        endpoint = "unix:/tmp/rcbd.sock"
+        self.up("--hosts", "a:2,b:2", "--trusted-network", endpoint=endpoint)
+        kinds = [one["addresses"][0].split(":")[0] for one in self.ctl("status", "--json", endpoint=endpoint)["hosts"]]
+        self.assertEqual(kinds, ["unix", "unix", "10.77.0.2", "10.77.0.2"])
+        for path, way in (("direct", "sockets"), ("shared", "endpoint"), ("gateway", "endpoint")):
+            done = self.on("a", os.path.join(self.bin, "two_spheres"), "--steps", 20, "--parts", 6, "--json", endpoint=endpoint,
+                           RCBD_PATH=path, RCBD_TOKEN_FILE="")
+            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+            self.assertEqual({report["way"] for report in json.loads(done.stdout)["reports"]}, {way}, path)
+        self.down(endpoint=endpoint)
+
+    def listening(self, name):
+        """The TCP ports at which processes of a machine listen."""
+        found = set()
+        for table in ("tcp", "tcp6"):
+            lines = self.hosts.run(name, "cat", f"/proc/net/{table}", capture_output=True, text=True).stdout
+            found |= {int(line.split()[1].split(":")[1], 16) for line in lines.splitlines()[1:] if line.split()[3] == "0A"}
+        return found
+
+    def test_strangers_at_every_port_change_nothing(self):
+        self.machines(3)
+        self.up("--hosts", "a:2,b:2", "--trusted-network")
+        status = self.ctl("status", "--json")
+        meant = {int(address.rsplit(":", 1)[1]) for one in status["hosts"] for address in one["addresses"]} | {7470}
+        ports = {name: self.listening(name) for name in "ab"}
+        self.assertLessEqual(meant, ports["a"] | ports["b"])
+        ours = [f"{self.hosts.address(name)}:{port}" for name in "ab" for port in ports[name] & meant]
+        self.assertEqual(len(ours), 5)
+        stranger = self.on("c", sys.executable, "-c", STRANGER, *ours)
+        self.assertEqual(stranger.stdout.strip(), "15", stranger.stderr)
+        unproved = self.on("c", os.path.join(self.bin, "rcbctl"), "status", RCBD_TOKEN_FILE="", RCBD_TOKEN="guess")
+        self.assertNotEqual(unproved.returncode, 0)
+        done = self.on("c", os.path.join(self.bin, "two_spheres"), "--steps", 10, "--parts", 4, "--json", RCBD_PATH="direct")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        after = self.ctl("status", "--json")
+        self.assertEqual((after["pid"], after["restarted"], after["silent"]), (status["pid"], False, []))
+        self.down()
+
+    def test_clients_find_the_service_by_its_file(self):
+        self.machines(3)
+        file = os.path.join(self.hosts.shared, "service")
+        endpoint = "file:" + file
+        waiting = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint, RCBD_TOKEN_FILE="")
+        self.assertEqual(waiting.returncode, 3, waiting.stderr)
+        self.assertIn("no service has written it", waiting.stderr)
+        self.up("--hosts", "a:1,b:1", "--trusted-network", "--publish", file)
+        for name in "abc":
+            done = self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 5, "--parts", 3, "--json", endpoint=endpoint,
+                           RCBD_TOKEN_FILE="")
+            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}")
+        with open(file) as written:
+            text = written.read()
+        job = json.loads(text)["job"]
+        with open(os.path.join(self.data, "token")) as token:
+            self.assertNotIn(token.read().strip(), text)
+        self.ctl("down", endpoint=endpoint, name="b")
+        self.assertTrue(wait_for(lambda: not os.path.exists(file)), "the file is left")
+        with open(file, "w") as left:  # as one whose host has lost its power
+            left.write(text)
+        stale = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint, RCBD_TOKEN_FILE="")
+        self.assertEqual(stale.returncode, 3, stale.stderr)
+        self.assertIn(f"the service that wrote {file} (job {job} on host a) no longer answers", stale.stderr)
+        for foreign in ("{}", text.replace(job, "1\\n2")):
+            with open(file, "w") as other:
+                other.write(foreign)
+            refused = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint)
+            self.assertIn("is no file that", refused.stderr)
+
+    def test_a_machine_that_vanishes_is_named_and_the_service_comes_back(self):
+        self.machines(2)
+        endpoint = "unix:/tmp/rcbd.sock"
+        self.up("--hosts", "a:2,b:2", "--trusted-network", endpoint=endpoint, RCBD_SILENCE_SECONDS="4")
+        instance = self.ctl("status", "--json", endpoint=endpoint)["pid"]
+
+        def another():
+            done = self.on("a", os.path.join(self.bin, "rcbctl"), "status", "--json", endpoint=endpoint)
+            return done.returncode == 0 and json.loads(done.stdout)["pid"] != instance
+
+        self.hosts.link("b", "down")
+        self.assertTrue(wait_for(lambda: re.search(r"rank [23] on b has been silent for", self.log()), 40), self.log())
+        self.hosts.link("b", "up")
+        self.assertTrue(wait_for(another, 120), self.log())
+        instance = self.ctl("status", "--json", endpoint=endpoint)["pid"]
+        self.hosts.kill("b")
+        self.assertTrue(wait_for(another, 120), self.log())
+        self.assertTrue(self.ctl("status", "--json", endpoint=endpoint)["restarted"])
+        self.down(endpoint=endpoint)
+
+    def test_what_cannot_be_is_told(self):
+        self.machines(3)
+        endpoint = "unix:/tmp/rcbd.sock"
+        for args, says in ((["--hosts", "b:1,c:1", "--trusted-network"], "rank 0 would run on b, but 'rcbctl up' was run on a"),
+                           (["--hosts", "a:1,b:1", "--trusted-network", "--interface", "192.168.7.0/24"], "no interface of this machine is"),
+                           (["--hosts", "a:1,nowhere:1"], "no machine nowhere"),
+                           (["--hosts", "a:1,b:1", "--interface", "10.77.0.1"], "no interface and no IPv4 network"),
+                           (["--hosts", "a:1,b:1"], "say with --trusted-network"),
+                           (["--hosts", "c:2", "--trusted-network"], "rank 0 would run on c"),
+                           (["--hosts", "a:1,b:x"], "doesn't say how many ranks"),
+                           (["--hostfile", "/nowhere"], "hostfile /nowhere can't be read")):
+            with self.subTest(args):
+                failed = self.on("a", os.path.join(self.bin, "rcbctl"), "up", *args, "--data-dir", self.data, endpoint=endpoint)
+                self.assertNotEqual(failed.returncode, 0)
+                self.assertIn(says, failed.stderr + self.log())
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)

@@ -1,0 +1,149 @@
+#!/usr/bin/env python3
+"""Several machines on one, for tests and for trying things by hand: each has its own network, host name, /tmp, /dev/shm
+and IPC, and all are on one bridge. They end with this process; close() also ends what runs on them. Needs root.
+
+    tests/hosts/hosts.py 3 -- COMMAND   runs COMMAND on machine a of a, b and c; $HOSTS_AGENT is a remote shell for mpirun
+"""
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+NETWORK = "10.77.0"
+NAMES = "abcdefgh"
+ENDS_WITH_US = ["setpriv", "--pdeathsig", "KILL"]
+
+
+class Hosts:
+    """machines[k] is named by its letter and has the address 10.77.0.k+1. A folder (`shared`) is the same on all."""
+
+    def __init__(self, count):
+        self.names = list(NAMES[:count])
+        self.shared = tempfile.mkdtemp(prefix="rcb-hosts-", dir="/var/tmp")
+        self.agent = os.path.join(self.shared, "agent")
+        self.holders = {}
+        self.switch = subprocess.Popen([*ENDS_WITH_US, "unshare", "--net", "sleep", "infinity"])
+        try:
+            self._set_up()
+        except BaseException:
+            self.close()
+            raise
+
+    def _set_up(self):
+        for name in self.names:
+            script = ("set -e; mount -t tmpfs none /tmp; mount -t tmpfs none /dev/shm; "
+                      f"hostname {name}; ip link set lo up; exec sleep infinity")
+            self.holders[name] = subprocess.Popen(
+                [*ENDS_WITH_US, "unshare", "--net", "--uts", "--mount", "--ipc", "--propagation", "private", "sh", "-c",
+                 script])
+        for name, holder in list(self.holders.items()) + [(None, self.switch)]:
+            self._wait_for(holder, ["sleep", "infinity"])
+        self._in_switch("ip link add bridge type bridge && ip link set bridge up")
+        for number, name in enumerate(self.names, 1):
+            self._in_switch(f"ip link add port-{name} type veth peer name eth0 netns {self.holders[name].pid} && "
+                            f"ip link set port-{name} master bridge && ip link set port-{name} up")
+            self.run(name, "sh", "-c", f"ip addr add {NETWORK}.{number}/24 dev eth0 && ip link set eth0 up", check=True)
+        with open(self.agent, "w") as file:
+            file.write("#!/bin/sh\n# A remote shell between these machines: agent NAME COMMAND\n"
+                       "case $1 in\n")
+            for name, holder in self.holders.items():
+                file.write(f"{name}) pid={holder.pid} ;;\n")
+            file.write('*) echo "no machine $1" >&2; exit 1 ;;\nesac\nshift\n'
+                       'exec nsenter -t "$pid" -n -u -m -i env -i HOME="$HOME" PATH="$PATH" sh -c "$*"\n')
+        os.chmod(self.agent, 0o700)
+
+    @staticmethod
+    def _wait_for(holder, arguments):
+        end = time.monotonic() + 20
+        while time.monotonic() < end:
+            with open(f"/proc/{holder.pid}/cmdline") as file:
+                if file.read().split("\0")[:2] == arguments:
+                    return
+            if holder.poll() is not None:
+                break
+            time.sleep(0.01)
+        raise RuntimeError("a machine could not be made")
+
+    def _in_switch(self, script):
+        subprocess.run(["nsenter", "-t", str(self.switch.pid), "-n", "sh", "-c", script], check=True)
+
+    def address(self, name):
+        return f"{NETWORK}.{self.names.index(name) + 1}"
+
+    def command(self, name, *args):
+        return ["nsenter", "-t", str(self.holders[name].pid), "-n", "-u", "-m", "-i", *map(str, args)]
+
+    def environment(self, **more):
+        """For what starts mpirun on a machine."""
+        kept = {name: value for name, value in os.environ.items()
+                if not name.startswith(("RCBD_", "OMPI_")) and name != "XDG_RUNTIME_DIR"}
+        return kept | {"OMPI_MCA_plm_rsh_agent": self.agent, "TMPDIR": "/tmp",
+                       "XDG_STATE_HOME": os.path.join(self.shared, "state")} | more
+
+    def run(self, name, *args, **kwargs):
+        kwargs.setdefault("env", self.environment())
+        return subprocess.run(self.command(name, *args), stdin=subprocess.DEVNULL, **kwargs)
+
+    def link(self, name, state):
+        """Pulls a machine's cable (`down`), or puts it back (`up`)."""
+        self._in_switch(f"ip link set port-{name} {state}")
+
+    def processes(self, name):
+        """Those of a machine, by number, but for the one that holds it."""
+        found = []
+        try:
+            own = os.readlink(f"/proc/{self.holders[name].pid}/ns/uts")
+        except OSError:
+            return found
+        if own == os.readlink("/proc/self/ns/uts"):  # it isn't a machine of its own yet
+            return found
+        for pid in filter(str.isdigit, os.listdir("/proc")):
+            try:
+                if os.readlink(f"/proc/{pid}/ns/uts") == own and int(pid) != self.holders[name].pid:
+                    found.append(int(pid))
+            except OSError:
+                continue
+        return found
+
+    def kill(self, name):
+        """Every process of a machine, as when it loses its power."""
+        for pid in self.processes(name):
+            try:
+                os.kill(pid, 9)
+            except ProcessLookupError:
+                continue
+
+    def close(self):
+        for name in list(self.holders):
+            for _ in range(20):
+                if not self.processes(name):
+                    break
+                self.kill(name)
+                time.sleep(0.05)
+        for holder in [*self.holders.values(), self.switch]:
+            holder.kill()
+            holder.wait()
+        shutil.rmtree(self.shared, ignore_errors=True)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+
+def main():
+    if len(sys.argv) < 4 or not sys.argv[1].isdigit() or sys.argv[2] != "--":
+        sys.exit(__doc__)
+    with Hosts(int(sys.argv[1])) as hosts:
+        environment = hosts.environment(HOSTS_AGENT=hosts.agent)
+        print(f"machines {', '.join(f'{name} {hosts.address(name)}' for name in hosts.names)}; shared folder "
+              f"{hosts.shared}; on another: {shlex.quote(hosts.agent)} b COMMAND", file=sys.stderr)
+        return subprocess.run(hosts.command(hosts.names[0], *sys.argv[3:]), env=environment).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+#include "server/net/control/kept_answers.hpp"
+
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <fstream>
+#include <random>
+
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include "common/base/random.hpp"
+#include "tests/server/net/harness.hpp"
+
+namespace rcb::net::testing {
+namespace {
+
+namespace fs = std::filesystem;
+using wire::Json;
+
+wire::Array array_of(const std::string& name, std::vector<std::int64_t> values) {
+  wire::Array array{name, "<i8", {values.size()}, {}};
+  array.bytes.assign(std::as_bytes(std::span(values)));
+  return array;
+}
+
+// Two members' answers, which differ from step to step.
+MemberAnswers answers_of(std::int64_t step) {
+  MemberAnswers answers{step, {"00000000000000aa", "00000000000000bb"}, {{"report", {{"step", step}}}}, {}};
+  for (const std::int64_t member : {0, 1}) {
+    answers.arrays.emplace_back();
+    answers.arrays.back().push_back(array_of("leave_id", {step, member, 7}));
+    answers.arrays.back().push_back(array_of("enter_id", {}));
+    answers.arrays.back().push_back(array_of("place_id", {1, 2, 3}));
+  }
+  return answers;
+}
+
+void expect_step(const MemberAnswers* found, std::int64_t step) {
+  ASSERT_NE(found, nullptr);
+  const MemberAnswers expected = answers_of(step);
+  EXPECT_EQ(found->step, step);
+  EXPECT_EQ(found->sessions, expected.sessions);
+  EXPECT_EQ(found->json, expected.json);
+  ASSERT_EQ(found->arrays.size(), 2U);
+  for (std::size_t member = 0; member < 2; ++member) {
+    ASSERT_EQ(found->arrays[member].size(), 2U) << "without places";
+    for (std::size_t k = 0; k < 2; ++k) {
+      const wire::Array& array = found->arrays[member][k];
+      EXPECT_EQ(array.name, expected.arrays[member][k].name);
+      EXPECT_EQ(array.shape, expected.arrays[member][k].shape);
+      ASSERT_EQ(array.bytes.size(), expected.arrays[member][k].bytes.size());
+      EXPECT_TRUE(std::ranges::equal(array.bytes, expected.arrays[member][k].bytes));
+    }
+  }
+}
+
+std::vector<std::string> files_in(const Directory& directory) {
+  std::vector<std::string> names;
+  for (const auto& entry : fs::directory_iterator(directory.path())) names.push_back(entry.path().filename());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+void write_file(const std::string& path, const std::string& bytes, mode_t mode = 0600) {
+  std::ofstream(path, std::ios::binary) << bytes;
+  ::chmod(path.c_str(), mode);
+}
+
+TEST(KeptAnswers, TheServiceThatIsStartedAgainHasTheLastOnes) {
+  const Directory directory;
+  {
+    KeptAnswers kept(directory.path(), false);
+    for (const std::int64_t step : {3, 4, 5}) kept.keep("s", answers_of(step));
+    kept.keep("..", answers_of(9));
+    EXPECT_EQ(kept.before("s"), nullptr) << "its own answers are the group's to give";
+  }
+  for (int death = 0; death < 2; ++death) {
+    KeptAnswers kept(directory.path(), true);
+    expect_step(kept.before("s"), 5);
+    expect_step(kept.before(".."), 9);
+    EXPECT_EQ(kept.before("t"), nullptr);
+  }
+  KeptAnswers kept(directory.path(), true);
+  kept.keep("s", answers_of(6));
+  EXPECT_EQ(kept.before("s"), nullptr);
+  expect_step(KeptAnswers(directory.path(), true).before("s"), 6);
+}
+
+TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  Random random(seed);
+  const Directory directory;
+  KeptAnswers(directory.path(), false).keep("s", answers_of(1));
+  for (std::int64_t step = 2; step < 40; ++step) {
+    const auto before = files_in(directory);
+    std::vector<std::string> old;
+    for (const std::string& name : before) {
+      std::ifstream in(directory.file(name), std::ios::binary);
+      old.emplace_back(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
+    }
+    KeptAnswers(directory.path(), true).keep("s", answers_of(step));
+    // The file that was written now: as much of it as was there at the death, over what was there before.
+    for (const std::string& name : files_in(directory)) {
+      const std::string path = directory.file(name);
+      std::ifstream in(path, std::ios::binary);
+      std::string now{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+      const auto found = std::find(before.begin(), before.end(), name);
+      const std::string was = found == before.end() ? "" : old[static_cast<std::size_t>(found - before.begin())];
+      if (now == was) continue;
+      const std::size_t cut = random.below(now.size());
+      const std::string mixed = now.substr(0, cut) + (was.size() > cut ? was.substr(cut) : "");
+      write_file(path, mixed);
+      // Where all bytes that were still to come are those of before, it is whole already.
+      expect_step(KeptAnswers(directory.path(), true).before("s"), mixed == now ? step : step - 1);
+      write_file(path, now);
+    }
+    expect_step(KeptAnswers(directory.path(), true).before("s"), step);
+    if (::testing::Test::HasFailure()) return;
+  }
+}
+
+TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
+  const Directory directory;
+  write_file(directory.file("token"), "secret");
+  {
+    KeptAnswers kept(directory.path(), false);
+    kept.keep("s", answers_of(3));
+    kept.keep("s", answers_of(4));
+    kept.keep("t", answers_of(4));
+    EXPECT_EQ(files_in(directory), (std::vector<std::string>{"answers.s.0", "answers.s.1", "answers.t.0", "token"}));
+    kept.forget("s");
+    kept.forget("u");
+  }
+  EXPECT_EQ(files_in(directory), (std::vector<std::string>{"answers.t.0", "token"}));
+  fs::last_write_time(directory.file("answers.t.0"), fs::file_time_type::clock::now() - std::chrono::hours(2));
+  EXPECT_EQ(KeptAnswers(directory.path(), true).before("t"), nullptr) << "older than any deadline";
+  EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
+  KeptAnswers(directory.path(), false).keep("t", answers_of(4));
+  EXPECT_EQ(KeptAnswers(directory.path(), false).before("t"), nullptr) << "after a clean end";
+  EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
+  // A run of the service before, too, may be over.
+  KeptAnswers(directory.path(), false).keep("t", answers_of(4));
+  KeptAnswers kept(directory.path(), true);
+  expect_step(kept.before("t"), 4);
+  kept.forget("t");
+  EXPECT_EQ(kept.before("t"), nullptr);
+  kept.keep("u", answers_of(5));
+  kept.keep("v", answers_of(5));
+  kept.forget_all();
+  EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
+}
+
+TEST(KeptAnswers, WhatIsNotOursOrNotWholeIsNotBelieved) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  Random random(seed);
+  const Directory directory;
+  KeptAnswers(directory.path(), false).keep("s", answers_of(3));
+  const std::string path = directory.file("answers.s.0");
+  std::ifstream in(path, std::ios::binary);
+  const std::string whole{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  write_file(path, whole, 0666);
+  EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << "others may have written it";
+  for (int round = 0; round < 500; ++round) {
+    std::string bytes = whole;
+    bytes[random.below(bytes.size())] ^= static_cast<char>(1U << random.below(8));
+    if (round % 3 == 0) bytes.resize(random.below(bytes.size()));
+    write_file(path, bytes);
+    EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << round;
+  }
+  fs::remove(path);
+  write_file(directory.file("elsewhere"), whole);
+  fs::create_symlink(directory.file("elsewhere"), path);
+  EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << "a link";
+  // Where nothing can be written, nothing else fails.
+  KeptAnswers nowhere(directory.file("missing"), false);
+  nowhere.keep("s", answers_of(3));
+  KeptAnswers("", true).keep("s", answers_of(3));
+}
+
+}  // namespace
+}  // namespace rcb::net::testing

@@ -1,0 +1,182 @@
+// Doorbells: the same orders everywhere, nobody lost in silence, nobody lost at a clean end.
+#include "server/net/peers/doorbell.hpp"
+
+#include <condition_variable>
+#include <filesystem>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace rcb::net {
+namespace {
+
+// What a rank saw, readable from the test.
+class Log {
+ public:
+  void add(const std::string& line) {
+    const std::lock_guard lock(mutex_);
+    lines_.push_back(line);
+    changed_.notify_all();
+  }
+  bool wait_for(std::size_t count) {
+    std::unique_lock lock(mutex_);
+    return changed_.wait_for(lock, std::chrono::seconds(20), [&] { return lines_.size() >= count; });
+  }
+  std::vector<std::string> lines() const {
+    const std::lock_guard lock(mutex_);
+    return lines_;
+  }
+
+ private:
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<std::string> lines_;
+};
+
+struct Rank {
+  ~Rank() { loop.stop(); }  // its handlers write to what follows
+  IoLoop loop;
+  Log orders;
+  Log lost;
+  Log words;
+  std::unique_ptr<Doorbell> bell;
+};
+
+class Bells : public ::testing::Test {
+ protected:
+  void start(int ranks, PeerMessageHandler message = {}) {
+    auto opened = DoorbellHub::open(loop_, {.ranks = ranks, .silence_seconds = 6},
+                                    [this](const std::string& what) { lost_.add(what); });
+    ASSERT_TRUE(opened.ok());
+    hub_ = std::move(*opened);
+    hub_->on_peer_message(std::move(message));
+    loop_.start();
+    for (int r = 1; r < ranks; ++r) {
+      ranks_.push_back(std::make_unique<Rank>());
+      Rank& rank = *ranks_.back();
+      auto bell = Doorbell::connect(
+          rank.loop, r, hub_->address(), true, 6,
+          [&rank](std::uint64_t number, const wire::Json& request) {
+            rank.orders.add(std::to_string(number) + request.dump());
+          },
+          [&rank](const std::string& what) { rank.lost.add(what); });
+      ASSERT_TRUE(bell.ok());
+      rank.bell = std::move(*bell);
+      rank.bell->on_peer_message([&rank](int, const wire::Json& word) { rank.words.add(word.dump()); });
+      rank.loop.start();
+    }
+    ASSERT_TRUE(hub_->wait_connected(20).ok());
+    for (int r = 1; r < ranks; ++r) {  // until a rank has checked the hub's proof as well, it says nothing
+      loop_.run([&] { hub_->tell(r, {{"rank", r}}); });
+      ASSERT_TRUE(ranks_[static_cast<std::size_t>(r) - 1]->words.wait_for(1));
+    }
+  }
+
+  ~Bells() override { loop_.stop(); }
+  IoLoop loop_;
+  Log lost_;
+  std::unique_ptr<DoorbellHub> hub_;
+  std::vector<std::unique_ptr<Rank>> ranks_;
+};
+
+TEST_F(Bells, RingAlikeEverywhereAndLeaveNoFile) {
+  start(4);
+  std::vector<std::string> expected;
+  for (std::uint64_t i = 1; i <= 200; ++i) {
+    const std::string text = R"({"value":)" + std::to_string(i) + "}";
+    loop_.run([&] { hub_->ring(i, text); });
+    expected.push_back(std::to_string(i) + text);
+  }
+  for (const auto& rank : ranks_) {
+    ASSERT_TRUE(rank->orders.wait_for(200));
+    EXPECT_EQ(rank->orders.lines(), expected);
+  }
+}
+
+TEST_F(Bells, ACleanEndLosesNobody) {
+  start(3);
+  std::vector<std::thread> ends;
+  for (const auto& rank : ranks_) ends.emplace_back([&rank] { rank->bell->finish(20); });
+  hub_->finish(20);
+  for (std::thread& end : ends) end.join();
+  loop_.stop();
+  EXPECT_TRUE(lost_.lines().empty());
+  for (const auto& rank : ranks_) EXPECT_TRUE(rank->lost.lines().empty());
+}
+
+TEST_F(Bells, ADeadRankIsMissed) {
+  start(3);
+  ranks_[1]->bell.reset();
+  ranks_[1].reset();  // its sockets close, as a killed process's do
+  ASSERT_TRUE(lost_.wait_for(1));
+  EXPECT_NE(lost_.lines()[0].find("rank 2"), std::string::npos);
+}
+
+TEST_F(Bells, ADeadCoordinatorIsMissed) {
+  auto hub_loop = std::make_unique<IoLoop>();
+  auto opened = DoorbellHub::open(*hub_loop, {.ranks = 2, .silence_seconds = 6}, [](const std::string&) {});
+  ASSERT_TRUE(opened.ok());
+  hub_loop->start();
+  Rank rank;
+  auto bell = Doorbell::connect(
+      rank.loop, 1, (*opened)->address(), true, 6, [](std::uint64_t, const wire::Json&) {},
+      [&rank](const std::string& what) { rank.lost.add(what); });
+  ASSERT_TRUE(bell.ok());
+  rank.loop.start();
+  ASSERT_TRUE((*opened)->wait_connected(20).ok());
+  opened->reset();
+  hub_loop.reset();
+  ASSERT_TRUE(rank.lost.wait_for(1));
+}
+
+TEST_F(Bells, SilenceIsCountedInTicks) {
+  start(2);
+  ranks_[0]->loop.stop();  // as a stopped process: connected, and dumb
+  EXPECT_TRUE(hub_->silent().empty());
+  for (int i = 0; i < 3; ++i) loop_.run([&] { hub_->tick(); });
+  EXPECT_TRUE(lost_.lines().empty());
+  ASSERT_EQ(hub_->silent().size(), 1U);
+  EXPECT_EQ(hub_->silent()[0].rank, 1);
+  EXPECT_EQ(hub_->silent()[0].seconds, 3 * kTickSeconds);
+  loop_.run([&] { hub_->tick(); });
+  ASSERT_EQ(lost_.lines().size(), 1U);
+  EXPECT_NE(lost_.lines()[0].find("silent"), std::string::npos);
+  loop_.run([&] { hub_->tick(); });
+  EXPECT_EQ(lost_.lines().size(), 1U);  // once
+}
+
+TEST_F(Bells, SignsOfLifeAreSentUnasked) {
+  Log words;
+  start(2, [&words](int from, const wire::Json& word) { words.add(std::to_string(from) + word.dump()); });
+  for (std::size_t i = 1; i <= 30; ++i) {
+    ranks_[0]->loop.run([&] { ranks_[0]->bell->tick({{"executed", i}}); });
+    ASSERT_TRUE(words.wait_for(i));
+    loop_.run([&] { hub_->tick(); });
+  }
+  EXPECT_EQ(words.lines().back(), R"(1{"executed":30})");
+  EXPECT_TRUE(lost_.lines().empty());
+}
+
+TEST_F(Bells, AStrangerIsNotARank) {
+  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6},
+                                  [this](const std::string& what) { lost_.add(what); });
+  ASSERT_TRUE(opened.ok());
+  loop_.start();
+  Rank stranger;
+  DoorbellAddress address = (*opened)->address();
+  address.secret[0] = address.secret[0] == 'a' ? 'b' : 'a';
+  auto bell = Doorbell::connect(
+      stranger.loop, 1, address, true, 6, [](std::uint64_t, const wire::Json&) {},
+      [&](const std::string& what) { stranger.lost.add(what); });
+  ASSERT_TRUE(bell.ok());
+  stranger.loop.start();
+  EXPECT_TRUE(stranger.lost.wait_for(1));
+  EXPECT_EQ((*opened)->wait_connected(0.1).code(), Code::deadline_exceeded);
+  hub_ = std::move(*opened);
+}
+
+}  // namespace
+}  // namespace rcb::net

@@ -1,0 +1,296 @@
+// Pushes: whole or not at all, one at a time, and whatever a client does in the middle changes nothing.
+#include <array>
+#include <cstring>
+
+#include <gtest/gtest.h>
+
+#include "tests/server/net/harness.hpp"
+
+namespace rcb::net::testing {
+namespace {
+
+using wire::FrameType;
+using wire::Json;
+
+const std::vector<std::string> kCreated{"scene.create"};
+
+// What Client::slice() sends for four particles of rank 0.
+Json slice_of_four() {
+  return {{"command", "push.slice"},
+          {"scene", "s"},
+          {"session", kAnna},
+          {"step", 0},
+          {"attempt", 1},
+          {"rank", 0},
+          {"count", 4},
+          {"arrays",
+           {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {4}}}, {{"name", "y"}, {"dtype", "<f8"}, {"shape", {4}}}}}};
+}
+
+class Push : public ::testing::Test {
+ protected:
+  Push() { anna_.call("scene.create", {{"scene", "s"}, {"dims", 2}}); }
+  // Both names are known from the snapshot only when the service has seen them.
+  void commit(Client& client, const char* session, std::int64_t step, std::uint64_t n) {
+    client.begin(session, step, n);
+    client.slice(session, step, n);
+    EXPECT_EQ(client.receive_but_notices().json["report"]["step"], step);
+  }
+  TestService service_;
+  Client anna_ = service_.client("anna", kAnna);
+  Client bert_ = service_.client("bert", kBert);
+};
+
+TEST_F(Push, SlicesReachTheEngineAsTheyWereSent) {
+  anna_.begin(kAnna, 3, 5, {{"slices", 2}, {"order", "plan"}});
+  const std::string first = anna_.slice(kAnna, 3, 2, 1);
+  const std::string second = anna_.slice(kAnna, 3, 3, 2, Json::object(), true);
+  const Received report = anna_.receive();
+  EXPECT_EQ(report.type, FrameType::reply);
+  EXPECT_EQ(report.request, 3U);  // hello, create, begin
+  EXPECT_EQ(report.json["report"]["step"], 3);
+  const auto slices = service_.engine().slices();
+  ASSERT_EQ(slices.size(), 2U);
+  EXPECT_EQ(slices[0].rank, 1);
+  EXPECT_EQ(slices[1].count, 3U);
+  std::string got;
+  for (const wire::Array& array : slices[1].arrays)
+    got.append(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size());
+  EXPECT_EQ(got, second);
+  EXPECT_EQ(slices[0].arrays[1].name, "y");
+  EXPECT_EQ(anna_.call("status").json["scenes"][0]["step"], 3);
+}
+
+TEST_F(Push, NoParticlesNeedNoSlice) {
+  anna_.begin(kAnna, 0, 0, {{"slices", 0}});
+  EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
+}
+
+TEST_F(Push, ALargeSliceArrivesWhole) {
+  constexpr std::uint64_t kCount = 2000000;  // 32 MB
+  anna_.begin(kAnna, 0, kCount);
+  const std::string sent = anna_.slice(kAnna, 0, kCount, 0, Json::object(), true);
+  EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
+  const auto slices = service_.engine().slices();
+  ASSERT_EQ(slices.size(), 1U);
+  EXPECT_EQ(std::memcmp(slices[0].arrays[1].bytes.data(), sent.data() + kCount * 8, kCount * 8), 0);
+}
+
+TEST_F(Push, AClientThatVanishesLeavesNothing) {
+  anna_.begin(kAnna, 0, 4, {{"slices", 2}, {"order", "plan"}});
+  anna_.slice(kAnna, 0, 2, 0);
+  anna_.call("status");
+  bert_.begin(kBert, 0, 4);
+  EXPECT_EQ(bert_.receive().code(), "busy");
+  bert_.slice(kBert, 0, 4);  // dropped without a word
+  anna_.close();
+  std::string code = "busy";
+  while (code == "busy") {
+    bert_.begin(kBert, 0, 4);
+    bert_.slice(kBert, 0, 4);
+    code = bert_.receive().code();
+  }
+  EXPECT_EQ(code, "");
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
+}
+
+TEST_F(Push, AClientThatVanishesInTheMiddleOfASliceLeavesNothing) {
+  anna_.begin(kAnna, 0, 4);
+  const std::string whole = frame(FrameType::request, 9, slice_of_four().dump(), std::string(64, '\0'));
+  anna_.send_bytes(whole.substr(0, whole.size() - 20));
+  anna_.close();
+  while (bert_.call("status").json["sessions"] != 1) {
+  }
+  commit(bert_, kBert, 0, 2);
+  EXPECT_EQ(service_.engine().executed().back(), "push step 0");
+}
+
+TEST_F(Push, ASecondPusherIsToldWhoHoldsIt) {
+  anna_.begin(kAnna, 0, 4);
+  anna_.call("status");
+  bert_.begin(kBert, 0, 4);
+  const Received busy = bert_.receive();
+  EXPECT_EQ(busy.code(), "busy");
+  EXPECT_NE(busy.message().find("anna"), std::string::npos) << busy.message();
+  anna_.slice(kAnna, 0, 4);
+  EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
+}
+
+TEST_F(Push, ItsDeadlineGivesItUp) {
+  anna_.begin(kAnna, 0, 4, {{"deadline_seconds", 0.2}});
+  const Received late = anna_.receive();
+  EXPECT_EQ(late.code(), "deadline_exceeded");
+  EXPECT_EQ(late.request, 3U);
+  anna_.slice(kAnna, 0, 4);  // too late: dropped
+  EXPECT_EQ(anna_.call("error").json["echo"], "error");
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "error"}));
+}
+
+TEST_F(Push, ANewerAttemptReplacesTheOlder) {
+  anna_.begin(kAnna, 0, 4);
+  Client again = service_.client("anna", kAnna);
+  anna_.call("status");
+  again.begin(kAnna, 0, 4, {{"attempt", 2}});
+  EXPECT_EQ(anna_.receive().code(), "aborted");
+  anna_.slice(kAnna, 0, 4);  // of the older one: dropped
+  again.slice(kAnna, 0, 4, 0, {{"attempt", 2}});
+  EXPECT_EQ(again.receive().json["report"]["step"], 0);
+  anna_.call("status");
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
+}
+
+TEST_F(Push, SlicesThatContradictTheBeginningGiveItUp) {
+  const auto shape = [](const char* name, std::uint64_t n) {
+    return Json{{"name", name}, {"dtype", "<f8"}, {"shape", {n}}};
+  };
+  const std::vector<std::pair<std::uint64_t, Json>> wrong{
+      {3, Json::object()},                                              // too few particles
+      {5, Json::object()},                                              // too many
+      {4, {{"rank", 2}}},                                               // order "id" has one slice, for rank 0
+      {4, {{"rank", 77}}},                                              // no such rank
+      {4, {{"count", 2}}},                                              // not what the arrays have
+      {8, {{"count", 4}, {"arrays", {shape("x", 8), shape("z", 8)}}}},  // z for y
+      {4, {{"arrays", {shape("x", 8)}}}},                               // no y
+  };
+  std::int64_t step = 0;
+  for (const auto& [count, more] : wrong) {
+    anna_.begin(kAnna, step, 4);
+    anna_.slice(kAnna, step, count, 0, more);
+    EXPECT_EQ(anna_.receive().code(), "invalid_argument") << more;
+    ++step;
+  }
+  EXPECT_EQ(service_.engine().executed(), kCreated);
+  commit(anna_, kAnna, step, 4);
+}
+
+TEST_F(Push, AWrongChecksumEndsTheConnection) {
+  anna_.begin(kAnna, 0, 4);
+  std::string bytes = frame(FrameType::request, 9, slice_of_four().dump(), std::string(64, '\0'), true);
+  bytes[bytes.size() - 20] = 1;
+  anna_.send_bytes(bytes);
+  std::string last;
+  for (Received received = anna_.receive(); !received.ended; received = anna_.receive()) last = received.code();
+  EXPECT_EQ(last, "protocol_error");
+  EXPECT_EQ(bert_.call("status").json["steps"], 0);
+}
+
+TEST_F(Push, BeginIsHeldAgainstTheScene) {
+  commit(anna_, kAnna, 5, 4);
+  const std::vector<std::pair<Json, std::string>> wrong{
+      {{{"scene", "nobody"}}, "not_found"},
+      {{{"n", 3}}, "invalid_argument"},
+      {{{"slices", 5}}, "invalid_argument"},
+      {{{"slices", 0}}, "invalid_argument"},
+      {{{"order", "any"}}, "invalid_argument"},
+      {{{"step", -1}}, "invalid_argument"},
+      {{{"session", "xyz"}}, "invalid_argument"},
+      {{{"order", "plan"}}, "invalid_argument"},  // without a plan
+      {{{"order", "plan"}, {"plan", {{"version", 0}, {"checksum", "0000000000000000"}}}}, "stale_plan"},
+  };
+  for (const auto& [more, code] : wrong) {
+    anna_.begin(kAnna, 6, 4, more);
+    EXPECT_EQ(anna_.receive().code(), code) << more;
+  }
+  anna_.begin(kAnna, 6, 4, {{"order", "plan"}, {"plan", {{"version", 1}, {"checksum", "0000000000000000"}}}});
+  anna_.slice(kAnna, 6, 4);
+  EXPECT_EQ(anna_.receive().json["report"]["step"], 6);
+}
+
+TEST_F(Push, AStepThatIsNotAboveTheLastIsLeftToTheService) {
+  commit(anna_, kAnna, 5, 4);
+  commit(anna_, kAnna, 5, 4);  // it would answer with the first's report
+  EXPECT_EQ(service_.engine().executed().size(), 3U);
+}
+
+TEST(PushBudget, WhatIsAnnouncedTakesNothingWhatHasArrivedDoes) {
+  ControlOptions options = TestService::defaults();
+  options.bulk_bytes_max = std::uint64_t{4} << 20U;
+  TestService service(options);
+  Client anna = service.client("anna", kAnna);
+  Client bert = service.client("bert", kBert);
+  for (const char* scene : {"s", "t", "u"}) anna.call("scene.create", {{"scene", scene}, {"dims", 2}});
+  anna.begin(kAnna, 0, std::uint64_t{1} << 40U);
+  EXPECT_EQ(anna.receive().code(), "too_large");
+  constexpr std::uint64_t kCount = 180000;  // 2.9 MB
+  anna.begin(kAnna, 0, kCount, {{"scene", "t"}});
+  anna.call("status");
+  bert.begin(kBert, 0, kCount, {{"scene", "u"}});
+  bert.slice(kBert, 0, kCount, 0, {{"scene", "u"}});
+  EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);  // Anna's announcement is in nobody's way
+  service.engine().hold();
+  bert.begin(kBert, 1, kCount, {{"scene", "u"}});
+  bert.slice(kBert, 1, kCount, 0, {{"scene", "u"}});
+  service.engine().wait_for_orders(1);  // arrived, and kept until it is answered
+  anna.slice(kAnna, 0, kCount, 0, {{"scene", "t"}});
+  EXPECT_EQ(anna.receive_but_notices().code(), "busy");
+  service.engine().release();
+  EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 1);
+  anna.begin(kAnna, 0, kCount, {{"scene", "t"}});  // all was given back
+  anna.slice(kAnna, 0, kCount, 0, {{"scene", "t"}});
+  EXPECT_EQ(anna.receive_but_notices().json["report"]["step"], 0);
+}
+
+TEST(PushBudget, APushThatStopsArrivingIsGivenUp) {
+  ControlOptions options = TestService::defaults();
+  options.frame_seconds = 0.3;
+  TestService service(options);
+  Client anna = service.client("anna", kAnna);
+  Client bert = service.client("bert", kBert);
+  anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
+  anna.begin(kAnna, 0, 1000000, {{"deadline_seconds", 3600}});
+  const Received failure = anna.receive_but_notices();
+  EXPECT_EQ(failure.code(), "deadline_exceeded");
+  EXPECT_NE(failure.message().find("stopped arriving"), std::string::npos) << failure.message();
+  bert.begin(kBert, 0, 4);
+  bert.slice(kBert, 0, 4);
+  EXPECT_EQ(bert.receive_but_notices().json["report"]["step"], 0);
+}
+
+TEST_F(Push, ADropWaitsForTheOpenPushAndLaterPushesWaitBehindIt) {
+  anna_.begin(kAnna, 0, 4);
+  anna_.call("status");  // the begin is in
+  bert_.request("scene.drop", {{"scene", "s"}});
+  Client carl = service_.client("carl", "00000000000000cc");
+  while (carl.call("status").json["sessions"] != 3) {
+  }
+  EXPECT_EQ(anna_.call("scene.drop", {{"scene", "s"}}).code(), "busy");  // would wait for itself
+  EXPECT_EQ(service_.engine().executed(), kCreated);
+  anna_.slice(kAnna, 0, 4);
+  EXPECT_EQ(anna_.receive_but_notices().json["report"]["step"], 0);
+  EXPECT_EQ(bert_.receive_but_notices().json["echo"], "scene.drop");
+  carl.begin("00000000000000cc", 1, 4);
+  EXPECT_EQ(carl.receive_but_notices().code(), "not_found");
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0", "scene.drop"}));
+}
+
+TEST_F(Push, APushBehindAChangeSeesItsEffect) {
+  commit(anna_, kAnna, 5, 4);
+  service_.engine().hold();
+  anna_.request("scene.create", {{"scene", "s"}, {"dims", 2}, {"replace", true}});
+  service_.engine().wait_for_orders(1);
+  bert_.begin(kBert, 0, 9);  // another n: refused, were it held against the old scene
+  bert_.slice(kBert, 0, 9);
+  service_.engine().release();
+  EXPECT_EQ(bert_.receive_but_notices().json["report"]["step"], 0);
+}
+
+TEST_F(Push, ADropThatWaitsTooLongSaysSo) {
+  anna_.begin(kAnna, 0, 4);
+  anna_.call("status");
+  EXPECT_EQ(bert_.call("scene.drop", {{"scene", "s"}, {"deadline_seconds", 0.2}}).code(), "deadline_exceeded");
+  anna_.slice(kAnna, 0, 4);
+  EXPECT_EQ(anna_.receive().json["report"]["step"], 0);
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "push step 0"}));
+}
+
+TEST_F(Push, ShutdownAbortsWhatIsOpen) {
+  anna_.begin(kAnna, 0, 4);
+  anna_.call("status");
+  EXPECT_EQ(bert_.call("shutdown").type, FrameType::reply);
+  EXPECT_EQ(anna_.receive().code(), "aborted");
+  EXPECT_EQ(anna_.receive().type, FrameType::goodbye);
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "shutdown"}));
+}
+
+}  // namespace
+}  // namespace rcb::net::testing

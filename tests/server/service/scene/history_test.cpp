@@ -1,0 +1,313 @@
+// Step reports: in memory so many as the room has, the older ones in files, lost ones counted, all of them in pages.
+#include "server/service/scene/history.hpp"
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/comm/self_comm.hpp"
+#include "server/service/service.hpp"
+#include "tests/server/service/driver.hpp"
+
+namespace rcb::testing {
+namespace {
+
+namespace fs = std::filesystem;
+using service::History;
+using service::HistoryMemory;
+using service::StepReport;
+
+// A private directory, removed at the end.
+class Directory {
+ public:
+  Directory() {
+    std::string name = (fs::temp_directory_path() / "rcb-history-XXXXXX").string();
+    path_ = ::mkdtemp(name.data());
+    reports = path_ + "/reports";
+    const Status made = service::make_report_directory(reports);
+    EXPECT_TRUE(made.ok()) << made.message();
+  }
+  ~Directory() { fs::remove_all(path_); }
+
+  std::string reports;
+
+ private:
+  std::string path_;
+};
+
+// The process writes no file beyond so many bytes: what a full disk is to it.
+class FileLimit {
+ public:
+  explicit FileLimit(rlim_t bytes) : handler_(::signal(SIGXFSZ, SIG_IGN)) {
+    ::getrlimit(RLIMIT_FSIZE, &before_);
+    rlimit limit = before_;
+    limit.rlim_cur = bytes;
+    EXPECT_EQ(::setrlimit(RLIMIT_FSIZE, &limit), 0);
+  }
+  ~FileLimit() {
+    ::setrlimit(RLIMIT_FSIZE, &before_);
+    ::signal(SIGXFSZ, handler_);
+  }
+
+ private:
+  rlimit before_{};
+  void (*handler_)(int);
+};
+
+StepReport report_of(std::int64_t step) {
+  StepReport report;
+  report.scene = "jet";
+  report.step = step;
+  report.n = 7;
+  report.error = 1.0 / static_cast<double>(step + 3);
+  report.reason = fmt::format("error {} is below the tolerance 0.1", report.error);
+  report.skipped.add(service::Skip::search);
+  return report;
+}
+
+void add(History& history, std::int64_t from, std::int64_t to) {
+  for (std::int64_t step = from; step < to; ++step) history.add(report_of(step));
+}
+
+std::vector<std::int64_t> steps(History& history, std::uint64_t first, std::uint64_t last) {
+  std::vector<std::int64_t> found;
+  history.read(first, last, [&](const Json& report) {
+    found.push_back(report["step"].get<std::int64_t>());
+    EXPECT_EQ(report, service::to_json(report_of(found.back())));
+  });
+  return found;
+}
+
+std::vector<std::int64_t> range(std::int64_t from, std::int64_t to) {
+  std::vector<std::int64_t> numbers;
+  for (; from < to; ++from) numbers.push_back(from);
+  return numbers;
+}
+
+TEST(History, LinesThatAreNoReportsAreLost) {
+  const Directory directory;
+  HistoryMemory room(1, directory.reports);
+  History history(room, "jet");
+  add(history, 0, 400);
+  ASSERT_EQ(history.loss(), "");
+  const std::string path = service::report_file_path(directory.reports, "jet");
+  std::string text;
+  {
+    std::ifstream file(path);
+    std::getline(file, text, '\0');
+  }
+  const std::size_t line = text.find('\n') + 1;
+  std::string same_length(text.find('\n', line) - line, ' ');
+  same_length.front() = '{';
+  same_length.back() = '}';
+  text.replace(line, same_length.size(), same_length);
+  std::ofstream(path) << text;
+  EXPECT_EQ(steps(history, 0, 3), (std::vector<std::int64_t>{0, 2}));
+  EXPECT_NE(history.loss(), "");
+}
+
+TEST(History, OlderReportsAreInTheFileAndReadBackInPages) {
+  const Directory directory;
+  HistoryMemory room(50, directory.reports);
+  History history(room, "jet");
+  add(history, 0, 3000);
+  EXPECT_EQ(history.total(), 3000U);
+  EXPECT_LE(room.held(), 50U);
+  EXPECT_EQ(steps(history, 0, 3000), range(0, 3000));
+  for (const auto& [first, last] : {std::pair{0, 1}, {255, 257}, {700, 1500}, {2900, 3000}, {2999, 3000}, {5, 5}})
+    EXPECT_EQ(steps(history, static_cast<std::uint64_t>(first), static_cast<std::uint64_t>(last)), range(first, last));
+  EXPECT_EQ(history.loss(), "");
+}
+
+TEST(History, AllScenesShareTheRoom) {
+  const Directory directory;
+  HistoryMemory room(40, directory.reports);
+  std::vector<std::unique_ptr<History>> histories;
+  for (int k = 0; k < 7; ++k) histories.push_back(std::make_unique<History>(room, fmt::format("s{}", k)));
+  for (int k = 0; k < 7; ++k) add(*histories[static_cast<std::size_t>(k)], 0, 30 * (k + 1));
+  EXPECT_LE(room.held(), 40U);
+  for (int k = 0; k < 7; ++k)
+    EXPECT_EQ(steps(*histories[static_cast<std::size_t>(k)], 0, static_cast<std::uint64_t>(30 * (k + 1))),
+              range(0, 30 * (k + 1)));
+  histories.clear();
+  EXPECT_EQ(room.held(), 0U);
+  EXPECT_TRUE(fs::is_empty(directory.reports));
+}
+
+TEST(History, FilesArePrivateAndThoseOfAnEarlierRunAreRemoved) {
+  const Directory directory;
+  {
+    HistoryMemory room(1, directory.reports);
+    History history(room, "..");  // a name of two dots is a name
+    add(history, 0, 10);
+    const std::string path = service::report_file_path(directory.reports, "..");
+    struct stat found {};
+    ASSERT_EQ(::stat(path.c_str(), &found), 0);
+    EXPECT_EQ(found.st_mode & 0777U, 0600U);
+    fs::copy_file(path, service::report_file_path(directory.reports, "left-behind"));
+  }
+  EXPECT_FALSE(fs::is_empty(directory.reports));
+  ASSERT_TRUE(service::make_report_directory(directory.reports).ok());
+  EXPECT_TRUE(fs::is_empty(directory.reports));
+}
+
+TEST(History, AStrangersLinkIsNotFollowed) {
+  const Directory directory;
+  const std::string victim = directory.reports + "/victim";
+  std::ofstream(victim) << "mine";
+  fs::create_symlink(victim, service::report_file_path(directory.reports, "jet"));
+  HistoryMemory room(1, directory.reports);
+  History history(room, "jet");
+  add(history, 0, 10);
+  std::string text;
+  std::getline(std::ifstream(victim), text);
+  EXPECT_EQ(text, "mine");
+  EXPECT_EQ(steps(history, 0, 10), range(0, 10));
+}
+
+TEST(History, OnAFullDiskReportsAreLostAndCountedAndTheRestIsThere) {
+  const Directory directory;
+  HistoryMemory room(8, directory.reports);
+  History history(room, "jet");
+  add(history, 0, 20);
+  {
+    const FileLimit full(8000);
+    add(history, 20, 60);  // some have room
+    EXPECT_NE(history.loss(), "");
+  }
+  add(history, 60, 100);
+  const auto found = steps(history, 0, 100);
+  ASSERT_GT(found.size(), 60U);
+  ASSERT_LT(found.size(), 100U);
+  EXPECT_TRUE(std::is_sorted(found.begin(), found.end()));
+  const auto first = range(0, 13), last = range(60, 100);
+  EXPECT_TRUE(std::equal(first.begin(), first.end(), found.begin()));
+  EXPECT_TRUE(std::equal(last.rbegin(), last.rend(), found.rbegin()));
+}
+
+TEST(History, WhoeverTakesTheFileAwayTakesTheReportsInItAlone) {
+  for (const std::string how : {"remove", "truncate", "append", "remove the directory", "replace"}) {
+    SCOPED_TRACE(how);
+    const Directory directory;
+    const std::string path = service::report_file_path(directory.reports, "jet");
+    HistoryMemory room(16, directory.reports);
+    History history(room, "jet");
+    add(history, 0, 100);
+    if (how == "remove") fs::remove(path);
+    if (how == "truncate") fs::resize_file(path, 100);
+    if (how == "append") std::ofstream(path, std::ios::app) << "x";
+    if (how == "remove the directory") fs::remove_all(directory.reports);
+    if (how == "replace") {
+      fs::copy_file(path, path + "2");
+      fs::rename(path + "2", path);
+    }
+    steps(history, 0, 100);  // whatever is left of it
+    add(history, 100, 200);
+    const auto found = steps(history, 0, 200);
+    EXPECT_EQ(found, range(200 - static_cast<std::int64_t>(found.size()), 200));
+    EXPECT_GE(found.size(), 100U);
+    EXPECT_LT(found.size(), 120U);
+    EXPECT_NE(history.loss(), "");
+  }
+}
+
+TEST(History, WithoutADirectoryOldReportsAreLost) {
+  HistoryMemory room(16, "");
+  History history(room, "jet");
+  add(history, 0, 100);
+  const auto found = steps(history, 0, 100);
+  EXPECT_EQ(found, range(100 - static_cast<std::int64_t>(found.size()), 100));
+  EXPECT_LE(found.size(), 16U);
+}
+
+// One rank and one particle that stands still: the cheapest steps there are.
+class Still {
+ public:
+  explicit Still(service::ServiceOptions options) : service_(comm_, clock_, std::move(options)) {
+    driver_.create({{"parts", 1}});
+    driver_.push_by_id(random_particles(1, 1, 3), 0);
+  }
+
+  Response step(std::int64_t step, const std::string& session = "s") {
+    return service_.execute({{"command", "push"},
+                             {"scene", "still"},
+                             {"session", session},
+                             {"step", step},
+                             {"attempt", 0},
+                             {"n", 1},
+                             {"order", "plan"},
+                             {"moved", "none"},
+                             {"base_step", step - 1}});
+  }
+  Response ask(const std::string& command, Json arguments = Json::object()) {
+    return driver_.ask(command, std::move(arguments));
+  }
+
+ private:
+  const SteadyClock clock_;
+  comm::SelfComm comm_;
+  service::Service service_;
+  Driver driver_{comm_, service_, "still"};
+};
+
+TEST(HistoryCommand, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
+  const Directory directory;
+  Still still({.keep_reports = 100, .report_directory = directory.reports});
+  constexpr int kSteps = 5000;
+  for (int step = 1; step < kSteps; ++step) ASSERT_TRUE(still.step(step).status.ok());
+
+  const Response whole = still.ask("history");
+  EXPECT_EQ(whole.status.code(), Code::too_large);
+  EXPECT_NE(whole.status.hint().find("count"), std::string::npos);
+  EXPECT_EQ(still.ask("history", {{"last", 4097}}).status.code(), Code::too_large);
+  EXPECT_EQ(still.ask("history", {{"last", 4096}}).json["history"].size(), 4096U);
+  EXPECT_EQ(still.ask("history", {{"last", 3}}).json["history"][0]["step"], kSteps - 3);
+  EXPECT_EQ(still.ask("history", {{"last", 0}}).json["history"], Json::array());
+
+  for (const Json& arguments : {Json{{"count", 1000}}, Json{{"from", 0}}, Json{{"last", 2000}, {"count", 777}}}) {
+    SCOPED_TRACE(arguments.dump());
+    std::vector<std::int64_t> found;
+    Json asked = arguments;
+    for (Json next = 0; !next.is_null();) {
+      const Response page = still.ask("history", asked);
+      ASSERT_TRUE(page.status.ok()) << page.status.message();
+      EXPECT_EQ(page.json["total"], kSteps);
+      EXPECT_EQ(page.json["lost"], 0);
+      for (const Json& report : page.json["history"]) found.push_back(report["step"].get<std::int64_t>());
+      next = page.json["next"];
+      asked = {{"from", next}, {"count", arguments.value("count", 100000)}};
+    }
+    EXPECT_EQ(found, range(arguments.contains("last") ? kSteps - 2000 : 0, kSteps));
+  }
+  EXPECT_EQ(still.ask("history", {{"from", 1}, {"last", 1}}).status.code(), Code::invalid_argument);
+  EXPECT_EQ(still.ask("history", {{"count", 0}}).status.code(), Code::invalid_argument);
+  const Response beyond = still.ask("history", {{"from", kSteps + 5}});
+  EXPECT_TRUE(beyond.json["history"].empty());
+  EXPECT_TRUE(beyond.json["next"].is_null());
+}
+
+TEST(HistoryCommand, ARepeatedStepIsAnsweredFromTheFile) {
+  const Directory directory;
+  Still still({.keep_reports = 1, .report_directory = directory.reports});
+  for (int step = 1; step < 50; ++step) ASSERT_TRUE(still.step(step).status.ok());
+  for (const int step : {1, 20, 49}) {
+    const Response again = still.step(step);
+    ASSERT_TRUE(again.status.ok()) << again.status.message();
+    EXPECT_EQ(again.json["repeated"], true);
+    EXPECT_EQ(again.json["report"]["step"], step);
+  }
+  EXPECT_EQ(still.step(20, "another").status.code(), Code::stale_step);
+  fs::remove_all(directory.reports);
+  EXPECT_EQ(still.step(20).status.code(), Code::io_error);
+  EXPECT_TRUE(still.step(50).status.ok());
+}
+
+}  // namespace
+}  // namespace rcb::testing

@@ -1,0 +1,263 @@
+// When a step repartitions: the decision as a function of its input, the account of what imbalance has cost, and the
+// service deciding by both with clocks that differ from rank to rank.
+#include "server/service/scene/policy.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "server/service/service.hpp"
+#include "tests/server/service/driver.hpp"
+#include "tests/support/on_ranks.hpp"
+
+namespace rcb::testing {
+namespace {
+
+using service::CostAccount;
+using service::decide;
+using service::Decision;
+using service::Policy;
+using service::PolicyInput;
+using service::Service;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+PolicyInput by_cost(double lost, double repartition) {
+  PolicyInput input;
+  input.error_before = 0.3;
+  input.policy = Policy::cost;
+  input.timed = true;
+  input.lost_seconds = lost;
+  input.repartition_seconds = repartition;
+  input.since = 40;
+  return input;
+}
+
+TEST(Policy, ToleranceIsReached) {
+  PolicyInput input;
+  input.tolerance = 0.25;
+  input.error_before = 0.249;
+  EXPECT_FALSE(decide(input).search);
+  EXPECT_EQ(decide(input).reason, "error 0.249 is below the tolerance 0.25");
+  input.error_before = 0.25;
+  EXPECT_TRUE(decide(input).search);
+  EXPECT_EQ(decide(input).reason, "error 0.25 has reached the tolerance 0.25");
+  input.tolerance = kInfinity;
+  EXPECT_FALSE(decide(input).search);
+}
+
+TEST(Policy, CostMustBeExceeded) {
+  EXPECT_FALSE(decide(by_cost(0.009, 0.009)).search);
+  const Decision decision = decide(by_cost(0.012, 0.009));
+  EXPECT_TRUE(decision.search);
+  EXPECT_EQ(decision.reason, "error 0.3; imbalance has cost 0.012 s since step 40, a repartition costs 0.009 s");
+}
+
+TEST(Policy, ToleranceHasNoSayInCost) {
+  PolicyInput input = by_cost(0.012, 0.009);
+  input.tolerance = kInfinity;
+  EXPECT_TRUE(decide(input).search);
+  input = by_cost(0.001, 0.009);
+  input.tolerance = 0;
+  EXPECT_FALSE(decide(input).search);
+}
+
+TEST(Policy, WithoutAStepTimeTheToleranceDecides) {
+  PolicyInput input = by_cost(0.012, 0.009);
+  input.timed = false;
+  input.tolerance = 0.5;
+  EXPECT_FALSE(decide(input).search);
+  EXPECT_EQ(decide(input).reason, "no step time was told: error 0.3 is below the tolerance 0.5");
+  input.tolerance = 0.2;
+  EXPECT_TRUE(decide(input).search);
+}
+
+TEST(Policy, NoSearchThatCanNotHelp) {
+  for (const Policy policy : {Policy::tolerance, Policy::cost}) {
+    PolicyInput input = by_cost(0.012, 0.009);
+    input.policy = policy;
+    input.quota_error = 0.3;
+    EXPECT_FALSE(decide(input).search);
+    input.quota_error = 0.29;
+    EXPECT_TRUE(decide(input).search);
+    input.may_be_wasted = true;
+    input.error_when_not_adopted = 0.3;
+    EXPECT_FALSE(decide(input).search);
+    input.error_when_not_adopted = 0.29;
+    EXPECT_TRUE(decide(input).search);
+  }
+}
+
+// A loss that grows by a every step: the least of (a k^2 / 2 + C) / k is at k = sqrt(2 C / a).
+TEST(CostAccount, SteadyGrowthIsCutAtTheBestInterval) {
+  constexpr double kGrowth = 1e-3;
+  constexpr double kCost = 0.8;
+  CostAccount account;
+  account.start_again(1);
+  account.repartitioned(0, kCost, true);
+  int step = 0;
+  while (account.lost_seconds() <= account.repartition_seconds()) account.computed(1, 1 / (1 - kGrowth * ++step));
+  EXPECT_EQ(step, std::lround(std::sqrt(2 * kCost / kGrowth)));
+}
+
+TEST(CostAccount, OnlyWhatARepartitionWouldSaveIsLost) {
+  CostAccount account;
+  account.start_again(1.25);  // no partition is better
+  account.computed(8, 1.25);
+  account.computed(8, 1.1);
+  EXPECT_EQ(account.lost_seconds(), 0);
+  account.computed(8, 2.5);
+  EXPECT_EQ(account.lost_seconds(), 4);
+  account.start_again(1);
+  EXPECT_EQ(account.lost_seconds(), 0);
+  account.computed(8, 2);
+  EXPECT_EQ(account.lost_seconds(), 4);
+}
+
+TEST(CostAccount, ARepartitionCostsTheMedianOfTheLast) {
+  CostAccount account;
+  EXPECT_EQ(account.repartition_seconds(), 0);
+  account.repartitioned(0, 9, true);
+  EXPECT_EQ(account.repartition_seconds(), 9);
+  account.repartitioned(3, 1, false);
+  EXPECT_EQ(account.repartition_seconds(), 1) << "the first partition is forgotten";
+  account.repartitioned(5, 2, false);
+  EXPECT_EQ(account.repartition_seconds(), 1.5);
+  account.repartitioned(6, 1000, false);
+  EXPECT_EQ(account.repartition_seconds(), 2) << "one that took long is no rule";
+  EXPECT_EQ(account.since(), 6);
+  for (int k = 0; k < 5; ++k) account.repartitioned(7 + k, 4, false);
+  EXPECT_EQ(account.repartition_seconds(), 4);
+}
+
+// A clock of each rank's own, that runs on at every look.
+class RankClock final : public Clock {
+ public:
+  explicit RankClock(int rank) : tick_(1e-3 * (1 + 7 * rank)) {}
+  double seconds() const override { return now_ += tick_; }
+
+ private:
+  double tick_;
+  mutable double now_ = 0;
+};
+
+// The rule once more, from the reports alone.
+TEST(ServicePolicy, CostDecidesTheSameOnAllRanks) {
+  on_ranks([](comm::Comm& comm) {
+    const RankClock clock(comm.rank());
+    Service service(comm, clock);
+    Driver driver(comm, service, "a");
+    driver.create({{"parts", 6}, {"policy", "cost"}, {"tolerance", 0}});
+    Particles particles = random_particles(5, 600, 3);
+    double best = 1, lost = 0, imbalance = 1;
+    std::vector<double> costs;
+    int repartitions = 0;
+    for (int step = 0; step < 60; ++step) {
+      const double solver_seconds = 1e-3 * (1 + step % 3);
+      driver.step_seconds = solver_seconds;
+      const Response pushed = driver.push(particles, step);
+      drift(particles, 300 + static_cast<std::uint64_t>(step), 0.02);
+      if (comm.rank() != 0) continue;
+      EXPECT_TRUE(pushed.status.ok()) << pushed.status.message();
+      const Json& report = pushed.json["report"];
+      const double seconds = report["seconds"]["search"].get<double>() + report["seconds"]["migrate"].get<double>();
+      if (step > 0) {
+        if (imbalance > best) lost += solver_seconds * (1 - best / imbalance);
+        std::vector<double> last(costs.end() - std::min<std::ptrdiff_t>(5, std::ssize(costs)), costs.end());
+        std::sort(last.begin(), last.end());
+        const double cost = (last[(last.size() - 1) / 2] + last[last.size() / 2]) / 2;
+        EXPECT_EQ(report["repartitioned"].get<bool>(), lost > cost) << step << ": " << report["reason"];
+        EXPECT_NE(report["reason"].get<std::string>().find("imbalance has cost"), std::string::npos);
+      }
+      imbalance = report["imbalance"];
+      if (!report["repartitioned"]) continue;
+      if (step > 0 && ++repartitions == 1) costs.clear();  // the first partition's
+      costs.push_back(seconds);
+      lost = 0;
+      best = imbalance;
+    }
+    if (comm.rank() == 0) {
+      EXPECT_GT(repartitions, 2);
+      EXPECT_LT(repartitions, 40);
+    }
+  });
+}
+
+TEST(ServicePolicy, WithoutStepTimesCostIsTolerance) {
+  on_ranks([](comm::Comm& comm) {
+    const RankClock clock(comm.rank());
+    Service service(comm, clock);
+    Driver by_tolerance(comm, service, "tolerance");
+    Driver by_cost(comm, service, "cost");
+    by_tolerance.create({{"parts", 5}, {"tolerance", 0.1}});
+    by_cost.create({{"parts", 5}, {"tolerance", 0.1}, {"policy", "cost"}});
+    Particles particles = random_particles(8, 500, 2);
+    particles.dims = 3;
+    particles.position.push_back(particles.position[0]);
+    for (int step = 0; step < 20; ++step) {
+      const Response a = by_tolerance.push(particles, step);
+      const Response b = by_cost.push(particles, step);
+      drift(particles, 500 + static_cast<std::uint64_t>(step), 0.05);
+      if (comm.rank() != 0) continue;
+      EXPECT_EQ(a.json["report"]["repartitioned"], b.json["report"]["repartitioned"]) << step;
+      EXPECT_EQ(a.json["report"]["error"], b.json["report"]["error"]) << step;
+      if (step > 0) {
+        EXPECT_EQ(b.json["report"]["reason"],
+                  "no step time was told: " + a.json["report"]["reason"].get<std::string>());
+      }
+    }
+  });
+}
+
+// One particle far from all others outweighs them, and grows heavier: no cuts can help. One search shows it.
+TEST(ServicePolicy, AVainSearchSettlesTheAccount) {
+  on_ranks([](comm::Comm& comm) {
+    const RankClock clock(comm.rank());
+    Service service(comm, clock);
+    Driver driver(comm, service, "a");
+    driver.create({{"parts", 4}, {"policy", "cost"}});
+    Particles particles = random_particles(11, 200, 3);
+    particles.position[0][17] = 10;
+    particles.weights.assign(200, 1);
+    driver.step_seconds = 10;
+    for (int step = 0; step < 6; ++step) {
+      particles.weights[17] = step == 0 ? 1000 : 2000;
+      const Response pushed = driver.push(particles, step);
+      if (comm.rank() != 0) continue;
+      const Json& report = pushed.json["report"];
+      const std::string reason = report["reason"];
+      EXPECT_EQ(report["repartitioned"].get<bool>(), step == 0);
+      EXPECT_EQ(reason.ends_with("not adopted"), step == 2) << step << ": " << reason;
+      EXPECT_EQ(reason.find("imbalance has cost 0 s") != std::string::npos, step == 1 || step > 2) << step << reason;
+    }
+  });
+}
+
+TEST(ServicePolicy, Refusals) {
+  on_ranks([](comm::Comm& comm) {
+    const RankClock clock(comm.rank());
+    Service service(comm, clock);
+    Driver driver(comm, service, "a");
+    const Response magic = driver.create({{"parts", 2}, {"policy", "magic"}});
+    const Response number = driver.create({{"parts", 2}, {"policy", 1}});
+    driver.create({{"parts", 2}, {"policy", "cost"}});
+    const Response shown = driver.ask("scene.show");
+    std::vector<Response> refused;
+    for (const Json& seconds : {Json(-1e-9), Json("inf"), Json(true)}) {
+      driver.step_seconds = seconds;
+      refused.push_back(driver.push(random_particles(1, 20, 3), 0));
+    }
+    if (comm.rank() != 0) return;
+    EXPECT_EQ(magic.status.code(), Code::invalid_argument);
+    EXPECT_EQ(number.status.code(), Code::invalid_argument);
+    EXPECT_EQ(shown.json["policy"], "cost");
+    for (const Response& response : refused) {
+      EXPECT_EQ(response.status.code(), Code::invalid_argument);
+      EXPECT_NE(response.status.message().find("step_seconds"), std::string::npos) << response.status.message();
+    }
+  });
+}
+
+}  // namespace
+}  // namespace rcb::testing

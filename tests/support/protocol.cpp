@@ -1,0 +1,196 @@
+#include "tests/support/protocol.hpp"
+
+#include <set>
+#include <stdexcept>
+#include <string_view>
+
+#include <fmt/format.h>
+#include <xxhash.h>
+
+namespace rcb::testing::protocol {
+namespace {
+
+constexpr std::size_t kHeaderBytes = 40;
+constexpr std::size_t kSummedBytes = 32;  // of the header
+constexpr std::int64_t kFree = -1;        // a slot without a particle
+
+const std::map<std::string, std::uint64_t> kDtypes{{"<f8", 8}, {"<f4", 4}, {"<i8", 8}, {"<i4", 4}, {"<u8", 8}};
+
+struct Failure {
+  const char* code;
+  int exit;
+};
+constexpr Failure kFailures[] = {
+    {"", 0},           {"invalid_argument", 1}, {"not_found", 1},   {"already_exists", 1},    {"busy", 1},
+    {"stale_plan", 1}, {"stale_step", 1},       {"base_lost", 1},   {"not_finite", 1},        {"protocol_error", 1},
+    {"too_large", 1},  {"not_authorised", 4},   {"unavailable", 3}, {"deadline_exceeded", 5}, {"aborted", 1},
+    {"io_error", 1},   {"unsupported", 1},      {"internal", 1}};
+
+void need(bool holds, const std::string& what) {
+  if (!holds) throw std::runtime_error("a frame that breaks the protocol: " + what);
+}
+
+std::string little_endian(std::uint64_t value, int bytes) {
+  std::string out;
+  for (int i = 0; i < bytes; ++i) out += static_cast<char>(value >> (8 * i) & 0xFF);
+  return out;
+}
+
+std::uint64_t number_at(std::string_view bytes, std::size_t offset, std::size_t width) {
+  std::uint64_t value = 0;
+  for (std::size_t i = width; i-- > 0;) value = value << 8U | static_cast<unsigned char>(bytes[offset + i]);
+  return value;
+}
+
+std::uint64_t xxh3(const std::string& bytes) { return XXH3_64bits(bytes.data(), bytes.size()); }
+
+Json parse(const std::string& text) {
+  std::map<int, std::set<std::string>> keys;  // by depth
+  bool twice = false;
+  Json json = Json::parse(
+      text,
+      [&](int depth, Json::parse_event_t event, Json& key) {
+        if (event == Json::parse_event_t::object_start) keys[depth + 1].clear();
+        if (event == Json::parse_event_t::key) twice = !keys[depth].insert(key.get<std::string>()).second || twice;
+        return true;
+      },
+      false);
+  need(json.is_object() && !twice && text.find('\0') == std::string::npos, text);
+  return json;
+}
+
+std::vector<Array> arrays_of(const Json& json, const std::string& bulk) {
+  std::vector<Array> arrays;
+  std::set<std::string> names;
+  std::size_t at = 0;
+  for (const Json& entry : json.value("arrays", Json::array())) {
+    Array array{entry.at("name"), entry.at("dtype"), entry.at("shape"), {}};
+    need(names.insert(array.name).second && !array.name.empty() && array.name.size() <= 64, json.dump());
+    need(!array.shape.empty() && array.shape.size() <= 8 && kDtypes.contains(array.dtype), json.dump());
+    std::uint64_t bytes = kDtypes.at(array.dtype);
+    for (const std::uint64_t length : array.shape) bytes *= length;
+    need(bytes <= bulk.size() - at, "less bulk than arrays in " + json.dump());
+    array.bytes = bulk.substr(at, bytes);
+    at += bytes;
+    arrays.push_back(std::move(array));
+  }
+  need(arrays.size() <= 16 && at == bulk.size(), "more arrays, or more bulk than arrays, in " + json.dump());
+  return arrays;
+}
+
+std::uint64_t mix(std::uint64_t v) {
+  v += 0x9E3779B97F4A7C15;
+  v = (v ^ v >> 30U) * 0xBF58476D1CE4E5B9;
+  v = (v ^ v >> 27U) * 0x94D049BB133111EB;
+  return v ^ v >> 31U;
+}
+
+}  // namespace
+
+std::string head(FrameType type, std::uint64_t request, const std::string& json, std::uint64_t bulk_bytes,
+                 bool summed) {
+  const std::string header = "RCBD" + little_endian(1, 2) + little_endian(static_cast<std::uint16_t>(type), 2) +
+                             little_endian(summed ? 1 : 0, 4) + little_endian(json.size(), 4) +
+                             little_endian(request, 8) + little_endian(bulk_bytes, 8);
+  return header + little_endian(xxh3(header + json), 8) + json;
+}
+
+std::string frame(FrameType type, std::uint64_t request, Json json, const std::vector<Array>& arrays, bool summed) {
+  std::string bulk;
+  for (const Array& array : arrays) {
+    json["arrays"].push_back({{"name", array.name}, {"dtype", array.dtype}, {"shape", array.shape}});
+    bulk += array.bytes;
+  }
+  return head(type, request, json.dump(), bulk.size(), summed) + bulk + (summed ? little_endian(xxh3(bulk), 8) : "");
+}
+
+std::optional<Frame> receive(const std::function<bool(char* to, std::size_t size)>& read) {
+  std::string header(kHeaderBytes, '\0');
+  if (!read(header.data(), header.size())) return std::nullopt;
+  const std::uint64_t type = number_at(header, 6, 2), flags = number_at(header, 8, 4);
+  need(header.starts_with("RCBD") && number_at(header, 4, 2) == 1 && type >= 1 && type <= 7 && flags <= 1,
+       "its header");
+  std::string text(number_at(header, 12, 4), '\0');
+  if (!read(text.data(), text.size())) return std::nullopt;
+  need(number_at(header, kSummedBytes, 8) == xxh3(header.substr(0, kSummedBytes) + text), "the checksum of " + text);
+  std::string bulk(number_at(header, 24, 8), '\0'), sum(flags == 1 ? 8 : 0, '\0');
+  if (!read(bulk.data(), bulk.size()) || !read(sum.data(), sum.size())) return std::nullopt;
+  need(flags == 0 || sum == little_endian(xxh3(bulk), 8), "the checksum of the bulk of " + text);
+  Frame out{static_cast<FrameType>(type), number_at(header, 16, 8), parse(text), {}};
+  need(out.request != 0 || out.type == FrameType::goodbye, "request 0 of " + text);
+  out.arrays = arrays_of(out.json, bulk);
+  return out;
+}
+
+Json failure_json(const Status& status) {
+  const Failure& failure = kFailures[static_cast<std::size_t>(status.code())];
+  return {{"failure",
+           {{"code", failure.code}, {"message", status.message()}, {"hint", status.hint()}, {"exit", failure.exit}}}};
+}
+
+std::string hex64(std::uint64_t value) { return fmt::format("{:016x}", value); }
+
+bool is_hex64(const Json& json) {
+  const auto text = json.get<std::string>();
+  return text.size() == 16 && text.find_first_not_of("0123456789abcdefABCDEF") == std::string::npos;
+}
+
+Plan::Plan(const std::vector<std::int64_t>& ids, int ranks) {
+  const auto row = [&](int rank) { return static_cast<std::ptrdiff_t>(ids.size()) * rank / ranks; };
+  for (int rank = 0; rank < ranks; ++rank) slots.emplace_back(ids.begin() + row(rank), ids.begin() + row(rank + 1));
+}
+
+int Plan::rank_of_part(std::int32_t part, int parts) const {
+  const int ranks = static_cast<int>(slots.size());
+  int rank = 0;
+  while (part >= (rank + 1) * parts / ranks) ++rank;
+  return rank;
+}
+
+void Plan::commit(const std::map<std::int64_t, std::int32_t>& part, int parts, bool first) {
+  std::vector<std::vector<std::int64_t>> next = slots;         // with free slots
+  std::vector<std::set<std::int64_t>> arrivals(slots.size());  // by rank
+  std::uint64_t changes = 0;
+  for (std::size_t rank = 0; rank < slots.size(); ++rank)
+    for (std::int64_t& id : next[rank]) {
+      const auto to = static_cast<std::size_t>(rank_of_part(part.at(id), parts));
+      if (to == rank) continue;
+      arrivals[to].insert(id);
+      id = kFree;
+      ++changes;
+    }
+  if (!first && changes == 0) return;
+  ++version;
+  if (first || 16 * changes > part.size()) {
+    for (auto& of_rank : slots) of_rank.clear();
+    for (const auto& [id, p] : part) slots[static_cast<std::size_t>(rank_of_part(p, parts))].push_back(id);
+    return;
+  }
+  slots = std::move(next);
+  for (std::size_t rank = 0; rank < slots.size(); ++rank) {
+    auto& ids = slots[rank];
+    std::vector<std::size_t> free;
+    for (std::size_t slot = 0; slot < ids.size(); ++slot)
+      if (ids[slot] == kFree) free.push_back(slot);
+    std::size_t filled = 0;
+    for (const std::int64_t id : arrivals[rank])
+      if (filled < free.size())
+        ids[free[filled++]] = id;
+      else
+        ids.push_back(id);
+    const std::size_t count = ids.size() - (free.size() - filled);
+    for (std::size_t slot = count; slot < ids.size(); ++slot)
+      if (ids[slot] != kFree) ids[free[filled++]] = ids[slot];
+    ids.resize(count);
+  }
+}
+
+std::uint64_t Plan::checksum() const {
+  std::uint64_t sum = 0;
+  for (std::uint64_t rank = 0; rank < slots.size(); ++rank)
+    for (std::uint64_t slot = 0; slot < slots[rank].size(); ++slot)
+      sum += mix(static_cast<std::uint64_t>(slots[rank][slot]) + mix((rank << 40U) + slot));
+  return sum;
+}
+
+}  // namespace rcb::testing::protocol
