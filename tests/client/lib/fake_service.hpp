@@ -1,5 +1,5 @@
 // A scripted service in a thread: it takes connections on a Unix socket or on TCP and does with each what the test
-// says. No wait of it is longer than 20 seconds, so a broken client fails a test instead of hanging it.
+// says. No wait of it is longer than kWaitSeconds, so a broken client fails a test instead of hanging it.
 #pragma once
 
 #include <atomic>
@@ -23,6 +23,7 @@
 
 #include "common/auth/proof.hpp"
 #include "tests/support/protocol.hpp"
+#include "tests/support/wait.hpp"
 
 namespace rcb::client {
 
@@ -50,7 +51,7 @@ using Received = protocol::Frame;
 class Peer {
  public:
   explicit Peer(int handle) : handle_(handle) {
-    const timeval limit{20, 0};
+    const timeval limit{rcb::testing::kWaitSeconds, 0};
     ::setsockopt(handle_, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
     ::setsockopt(handle_, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);
   }

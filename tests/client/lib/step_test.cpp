@@ -165,7 +165,7 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
   for (const bool rows : {true, false}) {
     FakeScene fake = scene_of(3, 4, 3, 50);
     Session session(fake);
-    StepCaller caller{400000, 3, {}, {}, {}};
+    StepCaller caller{150000, 3, {}, {}, {}};
     for (std::int64_t step = 0; step < 3; ++step) {
       const auto result = session.scene->step(caller.at(step, rows), wanting());
       ASSERT_TRUE(result.ok()) << result.status().message();

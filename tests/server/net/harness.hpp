@@ -28,9 +28,9 @@ class FakeEngine final : public Engine {
   // While held, orders pile up.
   void hold();
   void release();
-  // Until so many orders wait; the test fails where they don't come within 20 s.
+  // Until so many orders wait; the test fails where they don't come in time.
   void wait_for_orders(std::size_t count);
-  // Until nobody waits for the first of them; the test fails where that isn't so within 20 s.
+  // Until nobody waits for the first of them; the test fails where that isn't so in time.
   void wait_for_cancelled();
   // Commands executed so far, "push step 3" with its step.
   std::vector<std::string> executed() const;
@@ -68,7 +68,7 @@ class Client {
   void send_bytes(const std::string& bytes);  // a connection that is gone is no fault
   std::uint64_t send(wire::FrameType type, wire::Json json, const std::string& bulk = {}, bool checked = false);
   std::uint64_t request(const std::string& command, wire::Json arguments = wire::Json::object());
-  // The next frame; the test fails where none comes within 20 s.
+  // The next frame; the test fails where none comes in time.
   Received receive();
   Received receive_but_notices();
   Received call(const std::string& command, wire::Json arguments = wire::Json::object());

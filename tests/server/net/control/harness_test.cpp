@@ -20,6 +20,7 @@
 #include <unistd.h>
 
 #include "common/auth/proof.hpp"
+#include "tests/support/wait.hpp"
 
 namespace rcb::net::testing {
 
@@ -133,7 +134,8 @@ void FakeEngine::wait_for_cancelled() {
 
 void FakeEngine::wait_for_orders(std::size_t count) {
   std::unique_lock lock(state_->mutex);
-  EXPECT_TRUE(state_->changed.wait_for(lock, std::chrono::seconds(20), [&] { return state_->queue.size() >= count; }));
+  EXPECT_TRUE(state_->changed.wait_for(lock, std::chrono::seconds(rcb::testing::kWaitSeconds),
+                                       [&] { return state_->queue.size() >= count; }));
 }
 
 std::vector<std::string> FakeEngine::executed() const {
@@ -232,8 +234,8 @@ std::uint64_t Client::request(const std::string& command, Json arguments) {
 bool Client::read(char* into, std::size_t bytes) {
   while (bytes > 0) {
     pollfd waiting{socket_, POLLIN, 0};
-    if (::poll(&waiting, 1, 20000) == 0) {
-      ADD_FAILURE() << "nothing came within 20 s";
+    if (::poll(&waiting, 1, rcb::testing::kWaitSeconds * 1000) == 0) {
+      ADD_FAILURE() << "nothing came within " << rcb::testing::kWaitSeconds << " s";
       return false;
     }
     const ssize_t count = ::recv(socket_, into, bytes, 0);

@@ -384,13 +384,13 @@ std::string large_request(std::uint64_t number, std::size_t bytes, bool numbers)
 TEST(Session, LargeRequestsHoldUpNobodyElse) {
   TestService service;
   std::vector<Client> large;
-  for (int i = 0; i < 12; ++i) {
+  for (int i = 0; i < 6; ++i) {  // more than there are places
     large.push_back(service.client("large", kAnna));
-    std::thread([&] { large.back().send_bytes(large_request(9, std::size_t{2} << 20U, true)); }).join();
+    std::thread([&] { large.back().send_bytes(large_request(9, std::size_t{1} << 20U, true)); }).join();
   }
   Client other = service.client("other", kBert);
   EXPECT_EQ(other.call("status").type, FrameType::reply);
-  EXPECT_LT(service.engine().executed().size(), 12U) << "they were parsed first";
+  EXPECT_LT(service.engine().executed().size(), 6U) << "they were parsed first";
   for (Client& one : large) EXPECT_EQ(one.receive_but_notices().request, 9U);
 }
 

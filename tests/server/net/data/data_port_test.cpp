@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/server/net/harness.hpp"
+#include "tests/support/wait.hpp"
 
 namespace rcb::net::testing {
 namespace {
@@ -89,7 +90,8 @@ class DataPortTest : public ::testing::Test {
     const auto found = [&] {
       return std::find_if(reports_.begin(), reports_.end(), [&](const auto& r) { return r.first == number; });
     };
-    if (!changed_.wait_for(lock, std::chrono::seconds(20), [&] { return found() != reports_.end(); }))
+    if (!changed_.wait_for(lock, std::chrono::seconds(rcb::testing::kWaitSeconds),
+                           [&] { return found() != reports_.end(); }))
       return {Code::internal, "no report came"};
     return found()->second;
   }

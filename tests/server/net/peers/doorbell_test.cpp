@@ -10,6 +10,8 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/wait.hpp"
+
 namespace rcb::net {
 namespace {
 
@@ -23,7 +25,8 @@ class Log {
   }
   bool wait_for(std::size_t count) {
     std::unique_lock lock(mutex_);
-    return changed_.wait_for(lock, std::chrono::seconds(20), [&] { return lines_.size() >= count; });
+    return changed_.wait_for(lock, std::chrono::seconds(rcb::testing::kWaitSeconds),
+                             [&] { return lines_.size() >= count; });
   }
   std::vector<std::string> lines() const {
     const std::lock_guard lock(mutex_);
