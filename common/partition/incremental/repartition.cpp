@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <numeric>
-#include <tuple>
 
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
@@ -41,7 +40,6 @@ class Repartitioning {
         result_.wasted = tried;
       }
       if (!failed_.empty()) search_all();
-      sort_delta();
     }
     result_.incremental = failed_.empty();
     result_.loads = scale_ ? moved_loads(comm_, particles_, current_.loads, current_.part, result_.delta.slot.span(),
@@ -71,42 +69,6 @@ class Repartitioning {
     rule_.set_quotas(std::move(prefix));
   }
 
-  // Particles of this rank, copied and sorted by root.
-  struct Copied {
-    particles::ParticleSet particles;
-    Buffer<std::uint64_t> slot;
-    Buffer<std::int32_t> part;      // current parts
-    std::vector<std::size_t> ends;  // [roots]
-  };
-
-  // parts[k]: the part of the particle in slots[k], as found so far. Particles of parts in no root are left out.
-  Copied copy(std::span<const NodeRange> roots, std::span<const std::uint64_t> slots,
-              std::span<const std::int32_t> parts) const {
-    constexpr std::size_t kNone = ~std::size_t{0};
-    std::vector<std::size_t> root_of(at(options_.parts), kNone);
-    for (std::size_t r = 0; r < roots.size(); ++r)
-      for (int p = roots[r].first; p < roots[r].last; ++p) root_of[at(p)] = r;
-    Copied out;
-    out.ends.assign(roots.size(), 0);
-    for (const std::int32_t part : parts)
-      if (root_of[at(part)] != kNone) ++out.ends[root_of[at(part)]];
-    std::partial_sum(out.ends.begin(), out.ends.end(), out.ends.begin());
-    const std::size_t count = roots.empty() ? 0 : out.ends.back();
-    std::vector<std::size_t> next(roots.size(), 0);
-    for (std::size_t r = 1; r < roots.size(); ++r) next[r] = out.ends[r - 1];
-    out.slot.resize(count);
-    for (std::size_t k = 0; k < slots.size(); ++k)
-      if (const std::size_t root = root_of[at(parts[k])]; root != kNone) out.slot[next[root]++] = slots[k];
-    copy_of(current_.part.data(), out.slot, out.part);
-    out.particles.dims = particles_.dims;
-    out.particles.has_weights = particles_.weight != nullptr;
-    for (std::size_t a = 0; a < at(particles_.dims); ++a)
-      copy_of(particles_.position[a], out.slot, out.particles.position[a]);
-    copy_of(particles_.id, out.slot, out.particles.id);
-    if (out.particles.has_weights) copy_of(particles_.weight, out.slot, out.particles.weight);
-    return out;
-  }
-
   // The incremental search. False if it was abandoned; else failed_ has the nodes that it could not cut. Collective.
   bool search_boundary() {
     std::vector<double> loads(current_.loads.loads.begin(), current_.loads.loads.end());
@@ -120,24 +82,27 @@ class Repartitioning {
     result_.reductions += 2;
     Interior interior;
     if (!gather(own, interior)) return false;
-    const std::size_t count = own.slot.size();
-    if (!whole_) own.boundary = {};
-    const Copied boundary = whole_ ? Copied{std::move(own.boundary), std::move(own.slot), std::move(own.part), {count}}
-                                   : copy(roots_, own.slot.span(), own.part.span());
+    Buffer<std::int32_t> part = own.part;
     const Start start{roots_,
-                      boundary.ends,
+                      part.span(),
                       &current_.tree,
                       whole_ ? nullptr : &rule_,
                       scale_,
                       &interior,
+                      {},
                       n_ / options_.limits.boundary_divisor};
-    TreeBuilder builder(comm_, boundary.particles.view(), options_, start);
+    TreeBuilder builder(comm_, own.boundary.view(), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
-    failed_ = builder.failed();
+    failed_ = builder.uncut();
     std::ranges::sort(failed_, {}, &NodeRange::first);
     rule_ = builder.rule();
-    take(std::move(found), boundary.slot.span(), boundary.part.span(), roots_);
+    for (std::size_t k = 0; k < part.size(); ++k) {
+      if (part[k] == own.part[k]) continue;
+      result_.delta.slot.push_back(own.slot[k]);
+      result_.delta.part.push_back(part[k]);
+    }
+    take(std::move(found), roots_);
     return true;
   }
 
@@ -202,69 +167,44 @@ class Repartitioning {
   // Searches the nodes in failed_ among all their particles. Collective.
   void search_all() {
     if (before_search_of_all_) before_search_of_all_();
-    if (failed_[0].parts() == options_.parts) {
-      result_.looked_at = n_;
-      result_.delta = {};
-      take(TreeBuilder(comm_, particles_, options_, particles_.dims).build(), {}, current_.part, roots_);
-      return;
-    }
-    // By the parts found so far: boundary particles may have changed theirs, all others have their current ones.
-    std::vector<std::uint8_t> open(at(options_.parts), 0);
-    for (const NodeRange& root : failed_) std::fill(open.begin() + root.first, open.begin() + root.last, 1);
-    std::vector<std::uint64_t> slots;
-    std::vector<std::int32_t> parts;
-    PartDelta kept;
-    std::size_t next = 0;
-    sort_delta();
-    for (std::size_t i = 0; i < particles_.count; ++i) {
-      std::int32_t part = current_.part[i];
-      if (next < result_.delta.slot.size() && result_.delta.slot[next] == i) part = result_.delta.part[next++];
-      if (open[at(part)] != 0) {
-        slots.push_back(i);
-        parts.push_back(part);
-      } else if (part != current_.part[i]) {
-        kept.slot.push_back(i);
-        kept.part.push_back(part);
-      }
-    }
-    result_.delta = std::move(kept);
-    const Copied some = copy(failed_, slots, parts);
-    const Start start{failed_, some.ends, &result_.tree, &rule_, scale_, nullptr, 0};
-    take(TreeBuilder(comm_, some.particles.view(), options_, start).build(), some.slot.span(), some.part.span(),
-         failed_);
-    for (const NodeRange& root : failed_)
-      result_.looked_at += std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
-  }
-
-  // Takes what a search found. part: the current parts of the particles searched; slots: their slots; empty: all, in
-  // order.
-  void take(PartitionResult found, std::span<const std::uint64_t> slots, std::span<const std::int32_t> part,
-            std::span<const NodeRange> roots) {
+    const bool whole = failed_[0].parts() == options_.parts;
+    Buffer<std::int32_t> part(whole ? 0 : particles_.count);
+    if (!whole) std::ranges::copy(current_.part, part.begin());
+    for (std::size_t k = 0; k < result_.delta.slot.size() && !whole; ++k)
+      part[result_.delta.slot[k]] = result_.delta.part[k];
+    const Start start{failed_, part.span(), &result_.tree, &rule_, scale_, nullptr, {}, 0};
+    PartitionResult found = (whole ? TreeBuilder(comm_, particles_, options_, particles_.dims)
+                                   : TreeBuilder(comm_, particles_, options_, start))
+                                .build();
+    if (whole) part = std::move(found.part);
     // Counted first: growing lists would take twice their memory.
-    std::size_t changed = result_.delta.slot.size();
-    for (std::size_t k = 0; k < part.size(); ++k) changed += found.part[k] == part[k] ? 0U : 1U;
+    std::size_t changed = 0;
+    for (std::size_t i = 0; i < particles_.count; ++i) changed += part[i] == current_.part[i] ? 0U : 1U;
+    result_.delta.slot.resize(0);
+    result_.delta.part.resize(0);
     result_.delta.slot.reserve(changed);
     result_.delta.part.reserve(changed);
-    for (std::size_t k = 0; k < part.size(); ++k) {
-      if (found.part[k] == part[k]) continue;
-      result_.delta.slot.push_back(slots.empty() ? k : slots[k]);
-      result_.delta.part.push_back(found.part[k]);
+    for (std::size_t i = 0; i < particles_.count; ++i) {
+      if (part[i] == current_.part[i]) continue;
+      result_.delta.slot.push_back(i);
+      result_.delta.part.push_back(part[i]);
     }
+    take(std::move(found), failed_);
+    if (whole) result_.looked_at = n_;
+    for (const NodeRange& root : failed_)
+      if (!whole)
+        result_.looked_at +=
+            std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
+  }
+
+  // Takes the cuts below these roots, and the counts of their parts.
+  void take(PartitionResult found, std::span<const NodeRange> roots) {
     if (!scale_)
       for (const NodeRange& root : roots)
         std::copy(found.counts.begin() + root.first, found.counts.begin() + root.last, counts_.begin() + root.first);
     result_.tree = std::move(found.tree);
     result_.rounds += found.rounds;
     result_.reductions += found.reductions;
-  }
-
-  void sort_delta() {
-    PartDelta& delta = result_.delta;
-    if (std::is_sorted(delta.slot.begin(), delta.slot.end())) return;
-    std::vector<std::pair<std::uint64_t, std::int32_t>> pairs;
-    for (std::size_t k = 0; k < delta.slot.size(); ++k) pairs.emplace_back(delta.slot[k], delta.part[k]);
-    std::sort(pairs.begin(), pairs.end());
-    for (std::size_t k = 0; k < pairs.size(); ++k) std::tie(delta.slot[k], delta.part[k]) = pairs[k];
   }
 
   comm::Comm& comm_;

@@ -69,11 +69,12 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     spans_.swap(next_spans_);
   }
   if (abandoned()) return {};
+  if (start_ == nullptr) result_.part.resize(particles_.count);
   // Parts outside the roots have no quantised points.
   for (std::size_t c = 0; c < starts_.size(); ++c)
     for (std::size_t p = c * at(options_.parts) + 1; p < (c + 1) * at(options_.parts); ++p)
       ends_[p] = std::max(ends_[p], ends_[p - 1]);
-  result_.part = points_.into_parts(ends_, options_.parts);
+  points_.write_parts(ends_, options_.parts, start_ == nullptr ? result_.part.span() : start_->part);
   result_.rounds = selector.rounds();
   result_.reductions += selector.reductions();
   return std::move(result_);
@@ -176,7 +177,7 @@ void TreeBuilder::add_interior(const NodeRange& range, Question& ask) const {
   ask.below = interior_->count(range.first, range.middle());
   const std::uint64_t beyond = interior_->count(range.middle(), range.last);
   // If the cut axis flipped, hardly any interior particle stays: not worth a search.
-  if (ask.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && ask.below + beyond > 0) {
+  if (ends(range) || (ask.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && ask.below + beyond > 0)) {
     ask.failed = true;
     return;
   }
@@ -207,10 +208,10 @@ bool TreeBuilder::cut_still_valid(const NodeRange& range, const Question& answer
   return answer.right_empty || right.empty(axes_) || answer.highest_relied_on[0] < geometry::order_bits(right.lo[axis]);
 }
 
-void TreeBuilder::mark_failed(std::size_t node) {
+void TreeBuilder::leave_uncut(std::size_t node) {
   const NodeRange& range = level_[node].range;
-  failed_.push_back(range);
-  failed_count_ += (scale_ ? 0 : level_[node].count) + interior_->count(range.first, range.last);
+  uncut_.push_back(range);
+  if (!ends(range)) failed_count_ += (scale_ ? 0 : level_[node].count) + interior_->count(range.first, range.last);
   const std::size_t chunks = starts_.size();
   for (std::size_t c = 0; c < chunks; ++c)
     for (int p = range.first; p < range.last; ++p)
@@ -233,7 +234,7 @@ void TreeBuilder::split(std::span<const Question> answers) {
     const Node& node = level_[n];
     const Question& answer = answers[n];
     if (interior_ != nullptr && !cut_still_valid(node.range, answer)) {
-      mark_failed(n);
+      leave_uncut(n);
       continue;
     }
     Cut& cut = result_.tree.cuts[at(node.range.node)];

@@ -17,6 +17,7 @@
 #include <optional>
 #include <vector>
 
+#include "common/base/index.hpp"
 #include "common/partition/balance/load.hpp"
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/quantised_points.hpp"
@@ -29,12 +30,13 @@ namespace rcb::partition {
 // Where to begin, if not with all particles at the root.
 struct Start {
   std::vector<NodeRange> roots;        // inner nodes, none below another, ascending
-  std::vector<std::size_t> ends;       // [roots]: the particles are sorted by root; those of root r end here
+  std::span<std::int32_t> part;        // of each particle so far; those of parts in no root are left out
   const CutTree* tree = nullptr;       // its cuts outside of the roots are kept
   const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
   std::optional<ExactScale> scale;     // of the weights, if they count
   const Interior* interior = nullptr;  // particles that are not searched; null: none
-  std::uint64_t failed_max = 0;        // the build is abandoned once failed nodes hold more particles
+  std::vector<std::uint8_t> ends;      // [inner nodes]: 1: left uncut; empty: none
+  std::uint64_t failed_max = 0;        // the build is abandoned once nodes that could not be cut hold more particles
 };
 
 class TreeBuilder {
@@ -45,12 +47,13 @@ class TreeBuilder {
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
               const Start& start);
 
-  // The result's `counts` are set for parts below the roots only. go_on: called before each level. Collective.
+  // With a start the parts found are written to Start::part instead of the result, whose `counts` are set for parts
+  // below the roots only. go_on: called before each level. Collective.
   PartitionResult build(const comm::GoOn& go_on = {});
 
-  // Nodes that can't be cut without their interior particles: the cuts in them are unspecified, and their particles are
-  // all reported in the node's first part.
-  const std::vector<NodeRange>& failed() const { return failed_; }
+  // Nodes left uncut: those in Start::ends, and those that can't be cut without their interior particles. The cuts in
+  // them are unspecified, and their particles are all reported in the node's first part.
+  const std::vector<NodeRange>& uncut() const { return uncut_; }
   // True if failed nodes hold too many particles or go_on said no: the result is then meaningless.
   bool abandoned() const { return stopped_ || (start_ != nullptr && failed_count_ > start_->failed_max); }
   const SplitRule& rule() const { return rule_; }
@@ -68,8 +71,8 @@ class TreeBuilder {
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
   void weigh_roots();
-  std::size_t root_begin(std::size_t root) const { return root == 0 ? 0 : root_end(root - 1); }
-  std::size_t root_end(std::size_t root) const { return start_ == nullptr ? particles_.count : start_->ends[root]; }
+  // Sets roots_ and counts this rank's particles of each.
+  std::vector<std::uint64_t> find_roots();
   void choose_maps(std::span<const std::uint64_t> samples);
   std::vector<std::size_t> sampled_slots() const;
   std::vector<std::uint64_t> sample_maps() const;
@@ -86,7 +89,10 @@ class TreeBuilder {
   void add_interior(const NodeRange& range, Question& ask) const;
   // True if all interior particles stay on their side of the cut found.
   bool cut_still_valid(const NodeRange& range, const Question& answer) const;
-  void mark_failed(std::size_t node);
+  void leave_uncut(std::size_t node);
+  bool ends(const NodeRange& range) const {
+    return start_ != nullptr && !start_->ends.empty() && start_->ends[at(range.node)] != 0;
+  }
   u128 slack_of(const Node& node) const;
   // Makes the level's cuts from the answers, and the next level's nodes.
   void split(std::span<const Question> answers);
@@ -111,6 +117,9 @@ class TreeBuilder {
   Id id_hi_ = 0;
   AxisMaps maps_;
   std::array<std::uint64_t, geometry::kDimsMax> lossless_{};  // 1: nothing lost in the sample; see quantise()
+  Roots roots_;
+  std::vector<std::int32_t> root_of_;  // [parts]
+  bool all_particles_ = true;          // of this rank are in a root
   QuantisedPoints points_;
 
   PartitionResult result_;
@@ -120,8 +129,8 @@ class TreeBuilder {
   std::vector<Span> next_spans_;
   std::vector<QuantisedPoint*> starts_;  // [chunks]: where their quantised points begin
   std::vector<std::size_t> ends_;        // [chunk * parts + part]: where its quantised points end
-  std::vector<NodeRange> failed_;
-  std::uint64_t failed_count_ = 0;  // particles in failed nodes
+  std::vector<NodeRange> uncut_;
+  std::uint64_t failed_count_ = 0;  // particles in nodes that could not be cut
 };
 
 }  // namespace rcb::partition

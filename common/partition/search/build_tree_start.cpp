@@ -1,6 +1,7 @@
 // The start of a build: bounds and counts of all particles, the maps from coordinates to integers, the quantised points
 // of the roots.
 #include <algorithm>
+#include <numeric>
 #include <utility>
 
 #include "common/base/index.hpp"
@@ -39,14 +40,38 @@ void least_and_most(std::span<const double> values, double& lo, double& hi) {
 
 }  // namespace
 
+std::vector<std::uint64_t> TreeBuilder::find_roots() {
+  if (start_ == nullptr) return {particles_.count};
+  root_of_.assign(at(options_.parts), Roots::kNone);
+  for (std::size_t r = 0; r < start_->roots.size(); ++r)
+    std::fill(root_of_.begin() + start_->roots[r].first, root_of_.begin() + start_->roots[r].last,
+              static_cast<std::int32_t>(r));
+  std::vector<std::uint64_t> counts(at(options_.parts), 0);
+  for (const std::int32_t part : start_->part) ++counts[at(part)];
+  std::vector<std::uint64_t> of_roots;
+  for (const NodeRange& root : start_->roots)
+    of_roots.push_back(std::accumulate(counts.begin() + root.first, counts.begin() + root.last, std::uint64_t{0}));
+  all_particles_ = std::accumulate(of_roots.begin(), of_roots.end(), std::size_t{0}) == particles_.count;
+  if (of_roots.size() > 1 || !all_particles_) roots_ = {of_roots.size(), start_->part, root_of_};
+  return of_roots;
+}
+
 void TreeBuilder::measure_all() {
+  const std::vector<std::uint64_t> counts = find_roots();
   std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
-  for (int a = 0; a < axes_ && particles_.count > 0; ++a) {
-    double lo = particles_.position[at(a)][0];
-    double hi = lo;
-    least_and_most({particles_.position[at(a)], particles_.count}, lo, hi);
-    least[at(a)] = geometry::order_bits(lo);
-    least[geometry::kDimsMax + at(a)] = ~geometry::order_bits(hi);
+  for (std::size_t a = 0; a < at(axes_) && particles_.count > 0; ++a) {
+    const double* const x = particles_.position[a];
+    double lo = all_particles_ ? x[0] : geometry::Box::kInfinity;
+    double hi = all_particles_ ? x[0] : -geometry::Box::kInfinity;
+    if (all_particles_) least_and_most({x, particles_.count}, lo, hi);
+    for (std::size_t i = 0; i < particles_.count && !all_particles_; ++i) {
+      const bool within = roots_.of(i) != Roots::kNone;
+      lo = within ? std::min(lo, x[i]) : lo;
+      hi = within ? std::max(hi, x[i]) : hi;
+    }
+    if (lo > hi) break;
+    least[a] = geometry::order_bits(lo);
+    least[geometry::kDimsMax + a] = ~geometry::order_bits(hi);
   }
   if (axes_ > 0) {
     std::ranges::copy(weight_order_bits(particles_), least.end() - 2);
@@ -66,7 +91,7 @@ void TreeBuilder::measure_all() {
   level_.resize(start_ == nullptr ? 1 : start_->roots.size());
   std::vector<std::uint64_t> sums = sample_maps();
   const std::size_t samples = sums.size();
-  for (std::size_t r = 0; r < level_.size(); ++r) sums.push_back(root_end(r) - root_begin(r));
+  sums.insert(sums.end(), counts.begin(), counts.end());
   comm_.all_sum(sums);
   result_.reductions += 2;
   choose_maps(sums);
@@ -97,8 +122,9 @@ void TreeBuilder::measure_all() {
 
 void TreeBuilder::weigh_roots() {
   std::vector<u128> weights(level_.size(), 0);
-  for (std::size_t r = 0; r < level_.size(); ++r)
-    for (std::size_t i = root_begin(r); i < root_end(r); ++i) weights[r] += (*scale_)(particles_.weight[i]);
+  for (std::size_t i = 0; i < particles_.count; ++i)
+    if (const std::int32_t root = roots_.of(i); root != Roots::kNone)
+      weights[at(root)] += (*scale_)(particles_.weight[i]);
   comm::all_sum_wide(comm_, weights);
   ++result_.reductions;
   for (std::size_t r = 0; r < level_.size(); ++r) level_[r].weight = weights[r];
@@ -110,11 +136,13 @@ std::vector<std::size_t> TreeBuilder::sampled_slots() const {
   std::vector<std::size_t> slots;
   if (options_.cut_tolerance > 0) {
     for (std::size_t i = 0; i < particles_.count; ++i)
-      if (mix64(static_cast<std::uint64_t>(particles_.id[i])) % 64 == 0) slots.push_back(i);
+      if (mix64(static_cast<std::uint64_t>(particles_.id[i])) % 64 == 0 && roots_.of(i) != Roots::kNone)
+        slots.push_back(i);
     return slots;
   }
   const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
-  for (std::size_t i = 0; i < particles_.count; i += stride) slots.push_back(i);
+  for (std::size_t i = 0; i < particles_.count; i += stride)
+    if (roots_.of(i) != Roots::kNone) slots.push_back(i);
   return slots;
 }
 
@@ -155,7 +183,7 @@ void TreeBuilder::quantise() {
   const bool tell = std::ranges::max(lossless_) != 0 &&
                     std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.even(); });
   const std::array<int, geometry::kDimsMax> zeros =
-      points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell);
+      points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell, roots_);
   if (!tell) return;
   // 1 + the trailing zeros; 0 if the axis is not lossless.
   for (std::size_t a = 0; a < lossless_.size(); ++a)
@@ -167,25 +195,12 @@ void TreeBuilder::quantise() {
 }
 
 void TreeBuilder::lay_out_roots() {
-  for (const Span& span : points_.spans()) {
-    spans_.push_back(span);
-    starts_.push_back(span.first);
-  }
-  const std::size_t chunks = starts_.size();
+  spans_ = points_.spans();
+  const std::size_t chunks = points_.chunks();
+  for (std::size_t c = 0; c < chunks; ++c) starts_.push_back(spans_[c].first);
   ends_.resize(chunks * at(options_.parts));
   if (level_.size() == 1) return;
-  const std::vector<Span> whole = std::move(spans_);
-  spans_.clear();
-  for (std::size_t r = 0; r < level_.size(); ++r)
-    for (const Span& span : whole) {
-      const auto within = [&span](std::size_t particle) {
-        return span.first + std::clamp<std::size_t>(particle, span.base, span.base + span.size()) - span.base;
-      };
-      QuantisedPoint* const first = within(root_begin(r));
-      QuantisedPoint* const last = within(root_end(r));
-      spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
-      widen(level_[r].bounds, {first, last});
-    }
+  for (std::size_t n = 0; n < spans_.size(); ++n) widen(level_[n / chunks].bounds, spans_[n].all());
   reduce_bounds(level_);
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <numeric>
 
 #include "common/base/check.hpp"
 #include "common/base/cpu.hpp"
@@ -51,10 +52,29 @@ struct ByValue {
   }
 };
 
+// Where quantised points go: in order, or each behind the last one of its root.
+struct InOrder {
+  QuantisedPoint* out;
+  QuantisedPoint* next(std::size_t i) const { return out + i; }
+};
+struct ByRoot {
+  const std::int32_t* part;
+  const std::int32_t* root_of;
+  // By root + 1; those of no root all go to one place behind the last root's.
+  std::vector<QuantisedPoint*> cursor;
+  QuantisedPoint* next(std::size_t i) {
+    const std::int32_t root = root_of[part[i]];
+    QuantisedPoint*& at = cursor[static_cast<std::size_t>(root + 1)];
+    QuantisedPoint* const own = at;
+    at += static_cast<std::ptrdiff_t>(root != Roots::kNone);
+    return own;
+  }
+};
+
 #if defined(__x86_64__)
 // Makes quantised points four at a time, each with all axes in one vector; returns how many.
-template <bool kCheckLossless>
-[[gnu::target("avx2")]] std::size_t fill_fours(const ByValue& even, std::span<QuantisedPoint> out,
+template <bool kCheckLossless, typename Places>
+[[gnu::target("avx2")]] std::size_t fill_fours(const ByValue& even, std::size_t count, Places& places,
                                                std::array<Lossless, geometry::kDimsMax>& lossless) {
   const __m256d base = _mm256_load_pd(even.base.data());
   const __m256d scale = _mm256_load_pd(even.scale.data());
@@ -64,7 +84,7 @@ template <bool kCheckLossless>
   __m256d differ = _mm256_setzero_pd();
   __m128i bits = _mm_setzero_si128();
   std::size_t i = 0;
-  for (; i + 4 <= out.size(); i += 4) {
+  for (; i + 4 <= count; i += 4) {
     __m256d point[4];
     load_four_points(even.x, i, point);
     for (std::size_t k = 0; k < 4; ++k) {
@@ -74,7 +94,7 @@ template <bool kCheckLossless>
         differ = _mm256_or_pd(differ, _mm256_sub_pd(again, point[k]));
         bits = _mm_or_si128(bits, q);
       }
-      _mm_store_si128(reinterpret_cast<__m128i*>(&out[i + k]), _mm_insert_epi32(q, static_cast<int>(i + k), 3));
+      _mm_store_si128(reinterpret_cast<__m128i*>(places.next(i + k)), _mm_insert_epi32(q, static_cast<int>(i + k), 3));
     }
   }
   alignas(32) std::array<std::int64_t, 4> all_differ;
@@ -90,16 +110,16 @@ template <bool kCheckLossless>
 #endif
 
 // All maps are by value: one loop over all axes takes half the time of one loop per axis.
-template <std::size_t kAxes, bool kCheckLossless>
-void fill_by_value(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps,
-                   std::span<QuantisedPoint> out, std::array<Lossless, geometry::kDimsMax>& lossless) {
+template <std::size_t kAxes, bool kCheckLossless, typename Places>
+void fill_by_value(const particles::ParticleView& particles, std::size_t first, std::size_t count, const AxisMaps& maps,
+                   Places& places, std::array<Lossless, geometry::kDimsMax>& lossless) {
   const ByValue even(particles, first, maps, kAxes);
   std::size_t i = 0;
 #if defined(__x86_64__)
-  if (has_avx2()) i = fill_fours<kCheckLossless>(even, out, lossless);
+  if (has_avx2()) i = fill_fours<kCheckLossless>(even, count, places, lossless);
 #endif
   std::array<Lossless, kAxes> found;
-  for (; i < out.size(); ++i) {
+  for (; i < count; ++i) {
     QuantisedPoint point;
     for (std::size_t a = 0; a < kAxes; ++a) {
       const double x = even.x[a][i];
@@ -108,7 +128,7 @@ void fill_by_value(const particles::ParticleView& particles, std::size_t first, 
       point.q[a] = q;
     }
     point.index = static_cast<std::uint32_t>(i);
-    out[i] = point;
+    *places.next(i) = point;
   }
   for (std::size_t a = 0; a < kAxes; ++a) {
     lossless[a].differ |= found[a].differ;
@@ -116,19 +136,37 @@ void fill_by_value(const particles::ParticleView& particles, std::size_t first, 
   }
 }
 
-template <std::size_t kAxes>
-void fill(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps,
-          std::span<QuantisedPoint> out, bool check_lossless, std::array<Lossless, geometry::kDimsMax>& lossless) {
+template <std::size_t kAxes, typename Places>
+void fill(const particles::ParticleView& particles, std::size_t first, std::size_t count, const AxisMaps& maps,
+          Places& places, bool check_lossless, std::array<Lossless, geometry::kDimsMax>& lossless) {
   if (std::all_of(maps.begin(), maps.begin() + kAxes, [](const AxisMap& map) { return map.even(); })) {
-    check_lossless ? fill_by_value<kAxes, true>(particles, first, maps, out, lossless)
-                   : fill_by_value<kAxes, false>(particles, first, maps, out, lossless);
+    check_lossless ? fill_by_value<kAxes, true>(particles, first, count, maps, places, lossless)
+                   : fill_by_value<kAxes, false>(particles, first, count, maps, places, lossless);
     return;
   }
-  for (std::size_t i = 0; i < out.size(); ++i) {
+  for (std::size_t i = 0; i < count; ++i) {
     QuantisedPoint point;
     for (std::size_t a = 0; a < kAxes; ++a) point.q[a] = maps[a](particles.position[a][first + i]);
     point.index = static_cast<std::uint32_t>(i);
-    out[i] = point;
+    *places.next(i) = point;
+  }
+}
+
+template <typename Places>
+void fill(const particles::ParticleView& particles, int axes, std::size_t first, std::size_t count,
+          const AxisMaps& maps, Places places, bool check_lossless,
+          std::array<Lossless, geometry::kDimsMax>& lossless) {
+  switch (axes) {
+    case 0:
+      for (std::size_t i = 0; i < count; ++i)
+        *places.next(i) = {{maps[0](particles.id[first + i]), 0, 0}, static_cast<std::uint32_t>(i)};
+      break;
+    case 1:
+      return fill<1>(particles, first, count, maps, places, check_lossless, lossless);
+    case 2:
+      return fill<2>(particles, first, count, maps, places, check_lossless, lossless);
+    default:
+      return fill<3>(particles, first, count, maps, places, check_lossless, lossless);
   }
 }
 
@@ -196,26 +234,27 @@ int zeros_of_lossless(const AxisMap& map, std::span<const double> x) {
 
 std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::ParticleView& particles, int axes,
                                                            const AxisMaps& maps, std::size_t chunk_max,
-                                                           bool check_lossless) {
+                                                           bool check_lossless, const Roots& roots) {
   std::array<Lossless, geometry::kDimsMax> lossless;
   chunks_.clear();
   for (std::size_t first = 0; first < particles.count || first == 0; first += chunk_max) {
-    Buffer<QuantisedPoint>& chunk = chunks_.emplace_back(std::min(chunk_max, particles.count - first));
-    switch (axes) {
-      case 0:
-        for (std::size_t i = 0; i < chunk.size(); ++i)
-          chunk[i] = {{maps[0](particles.id[first + i]), 0, 0}, static_cast<std::uint32_t>(i)};
-        break;
-      case 1:
-        fill<1>(particles, first, maps, chunk.span(), check_lossless, lossless);
-        break;
-      case 2:
-        fill<2>(particles, first, maps, chunk.span(), check_lossless, lossless);
-        break;
-      default:
-        fill<3>(particles, first, maps, chunk.span(), check_lossless, lossless);
-        break;
+    const std::size_t count = std::min(chunk_max, particles.count - first);
+    Chunk& chunk = chunks_.emplace_back();
+    chunk.base = first;
+    if (roots.one()) {
+      chunk.ends = {count};
+      chunk.points.resize(count);
+      fill(particles, axes, first, count, maps, InOrder{chunk.points.data()}, check_lossless, lossless);
+      continue;
     }
+    ByRoot places{roots.part.data() + first, roots.root_of.data(), {}};
+    std::vector<std::size_t> counts(roots.count + 1, 0);
+    for (std::size_t i = 0; i < count; ++i) ++counts[static_cast<std::size_t>(roots.of(first + i) + 1)];
+    std::partial_sum(counts.begin() + 1, counts.end(), std::back_inserter(chunk.ends));
+    chunk.points.resize(chunk.ends.back() + 1);
+    places.cursor = {chunk.points.data() + chunk.ends.back(), chunk.points.data()};
+    for (std::size_t r = 1; r < roots.count; ++r) places.cursor.push_back(chunk.points.data() + chunk.ends[r - 1]);
+    fill(particles, axes, first, count, maps, std::move(places), check_lossless, lossless);
   }
   std::array<int, geometry::kDimsMax> zeros{-1, -1, -1};
   for (std::size_t a = 0; a < zeros.size() && check_lossless; ++a) zeros[a] = lossless[a].zeros();
@@ -224,40 +263,26 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
 
 std::vector<Span> QuantisedPoints::spans() {
   std::vector<Span> spans;
-  std::uint64_t base = 0;
-  for (Buffer<QuantisedPoint>& chunk : chunks_) {
-    spans.push_back({chunk.begin(), chunk.begin(), chunk.end(), chunk.end(), nullptr, nullptr, base});
-    base += chunk.size();
-  }
+  for (std::size_t r = 0; r < chunks_[0].ends.size(); ++r)
+    for (Chunk& chunk : chunks_) {
+      QuantisedPoint* const first = chunk.points.data() + (r == 0 ? 0 : chunk.ends[r - 1]);
+      QuantisedPoint* const last = chunk.points.data() + chunk.ends[r];
+      spans.push_back({first, first, last, last, nullptr, nullptr, chunk.base});
+    }
   return spans;
 }
 
-Buffer<std::int32_t> QuantisedPoints::into_parts(std::span<const std::size_t> ends, int parts) {
-  // Works in the quantised points' own memory: a chunk's indices move to its front, the parts are written behind them
-  // and then moved to the front.
-  Buffer<std::int32_t> all;
+void QuantisedPoints::write_parts(std::span<const std::size_t> ends, int parts, std::span<std::int32_t> part) const {
   for (std::size_t c = 0; c < chunks_.size(); ++c) {
-    const std::size_t size = chunks_[c].size();
-    Buffer<std::int32_t> own = chunks_[c].release_as<std::int32_t>();
-    constexpr std::size_t kWords = sizeof(QuantisedPoint) / sizeof(std::int32_t);
-    for (std::size_t i = 0; i < size; ++i) own[i] = own[i * kWords + kWords - 1];
-    std::int32_t* const part = own.data() + size;
+    const Chunk& chunk = chunks_[c];
+    std::int32_t* const own = part.data() + chunk.base;
     std::size_t i = 0;
     for (std::int32_t p = 0; p < parts; ++p)
       for (const std::size_t end = ends[c * static_cast<std::size_t>(parts) + static_cast<std::size_t>(p)]; i < end;
            ++i)
-        part[static_cast<std::uint32_t>(own[i])] = p;
-    CHECK(i == size, "every quantised point is in a part");
-    if (size > 0) std::memmove(own.data(), part, size * sizeof(std::int32_t));
-    own.resize(size);
-    own.shrink();
-    if (c == 0)
-      all = std::move(own);
-    else
-      all.append(own.span());
+        own[chunk.points[i].index] = p;
+    CHECK(i == chunk.ends.back(), "every quantised point is in a part");
   }
-  chunks_.clear();
-  return all;
 }
 
 // Points at either end that are on the right side already are skipped, since solvers' orders are seldom random. All

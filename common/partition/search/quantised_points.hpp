@@ -115,22 +115,39 @@ struct QBounds {
   bool empty() const { return lo[0] > hi[0]; }
 };
 
+// Which particles are quantised, and how they are grouped.
+struct Roots {
+  static constexpr std::int32_t kNone = -1;
+  std::size_t count = 1;
+  std::span<const std::int32_t> part;  // [particles]
+  // [parts]: the root that has this part, or kNone: left out; empty: there is one root, and it has all particles
+  std::span<const std::int32_t> root_of;
+
+  bool one() const { return root_of.empty(); }
+  std::int32_t of(std::size_t i) const { return one() ? 0 : root_of[static_cast<std::size_t>(part[i])]; }
+};
+
 class QuantisedPoints {
  public:
-  // Makes one quantised point per particle. axes: 0 quantises the ids instead. If `tell` (only where all maps are by
-  // value), returns zeros_of_lossless() of every axis, found in the same pass; else -1. Local.
+  // Makes one quantised point per particle, grouped by root. axes: 0 quantises the ids instead. If `check_lossless`
+  // (only where all maps are by value), returns zeros_of_lossless() of every axis, found in the same pass; else -1.
+  // Local.
   std::array<int, geometry::kDimsMax> build(const particles::ParticleView& particles, int axes, const AxisMaps& maps,
-                                            std::size_t chunk_max, bool check_lossless);
+                                            std::size_t chunk_max, bool check_lossless, const Roots& roots);
 
   std::size_t chunks() const { return chunks_.size(); }
-  // All quantised points, one span per chunk.
+  // [root * chunks + chunk]: the quantised points of each root.
   std::vector<Span> spans();
-  // Replaces the quantised points by the parts of their particles, which it returns. ends[chunk * parts + p]: where the
-  // quantised points of part p end. Needs no memory beyond that of the quantised points.
-  Buffer<std::int32_t> into_parts(std::span<const std::size_t> ends, int parts);
+  // Sets part[i] for each quantised point of particle i. ends[chunk * parts + p]: where those of part p end.
+  void write_parts(std::span<const std::size_t> ends, int parts, std::span<std::int32_t> part) const;
 
  private:
-  std::vector<Buffer<QuantisedPoint>> chunks_;
+  struct Chunk {
+    Buffer<QuantisedPoint> points;
+    std::vector<std::size_t> ends;  // [roots]
+    std::uint64_t base = 0;         // its first particle
+  };
+  std::vector<Chunk> chunks_;
 };
 
 // The number of trailing zero bits that all integers share, if a map by value is lossless for these coordinates; else
