@@ -8,7 +8,7 @@
 #include <limits>
 
 #include "common/partition/balance/bounding_box.hpp"
-#include "common/partition/incremental/guess.hpp"
+#include "common/partition/incremental/partition_from_guess.hpp"
 #include "common/partition/search/build_tree.hpp"
 
 namespace rcb::partition {

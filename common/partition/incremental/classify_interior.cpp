@@ -206,26 +206,31 @@ class Pass {
 
 }  // namespace
 
+void OwnInterior::reserve(const particles::ParticleView& of, std::size_t room) {
+  boundary.dims = of.dims;
+  boundary.has_weights = of.weight != nullptr;
+  boundary.resize(room);
+  boundary.resize(0);
+  slot.reserve(room);
+  part.reserve(room);
+}
+
+void OwnInterior::finish(const particles::ParticleView& of, std::size_t boundary_max) {
+  too_many = slot.size() > boundary_max;
+  if (too_many) return;
+  copy_of(of.id, slot, boundary.id);
+  if (boundary.has_weights) copy_of(of.weight, slot, boundary.weight);
+}
+
 OwnInterior classify_interior(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
                               std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
                               std::size_t boundary_max) {
   OwnInterior out;
-  out.boundary.dims = particles.dims;
-  out.boundary.has_weights = particles.weight != nullptr;
-  const std::size_t room = particles.count / 16;
-  out.boundary.resize(room);
-  out.boundary.resize(0);
-  out.slot.reserve(room);
-  out.part.reserve(room);
+  out.reserve(particles, particles.count / 16);
   Pass pass(particles, blocks, part, inner, own, boundary_max, out);
   if (blocks == nullptr) pass.seed();  // with blocks not needed: those that stay as a whole soon make the boxes grow
   pass.run();
-  out.too_many = out.slot.size() > boundary_max;
-  if (!out.too_many) {
-    // Copied after the pass, to keep these scattered reads out of its loop.
-    copy_of(particles.id, out.slot, out.boundary.id);
-    if (out.boundary.has_weights) copy_of(particles.weight, out.slot, out.boundary.weight);
-  }
+  out.finish(particles, boundary_max);
   for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));
   return out;
 }

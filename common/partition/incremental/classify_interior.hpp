@@ -3,12 +3,15 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "common/base/buffer.hpp"
 #include "common/particles/block_ranges.hpp"
+#include "common/partition/balance/load.hpp"
 #include "common/partition/incremental/brackets.hpp"
+#include "common/partition/search/interior.hpp"
 
 namespace rcb::partition {
 
@@ -20,11 +23,17 @@ void copy_of(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
 }
 
 struct OwnInterior {
-  bool too_many = false;             // the pass stopped at boundary_max: the rest is meaningless
-  particles::ParticleSet boundary;   // the boundary particles, copied
-  Buffer<std::uint64_t> slot;        // their slots, ascending
-  Buffer<std::int32_t> part;         // and their current parts
-  std::vector<geometry::Box> boxes;  // [own parts]: the exact boxes of the interior particles; empty: none
+  bool too_many = false;              // the pass stopped at boundary_max: the rest is meaningless
+  particles::ParticleSet boundary;    // the boundary particles, copied
+  Buffer<std::uint64_t> slot;         // their slots, ascending
+  Buffer<std::int32_t> part;          // and their current parts
+  std::vector<geometry::Box> boxes;   // [own parts]: the exact boxes of the interior particles; empty: none
+  std::vector<std::uint64_t> counts;  // [parts]: of a guess: this rank's particles; else empty
+
+  // Makes room for so many boundary particles.
+  void reserve(const particles::ParticleView& of, std::size_t room);
+  // Copies what the pass hasn't: after it, to keep these scattered reads out of its loop.
+  void finish(const particles::ParticleView& of, std::size_t boundary_max);
 };
 
 // inner: the inner regions of this rank's own parts; a particle strictly inside that of its part is interior. Particles
@@ -35,5 +44,13 @@ struct OwnInterior {
 OwnInterior classify_interior(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
                               std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
                               std::size_t boundary_max);
+
+// The interior particles of all ranks. nullopt, on every rank, if boundary particles are more than `most` or one rank
+// has too many. Collective (one gather).
+//   counts, loads  of all particles of each part, all ranks; scale, loads: only if weights count
+//   boundary       grows by the number of boundary particles of all ranks
+std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts,
+                                     std::vector<std::uint64_t> counts, const ExactScale* scale,
+                                     std::vector<u128> loads, std::uint64_t most, std::uint64_t& boundary);
 
 }  // namespace rcb::partition

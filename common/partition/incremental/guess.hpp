@@ -1,25 +1,41 @@
-// A partition of a large set from a guess: every rank makes the tree of a sample for itself, and one pass finds the
-// parts under it. The rest is a repartition (repartition.hpp), which searches few particles: the set is read three
-// times, and most particles are never quantised.
-//
-// It pays where the quantised points of all particles (quantised_points.hpp) don't fit in the caches, parts are few, so
-// that few particles lie near a cut, and the sample determines every cut's axis.
+// Guess: the cuts that are expected, from a sample of the particles, before any other particle is looked at.
 //
 // Invariants
-// 1. The tree and the parts are those of a full search; `rounds` and `reductions` aren't.
+// 1. A wrong guess costs time only: the search verifies what it relies on (interior.hpp).
 #pragma once
 
+#include <cstdint>
 #include <optional>
+#include <vector>
 
-#include "common/comm/comm.hpp"
-#include "common/particles/particle_set.hpp"
+#include "common/geometry/box.hpp"
+#include "common/partition/incremental/sample.hpp"
 #include "common/partition/search/request.hpp"
 
 namespace rcb::partition {
 
-// nullopt, on all ranks, if options.limits or the sample rule out a guess. `options` must be valid. Collective.
-//   reductions  becomes the number of collectives used, whether a partition came of it or not
-std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options, std::uint64_t& reductions);
+// A guess has at most so many levels and leaves, which fit into the tables of one pass (classify_guessed.cpp).
+inline constexpr int kGuessLevels = 3;
+inline constexpr int kGuessLeaves = 8;
+
+struct Guess {
+  CutTree tree;                      // of each cut, the axis and the expected coordinate
+  std::vector<std::uint8_t> ends;    // [inner nodes]: 1: nothing is guessed from this node on
+  std::vector<geometry::Box> inner;  // [parts]: inner regions (brackets.hpp); that of such a node is its first part's
+  std::vector<geometry::Box> seen;   // [parts]: the sampled particles strictly inside of them
+};
+
+// Nodes whose cuts are to be guessed.
+struct GuessRoots {
+  CutTree tree;                      // whose cuts above the roots are exact
+  std::vector<NodeRange> roots;      // none below another
+  std::vector<geometry::Box> boxes;  // [roots]: of their particles; empty: not known
+};
+
+// The guess below some nodes: at most kGuessLeaves leaves, the parts in no root among them. sample: one particle of
+// each `stride`. outermost: all particles outside of the sampled ones' box; null: not known. axis_open: becomes true if
+// an axis could not be told that `outermost` might tell. nullopt if no cut can be guessed. Local.
+std::optional<Guess> guess_cuts(const Sample& sample, const Sample* outermost, const PartitionOptions& options,
+                                const GuessRoots& below, bool& axis_open);
 
 }  // namespace rcb::partition

@@ -69,28 +69,27 @@ class Repartitioning {
     rule_.set_quotas(std::move(prefix));
   }
 
-  // The incremental search. False if it was abandoned; else failed_ has the nodes that it could not cut. Collective.
-  bool search_boundary() {
+  // Collective (one gather).
+  OwnInterior look() {
     std::vector<double> loads(current_.loads.loads.begin(), current_.loads.loads.end());
     const auto inner = inner_regions(comm_, particles_, current_.part, current_.tree, n_, loads, roots_, current_.own,
                                      options_.limits);
     // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
     const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
-    OwnInterior own =
-        classify_interior(particles_, current_.blocks, current_.part, inner, current_.own,
-                          std::max<std::uint64_t>(particles_.count, mean) / options_.limits.boundary_divisor);
+    return classify_interior(particles_, current_.blocks, current_.part, inner, current_.own,
+                             std::max<std::uint64_t>(particles_.count, mean) / options_.limits.boundary_divisor);
+  }
+
+  // The incremental search. False if it was abandoned; else failed_ has the nodes that it could not cut. Collective.
+  bool search_boundary() {
+    const OwnInterior own = look();
     result_.reductions += 2;
-    Interior interior;
-    if (!gather(own, interior)) return false;
+    const std::uint64_t most = n_ / options_.limits.boundary_divisor;
+    const auto interior = sum_interior(comm_, own, current_.own, current_.loads.counts, scale_ ? &*scale_ : nullptr,
+                                       current_.loads.loads, most, result_.looked_at);
+    if (!interior) return false;
     Buffer<std::int32_t> part = own.part;
-    const Start start{roots_,
-                      part.span(),
-                      &current_.tree,
-                      whole_ ? nullptr : &rule_,
-                      scale_,
-                      &interior,
-                      {},
-                      n_ / options_.limits.boundary_divisor};
+    const Start start{roots_, part.span(), &current_.tree, whole_ ? nullptr : &rule_, scale_, &*interior, {}, most};
     TreeBuilder builder(comm_, own.boundary.view(), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
@@ -103,64 +102,6 @@ class Repartitioning {
       result_.delta.part.push_back(part[k]);
     }
     take(std::move(found), roots_);
-    return true;
-  }
-
-  // Sums up the interior particles of all ranks. False, on every rank, if boundary particles are too many. Collective
-  // (one gather).
-  bool gather(const OwnInterior& own, Interior& interior) {
-    // The message: whether this rank has too many boundary particles; how many own parts have interior ones; each such
-    // part and its box; then every part with boundary particles, their number and weight.
-    std::vector<std::uint64_t> boundary(at(options_.parts), 0);  // zeros if there are too many
-    std::vector<u128> weights(boundary.size(), 0);
-    for (std::size_t k = 0; k < own.part.size() && !own.too_many; ++k) {
-      ++boundary[at(own.part[k])];
-      if (scale_) weights[at(own.part[k])] += (*scale_)(own.boundary.weight[k]);
-    }
-    std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
-    for (std::size_t p = 0; p < own.boxes.size(); ++p) {
-      if (own.boxes[p].empty(particles_.dims)) continue;
-      ++mine[1];
-      mine.push_back(at(current_.own.first) + p);
-      for (const double x : own.boxes[p].lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
-      for (const double x : own.boxes[p].hi) mine.push_back(std::bit_cast<std::uint64_t>(x));
-    }
-    for (std::size_t p = 0; p < boundary.size(); ++p)
-      if (boundary[p] > 0)
-        mine.insert(mine.end(), {p, boundary[p], static_cast<std::uint64_t>(weights[p]),
-                                 static_cast<std::uint64_t>(weights[p] >> 64U)});
-    const auto all = comm::all_gather_values<std::uint64_t>(comm_, mine);
-
-    // All particles but those on the boundary are interior.
-    std::vector<std::uint64_t> counts = current_.loads.counts;
-    std::vector<u128> stay = scale_ ? current_.loads.loads : std::vector<u128>(counts.size(), 0);
-    interior.boxes.assign(at(options_.parts), geometry::Box{});
-    bool too_many = false;
-    const std::uint64_t* word = all.values.data();
-    for (const std::size_t count : all.counts) {
-      const std::uint64_t* const end = word + count;
-      too_many |= *word++ != 0;
-      std::uint64_t boxes = *word++;
-      for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax) {
-        geometry::Box box;
-        for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-          box.lo[a] = std::bit_cast<double>(word[1 + a]);
-          box.hi[a] = std::bit_cast<double>(word[1 + geometry::kDimsMax + a]);
-        }
-        interior.boxes[word[0]].extend(box);
-      }
-      for (; word < end; word += 4) {
-        counts[word[0]] -= word[1];
-        stay[word[0]] -= word[2] | (u128{word[3]} << 64U);
-        result_.looked_at += word[1];
-      }
-    }
-    if (too_many || result_.looked_at > n_ / options_.limits.boundary_divisor) return false;
-    interior.count_prefix.assign(1, 0);
-    for (const std::uint64_t count : counts) interior.count_prefix.push_back(interior.count_prefix.back() + count);
-    if (scale_) interior.weight_prefix.assign(1, 0);
-    for (std::size_t p = 0; p < stay.size() && scale_; ++p)
-      interior.weight_prefix.push_back(interior.weight_prefix.back() + stay[p]);
     return true;
   }
 

@@ -211,7 +211,9 @@ bool TreeBuilder::cut_still_valid(const NodeRange& range, const Question& answer
 void TreeBuilder::leave_uncut(std::size_t node) {
   const NodeRange& range = level_[node].range;
   uncut_.push_back(range);
-  if (!ends(range)) failed_count_ += (scale_ ? 0 : level_[node].count) + interior_->count(range.first, range.last);
+  const std::uint64_t beside = interior_->count(range.first, range.last);
+  if (!scale_) result_.counts[at(range.first)] = level_[node].count + beside;
+  if (!ends(range)) failed_count_ += (scale_ ? 0 : level_[node].count) + beside;
   const std::size_t chunks = starts_.size();
   for (std::size_t c = 0; c < chunks; ++c)
     for (int p = range.first; p < range.last; ++p)

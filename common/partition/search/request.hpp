@@ -12,20 +12,24 @@
 
 namespace rcb::partition {
 
-// When a partition begins with the tree of a sample (guess.hpp), and how much that sample is trusted.
+// When a partition begins with a guess from a sample (incremental/guess.hpp), and how much that sample is trusted.
 struct GuessLimits {
-  std::uint64_t count_min = std::uint64_t{3} << 18U;  // particles per rank
+  // Particles per rank: with fewer, the further collectives and the sample cost more than the passes that are saved.
+  std::uint64_t count_min = std::uint64_t{1} << 19U;
   int parts_min = 4;
   int parts_max = 8;
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow
-  std::uint64_t sample_min = 4096;
-  std::uint64_t sample_max = 65536;
+  std::uint64_t sample_min = 8192;
+  std::uint64_t sample_max = 32768;
   // A node's particles are assumed to reach beyond its sampled ones by at most this fraction of the sampled extent, on
   // either side.
   double overhang_max = 0.05;
-  // No guess is made if more than this fraction of a node's sampled particles lies on its cut: all particles on the cut
-  // would have to be searched.
-  double tied = 0.01;
+  // No cut is guessed that would leave more than this fraction of the particles to be searched.
+  double boundary_max = 0.3;
+  // Nor one with more than this fraction of the sampled particles on its plane: all on it would be searched.
+  double tied_max = 0.03;
+  // A guess of fewer levels, on average over the particles, isn't tried; a tenth of it below nodes that are left.
+  double levels_min = 1.5;
 };
 
 // Tuning of the search; the tree does not depend on it.

@@ -80,7 +80,8 @@ TEST(CutTolerance, BoundsTheErrorOfEveryPart) {
 // hangs in the balance.
 TEST(CutTolerance, TheBinsAreTheSameHoweverTheParticlesAreDealt) {
   for (int step = 0; step < 60; ++step) {
-    Scene scene = make_scene(Shape::uniform, Weights::none, 1, 20000, true, kToleranceSeed + static_cast<std::uint64_t>(step));
+    Scene scene =
+        make_scene(Shape::uniform, Weights::none, 1, 20000, true, kToleranceSeed + static_cast<std::uint64_t>(step));
     for (double& x : scene.x[0]) x = std::pow(10.0, -0.1 * step * x);
     PartitionOptions options;
     options.parts = 5;

@@ -166,7 +166,8 @@ TEST(Partition, KeepsAxesWithHysteresis) {
   });
   for (const double hysteresis : {1.0, 1.0001, 1.2, 2.0, 1e300}) {
     for (const Shape shape : {Shape::uniform, Shape::decades, Shape::huge, Shape::coincident}) {
-      const Scene after = make_scene(shape, Weights::none, 3, shape == Shape::coincident ? 5 : 400, false, kPartitionSeed + 1);
+      const Scene after =
+          make_scene(shape, Weights::none, 3, shape == Shape::coincident ? 5 : 400, false, kPartitionSeed + 1);
       JudgeOptions asked = first;
       asked.hysteresis = hysteresis;
       for (const JudgeCut& cut : old_cuts.cuts) asked.old_axis.push_back(cut.axes[0]);
@@ -234,9 +235,11 @@ TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
     SCOPED_TRACE(scene.name);
     PartitionOptions options;
     options.parts = 4;
+    options.limits.guess.count_min = scene.count() + 1;
     PartitionOptions guessed = options;
     guessed.limits.guess.count_min = 0;
     guessed.limits.guess.stride = 32;
+    guessed.limits.guess.sample_min = 1;
     on_ranks([&](comm::Comm& comm) {
       const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
       const PartitionResult all = partition(comm, share.particles.view(), options).value();

@@ -1,0 +1,332 @@
+// Most particles lie in the box of the sampled particles of their part. Coordinates rounded to float show that:
+// rounding keeps the order, so what is strictly between two rounded bounds lies between the bounds. Only the others are
+// looked at one by one.
+#include "common/partition/incremental/classify_guessed.hpp"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+#include "common/base/cpu.hpp"
+#include "common/base/index.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using particles::kBlock;
+constexpr std::size_t kLeaves = kGuessLeaves;
+constexpr std::size_t kAhead = 1024;
+using Floats = std::array<float, kLeaves>;
+using Integers = std::array<std::int32_t, kLeaves>;
+using Axes = std::array<const double*, geometry::kDimsMax>;
+
+// The guess as tables. On each level node k has the children next[k], and next[k] + 1 if it is cut; what ends above the
+// last level is its own child.
+struct alignas(64) Tables {
+  Integers first{};  // of each part so far: its node on the first level
+  std::array<Integers, kGuessLevels> next{};
+  std::array<double, geometry::kDimsMax> origin{};
+  std::array<double, geometry::kDimsMax> scale{1, 1, 1};
+  std::array<Floats, kGuessLevels> cut;  // infinite where nothing goes right
+  std::array<Integers, kGuessLevels> axis;
+  std::array<Floats, geometry::kDimsMax> lo;  // by axis and leaf: of its box
+  std::array<Floats, geometry::kDimsMax> hi;
+  std::array<Floats, geometry::kDimsMax> inner_lo;  // of its inner region
+  std::array<Floats, geometry::kDimsMax> inner_hi;
+  Integers part{};  // of each leaf
+
+  float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
+};
+
+class GuessedPass {
+ public:
+  GuessedPass(const particles::ParticleView& particles, const Guess& guess, std::span<const NodeRange> roots,
+              std::span<std::int32_t> part, std::size_t boundary_max, OwnInterior& out)
+      : particles_(particles), part_(part), boundary_max_(boundary_max), out_(out) {
+    for (auto& row : tables_.cut) row.fill(std::numeric_limits<float>::infinity());
+    for (auto& row : tables_.axis) row.fill(0);
+    for (auto& row : tables_.lo) row.fill(-std::numeric_limits<float>::infinity());
+    for (auto& row : tables_.hi) row.fill(std::numeric_limits<float>::infinity());
+    tables_.inner_lo = tables_.lo;
+    tables_.inner_hi = tables_.hi;
+    geometry::Box all;
+    for (const geometry::Box& box : guess.seen) all.extend(box);
+    for (std::size_t a = 0; a < axes() && !all.empty(particles.dims); ++a) {
+      // Floats are densest at 0.
+      tables_.origin[a] = std::clamp(0.0, all.lo[a], all.hi[a]);
+      const double most =
+          std::max(all.hi[a] * 0.5 - tables_.origin[a] * 0.5, tables_.origin[a] * 0.5 - all.lo[a] * 0.5);
+      const double scale = std::isnormal(most) ? std::ldexp(1.0, -std::ilogb(most)) : 1.0;
+      if (std::isnormal(scale)) tables_.scale[a] = scale;
+    }
+    add(guess, roots);
+  }
+
+  void run() {
+    Axes x = particles_.position;
+    for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
+    std::size_t begin = 0;
+    for (; begin < particles_.count && listed_ <= boundary_max_; begin += kBlock) {
+      const std::size_t count = std::min(kBlock, particles_.count - begin);
+      make_room(listed_ + kBlock);
+      const Axes own{x[0] + begin, x[1] + begin, x[2] + begin};
+      Found found = find(own, part_.data() + begin, count);
+      for (std::size_t leaf = 0; leaf < leaves_; ++leaf) {
+        std::uint64_t mask = count < kBlock ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
+        for (std::size_t bit = 0; bit < found.bits.size(); ++bit)
+          mask &= (leaf >> bit & 1U) != 0 ? found.bits[bit] : ~found.bits[bit];
+        counts_[leaf] += at(std::popcount(mask));
+      }
+      for (; found.unsure != 0; found.unsure &= found.unsure - 1) {
+        const auto k = at(std::countr_zero(found.unsure));
+        found.boundary |= (grow(begin + k, found.leaf(k)) ? 0ULL : 1ULL) << k;
+      }
+      for (; found.boundary != 0; found.boundary &= found.boundary - 1) {
+        const auto k = at(std::countr_zero(found.boundary));
+        out_.slot[listed_] = begin + k;
+        out_.part[listed_] = part_[begin + k];
+        for (std::size_t a = 0; a < axes(); ++a) out_.boundary.position[a][listed_] = own[a][k];
+        ++listed_;
+      }
+    }
+    // Where it stopped, the others get some part all the same.
+    for (std::size_t i = begin; i < particles_.count && !several_; ++i) part_[i] = 0;
+    resize(listed_);
+    for (std::size_t leaf = 0; leaf < leaves_; ++leaf) {
+      out_.boxes[at(tables_.part[leaf])] = box_[leaf];
+      out_.counts[at(tables_.part[leaf])] = counts_[leaf];
+    }
+  }
+
+ private:
+  std::size_t axes() const { return at(particles_.dims); }
+
+  void add(const Guess& guess, std::span<const NodeRange> roots) {
+    struct Node {
+      NodeRange range;
+      bool ends;
+      bool fixed;  // in no root
+    };
+    const auto below = [&guess](const NodeRange& range) {
+      return Node{range, range.leaf() || guess.ends[at(range.node)] != 0, false};
+    };
+    several_ = roots.size() > 1 || roots[0].parts() < guess.tree.parts;
+    std::vector<Node> level;
+    int part = 0;
+    const auto add_fixed = [&](int until) {
+      for (; part < until; ++part) {
+        tables_.first[at(part)] = static_cast<std::int32_t>(level.size());
+        level.push_back({{0, part, part + 1}, true, true});
+      }
+    };
+    for (const NodeRange& root : roots) {
+      if (several_) add_fixed(root.first);
+      for (; several_ && part < root.last; ++part) tables_.first[at(part)] = static_cast<std::int32_t>(level.size());
+      level.push_back(below(root));
+    }
+    if (several_) add_fixed(guess.tree.parts);
+    for (std::size_t l = 0; l < at(kGuessLevels); ++l) {
+      std::vector<Node> next;
+      for (std::size_t k = 0; k < level.size(); ++k) {
+        tables_.next[l][k] = static_cast<std::int32_t>(next.size());
+        if (level[k].ends) {
+          next.push_back(level[k]);
+          continue;
+        }
+        const NodeRange& range = level[k].range;
+        const Cut& cut = guess.tree.cuts[at(range.node)];
+        tables_.cut[l][k] = tables_.rounded(at(cut.axes[0]), cut.key.at[0]);
+        tables_.axis[l][k] = cut.axes[0];
+        next.push_back(below(range.left()));
+        next.push_back(below(range.right()));
+      }
+      level = std::move(next);
+      CHECK(level.size() <= kLeaves, "a guess has few leaves");
+    }
+    leaves_ = level.size();
+    for (std::size_t k = 0; k < leaves_; ++k) {
+      const auto first = at(level[k].range.first);
+      tables_.part[k] = level[k].range.first;
+      inner_[k] = level[k].fixed ? geometry::Box::unbounded() : guess.inner[first];
+      if (level[k].fixed) continue;  // every particle is in its box
+      box_[k] = guess.seen[first];
+      for (std::size_t a = 0; a < axes(); ++a) {
+        show(k, a);
+        tables_.inner_lo[a][k] = tables_.rounded(a, inner_[k].lo[a]);
+        tables_.inner_hi[a][k] = tables_.rounded(a, inner_[k].hi[a]);
+      }
+    }
+  }
+
+  // Takes a leaf's box over into the tables. A bound itself counts as inside where rounding tells it from its
+  // neighbour.
+  void show(std::size_t leaf, std::size_t a) {
+    constexpr float kInfinity = std::numeric_limits<float>::infinity();
+    const double lo = box_[leaf].lo[a];
+    const double hi = box_[leaf].hi[a];
+    float least = tables_.rounded(a, lo);
+    float most = tables_.rounded(a, hi);
+    if (tables_.rounded(a, std::nextafter(lo, -geometry::Box::kInfinity)) < least)
+      least = std::nextafter(least, -kInfinity);
+    if (tables_.rounded(a, std::nextafter(hi, geometry::Box::kInfinity)) > most) most = std::nextafter(most, kInfinity);
+    const bool none = lo > hi;
+    tables_.lo[a][leaf] = none ? kInfinity : least;
+    tables_.hi[a][leaf] = none ? -kInfinity : most;
+  }
+
+  void resize(std::size_t count) {
+    out_.slot.resize(count);
+    out_.part.resize(count);
+    for (std::size_t a = 0; a < axes(); ++a) out_.boundary.position[a].resize(count);
+  }
+  void make_room(std::size_t count) {
+    if (count > out_.slot.size()) resize(std::max(count, 2 * out_.slot.size()));
+  }
+
+  // True if a particle is interior; then its leaf's box grows to hold it.
+  bool grow(std::size_t i, std::size_t leaf) {
+    const geometry::Box& inner = inner_[leaf];
+    bool inside = true;
+    for (std::size_t a = 0; a < axes(); ++a)
+      inside &= particles_.position[a][i] > inner.lo[a] && particles_.position[a][i] < inner.hi[a];
+    geometry::Box& box = box_[leaf];
+    for (std::size_t a = 0; a < axes() && inside; ++a) {
+      const double x = particles_.position[a][i];
+      if (x >= box.lo[a] && x <= box.hi[a]) continue;
+      box.lo[a] = std::min(box.lo[a], x);
+      box.hi[a] = std::max(box.hi[a], x);
+      show(leaf, a);
+    }
+    return inside;
+  }
+
+  // The particles of a block, one bit each, that are surely not in their leaf's inner region, and those that are
+  // neither surely there nor surely in its box.
+  struct Found {
+    std::uint64_t boundary = 0;
+    std::uint64_t unsure = 0;
+    std::array<std::uint64_t, 3> bits{};  // of the number of each particle's leaf
+
+    std::size_t leaf(std::size_t k) const {
+      return (bits[0] >> k & 1U) | (bits[1] >> k & 1U) << 1U | (bits[2] >> k & 1U) << 2U;
+    }
+  };
+
+  // Sets the parts of a block.
+  Found find(const Axes& x, std::int32_t* part, std::size_t count) const {
+    Found found;
+    std::size_t i = 0;
+#if defined(__x86_64__)
+    if (has_avx2()) i = several_ ? find_eights<true>(x, part, count, found) : find_eights<false>(x, part, count, found);
+#endif
+    for (; i < count; ++i) {
+      const std::array<float, 3> own{tables_.rounded(0, x[0][i]), tables_.rounded(1, x[1][i]),
+                                     tables_.rounded(2, x[2][i])};
+      std::size_t leaf = several_ ? at(tables_.first[at(part[i])]) : 0;
+      for (std::size_t level = 0; level < at(kGuessLevels); ++level)
+        leaf =
+            at(tables_.next[level][leaf]) + (own[at(tables_.axis[level][leaf])] > tables_.cut[level][leaf] ? 1U : 0U);
+      for (std::size_t bit = 0; bit < found.bits.size(); ++bit)
+        found.bits[bit] |= (leaf >> bit & std::uint64_t{1}) << i;
+      bool in = true;
+      bool out = false;
+      for (std::size_t a = 0; a < own.size(); ++a) {
+        in &= own[a] > tables_.lo[a][leaf] && own[a] < tables_.hi[a][leaf];
+        out |= own[a] < tables_.inner_lo[a][leaf] || own[a] > tables_.inner_hi[a][leaf];
+      }
+      part[i] = tables_.part[leaf];
+      found.boundary |= (out ? 1ULL : 0ULL) << i;
+      found.unsure |= (in || out ? 0ULL : 1ULL) << i;
+    }
+    return found;
+  }
+
+#if defined(__x86_64__)
+  [[gnu::target("avx2"), gnu::always_inline]] static inline __m256 as_floats(const double* x, double origin,
+                                                                             double scale) {
+    const __m256d o = _mm256_set1_pd(origin);
+    const __m256d s = _mm256_set1_pd(scale);
+    return _mm256_set_m128(_mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x + 4), o), s)),
+                           _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x), o), s)));
+  }
+  [[gnu::target("avx2"), gnu::always_inline]] static inline __m256 in_table(const Floats& table, __m256i index) {
+    return _mm256_permutevar8x32_ps(_mm256_load_ps(table.data()), index);
+  }
+  [[gnu::target("avx2"), gnu::always_inline]] static inline __m256i in_table(const Integers& table, __m256i index) {
+    return _mm256_permutevar8x32_epi32(_mm256_load_si256(reinterpret_cast<const __m256i*>(table.data())), index);
+  }
+  // Returns how many particles it took.
+  template <bool kSeveral>
+  [[gnu::target("avx2")]] std::size_t find_eights(const Axes& x, std::int32_t* part, std::size_t count,
+                                                  Found& found) const {
+    const Tables& t = tables_;
+    std::size_t i = 0;
+    for (; i + kLeaves <= count; i += kLeaves) {
+      for (const double* axis : x) _mm_prefetch(axis + i + kAhead, _MM_HINT_T0);
+      const __m256 own[3] = {as_floats(x[0] + i, t.origin[0], t.scale[0]), as_floats(x[1] + i, t.origin[1], t.scale[1]),
+                             as_floats(x[2] + i, t.origin[2], t.scale[2])};
+      __m256i leaf = _mm256_setzero_si256();
+      if constexpr (kSeveral) leaf = in_table(t.first, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i)));
+      for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+        const __m256i axis = in_table(t.axis[level], leaf);
+        // Bit 0 selects the second coordinate, bit 1 the third.
+        const __m256 low = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(_mm256_slli_epi32(axis, 31)));
+        const __m256 on = _mm256_blendv_ps(low, own[2], _mm256_castsi256_ps(_mm256_slli_epi32(axis, 30)));
+        const __m256 right = _mm256_cmp_ps(on, in_table(t.cut[level], leaf), _CMP_GT_OQ);
+        leaf = _mm256_sub_epi32(in_table(t.next[level], leaf), _mm256_castps_si256(right));
+      }
+      for (std::size_t bit = 0; bit < found.bits.size(); ++bit) {
+        const __m256i top = _mm256_slli_epi32(leaf, 31 - static_cast<int>(bit));
+        found.bits[bit] |= std::uint64_t{static_cast<unsigned>(_mm256_movemask_ps(_mm256_castsi256_ps(top)))} << i;
+      }
+      _mm256_storeu_si256(reinterpret_cast<__m256i*>(part + i), in_table(t.part, leaf));
+      __m256 in = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
+      for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
+        in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.lo[a], leaf), _CMP_GT_OQ));
+        in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.hi[a], leaf), _CMP_LT_OQ));
+      }
+      const auto beyond = static_cast<unsigned>(_mm256_movemask_ps(in)) ^ 0xFFU;
+      __m256 out = _mm256_setzero_ps();
+      for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
+        out = _mm256_or_ps(out, _mm256_cmp_ps(own[a], in_table(t.inner_lo[a], leaf), _CMP_LT_OQ));
+        out = _mm256_or_ps(out, _mm256_cmp_ps(own[a], in_table(t.inner_hi[a], leaf), _CMP_GT_OQ));
+      }
+      const auto boundary = static_cast<unsigned>(_mm256_movemask_ps(out));
+      found.boundary |= std::uint64_t{boundary} << i;
+      found.unsure |= std::uint64_t{beyond & ~boundary} << i;
+    }
+    return i;
+  }
+#endif
+
+  const particles::ParticleView& particles_;
+  std::span<std::int32_t> part_;
+  std::size_t boundary_max_;
+  OwnInterior& out_;
+  std::size_t listed_ = 0;  // boundary particles so far
+  Tables tables_;
+  bool several_ = false;  // roots, or parts in no root
+  std::size_t leaves_ = 0;
+  std::array<std::uint64_t, kLeaves> counts_{};
+  std::array<geometry::Box, kLeaves> inner_;
+  std::array<geometry::Box, kLeaves> box_;  // of the interior particles so far, attained by some of any rank
+};
+
+}  // namespace
+
+OwnInterior classify_guessed(const particles::ParticleView& particles, const Guess& guess,
+                             std::span<const NodeRange> roots, std::span<std::int32_t> part, std::size_t boundary_max) {
+  OwnInterior out;
+  out.reserve(particles, particles.count / 8);
+  out.boxes.resize(guess.inner.size());
+  out.counts.resize(guess.inner.size());
+  GuessedPass(particles, guess, roots, part, boundary_max, out).run();
+  out.finish(particles, boundary_max);
+  return out;
+}
+
+}  // namespace rcb::partition

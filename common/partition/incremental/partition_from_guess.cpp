@@ -1,0 +1,228 @@
+#include "common/partition/incremental/partition_from_guess.hpp"
+
+#include <algorithm>
+
+#include "common/base/index.hpp"
+#include "common/partition/incremental/classify_guessed.hpp"
+#include "common/partition/incremental/guess.hpp"
+#include "common/partition/incremental/sample.hpp"
+#include "common/partition/search/build_tree.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using geometry::Box;
+
+// Particles outside of the sampled ones' box, about a stride of them at each side, are gathered if a stride is at most
+// kStrideMax; a rank sends about kStridesMax strides at most, since more mean that the sample is unusual.
+constexpr std::uint64_t kStrideMax = 32768;
+constexpr std::uint64_t kStridesMax = 16;
+
+// The slots of the particles outside of this box on some axis, about `most` of them at most. Compiled twice: with
+// AVX2's comparisons it takes half the time. The version is chosen while the program is loaded, which is before the
+// thread sanitizer has started, hence not with it.
+#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+std::vector<std::size_t>
+slots_beyond(const particles::ParticleView& particles, const Box& box, std::uint64_t most) {
+  constexpr std::size_t kTogether = 64;
+  using Lanes = double __attribute__((vector_size(32), aligned(8), may_alias));
+  using Mask = std::int64_t __attribute__((vector_size(32)));
+  std::vector<std::size_t> slots;
+  for (std::size_t begin = 0; begin < particles.count && slots.size() < most; begin += kTogether) {
+    const std::size_t end = std::min(begin + kTogether, particles.count);
+    Mask beyond{};
+    for (std::size_t a = 0; a < at(particles.dims); ++a) {
+      const auto* const lanes = reinterpret_cast<const Lanes*>(particles.position[a] + begin);
+      for (std::size_t i = 0; i < (end - begin) / 4; ++i) beyond |= (lanes[i] < box.lo[a]) | (lanes[i] > box.hi[a]);
+    }
+    if ((beyond[0] | beyond[1] | beyond[2] | beyond[3]) == 0 && (end - begin) % 4 == 0) continue;
+    for (std::size_t a = 0; a < at(particles.dims); ++a)
+      for (std::size_t i = begin; i < end; ++i)
+        if (particles.position[a][i] < box.lo[a] || particles.position[a][i] > box.hi[a]) slots.push_back(i);
+  }
+  return slots;
+}
+
+class FirstPartition {
+ public:
+  FirstPartition(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options)
+      : comm_(comm),
+        particles_(particles),
+        options_(options),
+        limits_(options.limits.guess),
+        rule_(options, particles.dims) {
+    CutTree& tree = result_.tree;
+    tree.dims = particles.dims;
+    tree.method = options.method;
+    tree.parts = options.parts;
+    const auto& sizes = options.part_sizes;
+    if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
+    tree.cuts.resize(at(options.parts) - 1);
+    roots_ = {tree.root()};
+  }
+
+  // False, on all ranks, if the root's cut was not found by a guess. Collective.
+  bool run() {
+    std::vector<std::uint64_t> count{particles_.count, particles_.weight != nullptr ? 1U : 0U};
+    comm_.all_sum(count);
+    ++result_.reductions;
+    n_ = count[0];
+    has_weights_ = count[1] > 0;
+    if (n_ / static_cast<std::uint64_t>(comm_.size()) < limits_.count_min) return false;
+    stride_ = std::max<std::uint64_t>(n_ / std::clamp(n_ / limits_.stride, limits_.sample_min, limits_.sample_max), 1);
+    sample_ = share_sample(comm_, particles_, nullptr, pick(particles_.count, stride_));
+    ++result_.reductions;
+    result_.counts.resize(at(options_.parts));
+    result_.part.resize(particles_.count);
+    // Further stages find the parts so far in tables of kGuessLeaves.
+    const int stages = options_.parts <= kGuessLeaves ? kGuessLevels : 1;
+    for (int stage = 0; stage < stages && !roots_.empty(); ++stage)
+      if (!cut_by_guess(stage == 0)) break;
+    if (!roots_.empty() && roots_[0].parts() == options_.parts) return false;
+    if (!roots_.empty()) cut_the_rest();
+    if (scale_) result_.counts.clear();
+    return true;
+  }
+
+  PartitionResult take() { return std::move(result_); }
+  std::uint64_t reductions() const { return result_.reductions; }
+
+ private:
+  // Guesses cuts below the roots, and makes them exact; the roots become what is uncut then. False, on all ranks, if
+  // nothing was cut: each root's particles still have parts of that root. Collective.
+  bool cut_by_guess(bool first) {
+    bool axis_open = false;
+    std::optional<Guess> guess = guess_cuts(sample_, nullptr, options_, {result_.tree, roots_, boxes_}, axis_open);
+    if (first && axis_open && stride_ <= kStrideMax) {
+      Box sampled;
+      for (std::size_t k = 0; k < sample_.count(); ++k) sampled.extend(sample_.particles.view().point(k), axes());
+      const auto slots = slots_beyond(particles_, sampled, kStridesMax * (stride_ + 64));
+      const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
+      ++result_.reductions;
+      guess = guess_cuts(sample_, &outermost, options_, {result_.tree, roots_, boxes_}, axis_open);
+    }
+    if (!guess) return false;
+
+    // Half as many again as the guess allows.
+    const auto most_of = [this](std::uint64_t count) {
+      return static_cast<std::uint64_t>(std::min(1.5 * limits_.boundary_max, 1.0) * static_cast<double>(count));
+    };
+    const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
+    const OwnInterior own = classify_guessed(particles_, *guess, roots_, result_.part.span(),
+                                             most_of(std::max<std::uint64_t>(particles_.count, mean)));
+    LoadSummary loads = loads_of(own);
+    const auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
+                                       std::move(loads.loads), most_of(n_), result_.searched);
+    ++result_.reductions;
+    if (!interior) return false;
+    Buffer<std::int32_t> part = own.part;
+    const Start start{roots_, part.span(), &guess->tree, first ? nullptr : &rule_, scale_, &*interior, guess->ends, n_};
+    TreeBuilder builder(comm_, own.boundary.view(), options_, start);
+    PartitionResult found = builder.build();
+    if (builder.abandoned()) return false;
+    rule_ = builder.rule();
+    for (std::size_t k = 0; k < part.size(); ++k) result_.part[own.slot[k]] = part[k];
+    add(std::move(found));
+    roots_ = builder.uncut();
+    std::ranges::sort(roots_, {}, &NodeRange::first);
+    if (!roots_.empty()) measure_roots(own, part.span(), *interior);
+    return true;
+  }
+
+  // Of the particles' parts under a guess. Collective.
+  LoadSummary loads_of(const OwnInterior& own) {
+    if (!has_weights_) {
+      std::vector<std::uint64_t> counts = own.counts;
+      comm_.all_sum(counts);
+      ++result_.reductions;
+      return summarise_counts(std::move(counts), options_.part_sizes);
+    }
+    LoadSummary loads = summarise_loads(comm_, particles_, result_.part.span(), options_.part_sizes, options_.parts);
+    result_.reductions += loads.weighted ? 3 : 1;
+    if (loads.weighted) scale_.emplace(loads.scale_exponent);
+    return loads;
+  }
+
+  // The exact boxes of the roots' particles, on all ranks. Collective (one reduction).
+  void measure_roots(const OwnInterior& own, std::span<const std::int32_t> part, const Interior& interior) {
+    std::vector<std::uint64_t> least(roots_.size() * 2 * geometry::kDimsMax, ~std::uint64_t{0});
+    std::vector<std::int32_t> root_of(at(options_.parts), -1);
+    for (std::size_t r = 0; r < roots_.size(); ++r)
+      std::fill(root_of.begin() + roots_[r].first, root_of.begin() + roots_[r].last, static_cast<std::int32_t>(r));
+    for (std::size_t k = 0; k < part.size(); ++k) {
+      const std::int32_t root = root_of[at(part[k])];
+      if (root < 0) continue;
+      for (std::size_t a = 0; a < at(axes()); ++a) {
+        const std::uint64_t bits = geometry::order_bits(own.boundary.position[a][k]);
+        std::uint64_t* const words = &least[(at(root) * geometry::kDimsMax + a) * 2];
+        words[0] = std::min(words[0], bits);
+        words[1] = std::min(words[1], ~bits);
+      }
+    }
+    comm_.all_min(least);
+    ++result_.reductions;
+    boxes_.clear();
+    for (std::size_t r = 0; r < roots_.size(); ++r) {
+      Box& box = boxes_.emplace_back(interior.box(roots_[r].first, roots_[r].last));
+      for (std::size_t a = 0; a < at(axes()); ++a) {
+        const std::uint64_t* const words = &least[(r * geometry::kDimsMax + a) * 2];
+        if (words[0] == ~std::uint64_t{0}) continue;
+        box.lo[a] = std::min(box.lo[a], geometry::value_of_order_bits(words[0]));
+        box.hi[a] = std::max(box.hi[a], geometry::value_of_order_bits(~words[1]));
+      }
+    }
+  }
+
+  // Cuts the roots by a search among all their particles. Collective.
+  void cut_the_rest() {
+    const Start start{roots_, result_.part.span(), &result_.tree, &rule_, scale_, nullptr, {}, 0};
+    PartitionResult found = TreeBuilder(comm_, particles_, options_, start).build();
+    result_.searched += found.searched;
+    add(std::move(found));
+  }
+
+  void add(PartitionResult found) {
+    for (const NodeRange& root : roots_)
+      std::copy(found.counts.begin() + (found.counts.empty() ? 0 : root.first),
+                found.counts.begin() + (found.counts.empty() ? 0 : root.last), result_.counts.begin() + root.first);
+    result_.tree = std::move(found.tree);
+    result_.rounds += found.rounds;
+    result_.reductions += found.reductions;
+  }
+
+  int axes() const { return particles_.dims; }
+
+  comm::Comm& comm_;
+  const particles::ParticleView& particles_;
+  const PartitionOptions& options_;
+  const GuessLimits& limits_;
+  SplitRule rule_;
+  std::optional<ExactScale> scale_;
+  std::uint64_t n_ = 0;
+  std::uint64_t stride_ = 1;
+  bool has_weights_ = false;
+  Sample sample_;
+  std::vector<NodeRange> roots_;  // not cut yet
+  std::vector<Box> boxes_;        // of their particles; empty: not known
+  PartitionResult result_;
+};
+
+}  // namespace
+
+std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
+                                                    const PartitionOptions& options, std::uint64_t& reductions) {
+  reductions = 0;
+  const GuessLimits& limits = options.limits.guess;
+  if (options.parts < limits.parts_min || options.parts > limits.parts_max) return std::nullopt;
+  // With hysteresis the previous tree influences the axes, and within a tolerance cuts depend on where a search begins.
+  if (options.cut_tolerance > 0 || (options.previous != nullptr && options.axis_hysteresis > 1)) return std::nullopt;
+  FirstPartition first(comm, particles, options);
+  const bool found = first.run();
+  reductions = first.reductions();
+  if (!found) return std::nullopt;
+  return first.take();
+}
+
+}  // namespace rcb::partition

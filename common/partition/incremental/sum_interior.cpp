@@ -1,0 +1,70 @@
+// The interior particles of all ranks, from those of each: one message.
+#include <bit>
+
+#include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
+#include "common/partition/incremental/classify_interior.hpp"
+
+namespace rcb::partition {
+
+std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts,
+                                     std::vector<std::uint64_t> counts, const ExactScale* scale,
+                                     std::vector<u128> loads, std::uint64_t most, std::uint64_t& boundary) {
+  // The message: whether this rank has too many boundary particles; how many own parts have interior ones; each such
+  // part and its box; then every part with boundary particles, their number and weight.
+  std::vector<std::uint64_t> listed(counts.size(), 0);  // zeros if there are too many
+  std::vector<u128> weights(counts.size(), 0);
+  for (std::size_t k = 0; k < own.part.size() && !own.too_many; ++k) {
+    ++listed[at(own.part[k])];
+    if (scale != nullptr) weights[at(own.part[k])] += (*scale)(own.boundary.weight[k]);
+  }
+  std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
+  for (std::size_t p = 0; p < own.boxes.size(); ++p) {
+    if (own.boxes[p].empty(own.boundary.dims)) continue;
+    ++mine[1];
+    mine.push_back(at(parts.first) + p);
+    for (const double x : own.boxes[p].lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
+    for (const double x : own.boxes[p].hi) mine.push_back(std::bit_cast<std::uint64_t>(x));
+  }
+  for (std::size_t p = 0; p < listed.size(); ++p)
+    if (listed[p] > 0)
+      mine.insert(mine.end(), {p, listed[p], static_cast<std::uint64_t>(weights[p]),
+                               static_cast<std::uint64_t>(weights[p] >> 64U)});
+  const auto all = comm::all_gather_values<std::uint64_t>(comm, mine);
+
+  // All particles but those on the boundary are interior.
+  if (scale == nullptr) loads.assign(counts.size(), 0);
+  Interior interior;
+  interior.boxes.assign(counts.size(), geometry::Box{});
+  bool too_many = false;
+  std::uint64_t total = 0;
+  const std::uint64_t* word = all.values.data();
+  for (const std::size_t words : all.counts) {
+    const std::uint64_t* const end = word + words;
+    too_many |= *word++ != 0;
+    std::uint64_t boxes = *word++;
+    for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax) {
+      geometry::Box box;
+      for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
+        box.lo[a] = std::bit_cast<double>(word[1 + a]);
+        box.hi[a] = std::bit_cast<double>(word[1 + geometry::kDimsMax + a]);
+      }
+      interior.boxes[word[0]].extend(box);
+    }
+    for (; word < end; word += 4) {
+      counts[word[0]] -= word[1];
+      loads[word[0]] -= word[2] | (u128{word[3]} << 64U);
+      total += word[1];
+    }
+  }
+  boundary += total;
+  if (too_many || total > most) return std::nullopt;
+  interior.count_prefix.assign(1, 0);
+  for (const std::uint64_t count : counts) interior.count_prefix.push_back(interior.count_prefix.back() + count);
+  if (scale == nullptr) return interior;
+  interior.weight_prefix.assign(1, 0);
+  for (const u128 load : loads) interior.weight_prefix.push_back(interior.weight_prefix.back() + load);
+  return interior;
+}
+
+}  // namespace rcb::partition
