@@ -55,7 +55,7 @@ struct RepartitionOptions {
   // particles are divided among its own parts. Empty: the whole tree.
   std::vector<NodeRange> roots;
   bool incremental = true;  // false: a full search, for comparison
-  // Called before nodes are searched among all their particles, which needs 16 bytes of each; may be empty.
+  // Called before nodes are searched among all their particles, which needs 20 bytes of each; may be empty.
   std::function<void()> before_search_of_all;
 };
 
