@@ -260,6 +260,37 @@ void TreeBuilder::split(std::span<const Question> answers) {
     take_child(right, true, n);
   }
   reduce_bounds(next_);
+  settle_empty();
+}
+
+void TreeBuilder::settle_empty() {
+  const std::size_t chunks = starts_.size();
+  std::size_t kept = 0;
+  for (std::size_t n = 0; n < next_.size(); ++n) {
+    const NodeRange& range = next_[n].range;
+    const bool beside = interior_ != nullptr && interior_->count(range.first, range.last) > 0;
+    if (next_[n].bounds.empty() && !beside && !ends(range)) {
+      cut_empty(range);
+      continue;
+    }
+    if (kept != n) {
+      next_[kept] = next_[n];
+      std::copy_n(&next_spans_[n * chunks], chunks, &next_spans_[kept * chunks]);
+    }
+    ++kept;
+  }
+  next_.resize(kept);
+  next_spans_.resize(kept * chunks);
+}
+
+void TreeBuilder::cut_empty(const NodeRange& range) {
+  if (range.leaf()) return;
+  Cut& cut = result_.tree.cuts[at(range.node)];
+  cut = {};
+  cut.axes = *rule_.axes_of(range, {});
+  cut.right_empty = true;
+  cut_empty(range.left());
+  cut_empty(range.right());
 }
 
 void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) {

@@ -96,6 +96,10 @@ class TreeBuilder {
   u128 slack_of(const Node& node) const;
   // Makes the level's cuts from the answers, and the next level's nodes.
   void split(std::span<const Question> answers);
+  // Takes nodes without any particle out of the next level: their cuts, and those below, follow from the rule alone.
+  // With many more parts than particles most nodes are such.
+  void settle_empty();
+  void cut_empty(const NodeRange& range);
   void take_child(const Node& child, bool right, std::size_t parent);
   // Turns this rank's bounds of these nodes into those of all ranks. Collective.
   void reduce_bounds(std::span<Node> nodes);
