@@ -118,7 +118,14 @@ class FirstPartition {
     ++result_.reductions;
     if (!interior) return false;
     Buffer<std::int32_t> part = own.part;
-    const Start start{roots_, part.span(), &guess->tree, first ? nullptr : &rule_, scale_, &*interior, guess->ends, n_};
+    const Start start{.roots = roots_,
+                      .part = part.span(),
+                      .tree = &guess->tree,
+                      .rule = first ? nullptr : &rule_,
+                      .scale = scale_,
+                      .interior = &*interior,
+                      .ends = guess->ends,
+                      .failed_max = n_};
     TreeBuilder builder(comm_, own.boundary.view(), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
@@ -177,7 +184,12 @@ class FirstPartition {
 
   // Cuts the roots by a search among all their particles. Collective.
   void cut_the_rest() {
-    const Start start{roots_, result_.part.span(), &result_.tree, &rule_, scale_, nullptr, {}, 0};
+    const Start start{.roots = roots_,
+                      .part = result_.part.span(),
+                      .boxes = boxes_,
+                      .tree = &result_.tree,
+                      .rule = &rule_,
+                      .scale = scale_};
     PartitionResult found = TreeBuilder(comm_, particles_, options_, start).build();
     result_.searched += found.searched;
     add(std::move(found));

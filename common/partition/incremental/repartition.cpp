@@ -89,7 +89,13 @@ class Repartitioning {
                                        current_.loads.loads, most, result_.looked_at);
     if (!interior) return false;
     Buffer<std::int32_t> part = own.part;
-    const Start start{roots_, part.span(), &current_.tree, whole_ ? nullptr : &rule_, scale_, &*interior, {}, most};
+    const Start start{.roots = roots_,
+                      .part = part.span(),
+                      .tree = &current_.tree,
+                      .rule = whole_ ? nullptr : &rule_,
+                      .scale = scale_,
+                      .interior = &*interior,
+                      .failed_max = most};
     TreeBuilder builder(comm_, own.boundary.view(), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
@@ -113,7 +119,7 @@ class Repartitioning {
     if (!whole) std::ranges::copy(current_.part, part.begin());
     for (std::size_t k = 0; k < result_.delta.slot.size() && !whole; ++k)
       part[result_.delta.slot[k]] = result_.delta.part[k];
-    const Start start{failed_, part.span(), &result_.tree, &rule_, scale_, nullptr, {}, 0};
+    const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
     PartitionResult found = (whole ? TreeBuilder(comm_, particles_, options_, particles_.dims)
                                    : TreeBuilder(comm_, particles_, options_, start))
                                 .build();

@@ -31,6 +31,7 @@ namespace rcb::partition {
 struct Start {
   std::vector<NodeRange> roots;        // inner nodes, none below another, ascending
   std::span<std::int32_t> part;        // of each particle so far; those of parts in no root are left out
+  std::vector<geometry::Box> boxes;    // [roots]: of their particles on all ranks; empty: not known
   const CutTree* tree = nullptr;       // its cuts outside of the roots are kept
   const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
   std::optional<ExactScale> scale;     // of the weights, if they count
@@ -68,6 +69,10 @@ class TreeBuilder {
     AxisOrder axes{0, 1, 2};
   };
 
+  // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
+  // one reduction).
+  bool find_bounds();
+  bool knows_bounds() const { return level_.size() == 1 || !start_->boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
   void weigh_roots();
@@ -115,7 +120,8 @@ class TreeBuilder {
   SplitRule rule_;
   double level_tolerance_ = 0;
   std::optional<ExactScale> scale_;  // of the weights, if they count
-  Point lo_{};                       // of all particles
+  std::optional<WeightRange> weights_;
+  Point lo_{};  // of all particles
   Point hi_{};
   Id id_lo_ = 0;
   Id id_hi_ = 0;

@@ -56,8 +56,14 @@ std::vector<std::uint64_t> TreeBuilder::find_roots() {
   return of_roots;
 }
 
-void TreeBuilder::measure_all() {
-  const std::vector<std::uint64_t> counts = find_roots();
+bool TreeBuilder::find_bounds() {
+  if (start_ != nullptr && !start_->boxes.empty()) {
+    geometry::Box all;
+    for (const geometry::Box& box : start_->boxes) all.extend(box);
+    lo_ = all.lo;
+    hi_ = all.hi;
+    return !all.empty(axes_);
+  }
   std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
   for (std::size_t a = 0; a < at(axes_) && particles_.count > 0; ++a) {
     const double* const x = particles_.position[a];
@@ -81,6 +87,7 @@ void TreeBuilder::measure_all() {
     least[geometry::kDimsMax] = ~static_cast<std::uint64_t>(*hi);
   }
   comm_.all_min(least);
+  ++result_.reductions;
   const bool none = least[0] == kNoOrderBits;
   for (std::size_t a = 0; a < at(axes_) && !none; ++a) {
     lo_[a] = geometry::value_of_order_bits(least[a]);
@@ -88,12 +95,19 @@ void TreeBuilder::measure_all() {
   }
   id_lo_ = axes_ == 0 && !none ? static_cast<Id>(least[0]) : 0;
   id_hi_ = axes_ == 0 && !none ? static_cast<Id>(~least[geometry::kDimsMax]) : 0;
+  if (start_ == nullptr) weights_ = weight_range_of_order_bits(std::span<const std::uint64_t>(least).last<2>());
+  return !none;
+}
+
+void TreeBuilder::measure_all() {
+  const std::vector<std::uint64_t> counts = find_roots();
+  const bool none = !find_bounds();
   level_.resize(start_ == nullptr ? 1 : start_->roots.size());
   std::vector<std::uint64_t> sums = sample_maps();
   const std::size_t samples = sums.size();
   sums.insert(sums.end(), counts.begin(), counts.end());
   comm_.all_sum(sums);
-  result_.reductions += 2;
+  ++result_.reductions;
   choose_maps(sums);
   std::uint64_t count = interior_ == nullptr ? 0 : interior_->count_prefix.back();
   for (std::size_t r = 0; r < level_.size(); ++r) {
@@ -109,14 +123,14 @@ void TreeBuilder::measure_all() {
     for (std::size_t a = 0; a < at(axes_) && count > 0; ++a) extents[a] = geometry::extent(all.lo[a], all.hi[a]);
     rule_.set_all(count, extents);
   }
-  if (level_.size() == 1)
-    for (std::size_t a = 0; a < q_axes_ && !none; ++a) {
-      level_[0].bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](lo_[a]);
-      level_[0].bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](hi_[a]);
+  for (std::size_t r = 0; r < level_.size() && knows_bounds() && !none; ++r) {
+    const geometry::Box box = level_.size() == 1 ? geometry::Box{lo_, hi_} : start_->boxes[r];
+    for (std::size_t a = 0; a < q_axes_ && !box.empty(axes_); ++a) {
+      level_[r].bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](box.lo[a]);
+      level_[r].bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](box.hi[a]);
     }
-  if (start_ == nullptr)
-    if (const auto range = weight_range_of_order_bits(std::span<const std::uint64_t>(least).last<2>()))
-      scale_.emplace(range->largest, count);
+  }
+  if (weights_) scale_.emplace(weights_->largest, count);
   if (scale_) weigh_roots();
 }
 
@@ -199,7 +213,7 @@ void TreeBuilder::lay_out_roots() {
   const std::size_t chunks = points_.chunks();
   for (std::size_t c = 0; c < chunks; ++c) starts_.push_back(spans_[c].first);
   ends_.resize(chunks * at(options_.parts));
-  if (level_.size() == 1) return;
+  if (knows_bounds()) return;
   for (std::size_t n = 0; n < spans_.size(); ++n) widen(level_[n / chunks].bounds, spans_[n].all());
   reduce_bounds(level_);
 }
