@@ -19,6 +19,8 @@ namespace {
 
 using particles::kBlock;
 constexpr std::size_t kLeaves = kGuessLeaves;
+// Particles that are prefetched ahead: the branches of a block's boundary particles depend on data, and a mispredicted
+// one would otherwise wait for memory.
 constexpr std::size_t kAhead = 1024;
 using Floats = std::array<float, kLeaves>;
 using Integers = std::array<std::int32_t, kLeaves>;

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <numeric>
 
 #include "common/base/index.hpp"
 #include "common/partition/search/split_rule.hpp"
@@ -23,7 +22,7 @@ class SampleWalk {
       : sample_(sample),
         outermost_(outermost),
         options_(options),
-        rule_(options, sample.particles.dims),
+        band_axis_(SplitRule(options, sample.particles.dims).band_axis()),
         out_(out),
         indices_(sample.count()) {
     size_prefix_.assign(1, 0.0);
@@ -32,17 +31,7 @@ class SampleWalk {
     const auto& weight = sample.particles.weight;
     weighted_ = std::ranges::any_of(weight, [&](double w) { return w != weight[0]; });
     for (std::uint32_t k = 0; k < sample.count(); ++k) indices_[k] = k;
-    Box all = box_of(indices_);
-    sampled_ = all;
-    if (outermost != nullptr)
-      for (std::uint32_t k = 0; k < outermost->count(); ++k) {
-        all.extend(outermost->particles.view().point(k), dims());
-        beyond_.push_back(k);
-      }
-    all_ = all;
-    Point extents{};
-    for (std::size_t a = 0; a < at(dims()); ++a) extents[a] = geometry::extent(all.lo[a], all.hi[a]);
-    rule_.set_all(sample.count(), extents);
+    for (std::uint32_t k = 0; outermost != nullptr && k < outermost->count(); ++k) beyond_.push_back(k);
   }
 
   // True if enough cuts were guessed.
@@ -97,7 +86,7 @@ class SampleWalk {
     NodeRange range;
     int level = 0;
     Box inner;
-    // Variance of the load before its faces, in the sample's unit; 0: the faces aren't cuts.
+    // Variance of the load below a face that is a cut, in the square of the sample's unit; 0: the face isn't a cut.
     Point variance_lo{};
     Point variance_hi{};
     // Where the face is a cut: the expected one; else not finite.
@@ -195,7 +184,7 @@ class SampleWalk {
   // costs the search of a node, and of this one it would cost everything.
   std::optional<int> axis_of(const Node& node, std::span<const std::uint32_t> own,
                              std::span<const std::uint32_t> beyond) const {
-    if (options_.method != Method::rcb) return rule_.axes_of(node.range, {})->at(0);
+    if (band_axis_) return band_axis_;
     Box box = node.known != nullptr ? *node.known : box_of(own);
     for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
@@ -283,7 +272,7 @@ class SampleWalk {
   const Sample& sample_;
   const Sample* outermost_;
   const PartitionOptions& options_;
-  SplitRule rule_;
+  std::optional<int> band_axis_;
   Guess& out_;
   std::vector<double> size_prefix_;
   bool weighted_ = false;
@@ -297,8 +286,6 @@ class SampleWalk {
   std::vector<std::uint32_t> beyond_;
   std::vector<Valued> near_;
   std::array<double, at(kBins)> bins_;
-  Box sampled_;
-  Box all_;
 };
 
 }  // namespace

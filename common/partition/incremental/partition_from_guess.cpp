@@ -53,14 +53,8 @@ class FirstPartition {
         options_(options),
         limits_(options.limits.guess),
         rule_(options, particles.dims) {
-    CutTree& tree = result_.tree;
-    tree.dims = particles.dims;
-    tree.method = options.method;
-    tree.parts = options.parts;
-    const auto& sizes = options.part_sizes;
-    if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
-    tree.cuts.resize(at(options.parts) - 1);
-    roots_ = {tree.root()};
+    result_.tree = uncut_tree(options, particles.dims);
+    roots_ = {result_.tree.root()};
   }
 
   // False, on all ranks, if the root's cut was not found by a guess. Collective.
@@ -155,12 +149,10 @@ class FirstPartition {
   // The exact boxes of the roots' particles, on all ranks. Collective (one reduction).
   void measure_roots(const OwnInterior& own, std::span<const std::int32_t> part, const Interior& interior) {
     std::vector<std::uint64_t> least(roots_.size() * 2 * geometry::kDimsMax, ~std::uint64_t{0});
-    std::vector<std::int32_t> root_of(at(options_.parts), -1);
-    for (std::size_t r = 0; r < roots_.size(); ++r)
-      std::fill(root_of.begin() + roots_[r].first, root_of.begin() + roots_[r].last, static_cast<std::int32_t>(r));
+    const std::vector<std::int32_t> root_of = roots_of_parts(roots_, options_.parts);
     for (std::size_t k = 0; k < part.size(); ++k) {
       const std::int32_t root = root_of[at(part[k])];
-      if (root < 0) continue;
+      if (root == Roots::kNone) continue;
       for (std::size_t a = 0; a < at(axes()); ++a) {
         const std::uint64_t bits = geometry::order_bits(own.boundary.position[a][k]);
         std::uint64_t* const words = &least[(at(root) * geometry::kDimsMax + a) * 2];

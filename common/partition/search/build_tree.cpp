@@ -15,6 +15,24 @@ constexpr std::uint64_t kNoOrderBits = ~std::uint64_t{0};
 
 }  // namespace
 
+CutTree uncut_tree(const PartitionOptions& options, int dims) {
+  CutTree tree;
+  tree.dims = dims;
+  tree.method = options.method;
+  tree.parts = options.parts;
+  const auto& sizes = options.part_sizes;
+  if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
+  tree.cuts.resize(at(options.parts) - 1);
+  return tree;
+}
+
+std::vector<std::int32_t> roots_of_parts(std::span<const NodeRange> roots, int parts) {
+  std::vector<std::int32_t> root_of(at(parts), Roots::kNone);
+  for (std::size_t r = 0; r < roots.size(); ++r)
+    std::fill(root_of.begin() + roots[r].first, root_of.begin() + roots[r].last, static_cast<std::int32_t>(r));
+  return root_of;
+}
+
 TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
                          int axes)
     : comm_(comm),
@@ -23,13 +41,7 @@ TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& partic
       axes_(axes),
       q_axes_(at(std::max(axes, 1))),
       rule_(options, axes) {
-  CutTree& tree = result_.tree;
-  tree.dims = particles.dims;
-  tree.method = options.method;
-  tree.parts = options.parts;
-  const auto& sizes = options.part_sizes;
-  if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
-  tree.cuts.resize(at(options.parts) - 1);
+  result_.tree = uncut_tree(options, particles.dims);
   // (1 + level tolerance)^levels <= 1 + tolerance
   const double levels = std::bit_width(static_cast<unsigned>(options.parts - 1));
   level_tolerance_ = std::expm1(std::log1p(options.cut_tolerance) / std::max(levels, 1.0));

@@ -27,6 +27,12 @@
 
 namespace rcb::partition {
 
+// The tree that these options ask for, its cuts not found yet. Local.
+CutTree uncut_tree(const PartitionOptions& options, int dims);
+
+// [parts]: which of the roots has a part, or Roots::kNone. Local.
+std::vector<std::int32_t> roots_of_parts(std::span<const NodeRange> roots, int parts);
+
 // Where to begin, if not with all particles at the root.
 struct Start {
   std::vector<NodeRange> roots;        // inner nodes, none below another, ascending

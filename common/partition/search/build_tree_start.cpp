@@ -42,10 +42,7 @@ void least_and_most(std::span<const double> values, double& lo, double& hi) {
 
 std::vector<std::uint64_t> TreeBuilder::find_roots() {
   if (start_ == nullptr) return {particles_.count};
-  root_of_.assign(at(options_.parts), Roots::kNone);
-  for (std::size_t r = 0; r < start_->roots.size(); ++r)
-    std::fill(root_of_.begin() + start_->roots[r].first, root_of_.begin() + start_->roots[r].last,
-              static_cast<std::int32_t>(r));
+  root_of_ = roots_of_parts(start_->roots, options_.parts);
   std::vector<std::uint64_t> counts(at(options_.parts), 0);
   for (const std::int32_t part : start_->part) ++counts[at(part)];
   std::vector<std::uint64_t> of_roots;

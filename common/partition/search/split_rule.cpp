@@ -7,7 +7,7 @@
 namespace rcb::partition {
 namespace {
 
-std::optional<int> band_axis(Method method) {
+std::optional<int> band_axis_of(Method method) {
   switch (method) {
     case Method::bands_x:
       return 0;
@@ -23,7 +23,7 @@ std::optional<int> band_axis(Method method) {
 }  // namespace
 
 SplitRule::SplitRule(const PartitionOptions& options, int axes)
-    : options_(&options), axes_(axes), band_axis_(band_axis(options.method)) {}
+    : options_(&options), axes_(axes), band_axis_(band_axis_of(options.method)) {}
 
 void SplitRule::set_all(std::uint64_t count, const Point& extents) {
   size_prefix_.assign(1, 0);
