@@ -53,7 +53,7 @@ std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& req
     else
       of_member = data.take(one.get<std::uint64_t>());
     for (api::Slice& slice : of_member) {
-      slice.rank = static_cast<int>(member);
+      slice.member = static_cast<int>(member);
       if (slice.count > 0) slices.push_back(std::move(slice));
     }
   }

@@ -48,10 +48,11 @@ void move_with(const RowEdit& edit, std::vector<T>& rows, std::span<const T> ins
 
 }  // namespace
 
-EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const StepRequest& ask, int dims) {
+EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, std::span<const std::int64_t> removed,
+                       const Insertion* inserted, int dims) {
   EditFrames frames;
-  if (ask.inserted() > 0) {
-    const Insertion& in = *ask.options.inserted;
+  if (inserted != nullptr && inserted->positions.count > 0) {
+    const Insertion& in = *inserted;
     std::string bulk;
     std::vector<std::pair<std::string, std::string>> arrays;
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
@@ -65,13 +66,34 @@ EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, const Ste
     frames.bytes += slice_frame(begin, request, "inserted", in.positions.count, arrays, bulk);
     ++frames.count;
   }
-  if (const auto removed = ask.options.removed; !removed.empty()) {
+  if (!removed.empty()) {
     std::string bulk;
     append(bulk, removed.data(), removed.size_bytes());
     frames.bytes += slice_frame(begin, request, "removed", removed.size(), {{"id", "<i8"}}, bulk);
     ++frames.count;
   }
   return frames;
+}
+
+Status check_insertion(const std::string& scene, const Insertion& in, const Positions& others, int dims, bool weights) {
+  const auto wrong = [&scene](const std::string& message, std::string hint) {
+    return Status(Code::invalid_argument, fmt::format("push to scene '{}': {}", scene, message), std::move(hint));
+  };
+  const Positions& positions = in.positions;
+  if (positions.dims != dims || positions.in_plan_order())
+    return wrong("the inserted must be rows or axes of the scene's dimensions", "");
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
+    if (positions.count > 0 && (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
+      return wrong(fmt::format("no array for axis {} of the inserted", kAxisNames[a]), "give one array an axis");
+  if (others.count > 0 && positions.count > 0 && positions.single() != others.single())
+    return wrong("the inserted and the others differ in precision", "give both as double or both as float32");
+  if (!in.ids.empty() && in.ids.size() != positions.count)
+    return wrong(fmt::format("{} ids for {} inserted particles", in.ids.size(), positions.count),
+                 "give one id a particle, or none");
+  if (in.weights.size() != (weights ? positions.count : 0))
+    return wrong(fmt::format("{} weights for {} inserted particles", in.weights.size(), positions.count),
+                 weights ? "give one weight a particle" : "the scene has no weights");
+  return {};
 }
 
 Status Scene::State::check_edits(const StepRequest& ask) const {
@@ -81,22 +103,7 @@ Status Scene::State::check_edits(const StepRequest& ask) const {
   if (ask.options.removed.size() > count_)
     return wrong(fmt::format("{} particles to remove, the scene has {}", ask.options.removed.size(), count_), "");
   if (ask.options.inserted == nullptr) return {};
-  const Insertion& in = *ask.options.inserted;
-  const Positions& positions = in.positions;
-  if (positions.dims != dims_ || positions.in_plan_order())
-    return wrong("the inserted must be rows or axes of the scene's dimensions", "");
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
-    if (positions.count > 0 && (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
-      return wrong(fmt::format("no array for axis {} of the inserted", kAxisNames[a]), "give one array an axis");
-  if (ask.positions.count > 0 && positions.count > 0 && positions.single() != ask.positions.single())
-    return wrong("the inserted and the others differ in precision", "give both as double or both as float32");
-  if (!in.ids.empty() && in.ids.size() != positions.count)
-    return wrong(fmt::format("{} ids for {} inserted particles", in.ids.size(), positions.count),
-                 "give one id a particle, or none");
-  if (in.weights.size() != (has_weights_ ? positions.count : 0))
-    return wrong(fmt::format("{} weights for {} inserted particles", in.weights.size(), positions.count),
-                 has_weights_ ? "give one weight a particle" : "the scene has no weights");
-  return {};
+  return check_insertion(name_, *ask.options.inserted, ask.positions, dims_, has_weights_);
 }
 
 Result<Selection> Scene::State::select(const StepRequest& ask) const {

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "client/lib/changes.hpp"
 #include "client/lib/data_path.hpp"
 #include "client/lib/lost_scene.hpp"
 #include "client/lib/member_places.hpp"
@@ -72,15 +73,20 @@ struct MemberScene::State {
   // Asks for the answer to a step that was committed before the service was lost, when the member can't push that step
   // again. Errors: base_lost, if there is none.
   Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
-  // By the sockets of the ranks, or from memory that is shared with them.
+  // By the sockets of the ranks, or from memory that is shared with them. rows: by rank, of all particles.
   Result<Frame> push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
-                              const Positions& positions, std::span<const double> new_weights, const std::string& what,
+                              const Positions& positions, const MemberStepOptions& with, const std::string& what,
                               const Retry& retry);
-  Result<Frame> push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
-                              std::span<const Column> columns, const std::string& what, const Deadline& deadline);
+  Result<Frame> push_by_sockets(wire::Json begin, std::uint64_t request, const EditFrames& edits,
+                                const std::vector<std::vector<std::uint64_t>>& rows, const Positions& positions,
+                                const MemberStepOptions& with, const std::string& what, const Deadline& deadline);
+  // The rows that moved; nullopt: all, or all are to be sent.
+  std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
-  Status read_follow(const Frame& answer, const wire::Json& json, MemberStep& result);
-  Status read_places(const Frame& answer, const wire::Json& json, const MemberStep& result);
+  Status read_follow(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
+                     MemberStep& result);
+  Status read_places(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
+                     const MemberStep& result);
 
   std::shared_ptr<Client::State> client;
   std::string name;
@@ -98,6 +104,8 @@ struct MemberScene::State {
   MemberPlaces places;
   wire::Json plan;
   bool pushing_directly = false;  // path of the current push
+  bool pushing_few = false;       // particles, or none
+  bool send_all = false;          // the service can't build on the last step
   SharedArrays arrays;
   bool share_unsupported = false;  // a rank, or this kernel, refused it
 };
@@ -175,6 +183,13 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
   if (!step.weights.empty() && step.weights.size() != positions.count)
     return wrong(fmt::format("{} weights for {} particles", step.weights.size(), positions.count),
                  "give one weight a particle, or none");
+  for (const std::uint64_t row : step.moved.value_or(std::span<const std::uint64_t>()))
+    if (row >= positions.count)
+      return wrong(fmt::format("row {} moved, there are {}", row, positions.count), "rows count from 0");
+  if (step.inserted != nullptr)
+    if (Status status = check_insertion(name, *step.inserted, positions, dims, weights || !step.weights.empty());
+        !status)
+      return status;
   if (step.step && *step.step < 0) return wrong(fmt::format("step {}", *step.step), "steps are numbered from 0");
   if (step.step_seconds && !(*step.step_seconds >= 0 && std::isfinite(*step.step_seconds)))
     return wrong(fmt::format("a step of {} seconds", *step.step_seconds), "give a finite number >= 0, or none");
@@ -192,45 +207,64 @@ Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
   return session().no_data();
 }
 
+std::optional<std::span<const std::uint64_t>> MemberScene::State::moved_rows(const MemberStepOptions& with) const {
+  if (!last_step || send_all || !with.weights.empty()) return std::nullopt;
+  return with.unmoved ? std::span<const std::uint64_t>() : with.moved;
+}
+
 Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
-                                                const Positions& positions, std::span<const double> new_weights,
+                                                const Positions& positions, const MemberStepOptions& with,
                                                 const std::string& what, const Retry& retry) {
-  begin["command"] = "push.begin";
   begin["order"] = "plan";
   begin["plan"] = plan;
   begin["epoch"] = epoch;
   begin["base_step"] = *last_step;
-  begin["slices"] = 0;
+  const std::uint64_t request = session().next_request();
+  const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted, dims);
+  begin["slices"] = edits.count;
   begin["counts"] = wire::Json::array();
   for (const auto& mine : rows) begin["counts"].push_back(mine.size());
   const Path path = session().path();
   if ((path == Path::automatic || path == Path::shared) && !share_unsupported && begin.at("moved") == "all" &&
       positions.count > 0 && session().can_share(retry.deadline())) {
     auto memory =
-        arrays.describe(session(), {.positions = positions, .weights = new_weights, .rows = rows}, retry.deadline());
+        arrays.describe(session(), {.positions = positions, .weights = with.weights, .rows = rows}, retry.deadline());
     if (memory) {
       begin["path"] = "shared";
       begin["memory"] = std::move(*memory);
-      const std::uint64_t request = session().next_request();
-      return session().exchange_frames(request, request_frame(request, begin), what, retry.deadline());
+      return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, retry.deadline());
     }
     if (memory.status().code() == Code::aborted) return memory.status();
     share_unsupported = true;
   }
-  return push_directly(std::move(begin), rows, columns_of(positions, new_weights), what, retry.deadline());
+  return push_by_sockets(std::move(begin), request, edits, rows, positions, with, what, retry.deadline());
 }
 
-Result<Frame> MemberScene::State::push_directly(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
-                                                std::span<const Column> columns, const std::string& what,
-                                                const Deadline& deadline) {
+Result<Frame> MemberScene::State::push_by_sockets(wire::Json begin, std::uint64_t request, const EditFrames& edits,
+                                                  const std::vector<std::vector<std::uint64_t>>& rows,
+                                                  const Positions& positions, const MemberStepOptions& with,
+                                                  const std::string& what, const Deadline& deadline) {
   begin["path"] = "direct";
-  const bool none = begin.at("moved") == "none";
+  std::vector<Column> columns = columns_of(positions, with.weights);
   RankRows of_rank;
-  for (const auto& mine : rows) of_rank.push_back(none ? std::span<const std::uint64_t>() : mine);
+  std::vector<MemberPlaces::Few> few;
+  std::vector<const void*> slots;  // by rank
+  if (const auto moved = moved_rows(with)) {
+    few = places.select(*moved);
+    const bool none = moved->empty();
+    for (std::size_t rank = 0; rank < few.size(); ++rank) {
+      if (!none) begin["counts"][rank] = few[rank].rows.size();
+      of_rank.emplace_back(few[rank].rows);
+      slots.push_back(few[rank].slots.data());
+    }
+    columns.push_back({"slot", "<u8", nullptr, 1, slots.data()});
+  } else {
+    of_rank.assign(rows.begin(), rows.end());
+  }
   wire::Json slice{{"command", "push.slice"}};
   for (const char* field : {"scene", "session", "step", "attempt", "plan"}) slice[field] = begin.at(field);
-  const std::uint64_t request = session().next_request();
-  return session().exchange_directly(request, request_frame(request, begin), slice, of_rank, columns, what, deadline);
+  return session().exchange_directly(request, request_frame(request, begin) + edits.bytes, slice, of_rank, columns,
+                                     what, deadline);
 }
 
 Result<Frame> MemberScene::State::push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
@@ -240,29 +274,43 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   if (!direct) return direct.status();
   const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
   pushing_directly = rows != nullptr;
-  wire::Json begin{{"scene", name},
+  const auto moved = moved_rows(with);
+  pushing_few = moved.has_value();
+  const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count;
+  const bool single = positions.count > 0 || inserted == 0 ? positions.single() : with.inserted->positions.single();
+  wire::Json begin{{"command", "push.begin"},
+                   {"scene", name},
                    {"session", session().number()},
                    {"step", step},
                    {"attempt", session().next_attempt()},
                    {"n", positions.count},
                    {"order", "id"},
                    {"plan", nullptr},
-                   {"dtype", positions.single() ? "<f4" : "<f8"},
+                   {"dtype", single ? "<f4" : "<f8"},
                    {"weights", !with.weights.empty()},
-                   {"ids", !pushing_directly},
+                   {"ids", !pushing_directly && !pushing_few},
                    {"changes", with.want_changes},
                    {"places", *direct},
-                   {"moved", pushing_directly && with.unmoved && with.weights.empty() ? "none" : "all"},
+                   {"base_step", pushing_few ? wire::Json(*last_step) : wire::Json()},
+                   {"moved", !moved           ? "all"
+                             : moved->empty() ? "none"
+                                              : "some"},
+                   {"inserted", inserted},
+                   {"inserted_ids", inserted > 0 && !with.inserted->ids.empty()},
+                   {"removed", with.removed.size()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name);
-  if (pushing_directly) return push_to_ranks(std::move(begin), *rows, positions, with.weights, what, retry);
+  if (pushing_directly) return push_to_ranks(std::move(begin), *rows, positions, with, what, retry);
   std::vector<Column> columns = columns_of(positions, with.weights);
   columns.push_back({"id", "<i8", ids.data(), 1});
-  // One slice with all rows, in their order.
-  const layout::Layout all = layout::Layout::blocks(positions.count, 1, {});
+  // One slice, its rows in their order.
+  const layout::Layout all = layout::Layout::blocks(moved ? 0 : positions.count, 1, {});
+  if (moved && !moved->empty()) begin["counts"] = {moved->size()};
   const std::uint64_t request = session().next_request();
-  PushSource source(begin, request, all_rows(all), std::move(columns));
+  const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted, dims);
+  PushSource source(begin, request, moved ? RankRows{*moved} : all_rows(all), std::move(columns), edits.bytes,
+                    edits.count);
   return session().exchange(request, source, what, deadline);
 }
 
@@ -311,12 +359,18 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
     for (std::size_t i = 0; i < id->size(); ++i) result.changes.push_back({(*id)[i], (*part)[i]});
   }
   n = result.report.n;
+  if (with.inserted != nullptr && with.inserted->positions.count > 0) {
+    const auto id = column<std::int64_t>(answer, "inserted_id", "<i8");
+    if (!id || id->size() != with.inserted->positions.count) return odd_answer("not the ids of what was inserted");
+    result.inserted_ids.assign(id->begin(), id->end());
+  }
   if (!options.follow) return result;
-  if (Status status = read_follow(answer, *json, result); !status) return status;
+  if (Status status = read_follow(answer, *json, with.removed, result); !status) return status;
   return result;
 }
 
-Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& json, MemberStep& result) {
+Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& json,
+                                       std::span<const std::int64_t> removed, MemberStep& result) {
   const auto leave_id = column<std::int64_t>(answer, "leave_id", "<i8");
   const auto leave_to = column<std::int32_t>(answer, "leave_to", "<i4");
   const auto enter_id = column<std::int64_t>(answer, "enter_id", "<i8");
@@ -332,11 +386,12 @@ Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& js
   for (std::size_t i = 0; i < leave_id->size(); ++i) result.leave.push_back({(*leave_id)[i], (*leave_to)[i]});
   for (std::size_t i = 0; i < enter_id->size(); ++i)
     result.enter.push_back({(*enter_id)[i], (*enter_from)[i], (*enter_part)[i]});
-  return read_places(answer, json, result);
+  return read_places(answer, json, removed, result);
 }
 
 // Keeps the places of the particles if the answer tells all of them; then the next push goes directly to the ranks.
-Status MemberScene::State::read_places(const Frame& answer, const wire::Json& json, const MemberStep& result) {
+Status MemberScene::State::read_places(const Frame& answer, const wire::Json& json,
+                                       std::span<const std::int64_t> removed, const MemberStep& result) {
   const auto repeated = wire::bool_field_or(json, "repeated", false);
   // A repeated answer tells changes relative to a state that this member may not have seen.
   if (wire::find_array(answer.arrays, "place_id") == nullptr || !repeated || *repeated || !json.contains("plan") ||
@@ -352,12 +407,15 @@ Status MemberScene::State::read_places(const Frame& answer, const wire::Json& js
   if (!id || !rank || !slot || id->size() != rank->size() || id->size() != slot->size() ||
       !std::all_of(rank->begin(), rank->end(), is_rank) || !std::all_of(slot->begin(), slot->end(), is_slot))
     return odd_answer("its places are not as the protocol says");
-  std::vector<std::int64_t> left;
+  wire::FieldReader fields(json);
+  const std::string of = fields.text_or("places", 16, pushing_directly ? "changed" : "all");
+  std::vector<std::int64_t> left(removed.begin(), removed.end());
   for (const Leaving& leaving : result.leave) left.push_back(leaving.id);
-  if (pushing_directly)
-    places.change(left, {*id, *rank, *slot});
-  else
+  std::sort(left.begin(), left.end());
+  if (of == "all")
     places.take_all({*id, *rank, *slot}, session().ranks());
+  else if (places.known())
+    places.change(left, {*id, *rank, *slot});
   plan = json.at("plan");
   return {};
 }
@@ -407,6 +465,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
     return Status(Code::invalid_argument, "there is no step number left");
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
   if (Status status = state_->check(positions, ids, options); !status) return status;
+  state_->send_all = false;
   Session& session = state_->session();
   Retry retry(options.deadline_seconds);
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
@@ -416,6 +475,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
       state_->places.forget();
       return true;
     }
+    if (state_->pushing_few && status.code() == Code::base_lost) return state_->send_all = true;
     if (status.code() != Code::aborted) return false;
     // This member or another lost its connection. That one reconnects, and all members push again.
     const bool data_lost = session.data_lost();

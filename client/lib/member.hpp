@@ -41,9 +41,15 @@ struct MemberStepOptions {
   std::optional<std::int64_t> step;    // default: the scene's last step + 1; 0 for the first
   std::span<const double> weights;     // [count]; empty: none, or unchanged. Either all members give them, or none
   std::optional<double> step_seconds;  // computing time of this member since its last push
-  // No particle has moved since this member's last step. Then no positions are sent if the push goes directly to the
-  // ranks and brings no weights; otherwise they are sent all the same.
-  bool unmoved = false;
+  // Rows that moved since this member's last step, distinct, in any order: the positions of the others are unchanged
+  // and need not be sent. Not given: all. With new weights, and where the service can't build on that step, all are
+  // sent.
+  std::optional<std::span<const std::uint64_t>> moved;
+  bool unmoved = false;  // no particle has moved: as an empty `moved`
+  // Particles among `ids` that go with this step, and new ones that come. Members that insert in the same step either
+  // all give ids, or none does.
+  std::span<const std::int64_t> removed;  // ids, distinct
+  const Insertion* inserted = nullptr;
   bool want_changes = false;  // fill MemberStep::changes
   double deadline_seconds = 60;
 };
@@ -66,8 +72,9 @@ struct Entering {
 
 struct MemberStep {
   StepReport report;
+  std::vector<std::int64_t> inserted_ids;  // of what this member inserted, in the order given
   std::vector<MemberChange> changes;  // of the particles this member pushed, those whose part changed; ascending id
-  std::vector<Leaving> leave;         // with follow; ascending id
+  std::vector<Leaving> leave;         // with follow; ascending id; perhaps of particles that were just inserted
   std::vector<Entering> enter;        // with follow; ascending id
 };
 
@@ -81,7 +88,7 @@ class MemberScene {
   ~MemberScene();  // gives the seat up
 
   // Pushes this member's particles, in any order. positions: count may be 0.
-  //   ids  [count]; every id of the scene belongs to exactly one member
+  //   ids  [count]; every id of the scene belongs to exactly one member, also those that this step removes
   // Errors: deadline_exceeded and aborted name the member at fault; base_lost: the service has lost the scene, which
   // had weights: push this step with weights.
   Result<MemberStep> step(const Positions& positions, std::span<const std::int64_t> ids,

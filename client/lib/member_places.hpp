@@ -29,14 +29,22 @@ class MemberPlaces {
   void forget() { *this = MemberPlaces(); }
   // All particles that the member holds from now on. ranks: number of the service's ranks.
   void take_all(const List& all, int ranks);
-  // Applies what a step changed: the ids that left, ascending, and the new places of others, which may have entered. To
-  // be called once after each rows() that succeeded.
+  // Applies what a step changed: the ids that left, ascending, and the new places of others, which may have entered.
+  // May be called several times between two calls of rows().
   void change(std::span<const std::int64_t> left, const List& placed);
 
   // For each rank, the rows (indices into `ids`) of its particles in ascending slots. Null if `ids` aren't exactly
   // those held here, or are 2^32 - 1 or more. Valid until the next call. Cost: a few passes over the ids; only rows
   // whose order differs from the last call for other reasons than particles that left or entered are sorted.
   const std::vector<std::vector<std::uint64_t>>* rows(std::span<const std::int64_t> ids);
+
+  // Some particles of a rank, in ascending slots.
+  struct Few {
+    std::vector<std::uint64_t> rows;
+    std::vector<std::uint64_t> slots;
+  };
+  // These rows of the last call of rows(), by rank.
+  std::vector<Few> select(std::span<const std::uint64_t> rows) const;
 
  private:
   using Place = std::uint64_t;  // rank and slot in one number

@@ -185,7 +185,7 @@ Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask
                                  deadline);
   if (!memory) return memory.status();
   const std::uint64_t request = session().next_request();
-  const EditFrames edits = edit_frames(begin, request, ask, dims_);
+  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
   begin["command"] = "push.begin";
   begin["path"] = "shared";
   begin["order"] = "id";
@@ -197,7 +197,7 @@ Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask
 Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns,
                                  const StepRequest& ask, const std::string& what, const Deadline& deadline) {
   const std::uint64_t request = session().next_request();
-  const EditFrames edits = edit_frames(begin, request, ask, dims_);
+  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
   std::size_t particles = 0;
   for (const auto& of_rank : rows) particles += of_rank.size();
   const bool large = particles * particle_bytes(columns) >= kDirectBytesMin;

@@ -35,6 +35,8 @@ Status read_counts(wire::FieldReader& fields, int ranks, Push& push) {
 
 }  // namespace
 
+const char* name_of(Moved moved) { return moved == Moved::all ? "all" : moved == Moved::some ? "some" : "none"; }
+
 const char* name_of(Way way) {
   switch (way) {
     case Way::endpoint:

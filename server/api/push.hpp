@@ -36,6 +36,7 @@ Result<PlanId> read_plan(const wire::Json& request);
 
 // Of which particles a push brings positions.
 enum class Moved { all, some, none };
+const char* name_of(Moved moved);  // as in the field "moved"
 
 // Where an array of a push lies in memory that the client shares with the ranks.
 struct SharedArray {

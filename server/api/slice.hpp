@@ -18,9 +18,10 @@ struct SharedColumn {
 };
 
 struct Slice {
-  int rank = 0;                          // of members' contributions: the member
+  int rank = 0;                          // or kInsertedSlice, kRemovedSlice
   std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
-  std::vector<wire::Array> arrays = {};  // x y z (w) (id)
+  std::vector<wire::Array> arrays = {};  // x y z (w) (id), or x y z slot
+  int member = 0;                        // of a parallel solver: the one that sent it
   // Instead of arrays, if the client shares memory:
   std::vector<SharedColumn> shared = {};
   std::uint64_t rows = 0;       // of each array but "row"

@@ -1,10 +1,12 @@
 // MemberGroups, part 2: a step of all members, from the first push.begin to the last answer.
 #include <algorithm>
+#include <array>
 #include <utility>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include "common/wire/limits.hpp"
 #include "server/net/control/coordinator.hpp"
 #include "server/net/control/members.hpp"
 
@@ -20,12 +22,16 @@ bool asked(const Json& begin, const char* name) {
   return value.ok() && *value;
 }
 
-// A copy of the arrays for one member: changes and places only if its push.begin asked for them.
+// A copy of the arrays for one member: changes and places only if its push.begin asked for them, and what was inserted
+// only if it inserted any.
 std::vector<wire::Array> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
+  const auto inserted = wire::integer_field_or(begin, "inserted", 0, wire::kParticlesMax, 0);
+  const bool inserts = inserted.ok() && *inserted > 0;
   std::vector<wire::Array> copy;
   for (const wire::Array& array : arrays)
     if ((asked(begin, "changes") || !array.name.starts_with("changed_")) &&
-        (asked(begin, "places") || !array.name.starts_with("place_")))
+        (asked(begin, "places") || !array.name.starts_with("place_")) &&
+        (inserts || !array.name.starts_with("inserted_")))
       copy.push_back(array);
   return copy;
 }
@@ -112,16 +118,26 @@ void MemberGroups::withdraw_direct(MemberPush& step, std::size_t because_of) {
 
 Status MemberGroups::check_counts(const MemberPush& step) const {
   if (std::find(step.contributions.begin(), step.contributions.end(), nullptr) != step.contributions.end()) return {};
-  const auto& held = coordinator_.snapshot().at(step.scene).rank_counts;
-  for (std::size_t rank = 0; rank < held.size(); ++rank) {
-    std::uint64_t count = 0;
-    for (const auto& contribution : step.contributions) count += contribution->slices.terms().counts[rank];
-    if (count != held[rank])
-      return {Code::stale_plan,
-              fmt::format("step {} of scene '{}': the members push {} particles of rank {}, which holds {}", step.step,
-                          step.scene, count, rank, held[rank]),
-              "push this step in order \"id\""};
+  const api::SceneSummary& scene = coordinator_.snapshot().at(step.scene);
+  const auto differ = [&](std::uint64_t count, const std::string& whose, std::uint64_t held) {
+    return Status(Code::stale_plan,
+                  fmt::format("step {} of scene '{}': the members push {} particles of {}, which has {}", step.step,
+                              step.scene, count, whose, held),
+                  "push this step in order \"id\"");
+  };
+  std::vector<std::uint64_t> counts(scene.rank_counts.size(), 0);
+  std::uint64_t n = 0;
+  bool few = false;  // of some members only those that moved are counted, which each rank checks by their slots
+  for (const auto& contribution : step.contributions) {
+    const PushTerms& terms = contribution->slices.terms();
+    for (std::size_t rank = 0; rank < counts.size(); ++rank) counts[rank] += terms.counts[rank];
+    n += terms.n;
+    few = few || terms.moved == Moved::some;
   }
+  if (n != scene.n) return differ(n, "the scene", scene.n);
+  for (std::size_t rank = 0; rank < counts.size() && !few; ++rank)
+    if (counts[rank] != scene.rank_counts[rank])
+      return differ(counts[rank], fmt::format("rank {}", rank), scene.rank_counts[rank]);
   return {};
 }
 
@@ -148,13 +164,22 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
     return Status(Code::stale_plan,
                   fmt::format("other members push step {} of scene '{}' by ids, so all do", begin.id.step, step->scene),
                   "push this step in order \"id\"");
-  if (step != nullptr)
-    for (const auto& contribution : step->contributions)
-      if (contribution && contribution->slices.terms().weights != terms->weights)
-        return Status(Code::invalid_argument,
-                      fmt::format("this push {} weights, that of member {} does{}", terms->weights ? "has" : "has no",
-                                  contribution->member, terms->weights ? " not" : ""),
-                      "all members push weights, or none does");
+  if (step == nullptr) return terms;
+  for (const auto& contribution : step->contributions) {
+    if (!contribution) continue;
+    const PushTerms& other = contribution->slices.terms();
+    if (other.weights != terms->weights)
+      return Status(Code::invalid_argument,
+                    fmt::format("this push {} weights, that of member {} does{}", terms->weights ? "has" : "has no",
+                                contribution->member, terms->weights ? " not" : ""),
+                    "all members push weights, or none does");
+    if (other.inserted > 0 && terms->inserted > 0 && other.inserted_ids != terms->inserted_ids)
+      return Status(
+          Code::invalid_argument,
+          fmt::format("this push gives {} ids to what it inserts, that of member {} does{}",
+                      terms->inserted_ids ? "its own" : "no", contribution->member, terms->inserted_ids ? " not" : ""),
+          "all members that insert give ids, or none does");
+  }
   return terms;
 }
 
@@ -194,42 +219,62 @@ Json staged_by(const OpenPush& contribution) {
 
 void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   const bool to_ranks = step->to_ranks();
-  Json request{
-      {"command", "push.members"},         {"scene", step->scene}, {"session", "members"}, {"step", step->step},
-      {"order", to_ranks ? "plan" : "id"}, {"ids", !to_ranks}};
+  Json request{{"command", "push.members"},
+               {"scene", step->scene},
+               {"session", "members"},
+               {"step", step->step},
+               {"order", to_ranks ? "plan" : "id"}};
   OrderOptions order;
-  std::uint64_t n = 0;
+  PushTerms all;  // of all members together
+  std::array<std::size_t, 3> members_by_moved{};
+  std::vector<std::uint64_t> counts(to_ranks ? static_cast<std::size_t>(coordinator_.options().ranks) : 1, 0);
   bool changes = false;
   bool places = find(step->scene)->follow;  // only if all ask: without places a member can't use the direct path next
-  Json unmoved = Json::array();
-  double seconds = -1;
   for (const auto& contribution : step->contributions) {
-    n += contribution->slices.terms().n;
+    const PushTerms& terms = contribution->slices.terms();
+    all.n += terms.n;
+    all.inserted += terms.inserted;
+    all.removed += terms.removed;
+    all.inserted_ids = all.inserted_ids || terms.inserted_ids;
+    if (terms.step_seconds) all.step_seconds = std::max(*terms.step_seconds, all.step_seconds.value_or(0));
+    if (terms.base_step) all.base_step = terms.base_step;
+    ++members_by_moved[static_cast<std::size_t>(terms.moved)];
+    request["moved_by"].push_back(name_of(terms.moved));
+    if (!to_ranks) counts[0] += terms.moving();
+    if (to_ranks && terms.moved == Moved::some)
+      for (std::size_t rank = 0; rank < counts.size(); ++rank) counts[rank] += terms.counts[rank];
     changes = changes || asked(contribution->begin, "changes");
     places = places && asked(contribution->begin, "places");
     if (to_ranks) request["staged"].push_back(staged_by(*contribution));
-    if (contribution->slices.terms().moved == Moved::none) unmoved.push_back(contribution->member);
-    if (contribution->begin.contains("step_seconds") && contribution->begin["step_seconds"].is_number())
-      seconds = std::max(seconds, contribution->begin["step_seconds"].get<double>());
     order.charged_bytes += std::exchange(contribution->charged_bytes, 0);
     for (Slice& slice : contribution->slices.take()) {
-      slice.rank = contribution->member;
+      slice.member = contribution->member;
       order.slices.push_back(std::move(slice));
     }
   }
-  request["n"] = n;
-  if (to_ranks) {
-    request["plan"] = step->contributions.front()->begin["plan"];
-    request["base_step"] = step->contributions.front()->begin["base_step"];
-    request["moved"] = unmoved.size() == step->contributions.size() ? "none" : "all";
-    request["unmoved"] = std::move(unmoved);
-  }
+  const std::size_t members = step->contributions.size();
+  const bool any_all = members_by_moved[static_cast<std::size_t>(Moved::all)] > 0;
+  if (members_by_moved[static_cast<std::size_t>(Moved::none)] == members)
+    all.moved = Moved::none;
+  else if (to_ranks ? !any_all : members_by_moved[static_cast<std::size_t>(Moved::all)] < members)
+    all.moved = Moved::some;
+  // Particles that no member names stay where they were.
+  if (!to_ranks && all.moved != Moved::all) all.n = coordinator_.snapshot().at(step->scene).n;
+  request["counts"] = counts;
+  if (to_ranks) request["plan"] = step->contributions.front()->begin["plan"];
+  if (all.base_step) request["base_step"] = *all.base_step;
+  if (all.step_seconds) request["step_seconds"] = *all.step_seconds;
+  request["n"] = all.n;
+  request["moved"] = name_of(all.moved);
+  request["ids"] = !to_ranks && all.moved == Moved::all;
+  request["inserted"] = all.inserted;
+  request["removed"] = all.removed;
+  request["inserted_ids"] = all.inserted_ids;
   request["changes"] = changes;
   request["places"] = places;
   request["weights"] = step->contributions.front()->slices.terms().weights;
-  request["members"] = step->contributions.size();
+  request["members"] = members;
   request["follow"] = find(step->scene)->follow;
-  if (seconds >= 0) request["step_seconds"] = seconds;
   order.received_seconds = seconds_since(step->started);
   order.deadline_seconds = std::chrono::duration<double>(step->end - step->started).count();
   request["deadline_seconds"] = order.deadline_seconds;

@@ -100,13 +100,17 @@ Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Push
 }
 
 // Checks a member's push; one on the direct path must fit the layout and parts after the last step.
-Status check_share(const wire::Json& request, const api::SceneSummary& scene, PushTerms& terms) {
-  if (terms.moved != Moved::all && !(terms.moved == Moved::none && terms.direct() && !terms.weights))
-    return {Code::unsupported, "members push all their particles, or directly none, without weights"};
-  if (terms.edit_slices() > 0) return {Code::unsupported, "members neither insert nor remove particles"};
-  if (terms.to_ranks() ? terms.ids : !terms.by_id || !terms.ids)
+Status check_share(const wire::Json& request, const api::SceneSummary& scene, const PushTerms& terms) {
+  const bool all = terms.moved == Moved::all;
+  if (!all && !terms.base_step)
     return {Code::unsupported,
-            "members push in order \"id\", with \"ids\" true, or by the paths \"direct\" and \"shared\" without ids"};
+            "a member that pushes few of its particles, or none, names the last step as 'base_step'"};
+  if (!all && terms.weights)
+    return {Code::unsupported, "weights are replaced all together", "push all particles with their weights"};
+  if (terms.to_ranks() ? terms.ids : !terms.by_id || terms.ids != all)
+    return {Code::unsupported,
+            "members push in order \"id\", with \"ids\" true if they push all their particles, or by the paths "
+            "\"direct\" and \"shared\" without ids"};
   if (!terms.to_ranks()) return {};
   if (!scene.step) return {Code::stale_plan, "the scene has no plan yet", "push in order \"id\""};
   const auto epoch = wire::integer_field(request, "epoch", 0, std::numeric_limits<std::int64_t>::max());
@@ -117,7 +121,7 @@ Status check_share(const wire::Json& request, const api::SceneSummary& scene, Pu
   if (!terms.base_step)
     return {Code::invalid_argument, "field 'base_step': a member's direct push names the last step"};
   const auto together = std::accumulate(terms.counts.begin(), terms.counts.end(), std::uint64_t{0});
-  if (terms.counts.empty() || together != terms.n)
+  if (terms.counts.empty() || (terms.moved != Moved::some && together != terms.n))
     return {Code::invalid_argument,
             fmt::format("field 'counts': {} particles together, the push has {}", together, terms.n)};
   for (std::size_t rank = 0; rank < terms.counts.size(); ++rank)
@@ -142,6 +146,7 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   auto push = api::read_push(request, id, ranks);
   if (!push.ok()) return push.status();
   PushTerms terms{std::move(*push), ranks, scene.dims, scene.weights};
+  if (!scene.step) terms.scene_weights = terms.weights;
   wire::FieldReader needed(request);
   for (const char* name : {"n", "slices"}) needed.integer(name, 0, wire::kParticlesMax);
   needed.text("order", 16);

@@ -4,6 +4,7 @@
 //
 // Invariant: the resulting scene is the same as after a single client's push of the same particles.
 #include <algorithm>
+#include <cstring>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -30,24 +31,40 @@ Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
   const std::int64_t members = fields.integer("members", 1, wire::kSessionsMax);
   const bool follow = fields.flag("follow");
   const bool places = fields.flag("places");
-  const std::vector<double> unmoved = fields.numbers("unmoved", static_cast<std::size_t>(members));
   if (!fields.ok()) return fields.status();
+  const auto moved_by = request.find("moved_by");
+  if (moved_by == request.end() || moved_by->size() != static_cast<std::size_t>(members) ||
+      (push->staged && request.at("staged").size() != moved_by->size()))
+    return Status(Code::invalid_argument, "field 'moved_by': expected a word for each member");
+  for (const wire::Json& word : *moved_by)
+    push->moved_by.push_back(word == "none" ? Moved::none : word == "some" ? Moved::some : Moved::all);
   if (push->staged) {
     const wire::Json& staged = request.at("staged");
     const bool all_share = std::all_of(staged.begin(), staged.end(), [](const auto& one) { return one.is_object(); });
-    push->members = static_cast<int>(members);
     push->way = all_share ? api::Way::shared_memory : api::Way::sockets;
   }
-  push->unmoved.assign(static_cast<std::size_t>(members), false);
-  for (const double k : unmoved) {
-    if (!(k >= 0 && k < static_cast<double>(members)))
-      return Status(Code::invalid_argument, fmt::format("field 'unmoved': there is no member {}", k));
-    push->unmoved[static_cast<std::size_t>(k)] = true;
-  }
-  if (!unmoved.empty() && push->weights)
-    return Status(Code::invalid_argument, "weights are replaced all together", "push all particles with their weights");
   const bool changes = push->changes;
   return MemberRequest{std::move(*push), {static_cast<int>(members), changes, follow, follow && places}};
+}
+
+// Puts the slices of that kind, of all members in turn, behind one another, and tells which particle is whose.
+PushSlice take_joined(std::vector<PushSlice>& slices, int kind, std::vector<std::int32_t>& members) {
+  std::stable_sort(slices.begin(), slices.end(), [](const auto& a, const auto& b) { return a.member < b.member; });
+  PushSlice joined{.rank = kind};
+  for (PushSlice& slice : slices) {
+    if (slice.rank != kind) continue;
+    members.insert(members.end(), slice.count, slice.member);
+    joined.count += slice.count;
+    if (joined.arrays.empty()) {
+      joined.arrays = std::move(slice.arrays);
+      continue;
+    }
+    for (std::size_t a = 0; a < joined.arrays.size() && a < slice.arrays.size(); ++a)
+      joined.arrays[a].bytes.append(std::as_const(slice.arrays[a].bytes).span());
+  }
+  for (wire::Array& array : joined.arrays) array.shape = {joined.count};
+  std::erase_if(slices, [kind](const PushSlice& slice) { return slice.rank == kind; });
+  return joined;
 }
 
 std::span<const particles::Id> ids_of(const PushSlice& slice) {
@@ -56,21 +73,24 @@ std::span<const particles::Id> ids_of(const PushSlice& slice) {
 
 Status check_shares(const std::vector<PushSlice>& slices, const Scene& scene, const MemberRequest& request) {
   const std::size_t arrays = static_cast<std::size_t>(scene.options.dims) + (request.push.weights ? 1U : 0U) + 1U;
+  const std::uint64_t announced = request.push.moving();
   std::vector<bool> seen(static_cast<std::size_t>(request.message.members), false);
   std::uint64_t count = 0;
   for (const PushSlice& slice : slices) {
-    if (slice.rank < 0 || slice.rank >= request.message.members || seen[static_cast<std::size_t>(slice.rank)])
-      return {Code::invalid_argument, fmt::format("two shares of member {}, or no such member", slice.rank)};
-    seen[static_cast<std::size_t>(slice.rank)] = true;
+    if (slice.rank < 0) continue;  // inserted or removed
+    if (slice.member < 0 || slice.member >= request.message.members || seen[static_cast<std::size_t>(slice.member)])
+      return {Code::invalid_argument, fmt::format("two shares of member {}, or no such member", slice.member)};
+    seen[static_cast<std::size_t>(slice.member)] = true;
     bool fits = slice.arrays.size() == arrays && slice.arrays.back().name == "id";
     for (const wire::Array& array : slice.arrays) fits = fits && array.bytes.size() == slice.count * 8;
     if (!fits)
-      return {Code::invalid_argument,
-              fmt::format("the share of member {} must have x (y, z), w where weights are pushed, and id", slice.rank)};
+      return {
+          Code::invalid_argument,
+          fmt::format("the share of member {} must have x (y, z), w where weights are pushed, and id", slice.member)};
     count += slice.count;
   }
-  if (count == request.push.n) return {};
-  return {Code::invalid_argument, fmt::format("the shares have {} particles, {} are announced", count, request.push.n)};
+  if (count == announced) return {};
+  return {Code::invalid_argument, fmt::format("the shares have {} particles, {} are announced", count, announced)};
 }
 
 // The k-th entry is the index of the particle with the k-th smallest id. No sorting if the ids are 0..n-1 in any order.
@@ -88,14 +108,14 @@ Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
 
 // Merges the contributions into one slice in ascending id; `joined` gets each particle's id and member.
 Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Whereabouts& joined) {
-  std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.rank < b.rank; });
+  std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.member < b.member; });
   Buffer<particles::Id> ids;
   Buffer<std::int32_t> members;
   if (!ids.try_reserve(n) || !members.try_reserve(n) || !joined.id.try_reserve(n) || !joined.member.try_reserve(n))
     return {Code::too_large, fmt::format("no memory for {} particles", n)};
   for (const PushSlice& slice : slices) {
     ids.append(ids_of(slice));
-    for (std::uint64_t i = 0; i < slice.count; ++i) members.push_back(slice.rank);
+    for (std::uint64_t i = 0; i < slice.count; ++i) members.push_back(slice.member);
   }
   const Buffer<std::uint64_t> order = ascending(ids);
   for (const std::uint64_t k : order) {
@@ -150,11 +170,95 @@ Status check_ids(const Scene& scene, const Whereabouts& joined, const Buffer<par
   return {};
 }
 
-// Makes context.slices and `push` what they would be if a single client had pushed everything by id. Collective.
-// Errors: faults of the contributions, the same on every rank.
-Status merge(Context& context, const Scene& scene, MemberRequest& request, Whereabouts& joined) {
+// Ascending ids of the particles that members remove.
+std::vector<particles::Id> removed_ids(const PushSlice& removed) {
+  std::vector<particles::Id> ids;
+  if (!removed.arrays.empty()) ids.assign(ids_of(removed).begin(), ids_of(removed).end());
+  std::sort(ids.begin(), ids.end());
+  return ids;
+}
+
+// Takes these ids, ascending, out of a list of particles. True if all of them were there.
+bool take_out(std::span<const particles::Id> ids, Whereabouts& from, std::vector<wire::Array>* arrays = nullptr) {
+  std::size_t kept = 0;
+  for (std::size_t k = 0; k < from.id.size(); ++k) {
+    if (std::binary_search(ids.begin(), ids.end(), from.id[k])) continue;
+    if (arrays != nullptr)
+      for (wire::Array& array : *arrays) std::memmove(array.bytes.data() + 8 * kept, array.bytes.data() + 8 * k, 8);
+    from.id[kept] = from.id[k];
+    from.member[kept++] = from.member[k];
+  }
+  const bool all = from.id.size() - kept == ids.size();
+  from.id.resize(kept);
+  from.member.resize(kept);
+  if (arrays != nullptr)
+    for (wire::Array& array : *arrays) {
+      array.bytes.resize(8 * kept);
+      array.shape = {kept};
+    }
+  return all;
+}
+
+// Adds the inserted particles to a list of particles.
+void put_in(const InsertedByMembers& inserted, Whereabouts& to) {
+  if (inserted.id.empty()) return;
+  to.id.append(std::as_const(inserted.id).span());
+  to.member.append(std::as_const(inserted.member).span());
+  const Buffer<std::uint64_t> order = order_by_id(to.id);
+  Buffer<std::byte> spare;
+  put_in_order(to.member, order, spare);
+  put_in_order(to.id, order, spare);
+}
+
+// What members insert into a scene that has no particles yet are further particles of theirs. Those without ids get the
+// integers above all others.
+void add_to_shares(std::vector<PushSlice>& slices, bool have_ids, InsertedByMembers& inserted) {
+  particles::Id next = 0;
+  std::stable_sort(slices.begin(), slices.end(), [](const auto& a, const auto& b) { return a.member < b.member; });
+  for (const PushSlice& slice : slices)
+    if (slice.rank >= 0)
+      for (const particles::Id id : ids_of(slice)) next = std::max(next, id + 1);
+  for (PushSlice& slice : slices) {
+    if (slice.rank != wire::kInsertedSlice) continue;
+    slice.rank = 0;
+    if (!have_ids) {
+      std::vector<particles::Id> ids(slice.count);
+      std::iota(ids.begin(), ids.end(), next);
+      next += static_cast<particles::Id>(slice.count);
+      slice.arrays.push_back(make_array("id", "<i8", std::span<const particles::Id>(ids)));
+    }
+    inserted.id.append(ids_of(slice));
+    for (std::uint64_t i = 0; i < slice.count; ++i) inserted.member.push_back(slice.member);
+  }
+}
+
+// The first push: all members' particles, with those that they insert and without those that they remove, since a
+// solver that makes a lost scene anew may be at a step that does so.
+Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, Whereabouts& joined,
+                  InsertedByMembers& inserted) {
+  std::vector<std::int32_t> removed_by;
+  const auto removed = removed_ids(take_joined(slices, wire::kRemovedSlice, removed_by));
+  add_to_shares(slices, push.inserted_ids, inserted);
+  for (const PushSlice& slice : slices)
+    if (slice.arrays.size() != slices.front().arrays.size() || slice.arrays.back().name != "id")
+      return {Code::invalid_argument, "inserted particles must have the arrays of the others"};
+  if (Status status = join_shares(slices, push.n + push.inserted, joined); !status.ok()) return status;
+  if (removed.empty() || take_out(removed, joined, slices.empty() ? nullptr : &slices.front().arrays)) {
+    for (PushSlice& slice : slices) slice.count = joined.id.size();
+    return {};
+  }
+  return {Code::not_found, "a particle is to be removed that no member pushes, or twice",
+          "the scene has no particles yet"};
+}
+
+// Makes context.slices and `push` what they would be if a single client had pushed by id. Collective. Errors: faults of
+// the contributions, the same on every rank.
+Status merge(Context& context, const Scene& scene, MemberRequest& request, Whereabouts& joined,
+             InsertedByMembers& inserted) {
+  PushRequest& push = request.push;
+  const bool all = push.moved == Moved::all;
   Buffer<particles::Id> scene_ids;
-  if (scene.pushed && scene.ids) {
+  if (scene.pushed && scene.ids && all) {
     scene_ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
     std::sort(scene_ids.begin(), scene_ids.end());
   }
@@ -162,28 +266,44 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, Where
   std::uint64_t own_ids = 0;
   if (context.root()) {
     status = check_shares(context.slices, scene, request);
-    if (status.ok()) status = join_shares(context.slices, request.push.n, joined);
-    if (status.ok() && scene.pushed) status = check_ids(scene, joined, scene_ids);
+    if (status.ok() && !scene.pushed) status = join_first(context.slices, push, joined, inserted);
+    if (status.ok() && scene.pushed) {
+      std::vector<PushSlice> edits;
+      for (PushSlice& slice : context.slices)
+        if (slice.rank < 0) edits.push_back(std::move(slice));
+      std::erase_if(context.slices, [](const PushSlice& slice) { return slice.rank < 0; });
+      status = join_shares(context.slices, push.moving(), joined);
+      if (status.ok() && all) status = check_ids(scene, joined, scene_ids);
+      for (PushSlice& slice : edits) context.slices.push_back(std::move(slice));
+    }
     if (status.ok() && !scene.pushed)
       for (std::uint64_t k = 0; k < joined.id.size(); ++k)
         own_ids |= static_cast<std::uint64_t>(joined.id[k] != static_cast<particles::Id>(k));
   }
-  if (Status all = agree_status(context.comm, status); !all.ok()) return all;
+  if (Status agreed = agree_status(context.comm, status); !agreed.ok()) return agreed;
   context.comm.all_max({&own_ids, 1});
-  request.push.by_id = true;
-  request.push.ids = own_ids != 0;
-  if (context.root() && !request.push.ids)
-    for (PushSlice& slice : context.slices) slice.arrays.pop_back();
+  push.by_id = true;
+  push.ids = own_ids != 0;
+  if (!scene.pushed) {
+    push.n = push.n + push.inserted - push.removed;
+    push.inserted = push.removed = 0;
+  }
+  if (context.root() && all && !push.ids)
+    for (PushSlice& slice : context.slices)
+      if (slice.rank >= 0) slice.arrays.pop_back();
   return {};
 }
 
-// Bytes of the positions that unmoved members did not send.
+// Bytes of the positions that members did not send since they have not moved.
 std::uint64_t bytes_left_out(const Scene& scene, const PushRequest& push) {
-  std::uint64_t particles = 0;
+  std::uint64_t left_out = 0;
   for (int p = 0; p < scene.options.parts; ++p)
-    if (push.unmoved[static_cast<std::size_t>(layout::rank_of_part(p, scene.options.parts, push.members))])
-      particles += scene.loads.counts[static_cast<std::size_t>(p)];
-  return particles * static_cast<std::uint64_t>(scene.options.dims) * sizeof(double);
+    if (push.moved_by[static_cast<std::size_t>(layout::rank_of_part(p, scene.options.parts, push.members()))] !=
+        Moved::all)
+      left_out += scene.loads.counts[static_cast<std::size_t>(p)];
+  const auto few = std::accumulate(push.counts.begin(), push.counts.end(), std::uint64_t{0});
+  const auto point = static_cast<std::uint64_t>(scene.options.dims) * sizeof(double);
+  return left_out * point - few * (point + sizeof(std::uint64_t));
 }
 
 Response push_members(Context& context, Scene& of, const wire::Json& request) {
@@ -191,31 +311,53 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   if (!members.ok()) return failed(members.status());
   PushRequest& push = members->push;
   const double start = context.clock.seconds();
+  members->message.inserted = push.inserted > 0;
+  // By ids and all: known is every particle and the member that pushed it. Else what has changed is found by comparing.
+  const bool all = !push.staged && push.moved == Moved::all;
   Whereabouts known;
+  InsertedByMembers inserted;
   std::optional<PlacesBefore> before;
-  if (push.staged) {
-    before.emplace(of);
-  } else if (Status merged = merge(context, of, *members, known); !merged.ok()) {
-    return failed(merged);
+  if (!all) before.emplace(of);
+  if (!push.staged && push.moved != Moved::none)
+    if (Status merged = merge(context, of, *members, known, inserted); !merged.ok()) return failed(merged);
+  std::vector<particles::Id> removed;
+  if (context.root() && push.edits()) {
+    std::vector<std::int32_t> inserted_by, removed_by;
+    context.slices.push_back(take_joined(context.slices, wire::kInsertedSlice, inserted_by));
+    if (push.inserted_ids && context.slices.back().count > 0) inserted.id.append(ids_of(context.slices.back()));
+    inserted.member.append(std::span<const std::int32_t>(inserted_by));
+    context.slices.push_back(take_joined(context.slices, wire::kRemovedSlice, removed_by));
+    removed = removed_ids(context.slices.back());
+    std::erase_if(context.slices, [](const PushSlice& slice) { return slice.rank < 0 && slice.count == 0; });
   }
   context.received_seconds += context.clock.seconds() - start;
   auto staged = prepare(context, of, push);
   if (!staged.ok()) return failed(staged.status());
-  if (!push.staged && !push.ids) staged->bytes += 8 * push.n;  // the ids that the members sent
+  if (all && !push.ids) staged->bytes += 8 * push.n;  // the ids that the members sent
   if (push.staged && push.moved == Moved::all) staged->bytes -= bytes_left_out(of, push);
   PartChanges changes;
   const std::optional<std::int64_t> previous_step = of.step;
+  const bool edits = push.edits();
+  inserted.part = std::move(staged->edits.inserted_part);
   const StepReport report = commit(context, of, *staged, push, push.changes ? &changes : nullptr);
   give_back(context, of, push, *staged);
-  if (push.staged && (report.drifted > 0 || report.moved > 0))
-    known = find_changed(context, of, *before, members->message.members);
-  else if (!push.staged && members->message.follow)
-    find_all(context, of, members->message.places, known);
+  for (std::size_t i = inserted.id.size(); i < inserted.member.size(); ++i)
+    inserted.id.push_back(*report.first_id + static_cast<particles::Id>(i));
+  if (!all && (report.drifted > 0 || report.moved > 0 || edits)) {
+    known = find_changed(context, of, *before, members->message.members, inserted);
+  } else if (all) {
+    if (context.root() && edits) {
+      take_out(removed, known);
+      put_in(inserted, known);
+    }
+    if (members->message.follow || members->message.inserted) find_all(context, of, members->message.places, known);
+  }
   if (!context.root()) return {};
   Response response = done({{"report", to_json(report)},
                             {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
                             {"plan", {{"version", of.plan_version}, {"checksum", wire::hex64(of.plan_checksum)}}}});
-  response.arrays = member_results(of, members->message, context.comm.size(), known, changes);
+  if (members->message.places) response.json["places"] = all ? "all" : "changed";
+  response.arrays = member_results(of, members->message, context.comm.size(), known, changes, inserted);
   return response;
 }
 

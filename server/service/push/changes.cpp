@@ -15,6 +15,7 @@
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/context/collective.hpp"
+#include "server/service/push/member_slices.hpp"
 
 namespace rcb::service {
 namespace {
@@ -471,6 +472,8 @@ Status receive_subset(Context& context, Scene& scene, const PushRequest& push, p
   if (push.staged) {
     Expected expected = axes_of(scene);
     expected.emplace_back("slot", "<u8");
+    if (push.members() > 0) ready = join_few_of_members(comm, scene, push.members(), context.slices);
+    if (!ready.ok()) return {};
     mine = take_slice(context.slices, comm.rank());
     ready = check_arrays(mine, fmt::format("moved of rank {}", comm.rank()),
                          push.counts[static_cast<std::size_t>(comm.rank())], expected);

@@ -22,9 +22,10 @@ namespace rcb::service {
 using api::Moved;
 
 struct PushRequest : api::Push {
-  bool staged = false;        // the ranks received their slices directly
-  int members = 0;            // members that sent them; 0: a single client did
-  std::vector<bool> unmoved;  // by member: it sends nothing, since its particles haven't moved
+  bool staged = false;          // the ranks received their slices directly
+  std::vector<Moved> moved_by;  // by member of a parallel solver; empty: a single client pushes
+
+  int members() const { return static_cast<int>(moved_by.size()); }
 };
 
 // Insertions and removals, checked but not yet applied to the scene.

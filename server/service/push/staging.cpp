@@ -406,14 +406,17 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   if (push.moved == Moved::some) {
     Status status = receive_subset(context, scene, push, staged.arrays, staged.subset, ready);
     if (!status.ok()) return status;
-  } else if (push.from_memory() && push.members == 0) {
+  } else if (push.from_memory() && push.members() == 0) {
     ready = read_shared(context, scene, push, mine, staged);
     if (!scene.pushed)
       if (Status status = agree_status(comm, ready); !status.ok()) return status;
   } else if (push.staged) {
-    staged.joined = push.members > 0 && (context.slices.size() != 1 || !context.slices.front().shared.empty());
-    if (push.members > 0)
-      ready = join_member_slices(comm, scene, push.unmoved, array_names(scene, push), scene.spare, context.slices);
+    if (push.members() > 0) {
+      auto joined =
+          join_member_slices(comm, scene, push.moved_by, array_names(scene, push), scene.spare, context.slices);
+      ready = joined.status();
+      staged.joined = joined.ok() && *joined;
+    }
     if (ready.ok()) ready = check_own_slice(context, scene, push, mine);
     if (ready.ok()) take_own_slice(context, push, staged);
     if (!scene.pushed)

@@ -1,5 +1,7 @@
 #include "server/service/step/member_results.hpp"
 
+#include <algorithm>
+
 #include "common/layout/layout.hpp"
 #include "server/service/context/collective.hpp"
 
@@ -11,6 +13,8 @@ struct Results {
   Buffer<particles::Id> changed_id, leave_id, enter_id, place_id;
   Buffer<std::int32_t> changed_part, leave_to, enter_from, enter_part, place_rank;
   Buffer<std::uint64_t> place_slot;
+  Buffer<particles::Id> inserted_id;
+  Buffer<std::int32_t> inserted_part;
 };
 
 template <typename T>
@@ -66,7 +70,8 @@ void find_all(Context& context, const Scene& scene, bool places, Whereabouts& al
   all.slot = in_order(slots, order);
 }
 
-Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members) {
+Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members,
+                         const InsertedByMembers& inserted) {
   Buffer<particles::Id> id_before, id_now;
   Buffer<std::int32_t> member_before, part_now;
   Buffer<std::uint64_t> slot_now;
@@ -90,16 +95,26 @@ Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefor
   if (!context.root()) return changed;
   const Buffer<std::uint64_t> order_before = order_by_id(from);
   const Buffer<std::uint64_t> order_now = order_by_id(to);
-  CHECK(from.size() == to.size(), "particles have come or gone");
+  const Buffer<std::uint64_t> order_inserted = order_by_id(inserted.id);
   changed.id = in_order(to, order_now);
-  changed.member = in_order(member, order_before);
+  // A particle that is not there any more was removed, one that was not there before was inserted.
+  std::size_t b = 0;
+  std::size_t i = 0;
+  for (const particles::Id id : changed.id) {
+    while (b < from.size() && from[order_before[b]] < id) ++b;
+    while (i < inserted.id.size() && inserted.id[order_inserted[i]] < id) ++i;
+    const bool was = b < from.size() && from[order_before[b]] == id;
+    CHECK(was || (i < inserted.id.size() && inserted.id[order_inserted[i]] == id), "a particle came from nowhere");
+    changed.member.push_back(was ? member[order_before[b]] : inserted.member[order_inserted[i]]);
+  }
   changed.part = in_order(part, order_now);
   changed.slot = in_order(slot, order_now);
   return changed;
 }
 
 std::vector<wire::Array> member_results(const Scene& scene, const ResultTerms& terms, int ranks,
-                                        const Whereabouts& known, const PartChanges& changes) {
+                                        const Whereabouts& known, const PartChanges& changes,
+                                        const InsertedByMembers& inserted) {
   std::vector<Results> of(static_cast<std::size_t>(terms.members));
   const auto member_of = [&](std::int32_t part) {
     return layout::rank_of_part(part, scene.options.parts, terms.members);
@@ -130,6 +145,13 @@ std::vector<wire::Array> member_results(const Scene& scene, const ResultTerms& t
     winner.enter_from.push_back(from);
     winner.enter_part.push_back(known.part[k]);
   }
+  for (std::size_t k = 0; k < inserted.id.size(); ++k) {
+    Results& mine = of[static_cast<std::size_t>(inserted.member[k])];
+    const auto found = std::lower_bound(known.id.begin(), known.id.end(), inserted.id[k]) - known.id.begin();
+    mine.inserted_id.push_back(inserted.id[k]);
+    mine.inserted_part.push_back(inserted.part.empty() ? known.part[static_cast<std::size_t>(found)]
+                                                       : inserted.part[k]);
+  }
   std::vector<wire::Array> arrays;
   for (Results& mine : of) {
     if (terms.changes) {
@@ -147,6 +169,10 @@ std::vector<wire::Array> member_results(const Scene& scene, const ResultTerms& t
       add_array(arrays, "place_id", "<i8", mine.place_id);
       add_array(arrays, "place_rank", "<i4", mine.place_rank);
       add_array(arrays, "place_slot", "<u8", mine.place_slot);
+    }
+    if (terms.inserted) {
+      add_array(arrays, "inserted_id", "<i8", mine.inserted_id);
+      add_array(arrays, "inserted_part", "<i4", mine.inserted_part);
     }
   }
   return arrays;

@@ -33,22 +33,33 @@ struct PlacesBefore {
   Buffer<std::int32_t> part;
 };
 
-// The particles whose rank, slot or member changed in the step. Before it each member had the particles of its parts.
-// Collective.
-Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members);
+// What the members inserted, each member's in the order given; on rank 0.
+struct InsertedByMembers {
+  Buffer<particles::Id> id;
+  Buffer<std::int32_t> member;
+  Buffer<std::int32_t> part;  // on arrival, before new cuts; empty: in `known` of member_results()
+};
+
+// The particles whose rank, slot or member changed in the step, and those inserted. Before it each member had the
+// particles of its parts. Collective.
+Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members,
+                         const InsertedByMembers& inserted);
 
 struct ResultTerms {
   int members = 1;
   bool changes = false;
   bool follow = false;
   bool places = false;
+  bool inserted = false;  // by any member
 };
 
 // Returns for each member in turn the arrays that the terms ask for: changed_id, changed_part; leave_id, leave_to,
-// enter_id, enter_from, enter_part; place_id, place_rank, place_slot. Each list is in ascending id. Local, on rank 0.
+// enter_id, enter_from, enter_part; place_id, place_rank, place_slot, each list in ascending id; inserted_id,
+// inserted_part, in the order given. Local, on rank 0.
 //   known  all particles, or those that find_changed() returned
 //   ranks  number of ranks of the service
 std::vector<wire::Array> member_results(const Scene& scene, const ResultTerms& terms, int ranks,
-                                        const Whereabouts& known, const PartChanges& changes);
+                                        const Whereabouts& known, const PartChanges& changes,
+                                        const InsertedByMembers& inserted);
 
 }  // namespace rcb::service

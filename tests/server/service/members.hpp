@@ -28,8 +28,8 @@ std::vector<T> values(const wire::Array& array) {
 }
 
 // x, y (z), and w where there are weights, of these rows.
-inline PushSlice slice_of_rows(const Particles& particles, int rank, const std::vector<std::size_t>& rows) {
-  PushSlice slice{rank, rows.size(), {}};
+inline PushSlice slice_of_rows(const Particles& particles, int rank, int member, const std::vector<std::size_t>& rows) {
+  PushSlice slice{.rank = rank, .count = rows.size(), .member = member};
   constexpr const char* kNames[] = {"x", "y", "z"};
   const auto column = [&](const std::vector<double>& of) {
     std::vector<double> own;

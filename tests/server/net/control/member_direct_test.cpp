@@ -198,7 +198,7 @@ TEST_F(MemberDirect, PlacesAreToldWhereAllAskForThem) {
 TEST_F(MemberDirect, OneThatHasNotMovedBringsNothing) {
   join();
   direct(0, {4, 3, 0}, {{"moved", "none"}, {"weights", true}});
-  refused(0, "unsupported", "without weights");
+  refused(0, "unsupported", "weights are replaced all together");
   direct(0, {4, 3, 0}, {{"moved", "none"}});
   direct(1, {0, 0, 3});
   settle();
@@ -206,7 +206,7 @@ TEST_F(MemberDirect, OneThatHasNotMovedBringsNothing) {
   EXPECT_EQ(plane_.opened[0].ticket.terms.id.session, kSessions[1]);
   whole(2, plane_.opened[0].ticket.number);
   for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
-  EXPECT_EQ(engine_.pushed.at(0)["unmoved"], Json({0}));
+  EXPECT_EQ(engine_.pushed.at(0)["moved_by"], Json({"none", "all"}));
   EXPECT_EQ(engine_.pushed.at(0)["moved"], "all");
   EXPECT_EQ(engine_.pushed.at(0)["base_step"], 7);
   for (int k = 0; k < 2; ++k)
@@ -237,6 +237,43 @@ TEST_F(MemberDirect, OneThatPushesByIdsBringsAllToDoSo) {
   EXPECT_EQ(plane_.dropped.size(), 2U);
 }
 
+TEST_F(MemberDirect, OneBringsFewAndAnotherInserts) {
+  join();
+  direct(0, {2, 0, 0}, {{"moved", "some"}, {"n", 7}, {"removed", 1}, {"slices", 1}});
+  direct(1, {0, 0, 3}, {{"inserted", 2}, {"slices", 1}});
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 2U);
+  for (const auto& opened : plane_.opened) {
+    const bool few = opened.ticket.terms.id.session == kSessions[0];
+    EXPECT_EQ(opened.ticket.terms.moved, few ? Moved::some : Moved::all);
+    whole(few ? 0 : 2, opened.ticket.number);
+  }
+  EXPECT_EQ(pushed(), 0U) << "what is removed and inserted has not come";
+  const auto edit = [this](int k, const char* holds, std::uint64_t count, const Json& arrays, std::size_t bytes) {
+    team_[k].send(FrameType::request,
+                  {{"command", "push.slice"},
+                   {"scene", "s"},
+                   {"session", kSessions[k]},
+                   {"step", 8},
+                   {"attempt", 1},
+                   {"holds", holds},
+                   {"count", count},
+                   {"arrays", arrays}},
+                  std::string(bytes, '\0'));
+  };
+  edit(0, "removed", 1, {{{"name", "id"}, {"dtype", "<i8"}, {"shape", {1}}}}, 8);
+  edit(1, "inserted", 2,
+       {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {2}}}, {{"name", "y"}, {"dtype", "<f8"}, {"shape", {2}}}}, 32);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  const Json& pushed = engine_.pushed.at(0);
+  EXPECT_EQ(pushed["moved_by"], Json({"some", "all"}));
+  EXPECT_EQ(pushed["moved"], "all");
+  EXPECT_EQ(pushed["counts"], Json({2, 0, 0}));
+  EXPECT_EQ(pushed["inserted"], 2);
+  EXPECT_EQ(pushed["removed"], 1);
+  EXPECT_EQ(pushed["inserted_ids"], false);
+}
+
 TEST_F(MemberDirect, WhatDoesNotFitTheSceneIsRefusedAlone) {
   join();
   direct(1, {0, 3, 2});
@@ -259,15 +296,18 @@ TEST_F(MemberDirect, WhatDoesNotFitTheSceneIsRefusedAlone) {
   refused(0, "stale_plan", "4 particles of rank 2");
   direct(0, mine, {{"ids", true}});
   refused(0, "unsupported", "without ids");
-  direct(0, mine, {{"moved", "some"}});
-  refused(0, "unsupported", "all their particles");
+  direct(0, mine, {{"moved", "some"}, {"base_step", nullptr}});
+  refused(0, "unsupported", "base_step");
   settle();
   EXPECT_EQ(plane_.dropped.size(), 9U);  // the other member's is not among them
   EXPECT_EQ(plane_.opened.size(), 1U);
-  direct(0, {3, 0, 1});  // one of rank 0 is nobody's
+  direct(0, {3, 0, 1});  // one is nobody's
+  for (int k = 0; k < 2; ++k) refused(k, "stale_plan", "9 particles of the scene");
+  direct(1, {0, 3, 2});
+  direct(0, {3, 1, 1});
   for (int k = 0; k < 2; ++k) refused(k, "stale_plan", "3 particles of rank 0");
   settle();
-  EXPECT_EQ(plane_.dropped.size(), 11U);
+  EXPECT_EQ(plane_.dropped.size(), 13U);
   EXPECT_EQ(pushed(), 0U);
 }
 

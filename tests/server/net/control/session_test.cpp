@@ -360,7 +360,7 @@ TEST(Session, FieldsOfTheInsideDontComeFromOutside) {
   anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});
   for (int i = 0; i < 100; ++i) {  // more than may be unfinished: nothing is leaked
     const Json staged = i % 2 == 0 ? Json(i) : Json::object();
-    const Json inside{{"scene", "s"}, {"staged", staged}, {"membership", {{"member", 0}}}, {"unmoved", {0}}};
+    const Json inside{{"scene", "s"}, {"staged", staged}, {"membership", {{"member", 0}}}, {"moved_by", {"none"}}};
     EXPECT_EQ(anna.call("rebalance", inside).type, FrameType::reply);
     EXPECT_EQ(service.engine().request(), (Json{{"command", "rebalance"}, {"scene", "s"}}));
   }

@@ -84,7 +84,7 @@ class Team {
         rows.push_back(row);
         ids.push_back(id_of(particles, row));
       }
-      slices.push_back(slice_of_rows(particles, k, rows));
+      slices.push_back(slice_of_rows(particles, 0, k, rows));
       slices.back().arrays.push_back(array_of("id", "<i8", ids));
     }
     Response answer = service_.execute(begin(particles, step, "id"), std::move(slices));
@@ -109,13 +109,13 @@ class Team {
     for (int k = 0; k < members_; ++k) {
       auto& mine = rows[static_cast<std::size_t>(k)];
       if (k == short_of && !mine.empty()) mine.pop_back();
-      if (!mine.empty() && k != unmoved) slices.push_back(slice_of_rows(particles, k, mine));
+      if (!mine.empty() && k != unmoved) slices.push_back(slice_of_rows(particles, comm_.rank(), k, mine));
     }
     std::reverse(slices.begin(), slices.end());  // any order
     Json request = begin(particles, step, "plan");
-    request["staged"] = Json::array({1});
+    request["staged"] = std::vector<int>(places_.size(), 1);
     request["base_step"] = step - 1;
-    if (unmoved >= 0) request["unmoved"] = Json::array({unmoved});
+    if (unmoved >= 0) request["moved_by"][static_cast<std::size_t>(unmoved)] = "none";
     if (unmoved >= 0 && members_ == 1) request["moved"] = "none";
     request["plan"] = truth.plan;
     Response answer = service_.execute(request, std::move(slices));
@@ -142,6 +142,7 @@ class Team {
             {"changes", true},
             {"places", true},
             {"members", members_},
+            {"moved_by", std::vector<std::string>(places_.size(), "all")},
             {"follow", true}};
   }
 

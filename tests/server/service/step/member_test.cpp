@@ -33,7 +33,7 @@ std::vector<PushSlice> shares(const Particles& particles, const Split& split) {
   std::vector<PushSlice> slices;
   for (std::size_t k = 0; k < split.size(); ++k) {
     if (split[k].empty()) continue;
-    PushSlice slice = slice_of_rows(particles, static_cast<int>(k), split[k]);
+    PushSlice slice = slice_of_rows(particles, 0, static_cast<int>(k), split[k]);
     std::vector<std::int64_t> ids;
     for (const std::size_t row : split[k]) ids.push_back(id_of(particles, row));
     slice.arrays.push_back(array_of("id", "<i8", ids));
@@ -54,6 +54,7 @@ Response push_members(comm::Comm& comm, service::Service& service, const Particl
                      {"ids", true},
                      {"changes", true},
                      {"members", split.size()},
+                     {"moved_by", std::vector<std::string>(split.size(), "all")},
                      {"follow", follow}};
   return service.execute(request, comm.rank() == 0 ? shares(particles, split) : std::vector<PushSlice>());
 }
