@@ -31,6 +31,12 @@ class Member(Client):
         self.begin(step, ids, attempt, **more)
         self.slice(ids, points)
 
+    def edit(self, holds, columns):
+        """Sends what this push inserts or removes."""
+        arrays, bulk = described(columns)
+        self.send({"command": "push.slice", **self.push_id, "holds": holds, "count": arrays[0]["shape"][0],
+                   "arrays": arrays}, bulk)
+
     def finish(self):
         """(answer with its arrays, by name)."""
         last, self.number = self.number, self.begun
@@ -49,20 +55,27 @@ class DirectMember(Member):
         self.links = [Client(place, session=self.session, token=self.token, listener=f"rank {rank}")
                       for rank, place in enumerate(self.hello["data"])]
         self.places = None  # of each id its rank and slot
+        self.removed = ()  # in this step
 
     def start(self, step, ids, points, attempt=0, **more):
-        self.directly = False
         super().start(step, ids, points, attempt, places=True, **more)
 
-    def begin_directly(self, step, points, attempt=0, **more):
-        self.directly = True
-        slots = [sorted((slot, i) for i, (at, slot) in self.places.items() if at == rank)
+    def begin_directly(self, step, points, attempt=0, few=None, **more):
+        """few: the ids of those that moved; None: all."""
+        slots = [sorted((slot, i) for i, (at, slot) in self.places.items() if at == rank and (few is None or i in few))
                  for rank in range(len(self.links))]
         self.rows = [np.array([i for _, i in of_rank], int) for of_rank in slots]
+        self.slots = None if few is None else [np.array([slot for slot, _ in of_rank], np.uint64) for of_rank in slots]
+        counts = [len(rows) for rows in self.rows]
+        if few is not None:
+            more = {"moved": "some" if few else "none", **more}
+        if few is not None and not few:  # then they tell how many stand on each rank
+            ranks = [rank for rank, _ in self.places.values()]
+            counts = [ranks.count(rank) for rank in range(len(self.links))]
         self.push_id = {"scene": self.scene, "session": self.session, "step": step, "attempt": attempt,
                         "plan": self.plan}
         self.send({"command": "push.begin", **self.push_id, "n": len(self.places), "slices": 0, "order": "plan",
-                   "path": "direct", "counts": [len(rows) for rows in self.rows], "epoch": self.epoch,
+                   "path": "direct", "counts": counts, "epoch": self.epoch,
                    "base_step": self.step, "places": True, "changes": True, "deadline_seconds": 20, **more})
         self.begun = self.number
 
@@ -71,7 +84,10 @@ class DirectMember(Member):
         for rank, rows in enumerate(self.rows):
             for first in range(0, len(rows), each):
                 part = points[rows[first: first + each]]
-                arrays, bulk = described(dict(zip("xyz", part.T)))
+                columns = dict(zip("xyz", part.T))
+                if self.slots is not None:
+                    columns["slot"] = self.slots[rank][first: first + each]
+                arrays, bulk = described(columns)
                 yield self.links[rank].socket, frame(
                     REQUEST, self.number, {"command": "push.slice", **self.push_id, "rank": rank, "first": first,
                                            "count": len(part), "arrays": arrays}, bulk, flags=first % 2)
@@ -86,10 +102,11 @@ class DirectMember(Member):
         if "place_id" not in news:  # not all have asked for them
             self.places = None
             return answer, news
-        if not self.directly:
+        if answer["places"] == "all":
             self.places = {}
-        for i in news["leave_id"].tolist():
+        for i in news["leave_id"].tolist() + list(self.removed):
             self.places.pop(i, None)
+        self.removed = ()
         self.places.update(zip(news["place_id"].tolist(), zip(news["place_rank"].tolist(), news["place_slot"].tolist())))
         self.step, self.epoch, self.plan = answer["report"]["step"], answer["report"]["epoch"], answer["plan"]
         return answer, news

@@ -5,7 +5,7 @@ import time
 
 import members_test
 from member_client import DirectMember
-from protocol_client import Client, Refused
+from protocol_client import Client, Refused, arrays_of
 from support import *
 
 RANKS, PARTS, POINTS = 3, 7, 900
@@ -108,6 +108,93 @@ class MembersDirect(unittest.TestCase):
                 self.assertEqual(self.state("direct")[0], self.state("ids")[0])
             for one in ids + direct:
                 one.close()
+
+    def held(self, scene):
+        """{id: point}"""
+        answer, bulk = self.control.ask("fetch", scene=scene)
+        got = arrays_of(answer, bulk)
+        return dict(zip(got["id"].tolist(), np.stack([got[a] for a in "xyz"], 1).tolist()))
+
+    def test_members_whose_particles_come_and_go(self):
+        rng = np.random.default_rng(5)
+        for members in (RANKS, 2, 5):
+            team = self.begun("changes", members)
+            points = np.concatenate([self.walk[0], np.zeros((2000, 3))])  # by id
+            alive, newest = set(range(POINTS)), POINTS
+            for step in range(1, 9):
+                for k, one in enumerate(team):
+                    mine = sorted(one.places)
+                    few = None if (step + k) % 3 == 0 else set(rng.choice(mine, 9 * (k % 2), replace=False).tolist())
+                    moving = mine if few is None else sorted(few)
+                    points[moving] += rng.normal(0, 0.02, (len(moving), 3))
+                    one.removed = rng.choice(mine, min(len(mine), 5 * (step % 2)), replace=False)
+                    new = rng.random((k + step % 4, 3))
+                    edits = {"removed": len(one.removed), "inserted": len(new),
+                             "slices": int(len(one.removed) > 0) + int(len(new) > 0)}
+                    one.begin_directly(step, points, few=few, **edits)
+                    for link, data in one.slices(points):
+                        link.sendall(data)
+                    if len(one.removed):
+                        one.edit("removed", {"id": one.removed})
+                    if len(new):
+                        one.edit("inserted", dict(zip("xyz", new.T)))
+                    points[newest: newest + len(new)] = new  # the service chooses the ids, in the order of the members
+                    one.new = list(range(newest, newest + len(new)))
+                    newest += len(new)
+                    alive = (alive - set(one.removed.tolist())) | set(one.new)
+                for one in team:
+                    answer, news = one.finish()
+                    self.assertEqual(news.get("inserted_id", np.array([])).tolist(), one.new)
+                    self.assertEqual(answer["places"], "changed")
+                self.assertEqual(self.held("changes"), {i: points[i].tolist() for i in alive})
+                self.assertEqual(sorted(i for one in team for i in one.places), sorted(alive))
+            for one in team:
+                one.close()
+
+    def test_what_is_wrong_in_few_inserted_and_removed(self):
+        team = self.begun("odd", 2)
+        before = self.state("odd")
+        points, mine = self.walk[0], sorted(team[0].places)
+        attempt = 0
+
+        def refuse(code, *words, few=frozenset(), slots={}, **edits):
+            nonlocal attempt
+            attempt += 1
+            slices = {name: columns for name, columns in edits.items() if isinstance(columns, dict)}
+            said = {name: len(next(iter(columns.values()))) for name, columns in slices.items()}
+            more = {name: value for name, value in edits.items() if name not in slices}
+            team[0].begin_directly(1, points, attempt=attempt, few=set(few), slices=len(slices), **said, **more)
+            for rank, slot in slots.items():
+                team[0].slots[rank][:] = slot
+            for link, data in team[0].slices(points):
+                link.sendall(data)
+            for name, columns in slices.items():
+                team[0].edit(name, columns)
+            team[1].begin_directly(1, points, attempt=attempt, few=set())
+            for one in team:
+                self.refused(one, code, *words)
+            self.assertEqual(self.state("odd"), before)
+
+        some = {axis: np.array([0.5, 0.25]) for axis in "xyz"}
+        refuse("not_found", "particle 5000", "removed", removed={"id": np.array([mine[0], 5000])})
+        refuse("invalid_argument", "more than once", removed={"id": np.array([mine[0], mine[0]])})
+        refuse("already_exists", "particle 3", inserted={**some, "id": np.array([7000, 3])}, inserted_ids=True)
+        refuse("not_finite", "inserted particle 1", inserted={**some, "y": np.array([0.5, np.nan])})
+        there = {rank: slot for rank, slot in team[1].places.values()}
+        near = [i for i, (rank, _) in team[0].places.items() if rank in there]
+        self.assertTrue(near, "no rank with particles of both members")
+        refuse("stale_plan", "member 0", "slot", few=near[:1], slots=there)
+        # One gives ids and the other doesn't: the second is refused alone, and does as the first.
+        team[0].begin_directly(1, points, attempt=90, few=set(), inserted=2, inserted_ids=True, slices=1)
+        self.control.ask("status")
+        team[1].begin_directly(1, points, attempt=90, few=set(), inserted=2, slices=1)
+        self.refused(team[1], "invalid_argument", "member 0")
+        team[0].edit("inserted", {**some, "id": np.array([7000, 7001])})
+        team[1].begin_directly(1, points, attempt=91, few=set(), inserted=2, inserted_ids=True, slices=1)
+        team[1].edit("inserted", {**some, "id": np.array([8000, 6000])})
+        for one, ids in zip(team, ([7000, 7001], [8000, 6000])):
+            self.assertEqual(one.finish()[1]["inserted_id"].tolist(), ids)
+        self.assertEqual(self.held("odd")[6000], [0.25, 0.25, 0.25])
 
     def test_a_member_that_is_killed_in_the_midst_of_its_slices(self):
         for members in (RANKS, 2, 5):
