@@ -80,7 +80,7 @@ struct MemberScene::State {
   Result<Frame> push_by_sockets(wire::Json begin, std::uint64_t request, const EditFrames& edits,
                                 const std::vector<std::vector<std::uint64_t>>& rows, const Positions& positions,
                                 const MemberStepOptions& with, const std::string& what, const Deadline& deadline);
-  // The rows that moved; nullopt: all, or all are to be sent.
+  // The rows that moved; nullopt: all are to be sent.
   std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
   Status read_follow(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
@@ -105,7 +105,7 @@ struct MemberScene::State {
   wire::Json plan;
   bool pushing_directly = false;  // path of the current push
   bool pushing_few = false;       // particles, or none
-  bool send_all = false;          // the service can't build on the last step
+  bool send_all = false;          // whatever has moved, in the current step
   SharedArrays arrays;
   bool share_unsupported = false;  // a rank, or this kernel, refused it
 };
@@ -274,6 +274,8 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   if (!direct) return direct.status();
   const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
   pushing_directly = rows != nullptr;
+  // Only a push of all particles by ids tells their places, which the direct path needs.
+  send_all = send_all || (*direct && !pushing_directly);
   const auto moved = moved_rows(with);
   pushing_few = moved.has_value();
   const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count;
@@ -414,8 +416,10 @@ Status MemberScene::State::read_places(const Frame& answer, const wire::Json& js
   std::sort(left.begin(), left.end());
   if (of == "all")
     places.take_all({*id, *rank, *slot}, session().ranks());
-  else if (places.known())
+  else if (pushing_directly)
     places.change(left, {*id, *rank, *slot});
+  else
+    places.forget();
   plan = json.at("plan");
   return {};
 }

@@ -59,34 +59,13 @@ void MemberPlaces::take_all(const List& all, int ranks) {
 }
 
 void MemberPlaces::change(std::span<const std::int64_t> left, const List& placed) {
+  CHECK(left_.empty() && placed_.id.empty(), "changes of a step that was not pushed from here");
   const auto touch = [this](std::int64_t id) { may_have_changed_[static_cast<std::size_t>(id) % kTouched] = 1; };
+  left_.assign(left.begin(), left.end());
+  placed_.id.assign(placed.id.begin(), placed.id.end());
+  for (std::size_t k = 0; k < placed.id.size(); ++k) placed_.place.push_back(place_of(placed.rank[k], placed.slot[k]));
   for (const std::int64_t id : left) touch(id);
   for (const std::int64_t id : placed.id) touch(id);
-  // Of what earlier steps changed, what this step doesn't change again remains.
-  const auto is_in = [](std::span<const std::int64_t> ids, std::int64_t id) {
-    return std::binary_search(ids.begin(), ids.end(), id);
-  };
-  std::vector<std::int64_t> all_left;
-  std::set_union(left_.begin(), left_.end(), left.begin(), left.end(), std::back_inserter(all_left));
-  std::erase_if(all_left, [&](std::int64_t id) { return is_in(placed.id, id); });
-  left_ = std::move(all_left);
-  Pool all_placed;
-  std::size_t old = 0;
-  const auto keep_until = [&](std::size_t end) {
-    for (; old < end; ++old) {
-      if (is_in(left, placed_.id[old]) || is_in(placed.id, placed_.id[old])) continue;
-      all_placed.id.push_back(placed_.id[old]);
-      all_placed.place.push_back(placed_.place[old]);
-    }
-  };
-  for (std::size_t k = 0; k < placed.id.size(); ++k) {
-    keep_until(static_cast<std::size_t>(std::lower_bound(placed_.id.begin(), placed_.id.end(), placed.id[k]) -
-                                        placed_.id.begin()));
-    all_placed.id.push_back(placed.id[k]);
-    all_placed.place.push_back(place_of(placed.rank[k], placed.slot[k]));
-  }
-  keep_until(placed_.id.size());
-  placed_ = std::move(all_placed);
 }
 
 std::vector<MemberPlaces::Few> MemberPlaces::select(std::span<const std::uint64_t> rows) const {

@@ -29,8 +29,8 @@ class MemberPlaces {
   void forget() { *this = MemberPlaces(); }
   // All particles that the member holds from now on. ranks: number of the service's ranks.
   void take_all(const List& all, int ranks);
-  // Applies what a step changed: the ids that left, ascending, and the new places of others, which may have entered.
-  // May be called several times between two calls of rows().
+  // Applies what a step changed: the ids that left, ascending, and the new places of others, which may have entered. To
+  // be called once after each rows() that succeeded.
   void change(std::span<const std::int64_t> left, const List& placed);
 
   // For each rank, the rows (indices into `ids`) of its particles in ascending slots. Null if `ids` aren't exactly
