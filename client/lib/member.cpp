@@ -308,6 +308,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   columns.push_back({"id", "<i8", ids.data(), 1});
   // One slice, its rows in their order.
   const layout::Layout all = layout::Layout::blocks(moved ? 0 : positions.count, 1, {});
+  if (moved) begin["epoch"] = epoch;
   if (moved && !moved->empty()) begin["counts"] = {moved->size()};
   const std::uint64_t request = session().next_request();
   const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted, dims);

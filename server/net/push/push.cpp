@@ -99,7 +99,8 @@ Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Push
           fmt::format("field 'memory': the arrays must be {}, aligned to their elements", in_words(expected))};
 }
 
-// Checks a member's push; one on the direct path must fit the layout and parts after the last step.
+// Checks a member's push. One that doesn't say which particles the member has must fit the parts after the last step,
+// and on the direct path the layout.
 Status check_share(const wire::Json& request, const api::SceneSummary& scene, const PushTerms& terms) {
   const bool all = terms.moved == Moved::all;
   if (!all && !terms.base_step)
@@ -111,13 +112,15 @@ Status check_share(const wire::Json& request, const api::SceneSummary& scene, co
     return {Code::unsupported,
             "members push in order \"id\", with \"ids\" true if they push all their particles, or by the paths "
             "\"direct\" and \"shared\" without ids"};
-  if (!terms.to_ranks()) return {};
+  if (!terms.to_ranks() && all) return {};
   if (!scene.step) return {Code::stale_plan, "the scene has no plan yet", "push in order \"id\""};
   const auto epoch = wire::integer_field(request, "epoch", 0, std::numeric_limits<std::int64_t>::max());
   if (!epoch.ok()) return epoch.status();
   if (static_cast<std::uint64_t>(*epoch) != scene.epoch)
-    return {Code::stale_plan, fmt::format("the push follows epoch {}, the scene is at {}", *epoch, scene.epoch),
-            "push in order \"id\""};
+    return {terms.to_ranks() ? Code::stale_plan : Code::base_lost,
+            fmt::format("the push follows epoch {}, the scene is at {}", *epoch, scene.epoch),
+            "push all particles in order \"id\""};
+  if (!terms.to_ranks()) return {};
   if (!terms.base_step)
     return {Code::invalid_argument, "field 'base_step': a member's direct push names the last step"};
   const auto together = std::accumulate(terms.counts.begin(), terms.counts.end(), std::uint64_t{0});

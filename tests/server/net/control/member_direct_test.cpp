@@ -333,6 +333,28 @@ TEST_F(MemberDirect, AShareThatARankLosesEndsTheStepForAll) {
   EXPECT_EQ(plane_.dropped.size(), 4U);
 }
 
+TEST_F(MemberDirect, FewByIdsNeedThePartsOfTheLastStep) {
+  join();
+  const Json few{{"order", "id"}, {"slices", 0}, {"moved", "none"}, {"base_step", 7}};
+  const auto begin = [&](std::int64_t attempt, const Json& more) {
+    Json all = few;
+    all.update(more);
+    all["attempt"] = attempt;
+    team_[0].begin(kSessions[0], 8, 4, all);
+  };
+  begin(1, {{"epoch", 2}});
+  refused(0, "base_lost", "epoch 2");
+  begin(2, Json::object());
+  refused(0, "invalid_argument", "epoch");
+  begin(3, {{"epoch", 3}});
+  by_ids(1, 6);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  EXPECT_EQ(engine_.pushed.at(0)["moved_by"], Json({"none", "all"}));
+  EXPECT_EQ(engine_.pushed.at(0)["moved"], "some");
+  EXPECT_EQ(engine_.pushed.at(0)["n"], 10);
+  EXPECT_EQ(engine_.pushed.at(0)["counts"], Json({6}));
+}
+
 TEST_F(MemberDirect, MembersThatDoNotFollowPushByIds) {
   join(false);
   direct(0, {4, 0, 1});
