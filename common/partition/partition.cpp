@@ -90,9 +90,17 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
                   "choose rcb, bands-x, bands-y or bands-z");
   std::uint64_t reductions = 0;
-  if (auto found = partition_from_guess(comm, particles, options, reductions)) return *std::move(found);
+  Traffic traffic;
+  {
+    PartitionResult in_vain;
+    if (auto found = partition_from_guess(comm, particles, options, in_vain)) return *std::move(found);
+    reductions = in_vain.reductions;
+    traffic = in_vain.traffic;
+  }
   auto result = build({comm, particles, options, particles.dims}, go_on);
-  if (result.ok()) result->reductions += reductions;
+  if (!result.ok()) return result;
+  result->reductions += reductions;
+  result->traffic += traffic;
   return result;
 }
 

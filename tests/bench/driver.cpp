@@ -79,7 +79,7 @@ bool go_on_without(Plan& left, int ranks, Rows& result) {
     unmeasured.setting = {skip.tool, skip.method, kPartition, 0};
     unmeasured.failure = failure;
     const SceneKind* const kind = find_scene_kind(skip.cell.scene);
-    for (auto& row : make_rows_json(skip.cell, kind == nullptr ? 3 : kind->dims, ranks, {unmeasured}, false))
+    for (auto& row : make_rows_json(skip.cell, kind == nullptr ? 3 : kind->dims, ranks, {unmeasured}))
       result.rows.push_back(std::move(row));
     left.cells.erase(left.cells.begin(), cell);
     left.skips.push_back(skip);

@@ -29,7 +29,7 @@ constexpr int kRanksMax = 256;
 constexpr int kRepeatsMax = 1000;
 constexpr double kPointsMax = 2e9;  // a rank's count is an int for the peers
 
-const std::vector<std::string> kMethods{"rcb", "bands-x", "bands-y", "bands-z", "RCB", "RIB", "HSFC", "MJ"};
+const std::vector<std::string> kMethods{"rcb", "bands-x", "bands-y", "bands-z", "read", "RCB", "RIB", "HSFC", "MJ"};
 
 struct Options {
   std::vector<int> parts;
@@ -131,7 +131,9 @@ void add_options(CLI::App& command, Options& options) {
   list(command.add_option("--parts", options.parts, "numbers of parts"));
   list(command.add_option("--ranks", options.ranks, "numbers of MPI ranks, one job each"));
   list(command.add_option("--scenes", options.scenes, "scenes (default: all of this bench)"));
-  list(command.add_option("--methods", options.methods, "ours: rcb, bands-x, -y, -z; peers: RCB, RIB, HSFC, MJ"));
+  list(command.add_option(
+      "--methods", options.methods,
+      "ours: rcb, bands-x, -y, -z; peers: RCB, RIB, HSFC, MJ; read: the floor, each coordinate read once"));
   command.add_option("--repeats", options.repeats, "timed runs of each contender")->capture_default_str();
   command.add_option("--json", options.json, "write the result to this file");
 }
@@ -181,7 +183,7 @@ int run_program(int argc, char** argv) {
   statics->add_option("--figure", of_static.figure,
                       "draw run time against error as SVG (its gnuplot source beside it)");
   of_scaling.parts = {8, 64, 512, 4096};
-  of_scaling.methods = {"rcb", "RCB", "MJ"};
+  of_scaling.methods = {"rcb", "read", "RCB", "MJ"};
   of_scaling.points = {1e6, 2e6, 4e6, 8e6, 16e6};
   of_scaling.repeats = 3;
   auto* scaling = app.add_subcommand("scaling", "time and memory per particle for more particles, parts and ranks");

@@ -1,6 +1,7 @@
 #include "tests/bench/measure.hpp"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <fstream>
 
@@ -48,6 +49,7 @@ std::optional<double> turn(comm::Comm& comm, Contender& contender, std::string& 
 
 // Counts what the last run left. Collective.
 void judge(comm::Comm& comm, const Problem& problem, Contender& contender, Measurement& out) {
+  if (contender.setting().tool == kFloor) return;
   const Answer answer = contender.answer();
   const auto parts = static_cast<std::size_t>(problem.parts);
   std::vector<std::uint64_t> counts(parts + 1, 0);  // the last: of no part that there is
@@ -70,6 +72,10 @@ void judge(comm::Comm& comm, const Problem& problem, Contender& contender, Measu
   out.hash = answer.hash;
   out.rounds = answer.rounds;
   out.reductions = answer.reductions;
+  if (!answer.traffic) return;
+  std::array<std::uint64_t, 2> traffic{answer.traffic->reads, answer.traffic->bytes};
+  comm.all_sum(traffic);
+  out.traffic = partition::Traffic{traffic[0], traffic[1]};
 }
 
 // Growth of the resident memory during one run, from a heap that keeps nothing. Collective.

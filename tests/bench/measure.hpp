@@ -27,8 +27,9 @@ struct Measurement {
   std::optional<std::uint64_t> hash;
   std::optional<std::uint64_t> rounds;
   std::optional<std::uint64_t> reductions;
-  std::optional<double> bytes_per_particle;  // growth of the resident memory at its peak, all ranks together, over n
-  std::string failure;                       // not empty: nothing above counts
+  std::optional<partition::Traffic> traffic;  // of all ranks together
+  std::optional<double> bytes_per_particle;   // growth of the resident memory at its peak, all ranks together, over n
+  std::string failure;                        // not empty: nothing above counts
 };
 
 struct MeasureOptions {

@@ -41,7 +41,7 @@ namespace {
 
 std::string name_of(const Json& row) {
   const std::string tool = row["tool"];
-  std::string name = (tool == "rcbd" ? "" : tool + " ") + row["method"].get<std::string>();
+  std::string name = (tool == "rcbd" || tool == kFloor ? "" : tool + " ") + row["method"].get<std::string>();
   return row["work"] == kPartitionMigrate ? name + " +migrate" : name;
 }
 
@@ -73,9 +73,15 @@ std::string static_ms(const Json& row) {
 
 std::string static_error(const Json& row) {
   if (!measured(row)) return "failed";
+  if (row["tool"] == kFloor) return "-";
   std::string text = fmt::format("{:.2g}", row["error"].get<double>());
   if (ours(row) || row["empty_parts"] == 0) return text;
   return text + fmt::format(" ({} empty)", row["empty_parts"].get<std::uint64_t>());
+}
+
+// Our time as a multiple of the floor; of a peer's, what it takes beside our 1.
+std::string ratio_text(const std::string& peer, double ratio) {
+  return peer == kRead ? fmt::format("{:.1f}", ratio) : fmt::format("1 : {:.1f}", 1 / ratio);
 }
 
 // One table a rank count, a line a scene and number of parts, a column a contender.
@@ -95,7 +101,7 @@ std::string wide_table(const Json& rows, int ranks, const std::vector<std::strin
   Line head{"scene", "parts"};
   head.insert(head.end(), names.begin(), names.end());
   if (with_ratios)
-    for (const std::string& peer : peers) head.push_back("rcb : " + peer);
+    for (const std::string& peer : peers) head.push_back(peer == kRead ? "rcb / read" : "rcb : " + peer);
   std::vector<Line> lines{head};
   for (const auto& key : order) {
     Line line{key.first, std::to_string(key.second)};
@@ -106,7 +112,7 @@ std::string wide_table(const Json& rows, int ranks, const std::vector<std::strin
     const Json* rcb = representative(cells[key], "rcb");
     for (std::size_t p = 0; with_ratios && p < peers.size(); ++p) {
       const bool known = rcb != nullptr && (*rcb)["ratio"].contains(peers[p]);
-      line.push_back(known ? fmt::format("1 : {:.1f}", 1 / (*rcb)["ratio"][peers[p]].get<double>()) : "-");
+      line.push_back(known ? ratio_text(peers[p], (*rcb)["ratio"][peers[p]]) : "-");
     }
     lines.push_back(std::move(line));
   }
@@ -120,7 +126,9 @@ std::string tolerance_table(const Json& rows, int ranks) {
     std::vector<std::pair<std::string, double>> order;
     std::map<std::pair<std::string, double>, std::vector<const Json*>> groups;
     for (const Json& row : rows) {
-      if (row["ranks"] != ranks || row["parts"] != parts || row["work"] != kPartition || !measured(row)) continue;
+      if (row["ranks"] != ranks || row["parts"] != parts || row["work"] != kPartition || !measured(row) ||
+          row["tool"] == kFloor)
+        continue;
       const std::pair<std::string, double> key{name_of(row), row["cut_tolerance"]};
       if (!groups.contains(key)) order.push_back(key);
       groups[key].push_back(&row);
@@ -142,7 +150,7 @@ std::string tolerance_table(const Json& rows, int ranks) {
   return table(lines, 2);
 }
 
-// First and last of a group by a field, as seconds per unit: last over first.
+// First and last of a group by a field, as seconds per unit: last over first; and the greatest over the first.
 Json growth(std::vector<const Json*> rows, const char* field, bool per_particle) {
   std::erase_if(rows, [](const Json* row) { return !measured(*row); });
   if (rows.size() < 2) return nullptr;
@@ -151,7 +159,13 @@ Json growth(std::vector<const Json*> rows, const char* field, bool per_particle)
   const auto cost = [&](const Json& row) {
     return row["seconds"].get<double>() / (per_particle ? row["n"].get<double>() : 1.0);
   };
-  return {{"from", (**first)[field]}, {"to", (**last)[field]}, {"ratio", cost(**last) / cost(**first)}};
+  const auto cheaper = [&](const Json* a, const Json* b) { return cost(*a) < cost(*b); };
+  const Json* const worst = *std::max_element(rows.begin(), rows.end(), cheaper);
+  return {{"from", (**first)[field]},
+          {"to", (**last)[field]},
+          {"ratio", cost(**last) / cost(**first)},
+          {"worst", cost(*worst) / cost(**first)},
+          {"worst_at", (*worst)[field]}};
 }
 
 }  // namespace
@@ -221,24 +235,27 @@ std::string static_tables(const Json& document) {
   if (document["summary"].empty()) return text;
   std::vector<Line> lines{{"peer", "ranks", "parts", "median", "worst scene", ""}};
   for (const Json& s : document["summary"])
-    lines.push_back({s["peer"], s["ranks"].dump(), s["parts"].dump(),
-                     fmt::format("1 : {:.1f}", 1 / s["ratio_median"].get<double>()),
-                     fmt::format("1 : {:.1f}", 1 / s["ratio_worst"].get<double>()), s["worst_scene"]});
+    lines.push_back({s["peer"], s["ranks"].dump(), s["parts"].dump(), ratio_text(s["peer"], s["ratio_median"]),
+                     ratio_text(s["peer"], s["ratio_worst"]), s["worst_scene"]});
   return text + "\nOur time to the peer's, exact, pairwise in one run, over the scenes\n\n" + table(lines, 1);
 }
 
 std::string scaling_tables(const Json& document) {
-  std::vector<Line> lines{{"contender", "scene", "ranks", "points", "parts", "ms", "ns/point", "bytes/point", "error"}};
+  std::vector<Line> lines{{"contender", "scene", "ranks", "points", "parts", "ms", "ns/point", "/ read", "reads",
+                           "bytes moved", "bytes held", "error"}};
+  const auto number = [](const Json& row, const char* field) {
+    return row.contains(field) ? fmt::format("{:.1f}", row[field].get<double>()) : std::string("-");
+  };
   for (const Json& row : document["rows"]) {
     const double n = row["n"];
-    lines.push_back(
-        {name_of(row), row["scene"], row["ranks"].dump(), row["n"].dump(), row["parts"].dump(), static_ms(row),
-         measured(row) ? fmt::format("{:.1f}", 1e9 * row["seconds"].get<double>() / n) : "-",
-         row.contains("bytes_per_particle") ? fmt::format("{:.1f}", row["bytes_per_particle"].get<double>()) : "-",
-         static_error(row)});
+    lines.push_back({name_of(row), row["scene"], row["ranks"].dump(), row["n"].dump(), row["parts"].dump(),
+                     static_ms(row),
+                     measured(row) ? fmt::format("{:.1f}", 1e9 * row["seconds"].get<double>() / n) : "-",
+                     number(row["ratio"], kRead), number(row, "reads"), number(row, "bytes_moved"),
+                     number(row, "bytes_per_particle"), static_error(row)});
   }
   std::vector<Line> summary{
-      {"contender", "scene", "ranks", "time per point", "points", "time", "parts", "bytes/point"}};
+      {"contender", "scene", "ranks", "time per point", "worst", "points", "time", "parts", "bytes held"}};
   const auto ratio = [](const Json& growth) {
     return growth.is_null() ? std::string("-") : fmt::format("x {:.2f}", growth["ratio"].get<double>());
   };
@@ -246,13 +263,17 @@ std::string scaling_tables(const Json& document) {
     return growth.is_null() ? std::string("-") : growth["from"].dump() + " to " + growth["to"].dump();
   };
   for (const Json& s : document["summary"])
-    summary.push_back({s["contender"], s["scene"], s["ranks"].dump(), ratio(s["time_per_particle"]),
-                       range(s["time_per_particle"]), ratio(s["time_by_parts"]), range(s["time_by_parts"]),
-                       s["bytes_per_particle_max"].is_null()
-                           ? "-"
-                           : fmt::format("{:.1f}", s["bytes_per_particle_max"].get<double>())});
-  return "\nTime and extra memory at peak (all ranks together, beyond the points themselves)\n\n" + table(lines, 2) +
-         "\nGrowth\n\n" + table(summary, 2);
+    summary.push_back(
+        {s["contender"], s["scene"], s["ranks"].dump(), ratio(s["time_per_particle"]),
+         s["time_per_particle"].is_null() ? "-"
+                                          : fmt::format("x {:.2f}", s["time_per_particle"]["worst"].get<double>()),
+         range(s["time_per_particle"]), ratio(s["time_by_parts"]), range(s["time_by_parts"]),
+         s["bytes_per_particle_max"].is_null() ? "-"
+                                               : fmt::format("{:.1f}", s["bytes_per_particle_max"].get<double>())});
+  return "\nTime; reads of all positions, and bytes that passes move, a point; memory held at peak beyond the points, "
+         "a point\n\n" +
+         table(lines, 2) + "\nGrowth from the fewest points to the most, and where it is greatest\n\n" +
+         table(summary, 2);
 }
 
 void print(const std::string& text) {

@@ -15,7 +15,7 @@ std::map<std::string, const Measurement*> fastest_peers(const std::vector<Measur
   std::map<std::string, const Measurement*> peers;
   for (const Measurement& m : measured) {
     if (m.setting.tool == "rcbd" || m.setting.work != kPartition || !m.failure.empty()) continue;
-    const Measurement*& best = peers[m.setting.tool + " " + m.setting.method];
+    const Measurement*& best = peers[m.setting.tool == kFloor ? kRead : m.setting.tool + " " + m.setting.method];
     if (best == nullptr || median(m.seconds) < median(best->seconds)) best = &m;
   }
   return peers;
@@ -30,7 +30,7 @@ double ratio(const Measurement& ours, const Measurement& peer) {
 
 }  // namespace
 
-Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Measurement>& measured, bool ratios) {
+Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Measurement>& measured) {
   const auto peers = fastest_peers(measured);
   Json rows = Json::array();
   for (const Measurement& m : measured) {
@@ -43,7 +43,7 @@ Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Mea
       const auto [least, most] = std::minmax_element(m.seconds.begin(), m.seconds.end());
       row.update({{"seconds", median(m.seconds)}, {"seconds_min", *least}, {"seconds_max", *most}});
       row.update({{"error", m.error}, {"empty_parts", m.empty_parts}, {"imbalance", m.imbalance}});
-      if (ratios && s.tool == "rcbd" && s.work == kPartition && s.cut_tolerance == 0)
+      if (s.tool == "rcbd" && s.work == kPartition && s.cut_tolerance == 0)
         for (const auto& [name, peer] : peers) ratio_of[name] = ratio(m, *peer);
     } else {
       for (const char* field : {"seconds", "seconds_min", "seconds_max", "error", "empty_parts", "imbalance"})
@@ -54,6 +54,10 @@ Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Mea
     if (m.hash) row["hash"] = fmt::format("{:016x}", *m.hash);
     if (m.rounds) row["rounds"] = *m.rounds;
     if (m.reductions) row["reductions"] = *m.reductions;
+    if (m.traffic && cell.n > 0) {
+      row["reads"] = static_cast<double>(m.traffic->reads) / static_cast<double>(cell.n);
+      row["bytes_moved"] = static_cast<double>(m.traffic->bytes) / static_cast<double>(cell.n);
+    }
     if (m.bytes_per_particle) row["bytes_per_particle"] = *m.bytes_per_particle;
     rows.push_back(std::move(row));
   }

@@ -9,7 +9,6 @@
 
 namespace rcb::bench {
 
-// ratios: whether this bench gives `ratio` on its exact partition rows.
-Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Measurement>& measured, bool ratios);
+Json make_rows_json(const Cell& cell, int dims, int ranks, const std::vector<Measurement>& measured);
 
 }  // namespace rcb::bench

@@ -54,7 +54,7 @@ Status run_static_cells(comm::Comm& comm, const Plan& plan, const std::string& r
     const auto measured =
         measure(comm, Problem{points.view(), cell.n, cell.parts}, contenders, {plan.repeats, plan.memory, tell_turn});
     if (comm.rank() != 0) continue;
-    for (const auto& row : make_rows_json(cell, kind->dims, comm.size(), measured, !plan.memory)) rows << row << "\n";
+    for (const auto& row : make_rows_json(cell, kind->dims, comm.size(), measured)) rows << row << "\n";
     rows.flush();
   }
   if (comm.rank() == 0) rows.close();
@@ -67,6 +67,7 @@ Status run_static_cells(comm::Comm& comm, const Plan& plan, const std::string& r
 Contenders make_contenders(comm::Comm& comm, const Wish& wish) {
   Contenders all;
   add_rcbd(comm, wish, all);
+  add_floor(wish, all);
 #ifdef RCB_BENCH_ZOLTAN
   add_zoltan(wish, all);
 #endif

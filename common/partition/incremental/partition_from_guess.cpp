@@ -81,7 +81,6 @@ class FirstPartition {
   }
 
   PartitionResult take() { return std::move(result_); }
-  std::uint64_t reductions() const { return result_.reductions; }
 
  private:
   // Guesses cuts below the roots, and makes them exact; the roots become what is uncut then. False, on all ranks, if
@@ -93,6 +92,7 @@ class FirstPartition {
       Box sampled;
       for (std::size_t k = 0; k < sample_.count(); ++k) sampled.extend(sample_.particles.view().point(k), axes());
       const auto slots = slots_beyond(particles_, sampled, kStridesMax * (stride_ + 64));
+      result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
       ++result_.reductions;
       guess = guess_cuts(sample_, &outermost, options_, {result_.tree, roots_, boxes_}, axis_open);
@@ -106,6 +106,12 @@ class FirstPartition {
     const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
     const OwnInterior own = classify_guessed(particles_, *guess, roots_, result_.part.span(),
                                              most_of(std::max<std::uint64_t>(particles_.count, mean)));
+    // Positions, and the parts written, and read where there are some already; then the copies of boundary particles.
+    const std::size_t point = at(axes()) * sizeof(double);
+    result_.traffic.reads += particles_.count;
+    result_.traffic.bytes +=
+        particles_.count * (point + (roots_[0].parts() == options_.parts ? 1 : 2) * sizeof(std::int32_t)) +
+        own.slot.size() * 2 * (point + sizeof(particles::Id));
     LoadSummary loads = loads_of(own);
     const auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
                                        std::move(loads.loads), most_of(n_), result_.searched);
@@ -194,6 +200,7 @@ class FirstPartition {
     result_.tree = std::move(found.tree);
     result_.rounds += found.rounds;
     result_.reductions += found.reductions;
+    result_.traffic += found.traffic;
   }
 
   int axes() const { return particles_.dims; }
@@ -216,17 +223,17 @@ class FirstPartition {
 }  // namespace
 
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options, std::uint64_t& reductions) {
-  reductions = 0;
+                                                    const PartitionOptions& options, PartitionResult& in_vain) {
   const GuessLimits& limits = options.limits.guess;
   if (options.parts < limits.parts_min || options.parts > limits.parts_max) return std::nullopt;
   // With hysteresis the previous tree influences the axes, and within a tolerance cuts depend on where a search begins.
   if (options.cut_tolerance > 0 || (options.previous != nullptr && options.axis_hysteresis > 1)) return std::nullopt;
   FirstPartition first(comm, particles, options);
   const bool found = first.run();
-  reductions = first.reductions();
-  if (!found) return std::nullopt;
-  return first.take();
+  PartitionResult result = first.take();
+  if (found) return result;
+  in_vain = std::move(result);
+  return std::nullopt;
 }
 
 }  // namespace rcb::partition

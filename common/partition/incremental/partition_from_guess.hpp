@@ -14,8 +14,8 @@
 namespace rcb::partition {
 
 // nullopt, on all ranks, if options.limits or the sample rule out a guess. `options` must be valid. Collective.
-//   reductions  becomes the number of collectives used, whether a partition came of it or not
+//   in_vain  if nothing came of it: `reductions` and `traffic` of what was tried
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options, std::uint64_t& reductions);
+                                                    const PartitionOptions& options, PartitionResult& in_vain);
 
 }  // namespace rcb::partition

@@ -87,8 +87,10 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     for (std::size_t p = c * at(options_.parts) + 1; p < (c + 1) * at(options_.parts); ++p)
       ends_[p] = std::max(ends_[p], ends_[p - 1]);
   points_.write_parts(ends_, options_.parts, start_ == nullptr ? result_.part.span() : start_->part);
+  result_.traffic.bytes += points_.size() * (sizeof(QuantisedPoint) + sizeof(std::int32_t));
   result_.rounds = selector.rounds();
   result_.reductions += selector.reductions();
+  result_.traffic.bytes += selector.bytes_moved();
   return std::move(result_);
 }
 
@@ -138,7 +140,8 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     const QBounds& bounds = level_[nodes[n]].bounds;
     std::uint64_t* const own = &least[n * words];
-    for (const Span& span : std::span(spans_).subspan(nodes[n] * chunks, chunks))
+    for (const Span& span : std::span(spans_).subspan(nodes[n] * chunks, chunks)) {
+      result_.traffic.bytes += span.all().size() * sizeof(QuantisedPoint);
       for (const QuantisedPoint& point : span.all())
         for (std::size_t a = 0; a < at(axes_); ++a) {
           if (point.q[a] != bounds.lo[a] && point.q[a] != bounds.hi[a]) continue;
@@ -146,6 +149,7 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
           own[2 * a] = std::min(own[2 * a], order_bits);
           own[2 * a + 1] = std::min(own[2 * a + 1], ~order_bits);
         }
+    }
   }
   result_.reductions += all_min_in_messages(comm_, least);
   std::vector<Point> extents(nodes.size());
@@ -323,6 +327,7 @@ void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) 
     QuantisedPoint* const last = right ? span.last : span.middle;
     next_spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
     widen(next_.back().bounds, {first, last});
+    result_.traffic.bytes += static_cast<std::size_t>(last - first) * sizeof(QuantisedPoint);
   }
 }
 

@@ -45,6 +45,7 @@ std::vector<std::uint64_t> TreeBuilder::find_roots() {
   root_of_ = roots_of_parts(start_->roots, options_.parts);
   std::vector<std::uint64_t> counts(at(options_.parts), 0);
   for (const std::int32_t part : start_->part) ++counts[at(part)];
+  result_.traffic.bytes += start_->part.size_bytes();
   std::vector<std::uint64_t> of_roots;
   for (const NodeRange& root : start_->roots)
     of_roots.push_back(std::accumulate(counts.begin() + root.first, counts.begin() + root.last, std::uint64_t{0}));
@@ -62,8 +63,10 @@ bool TreeBuilder::find_bounds() {
     return !all.empty(axes_);
   }
   std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
+  if (axes_ > 0) result_.traffic.reads += particles_.count;
   for (std::size_t a = 0; a < at(axes_) && particles_.count > 0; ++a) {
     const double* const x = particles_.position[a];
+    result_.traffic.bytes += particles_.count * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
     double lo = all_particles_ ? x[0] : geometry::Box::kInfinity;
     double hi = all_particles_ ? x[0] : -geometry::Box::kInfinity;
     if (all_particles_) least_and_most({x, particles_.count}, lo, hi);
@@ -133,6 +136,7 @@ void TreeBuilder::measure_all() {
 
 void TreeBuilder::weigh_roots() {
   std::vector<u128> weights(level_.size(), 0);
+  result_.traffic.bytes += particles_.count * sizeof(double);
   for (std::size_t i = 0; i < particles_.count; ++i)
     if (const std::int32_t root = roots_.of(i); root != Roots::kNone)
       weights[at(root)] += (*scale_)(particles_.weight[i]);
@@ -195,6 +199,10 @@ void TreeBuilder::quantise() {
                     std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.even(); });
   const std::array<int, geometry::kDimsMax> zeros =
       points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell, roots_);
+  if (axes_ > 0) result_.traffic.reads += particles_.count;
+  result_.traffic.bytes +=
+      particles_.count * (q_axes_ * sizeof(double) + (roots_.one() ? 0 : 2 * sizeof(std::int32_t))) +
+      points_.size() * sizeof(QuantisedPoint);
   if (!tell) return;
   // 1 + the trailing zeros; 0 if the axis is not lossless.
   for (std::size_t a = 0; a < lossless_.size(); ++a)
@@ -212,6 +220,7 @@ void TreeBuilder::lay_out_roots() {
   ends_.resize(chunks * at(options_.parts));
   if (knows_bounds()) return;
   for (std::size_t n = 0; n < spans_.size(); ++n) widen(level_[n / chunks].bounds, spans_[n].all());
+  result_.traffic.bytes += points_.size() * sizeof(QuantisedPoint);
   reduce_bounds(level_);
 }
 

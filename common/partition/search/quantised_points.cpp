@@ -261,6 +261,12 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
   return zeros;
 }
 
+std::size_t QuantisedPoints::size() const {
+  std::size_t size = 0;
+  for (const Chunk& chunk : chunks_) size += chunk.ends.back();
+  return size;
+}
+
 std::vector<Span> QuantisedPoints::spans() {
   std::vector<Span> spans;
   for (std::size_t r = 0; r < chunks_[0].ends.size(); ++r)

@@ -136,6 +136,7 @@ class QuantisedPoints {
                                             std::size_t chunk_max, bool check_lossless, const Roots& roots);
 
   std::size_t chunks() const { return chunks_.size(); }
+  std::size_t size() const;
   // [root * chunks + chunk]: the quantised points of each root.
   std::vector<Span> spans();
   // Sets part[i] for each quantised point of particle i. ends[chunk * parts + p]: where those of part p end.

@@ -57,6 +57,17 @@ struct PartitionOptions {
   SearchLimits limits;
 };
 
+// What passes over memory cost. The few particles that are sampled or gathered aren't counted.
+struct Traffic {
+  std::uint64_t reads = 0;  // positions of particles
+  std::uint64_t bytes = 0;  // of positions, quantised points and parts, read and written
+
+  void operator+=(const Traffic& other) {
+    reads += other.reads;
+    bytes += other.bytes;
+  }
+};
+
 struct PartitionResult {
   CutTree tree;
   Buffer<std::int32_t> part;          // [local count], the part of each local particle
@@ -64,6 +75,7 @@ struct PartitionResult {
   std::uint64_t searched = 0;         // particles that were searched, all ranks
   std::uint64_t rounds = 0;           // search rounds (a round: one histogram reduction for a group of nodes)
   std::uint64_t reductions = 0;       // collectives used
+  Traffic traffic;                    // of this rank
 };
 
 }  // namespace rcb::partition

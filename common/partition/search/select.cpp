@@ -120,6 +120,10 @@ void Selector::sum_message() {
   ++reductions_;
 }
 
+void Selector::note_pass(std::size_t node, std::size_t bytes) {
+  for (const Span& span : spans_of(node)) bytes_moved_ += bytes * span.open().size();
+}
+
 Selector::BinSum Selector::cell(std::size_t at, std::size_t bin) const {
   if (!weighted()) {
     const auto bits = static_cast<unsigned>(64 / per_word_);
@@ -190,6 +194,7 @@ void Selector::count_round() {
 void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
   const std::int32_t lo = states_[node].lo;
   const std::size_t axis = axis_of(node);
+  note_pass(node, sizeof(QuantisedPoint) + (weighted() ? sizeof(double) : 0));
   if (weighted()) {
     for (const Span& span : spans_of(node))
       for (const QuantisedPoint& point : span.open()) {
@@ -246,6 +251,7 @@ bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, cons
   ask.key = {};
   const Key key = key_between(maps_[axis_of(node)].first_value(q), static_cast<int>(axes_));
   for (std::size_t w = 0; w < axes_; ++w) ask.key[w] = geometry::order_bits(key.at[w]);
+  note_pass(node, 2 * sizeof(QuantisedPoint));
   for (Span& span : spans_of(node)) span.middle = span.upper = split(span.open(), axis_of(node), q);
   states_[node].phase = Phase::done;
   return true;
@@ -254,16 +260,21 @@ bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, cons
 void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few) {
   State& state = states_[node];
   const std::size_t axis = axis_of(node);
+  if (lo > state.lo) {
+    note_pass(node, 2 * sizeof(QuantisedPoint));
+    for (Span& span : spans_of(node)) span.middle = split(span.open(), axis, lo);
+  }
+  if (hi < state.hi) note_pass(node, (few ? 1 : 2) * sizeof(QuantisedPoint));
   for (Span& span : spans_of(node)) {
-    if (lo > state.lo) span.middle = split(span.open(), axis, lo);
     if (hi < state.hi) span.upper = few ? split_few(span.open(), axis, hi) : split(span.open(), axis, hi + 1);
   }
   state.lo = lo;
   state.hi = hi;
 }
 
-void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) const {
+void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) {
   const std::size_t from = states_[node].word;
+  note_pass(node, 2 * sizeof(QuantisedPoint) + (words_ - from) * sizeof(double));
   const auto look = [bounds](std::size_t word, std::uint64_t own) {
     bounds[2 * word] = std::min(bounds[2 * word], own);
     bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
@@ -392,6 +403,7 @@ void Selector::write_words(std::size_t node) {
   const std::size_t axis = axis_of(node);
   const unsigned zeros = zeros_of(node, state.word);
   const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
+  note_pass(node, 2 * sizeof(QuantisedPoint) + (lossless(node, state.word) ? 0 : sizeof(double)));
   for (Span& span : spans_of(node)) {
     if (!state.tie_break) {
       span.tie_break = span.middle;
@@ -415,13 +427,16 @@ void Selector::restore(std::size_t node) {
   const State& state = states_[node];
   if (!state.tie_break) return;
   const std::size_t axis = axis_of(node);
-  for (Span& span : spans_of(node))
+  for (Span& span : spans_of(node)) {
+    bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
+                    static_cast<std::size_t>(span.tie_break_last - span.tie_break);
     for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
       const std::size_t particle = span.base + point.index;
       point.q[axis] = state.uniform ? state.uniform_value
                       : axes_ == 0  ? maps_[0](particles_.id[particle])
                                     : maps_[axis](particles_.position[axis][particle]);
     }
+  }
 }
 
 // The right side has the quantised points whose key isn't less than the cut's.

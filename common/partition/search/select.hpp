@@ -94,6 +94,7 @@ class Selector {
 
   std::uint64_t rounds() const { return rounds_; }
   std::uint64_t reductions() const { return reductions_; }
+  std::uint64_t bytes_moved() const { return bytes_moved_; }  // by this rank's passes
 
  private:
   enum class Phase : std::uint8_t { done, count, next_word, gather, neighbour };
@@ -148,7 +149,7 @@ class Selector {
   void next_word();
   // For each key word from the node's current one on: the least value among the open quantised points, and the
   // complement of the greatest. Local.
-  void measure_words(std::size_t node, std::span<std::uint64_t> bounds) const;
+  void measure_words(std::size_t node, std::span<std::uint64_t> bounds);
   // The values of a key word on a lossless axis: `count` of them from `first` on, in units of 2^zeros of the integers.
   struct WordValues {
     std::size_t axis;
@@ -178,6 +179,8 @@ class Selector {
   // Divides the open quantised points by the key found. Where it may lie outside of the bracket, all must be open
   // again.
   void divide(std::size_t node);
+  // Notes a pass over the open quantised points that reads and writes so many bytes of each.
+  void note_pass(std::size_t node, std::size_t bytes);
 
   bool weighted() const { return scale_ != nullptr; }
   std::size_t axis_of(std::size_t node) const {
@@ -216,6 +219,7 @@ class Selector {
 
   std::uint64_t rounds_ = 0;
   std::uint64_t reductions_ = 0;
+  std::uint64_t bytes_moved_ = 0;
 };
 
 }  // namespace rcb::partition

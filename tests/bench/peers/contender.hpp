@@ -17,6 +17,7 @@
 #include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
 #include "common/particles/particle_set.hpp"
+#include "common/partition/search/request.hpp"
 
 namespace rcb::bench {
 
@@ -24,8 +25,8 @@ inline constexpr const char* kPartition = "partition";
 inline constexpr const char* kPartitionMigrate = "partition+migrate";
 
 struct Setting {
-  std::string tool;    // rcbd, Zoltan, Zoltan2
-  std::string method;  // rcb, bands-x ...; RCB, RIB, HSFC, MJ
+  std::string tool;    // rcbd, Zoltan, Zoltan2; floor
+  std::string method;  // rcb, bands-x ...; RCB, RIB, HSFC, MJ; read
   std::string work;
   double cut_tolerance = 0;  // 0: exact, or as near as the tool comes
 };
@@ -44,6 +45,7 @@ struct Answer {
   std::optional<std::uint64_t> hash;
   std::optional<std::uint64_t> rounds;
   std::optional<std::uint64_t> reductions;
+  std::optional<partition::Traffic> traffic;  // of this rank
 };
 
 class Contender {
@@ -70,6 +72,10 @@ class Contender {
   Setting setting_;
 };
 
+// The floor: every rank reads each of its coordinates once, and no part comes of it.
+inline constexpr const char* kFloor = "floor";
+inline constexpr const char* kRead = "read";
+
 using Contenders = std::vector<std::unique_ptr<Contender>>;
 
 // Those of the methods asked for (by `method` names) that each tool has; tolerances: the cut tolerances to run, 0
@@ -84,6 +90,7 @@ struct Wish {
 };
 
 void add_rcbd(comm::Comm& comm, const Wish& wish, Contenders& out);
+void add_floor(const Wish& wish, Contenders& out);
 #ifdef RCB_BENCH_ZOLTAN
 void add_zoltan(const Wish& wish, Contenders& out);
 #endif

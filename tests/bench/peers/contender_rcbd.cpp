@@ -59,6 +59,7 @@ class RcbdContender final : public Contender {
     answer.hash = result_.tree.hash();
     answer.rounds = result_.rounds;
     answer.reductions = result_.reductions;
+    answer.traffic = result_.traffic;
     return answer;
   }
 
