@@ -26,12 +26,14 @@ api::Slice shared_slice(const net::DataPort& data, const wire::Json& push) {
   return slice;
 }
 
-// A member's: it says how many of its rows are on each rank.
-api::Slice shared_slice_of_member(const net::DataPort& data, const wire::Json& contribution) {
-  api::Slice slice = shared_slice(data, contribution);
+// The same in order "plan": the push says how many of its rows are on each rank.
+api::Slice shared_slice_by_slot(const net::DataPort& data, const wire::Json& push) {
+  api::Slice slice = shared_slice(data, push);
+  const auto counts = push.find("counts");
+  if (counts == push.end() || !counts->is_array()) return slice;  // of a step that is committed already
   for (int rank = 0; rank <= data.rank(); ++rank) {
     slice.first_row += slice.count;
-    slice.count = contribution.at("counts").at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
+    slice.count = counts->at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
   }
   return slice;
 }
@@ -40,7 +42,7 @@ api::Slice shared_slice_of_member(const net::DataPort& data, const wire::Json& c
 
 std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request) {
   if (request.value("command", "") == "push" && request.value("path", wire::Json()) == "shared")
-    return {shared_slice(data, request)};
+    return {request.value("order", "") == "plan" ? shared_slice_by_slot(data, request) : shared_slice(data, request)};
   const auto staged = request.find("staged");
   if (staged == request.end()) return {};
   if (!staged->is_array()) return data.take(staged->get<std::uint64_t>());
@@ -49,7 +51,7 @@ std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& req
     const wire::Json& one = (*staged)[member];
     std::vector<api::Slice> of_member;
     if (one.is_object())
-      of_member.push_back(shared_slice_of_member(data, one));
+      of_member.push_back(shared_slice_by_slot(data, one));
     else
       of_member = data.take(one.get<std::uint64_t>());
     for (api::Slice& slice : of_member) {

@@ -227,8 +227,9 @@ Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vec
   const Path path = session().path();
   if ((path == Path::automatic || path == Path::shared) && !share_unsupported && begin.at("moved") == "all" &&
       positions.count > 0 && session().can_share(retry.deadline())) {
+    const RankRows lists(rows.begin(), rows.end());
     auto memory =
-        arrays.describe(session(), {.positions = positions, .weights = with.weights, .rows = rows}, retry.deadline());
+        arrays.describe(session(), {.positions = positions, .weights = with.weights, .rows = lists}, retry.deadline());
     if (memory) {
       begin["path"] = "shared";
       begin["memory"] = std::move(*memory);

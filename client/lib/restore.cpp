@@ -118,8 +118,8 @@ Status Scene::State::restore(const StepRequest& whole, const Retry& retry) {
   const std::int64_t step = *last_step_;
   const auto known = known_;
   const bool told = told_;
-  shared_ = by_shared_memory(ask, retry);
-  if (Status status = ready(count_, ask.options.ids, retry, !shared_); !status) return status;
+  by_id_ = shared_ = by_shared_memory(ask, retry);
+  if (Status status = ready(count_, ask.options.ids, retry, !by_id_); !status) return status;
   const auto answer = push(ask, step, std::nullopt, retry);
   if (!answer) return answer.status();
   const auto finished = finish(*answer, step, ask, true, retry);

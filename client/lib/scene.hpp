@@ -106,6 +106,8 @@ struct Scene::State {
   Result<Frame> push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
   // Whether the step can be pushed from shared memory, and is to be.
   bool by_shared_memory(const StepRequest& ask, const Retry& retry);
+  // Whether row k is the particle with the id k, as the ranks take it at a first push, and later if nothing is said.
+  bool rows_are_ids(const StepRequest& ask) const;
   Result<Frame> push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
                             const Deadline& deadline);
   Result<Frame> send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const StepRequest& ask,
@@ -137,6 +139,7 @@ struct Scene::State {
   std::shared_ptr<Client::State> client_;
   SharedArrays arrays_;
   bool shared_ = false;              // the current attempt takes them
+  bool by_id_ = false;               // and the ranks find the rows by the particles' ids
   bool shared_unsupported_ = false;  // the service doesn't take this scene's positions so
   std::string name_;
   KnownScene scene_;

@@ -93,7 +93,7 @@ Status SharedArrays::share(Block& block, Session& session, const Deadline& deadl
 }
 
 void SharedArrays::unshare(Session& session, const Deadline& deadline) {
-  for (const Block* block : {&given_, &copies_}) {
+  for (const Block* block : {&given_, &copies_, &lists_}) {
     if (block->shared_on != 0 && block->shared_on == session.data_generation())
       session.unshare(block->number, deadline);
     if (block->replaces != 0) session.unshare(block->replaces, deadline);
@@ -147,6 +147,19 @@ bool SharedArrays::gave(const Positions& positions) const {
   return true;
 }
 
+Status SharedArrays::list_rows(const Values& values, std::size_t count, Session& session, const Deadline& deadline) {
+  if (8 * count > lists_.memory.size()) listed_.reset();
+  if (Status status = make_room(lists_, 8 * count); !status) return status;
+  std::byte* to = lists_.memory.writable().data();
+  if (!values.layout || values.layout != listed_)
+    for (const auto& of_rank : values.rows) {
+      if (!of_rank.empty()) std::memcpy(to, of_rank.data(), of_rank.size_bytes());
+      to += of_rank.size_bytes();
+    }
+  listed_ = values.layout;
+  return share(lists_, session, deadline);
+}
+
 Result<wire::Json> SharedArrays::describe(Session& session, const Values& values, const Deadline& deadline) {
   const Positions& positions = values.positions;
   const auto dims = static_cast<std::size_t>(positions.dims);
@@ -154,8 +167,10 @@ Result<wire::Json> SharedArrays::describe(Session& session, const Values& values
   std::size_t listed = 0;
   for (const auto& of_rank : values.rows) listed += of_rank.size();
   const std::size_t copied =
-      (in_place ? 0 : dims * axis_bytes(positions)) + 8 * (values.weights.size() + values.ids.size() + listed);
+      (in_place ? 0 : dims * axis_bytes(positions)) + 8 * (values.weights.size() + values.ids.size());
   if (Status status = make_room(copies_, copied); !status) return status;
+  if (listed > 0)
+    if (Status status = list_rows(values, listed, session, deadline); !status) return status;
   if (in_place)
     if (Status status = share(given_, session, deadline); !status) return status;
   if (copied > 0)
@@ -188,10 +203,7 @@ Result<wire::Json> SharedArrays::describe(Session& session, const Values& values
     add(copies_, "id", {to, 8});
     copy(values.ids);
   }
-  if (!values.rows.empty()) {
-    add(copies_, "row", {to, 8});
-    for (const auto& of_rank : values.rows) copy(of_rank);
-  }
+  if (listed > 0) add(lists_, "row", {lists_.memory.bytes().data(), 8});
   return arrays;
 }
 

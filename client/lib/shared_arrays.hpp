@@ -38,13 +38,16 @@ class SharedArrays {
     const Positions& positions;
     std::span<const double> weights = {};
     std::span<const std::int64_t> ids = {};
-    std::span<const std::vector<std::uint64_t>> rows = {};  // a member's, by rank, in the order of its slots
+    // By rank, in the order of its slots: where the ranks don't find the particles by their ids.
+    std::span<const std::span<const std::uint64_t>> rows = {};
+    // The number and version of the layout that they are: for the same ones as last time, nothing is copied.
+    std::optional<std::pair<std::uint64_t, std::uint64_t>> layout = {};
   };
   // The field "memory" of such a push. Copies what isn't in the arrays given out, and shares memory with the ranks
   // where that wasn't done on these connections. Errors: of Session::share, io_error.
   Result<wire::Json> describe(Session& session, const Values& values, const Deadline& deadline);
   // The next push shares its memory anew.
-  void share_again() { given_.anew = copies_.anew = true; }
+  void share_again() { given_.anew = copies_.anew = lists_.anew = true; }
   // The ranks are to forget the memory.
   void unshare(Session& session, const Deadline& deadline);
 
@@ -71,6 +74,8 @@ class SharedArrays {
   // What the block held is lost if it has to grow.
   static Status make_room(Block& block, std::size_t bytes);
   static Status share(Block& block, Session& session, const Deadline& deadline);
+  // Puts the rows into lists_, unless they are there.
+  Status list_rows(const Values& values, std::size_t count, Session& session, const Deadline& deadline);
 
   Block given_;              // to the solver
   Buffer<std::byte> plain_;  // instead, where memory can't be shared
@@ -78,6 +83,8 @@ class SharedArrays {
   std::size_t capacity_ = 0;  // positions in given_
   std::size_t point_bytes_ = 0;
   Block copies_;
+  Block lists_;                                                    // of rows
+  std::optional<std::pair<std::uint64_t, std::uint64_t>> listed_;  // the layout of lists_
 };
 
 }  // namespace rcb::client

@@ -166,11 +166,14 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
 
 bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) {
   const Path path = session().path();
-  const bool may = (path == Path::automatic || path == Path::shared) && ask.moved == StepRequest::Moved::all &&
-                   ask.positions.count > 0 && !ask.positions.in_plan_order() && !(pushed_ && has_ids_) &&
-                   !shared_unsupported_ && session().can_share(retry.deadline());
-  if (!may || !pushed_) return may;
-  // After the first push the ranks take the row k as the particle k.
+  return (path == Path::automatic || path == Path::shared) && ask.moved == StepRequest::Moved::all &&
+         ask.positions.count > 0 && !ask.positions.in_plan_order() && !shared_unsupported_ &&
+         session().can_share(retry.deadline());
+}
+
+bool Scene::State::rows_are_ids(const StepRequest& ask) const {
+  if (!pushed_) return true;
+  if (has_ids_) return false;
   std::int64_t row = 0;
   const auto ids = ids_by_row(ask.options.ids);
   return std::all_of(ids.begin(), ids.end(), [&row](std::int64_t id) { return id == row++; });
@@ -178,17 +181,22 @@ bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) 
 
 Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
                                         const Deadline& deadline) {
-  auto memory = arrays_.describe(session(),
-                                 {.positions = ask.positions,
-                                  .weights = ask.options.weights,
-                                  .ids = pushed_ ? std::span<const std::int64_t>() : ask.options.ids},
-                                 deadline);
+  SharedArrays::Values values{.positions = ask.positions, .weights = ask.options.weights};
+  if (!pushed_) values.ids = ask.options.ids;
+  RankRows rows;
+  if (!by_id_) {
+    rows = all_rows(*plan_);
+    values.rows = rows;
+    values.layout = {plan_->number(), plan_->version()};
+    for (const auto& of_rank : rows) begin["counts"].push_back(of_rank.size());
+  }
+  auto memory = arrays_.describe(session(), values, deadline);
   if (!memory) return memory.status();
   const std::uint64_t request = session().next_request();
   const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
   begin["command"] = "push.begin";
   begin["path"] = "shared";
-  begin["order"] = "id";
+  begin["order"] = by_id_ ? "id" : "plan";
   begin["memory"] = std::move(*memory);
   begin["slices"] = edits.count;
   return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, deadline);
@@ -321,10 +329,12 @@ Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t s
   } else if (in_lost_order(ask)) {  // an earlier attempt has restored the particles
     sent = by_rows(ask, rows);
   }
-  // From shared memory the ranks take the particles by id. So the layout is of use only to tell which parts changed.
+  // From shared memory the ranks take the particles by id, where rows are ids. Then the layout is of use only to tell
+  // which parts changed.
   shared_ = by_shared_memory(sent, retry);
+  by_id_ = shared_ && rows_are_ids(sent);
   const bool asked = sent.options.want_parts || sent.options.want_changes;
-  const bool with_plan = (!shared_ && sent.moved != StepRequest::Moved::none) || asked || sent.edits();
+  const bool with_plan = (!by_id_ && sent.moved != StepRequest::Moved::none) || asked || sent.edits();
   if (shared_ && !with_plan) plan_.reset();
   const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
   if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;

@@ -1,6 +1,7 @@
 // The layout of all ranks, in plain arrays by row, so that the cost of a step is in proportion to what changes.
 #include "common/layout/layout.hpp"
 
+#include <atomic>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -17,6 +18,8 @@ Status broken(std::string what) {
 }  // namespace
 
 Layout::Layout(std::uint64_t count, int ranks, std::span<const Id> ids) : count_(count) {
+  static std::atomic<std::uint64_t> made{0};
+  number_ = ++made;
   CHECK(ranks >= 1, "a plan needs a rank");
   CHECK(ids.empty() || ids.size() == count, "one id a row");
   rows_.resize(static_cast<std::size_t>(ranks));

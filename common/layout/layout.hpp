@@ -80,6 +80,9 @@ class Layout {
   std::uint64_t count() const { return count_; }
   std::uint64_t version() const { return version_; }
   std::uint64_t checksum() const { return checksum_; }
+  // Another one for each layout that blocks() or full() has made in this process: with version() it tells whether rows()
+  // are still the same.
+  std::uint64_t number() const { return number_; }
   // The rows (of the solver's arrays) that rank r holds, in slot order.
   std::span<const std::uint64_t> rows(int rank) const { return rows_[static_cast<std::size_t>(rank)]; }
   int rank_of_row(std::uint64_t row) const { return rank_of_row_[row]; }
@@ -124,6 +127,7 @@ class Layout {
   std::uint64_t count_ = 0;
   std::uint64_t version_ = 0;
   std::uint64_t checksum_ = 0;
+  std::uint64_t number_ = 0;
   std::vector<Id> ids_;                    // by row; empty: id = row
   std::vector<std::uint64_t> rows_by_id_;  // ascending id; empty: rows are in that order; unused with index_
   std::optional<boost::unordered_flat_map<Id, std::uint64_t>> index_;  // row by id, from the first edit on

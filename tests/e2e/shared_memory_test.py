@@ -142,6 +142,56 @@ class SharedMemory(Refusals, ServiceTest):
             self.assertEqual(client.step("edited", 2, rows)[0]["report"]["n"], n + 7)
             client.push("edited-by-id", 0, rows)
 
+    def test_rows_of_own_ids_are_listed_by_slot(self):
+        points, n = self.walk[0], len(self.walk[0])
+        ids = np.random.default_rng(2).permutation(n) * 7 + 1  # by row
+        with SharedClient(self.path) as client:
+            client.ask("scene.create", scene="listed", parts=5)
+            columns = client.positions(n, 5)  # of each row x, y, z, its id, and an entry of the list of rows
+            columns[:, :3] = points
+            columns[:, 3].view("<i8")[:] = ids
+            axes = [{"name": name, "offset": 8 * k, "stride": 40} for k, name in enumerate(("x", "y", "z"))]
+            client.step("listed", 0, columns[:, :3], [*axes, {"name": "id", "offset": 24, "stride": 40}], ids=True)
+            listed = [*axes, {"name": "row", "offset": 32, "stride": 40}]
+
+            def plan():
+                answer, bulk = client.ask("plan", scene="listed")
+                row_of = {i: row for row, i in enumerate(ids.tolist())}
+                columns[:, 4].view("<i8")[:] = [row_of[i] for i in arrays_of(answer, bulk)["id"].tolist()]
+                return {"order": "plan", "plan": answer["plan"], "counts": answer["counts"]}
+
+            by_slot = plan()
+            for step in range(1, 5):
+                columns[:, :3] = self.walk[step]
+                answer = client.step("listed", step, columns[:, :3], listed, **by_slot)[0]
+                self.assertEqual(answer["report"]["way"], "shared-memory")
+                held = arrays_of(*client.ask("fetch", scene="listed"))
+                np.testing.assert_array_equal(np.stack([held[a] for a in "xyz"], 1), self.walk[step][np.argsort(ids)])
+                if answer["plan"] != by_slot["plan"]:
+                    self.refused("stale_plan", client.step, "listed", 9, columns[:, :3], listed, **by_slot)
+                by_slot = plan()
+            step = client.ask("scene.show", scene="listed")[0]["step"]
+            again = client.step("listed", step, columns[:, :3], axes, order="plan", plan=by_slot["plan"])[0]
+            self.assertTrue(again["repeated"])
+            before = client.ask("scene.show", scene="listed")[0]
+            counts = by_slot["counts"]
+            wrong = (("invalid_argument", {"counts": counts[1:]}), ("invalid_argument", {"counts": []}),
+                     ("stale_plan", {"counts": [counts[0] - 1, counts[1] + 1, *counts[2:]]}),
+                     ("stale_plan", {"counts": [n] * len(counts)}),
+                     ("stale_plan", {"plan": {"version": 77, "checksum": "0" * 16}}))
+            for code, more in wrong:
+                self.refused(code, client.step, "listed", 9, columns[:, :3], listed, **(by_slot | more))
+            for offset in (33, 32 + 40 * 3, 2**60):
+                far = [*axes, {"name": "row", "offset": offset, "stride": 40}]
+                self.refused("invalid_argument", client.step, "listed", 9, columns[:, :3], far, **by_slot)
+            for row in (n, -1, 2**62):
+                right = columns[n // 2, 4]
+                columns[n // 2: n // 2 + 1, 4].view("<i8")[:] = row
+                self.assertIn("row", self.refused("invalid_argument", client.step, "listed", 9, columns[:, :3], listed, **by_slot))
+                columns[n // 2, 4] = right
+            self.assertEqual(client.ask("scene.show", scene="listed")[0], before)
+            client.step("listed", 9, columns[:, :3], listed, **by_slot)
+
     def test_memory_that_is_not_what_it_should_be(self):
         points, n = self.walk[0], len(self.walk[0])
         before = self.at_rest()

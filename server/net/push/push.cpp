@@ -75,19 +75,22 @@ Status check_base(const PushTerms& terms, const api::SceneSummary& scene) {
           "push all particles"};
 }
 
-// Checks what a push from shared memory names. A client's rows are its ids; a member says which row is in which slot.
+// Checks what a push from shared memory names. In order "id" rows are the ids; in order "plan" the push says which row
+// is in which slot, as a member always does.
 Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Pusher pusher) {
   const std::string hint = "push by the path \"direct\" or \"gateway\"";
-  const bool member = pusher == Pusher::member;
-  if (terms.moved != Moved::all || terms.by_id == member)
-    return {Code::unsupported,
-            fmt::format("{} pushes from shared memory all particles, in order \"{}\"", member ? "a member" : "a client",
-                        member ? "plan" : "id"),
-            hint};
-  if (scene.step && scene.ids && !member)
-    return {Code::unsupported, "the scene's ids aren't 0..n-1, so they name no rows of the memory", hint};
+  if (terms.moved != Moved::all) return {Code::unsupported, "from shared memory all particles are pushed", hint};
+  if (terms.by_id && pusher == Pusher::member)
+    return {Code::unsupported, "a member pushes from shared memory in order \"plan\"", hint};
+  if (!terms.by_id && !scene.step)
+    return {Code::unsupported, "a first push from shared memory is in order \"id\"", hint};
+  if (scene.step && scene.ids && terms.by_id)
+    return {Code::unsupported, "the scene's ids aren't 0..n-1, so they name no rows of the memory",
+            "push in order \"plan\", or by another path"};
+  if (!terms.by_id && terms.counts.size() != static_cast<std::size_t>(terms.ranks))
+    return {Code::invalid_argument, "field 'counts': the numbers of rows on each rank, where 'row' lists them"};
   auto expected = expected_arrays(terms, 0);
-  if (member) expected.emplace_back("row", "<u8");
+  if (!terms.by_id) expected.emplace_back("row", "<u8");
   bool match = terms.shared.size() == expected.size();
   for (std::size_t a = 0; match && a < expected.size(); ++a) {
     const api::SharedArray& array = terms.shared[a];

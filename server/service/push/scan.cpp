@@ -202,7 +202,8 @@ Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank,
   return scan;
 }
 
-Scan scan_shared(Scene& scene, const SharedSource& source, particles::ParticleSet& staged, int rank, int ranks) {
+Scan scan_shared(Scene& scene, const SharedSource& source, std::span<const particles::Id> rows,
+                 particles::ParticleSet& staged, int rank, int ranks) {
   constexpr std::size_t kBlocksAhead = 2;
   Scan scan;
   particles::ParticleView view = staged.view();
@@ -210,17 +211,16 @@ Scan scan_shared(Scene& scene, const SharedSource& source, particles::ParticleSe
   view.id = scene.particles.id.data();
   if (view.count == 0) return scan;
   refresh_regions(scene, rank, ranks);
-  const std::span<const particles::Id> ids = scene.particles.id.span();
   const auto dims = static_cast<std::size_t>(view.dims);
   const bool streams = view.count * dims * sizeof(double) >= kStreamedBytesMin;
   // A block is read, judged and then staged; it stays in the nearest cache meanwhile.
   std::array<std::array<double, kBlock>, 3> positions;
   Pass(scene, view, scan).run_blocks([&](std::size_t begin, std::size_t size) {
-    const std::size_t ahead = std::min(begin + kBlocksAhead * kBlock, ids.size());
-    source.prefetch(ids.subspan(ahead, std::min(kBlock, ids.size() - ahead)));
+    const std::size_t ahead = std::min(begin + kBlocksAhead * kBlock, rows.size());
+    source.prefetch(rows.subspan(ahead, std::min(kBlock, rows.size() - ahead)));
     std::array<const double*, 3> x{};
     for (std::size_t a = 0; a < dims; ++a) {
-      source.positions(a, ids.subspan(begin, size), positions[a].data());
+      source.positions(a, rows.subspan(begin, size), positions[a].data());
       (streams ? stream : copy)(staged.position[a].data() + begin, positions[a].data(), size);
       x[a] = positions[a].data();
     }

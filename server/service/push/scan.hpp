@@ -40,9 +40,11 @@ struct Scan {
 // Cost: one read of the positions; memory for the drift and under a byte a particle for the blocks' ranges.
 Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank, int ranks);
 
-// The same, reading the positions of this rank's particles from memory that a client shares, by id, into `staged`,
-// which has room for them. Their weights, if any, are there already. One pass over the positions. Local.
-Scan scan_shared(Scene& scene, const SharedSource& source, particles::ParticleSet& staged, int rank, int ranks);
+// The same, reading the positions of this rank's particles from memory that a client shares into `staged`, which has
+// room for them. Their weights, if any, are there already. One pass over the positions. Local.
+//   rows  in that memory, of the particles
+Scan scan_shared(Scene& scene, const SharedSource& source, std::span<const particles::Id> rows,
+                 particles::ParticleSet& staged, int rank, int ranks);
 
 // The same for some particles: view holds those of these ascending slots, with their ids. Local.
 Scan scan_subset(Scene& scene, const particles::ParticleView& view, std::span<const std::uint64_t> slots, int rank,

@@ -304,6 +304,11 @@ Status take_room(const comm::Comm& comm, Scene& scene, std::uint64_t mine, Stage
   return {};
 }
 
+// In the shared memory, of this rank's particles.
+std::span<const particles::Id> rows_of(const Scene& scene, const PushRequest& push, const Staged& staged) {
+  return push.by_id ? scene.particles.id.span() : staged.rows.span();
+}
+
 // Opens the shared memory, and reads from it what a later push's scan doesn't: weights, and at a first push everything.
 // The positions of a later push are read with the scan. Local.
 Status read_shared(const Context& context, Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
@@ -313,7 +318,18 @@ Status read_shared(const Context& context, Scene& scene, const PushRequest& push
   if (!source.ok()) return source.status();
   if (Status room = take_room(comm, scene, mine, staged); !room.ok()) return room;
   if (scene.pushed) {
-    if (push.weights) source->weights(scene.particles.id.span(), staged.arrays.weight.data());
+    const PushSlice& slice = context.slices.front();
+    if (!push.by_id && slice.count != mine)
+      return {Code::stale_plan,
+              fmt::format("{} rows are listed for rank {}, which holds {}", slice.count, comm.rank(), mine),
+              "fetch the plan and push again"};
+    if (!push.by_id && !staged.rows.try_reserve(mine))
+      return {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
+    if (!push.by_id) {
+      staged.rows.resize(mine);
+      if (Status listed = source->rows(staged.rows.data()); !listed.ok()) return listed;
+    }
+    if (push.weights) source->weights(rows_of(scene, push, staged), staged.arrays.weight.data());
     staged.source = std::move(*source);
     return {};
   }
@@ -329,16 +345,17 @@ Status read_shared(const Context& context, Scene& scene, const PushRequest& push
 }
 
 // A later push: one scan and one reduction. `ready`: a fault that only this rank knows of. Collective.
-Status check_later(Context& context, Scene& scene, Moved moved, const Status& ready, Staged& staged) {
+Status check_later(Context& context, Scene& scene, const PushRequest& push, const Status& ready, Staged& staged) {
   comm::Comm& comm = context.comm;
   particles::ParticleView view = staged.arrays.view();
-  const bool all = moved == Moved::all;
+  const bool all = push.moved == Moved::all;
   if (all) {
     view.count = scene.particles.count();
     view.id = scene.particles.id.data();
   }
   if (ready.ok() && staged.source)
-    staged.scan = scan_shared(scene, *std::exchange(staged.source, {}), staged.arrays, comm.rank(), comm.size());
+    staged.scan = scan_shared(scene, *std::exchange(staged.source, {}), rows_of(scene, push, staged), staged.arrays,
+                              comm.rank(), comm.size());
   else if (ready.ok())
     staged.scan = all ? scan_positions(scene, view, comm.rank(), comm.size())
                       : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());
@@ -429,7 +446,7 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   if (ready.ok() && arriving > 0 && push.moved == Moved::all && !reserve(staged.arrays, mine + arriving, false))
     ready = {Code::too_large, fmt::format("rank {} has no memory for {} more particles", comm.rank(), arriving)};
   const Status checked =
-      scene.pushed ? check_later(context, scene, push.moved, ready, staged) : check_first(comm, push, mine, staged);
+      scene.pushed ? check_later(context, scene, push, ready, staged) : check_first(comm, push, mine, staged);
   if (!checked.ok()) return checked;
   staged.seconds = context.received_seconds + context.clock.seconds() - start;
   return staged;

@@ -19,6 +19,7 @@ struct Staged {
   bool ids = false;                    // ids aren't 0..n-1
   particles::ParticleSet arrays;       // this rank's; ids only at a first push, weights only if sent
   std::optional<SharedSource> source;  // of positions that the scan is to read
+  Buffer<particles::Id> rows;          // in `source`, of this rank's particles; empty: their ids
   bool joined = false;                 // the positions were joined from members' slices, in memory of the scene's
   Subset subset;                       // Moved::some: the slots of `arrays`, which then have ids
   Edits edits;

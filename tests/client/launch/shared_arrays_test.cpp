@@ -1,5 +1,6 @@
 // Steps from memory that the client shares with the ranks of a real service.
 #include <algorithm>
+#include <map>
 #include <string>
 #include <thread>
 #include <vector>
@@ -146,13 +147,68 @@ TEST_F(SharedArraysTest, TheArraysGrowAndKeepWhatTheyHold) {
     ASSERT_TRUE(of.step(Positions::rows(rows->data(), count, 3)).ok());
     expect_positions(client, "grows", values);
   }
-  // Once ids are the solver's own, another way is taken by itself.
-  const std::int64_t first = 0;
-  auto done = of.step(Positions::rows(rows->data(), values.size() / 3, 3), {.removed = std::span(&first, 1)});
-  ASSERT_TRUE(done.ok()) << done.status().message();
-  done = of.step(Positions::rows(rows->data(), values.size() / 3 - 1, 3));
-  ASSERT_TRUE(done.ok()) << done.status().message();
-  EXPECT_NE(done->report.way, "shared-memory");
+}
+
+// Once ids are the solver's own, the ranks are told which row is whose.
+TEST_F(SharedArraysTest, RowsOfOwnIdsThatComeAndGo) {
+  Client client = connect();
+  Random random(11);
+  for (const bool weighted : {false, true}) {
+    Scene of = scene(client, "own");
+    std::vector<std::int64_t> ids;
+    for (std::size_t row = 0; row < kCount; ++row)
+      ids.push_back(static_cast<std::int64_t>((row * 7919) % kCount) * 5 + 2);
+    auto values = random_rows(kCount, 3);
+    std::vector<double> weights(weighted ? kCount : 0, 1.5);
+    ASSERT_TRUE(of.step(Positions::rows(values.data(), kCount, 3), {.ids = ids, .weights = weights}).ok());
+    for (int step = 1; step < 12; ++step) {
+      for (double& value : values) value += random.uniform(-0.02, 0.02);
+      for (double& weight : weights) weight = 1 + static_cast<double>(random.below(3));
+      std::vector<std::int64_t> removed;
+      if (step % 2 == 0)
+        for (const std::int64_t id : ids)
+          if (random.below(30) == 0) removed.push_back(id);
+      const auto more = random_rows(step % 3 == 0 ? 20 : 0, static_cast<std::uint64_t>(step));
+      const std::vector<double> more_weights(weighted ? more.size() / 3 : 0, 2.0);
+      const Insertion in{
+          .positions = Positions::rows(more.data(), more.size() / 3, 3), .ids = {}, .weights = more_weights};
+      StepOptions options{.weights = weights, .removed = removed, .inserted = more.empty() ? nullptr : &in};
+      options.want_parts = step % 4 == 1;
+      const auto done = of.step(Positions::rows(values.data(), ids.size(), 3), options);
+      ASSERT_TRUE(done.ok()) << done.status().message();
+      EXPECT_EQ(done->report.way, "shared-memory");
+      // The solver moves its rows as it is told.
+      const auto old = values;
+      const auto old_ids = ids;
+      const auto old_weights = weights;
+      const std::size_t count = ids.size() - removed.size() + more.size() / 3;
+      values.resize(3 * std::max(count, ids.size()));
+      ids.resize(std::max(count, ids.size()));
+      weights.resize(weighted ? ids.size() : 0);
+      for (const RowMove& move : done->row_moves) {
+        for (std::size_t a = 0; a < 3; ++a)
+          values[3 * move.to + a] = move.inserted ? more[3 * move.from + a] : old[3 * move.from + a];
+        ids[move.to] = move.inserted ? done->inserted_ids[move.from] : old_ids[move.from];
+        if (weighted) weights[move.to] = move.inserted ? more_weights[move.from] : old_weights[move.from];
+      }
+      values.resize(3 * count);
+      ids.resize(count);
+      weights.resize(weighted ? count : 0);
+      const auto held = client.call("fetch", "{\"scene\":\"own\"}");
+      ASSERT_TRUE(held.ok()) << held.status().message();
+      std::map<std::int64_t, std::size_t> row_of;
+      for (std::size_t row = 0; row < count; ++row) row_of[ids[row]] = row;
+      const auto id = held->find("id")->i8();
+      ASSERT_EQ(id.size(), count);
+      for (std::size_t i = 0; i < count; ++i) {
+        ASSERT_TRUE(row_of.contains(id[i]));
+        EXPECT_EQ(held->find("y")->f8()[i], values[3 * row_of[id[i]] + 1]) << id[i] << ", step " << step;
+        if (weighted) {
+          EXPECT_EQ(held->find("w")->f8()[i], weights[row_of[id[i]]]);
+        }
+      }
+    }
+  }
 }
 
 TEST_F(SharedArraysTest, ThePathIsTheOneThatWasNamed) {
