@@ -54,6 +54,10 @@ Status up(const UpOptions& options, const Context& context) {
   if (!endpoint) return endpoint.status();
   service.endpoint = endpoint->text();
   service.hosts = options.hosts;
+  if (!service.hosts.several()) {
+    service.hosts = launch::hosts_of_job();
+    service.hosts.interface = options.hosts.interface;
+  }
   if (!service.hosts.file.empty()) service.hosts.file = std::filesystem::absolute(service.hosts.file).string();
   service.ranks = options.ranks > 0 ? options.ranks : launch::default_ranks();
   if (service.hosts.several()) {
@@ -112,8 +116,9 @@ Status down(double deadline, const Context& context) {
 
 void add_up_options(CLI::App& command, UpOptions& options) {
   add_value(command, "-n,--ranks", options.ranks, kind::rank_count(), "MPI ranks (default: one a core, at most 8)");
-  CLI::Option* list = add_value(command, "--hosts", options.hosts.list, kind::text("A:4,B:4"),
-                                "machines and the ranks on each, this one first (default: this one)");
+  CLI::Option* list = add_value(
+      command, "--hosts", options.hosts.list, kind::text("A:4,B:4"),
+      "machines and the ranks on each, this one first (default: those of the Slurm or PBS job, else this one)");
   add_value(command, "--hostfile", options.hosts.file, kind::text("FILE"), "machines, in a hostfile of Open MPI")
       ->excludes(list);
   add_value(command, "--interface", options.hosts.interface, kind::text("NAME"),

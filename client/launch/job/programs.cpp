@@ -76,12 +76,49 @@ Result<int> slots_in(const std::string& host, const std::string& mark) {
   return slots;
 }
 
+std::string variable(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? "" : value;
+}
+
+// Slurm's "4(x2),3", tasks on two machines and on a third: the number of machines and of tasks; {0, 0} if it is odd.
+std::pair<int, int> machines_and_tasks(const std::string& text) {
+  int machines = 0;
+  int tasks = 0;
+  std::istringstream parts(text);
+  for (std::string part; std::getline(parts, part, ',');) {
+    int each = 0;
+    int times = 1;
+    const char* const end = part.data() + part.size();
+    auto [at, fault] = std::from_chars(part.data(), end, each);
+    if (fault == std::errc() && std::string_view(at, end).starts_with("(x"))
+      at = std::from_chars(at + 2, end, times).ptr + 1;
+    if (fault != std::errc() || at != end || each < 1 || times < 1) return {0, 0};
+    machines += times;
+    tasks += each * times;
+  }
+  return {machines, tasks};
+}
+
 std::string path_variable() {
   const char* path = std::getenv("PATH");
   return path != nullptr ? path : "/usr/local/bin:/usr/bin:/bin";
 }
 
 }  // namespace
+
+Hosts hosts_of_job() {
+  if (!variable("SLURM_JOB_ID").empty()) {
+    const auto [machines, tasks] = machines_and_tasks(variable("SLURM_TASKS_PER_NODE"));
+    return {.allocated = machines > 1 ? tasks : 0};
+  }
+  const std::string file = variable("PBS_NODEFILE");
+  std::set<std::string> machines;
+  std::ifstream in(file);
+  for (std::string machine; !file.empty() && std::getline(in, machine);)
+    if (!machine.empty()) machines.insert(machine);
+  return {.file = machines.size() > 1 ? file : ""};
+}
 
 Result<int> Hosts::slots() const {
   // Open MPI takes nothing else; an address would be of one machine alone.
@@ -90,6 +127,7 @@ Result<int> Hosts::slots() const {
        !interface.empty()))
     return Status(Code::invalid_argument, fmt::format("'{}' is no interface and no IPv4 network", interface),
                   "for example eth0 or 10.0.0.0/8");
+  if (allocated > 0) return allocated;
   std::istringstream lines(list);
   std::ifstream in;
   if (!file.empty()) {
@@ -149,7 +187,9 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
   if (spec.hosts.several())
     add_hosts(spec.hosts, arguments);
   else
-    arguments.insert(arguments.end(), {"--mca", "btl", "vader,self"});
+    // A scheduler's job may have other machines, where mpirun would put ranks too.
+    arguments.insert(arguments.end(), {"--mca", "btl", "vader,self", "--mca", "ras", "^slurm,gridengine,tm", "--mca",
+                                       "plm", "^slurm,tm"});
   // The folder is on this machine alone.
   if (!spec.folder.empty() && !spec.hosts.several())
     arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.folder});
