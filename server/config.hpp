@@ -10,7 +10,7 @@ namespace rcb::server {
 struct Config {
   std::vector<std::string> listen;  // HOST:PORT
   std::string socket;               // if neither is given: the default socket
-  bool trusted_network = false;     // a TCP listener may be reached from other machines
+  bool trusted_network = false;     // nothing is encrypted between machines
   std::string interface;            // between ranks on different machines; empty: any that reaches rank 0
   std::string data_dir;             // empty: the endpoint's default
   // Folders below which clients may have the service read and write files.

@@ -134,8 +134,8 @@ void add_up_options(CLI::App& command, UpOptions& options) {
             "a folder below which commands may read and write files; may be given more than once (default: on a Unix "
             "socket the working directory, over TCP none)");
   command.add_flag("--trusted-network", options.trusted_network,
-                   "take an endpoint that other machines reach, although positions and commands travel unencrypted: "
-                   "anybody on the network can read and alter them");
+                   "don't encrypt what travels between machines: anybody on the network can read and alter positions "
+                   "and commands. Needed where ranks run on several machines, since MPI doesn't encrypt");
   add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 1, kKeepReportsMax),
             "step reports kept in memory, of all scenes together; older ones go to files (default: 100000)");
   add_value(command, "--log-level", options.log_level,

@@ -1,0 +1,81 @@
+// Stream: one side of a TLS 1.3 connection over a socket that doesn't block. It never waits: a call that can't go on
+// says what its caller must wait for, and is then made again with the same bytes.
+//
+// Invariants
+// 1. Nothing older than TLS 1.3 is spoken; no session is resumed, so that every connection shows a certificate.
+// 2. A peer whose first byte isn't TLS's is sent nothing, so that its caller can still answer it without TLS.
+// 3. Whose certificate it is isn't judged here: whoever uses certificate() must (common/auth).
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <string>
+
+#include "common/base/status.hpp"
+#include "common/tls/identity.hpp"
+
+struct ssl_st;  // OpenSSL's SSL
+
+namespace rcb::tls {
+
+enum class Next {
+  done,
+  wait_readable,  // until the socket can be read
+  wait_writable,  // until the socket can be written
+  ended,          // the peer has ended the connection
+  failed,         // why() says why; no call can succeed any more
+};
+
+struct Progress {
+  Next next = Next::failed;
+  std::size_t bytes = 0;  // read or written, where done
+};
+
+class Stream {
+ public:
+  // The service's side and the client's. The socket stays the caller's, who calls end() before closing it. Errors:
+  // unsupported.
+  static Result<std::unique_ptr<Stream>> accept(const Identity& identity, int socket);
+  static Result<std::unique_ptr<Stream>> connect(int socket);
+  ~Stream();
+  Stream(const Stream&) = delete;
+  Stream& operator=(const Stream&) = delete;
+
+  // Must be done before anything is read or written.
+  Progress handshake();
+  bool open() const { return open_; }  // the handshake is done
+  // Whether the peer's first byte has come and isn't TLS's. Then nothing was taken from the socket.
+  bool peer_is_plain() const { return peer_is_plain_; }
+  // Whether TLS's first byte has come.
+  bool peer_has_begun() const { return peer_has_begun_; }
+  // Of the service's certificate, once the handshake is done.
+  const std::string& certificate() const { return certificate_; }
+
+  // Both move as many bytes as there are or fit, and at least one if done. `bytes` must not be empty.
+  Progress read(std::span<std::byte> bytes);
+  Progress write(std::span<const std::byte> bytes);
+  // Tells the peer, if there is room, that nothing more comes.
+  void end_sending();
+  // The same, and leaves the socket alone from here on.
+  void end();
+  const std::string& why() const { return why_; }
+
+ private:
+  Stream(ssl_st* ssl, int socket);
+  static Result<std::unique_ptr<Stream>> make(ssl_st* ssl, int socket);
+  // Looks at the peer's first byte, unless that is known; false with errno if it hasn't come.
+  bool look_at_first_byte();
+  Progress stopped(int returned);
+  Progress fail(std::string why);
+
+  ssl_st* ssl_;
+  int socket_;
+  bool open_ = false;
+  bool peer_is_plain_ = false;
+  bool peer_has_begun_ = false;
+  std::string certificate_;
+  std::string why_;
+};
+
+}  // namespace rcb::tls
