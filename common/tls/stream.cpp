@@ -117,7 +117,10 @@ Progress Stream::handshake() {
   if (!look_at_first_byte() && SSL_is_server(ssl_) == 1 && would_block()) return {Next::wait_readable, 0};
   if (peer_is_plain_) return fail("it doesn't speak TLS");
   clear_errors();
-  if (const int returned = SSL_do_handshake(ssl_); returned != 1) return stopped(returned);
+  if (const int returned = SSL_do_handshake(ssl_); returned != 1) {
+    const Progress progress = stopped(returned);
+    return progress.next == Next::ended ? fail({}) : progress;
+  }
   if (SSL_is_server(ssl_) != 1) {
     const CertificatePointer shown(SSL_get1_peer_certificate(ssl_));
     certificate_ = shown ? fingerprint_of(shown.get()) : "";

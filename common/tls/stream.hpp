@@ -42,7 +42,7 @@ class Stream {
   Stream(const Stream&) = delete;
   Stream& operator=(const Stream&) = delete;
 
-  // Must be done before anything is read or written.
+  // Must be done before anything is read or written. Never `ended`: that is a failure here.
   Progress handshake();
   bool open() const { return open_; }  // the handshake is done
   // Whether the peer's first byte has come and isn't TLS's. Then nothing was taken from the socket.

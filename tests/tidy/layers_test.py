@@ -57,7 +57,7 @@ ARROWS = {
 ROOMS = {
     r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "tests/support", "tests/bench", "tests/bench/peers"],
     r"<boost/asio": ["server/net/sockets", "client/lib"],
-    r"<openssl/": ["common/auth", "common/tls"],
+    r"<openssl/": ["common/auth", "common/tls", "tests/common/tls"],
     r"<hdf5\.h>": ["common/hdf5", "tests/common/io"],
 }
 
