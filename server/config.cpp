@@ -59,10 +59,15 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_LISTEN")
       ->type_name("HOST:PORT");
   app.add_flag("--trusted-network", config.trusted_network,
-               "what travels between machines is not encrypted, so that anybody on the network can read and alter "
-               "positions and commands. Without this, connections from other machines are by TLS 1.3, and all ranks "
-               "must be on one machine")
+               "nobody on the network is to be feared: nothing that travels between machines is encrypted, so anybody "
+               "there can read and alter positions and commands. Without this, connections from other machines are by "
+               "TLS 1.3")
       ->envname("RCBD_TRUSTED_NETWORK");
+  app.add_flag(
+         "--trusted-interconnect", config.trusted_interconnect,
+         "the same of the network between ranks on different machines alone, where MPI doesn't encrypt; such ranks "
+         "need one of the two")
+      ->envname("RCBD_TRUSTED_INTERCONNECT");
   app.add_option(
          "--interface", config.interface,
          "the network between ranks on different machines: an interface, or a network such as 10.0.0.0/8 [default: any "

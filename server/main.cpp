@@ -201,13 +201,14 @@ Status take_endpoint(Root& root, const std::string& endpoint, EndpointNote note)
 // What was started here must be reached here: rank 0 listens where its launcher waits for it. And what travels between
 // machines can be read there: MPI's messages, the token among them.
 Status check_hosts(const Hosts& hosts, const Config& config) {
-  if (hosts.several && !config.trusted_network)
+  if (hosts.several && !config.trusted_network && !config.trusted_interconnect)
     return {
         Code::invalid_argument,
-        fmt::format("ranks would run on {} and on other machines, and everything travels unencrypted between them: who "
-                    "is on that network can read and alter positions and commands",
+        fmt::format("ranks would run on {} and on other machines, and MPI doesn't encrypt what travels between them: "
+                    "who is on that network can read and alter positions and commands",
                     hosts.ranks[0].host),
-        "say with --trusted-network that nobody on the network is to be feared"};
+        "say with --trusted-network that nobody on the network is to be feared, or with --trusted-interconnect that "
+        "this holds between the ranks; then clients' connections are encrypted"};
   const char* launcher = std::getenv(kLauncherHostVariable);
   if (launcher == nullptr || hosts.ranks[0].host == launcher) return {};
   return {Code::invalid_argument,

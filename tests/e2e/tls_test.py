@@ -322,6 +322,27 @@ class TlsTest(Refusals, MachinesTest):
         self.assertEqual((ended["pid"], ended["silent"]), (started["pid"], []))
         self.down()
 
+    def test_ranks_on_two_machines_encrypt_towards_clients(self):
+        self.machines(3)
+        self.up("--hosts", "a:1,b:1", "--trusted-interconnect")
+        points = np.random.default_rng(8).random((N, 3))
+        file = os.path.join(self.hosts.shared, "points.npy")
+        np.save(file, np.stack([points, 1 - points]))
+        sniffer = Sniffer(self.hosts, "c")
+        try:
+            self.ctl("replay", "confidential", file, "--parts", 3, name="c", RCBD_PATH="direct")
+        finally:
+            heard = sniffer.close()
+        for name in "abc":
+            reports = self.ctl("history", "confidential", "--json", name=name)
+            self.assertEqual({report["way"] for report in reports}, {"sockets"})
+        self.assertGreater(len(heard), 2 * points.nbytes * 0.9, "else it proves nothing")
+        for value in (*points[:200].ravel(), *(1 - points[:200]).ravel()):
+            self.assertNotIn(value.tobytes(), heard)
+        for word in WORDS:
+            self.assertNotIn(word, heard)
+        self.down()
+
     def test_a_token_of_another_network_is_explained(self):
         self.machines(2)
         self.up("-n", 1)
