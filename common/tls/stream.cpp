@@ -2,7 +2,7 @@
 
 #include <cerrno>
 #include <cstring>
-#include <limits>
+#include <string_view>
 #include <utility>
 
 #include <openssl/bio.h>
@@ -14,46 +14,55 @@
 namespace rcb::tls {
 namespace {
 
-// OpenSSL's own BIO for sockets writes without MSG_NOSIGNAL: a peer that has gone would end a solver by SIGPIPE.
-int socket_of(BIO* bio) { return static_cast<int>(reinterpret_cast<std::intptr_t>(BIO_get_data(bio))); }
+// Bytes that are encrypted before they go to the socket in one call: a call for each record of 16 KiB takes longer.
+constexpr std::size_t kBatchBytes = std::size_t{64} << 10U;
 
 bool would_block() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }
 
-int write_socket(BIO* bio, const char* from, int bytes) {
-  BIO_clear_retry_flags(bio);
-  const ssize_t sent = ::send(socket_of(bio), from, static_cast<std::size_t>(bytes), MSG_DONTWAIT | MSG_NOSIGNAL);
-  if (sent < 0 && would_block()) BIO_set_retry_write(bio);
-  return static_cast<int>(sent);
-}
+}  // namespace
 
-int read_socket(BIO* bio, char* to, int bytes) {
-  BIO_clear_retry_flags(bio);
-  const ssize_t got = ::recv(socket_of(bio), to, static_cast<std::size_t>(bytes), MSG_DONTWAIT);
-  if (got < 0 && would_block()) BIO_set_retry_read(bio);
-  if (got == 0) BIO_set_flags(bio, BIO_FLAGS_IN_EOF);
-  return static_cast<int>(got);
-}
+// OpenSSL's own BIO for sockets would write each record by itself, and without MSG_NOSIGNAL, so that a peer that has
+// gone would end a solver by SIGPIPE. This one puts records into outgoing_.
+struct Stream::Bio {
+  static Stream& stream(BIO* bio) { return *static_cast<Stream*>(BIO_get_data(bio)); }
 
-long control_socket(BIO* bio, int command, long, void*) {
-  if (command == BIO_CTRL_EOF) return BIO_test_flags(bio, BIO_FLAGS_IN_EOF) != 0 ? 1 : 0;
-  return command == BIO_CTRL_FLUSH ? 1 : 0;
-}
+  static int write(BIO* bio, const char* from, int bytes) {
+    BIO_clear_retry_flags(bio);
+    stream(bio).outgoing_.append(from, static_cast<std::size_t>(bytes));
+    return bytes;
+  }
 
-const BIO_METHOD* socket_method() {
-  static const BIO_METHOD* const method = [] {
-    BIO_METHOD* made = BIO_meth_new(BIO_get_new_index() | BIO_TYPE_SOURCE_SINK, "socket without signals");
-    if (made == nullptr) return made;
-    BIO_meth_set_write(made, write_socket);
-    BIO_meth_set_read(made, read_socket);
-    BIO_meth_set_ctrl(made, control_socket);
-    BIO_meth_set_create(made, [](BIO* bio) {
-      BIO_set_init(bio, 1);
-      return 1;
-    });
+  static int read(BIO* bio, char* to, int bytes) {
+    BIO_clear_retry_flags(bio);
+    const ssize_t got = ::recv(stream(bio).socket_, to, static_cast<std::size_t>(bytes), MSG_DONTWAIT);
+    if (got < 0 && would_block()) BIO_set_retry_read(bio);
+    if (got == 0) BIO_set_flags(bio, BIO_FLAGS_IN_EOF);
+    return static_cast<int>(got);
+  }
+
+  static long control(BIO* bio, int command, long, void*) {
+    if (command == BIO_CTRL_EOF) return BIO_test_flags(bio, BIO_FLAGS_IN_EOF) != 0 ? 1 : 0;
+    return command == BIO_CTRL_FLUSH ? 1 : 0;
+  }
+
+  static const BIO_METHOD* method() {
+    static const BIO_METHOD* const made = [] {
+      BIO_METHOD* method = BIO_meth_new(BIO_get_new_index() | BIO_TYPE_SOURCE_SINK, "socket in batches");
+      if (method == nullptr) return method;
+      BIO_meth_set_write(method, write);
+      BIO_meth_set_read(method, read);
+      BIO_meth_set_ctrl(method, control);
+      BIO_meth_set_create(method, [](BIO* bio) {
+        BIO_set_init(bio, 1);
+        return 1;
+      });
+      return method;
+    }();
     return made;
-  }();
-  return method;
-}
+  }
+};
+
+namespace {
 
 // What SSL_get_error() judges by besides the call's own result.
 void clear_errors() {
@@ -74,15 +83,16 @@ Stream::Stream(ssl_st* ssl, int socket) : ssl_(ssl), socket_(socket) {}
 Stream::~Stream() { SSL_free(ssl_); }
 
 Result<std::unique_ptr<Stream>> Stream::make(ssl_st* ssl, int socket) {
-  BIO* bio = ssl != nullptr && socket_method() != nullptr ? BIO_new(socket_method()) : nullptr;
+  BIO* bio = ssl != nullptr && Bio::method() != nullptr ? BIO_new(Bio::method()) : nullptr;
   if (bio == nullptr) {
     Status status(Code::unsupported, "this machine's OpenSSL has no TLS 1.3: " + last_reason());
     SSL_free(ssl);
     return status;
   }
-  BIO_set_data(bio, reinterpret_cast<void*>(static_cast<std::intptr_t>(socket)));
+  std::unique_ptr<Stream> stream(new Stream(ssl, socket));
+  BIO_set_data(bio, stream.get());
   SSL_set_bio(ssl, bio, bio);
-  return std::unique_ptr<Stream>(new Stream(ssl, socket));
+  return stream;
 }
 
 Result<std::unique_ptr<Stream>> Stream::accept(const Identity& identity, int socket) {
@@ -112,22 +122,25 @@ bool Stream::look_at_first_byte() {
 }
 
 Progress Stream::handshake() {
-  if (open_) return {Next::done, 0};
+  if (open_) return {Next::done};
   // A service says nothing before its client has. OpenSSL finds the end of the stream, should that come instead.
-  if (!look_at_first_byte() && SSL_is_server(ssl_) == 1 && would_block()) return {Next::wait_readable, 0};
+  if (!look_at_first_byte() && SSL_is_server(ssl_) == 1 && would_block()) return {Next::wait_readable};
   if (peer_is_plain_) return fail("it doesn't speak TLS");
   clear_errors();
-  if (const int returned = SSL_do_handshake(ssl_); returned != 1) {
-    const Progress progress = stopped(returned);
-    return progress.next == Next::ended ? fail({}) : progress;
-  }
+  const int returned = SSL_do_handshake(ssl_);
+  Progress progress = returned == 1 ? Progress{Next::done} : stopped(returned);
+  const Next flushed = flush();  // the reason for a failure, too
+  if (progress.next == Next::ended) return fail({});
+  if (progress.next == Next::failed) return progress;
+  if (flushed != Next::done) return {flushed};
+  if (progress.next != Next::done) return progress;
   if (SSL_is_server(ssl_) != 1) {
     const CertificatePointer shown(SSL_get1_peer_certificate(ssl_));
     certificate_ = shown ? fingerprint_of(shown.get()) : "";
     if (certificate_.empty()) return fail("it shows no certificate");
   }
   open_ = true;
-  return {Next::done, 0};
+  return {Next::done};
 }
 
 Progress Stream::read(std::span<std::byte> bytes) {
@@ -146,26 +159,45 @@ Progress Stream::read(std::span<std::byte> bytes) {
 Progress Stream::write(std::span<const std::byte> bytes) {
   std::size_t have = 0;
   while (have < bytes.size()) {
-    std::size_t put = 0;
-    clear_errors();
-    const int returned = SSL_write_ex(ssl_, bytes.data() + have, bytes.size() - have, &put);
-    if (returned != 1 && have > 0) break;
-    if (returned != 1) return stopped(returned);
-    have += put;
+    while (have + accepted_ < bytes.size() && outgoing_.size() < kBatchBytes) {
+      std::size_t put = 0;
+      clear_errors();
+      const int returned = SSL_write_ex(ssl_, bytes.data() + have + accepted_, bytes.size() - have - accepted_, &put);
+      if (returned != 1) return stopped(returned);
+      accepted_ += put;
+    }
+    const Next flushed = flush();
+    if (flushed == Next::done) have += std::exchange(accepted_, 0);
+    if (flushed != Next::done && have > 0) break;  // it will say so again
+    if (flushed != Next::done) return {flushed};
   }
   return {Next::done, have};
+}
+
+Next Stream::flush() {
+  std::string_view left = std::string_view(outgoing_).substr(flushed_);
+  while (!left.empty()) {
+    const ssize_t sent = ::send(socket_, left.data(), left.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+    if (sent < 0 && would_block()) return Next::wait_writable;
+    if (sent < 0) return fail(std::strerror(errno)).next;
+    left.remove_prefix(static_cast<std::size_t>(sent));
+    flushed_ += static_cast<std::size_t>(sent);
+  }
+  outgoing_.clear();
+  flushed_ = 0;
+  return Next::done;
 }
 
 Progress Stream::stopped(int returned) {
   const int system = errno;
   switch (SSL_get_error(ssl_, returned)) {
     case SSL_ERROR_WANT_READ:
-      return {Next::wait_readable, 0};
+      return {Next::wait_readable};
     case SSL_ERROR_WANT_WRITE:
-      return {Next::wait_writable, 0};
+      return {Next::wait_writable};
     case SSL_ERROR_ZERO_RETURN:
       why_ = "it has ended the connection";
-      return {Next::ended, 0};
+      return {Next::ended};
     case SSL_ERROR_SYSCALL:
       return fail(system != 0 ? std::strerror(system) : "it has ended the connection");
     default:
@@ -175,18 +207,19 @@ Progress Stream::stopped(int returned) {
 
 Progress Stream::fail(std::string why) {
   if (why_.empty()) why_ = std::move(why);
-  return {Next::failed, 0};
+  return {Next::failed};
 }
 
 void Stream::end_sending() {
+  if (!open_ || !why_.empty() || accepted_ > 0) return;  // the peer must not take a part for all
   clear_errors();
-  if (open_ && why_.empty()) SSL_shutdown(ssl_);
+  SSL_shutdown(ssl_);
+  flush();
 }
 
 void Stream::end() {
   if (socket_ < 0) return;
   end_sending();
-  BIO_set_data(SSL_get_wbio(ssl_), reinterpret_cast<void*>(std::intptr_t{-1}));  // the number may soon be another's
   socket_ = -1;
 }
 

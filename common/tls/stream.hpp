@@ -52,7 +52,8 @@ class Stream {
   // Of the service's certificate, once the handshake is done.
   const std::string& certificate() const { return certificate_; }
 
-  // Both move as many bytes as there are or fit, and at least one if done. `bytes` must not be empty.
+  // Both move as many bytes as there are or fit, and at least one if done. `bytes` must not be empty. After a write the
+  // next one goes on with the first byte that it has not reported as written, and with no fewer than before.
   Progress read(std::span<std::byte> bytes);
   Progress write(std::span<const std::byte> bytes);
   // Tells the peer, if there is room, that nothing more comes.
@@ -63,9 +64,11 @@ class Stream {
 
  private:
   Stream(ssl_st* ssl, int socket);
+  struct Bio;
   static Result<std::unique_ptr<Stream>> make(ssl_st* ssl, int socket);
   // Looks at the peer's first byte, unless that is known; false with errno if it hasn't come.
   bool look_at_first_byte();
+  Next flush();
   Progress stopped(int returned);
   Progress fail(std::string why);
 
@@ -75,6 +78,9 @@ class Stream {
   bool peer_is_plain_ = false;
   bool peer_has_begun_ = false;
   std::string certificate_;
+  std::string outgoing_;      // encrypted, to be sent
+  std::size_t flushed_ = 0;   // of outgoing_
+  std::size_t accepted_ = 0;  // bytes of the caller's that are in outgoing_, and not yet reported as written
   std::string why_;
 };
 

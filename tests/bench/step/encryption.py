@@ -2,7 +2,7 @@
 """What TLS costs: steps and connections of a client on one machine, to a service with it and to one without on another
 (tests/hosts; so both machines share this one's cores). Needs root.
 
-    tests/bench/step/encryption.py [--ranks R] [--repeats K] [--build DIR] [further options of `rcb_bench step`]
+    tests/bench/step/encryption.py [--ranks R] [--repeats K] [--variants LIST] [--build DIR] [further options of `rcb_bench step`]
 """
 import argparse
 import os
@@ -18,6 +18,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ranks", default="2")
     parser.add_argument("--repeats", default="41")
+    parser.add_argument("--variants", default="layout,axes,rows,endpoint,float32,unmoved,connect")
     parser.add_argument("--build", default=os.path.join(ROOT, "build", "release"))
     told, more = parser.parse_known_args()
     with Hosts(2) as hosts:
@@ -33,9 +34,8 @@ def main():
             files.append("file:" + os.path.join(hosts.shared, name))
             run("a", "rcbctl", "up", "-n", told.ranks, "--endpoint", f"{hosts.address('a')}:{port}", "--data-dir",
                 os.path.join(hosts.shared, f"data-{name}"), "--publish", files[-1][5:], *option, check=True)
-        done = run("b", "rcb_bench", "step", "--scenes", "moving", "--variants",
-                   "layout,axes,rows,endpoint,float32,unmoved,connect", "--ranks", told.ranks, "--repeats", told.repeats,
-                   "--services", ",".join(files), *more)
+        done = run("b", "rcb_bench", "step", "--scenes", "moving", "--variants", told.variants, "--ranks", told.ranks,
+                   "--repeats", told.repeats, "--services", ",".join(files), *more)
         for file in files:
             run("a", "rcbctl", "down", "--endpoint", file, check=True)
         return done.returncode
