@@ -1,5 +1,6 @@
 #include "common/tls/stream.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <string_view>
@@ -16,6 +17,10 @@ namespace {
 
 // Bytes that are encrypted before they go to the socket in one call: a call for each record of 16 KiB takes longer.
 constexpr std::size_t kBatchBytes = std::size_t{64} << 10U;
+
+// Bytes that one call takes from the socket at most. OpenSSL goes on reading as long as records without data come, and
+// nobody may keep the I/O thread of a service by sending such.
+constexpr std::size_t kReadableBytes = std::size_t{1} << 20U;
 
 bool would_block() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }
 
@@ -34,8 +39,11 @@ struct Stream::Bio {
 
   static int read(BIO* bio, char* to, int bytes) {
     BIO_clear_retry_flags(bio);
-    const ssize_t got = ::recv(stream(bio).socket_, to, static_cast<std::size_t>(bytes), MSG_DONTWAIT);
-    if (got < 0 && would_block()) BIO_set_retry_read(bio);
+    Stream& self = stream(bio);
+    const auto most = std::min(static_cast<std::size_t>(bytes), self.readable_);
+    const ssize_t got = most > 0 ? ::recv(self.socket_, to, most, MSG_DONTWAIT) : -1;
+    if (got < 0 && (most == 0 || would_block())) BIO_set_retry_read(bio);
+    if (got > 0) self.readable_ -= static_cast<std::size_t>(got);
     if (got == 0) BIO_set_flags(bio, BIO_FLAGS_IN_EOF);
     return static_cast<int>(got);
   }
@@ -126,6 +134,7 @@ Progress Stream::handshake() {
   // A service says nothing before its client has. OpenSSL finds the end of the stream, should that come instead.
   if (!look_at_first_byte() && SSL_is_server(ssl_) == 1 && would_block()) return {Next::wait_readable};
   if (peer_is_plain_) return fail("it doesn't speak TLS");
+  readable_ = kReadableBytes;
   clear_errors();
   const int returned = SSL_do_handshake(ssl_);
   Progress progress = returned == 1 ? Progress{Next::done} : stopped(returned);
@@ -144,13 +153,18 @@ Progress Stream::handshake() {
 }
 
 Progress Stream::read(std::span<std::byte> bytes) {
+  readable_ = kReadableBytes;
   std::size_t have = 0;
   while (have < bytes.size()) {
     std::size_t got = 0;
     clear_errors();
     const int returned = SSL_read_ex(ssl_, bytes.data() + have, bytes.size() - have, &got);
     if (returned != 1 && have > 0) break;  // it will say so again
-    if (returned != 1) return stopped(returned);
+    if (returned != 1) {
+      const Progress progress = stopped(returned);
+      if (progress.next == Next::failed) flush();  // tells the peer why
+      return progress;
+    }
     have += got;
   }
   return {Next::done, have};

@@ -4,7 +4,8 @@
 // Invariants
 // 1. Nothing older than TLS 1.3 is spoken; no session is resumed, so that every connection shows a certificate.
 // 2. A peer whose first byte isn't TLS's is sent nothing, so that its caller can still answer it without TLS.
-// 3. Whose certificate it is isn't judged here: whoever uses certificate() must (common/auth).
+// 3. A call takes a bounded number of bytes from the socket, whatever comes.
+// 4. Whose certificate it is isn't judged here: whoever uses certificate() must (common/auth).
 #pragma once
 
 #include <cstddef>
@@ -78,6 +79,7 @@ class Stream {
   bool peer_is_plain_ = false;
   bool peer_has_begun_ = false;
   std::string certificate_;
+  std::size_t readable_ = 0;  // bytes that this call may still take from the socket
   std::string outgoing_;      // encrypted, to be sent
   std::size_t flushed_ = 0;   // of outgoing_
   std::size_t accepted_ = 0;  // bytes of the caller's that are in outgoing_, and not yet reported as written

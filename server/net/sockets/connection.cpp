@@ -45,6 +45,8 @@ bool Connection::off_loopback() const {
 awaitable<error_code> Connection::wait_for(tls::Next next) {
   auto [error] =
       co_await socket_.async_wait(next == tls::Next::wait_writable ? Socket::wait_write : Socket::wait_read, kAwait);
+  // A wait that ends by itself just before it would be cancelled doesn't say so.
+  if (!error && read_late_ && next == tls::Next::wait_readable) error = asio::error::operation_aborted;
   co_return error;
 }
 
