@@ -28,6 +28,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "common/tls/off_loopback.hpp"
 #include "common/tls/stream.hpp"
 #include "common/wire/limits.hpp"
 
@@ -201,9 +202,10 @@ Status Connection::State::open(const Deadline& deadline) {
     } else {
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
       socket.set_option(asio::socket_base::keep_alive(true), ignored);
-      const auto peer = as_tcp(socket.remote_endpoint(ignored));
+      const Address remote = socket.remote_endpoint(ignored);
+      const auto peer = as_tcp(remote);
       const auto own = as_tcp(socket.local_endpoint(ignored));
-      off_loopback = !peer || !peer->address().is_loopback();
+      off_loopback = !peer || tls::off_loopback(*remote.data());
       this_machine = peer && own && (peer->address() == own->address() || !off_loopback);
     }
     return {};
@@ -242,7 +244,7 @@ Status Connection::State::encrypt(const Deadline& deadline) {
     progress = tls->handshake();
   }
   if (progress.next == tls::Next::done) return {};
-  if (!tls->peer_has_begun() && !tls->peer_is_plain())
+  if (tls->peer_has_gone())
     return {Code::unavailable, fmt::format("{} has ended the connection: {}", endpoint.text(), tls->why())};
   return {Code::protocol_error, fmt::format("no TLS 1.3 with {}: {}", endpoint.text(), tls->why()),
           tls->peer_is_plain() ? "nothing was told to it. The token is of a service that encrypts; one that is started "
@@ -477,6 +479,7 @@ Result<std::size_t> Connection::send_some(std::span<const iovec> pieces) {
 }
 
 Status Connection::send_at_once(Bytes frame, int descriptor) {
+  CHECK(!state_->tls, "descriptors go over Unix sockets");
   iovec piece{const_cast<std::byte*>(frame.data()), frame.size()};  // sendmsg only reads
   alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int))> control{};
   msghdr message{};

@@ -193,7 +193,7 @@ Next Stream::flush() {
   while (!left.empty()) {
     const ssize_t sent = ::send(socket_, left.data(), left.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
     if (sent < 0 && would_block()) return Next::wait_writable;
-    if (sent < 0) return fail(std::strerror(errno)).next;
+    if (sent < 0) return lose(errno).next;
     left.remove_prefix(static_cast<std::size_t>(sent));
     flushed_ += static_cast<std::size_t>(sent);
   }
@@ -210,13 +210,18 @@ Progress Stream::stopped(int returned) {
     case SSL_ERROR_WANT_WRITE:
       return {Next::wait_writable};
     case SSL_ERROR_ZERO_RETURN:
-      why_ = "it has ended the connection";
+      lose(0);
       return {Next::ended};
     case SSL_ERROR_SYSCALL:
-      return fail(system != 0 ? std::strerror(system) : "it has ended the connection");
+      return lose(system);
     default:
       return fail(last_reason());
   }
+}
+
+Progress Stream::lose(int error) {
+  peer_has_gone_ = true;
+  return fail(error != 0 ? std::strerror(error) : "it has ended the connection");
 }
 
 Progress Stream::fail(std::string why) {

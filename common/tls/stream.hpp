@@ -50,6 +50,8 @@ class Stream {
   bool peer_is_plain() const { return peer_is_plain_; }
   // Whether TLS's first byte has come.
   bool peer_has_begun() const { return peer_has_begun_; }
+  // Whether a call has failed or ended because the connection is lost.
+  bool peer_has_gone() const { return peer_has_gone_; }
   // Of the service's certificate, once the handshake is done.
   const std::string& certificate() const { return certificate_; }
 
@@ -72,12 +74,14 @@ class Stream {
   Next flush();
   Progress stopped(int returned);
   Progress fail(std::string why);
+  Progress lose(int error);
 
   ssl_st* ssl_;
   int socket_;
   bool open_ = false;
   bool peer_is_plain_ = false;
   bool peer_has_begun_ = false;
+  bool peer_has_gone_ = false;
   std::string certificate_;
   std::size_t readable_ = 0;  // bytes that this call may still take from the socket
   std::string outgoing_;      // encrypted, to be sent

@@ -222,6 +222,10 @@ class TlsTest(Refusals, MachinesTest):
             self.assertIn("doesn't speak TLS", done.stderr)
             self.assertNotIn(b"proof", between.heard)
 
+        with Between(self.hosts, "b", lambda self, made: made.recv(65536)) as between:  # dies in the handshake
+            done = self.status("c", between.address)
+            self.assertEqual(done.returncode, 3, "one that may come back: " + done.stdout + done.stderr)
+
         # What the wire has heard, once more.
         sessions = json.loads(self.status("a").stdout)["sessions"]
         for where in (TCP, TCP, self.data_addresses()[1]):

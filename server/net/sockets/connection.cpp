@@ -12,6 +12,7 @@
 #include <sys/socket.h>
 #include <sys/uio.h>
 
+#include "common/tls/off_loopback.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::net {
@@ -32,14 +33,7 @@ Connection::Connection(Socket socket, double frame_seconds)
 bool Connection::off_loopback() const {
   error_code error;
   const auto own = socket_.local_endpoint(error);
-  if (error || own.protocol().family() == AF_UNIX) return false;
-  asio::ip::tcp::endpoint tcp;
-  CHECK(own.size() <= tcp.capacity(), "a TCP socket has an address of another kind");
-  std::memcpy(static_cast<void*>(tcp.data()), own.data(), own.size());
-  asio::ip::address address = tcp.address();
-  if (address.is_v6() && address.to_v6().is_v4_mapped())  // of a listener on [::]
-    address = asio::ip::make_address_v4(asio::ip::v4_mapped, address.to_v6());
-  return !address.is_loopback();
+  return error || tls::off_loopback(*own.data());
 }
 
 awaitable<error_code> Connection::wait_for(tls::Next next) {
@@ -156,8 +150,7 @@ awaitable<std::pair<error_code, std::size_t>> Connection::read_encrypted(std::sp
     const tls::Progress progress = tls_->read(into);
     error_code error;
     if (progress.next == tls::Next::done) {
-      co_await asio::post(socket_.get_executor(),
-                          asio::use_awaitable);  // others have their turn, as in async_read_some
+      co_await asio::post(socket_.get_executor(), asio::use_awaitable);  // others have their turn
       co_return std::pair(error, progress.bytes);
     }
     if (progress.next == tls::Next::ended)

@@ -12,6 +12,7 @@
 
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
+#include "common/tls/off_loopback.hpp"
 
 namespace rcb::net {
 namespace {
@@ -166,7 +167,7 @@ std::string bound_address(const TcpAcceptor& acceptor) {
 bool on_loopback(const TcpAcceptor& acceptor) {
   error_code error;
   const asio::ip::tcp::endpoint endpoint = acceptor.local_endpoint(error);
-  return !error && endpoint.address().is_loopback();
+  return !error && !tls::off_loopback(*endpoint.data());
 }
 
 Status check_peer_user(int socket) {

@@ -129,6 +129,9 @@ TEST(Stream, WhatAnotherAltersIsNotTaken) {
             37);
   std::array<std::byte, 64> into{};
   EXPECT_EQ(sides.service->read(into).next, Next::failed);
+  EXPECT_FALSE(sides.service->peer_has_gone());
+  EXPECT_EQ(sides.client->read(into).next, Next::failed);
+  EXPECT_NE(sides.client->why().find("alert"), std::string::npos) << "it was told: " << sides.client->why();
 }
 
 TEST(Stream, APeerWithoutTlsIsToldFromOne) {
@@ -167,6 +170,7 @@ TEST(Stream, APeerThatLeavesInTheMiddleIsNotWaitedFor) {
     for (int turn = 0; turn < 10 && progress.next == Next::wait_readable; ++turn) progress = service->handshake();
     EXPECT_EQ(progress.next, Next::failed) << words.size();
     EXPECT_FALSE(service->peer_is_plain());
+    EXPECT_TRUE(service->peer_has_gone());
   }
 }
 
