@@ -378,21 +378,25 @@ class TlsTest(Refusals, MachinesTest):
                     self.assertNotEqual(client.certificate, "")
                 self.down(endpoint=TCP, name="a")
 
-    def test_a_restarted_service_has_another_certificate(self):
+    def test_a_solver_outlives_a_service_whose_certificate_changes(self):
         self.machines(2)
         self.up("-n", 2)
         with self.client("b") as client:
             before = client.certificate
-        pid = json.loads(self.status("b").stdout)["pid"]
+        ended = []
+        solver = threading.Thread(target=lambda: ended.append(
+            self.on("b", os.path.join(self.bin, "two_spheres"), "--points", 3000, "--steps", 300, "--parts", 4, "--json",
+                    RCBD_PATH="direct")), daemon=True)
+        solver.start()
+        self.assertTrue(wait_for(lambda: json.loads(self.status("a").stdout)["steps"] > 20, 100), ended)
         for process in self.hosts.processes("a"):
-            with open(f"/proc/{process}/comm") as comm:
+            with contextlib.suppress(OSError), open(f"/proc/{process}/comm") as comm:
                 if comm.read().strip() == "rcbd":
                     os.kill(process, signal.SIGKILL)
-
-        def another():
-            done = self.status("b")
-            return done.returncode == 0 and json.loads(done.stdout)["pid"] != pid
-        self.assertTrue(wait_for(another, 100), self.log())
+        solver.join(100)
+        self.assertEqual([done.returncode for done in ended], [0], ended)
+        reports = json.loads(ended[0].stdout)["reports"]
+        self.assertEqual(sum(report["scene_recreated"] for report in reports), 1, "the service died in the middle")
         with self.client("b") as client:
             self.assertNotEqual(client.certificate, before)
         self.down()
