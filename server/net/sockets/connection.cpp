@@ -44,16 +44,19 @@ awaitable<error_code> Connection::wait_for(tls::Next next) {
   co_return error;
 }
 
-awaitable<Status> Connection::encrypt(const tls::Identity& identity) {
+awaitable<Status> Connection::encrypt(const tls::Identity& identity, TimePoint end) {
   auto stream = tls::Stream::accept(identity, socket_.native_handle());
   if (!stream.ok()) co_return stream.status();
   tls_ = std::move(*stream);
+  limit_reading(now() + (end - now()) / 2);
   tls::Progress progress = tls_->handshake();
   error_code error;
   while (!broken_ && !error && progress.next != tls::Next::done && progress.next != tls::Next::failed) {
     error = co_await wait_for(progress.next);
     if (!broken_ && !error) progress = tls_->handshake();
+    if (!broken_ && tls_->peer_has_begun()) limit_reading(end);
   }
+  limit_reading(end);
   if (!broken_ && progress.next == tls::Next::done) co_return Status();
   const bool silent = read_late_ && !tls_->peer_has_begun();
   if (!broken_ && (silent || tls_->peer_is_plain())) {

@@ -43,9 +43,11 @@ class Connection : public std::enable_shared_from_this<Connection> {
   // Whether the peer may be on another machine: the address that it has reached here is one of TCP, and not of
   // loopback.
   bool off_loopback() const;
-  // Before anything else is said: speaks TLS from here on. Errors: protocol_error, where the peer speaks without TLS or
-  // not at all, and can be told so without TLS; unavailable, where TLS has failed: the connection is closed.
-  awaitable<Status> encrypt(const tls::Identity& identity);
+  // Before anything else is said: speaks TLS from here on. The peer has until `end`, and must begin in the first half
+  // of that time, so that one who waits for a word without TLS hears why before it gives up. Errors: protocol_error,
+  // where the peer speaks without TLS or not at all, and can be told so without TLS; unavailable, where TLS has failed:
+  // the connection is closed.
+  awaitable<Status> encrypt(const tls::Identity& identity, TimePoint end);
   // The fingerprint of the certificate that the peer was shown; empty: the connection isn't encrypted.
   std::string certificate() const { return tls_ ? tls_->certificate() : ""; }
 

@@ -29,8 +29,9 @@ wire::Json Door::welcome(const std::string& nonce) const {
 awaitable<Result<Hello>> Door::greet(std::shared_ptr<Connection> connection) {
   const Lobby::Place place(waiting_, *connection);
   const std::string nonce = auth::random_nonce();
-  connection->limit_reading(now() + duration_of(options_.hello_seconds));
-  Result<Frame> frame = co_await exchange_greetings(*connection, nonce);
+  const TimePoint end = now() + duration_of(options_.hello_seconds);
+  connection->limit_reading(end);
+  Result<Frame> frame = co_await exchange_greetings(*connection, nonce, end);
   connection->limit_reading(TimePoint::max());
   if (frame.ok()) co_return read_hello(*frame, {options_.listener, nonce, "", "", connection->certificate()});
   if (frame.status().code() == Code::unavailable) co_return Status(Code::unavailable, "");
@@ -38,10 +39,11 @@ awaitable<Result<Hello>> Door::greet(std::shared_ptr<Connection> connection) {
   co_return frame.status();
 }
 
-awaitable<Result<Frame>> Door::exchange_greetings(Connection& connection, const std::string& nonce) const {
+awaitable<Result<Frame>> Door::exchange_greetings(Connection& connection, const std::string& nonce,
+                                                  TimePoint end) const {
   const auto& credentials = options_.credentials;
   if (credentials && credentials->network() == Network::encrypted && connection.off_loopback()) {
-    const Status encrypted = co_await connection.encrypt(*credentials->identity);
+    const Status encrypted = co_await connection.encrypt(*credentials->identity, end);
     if (!encrypted.ok()) spdlog::debug("{}: {}", options_.listener, encrypted.message());
     if (!encrypted.ok()) co_return encrypted;
   }

@@ -56,7 +56,7 @@ class Door {
 
  private:
   wire::Json welcome(const std::string& nonce) const;
-  awaitable<Result<Frame>> exchange_greetings(Connection& connection, const std::string& nonce) const;
+  awaitable<Result<Frame>> exchange_greetings(Connection& connection, const std::string& nonce, TimePoint end) const;
   Result<Hello> read_hello(const Frame& frame, auth::Opening opening) const;
   // Checks the client's proof of the token and puts the service's own into `hello`.
   Status check_proof(const wire::Json& said, auth::Opening opening, Hello& hello) const;
