@@ -6,7 +6,7 @@ find_package(Boost 1.81 REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(fmt REQUIRED)
 find_package(spdlog REQUIRED)
-find_package(OpenSSL REQUIRED COMPONENTS Crypto)
+find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
 
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
 find_library(RCB_XXHASH_LIBRARY xxhash REQUIRED)

@@ -52,15 +52,22 @@ void add_options(CLI::App& app, Config& config) {
                  "Unix socket to listen on [default without --listen: " + default_socket_path() + "]")
       ->envname("RCBD_SOCKET")
       ->type_name("PATH");
-  app.add_option("--listen", config.listen,
-                 "TCP address to listen on, HOST:PORT; clients must know the token in the data directory. May be given "
-                 "more than once; port 0 takes a free one")
+  app.add_option(
+         "--listen", config.listen,
+         "TCP address to listen on, HOST:PORT; clients must know the token in the data directory, and TLS 1.3 is "
+         "spoken except at loopback addresses. May be given more than once; port 0 takes a free one")
       ->envname("RCBD_LISTEN")
       ->type_name("HOST:PORT");
   app.add_flag("--trusted-network", config.trusted_network,
-               "let --listen take addresses that other machines reach: positions and commands travel unencrypted, so "
-               "anybody on the network can read and alter them")
+               "nobody on the network is to be feared: nothing that travels between machines is encrypted, so anybody "
+               "there can read and alter positions and commands. Without this, connections from other machines are by "
+               "TLS 1.3")
       ->envname("RCBD_TRUSTED_NETWORK");
+  app.add_flag(
+         "--trusted-interconnect", config.trusted_interconnect,
+         "the same of the network between ranks on different machines alone, where MPI doesn't encrypt; such ranks "
+         "need one of the two")
+      ->envname("RCBD_TRUSTED_INTERCONNECT");
   app.add_option(
          "--interface", config.interface,
          "the network between ranks on different machines: an interface, or a network such as 10.0.0.0/8 [default: any "

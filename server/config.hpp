@@ -8,11 +8,12 @@
 namespace rcb::server {
 
 struct Config {
-  std::vector<std::string> listen;  // HOST:PORT
-  std::string socket;               // if neither is given: the default socket
-  bool trusted_network = false;     // a TCP listener may be reached from other machines
-  std::string interface;            // between ranks on different machines; empty: any that reaches rank 0
-  std::string data_dir;             // empty: the endpoint's default
+  std::vector<std::string> listen;    // HOST:PORT
+  std::string socket;                 // if neither is given: the default socket
+  bool trusted_network = false;       // nothing is encrypted between machines
+  bool trusted_interconnect = false;  // nothing is encrypted between ranks on different machines, clients' traffic is
+  std::string interface;              // between ranks on different machines; empty: any that reaches rank 0
+  std::string data_dir;               // empty: the endpoint's default
   // Folders below which clients may have the service read and write files.
   std::vector<std::string> files_below;        // for clients of every listener
   std::vector<std::string> local_files_below;  // for clients of the Unix socket alone; used if files_below is empty

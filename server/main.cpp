@@ -17,10 +17,12 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
+#include "common/auth/proof.hpp"
 #include "common/base/clock.hpp"
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
 #include "common/io/files/roots.hpp"
+#include "common/tls/identity.hpp"
 #include "server/bridge.hpp"
 #include "server/config.hpp"
 #include "server/job.hpp"
@@ -164,10 +166,22 @@ std::uint64_t bulk_bytes(const Config& config) {
   return config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
 }
 
-net::DataOptions data_options(const std::string& token, std::uint64_t bulk_bytes, int rank) {
+// Every process has a certificate of its own, which the token's proofs are bound to.
+net::Credentials credentials_with(std::string token) {
+  net::Credentials credentials{std::move(token), {}};
+  if (credentials.token.empty() || auth::trusts_network(credentials.token)) return credentials;
+  auto identity = tls::Identity::make();
+  if (identity.ok())
+    credentials.identity = std::move(*identity);
+  else
+    spdlog::warn("{}; so no other machine may connect", identity.status().message());
+  return credentials;
+}
+
+net::DataOptions data_options(net::Credentials credentials, std::uint64_t bulk_bytes, int rank) {
   net::DataOptions options;
   options.rank = rank;
-  options.token = token;
+  options.credentials = std::move(credentials);
   options.bulk_bytes_max = bulk_bytes;
   return options;
 }
@@ -187,13 +201,14 @@ Status take_endpoint(Root& root, const std::string& endpoint, EndpointNote note)
 // What was started here must be reached here: rank 0 listens where its launcher waits for it. And what travels between
 // machines can be read there: MPI's messages, the token among them.
 Status check_hosts(const Hosts& hosts, const Config& config) {
-  if (hosts.several && !config.trusted_network)
+  if (hosts.several && !config.trusted_network && !config.trusted_interconnect)
     return {
         Code::invalid_argument,
-        fmt::format("ranks would run on {} and on other machines, and everything travels unencrypted between them: who "
-                    "is on that network can read and alter positions and commands",
+        fmt::format("ranks would run on {} and on other machines, and MPI doesn't encrypt what travels between them: "
+                    "who is on that network can read and alter positions and commands",
                     hosts.ranks[0].host),
-        "say with --trusted-network that nobody on the network is to be feared"};
+        "say with --trusted-network that nobody on the network is to be feared, or with --trusted-interconnect that "
+        "this holds between the ranks; then clients' connections are encrypted"};
   const char* launcher = std::getenv(kLauncherHostVariable);
   if (launcher == nullptr || hosts.ranks[0].host == launcher) return {};
   return {Code::invalid_argument,
@@ -225,12 +240,12 @@ Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLo
   options.restarted = config.restarted;
   options.data_dir = root.data->path();
   options.bulk_bytes_max = bulk_bytes(config);
-  options.network = config.trusted_network ? net::Network::trusted : net::Network::loopback;
   options.files_over_tcp = !config.files_below.empty();
   if (!config.listen.empty() || hosts.several) {
-    auto token = config.restarted ? root.data->kept_token() : root.data->new_token();
+    const std::string_view prefix = config.trusted_network ? auth::kTrustedNetworkPrefix : std::string_view();
+    auto token = config.restarted ? root.data->kept_token(prefix) : root.data->new_token(prefix);
     if (!token.ok()) return token.status();
-    options.token = std::move(*token);
+    options.credentials = credentials_with(std::move(*token));
   }
   auto doorbells = net::DoorbellHub::open(loop,
                                           {.ranks = ranks,
@@ -240,8 +255,8 @@ Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLo
                                           die);
   if (!doorbells.ok()) return doorbells.status();
   root.doorbells = std::move(*doorbells);
-  root.token = options.token;
-  root.port = std::make_unique<net::DataPort>(loop, data_options(options.token, options.bulk_bytes_max, 0));
+  root.token = options.credentials.token;
+  root.port = std::make_unique<net::DataPort>(loop, data_options(options.credentials, options.bulk_bytes_max, 0));
   root.bridge = std::make_unique<Bridge>(loop, engine, *root.doorbells, *root.port, ranks);
   root.control = std::make_unique<net::Control>(loop, options, *root.bridge);
   if (!config.socket.empty()) {
@@ -259,7 +274,7 @@ Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLo
               fmt::format("--listen {} is {} on this machine, which no other reaches", where, *bound),
               "give the machine's address on the network"};
     if (const std::string usual = data_directory_for(*bound); usual != root.data->path()) {
-      auto offered = net::OfferedToken::offer(usual, options.token);
+      auto offered = net::OfferedToken::offer(usual, root.token);
       if (!offered.ok()) return offered.status();
       root.offered.push_back(std::move(*offered));
     }
@@ -405,7 +420,7 @@ int run_other(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts, 
   std::vector<std::string> places;
   for (std::string line; std::getline(shared, line);) places.push_back(line);
   net::IoLoop loop;
-  net::DataPort port(loop, data_options(token, bulk_bytes(config), mpi.rank()));
+  net::DataPort port(loop, data_options(credentials_with(token), bulk_bytes(config), mpi.rank()));
   // Declared after the loop: the engine's orders hold timers of the loop.
   std::unique_ptr<net::Doorbell> doorbell;
   std::atomic<std::uint64_t> executed = 0;

@@ -33,6 +33,9 @@ bool connects_and_hears(int family, const sockaddr* address, socklen_t bytes, do
     socklen_t size = sizeof fault;
     record_probe = ::getsockopt(socket, SOL_SOCKET, SO_ERROR, &fault, &size) == 0 && fault == 0;
   }
+  // A listener that encrypts waits for its client's first byte. It answers one that isn't TLS's at once, and any other
+  // listener has spoken already.
+  if (record_probe && family != AF_UNIX) record_probe = ::send(socket, "R", 1, MSG_NOSIGNAL) == 1;
   record_probe = record_probe && await(socket, POLLIN, end - clock.seconds());
   ::close(socket);
   return record_probe;

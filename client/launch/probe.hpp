@@ -5,7 +5,7 @@
 
 namespace rcb::launch {
 
-// A service speaks first: true if it sends anything on a new connection, or closes it, within the time. So a service
+// True if the service sends anything on a new connection, or closes it, within the time. So a service
 // that refuses the connection, since it has as many clients as it takes, counts as alive.
 bool answers(const std::string& endpoint, double deadline_seconds);
 

@@ -11,6 +11,8 @@
 #include <mutex>
 #include <optional>
 #include <thread>
+#include <tuple>
+#include <utility>
 
 #include <boost/asio/as_tuple.hpp>
 #include <boost/asio/awaitable.hpp>
@@ -26,6 +28,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "common/tls/off_loopback.hpp"
+#include "common/tls/stream.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -123,12 +127,16 @@ struct Connection::State {
   NoticeHandler on_notice;
   std::deque<Frame> inbox;
   Status lost;
+  std::unique_ptr<tls::Stream> tls;  // none: not encrypted
   bool this_machine = false;
+  bool off_loopback = false;
+  bool reads = false;  // read_frames() has been started
   bool said_goodbye = false;
 
   void lose(Code code, const std::string& why) {
     if (lost.ok()) lost = Status(code, fmt::format("the connection to {} was lost: {}", endpoint.text(), why));
     error_code ignored;
+    if (tls) tls->end();
     socket.close(ignored);
   }
 
@@ -147,6 +155,11 @@ struct Connection::State {
 
   Result<bool> connect(const Address& address, const Deadline& deadline);
   Status open(const Deadline& deadline);
+  // Waits for what TLS waits for. False: the deadline has passed, or the socket is lost.
+  bool wait_for(tls::Next next, const Deadline& deadline);
+  Status encrypt(const Deadline& deadline);
+  asio::awaitable<std::pair<error_code, std::size_t>> read_encrypted(std::span<std::byte> into);
+  asio::awaitable<error_code> write_encrypted(std::span<const Bytes> pieces);
   void start_reading();
   asio::awaitable<bool> fill(void* data, std::size_t size);
   asio::awaitable<bool> read_arrays(Frame& frame, const wire::FrameHeader& header);
@@ -189,9 +202,11 @@ Status Connection::State::open(const Deadline& deadline) {
     } else {
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
       socket.set_option(asio::socket_base::keep_alive(true), ignored);
-      const auto peer = as_tcp(socket.remote_endpoint(ignored));
+      const Address remote = socket.remote_endpoint(ignored);
+      const auto peer = as_tcp(remote);
       const auto own = as_tcp(socket.local_endpoint(ignored));
-      this_machine = peer && own && (peer->address() == own->address() || peer->address().is_loopback());
+      off_loopback = !peer || tls::off_loopback(*remote.data());
+      this_machine = peer && own && (peer->address() == own->address() || !off_loopback);
     }
     return {};
   }
@@ -201,12 +216,79 @@ Status Connection::State::open(const Deadline& deadline) {
   return {Code::unavailable, fmt::format("no service answers at {}", endpoint.text()), "start one: rcbctl up"};
 }
 
+bool Connection::State::wait_for(tls::Next next, const Deadline& deadline) {
+  std::optional<error_code> outcome;
+  socket.async_wait(next == tls::Next::wait_writable ? Socket::wait_write : Socket::wait_read,
+                    [&outcome](const error_code& error) { outcome = error; });
+  const auto ready = [&] { return outcome.has_value(); };
+  if (run(ready, deadline)) return !*outcome;
+  error_code ignored;
+  socket.close(ignored);
+  run(ready, Deadline(1));  // the cancelled handler refers to `outcome`
+  CHECK(outcome.has_value(), "a closed socket still waits");
+  return false;
+}
+
+Status Connection::State::encrypt(const Deadline& deadline) {
+  auto stream = tls::Stream::connect(socket.native_handle());
+  if (!stream) return stream.status();
+  tls = std::move(*stream);
+  tls::Progress progress = tls->handshake();
+  while (progress.next == tls::Next::wait_readable || progress.next == tls::Next::wait_writable) {
+    if (!wait_for(progress.next, deadline)) {
+      tls->end();
+      return {deadline.left_seconds() <= 0 ? Code::deadline_exceeded : Code::unavailable,
+              fmt::format("{} takes connections but doesn't begin TLS", endpoint.text()),
+              "the service may be stopped or busy; see its log"};
+    }
+    progress = tls->handshake();
+  }
+  if (progress.next == tls::Next::done) return {};
+  if (tls->peer_has_gone())
+    return {Code::unavailable, fmt::format("{} has ended the connection: {}", endpoint.text(), tls->why())};
+  return {Code::protocol_error, fmt::format("no TLS 1.3 with {}: {}", endpoint.text(), tls->why()),
+          tls->peer_is_plain() ? "nothing was told to it. The token is of a service that encrypts; one that is started "
+                                 "with --trusted-network has another token"
+                               : ""};
+}
+
+asio::awaitable<std::pair<error_code, std::size_t>> Connection::State::read_encrypted(std::span<std::byte> into) {
+  while (true) {
+    const tls::Progress progress = tls->read(into);
+    if (progress.next == tls::Next::done) co_return std::pair(error_code(), progress.bytes);
+    error_code error =
+        progress.next == tls::Next::ended ? error_code(asio::error::eof) : error_code(asio::error::connection_aborted);
+    if (progress.next == tls::Next::wait_readable || progress.next == tls::Next::wait_writable)
+      std::tie(error) = co_await socket.async_wait(
+          progress.next == tls::Next::wait_writable ? Socket::wait_write : Socket::wait_read, kAwait);
+    if (error) co_return std::pair(error, std::size_t{0});
+  }
+}
+
+asio::awaitable<error_code> Connection::State::write_encrypted(std::span<const Bytes> pieces) {
+  for (Bytes piece : pieces)
+    while (!piece.empty()) {
+      const tls::Progress progress = tls->write(piece);
+      error_code error = progress.next == tls::Next::done ? error_code() : error_code(asio::error::broken_pipe);
+      if (progress.next == tls::Next::wait_readable || progress.next == tls::Next::wait_writable)
+        std::tie(error) = co_await socket.async_wait(
+            progress.next == tls::Next::wait_writable ? Socket::wait_write : Socket::wait_read, kAwait);
+      if (error) co_return error;
+      piece = piece.subspan(progress.bytes);
+    }
+  co_return error_code();
+}
+
 // Reads as much as the kernel has; Asio's composed read would ask for 64 KiB at a time.
 asio::awaitable<bool> Connection::State::fill(void* data, std::size_t size) {
   auto* to = static_cast<char*>(data);
   while (size > 0) {
-    const auto buffer = asio::buffer(to, size);
-    const auto [error, got] = co_await socket.async_read_some(buffer, kAwait);
+    error_code error;
+    std::size_t got = 0;
+    if (tls)
+      std::tie(error, got) = co_await read_encrypted(std::as_writable_bytes(std::span(to, size)));
+    else
+      std::tie(error, got) = co_await socket.async_read_some(asio::buffer(to, size), kAwait);
     if (error) {
       lose(Code::unavailable, error == asio::error::eof ? std::string("the service closed it") : error.message());
       co_return false;
@@ -305,6 +387,7 @@ asio::awaitable<void> Connection::State::read_frames() {
 }
 
 void Connection::State::start_reading() {
+  if (std::exchange(reads, true)) return;
   asio::co_spawn(io, read_frames(), [this](const std::exception_ptr& thrown) {
     if (thrown) lose(Code::internal, "reading failed, perhaps for lack of memory");
   });
@@ -319,19 +402,24 @@ Result<std::unique_ptr<Connection>> Connection::open(const Endpoint& endpoint, c
   state->endpoint = endpoint;
   state->on_notice = std::move(on_notice);
   if (Status status = state->open(deadline); !status) return status;
-  state->start_reading();
   return std::unique_ptr<Connection>(new Connection(std::move(state)));
 }
 
 Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline) {
   State& s = *state_;
+  s.start_reading();
   if (!s.lost) return s.lost;
   std::vector<asio::const_buffer> buffers;
   buffers.reserve(pieces.size());
   for (const Bytes& piece : pieces) buffers.emplace_back(piece.data(), piece.size());
   std::optional<error_code> outcome;
-  asio::async_write(s.socket, buffers, TransferLarge{},
-                    [&outcome](const error_code& error, std::size_t) { outcome = error; });
+  if (s.tls)
+    asio::co_spawn(s.io, s.write_encrypted(pieces), [&outcome](const std::exception_ptr& thrown, error_code error) {
+      outcome = thrown ? error_code(asio::error::no_memory) : error;
+    });
+  else
+    asio::async_write(s.socket, buffers, TransferLarge{},
+                      [&outcome](const error_code& error, std::size_t) { outcome = error; });
   const auto written = [&] { return outcome.has_value(); };
   if (!s.run(written, deadline)) {
     s.lose(Code::deadline_exceeded, "it did not take what was sent in time");
@@ -348,6 +436,7 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
 
 Result<Frame> Connection::read(const Deadline& deadline) {
   State& s = *state_;
+  s.start_reading();
   if (!s.run([&] { return !s.inbox.empty() || !s.lost; }, deadline))
     s.lose(Code::deadline_exceeded, "no answer in time");
   if (s.inbox.empty()) return s.lost;
@@ -358,13 +447,39 @@ Result<Frame> Connection::read(const Deadline& deadline) {
 
 bool Connection::has_frame() {
   State& s = *state_;
+  s.start_reading();
   if (s.io.stopped()) s.io.restart();
   for (int round = 0; round < kPollRoundsMax && s.inbox.empty() && s.lost; ++round)
     if (s.io.poll_one() == 0) break;
   return !s.inbox.empty() || !s.lost;
 }
 
+Result<std::size_t> Connection::send_some(std::span<const iovec> pieces) {
+  State& s = *state_;
+  const auto lost = [&s](const std::string& why) {
+    return Status(Code::unavailable, fmt::format("the connection to {} was lost: {}", s.endpoint.text(), why));
+  };
+  if (!s.tls) {
+    msghdr message{};
+    message.msg_iov = const_cast<iovec*>(pieces.data());  // sendmsg only reads
+    message.msg_iovlen = pieces.size();
+    const ssize_t count = ::sendmsg(handle(), &message, MSG_DONTWAIT | MSG_NOSIGNAL);
+    if (count >= 0) return static_cast<std::size_t>(count);
+    if (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) return std::size_t{0};
+    return lost(std::strerror(errno));
+  }
+  std::size_t sent = 0;
+  for (const iovec& piece : pieces) {
+    const tls::Progress progress = s.tls->write({static_cast<const std::byte*>(piece.iov_base), piece.iov_len});
+    if (progress.next == tls::Next::ended || progress.next == tls::Next::failed) return lost(s.tls->why());
+    sent += progress.bytes;
+    if (progress.bytes < piece.iov_len) break;
+  }
+  return sent;
+}
+
 Status Connection::send_at_once(Bytes frame, int descriptor) {
+  CHECK(!state_->tls, "descriptors go over Unix sockets");
   iovec piece{const_cast<std::byte*>(frame.data()), frame.size()};  // sendmsg only reads
   alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int))> control{};
   msghdr message{};
@@ -389,5 +504,8 @@ Status Connection::lost() const { return state_->lost; }
 bool Connection::said_goodbye() const { return state_->said_goodbye; }
 int Connection::handle() { return state_->socket.native_handle(); }
 bool Connection::this_machine() const { return state_->this_machine; }
+bool Connection::off_loopback() const { return state_->off_loopback; }
+Status Connection::encrypt(const Deadline& deadline) { return state_->encrypt(deadline); }
+std::string Connection::certificate() const { return state_->tls ? state_->tls->certificate() : ""; }
 
 }  // namespace rcb::client

@@ -1,4 +1,4 @@
-// Connection: one socket to a service, frames out and in. Hides Boost.Asio.
+// Connection: one socket to a service, encrypted or not, frames out and in. Hides Boost.Asio.
 //
 // Invariants
 // 1. Every wait ends at its deadline. After a timeout the position in the byte stream is unknown, so the connection
@@ -16,6 +16,8 @@
 #include <span>
 #include <string>
 #include <vector>
+
+#include <sys/uio.h>
 
 #include "client/lib/endpoint.hpp"
 #include "common/base/status.hpp"
@@ -52,10 +54,18 @@ using NoticeHandler = std::function<void(const std::string&)>;
 
 class Connection {
  public:
-  // Errors: unavailable, deadline_exceeded, not_authorised (another user serves the socket).
+  // Nothing is said yet. Errors: unavailable, deadline_exceeded, not_authorised (another user serves the socket).
   static Result<std::unique_ptr<Connection>> open(const Endpoint& endpoint, const Deadline& deadline,
                                                   NoticeHandler on_notice);
   ~Connection();
+
+  // Whether it leads to an address of TCP that isn't loopback, hence perhaps to another machine.
+  bool off_loopback() const;
+  // Before anything else is said: speaks TLS from here on. Errors: protocol_error (the peer doesn't), unavailable,
+  // deadline_exceeded.
+  Status encrypt(const Deadline& deadline);
+  // The fingerprint of the certificate that the peer has shown; empty: the connection isn't encrypted.
+  std::string certificate() const;
 
   // Returns when the kernel has taken all bytes. Errors: unavailable, deadline_exceeded, protocol_error.
   Status write(std::span<const Bytes> pieces, const Deadline& deadline);
@@ -67,10 +77,13 @@ class Connection {
   Status lost() const;
   // Whether the service ended the connection with a goodbye.
   bool said_goodbye() const;
-  // The socket, for writing to it directly; write() must not be used meanwhile.
+  // Sends as much of the pieces as the socket has room for, and returns how many bytes that is. The next call must go
+  // on from there; write() must not be used meanwhile. Errors: unavailable.
+  Result<std::size_t> send_some(std::span<const iovec> pieces);
+  // The socket, to wait for room.
   int handle();
-  // Sends a short frame, with a descriptor (of a Unix socket's peer) unless that is -1, without waiting for room.
-  // write() must not be in use. Errors: unavailable.
+  // Sends a short frame over a Unix socket, with a descriptor unless that is -1, without waiting for room. write() must
+  // not be in use. Errors: unavailable.
   Status send_at_once(Bytes frame, int descriptor);
   // Whether the peer's address is one of this machine.
   bool this_machine() const;

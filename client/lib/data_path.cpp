@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
-#include <cstring>
 
 #include <fmt/format.h>
 #include <poll.h>
@@ -74,7 +72,7 @@ struct DataPath::Link {
   bool between_frames() const { return piece == pieces.size(); }
 
   void add(const void* from, std::size_t bytes) {
-    if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // sendmsg only reads
+    if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // they are only read
   }
 
   void next_frame(const wire::Json& slice, std::uint64_t request, std::span<const std::uint64_t> all,
@@ -150,17 +148,10 @@ bool DataPath::stands() {
 Connection& DataPath::connection(int rank) { return *links_[static_cast<std::size_t>(rank)]->connection; }
 
 Status DataPath::send_some(Link& link, bool& moved) {
-  msghdr message{};
-  message.msg_iov = link.pieces.data() + link.piece;
-  message.msg_iovlen = link.pieces.size() - link.piece;
-  const ssize_t count = ::sendmsg(link.connection->handle(), &message, MSG_DONTWAIT | MSG_NOSIGNAL);
-  if (count < 0) {
-    if (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) return {};
-    return {Code::unavailable,
-            fmt::format("the data connection to rank {} was lost: {}", link.rank, std::strerror(errno))};
-  }
-  moved = true;
-  auto left = static_cast<std::size_t>(count);
+  const auto sent = link.connection->send_some(std::span(link.pieces).subspan(link.piece));
+  if (!sent) return {sent.status().code(), fmt::format("rank {}: {}", link.rank, sent.status().message())};
+  std::size_t left = *sent;
+  moved = moved || left > 0;
   while (left > 0) {
     iovec& piece = link.pieces[link.piece];
     const std::size_t bytes = std::min(left, piece.iov_len);

@@ -208,34 +208,43 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
 Result<wire::Json> Session::greet(std::unique_ptr<Connection>& link, const Endpoint& endpoint,
                                   const std::string& listener, const Deadline& deadline) {
   std::vector<std::string> tokens;
+  if (!endpoint.is_unix) {
+    auto found = tokens_to_try(*link, endpoint, listener);
+    if (!found) return found.status();
+    tokens = std::move(*found);
+  }
   for (std::size_t attempt = 0;; ++attempt) {
-    const auto nonce = read_welcome(*link, endpoint, deadline);
-    if (!nonce) return nonce.status();
-    if (nonce->empty()) return say_hello(*link, wire::Json::object(), deadline);
-    if (attempt == 0) {
-      auto found = tokens_to_try(*link, endpoint, listener);
-      if (!found) return found.status();
-      tokens = std::move(*found);
-    }
-    const auth::Opening opening{listener, *nonce, auth::random_nonce(), number_};
-    auto reply = prove_and_say_hello(*link, tokens[attempt], opening, endpoint.text(), deadline);
-    const bool refused = !reply && reply.status().code() == Code::not_authorised;
-    if (!refused || attempt + 1 == tokens.size()) return reply;
+    auto reply = greet_once(*link, endpoint, listener, tokens.empty() ? "" : tokens[attempt], deadline);
+    // A token that lies here from an earlier service may be unknown to this one, or call for TLS where it has none.
+    const Code code = reply.status().code();
+    const bool refused = code == Code::not_authorised || code == Code::protocol_error;
+    if (!refused || attempt + 1 >= tokens.size()) return reply;
     auto connection = Connection::open(endpoint, deadline, options_.on_notice);
     if (!connection) return connection.status();
     link = std::move(*connection);
   }
 }
 
+Result<wire::Json> Session::greet_once(Connection& link, const Endpoint& endpoint, const std::string& listener,
+                                       const std::string& token, const Deadline& deadline) {
+  // The token has come to us by a way that nobody on the network controls; what is said on the network can't undo TLS.
+  if (link.off_loopback() && !auth::trusts_network(token))
+    if (Status encrypted = link.encrypt(deadline); !encrypted) return encrypted;
+  const auto nonce = read_welcome(link, endpoint, deadline);
+  if (!nonce) return nonce.status();
+  if (nonce->empty()) return say_hello(link, wire::Json::object(), deadline);
+  if (token.empty())
+    return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
+                  "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
+  const auth::Opening opening{listener, *nonce, auth::random_nonce(), number_, link.certificate()};
+  return prove_and_say_hello(link, token, opening, endpoint.text(), deadline);
+}
+
 Result<std::vector<std::string>> Session::tokens_to_try(const Connection& link, const Endpoint& endpoint,
                                                         const std::string& listener) const {
   // A rank's own listener accepts the token that the endpoint accepted.
   if (listener != kEndpointListener && !token_.empty()) return std::vector{token_};
-  auto tokens = tokens_for(endpoint, options_.token, link.this_machine());
-  if (tokens && tokens->empty())
-    return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
-                  "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
-  return tokens;
+  return tokens_for(endpoint, options_.token, link.this_machine());
 }
 
 Result<wire::Json> Session::prove_and_say_hello(Connection& link, const std::string& token, auth::Opening opening,

@@ -138,14 +138,18 @@ class Session {
   Status connect(const Deadline& deadline);
   Status connect_to(const Endpoint& endpoint, const Deadline& deadline);
   // Reads the welcome and says hello on `link`, which is reconnected if a token was refused. Over TCP both sides prove
-  // that they know the token before anything else is said. listener: "endpoint" or "rank R". Returns the reply to
+  // that they know the token before anything else is said, and if they may be on different machines they do so over
+  // TLS, unless the token says that the network is trusted. listener: "endpoint" or "rank R". Returns the reply to
   // hello.
   Result<wire::Json> greet(std::unique_ptr<Connection>& link, const Endpoint& endpoint, const std::string& listener,
                            const Deadline& deadline);
+  // With one token, or none.
+  Result<wire::Json> greet_once(Connection& link, const Endpoint& endpoint, const std::string& listener,
+                                const std::string& token, const Deadline& deadline);
   Result<wire::Json> prove_and_say_hello(Connection& link, const std::string& token, auth::Opening opening,
                                          const std::string& where, const Deadline& deadline);
   Result<wire::Json> say_hello(Connection& link, wire::Json more, const Deadline& deadline);
-  // The tokens to try at this listener. Errors: not_authorised, if there is none.
+  // The tokens to try at this listener.
   Result<std::vector<std::string>> tokens_to_try(const Connection& link, const Endpoint& endpoint,
                                                  const std::string& listener) const;
   Result<Frame> await_answer(Connection& link, std::uint64_t request, const Deadline& deadline);

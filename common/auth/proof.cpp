@@ -30,9 +30,9 @@ std::string proof(Role role, std::string_view token, const Opening& opening) {
   CHECK(is_nonce(opening.service_nonce) && is_nonce(opening.client_nonce), "a proof over what is no nonce");
   CHECK(!token.empty() && token.size() <= std::numeric_limits<int>::max(), "a proof of no token");
   // Fields contain no newlines, so different openings always give different texts.
-  const std::string text =
-      fmt::format("rcbd proof 1\n{}\n{}\n{}\n{}\n{}\n", role == Role::client ? "client" : "service", opening.listener,
-                  opening.service_nonce, opening.client_nonce, opening.session);
+  std::string text = fmt::format("rcbd proof 1\n{}\n{}\n{}\n{}\n{}\n", role == Role::client ? "client" : "service",
+                                 opening.listener, opening.service_nonce, opening.client_nonce, opening.session);
+  if (!opening.certificate.empty()) text += opening.certificate + "\n";
   std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
   unsigned size = 0;
   const auto* made = HMAC(EVP_sha256(), token.data(), static_cast<int>(token.size()),
@@ -40,6 +40,8 @@ std::string proof(Role role, std::string_view token, const Opening& opening) {
   CHECK(made != nullptr, "OpenSSL has no HMAC-SHA256");
   return hex(std::span(digest.data(), size));
 }
+
+bool trusts_network(std::string_view token) { return token.starts_with(kTrustedNetworkPrefix); }
 
 std::string random_nonce() { return random_hex(kNonceBytes); }
 

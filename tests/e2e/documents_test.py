@@ -37,9 +37,9 @@ class Documents(ServiceTest):
             file.write(SOLVER + block("README.md", "cpp"))
         build = os.path.dirname(BIN)
         libraries = [os.path.join(build, f"librcb_{name}.a")
-                     for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_particles", "common_files", "common_base")]
+                     for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls", "common_particles", "common_files", "common_base")]
         compiled = subprocess.run(["c++", "-std=c++20", "-I", ROOT, source, "-o", program,
-                                   *filter(os.path.exists, libraries), "-lfmt", "-lxxhash", "-lcrypto", "-lpthread"],
+                                   *filter(os.path.exists, libraries), "-lfmt", "-lxxhash", "-lssl", "-lcrypto", "-lpthread"],
                                   capture_output=True, text=True, timeout=200)
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
         done = run(program=program, endpoint=self.service.endpoint)

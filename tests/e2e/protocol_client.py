@@ -1,10 +1,13 @@
 """A client written from PROTOCOL.md alone, so that the page is proved complete enough. Needs libxxhash."""
 import ctypes
 import ctypes.util
+import hashlib
 import hmac
+import ipaddress
 import json
 import os
 import socket
+import ssl
 import struct
 
 import numpy as np
@@ -81,8 +84,23 @@ def connected(address, timeout):
     return made
 
 
-def proof(role, token, listener, service_nonce, client_nonce, session):
+def encrypted(made, token):
+    """(the socket, with TLS where a client with this token must speak it; the fingerprint of the certificate shown, or "")"""
+    if made.family == socket.AF_UNIX or (token or "").startswith("trusted-network-"):
+        return made, ""
+    address = ipaddress.ip_address(made.getpeername()[0])
+    if (getattr(address, "ipv4_mapped", None) or address).is_loopback:
+        return made, ""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.minimum_version, context.check_hostname, context.verify_mode = ssl.TLSVersion.TLSv1_3, False, ssl.CERT_NONE
+    made = context.wrap_socket(made)
+    return made, hashlib.sha256(made.getpeercert(binary_form=True)).hexdigest()
+
+
+def proof(role, token, listener, service_nonce, client_nonce, session, certificate=""):
     text = f"rcbd proof 1\n{role}\n{listener}\n{service_nonce}\n{client_nonce}\n{session}\n"
+    if certificate:
+        text += f"{certificate}\n"
     return hmac.new(token.encode(), text.encode(), "sha256").hexdigest()
 
 
@@ -95,6 +113,7 @@ class Client:
         self.number = 0
         self.session = session or os.urandom(8).hex()
         try:
+            self.socket, self.certificate = encrypted(self.socket, token)
             kind, _, self.welcome, _ = self.receive()
             if kind == FAILURE:
                 raise Refused(self.welcome["failure"]["code"], self.welcome["failure"]["message"])
@@ -109,7 +128,7 @@ class Client:
         document = {"protocol": 1, "client": "e2e", "session": self.session}
         tcp = self.socket.family != socket.AF_UNIX
         if tcp:
-            known = self.token, self.listener, self.welcome["nonce"], os.urandom(32).hex(), self.session
+            known = self.token, self.listener, self.welcome["nonce"], os.urandom(32).hex(), self.session, self.certificate
             document |= {"nonce": known[3], "proof": proof("client", *known)}
         self.number += 1
         self.write(frame(HELLO, self.number, document))

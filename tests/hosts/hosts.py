@@ -4,6 +4,8 @@ and IPC, and all are on one bridge. They end with this process; close() also end
 
     tests/hosts/hosts.py 3 -- COMMAND   runs COMMAND on machine a of a, b and c; $HOSTS_AGENT is a remote shell for mpirun
 """
+import contextlib
+import ctypes
 import os
 import shlex
 import shutil
@@ -69,6 +71,18 @@ class Hosts:
 
     def _in_switch(self, script):
         subprocess.run(["nsenter", "-t", str(self.switch.pid), "-n", "sh", "-c", script], check=True)
+
+    @contextlib.contextmanager
+    def network(self, name):
+        """Sockets that this thread makes meanwhile are that machine's, and stay so."""
+        libc, net = ctypes.CDLL(None, use_errno=True), 0x40000000  # CLONE_NEWNET
+        with open("/proc/thread-self/ns/net") as own, open(f"/proc/{self.holders[name].pid}/ns/net") as other:
+            if libc.setns(other.fileno(), net) != 0:
+                raise OSError(ctypes.get_errno(), "setns")
+            try:
+                yield
+            finally:
+                libc.setns(own.fileno(), net)
 
     def address(self, name):
         return f"{NETWORK}.{self.names.index(name) + 1}"

@@ -20,6 +20,7 @@ ARROWS = {
     "common/partition": ["common/partition/incremental"],
     "common/wire": ["common/base"],
     "common/auth": ["common/base"],
+    "common/tls": ["common/base"],
     "common/layout": ["common/particles"],
     "common/io/files": ["common/base", "common/files"],
     "common/io/formats": ["common/io/files"],
@@ -34,13 +35,13 @@ ARROWS = {
     "server/service": ["server/service/commands"],
     "server/ranks": ["server/service"],
     "server/net/files": ["common/files", "common/wire", "common/auth"],
-    "server/net/sockets": ["server/net/files"],
+    "server/net/sockets": ["server/net/files", "common/tls"],
     "server/net/push": ["server/api"],
     "server/net/data": ["server/net/push", "server/net/sockets"],
     "server/net/peers": ["server/net/data"],
     "server/net/control": ["server/net/peers"],
     "server": ["server/ranks", "server/net/control"],
-    "client/lib": ["common/wire", "common/auth", "common/layout", "common/files"],
+    "client/lib": ["common/wire", "common/auth", "common/tls", "common/layout", "common/files"],
     "client/launch/job": ["client/lib"],
     "client/launch": ["client/launch/job"],
     "client/cli/print": ["client/lib", "common/io"],
@@ -56,7 +57,7 @@ ARROWS = {
 ROOMS = {
     r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "tests/support", "tests/bench", "tests/bench/peers"],
     r"<boost/asio": ["server/net/sockets", "client/lib"],
-    r"<openssl/": ["common/auth"],
+    r"<openssl/": ["common/auth", "common/tls", "tests/common/tls"],
     r"<hdf5\.h>": ["common/hdf5", "tests/common/io"],
 }
 

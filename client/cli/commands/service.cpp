@@ -23,6 +23,7 @@ struct UpOptions {
   // Options passed to rcbd at this start and at each restart.
   std::vector<std::string> files_below;
   bool trusted_network = false;
+  bool trusted_interconnect = false;
   std::string keep_reports;
   std::string log_level;
   std::string bulk_bytes;
@@ -41,6 +42,7 @@ std::vector<std::string> service_arguments(const UpOptions& options, const clien
   if (options.files_below.empty() && endpoint.is_unix)
     add("--local-files-below", std::filesystem::current_path(unknown).string());
   if (options.trusted_network) arguments.emplace_back("--trusted-network");
+  if (options.trusted_interconnect) arguments.emplace_back("--trusted-interconnect");
   add("--keep-reports", options.keep_reports);
   add("--log-level", options.log_level);
   add("--bulk-bytes", options.bulk_bytes);
@@ -139,8 +141,12 @@ void add_up_options(CLI::App& command, UpOptions& options) {
             "a folder below which commands may read and write files; may be given more than once (default: on a Unix "
             "socket the working directory, over TCP none)");
   command.add_flag("--trusted-network", options.trusted_network,
-                   "take an endpoint that other machines reach, although positions and commands travel unencrypted: "
-                   "anybody on the network can read and alter them");
+                   "nobody on the network is to be feared: nothing that travels between machines is encrypted, and "
+                   "anybody there can read and alter positions and commands (default: clients' connections from other "
+                   "machines are by TLS 1.3)");
+  command.add_flag("--trusted-interconnect", options.trusted_interconnect,
+                   "the same of the network between ranks on several machines alone, where MPI doesn't encrypt; "
+                   "such ranks need one of the two");
   add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 1, kKeepReportsMax),
             "step reports kept in memory, of all scenes together; older ones go to files (default: 100000)");
   add_value(command, "--log-level", options.log_level,

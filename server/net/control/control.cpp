@@ -27,8 +27,8 @@ struct Control::State : std::enable_shared_from_this<State> {
   void accept(Acceptor& acceptor, std::string endpoint) {
     const ControlOptions& options = coordinator->options();
     constexpr bool kTcp = std::is_same_v<Acceptor, TcpAcceptor>;
-    DoorOptions door{.listener = "endpoint", .token = {}, .hello_seconds = options.hello_seconds};
-    if (kTcp) door.token = options.token;
+    DoorOptions door{.listener = "endpoint", .credentials = {}, .hello_seconds = options.hello_seconds};
+    if (kTcp) door.credentials = options.credentials;
     const bool files = !kTcp || options.files_over_tcp;
     doors.push_back(std::make_shared<Door>(std::move(door)));
     auto take = [self = shared_from_this(), entrance = Entrance{std::move(endpoint), doors.back(), late, files}](
@@ -97,16 +97,17 @@ Control::~Control() { state_->stop_listening(); }
 Status Control::listen_unix(const std::string& path) {
   if (Status status = state_->unix_listener.listen(state_->loop.context(), path); !status.ok()) return status;
   state_->unix_path = path;
-  state_->coordinator->add_endpoint("unix:" + path);
+  state_->coordinator->add_endpoint("unix:" + path, false);
   return {};
 }
 
 Result<std::string> Control::listen_tcp(const std::string& where) {
-  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->loop.context(), where, state_->coordinator->options().network);
+  const Network network = state_->coordinator->options().credentials.network();
+  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->loop.context(), where, network);
   if (!acceptor.ok()) return acceptor.status();
   std::string bound = bound_address(*acceptor);
+  state_->coordinator->add_endpoint(bound, network == Network::encrypted && !on_loopback(*acceptor));
   state_->tcp_acceptors.push_back(std::move(*acceptor));
-  state_->coordinator->add_endpoint(bound);
   return bound;
 }
 

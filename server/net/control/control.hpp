@@ -16,8 +16,8 @@
 #include "server/net/peers/silent_rank.hpp"
 #include "server/net/push/data_plane.hpp"
 #include "server/net/push/engine.hpp"
+#include "server/net/sockets/credentials.hpp"
 #include "server/net/sockets/io_loop.hpp"
-#include "server/net/sockets/network.hpp"
 
 namespace rcb::net {
 
@@ -27,9 +27,8 @@ struct ControlOptions {
   std::vector<RankHost> hosts = {};  // by rank; empty: not known
   bool restarted = false;            // restarted after a crash, so scenes may have been lost
   std::string data_dir;              // keeps the members' last answers beyond this process; empty: they aren't kept
-  std::string token;                 // clients over TCP prove that they know it
-  Network network = Network::loopback;
-  bool files_over_tcp = false;  // clients over TCP may have the service read and write files
+  Credentials credentials;           // for clients over TCP
+  bool files_over_tcp = false;       // clients over TCP may have the service read and write files
   std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
   double hello_seconds = wire::kHelloSecondsMax;
   double frame_seconds = wire::kFrameSecondsMax;

@@ -401,6 +401,7 @@ Json Coordinator::status_json() const {
           {"pid", ::getpid()},
           {"uptime_seconds", seconds_since(started_)},
           {"endpoints", endpoints_},
+          {"encryption", encryption_},
           {"data_dir", options_.data_dir},
           {"log", log_json()},
           {"memory_bytes", memory},

@@ -142,7 +142,11 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void set_silence_query(std::function<std::vector<SilentRank>()> ask) { silent_ranks_ = std::move(ask); }
   // What unfinished orders wait for, in words: "the engine", or the silent ranks.
   std::string engine_in_words() const;
-  void add_endpoint(std::string endpoint) { endpoints_.push_back(std::move(endpoint)); }
+  // encrypted: towards other machines.
+  void add_endpoint(std::string endpoint, bool encrypted) {
+    endpoints_.push_back(std::move(endpoint));
+    encryption_.push_back(encrypted ? "TLS 1.3" : "none");
+  }
 
   void join(Session* session) { sessions_.insert(session); }
   // Removes the session and aborts its pushes.
@@ -225,6 +229,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   MemberGroups groups_{*this};
   std::map<std::string, SceneGate> gates_;
   std::vector<std::string> endpoints_;
+  std::vector<std::string> encryption_;  // of each endpoint
   std::function<std::vector<SilentRank>()> silent_ranks_;
   std::vector<std::uint64_t> memory_bytes_;  // by rank, as last reported; 0: not yet
   std::vector<std::function<void()>> shutdown_callbacks_;

@@ -112,7 +112,7 @@ awaitable<Status> Session::hello() {
     const auto is_unix = [](const std::string& address) { return address.starts_with("unix:"); };
     // Over a Unix socket the client is of the service's user, who may read the token anyway.
     if (is_unix(entrance_.endpoint) && !std::all_of(data.begin(), data.end(), is_unix))
-      reply["data_token"] = options.token;
+      reply["data_token"] = options.credentials.token;
   }
   Door::let_in(*connection_, *hello, std::move(reply));
   co_return Status();

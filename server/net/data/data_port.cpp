@@ -136,8 +136,8 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   template <typename Acceptor>
   void accept(Acceptor& acceptor) {
     DoorOptions door{
-        .listener = fmt::format("rank {}", options.rank), .token = {}, .hello_seconds = options.hello_seconds};
-    if (std::is_same_v<Acceptor, TcpAcceptor>) door.token = options.token;
+        .listener = fmt::format("rank {}", options.rank), .credentials = {}, .hello_seconds = options.hello_seconds};
+    if (std::is_same_v<Acceptor, TcpAcceptor>) door.credentials = options.credentials;
     doors.push_back(std::make_shared<Door>(std::move(door)));
     auto take = [self = shared_from_this(), door = doors.back()](Socket socket, const Status& peer) {
       self->welcome(std::move(socket), door, peer);
@@ -398,7 +398,7 @@ DataPort::~DataPort() { state_->stop(); }
 Status DataPort::listen_unix(const std::string& path) { return state_->unix_listener.listen(state_->context(), path); }
 
 Result<std::string> DataPort::listen_tcp(const std::string& where) {
-  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->context(), where, Network::trusted);
+  Result<TcpAcceptor> acceptor = net::listen_tcp(state_->context(), where, state_->options.credentials.network());
   if (!acceptor.ok()) return acceptor.status();
   std::string bound = bound_address(*acceptor);
   state_->tcp_acceptors.push_back(std::move(*acceptor));

@@ -27,13 +27,14 @@
 #include "common/files/shared_memory.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/push/data_plane.hpp"
+#include "server/net/sockets/credentials.hpp"
 #include "server/net/sockets/io_loop.hpp"
 
 namespace rcb::net {
 
 struct DataOptions {
   int rank = 0;
-  std::string token;  // clients over TCP prove that they know it
+  Credentials credentials;  // for clients over TCP
   std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
   double hello_seconds = wire::kHelloSecondsMax;
   double frame_seconds = wire::kFrameSecondsMax;
@@ -50,8 +51,7 @@ class DataPort {
 
   // Before the loop starts. Errors: those of listen_unix and listen_tcp.
   Status listen_unix(const std::string& path);
-  // Returns the address that was bound. May listen on the interface of any endpoint, since the service's owner has
-  // chosen that endpoint.
+  // Returns the address that was bound.
   Result<std::string> listen_tcp(const std::string& where);
   void start(Report report);
   // Closes listeners and connections and removes the socket.

@@ -38,8 +38,9 @@ std::string private_token(const std::string& path) {
   if (::fstat(*file, &info) == 0 && (info.st_mode & 0077) == 0) token = read_small(*file);
   ::close(*file);
   while (!token.empty() && token.back() == '\n') token.pop_back();
-  const bool whole =
-      token.size() == 2 * kTokenBytes && token.find_first_not_of("0123456789abcdef") == std::string::npos;
+  const std::size_t begin = auth::trusts_network(token) ? auth::kTrustedNetworkPrefix.size() : 0;
+  const bool whole = token.size() == begin + 2 * kTokenBytes &&
+                     token.find_first_not_of("0123456789abcdef", begin) == std::string::npos;
   return whole ? token : "";
 }
 
@@ -61,16 +62,16 @@ Result<DataDirectory> DataDirectory::open(const std::string& path, bool named_by
   return directory;
 }
 
-Result<std::string> DataDirectory::new_token() const {
-  std::string token = auth::random_hex(kTokenBytes);
+Result<std::string> DataDirectory::new_token(std::string_view prefix) const {
+  std::string token = std::string(prefix) + auth::random_hex(kTokenBytes);
   const Status written = write_own_file(join_path(path_, kTokenFile), token + "\n");
   if (!written.ok()) return written;
   return token;
 }
 
-Result<std::string> DataDirectory::kept_token() const {
-  if (std::string token = private_token(join_path(path_, kTokenFile)); !token.empty()) return token;
-  return new_token();
+Result<std::string> DataDirectory::kept_token(std::string_view prefix) const {
+  std::string token = private_token(join_path(path_, kTokenFile));
+  return token.starts_with(prefix) && token.size() == prefix.size() + 2 * kTokenBytes ? token : new_token(prefix);
 }
 
 Result<OfferedToken> OfferedToken::offer(const std::string& directory, std::string token) {

@@ -11,6 +11,7 @@
 
 #include <optional>
 #include <string>
+#include <string_view>
 
 #include "common/base/status.hpp"
 #include "common/files/endpoint_lock.hpp"
@@ -25,10 +26,12 @@ class DataDirectory {
   static Result<DataDirectory> open(const std::string& path, bool named_by_user, EndpointNote who);
 
   const std::string& path() const { return path_; }
-  // Writes a new token: clients of an earlier service that know the old one can't use this one. Errors: io_error.
-  Result<std::string> new_token() const;
-  // The token of the service before a crash; a new one if the file isn't private or isn't whole. Errors: io_error.
-  Result<std::string> kept_token() const;
+  // Writes a new token: clients of an earlier service that know the old one can't use this one. prefix: what it begins
+  // with (auth::kTrustedNetworkPrefix). Errors: io_error.
+  Result<std::string> new_token(std::string_view prefix = {}) const;
+  // The token of the service before a crash; a new one if the file isn't private or isn't whole, or if the token has
+  // another prefix. Errors: io_error.
+  Result<std::string> kept_token(std::string_view prefix = {}) const;
   // Records that the service ended as it was told to; synced to disk. Errors: io_error.
   Status leave_clean_marker() const;
 

@@ -113,7 +113,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
         options(std::move(chosen)),
         address{"rcbd-doorbell-" + auth::random_hex(16), auth::random_hex(32), {}},
         door({.listener = kListener,
-              .token = address.secret,
+              .credentials = Credentials{address.secret, {}},  // without TLS, as MPI is
               .hello_seconds = kHandshakeSeconds,
               .waiting_max = wire::kBeforeHelloMax + static_cast<std::size_t>(options.ranks)}),
         peers(static_cast<std::size_t>(options.ranks)),

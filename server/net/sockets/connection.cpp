@@ -12,6 +12,7 @@
 #include <sys/socket.h>
 #include <sys/uio.h>
 
+#include "common/tls/off_loopback.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::net {
@@ -27,6 +28,47 @@ Connection::Connection(Socket socket, double frame_seconds)
     : socket_(std::move(socket)), frame_time_(duration_of(frame_seconds)), watch_(socket_.get_executor()) {
   error_code ignored;
   socket_.non_blocking(true, ignored);
+}
+
+bool Connection::off_loopback() const {
+  error_code error;
+  const auto own = socket_.local_endpoint(error);
+  return error || tls::off_loopback(*own.data());
+}
+
+awaitable<error_code> Connection::wait_for(tls::Next next) {
+  auto [error] =
+      co_await socket_.async_wait(next == tls::Next::wait_writable ? Socket::wait_write : Socket::wait_read, kAwait);
+  // A wait that ends by itself just before it would be cancelled doesn't say so.
+  if (!error && read_late_ && next == tls::Next::wait_readable) error = asio::error::operation_aborted;
+  co_return error;
+}
+
+awaitable<Status> Connection::encrypt(const tls::Identity& identity, TimePoint end) {
+  auto stream = tls::Stream::accept(identity, socket_.native_handle());
+  if (!stream.ok()) co_return stream.status();
+  tls_ = std::move(*stream);
+  limit_reading(now() + (end - now()) / 2);
+  tls::Progress progress = tls_->handshake();
+  error_code error;
+  while (!broken_ && !error && progress.next != tls::Next::done && progress.next != tls::Next::failed) {
+    error = co_await wait_for(progress.next);
+    if (!broken_ && !error) progress = tls_->handshake();
+    if (!broken_ && tls_->peer_has_begun()) limit_reading(end);
+  }
+  limit_reading(end);
+  if (!broken_ && progress.next == tls::Next::done) co_return Status();
+  const bool silent = read_late_ && !tls_->peer_has_begun();
+  if (!broken_ && (silent || tls_->peer_is_plain())) {
+    tls_.reset();
+    co_return Status(Code::protocol_error,
+                     silent ? "TLS 1.3 is spoken here, and the client hasn't begun in time"
+                            : "TLS 1.3 is spoken here, and the client doesn't speak it",
+                     "see PROTOCOL.md, 'Encryption'; a tunnel should end at a loopback address of the service");
+  }
+  const std::string why = tls_->why().empty() ? error.message() : tls_->why();
+  close();
+  co_return Status(Code::unavailable, "no TLS 1.3: " + why);
 }
 
 Descriptor Connection::take_descriptor() {
@@ -106,6 +148,40 @@ awaitable<std::pair<error_code, std::size_t>> Connection::receive_with_descripto
   }
 }
 
+awaitable<std::pair<error_code, std::size_t>> Connection::read_encrypted(std::span<std::byte> into) {
+  while (true) {
+    const tls::Progress progress = tls_->read(into);
+    error_code error;
+    if (progress.next == tls::Next::done) {
+      co_await asio::post(socket_.get_executor(), asio::use_awaitable);  // others have their turn
+      co_return std::pair(error, progress.bytes);
+    }
+    if (progress.next == tls::Next::ended)
+      error = asio::error::eof;
+    else if (progress.next == tls::Next::failed)
+      error = asio::error::connection_aborted;
+    else
+      error = co_await wait_for(progress.next);
+    if (error) co_return std::pair(error, std::size_t{0});
+  }
+}
+
+awaitable<std::pair<error_code, std::size_t>> Connection::write_encrypted(std::span<const std::byte> bytes) {
+  while (true) {
+    const tls::Progress progress = tls_->write(bytes);
+    error_code error;
+    if (progress.next == tls::Next::done) {
+      co_await asio::post(socket_.get_executor(), asio::use_awaitable);
+      co_return std::pair(error, progress.bytes);
+    }
+    if (progress.next == tls::Next::ended || progress.next == tls::Next::failed)
+      error = asio::error::broken_pipe;
+    else
+      error = co_await wait_for(progress.next);
+    if (error) co_return std::pair(error, std::size_t{0});
+  }
+}
+
 awaitable<Status> Connection::refill() {
   inbox_begin_ = inbox_end_ = 0;
   if (broken_ || read_late_) co_return read_failed({});
@@ -113,6 +189,8 @@ awaitable<Status> Connection::refill() {
   std::size_t bytes = 0;
   if (accepts_descriptors_)
     std::tie(error, bytes) = co_await receive_with_descriptors();
+  else if (tls_)
+    std::tie(error, bytes) = co_await read_encrypted(inbox_);
   else
     std::tie(error, bytes) = co_await socket_.async_read_some(asio::buffer(inbox_.data(), inbox_.size()), kAwait);
   if (error) co_return read_failed(error);
@@ -134,7 +212,12 @@ awaitable<Status> Connection::read_exactly(std::span<std::byte> into) {
     } else {
       if (broken_ || read_late_) co_return read_failed({});
       const std::size_t piece = std::min(into.size(), kPieceBytes);
-      auto [error, bytes] = co_await socket_.async_read_some(asio::buffer(into.data(), piece), kAwait);
+      error_code error;
+      std::size_t bytes = 0;
+      if (tls_)
+        std::tie(error, bytes) = co_await read_encrypted(into.first(piece));
+      else
+        std::tie(error, bytes) = co_await socket_.async_read_some(asio::buffer(into.data(), piece), kAwait);
       if (error) co_return read_failed(error);
       bytes_received_ += bytes;
       into = into.subspan(bytes);
@@ -275,7 +358,12 @@ awaitable<bool> Connection::write_span(std::span<const std::byte> bytes) {
     write_end_ = now() + frame_time_;
     arm();
     const std::size_t piece = std::min(bytes.size(), kPieceBytes);
-    auto [error, count] = co_await socket_.async_write_some(asio::buffer(bytes.data(), piece), kAwait);
+    error_code error;
+    std::size_t count = 0;
+    if (tls_)
+      std::tie(error, count) = co_await write_encrypted(bytes.first(piece));
+    else
+      std::tie(error, count) = co_await socket_.async_write_some(asio::buffer(bytes.data(), piece), kAwait);
     if (error == asio::error::operation_aborted && !broken_) continue;  // a read timeout cancels both directions
     if (error) co_return false;
     bytes = bytes.subspan(count);
@@ -294,6 +382,7 @@ awaitable<void> Connection::end_gently() {
   co_await flush();
   if (broken_) co_return;
   error_code ignored;
+  if (tls_) tls_->end_sending();
   socket_.shutdown(Socket::shutdown_send, ignored);
   read_late_ = false;
   limit_reading(now() + std::chrono::seconds(1));
@@ -314,6 +403,7 @@ bool Connection::polled(short events) {
 }
 
 void Connection::close_saying(const Status& why) {
+  if (tls_ && !tls_->open()) return close();  // nothing can be said yet
   closes_when_sent_ = true;
   frame_time_ = std::chrono::seconds(1);
   write_end_ = now() + frame_time_;
@@ -324,6 +414,7 @@ void Connection::close_saying(const Status& why) {
 void Connection::close() {
   if (std::exchange(broken_, true)) return;
   error_code ignored;
+  if (tls_) tls_->end();
   socket_.close(ignored);
   watch_.cancel();
 }

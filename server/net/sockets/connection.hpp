@@ -1,7 +1,7 @@
 // Room `sockets`: listeners, connections, the hello and the I/O loop. Converts bytes to frames and back, with a limit
 // on everything. Only this room includes Asio.
 //
-// Connection: frames over one stream socket, with a limit and a deadline on everything a peer can do.
+// Connection: frames over one stream socket, encrypted or not, with a limit and a deadline on everything a peer can do.
 //
 // Invariants
 // 1. One coroutine reads. Any code on the I/O thread may send; a writer coroutine lives only while there is something
@@ -9,6 +9,7 @@
 // 2. Within a frame at most `frame_seconds` pass between two bytes received, and likewise between two bytes that the
 //    peer takes; then the connection is closed. Between frames the peer may be silent for ever; no timer runs then.
 // 3. After an error every read fails at once and send() does nothing.
+// 4. Once it is encrypted nothing is sent or taken without TLS.
 #pragma once
 
 #include <array>
@@ -21,6 +22,7 @@
 
 #include "common/base/status.hpp"
 #include "common/files/descriptor.hpp"
+#include "common/tls/stream.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/message.hpp"
 #include "server/net/sockets/asio.hpp"
@@ -37,6 +39,17 @@ struct Frame {
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
   Connection(Socket socket, double frame_seconds);
+
+  // Whether the peer may be on another machine: the address that it has reached here is one of TCP, and not of
+  // loopback.
+  bool off_loopback() const;
+  // Before anything else is said: speaks TLS from here on. The peer has until `end`, and must begin in the first half
+  // of that time, so that one who waits for a word without TLS hears why before it gives up. Errors: protocol_error,
+  // where the peer speaks without TLS or not at all, and can be told so without TLS; unavailable, where TLS has failed:
+  // the connection is closed.
+  awaitable<Status> encrypt(const tls::Identity& identity, TimePoint end);
+  // The fingerprint of the certificate that the peer was shown; empty: the connection isn't encrypted.
+  std::string certificate() const { return tls_ ? tls_->certificate() : ""; }
 
   // Reads the next frame up to the end of its JSON. Errors: unavailable (the peer is gone; the message is "" if it
   // closed between two frames), protocol_error, too_large, deadline_exceeded.
@@ -88,6 +101,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
   awaitable<Status> read_exactly(std::span<std::byte> into);
   awaitable<Status> read_text(std::string& text, std::size_t bytes);
   awaitable<Status> refill();
+  // Like async_read_some and async_write_some, with TLS. Both end when no byte more can be moved without waiting.
+  awaitable<std::pair<error_code, std::size_t>> read_encrypted(std::span<std::byte> into);
+  awaitable<std::pair<error_code, std::size_t>> write_encrypted(std::span<const std::byte> bytes);
+  awaitable<error_code> wait_for(tls::Next next);
   // Like async_read_some into the inbox, but keeps descriptors.
   awaitable<std::pair<error_code, std::size_t>> receive_with_descriptors();
   awaitable<void> write_all();
@@ -115,6 +132,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   std::size_t inbox_begin_ = 0;
   std::size_t inbox_end_ = 0;
   std::uint64_t bytes_received_ = 0;
+  std::unique_ptr<tls::Stream> tls_;  // none: not encrypted
   bool accepts_descriptors_ = false;
   struct Received {
     Descriptor descriptor;

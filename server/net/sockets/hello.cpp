@@ -3,6 +3,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
 
 #include "common/auth/proof.hpp"
 #include "common/base/text.hpp"
@@ -28,17 +29,29 @@ wire::Json Door::welcome(const std::string& nonce) const {
 awaitable<Result<Hello>> Door::greet(std::shared_ptr<Connection> connection) {
   const Lobby::Place place(waiting_, *connection);
   const std::string nonce = auth::random_nonce();
-  connection->send(wire::FrameType::welcome, 0, welcome(nonce));
-  connection->limit_reading(now() + duration_of(options_.hello_seconds));
-  Result<Frame> frame = co_await connection->read_frame(wire::kBytesBeforeHelloMax - wire::kHeaderBytes, 0);
+  const TimePoint end = now() + duration_of(options_.hello_seconds);
+  connection->limit_reading(end);
+  Result<Frame> frame = co_await exchange_greetings(*connection, nonce, end);
   connection->limit_reading(TimePoint::max());
-  if (frame.ok()) co_return read_hello(*frame, nonce);
+  if (frame.ok()) co_return read_hello(*frame, {options_.listener, nonce, "", "", connection->certificate()});
   if (frame.status().code() == Code::unavailable) co_return Status(Code::unavailable, "");
   if (frame.status().code() == Code::deadline_exceeded) co_return Status(Code::protocol_error, "no hello came in time");
   co_return frame.status();
 }
 
-Result<Hello> Door::read_hello(const Frame& frame, const std::string& nonce) const {
+awaitable<Result<Frame>> Door::exchange_greetings(Connection& connection, const std::string& nonce,
+                                                  TimePoint end) const {
+  const auto& credentials = options_.credentials;
+  if (credentials && credentials->network() == Network::encrypted && connection.off_loopback()) {
+    const Status encrypted = co_await connection.encrypt(*credentials->identity, end);
+    if (!encrypted.ok()) spdlog::debug("{}: {}", options_.listener, encrypted.message());
+    if (!encrypted.ok()) co_return encrypted;
+  }
+  connection.send(wire::FrameType::welcome, 0, welcome(nonce));
+  co_return co_await connection.read_frame(wire::kBytesBeforeHelloMax - wire::kHeaderBytes, 0);
+}
+
+Result<Hello> Door::read_hello(const Frame& frame, auth::Opening opening) const {
   if (frame.header.type == wire::FrameType::goodbye) return Status(Code::unavailable, "");
   if (frame.header.type != wire::FrameType::hello) return bad("the first frame must be hello");
   const auto protocol = wire::integer_field(frame.json, "protocol", 1, 1 << 16);
@@ -53,24 +66,30 @@ Result<Hello> Door::read_hello(const Frame& frame, const std::string& nonce) con
   const auto session = wire::parse_hex64(*text);
   if (!session.ok()) return bad(session.status().message());
   Hello hello{*client, wire::hex64(*session), frame.header.request, {}};
-  if (Status known = check_proof(frame.json, nonce, hello); !known.ok()) return known;
+  if (Status known = check_proof(frame.json, std::move(opening), hello); !known.ok()) return known;
   return hello;
 }
 
-Status Door::check_proof(const wire::Json& said, const std::string& nonce, Hello& hello) const {
+Status Door::check_proof(const wire::Json& said, auth::Opening opening, Hello& hello) const {
   if (said.contains("token"))
     return {Code::not_authorised, "a token is never said: a client proves that it knows it",
             "whoever listened on the way has it now: start the service again, which makes a new one"};
   if (!asks_for_token()) return {};
   const char* hint = "every start of the service makes a new token, in the file 'token' of its data directory";
-  const auto client_nonce = wire::string_field(said, "nonce", nonce.size());
-  const auto proof = wire::string_field(said, "proof", nonce.size());
+  const auto client_nonce = wire::string_field(said, "nonce", opening.service_nonce.size());
+  const auto proof = wire::string_field(said, "proof", opening.service_nonce.size());
   if (!client_nonce.ok() || !proof.ok() || !auth::is_nonce(*client_nonce))
     return {Code::not_authorised, "a proof of the service's token is needed over TCP", hint};
-  const auth::Opening opening{options_.listener, nonce, *client_nonce, hello.session};
-  if (!auth::same_secret(*proof, auth::proof(auth::Role::client, *options_.token, opening)))
-    return {Code::not_authorised, "the client's token is not the service's", hint};
-  hello.proof = auth::proof(auth::Role::service, *options_.token, opening);
+  opening.client_nonce = *client_nonce;
+  opening.session = hello.session;
+  const std::string& token = options_.credentials->token;
+  if (!auth::same_secret(*proof, auth::proof(auth::Role::client, token, opening)))
+    return {Code::not_authorised,
+            opening.certificate.empty() ? "the client's token is not the service's"
+                                        : "the client's token is not the service's, or the client has seen another "
+                                          "certificate: then somebody sits between",
+            hint};
+  hello.proof = auth::proof(auth::Role::service, token, opening);
   return {};
 }
 

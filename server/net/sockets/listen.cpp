@@ -12,6 +12,7 @@
 
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
+#include "common/tls/off_loopback.hpp"
 
 namespace rcb::net {
 namespace {
@@ -137,11 +138,10 @@ Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& whe
   if (network == Network::loopback && !endpoint.address().is_loopback())
     return Status(
         Code::invalid_argument,
-        fmt::format("--listen {}: other machines reach {}, and everything travels unencrypted: who is on that "
-                    "network can read and alter positions and commands",
+        fmt::format("--listen {}: other machines reach {}, and this machine's OpenSSL can't encrypt what travels there",
                     where, endpoint.address().to_string()),
-        "listen on 127.0.0.1 and reach it through a tunnel (ssh -L 7470:127.0.0.1:7470 HOST), or say with "
-        "--trusted-network that nobody on the network is to be feared");
+        "mend OpenSSL (the log has its reason), listen on 127.0.0.1 and reach it through a tunnel (ssh -L "
+        "7470:127.0.0.1:7470 HOST), or say with --trusted-network that nobody on the network is to be feared");
   TcpAcceptor acceptor(context);
   acceptor.open(endpoint.protocol(), error);
   if (!error) acceptor.set_option(asio::socket_base::reuse_address(true), error);
@@ -162,6 +162,12 @@ std::string bound_address(const TcpAcceptor& acceptor) {
   const std::string host = endpoint.address().to_string();
   return endpoint.address().is_v6() ? fmt::format("[{}]:{}", host, endpoint.port())
                                     : fmt::format("{}:{}", host, endpoint.port());
+}
+
+bool on_loopback(const TcpAcceptor& acceptor) {
+  error_code error;
+  const asio::ip::tcp::endpoint endpoint = acceptor.local_endpoint(error);
+  return !error && !tls::off_loopback(*endpoint.data());
 }
 
 Status check_peer_user(int socket) {

@@ -17,7 +17,7 @@
 #include "common/base/status.hpp"
 #include "server/net/files/socket_name.hpp"
 #include "server/net/sockets/asio.hpp"
-#include "server/net/sockets/network.hpp"
+#include "server/net/sockets/credentials.hpp"
 
 namespace rcb::net {
 
@@ -55,10 +55,12 @@ class LastingListener {
 Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name);
 std::string nameless_address(const std::string& name);
 // where: HOST:PORT or [V6]:PORT; port 0 takes a free one. Errors: invalid_argument (also if other machines could reach
-// it and the network isn't trusted), busy, io_error.
+// it and nothing protects what they say), busy, io_error.
 Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network);
 // The address that was bound, as "127.0.0.1:7470".
 std::string bound_address(const TcpAcceptor& acceptor);
+// Whether it listens at a loopback address.
+bool on_loopback(const TcpAcceptor& acceptor);
 
 // Checks the user at the other end of a Unix socket. Errors: not_authorised unless it is this process's user or root.
 Status check_peer_user(int socket);

@@ -27,10 +27,11 @@ constexpr int kWarmUpSteps = 3;
 // shared-memory: the solver computes in arrays of the library, rows or an array an axis; shared-memory-copy: it keeps
 // its own rows. By sockets to each rank: layout (the solver keeps the layout's order), axes, rows, float32 (axes).
 // endpoint: rows through rank 0. members: a parallel solver's, with the particles of their parts, from shared memory;
-// members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved.
+// members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved. connect: no
+// step, but the time until a new client has been let in.
 constexpr std::array kVariants{
-    "shared-memory", "shared-memory-axes", "shared-memory-copy", "layout",  "axes",   "rows",   "endpoint",
-    "members",       "members-sockets",    "members-endpoint",   "float32", "subset", "unmoved"};
+    "shared-memory", "shared-memory-axes", "shared-memory-copy", "layout",  "axes",   "rows",    "endpoint",
+    "members",       "members-sockets",    "members-endpoint",   "float32", "subset", "unmoved", "connect"};
 constexpr std::size_t kSubset = 100;
 // The points that move in each scene. shuffled: neighbours in the arrays aren't neighbours in space.
 struct StepScene {
@@ -75,7 +76,7 @@ struct MovingPoints {
     const auto d = static_cast<std::size_t>(dims);
     if (variant == "float32") return n * d * sizeof(float);
     if (variant == "subset") return (n + kSubset - 1) / kSubset * (d * sizeof(double) + sizeof(std::uint64_t));
-    return variant == "unmoved" ? 0 : n * d * sizeof(double);
+    return variant == "unmoved" || variant == "connect" ? 0 : n * d * sizeof(double);
   }
   client::Positions by_singles(int phase) const {
     std::array<const float*, 3> pointers{};
@@ -99,7 +100,7 @@ class Pusher {
   }
 
   Status open(const std::string& endpoint, int parts) {
-    client::ConnectOptions options;
+    client::ConnectOptions& options = connect_;
     options.endpoint = endpoint;
     options.path = variant_.ends_with("endpoint")                                   ? client::Path::gateway
                    : variant_.starts_with("shared-memory") || variant_ == "members" ? client::Path::shared
@@ -107,6 +108,7 @@ class Pusher {
     auto client = client::Client::connect(options);
     if (!client.ok()) return client.status();
     client_.emplace(std::move(*client));
+    if (variant_ == "connect") return {};
     client::SceneOptions scene;
     scene.parts = parts;
     scene.dims = motion_.dims;
@@ -120,8 +122,10 @@ class Pusher {
     return {};
   }
 
+  int ranks() const { return client_->ranks(); }
   // The seconds of one step.
   Result<double> step(int phase, client::StepReport& report) {
+    if (variant_ == "connect") return connect();
     if (team_) return team_->step(phase, report);
     auto positions = prepare(phase);
     if (!positions.ok()) return positions.status();
@@ -174,8 +178,17 @@ class Pusher {
     return client::Positions::in_plan_order(ranks_, plan->version, motion_.n, motion_.dims);
   }
 
+  Result<double> connect() const {
+    const SteadyClock clock;
+    const double start = clock.seconds();
+    const auto client = client::Client::connect(connect_);
+    if (!client.ok()) return client.status();
+    return clock.seconds() - start;
+  }
+
   std::string variant_;
   const MovingPoints& motion_;
+  client::ConnectOptions connect_;
   std::vector<std::uint64_t> moved_;
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
@@ -221,13 +234,42 @@ Json row_of(const std::string& scene, const MovingPoints& motion, int parts, int
 
 using FloorKey = std::pair<Floor::Kind, std::size_t>;  // with the bytes that are sent
 
+// A variant at a service.
+struct Contender {
+  std::string variant;
+  std::string service;  // as it was named; empty: the one that was started here
+  Pusher pusher;
+  std::vector<double> seconds = {};
+  client::StepReport report = {};
+};
+
+void print(const Json& row) {
+  const auto milliseconds = [&row](const char* name) { return 1e3 * row.at(name).get<double>(); };
+  const Json& ratio = row.at("ratio");
+  fmt::print(
+      "{:<15} {:>2} ranks  {:<18} {:8.2f} ms; sockets {:6.2f} ms, ratio {:5.2f}; memory {:6.2f} ms, ratio {:5.2f}  "
+      "(last: receive and pass {:.2f}, exchange {:.2f}, all {:.2f} ms){}{}\n",
+      row.at("scene").get<std::string>(), row.at("ranks").get<int>(), row.at("variant").get<std::string>(),
+      milliseconds("seconds"), milliseconds("floor_seconds"), ratio.at("floor").get<double>(),
+      milliseconds("memory_seconds"), ratio.at("memory").get<double>(), milliseconds("seconds_receive"),
+      milliseconds("seconds_exchange"), milliseconds("seconds_total"), row.contains("service") ? "  " : "",
+      row.value("service", ""));
+}
+
+// At the running services, or, where none is named, at one that is started for it.
 Status run_cell(const std::string& scene, const MovingPoints& motion, int parts, int ranks,
                 const StepBenchOptions& options, Json& rows) {
-  const std::vector<std::string>& variants = options.variants;
-  auto service = launch::Embedded::start(ranks, [](double) {});
-  if (!service.ok()) return service.status();
+  std::optional<launch::Embedded> own;
+  std::vector<std::string> endpoints = options.services;
+  if (endpoints.empty()) {
+    auto started = launch::Embedded::start(ranks, [](double) {});
+    if (!started.ok()) return started.status();
+    own.emplace(std::move(*started));
+    endpoints.push_back(own->endpoint());
+  }
+  const auto explained = [&own](const Status& status) { return own ? own->explain(status) : status; };
   std::map<FloorKey, Floor> floors;
-  for (const std::string& variant : variants) {
+  for (const std::string& variant : options.variants) {
     const std::size_t bytes = motion.bytes(variant);
     std::vector<std::size_t> shares;
     for (int r = 0; r < ranks; ++r)
@@ -237,14 +279,14 @@ Status run_cell(const std::string& scene, const MovingPoints& motion, int parts,
     for (const auto kind : {Floor::Kind::sockets, Floor::Kind::memory})
       floors.try_emplace(FloorKey(kind, bytes), kind, shares);
   }
-  std::vector<Pusher> pushers;
-  for (const std::string& variant : variants) {
-    pushers.emplace_back(variant, motion, options.members);
-    if (Status status = pushers.back().open(service->endpoint(), parts); !status.ok()) return service->explain(status);
-  }
+  std::vector<Contender> contenders;
+  for (const std::string& variant : options.variants)
+    for (const std::string& endpoint : endpoints) {
+      contenders.push_back({variant, own ? "" : endpoint, Pusher(variant, motion, options.members)});
+      Status status = contenders.back().pusher.open(endpoint, parts);
+      if (!status.ok()) return explained(status);
+    }
   std::map<FloorKey, std::vector<double>> floor_seconds;
-  std::vector<std::vector<double>> seconds(variants.size());
-  std::vector<client::StepReport> reports(variants.size());
   const SteadyClock clock;
   for (int turn = -kWarmUpSteps; turn < options.repeats; ++turn) {
     const int phase = (turn + kWarmUpSteps) % 2;
@@ -255,22 +297,19 @@ Status run_cell(const std::string& scene, const MovingPoints& motion, int parts,
       if (!floor.send(from)) return {Code::internal, "a process of the floor is gone"};
       if (turn >= 0) floor_seconds[key].push_back(clock.seconds() - start);
     }
-    for (std::size_t v = 0; v < pushers.size(); ++v) {
-      const auto took = pushers[v].step(phase, reports[v]);
-      if (!took.ok()) return service->explain(took.status());
-      if (turn >= 0) seconds[v].push_back(*took);
+    for (Contender& one : contenders) {
+      const auto took = one.pusher.step(phase, one.report);
+      if (!took.ok()) return explained(took.status());
+      if (turn >= 0) one.seconds.push_back(*took);
     }
   }
-  for (std::size_t v = 0; v < pushers.size(); ++v) {
-    const double least = median(floor_seconds[{Floor::Kind::sockets, motion.bytes(variants[v])}]);
-    const double memory = median(floor_seconds[{Floor::Kind::memory, motion.bytes(variants[v])}]);
-    rows.push_back(row_of(scene, motion, parts, ranks, variants[v], seconds[v], least, memory, reports[v]));
-    fmt::print(
-        "{:<15} {:>2} ranks  {:<18} {:8.2f} ms; sockets {:6.2f} ms, ratio {:5.2f}; memory {:6.2f} ms, ratio {:5.2f}  "
-        "(last: receive and pass {:.2f}, exchange {:.2f}, all {:.2f} ms)\n",
-        scene, ranks, variants[v], 1e3 * median(seconds[v]), 1e3 * least, median(seconds[v]) / least, 1e3 * memory,
-        median(seconds[v]) / memory, 1e3 * reports[v].seconds_receive, 1e3 * reports[v].seconds_exchange,
-        1e3 * reports[v].seconds_total);
+  for (const Contender& one : contenders) {
+    const double least = median(floor_seconds[{Floor::Kind::sockets, motion.bytes(one.variant)}]);
+    const double memory = median(floor_seconds[{Floor::Kind::memory, motion.bytes(one.variant)}]);
+    rows.push_back(
+        row_of(scene, motion, parts, one.pusher.ranks(), one.variant, one.seconds, least, memory, one.report));
+    if (!own) rows.back()["service"] = one.service;
+    print(rows.back());
   }
   return {};
 }
@@ -309,6 +348,11 @@ CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
   list(command->add_option("--variants", options.variants, "ways to push"));
   list(command->add_option("--parts", options.parts, "numbers of parts"));
   list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  command
+      ->add_option("--services", options.services,
+                   "endpoints of running services that take turns, instead of one that is started; --ranks then only "
+                   "tells the floors' processes")
+      ->delimiter(',');
   command->add_option("--members", options.members, "of the parallel solver")->capture_default_str();
   command->add_option("--repeats", options.repeats, "timed steps of each variant")->capture_default_str();
   command->add_option("--points", options.points, "particles of every scene")->capture_default_str();

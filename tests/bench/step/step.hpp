@@ -3,7 +3,7 @@
 // by these processes from memory that they share.
 //
 // Invariants
-// 1. Floor and variants take turns in one run, over the same positions; each variant has a scene of its own.
+// 1. Floor, variants and services take turns in one run, over the same positions; each variant has a scene of its own.
 // 2. What is timed is what a solver waits for: the call of step() until its report, the floor until every process has
 //    said that it has its bytes. Moving the particles, and keeping them in the plan's order, is the solver's own.
 #pragma once
@@ -32,6 +32,8 @@ struct StepBenchOptions {
                                     "unmoved"};
   std::vector<int> parts{8};
   std::vector<int> ranks{2, 8};
+  // Endpoints of running services, which then take turns in the place of one that is started for each of `ranks`.
+  std::vector<std::string> services = {};
   int members = 4;
   int repeats = 15;
   double points = 1'068'285;

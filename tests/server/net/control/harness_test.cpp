@@ -327,7 +327,7 @@ ControlOptions TestService::defaults() {
   ControlOptions options;
   options.version = "test";
   options.ranks = 4;
-  options.token = std::string(64, 'a');
+  options.credentials.token = std::string(64, 'a');
   options.bulk_bytes_max = std::uint64_t{64} << 20U;
   return options;
 }

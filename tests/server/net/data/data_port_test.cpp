@@ -23,7 +23,7 @@ class DataPortTest : public ::testing::Test {
     DataOptions options;
     options.rank = 2;
     options.unknown_seconds = 0.2;
-    options.token = "secret";
+    options.credentials.token = "secret";
     port_ = std::make_unique<DataPort>(loop_, options);
     EXPECT_TRUE(port_->listen_unix(path()).ok());
     auto tcp = port_->listen_tcp("127.0.0.1:0");

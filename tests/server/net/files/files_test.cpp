@@ -167,18 +167,23 @@ TEST(Socket, TcpAddressesAreChecked) {
 }
 
 // Addresses of documents (RFC 5737, 3849), which no machine has.
-TEST(Socket, OtherMachinesReachItOnlyWhereTheirNetworkIsTrusted) {
-  Listener one;
+TEST(Socket, OtherMachinesReachItOnlyWhereTheirNetworkIsTrustedOrTlsProtectsThem) {
+  Listener one;  // without TLS
   for (const char* where : {"192.0.2.1:0", "0.0.0.0:0", "[::]:0", "[2001:db8::1]:0", "[::ffff:127.0.0.1]:0"}) {
     const Status refused = one.control.listen_tcp(where).status();
     EXPECT_EQ(refused.code(), Code::invalid_argument) << where;
-    EXPECT_NE(refused.hint().find("--trusted-network"), std::string::npos) << refused.hint();
+    for (const char* remedy : {"--trusted-network", "127.0.0.1", "OpenSSL"})
+      EXPECT_NE(refused.hint().find(remedy), std::string::npos) << refused.hint();
   }
   EXPECT_TRUE(one.control.listen_tcp("127.3.2.1:0").ok());
-  ControlOptions options = TestService::defaults();
-  options.network = Network::trusted;
-  Control trusting(one.loop, options, one.engine);
-  EXPECT_EQ(trusting.listen_tcp("192.0.2.1:0").status().code(), Code::io_error);  // tried
+  ControlOptions trusting = TestService::defaults();
+  trusting.credentials.token.insert(0, auth::kTrustedNetworkPrefix);
+  ControlOptions encrypting = TestService::defaults();
+  encrypting.credentials.identity = tls::Identity::make().value();
+  for (const ControlOptions& options : {trusting, encrypting}) {
+    Control control(one.loop, options, one.engine);
+    EXPECT_EQ(control.listen_tcp("192.0.2.1:0").status().code(), Code::io_error);  // tried
+  }
 }
 
 TEST(DataDirectory, HasOneServiceAtATime) {
@@ -215,6 +220,11 @@ TEST(DataDirectory, TokenIsPrivateAndNewAtEachStart) {
   const std::string file = directory.file(std::string(kTokenFile));
   EXPECT_EQ(mode_of(file), 0600U);
   EXPECT_EQ(*data->kept_token(), *token);  // after a crash its clients go on
+  const auto trusting = data->new_token(auth::kTrustedNetworkPrefix);
+  EXPECT_TRUE(trusting->starts_with(auth::kTrustedNetworkPrefix)) << *trusting;
+  EXPECT_EQ(*data->kept_token(auth::kTrustedNetworkPrefix), *trusting);
+  EXPECT_FALSE(auth::trusts_network(*data->kept_token())) << "a token of one kind isn't kept for the other";
+  EXPECT_TRUE(auth::trusts_network(*data->kept_token(auth::kTrustedNetworkPrefix)));
   const auto fresh = data->new_token();
   ASSERT_TRUE(fresh.ok());
   EXPECT_NE(*fresh, *token);

@@ -31,7 +31,7 @@ class Rank {
  public:
   explicit Rank(DataOptions options = {}) {
     options.rank = 2;
-    options.token = kToken;
+    options.credentials.token = kToken;
     port_ = std::make_unique<DataPort>(loop_, options);
     EXPECT_TRUE(port_->listen_unix(path()).ok());
     const auto bound = port_->listen_tcp("127.0.0.1:0");
