@@ -14,8 +14,8 @@ class MachinesTest(unittest.TestCase):
         if os.geteuid() != 0 or shutil.which("ip") is None:
             self.skipTest("machines made of namespaces need root and the program ip")
 
-    def machines(self, count):
-        self.hosts = Hosts(count)
+    def machines(self, count, make=Hosts):
+        self.hosts = make(count)
         self.addCleanup(self.hosts.close)
         self.data = os.path.join(self.hosts.shared, "data")
         self.bin = os.path.join(self.hosts.shared, "bin")  # a checkout in /tmp isn't seen there

@@ -35,8 +35,12 @@ class Hosts:
             raise
 
     def _set_up(self):
+        names = os.path.join(self.shared, "etc-hosts")
+        with open(names, "w") as file:
+            file.write("127.0.0.1 localhost\n" + "".join(f"{self.address(name)} {name}\n" for name in self.names))
         for name in self.names:
             script = ("set -e; mount -t tmpfs none /tmp; mount -t tmpfs none /dev/shm; "
+                      f"mount --bind {names} /etc/hosts; "
                       f"hostname {name}; ip link set lo up; exec sleep infinity")
             self.holders[name] = subprocess.Popen(
                 [*ENDS_WITH_US, "unshare", "--net", "--uts", "--mount", "--ipc", "--propagation", "private", "sh", "-c",

@@ -1,0 +1,141 @@
+"""The batch scripts of deploy/slurm on a real Slurm, whose nodes are machines made of namespaces: a service as a job, solvers
+that find it by its file, and what becomes of both when a job is cancelled or a node dies."""
+import re
+
+from machines import *
+from slurm import Cluster, missing
+
+SCRIPTS = os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "slurm")
+
+
+class SlurmTest(MachinesTest):
+    def setUp(self):
+        super().setUp()
+        if missing():
+            self.skipTest(f"no {', '.join(missing())}: the packages slurm-wlm and munge")
+
+    def cluster(self, count):
+        self.machines(count, Cluster)
+        os.remove(os.path.join(self.bin, os.path.basename(MPIRUN)))  # the scripts call Open MPI's
+        self.where = os.path.join(self.hosts.shared, "where")
+        self.settings = {"RCBD_BIN_DIR": self.bin, "WHERE": self.where}
+
+    def submit(self, *args, **more):
+        """The number of the job."""
+        out = self.hosts.slurm("sbatch", "--parsable", *args, **self.settings | more).strip()
+        self.assertTrue(out.isdigit(), out + self.hosts.logs())
+        return out
+
+    def output(self, job, name):
+        try:
+            with open(os.path.join(self.hosts.shared, f"{name}-{job}.out")) as file:
+                return file.read()
+        except OSError:
+            return ""
+
+    def ended(self, job, seconds=60):
+        self.hosts.wait_for(lambda: self.hosts.state(job) == "", f"the end of job {job}", seconds)
+
+    def published(self):
+        try:
+            with open(self.where) as file:
+                return json.load(file)
+        except OSError:
+            return None
+
+    def up(self, *args):
+        """Submits a service, and waits until it says where it is."""
+        job = self.submit(*args, os.path.join(SCRIPTS, "service.sh"))
+        self.hosts.wait_for(lambda: self.published() is not None, "the service")
+        return job
+
+    def status(self, name="c"):
+        done = self.on(name, os.path.join(self.bin, "rcbctl"), "status", "--json", endpoint="file:" + self.where,
+                       RCBD_TOKEN_FILE="")
+        return json.loads(done.stdout) if done.returncode == 0 else None
+
+    def service_log(self):
+        try:
+            with open(os.path.join(self.hosts.shared, "rcbd-data", "rcbd.log")) as file:
+                return file.read()
+        except OSError:
+            return ""
+
+    def test_a_service_and_solvers_in_jobs_of_their_own(self):
+        self.cluster(3)
+        # The solver is there first, and waits.
+        solver = self.submit("--nodelist=c", os.path.join(SCRIPTS, "solver.sh"), "two_spheres", "--steps", "30",
+                             "--parts", "6", "--json")
+        service = self.up("--nodelist=a,b", "--ntasks=5")
+        self.assertEqual(self.published()["job"], service)
+        self.ended(solver)
+        text = self.output(solver, "solver")
+        self.assertIn("waiting for the service", text)
+        got = json.loads(text[text.index("{"):])
+        self.assertEqual([one["host"] for one in self.status()["hosts"]], ["a", "a", "a", "b", "b"])
+        self.assertEqual(self.status()["encryption"], ["tls"])
+        # The same on one machine.
+        alone = Service(2)
+        self.addCleanup(alone.stop)
+        done = subprocess.run([os.path.join(BIN, "two_spheres"), "--steps", "30", "--parts", "6", "--json"],
+                              env=os.environ | {"RCBD_ENDPOINT": alone.endpoint}, capture_output=True, text=True, timeout=60)
+        expected = json.loads(done.stdout)
+        for report, other in zip(got["reports"], expected["reports"], strict=True):
+            for field in ("error", "repartitioned", "drifted", "moved", "n"):
+                self.assertEqual(report[field], other[field], field)
+        # scancel ends it cleanly.
+        self.hosts.slurm("scancel", service)
+        self.ended(service)
+        self.assertIn("the service has ended", self.service_log())
+        self.assertNotIn("given up", self.service_log())
+        self.assertIsNone(self.published())
+
+    def test_a_node_that_dies_and_a_solver_that_waits(self):
+        self.cluster(4)
+        service = self.up("--nodes=2", "--ntasks=4", "--exclude=d")
+        hosts = {one["host"] for one in self.status("d")["hosts"]}
+        self.assertEqual(len(hosts), 2)
+        solver = self.submit("--nodelist=d", os.path.join(SCRIPTS, "solver.sh"), "two_spheres", "--steps", "4000",
+                             "--parts", "5", "--json")
+        self.hosts.wait_for(lambda: self.status("d")["steps"] > 50, "the solver's first steps")
+        dead = max(hosts - {"a"})  # the controller is on a
+        before = self.published()
+        self.hosts.kill(dead)
+        # Slurm puts the job back into the queue, and starts it on a node that lives.
+        self.hosts.wait_for(lambda: self.published() not in (None, before) and self.status("d") is not None,
+                            "the service to come back", 90)
+        self.assertNotIn(dead, {one["host"] for one in self.status("d")["hosts"]})
+        self.ended(solver, 120)
+        text = self.output(solver, "solver")
+        result = json.loads(text[text.index("{"):])
+        self.assertEqual(len(result["reports"]), 4001, text[:2000])
+        self.assertTrue(any(report["scene_recreated"] for report in result["reports"]))
+        self.hosts.slurm("scancel", service)
+        self.ended(service)
+
+    def test_both_in_one_job(self):
+        self.cluster(2)
+        job = self.submit("--nodes=2", "--ntasks=4", os.path.join(SCRIPTS, "both.sh"), "slope_mpi", "--points", "1000",
+                          "--steps", "6", "--interval", "0.3", "--parts", "6", "--check",
+                          OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
+        self.ended(job, 120)
+        text = self.output(job, "solver")
+        self.assertRegex(text, r"ranks +4", text)
+        self.assertRegex(text, r"(?i)check", text)
+        self.assertEqual([name for name in os.listdir(self.hosts.shared) if name.startswith("rcbd-")], [], text)
+
+    def test_what_runs_on_one_machine_stays_there(self):
+        self.cluster(2)
+        points = os.path.join(self.hosts.shared, "points.npy")
+        np.save(points, np.random.default_rng(1).random((1000, 3)))
+        script = os.path.join(self.hosts.shared, "one.sh")
+        with open(script, "w") as file:
+            file.write(f"#!/bin/sh\n{self.bin}/rcbctl partition {points} --parts 8 --ranks 6 --json\n")
+        job = self.submit("--nodes=2", "--ntasks=4", "--output=one-%j.out", script)
+        self.ended(job)
+        text = self.output(job, "one")
+        self.assertEqual(json.loads(text[text.index("{"):])["ranks"], 6, text)
+
+
+if __name__ == "__main__":
+    unittest.main()
