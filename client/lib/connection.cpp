@@ -4,13 +4,10 @@
 #include <array>
 #include <cerrno>
 #include <cmath>
-#include <condition_variable>
 #include <cstring>
 #include <deque>
 #include <exception>
-#include <mutex>
 #include <optional>
-#include <thread>
 #include <tuple>
 #include <utility>
 
@@ -24,10 +21,10 @@
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/asio/write.hpp>
 #include <fmt/format.h>
-#include <netdb.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "client/lib/addresses.hpp"
 #include "common/tls/off_loopback.hpp"
 #include "common/tls/stream.hpp"
 #include "common/wire/limits.hpp"
@@ -38,7 +35,6 @@ namespace {
 namespace asio = boost::asio;
 using boost::system::error_code;
 using Socket = asio::generic::stream_protocol::socket;
-using Address = asio::generic::stream_protocol::endpoint;
 
 constexpr auto kAwait = asio::as_tuple(asio::use_awaitable);
 constexpr std::size_t kTransferMax = 4U << 20U;        // bytes asked of the kernel in one call (Asio's default: 64 KiB)
@@ -51,63 +47,11 @@ struct TransferLarge {
   std::size_t operator()(const error_code& error, std::size_t) const { return error ? 0 : kTransferMax; }
 };
 
-// The addresses of a host name. Looked up in a thread, since getaddrinfo has no deadline; a look-up that outlasts the
-// deadline is abandoned and touches nothing but its own shared state.
-Result<std::vector<Address>> resolve(const Endpoint& endpoint, const Deadline& deadline) {
-  struct LookUp {
-    std::mutex mutex;
-    std::condition_variable done;
-    bool finished = false;
-    int error = 0;
-    std::vector<Address> found;
-  };
-  const auto look_up = std::make_shared<LookUp>();
-  const auto work = [look_up, host = endpoint.host, port = fmt::format("{}", endpoint.port)] {
-    addrinfo hints{};
-    hints.ai_socktype = SOCK_STREAM;
-    hints.ai_flags = AI_NUMERICSERV;
-    addrinfo* list = nullptr;
-    const int error = ::getaddrinfo(host.c_str(), port.c_str(), &hints, &list);
-    const std::lock_guard lock(look_up->mutex);
-    look_up->error = error;
-    for (const addrinfo* entry = list; entry != nullptr; entry = entry->ai_next)
-      look_up->found.emplace_back(entry->ai_addr, entry->ai_addrlen, IPPROTO_TCP);
-    if (list != nullptr) ::freeaddrinfo(list);
-    look_up->finished = true;
-    look_up->done.notify_all();
-  };
-  error_code not_numeric;
-  asio::ip::make_address(endpoint.host, not_numeric);
-  if (!not_numeric)
-    work();
-  else
-    std::thread(work).detach();
-  std::unique_lock lock(look_up->mutex);
-  if (!look_up->done.wait_until(lock, deadline.at(), [&] { return look_up->finished; }))
-    return Status(Code::deadline_exceeded, fmt::format("the name '{}' could not be looked up in time", endpoint.host));
-  if (look_up->found.empty())
-    return Status(Code::unavailable,
-                  fmt::format("the name '{}' has no address: {}", endpoint.host, ::gai_strerror(look_up->error)));
-  return look_up->found;
-}
-
 std::optional<asio::ip::tcp::endpoint> as_tcp(const Address& address) {
   asio::ip::tcp::endpoint tcp;
   if (address.size() > tcp.capacity()) return std::nullopt;
   std::memcpy(static_cast<void*>(tcp.data()), address.data(), address.size());
   return tcp;
-}
-
-// Any user can create a socket in a shared directory; only one served by this user or by root is trusted.
-Status check_peer(int handle, const Endpoint& endpoint) {
-  ucred peer{};
-  socklen_t size = sizeof peer;
-  if (::getsockopt(handle, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0)
-    return {Code::not_authorised, fmt::format("can't tell who serves {}: {}", endpoint.text(), std::strerror(errno))};
-  if (peer.uid == ::geteuid() || peer.uid == 0 || ::geteuid() == 0) return {};
-  return {Code::not_authorised,
-          fmt::format("{} is served by user {}, not by this one ({})", endpoint.text(), peer.uid, ::geteuid()),
-          "name the endpoint of a service of your own"};
 }
 
 }  // namespace
@@ -183,22 +127,16 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
 }
 
 Status Connection::State::open(const Deadline& deadline) {
-  std::vector<Address> addresses;
-  if (endpoint.is_unix) {
-    addresses.emplace_back(asio::local::stream_protocol::endpoint(endpoint.path));
-  } else {
-    auto found = resolve(endpoint, deadline);
-    if (!found) return found.status();
-    addresses = std::move(*found);
-  }
-  for (const Address& address : addresses) {
+  const auto addresses = addresses_of(endpoint, deadline);
+  if (!addresses) return addresses.status();
+  for (const Address& address : *addresses) {
     const auto connected = connect(address, deadline);
     if (!connected) return connected.status();
     if (!connected.value()) continue;
     error_code ignored;
     if (endpoint.is_unix) {
       this_machine = true;
-      if (Status status = check_peer(socket.native_handle(), endpoint); !status) return status;
+      if (Status status = check_server(socket.native_handle(), endpoint); !status) return status;
     } else {
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
       socket.set_option(asio::socket_base::keep_alive(true), ignored);
