@@ -9,6 +9,7 @@ set -eu
 folder=$(mktemp -d "${SLURM_SUBMIT_DIR:-$PWD}/rcbd-$SLURM_JOB_ID-XXXX") # where all machines see it
 port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])')
 export RCBD_ENDPOINT=file:$folder/where
+export SLURM_OVERLAP=1 # the solver's processes and the service's share the machines
 rcbctl up --endpoint "$(hostname):$port" --data-dir "$folder/data" --publish "$folder/where" --trusted-interconnect
 trap 'rcbctl down; rm -rf "$folder"' EXIT
 if [[ -n ${SERIAL:-} ]]; then

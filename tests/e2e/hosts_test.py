@@ -102,6 +102,15 @@ class HostsTest(MachinesTest):
         self.assertEqual((after["pid"], after["restarted"], after["silent"]), (status["pid"], False, []))
         self.down()
 
+    def test_a_pbs_job_has_its_machines_in_a_file(self):
+        self.machines(2)
+        nodes = os.path.join(self.hosts.shared, "nodes")
+        with open(nodes, "w") as file:
+            file.write("a\na\nb\n")
+        self.up("--trusted-network", PBS_NODEFILE=nodes, PBS_JOBID="7.a")
+        self.assertEqual([one["host"] for one in self.ctl("status", "--json")["hosts"]], ["a", "a", "b"])
+        self.down()
+
     def test_clients_find_the_service_by_its_file(self):
         self.machines(3)
         file = os.path.join(self.hosts.shared, "service")

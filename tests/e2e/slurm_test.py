@@ -5,7 +5,8 @@ import re
 from machines import *
 from slurm import Cluster, missing
 
-SCRIPTS = os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "slurm")
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
+SCRIPTS = os.path.join(ROOT, "deploy", "slurm")
 
 
 class SlurmTest(MachinesTest):
@@ -73,7 +74,7 @@ class SlurmTest(MachinesTest):
         self.assertIn("waiting for the service", text)
         got = json.loads(text[text.index("{"):])
         self.assertEqual([one["host"] for one in self.status()["hosts"]], ["a", "a", "a", "b", "b"])
-        self.assertEqual(self.status()["encryption"], ["tls"])
+        self.assertEqual(self.status()["encryption"], ["TLS 1.3"])
         # The same on one machine.
         alone = Service(2)
         self.addCleanup(alone.stop)
@@ -101,7 +102,9 @@ class SlurmTest(MachinesTest):
         dead = max(hosts - {"a"})  # the controller is on a
         before = self.published()
         self.hosts.kill(dead)
-        # Slurm puts the job back into the queue, and starts it on a node that lives.
+        # Slurm puts the job back into the queue, to start two minutes later on nodes that live: here at once.
+        self.hosts.wait_for(lambda: self.hosts.state(service) == "PENDING", "the job to be queued again")
+        self.hosts.slurm("scontrol", "update", f"jobid={service}", "starttime=now")
         self.hosts.wait_for(lambda: self.published() not in (None, before) and self.status("d") is not None,
                             "the service to come back", 90)
         self.assertNotIn(dead, {one["host"] for one in self.status("d")["hosts"]})
@@ -121,8 +124,34 @@ class SlurmTest(MachinesTest):
         self.ended(job, 120)
         text = self.output(job, "solver")
         self.assertRegex(text, r"ranks +4", text)
-        self.assertRegex(text, r"(?i)check", text)
+        self.assertIn("1000 points on 4 processes, 6 steps", text)
         self.assertEqual([name for name in os.listdir(self.hosts.shared) if name.startswith("rcbd-")], [], text)
+
+    def test_the_page_on_clusters_is_true_to_the_letter(self):
+        self.cluster(3)
+        os.symlink(os.path.join(ROOT, "deploy"), os.path.join(self.hosts.shared, "deploy"))
+        with open(os.path.join(ROOT, "docs", "cluster.md")) as page:
+            blocks = re.findall(r"^```\n(.*?)^```$", page.read(), re.M | re.S)
+        named, slurm = ([line.split("$ ", 1) for line in block.splitlines()] for block in blocks)
+        self.assertEqual([name for name, _ in named], ["a", "a", "c", "a"])
+
+        def on(name, command):
+            settings = self.hosts.environment(HOME=self.hosts.shared, XDG_STATE_HOME="")
+            path = f"{self.bin}:{settings['PATH']}"
+            done = self.hosts.run(name, "env", "-C", self.hosts.shared, "sh", "-c", command, env=settings | {"PATH": path},
+                                  capture_output=True, text=True, timeout=120)
+            self.assertEqual(done.returncode, 0, f"{command}: {done.stdout}{done.stderr}")
+            return done.stdout
+
+        said = [on(*line) for line in named]
+        self.assertIn("a (ranks 0-1), b (ranks 2-3)", said[1])
+        self.assertIn("50 steps", said[2])
+        jobs = re.findall(r"job (\d+)", "".join(on(*line) for line in slurm))
+        self.assertEqual(len(jobs), 2)
+        self.ended(jobs[1], 120)
+        self.assertIn("50 steps", self.output(jobs[1], "solver"))
+        self.hosts.slurm("scancel", jobs[0])
+        self.ended(jobs[0])
 
     def test_what_runs_on_one_machine_stays_there(self):
         self.cluster(2)

@@ -95,8 +95,8 @@ class Cluster(Hosts):
 
     def slurm(self, *args, name=None, **more):
         """What a command of Slurm prints; more: environment variables."""
-        done = self.run(name or self.names[0], *args, capture_output=True, text=True, timeout=60, cwd=self.shared,
-                        env=self.environment(**more))
+        done = self.run(name or self.names[0], "env", "-C", self.shared, *args, capture_output=True, text=True,
+                        timeout=60, env=self.environment(**more))
         return done.stdout
 
     def state(self, job):

@@ -206,5 +206,38 @@ TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
   EXPECT_EQ(log_tail(path + ".none"), "");
 }
 
+class HostsOfJob : public testing::Test {
+ protected:
+  void TearDown() override {
+    for (const char* name : {"SLURM_JOB_ID", "SLURM_TASKS_PER_NODE", "PBS_NODEFILE"}) unsetenv(name);
+  }
+  static int allocated(const char* tasks) {
+    setenv("SLURM_JOB_ID", "7", 1);
+    setenv("SLURM_TASKS_PER_NODE", tasks, 1);
+    return hosts_of_job().allocated;
+  }
+};
+
+TEST_F(HostsOfJob, AreThoseOfSlurm) {
+  EXPECT_FALSE(hosts_of_job().several());
+  EXPECT_EQ(allocated("4(x2),3"), 11);
+  EXPECT_EQ(allocated("2,1"), 3);
+  EXPECT_EQ(allocated("1(x3)"), 3);
+  for (const char* one_machine_or_odd : {"4", "", "4(x1)", "4(x", "4(x2", "x2", "0(x2)", "4(x2)3", "4,,3"})
+    EXPECT_EQ(allocated(one_machine_or_odd), 0) << one_machine_or_odd;
+}
+
+TEST_F(HostsOfJob, AreThoseOfPbs) {
+  const std::string file = testing::TempDir() + "/rcb-nodes";
+  setenv("PBS_NODEFILE", file.c_str(), 1);
+  std::ofstream(file) << "a\na\n";
+  EXPECT_FALSE(hosts_of_job().several()) << "one machine";
+  std::ofstream(file) << "a\na\nb\n";
+  EXPECT_EQ(hosts_of_job().file, file);
+  EXPECT_EQ(*hosts_of_job().slots(), 3);
+  fs::remove(file);
+  EXPECT_FALSE(hosts_of_job().several());
+}
+
 }  // namespace
 }  // namespace rcb::launch
