@@ -52,7 +52,7 @@ void print_facts(const Json& status) {
   Facts facts;
   facts.add("version", text_of(status, "version"));
   facts.add("endpoint", text_of(status, "endpoints"));
-  facts.add("encryption", text_of(status, "encryption"));
+  if (const std::string kind = text_of(status, "encryption"); kind != "none") facts.add("encryption", kind);
   facts.add("ranks", ranks_text(status));
   if (const std::string hosts = hosts_text(status); !hosts.empty()) facts.add("hosts", hosts);
   facts.add("uptime", duration(status.value("uptime_seconds", 0.0)));
