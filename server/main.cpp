@@ -211,9 +211,11 @@ Status check_hosts(const Hosts& hosts, const Config& config) {
         "this holds between the ranks; then clients' connections are encrypted"};
   const char* launcher = std::getenv(kLauncherHostVariable);
   if (launcher == nullptr || hosts.ranks[0].host == launcher) return {};
-  return {Code::invalid_argument,
-          fmt::format("rank 0 would run on {}, but 'rcbctl up' was run on {}", hosts.ranks[0].host, launcher),
-          "name this machine first among the hosts"};
+  return {
+      Code::invalid_argument,
+      fmt::format("rank 0 would run on {}, but 'rcbctl up' was run on {}", hosts.ranks[0].host, launcher),
+      "name this machine first among the hosts; in a batch job, run it on the first of the job's machines, such as in "
+      "the job's script"};
 }
 
 Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLoop& loop, ranks::EngineLoop& engine) {

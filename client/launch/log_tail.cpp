@@ -37,6 +37,8 @@ std::string telling_lines(const std::string& text) {
       in_frame = !in_frame;
       continue;
     }
+    // mpirun says so after the frame in which it says which program was missing where.
+    if (!in_frame && line.ends_with("failed to start")) continue;
     std::vector<std::string>& lines = in_frame ? of_mpirun : own;
     // All ranks tend to write the same line.
     if (line.find_first_not_of(" \t\r") != std::string::npos &&

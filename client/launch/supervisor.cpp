@@ -37,6 +37,7 @@ constexpr double kProbeDeadlineSeconds = 1;
 constexpr double kAskSecondsLeast = 0.5;
 constexpr double kAskSecondsMost = 5;
 constexpr double kStopSeconds = 20;
+constexpr double kUntoldSeconds = 5;  // for a job that couldn't be told to end
 constexpr double kPauseJitter = 0.25;
 constexpr int kReadsMax = 64;  // of the job's output, before other events are looked at
 
@@ -322,9 +323,11 @@ Status Supervisor::keep_place() {
 void Supervisor::stop(Job& job) {
   if (options_.embedded || !job.running()) return;  // an embedded service keeps nothing
   log_.note("stopping");
-  const double deadline = clock_.seconds() + kStopSeconds;
+  const double began = clock_.seconds();
   auto client = reach(options_.endpoint, "rcbctl up", 2);
-  if (!client || !client->shutdown_service()) return;
+  const bool told = client && client->shutdown_service();
+  // A batch system sends SIGTERM to all processes of a job at once: then the ranks are ending by themselves.
+  const double deadline = began + (told ? kStopSeconds : kUntoldSeconds);
   while (job.running() && clock_.seconds() < deadline) {
     (void)wait(0.1);
     if (job.poll()) return;

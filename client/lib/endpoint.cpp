@@ -59,16 +59,21 @@ std::optional<std::string> first_line(const std::string& path) {
   return text;
 }
 
+// Whether clients on other machines don't reach it.
+bool of_one_machine(const Endpoint& endpoint) {
+  return endpoint.is_unix || endpoint.host.starts_with("127.") || endpoint.host == "localhost" ||
+         endpoint.host == "::1";
+}
+
 Result<Endpoint> published_endpoint(const std::string& path) {
   const auto file = read_endpoint_file(path);
   if (!file) return file.status();
   auto endpoint = parse_endpoint(file->endpoint);
   if (!endpoint) return endpoint.status();
-  if (endpoint->is_unix && file->host != host_name())
-    return Status(
-        Code::unavailable,
-        fmt::format("{} names the socket {} on host {}, which is not this one", path, endpoint->path, file->host),
-        "start the service with --endpoint HOST:PORT for clients on other machines");
+  if (of_one_machine(*endpoint) && file->host != host_name())
+    return Status(Code::unavailable,
+                  fmt::format("{} names {} on host {}, which is not this one", path, endpoint->text(), file->host),
+                  "start the service with --endpoint HOST:PORT for clients on other machines");
   endpoint->published = fmt::format("the service that wrote {} (job {} on host {})", path, file->job, file->host);
   endpoint->token_file = file->token_file;
   return endpoint;
@@ -146,8 +151,16 @@ Result<std::vector<std::string>> tokens_for(const Endpoint& endpoint, const std:
                   "RCBD_TOKEN_FILE names the file 'token' of the service's data directory");
   }
   std::vector<std::string> tokens;
-  if (!endpoint.token_file.empty())
-    if (auto token = first_line(endpoint.token_file)) tokens.push_back(std::move(*token));
+  if (!endpoint.token_file.empty()) {
+    if (auto token = first_line(endpoint.token_file))
+      tokens.push_back(std::move(*token));
+    else if (!this_machine)
+      return Status(
+          Code::not_authorised,
+          fmt::format("{} says that its token is in {}, which can't be read on this machine", endpoint.published,
+                      endpoint.token_file),
+          "start it with a --data-dir that the machines share, or set RCBD_TOKEN_FILE to a copy of that file");
+  }
   if (!this_machine) return tokens;
   // A service that listens on all interfaces is reached by several names; its data directory is named after the one it
   // was started with.

@@ -51,7 +51,8 @@ std::string marker_path(const Endpoint& endpoint);  // left by a service that wa
 // The tokens a client may try there, the likeliest first: `given`, else RCBD_TOKEN (the token itself), else the file
 // RCBD_TOKEN_FILE, else what an endpoint file names, else, if the service is on this machine, the files in the data
 // directories of this endpoint and of the other local names of its port. Errors: invalid_argument, if RCBD_TOKEN_FILE
-// can't be read.
+// can't be read; not_authorised, if what an endpoint file names can't be read on this machine, which isn't the
+// service's.
 Result<std::vector<std::string>> tokens_for(const Endpoint& endpoint, const std::string& given, bool this_machine);
 
 }  // namespace rcb::client

@@ -9,11 +9,19 @@ set -eu
 folder=$(mktemp -d "${SLURM_SUBMIT_DIR:-$PWD}/rcbd-$SLURM_JOB_ID-XXXX") # where all machines see it
 port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])')
 export RCBD_ENDPOINT=file:$folder/where
-export SLURM_OVERLAP=1 # the solver's processes and the service's share the machines
-rcbctl up --endpoint "$(hostname):$port" --data-dir "$folder/data" --publish "$folder/where" --trusted-interconnect
-trap 'rcbctl down; rm -rf "$folder"' EXIT
+# --foreground: as a child of this script the service gets the SIGTERM that scancel sends to all processes of the job.
+rcbctl up --foreground --endpoint "$(hostname):$port" --data-dir "$folder/data" --publish "$folder/where" \
+  --trusted-interconnect &
+service=$!
+trap 'kill $service 2>/dev/null || true; wait $service || true; rm -rf "$folder"' EXIT
+trap 'exit 143' TERM
+until rcbctl status >/dev/null 2>&1; do
+  kill -0 $service # ends the script if the service couldn't start
+  sleep 0.2
+done
 if [[ -n ${SERIAL:-} ]]; then
-  "$@"
+  "$@" &
 else
-  mpirun --bind-to none --oversubscribe -x RCBD_ENDPOINT "$@"
+  mpirun --bind-to none --oversubscribe -x RCBD_ENDPOINT "$@" &
 fi
+wait $! # which, unlike a program in the foreground, lets the traps run at once

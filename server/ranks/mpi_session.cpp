@@ -28,6 +28,8 @@ MpiSession::~MpiSession() {
 Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
   // A rank that waits in MPI yields its core, which it may share with solvers and with incoming slices.
   ::setenv("OMPI_MCA_mpi_yield_when_idle", "1", 0);
+  // Meant for mpirun alone; Open MPI refuses it in a rank, whose folder mpirun names by another variable.
+  ::unsetenv("OMPI_MCA_orte_local_tmpdir_base");
   int provided = MPI_THREAD_SINGLE;
   MPI_Init_thread(argc, argv, MPI_THREAD_FUNNELED, &provided);
   if (provided < MPI_THREAD_FUNNELED) {

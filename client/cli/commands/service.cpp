@@ -62,7 +62,7 @@ Status up(const UpOptions& options, const Context& context) {
   }
   if (!service.hosts.file.empty()) service.hosts.file = std::filesystem::absolute(service.hosts.file).string();
   service.ranks = options.ranks > 0 ? options.ranks : launch::default_ranks();
-  if (service.hosts.several()) {
+  if (service.hosts.several() || service.hosts.job_tasks > 0) {
     const auto slots = service.hosts.slots();
     if (!slots) return slots.status();
     if (options.ranks == 0) service.ranks = *slots;
@@ -117,7 +117,8 @@ Status down(double deadline, const Context& context) {
 }
 
 void add_up_options(CLI::App& command, UpOptions& options) {
-  add_value(command, "-n,--ranks", options.ranks, kind::rank_count(), "MPI ranks (default: one a core, at most 8)");
+  add_value(command, "-n,--ranks", options.ranks, kind::rank_count(),
+            "MPI ranks (default: those that the machines have room for; on one machine one a core, at most 8)");
   CLI::Option* list = add_value(
       command, "--hosts", options.hosts.list, kind::text("A:4,B:4"),
       "machines and the ranks on each, this one first (default: those of the Slurm or PBS job, else this one)");

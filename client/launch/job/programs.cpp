@@ -7,6 +7,7 @@
 #include <fstream>
 #include <set>
 #include <sstream>
+#include <tuple>
 
 #include <fmt/format.h>
 #include <sched.h>
@@ -108,16 +109,27 @@ std::string path_variable() {
 }  // namespace
 
 Hosts hosts_of_job() {
+  Hosts hosts;
   if (!variable("SLURM_JOB_ID").empty()) {
-    const auto [machines, tasks] = machines_and_tasks(variable("SLURM_TASKS_PER_NODE"));
-    return {.allocated = machines > 1 ? tasks : 0};
+    std::tie(hosts.job_machines, hosts.job_tasks) = machines_and_tasks(variable("SLURM_TASKS_PER_NODE"));
+    // Where a job on one machine doesn't say how many tasks it has, Slurm counts its cores' worth, or one.
+    if (hosts.job_machines == 1 && variable("SLURM_NTASKS").empty()) hosts.job_tasks = 0;
+    return hosts;
   }
   const std::string file = variable("PBS_NODEFILE");
+  if (file.empty()) return hosts;
   std::set<std::string> machines;
   std::ifstream in(file);
-  for (std::string machine; !file.empty() && std::getline(in, machine);)
-    if (!machine.empty()) machines.insert(machine);
-  return {.file = machines.size() > 1 ? file : ""};
+  for (std::string machine; std::getline(in, machine);) {
+    if (machine.empty()) continue;
+    machines.insert(machine);
+    ++hosts.job_tasks;
+  }
+  hosts.job_machines = static_cast<int>(machines.size());
+  if (hosts.job_machines > 1) hosts.file = file;
+  // PBS counts one for a job that doesn't say how many processes it has (mpiprocs).
+  if (hosts.job_machines == 1 && hosts.job_tasks == 1) hosts.job_tasks = 0;
+  return hosts;
 }
 
 Result<int> Hosts::slots() const {
@@ -127,7 +139,7 @@ Result<int> Hosts::slots() const {
        !interface.empty()))
     return Status(Code::invalid_argument, fmt::format("'{}' is no interface and no IPv4 network", interface),
                   "for example eth0 or 10.0.0.0/8");
-  if (allocated > 0) return allocated;
+  if (job_tasks > 0) return job_tasks;
   std::istringstream lines(list);
   std::ifstream in;
   if (!file.empty()) {
@@ -190,9 +202,11 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
     // A scheduler's job may have other machines, where mpirun would put ranks too.
     arguments.insert(arguments.end(), {"--mca", "btl", "vader,self", "--mca", "ras", "^slurm,gridengine,tm", "--mca",
                                        "plm", "^slurm,tm"});
-  // The folder is on this machine alone.
-  if (!spec.folder.empty() && !spec.hosts.several())
-    arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.folder});
+  // The folder is on this machine alone: on several it is for mpirun's own session, not for the ranks'.
+  if (!spec.folder.empty())
+    arguments.insert(
+        arguments.end(),
+        {"--mca", spec.hosts.several() ? "orte_local_tmpdir_base" : "btl_vader_backing_directory", spec.folder});
   arguments.insert(arguments.end(), {"-n", std::to_string(spec.ranks)});
   if (!spec.command.empty()) {
     arguments.insert(arguments.end(), spec.command.begin(), spec.command.end());

@@ -21,17 +21,18 @@ Result<std::string> find_in_path(const std::string& program);
 struct Hosts {
   std::string list;  // A:4,B:4
   std::string file;  // a hostfile of Open MPI
-  int allocated =
-      0;  // ranks for which a Slurm job has room on its machines, which mpirun finds by itself; 0: not in one
+  // Of a batch job. Those of a Slurm job mpirun finds by itself.
+  int job_machines = 0;
+  int job_tasks = 0;  // 0: not said
   std::string
       interface;  // for the traffic between ranks: an interface (eth0) or an IPv4 network (10.0.0.0/8); empty: any
 
-  bool several() const { return !list.empty() || !file.empty() || allocated > 0; }
-  // How many ranks the list or the file has room for. Errors: invalid_argument, not_found.
+  bool several() const { return !list.empty() || !file.empty() || job_machines > 1; }
+  // How many ranks the list, the file or the batch job has room for. Errors: invalid_argument, not_found.
   Result<int> slots() const;
 };
 
-// The machines of the Slurm or PBS job that this program is in. All empty: in none, or in one on a single machine.
+// The machines of the Slurm or PBS job that this program is in. All empty: in none.
 Hosts hosts_of_job();
 
 struct JobSpec {

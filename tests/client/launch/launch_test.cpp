@@ -203,28 +203,35 @@ TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
   std::ofstream(path) << "error: port taken\nerror: port taken\n" << mpirun;
   EXPECT_EQ(log_tail(path), "error: port taken");
   EXPECT_EQ(telling_lines(mpirun), "mpirun noticed something");
+  EXPECT_EQ(telling_lines(rule + "no program on b\n" + rule + "2 total processes failed to start\n"),
+            "no program on b");
   EXPECT_EQ(log_tail(path + ".none"), "");
 }
 
 class HostsOfJob : public testing::Test {
  protected:
   void TearDown() override {
-    for (const char* name : {"SLURM_JOB_ID", "SLURM_TASKS_PER_NODE", "PBS_NODEFILE"}) unsetenv(name);
+    for (const char* name : {"SLURM_JOB_ID", "SLURM_TASKS_PER_NODE", "SLURM_NTASKS", "PBS_NODEFILE"}) unsetenv(name);
   }
-  static int allocated(const char* tasks) {
+  // The ranks for which there is room; negative: on this machine.
+  static int room(const char* tasks) {
     setenv("SLURM_JOB_ID", "7", 1);
     setenv("SLURM_TASKS_PER_NODE", tasks, 1);
-    return hosts_of_job().allocated;
+    const Hosts hosts = hosts_of_job();
+    return hosts.several() ? hosts.job_tasks : -hosts.job_tasks;
   }
 };
 
 TEST_F(HostsOfJob, AreThoseOfSlurm) {
   EXPECT_FALSE(hosts_of_job().several());
-  EXPECT_EQ(allocated("4(x2),3"), 11);
-  EXPECT_EQ(allocated("2,1"), 3);
-  EXPECT_EQ(allocated("1(x3)"), 3);
+  EXPECT_EQ(room("4(x2),3"), 11);
+  EXPECT_EQ(room("2,1"), 3);
+  EXPECT_EQ(room("1(x3)"), 3);
   for (const char* one_machine_or_odd : {"4", "", "4(x1)", "4(x", "4(x2", "x2", "0(x2)", "4(x2)3", "4,,3"})
-    EXPECT_EQ(allocated(one_machine_or_odd), 0) << one_machine_or_odd;
+    EXPECT_EQ(room(one_machine_or_odd), 0) << one_machine_or_odd;
+  setenv("SLURM_NTASKS", "4", 1);  // as sbatch --ntasks sets it
+  EXPECT_EQ(room("4"), -4);
+  EXPECT_EQ(room("4(x2)"), 8);
 }
 
 TEST_F(HostsOfJob, AreThoseOfPbs) {
@@ -232,6 +239,9 @@ TEST_F(HostsOfJob, AreThoseOfPbs) {
   setenv("PBS_NODEFILE", file.c_str(), 1);
   std::ofstream(file) << "a\na\n";
   EXPECT_FALSE(hosts_of_job().several()) << "one machine";
+  EXPECT_EQ(*hosts_of_job().slots(), 2);
+  std::ofstream(file) << "a\n";
+  EXPECT_EQ(hosts_of_job().job_tasks, 0) << "which PBS writes of a job that doesn't say";
   std::ofstream(file) << "a\na\nb\n";
   EXPECT_EQ(hosts_of_job().file, file);
   EXPECT_EQ(*hosts_of_job().slots(), 3);

@@ -50,6 +50,21 @@ TEST(Endpoint, FilesLieTogetherAndApartFromOthers) {
   EXPECT_EQ(marker_path(endpoint), data_directory(endpoint) + "/clean-shutdown");
 }
 
+TEST(Endpoint, ATokenThatIsNotSharedIsTold) {
+  ::unsetenv("RCBD_TOKEN");
+  ::unsetenv("RCBD_TOKEN_FILE");
+  Endpoint endpoint = parse_endpoint("node7.example:7470").value();
+  endpoint.published = "the service that wrote /home/u/where (job 3 on host node7)";
+  endpoint.token_file = "/nowhere/token";
+  const auto tokens = tokens_for(endpoint, "", false);
+  ASSERT_EQ(tokens.status().code(), Code::not_authorised);
+  EXPECT_EQ(
+      tokens.status().message(),
+      "the service that wrote /home/u/where (job 3 on host node7) says that its token is in /nowhere/token, which "
+      "can't be read on this machine");
+  EXPECT_EQ(tokens_for(endpoint, "t", false).value(), (std::vector<std::string>{"t"}));
+}
+
 TEST(Endpoint, NoTokenFromAFileForAnotherMachine) {
   ::unsetenv("RCBD_TOKEN");
   ::unsetenv("RCBD_TOKEN_FILE");
