@@ -11,6 +11,7 @@
 #include "client/cli/options.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/usage.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -126,6 +127,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
 }  // namespace rcb::cli
 
 int main(int argc, char** argv) {
+  rcb::open_standard_streams();
   std::signal(SIGPIPE, SIG_IGN);  // ignored, so that a temporary scene or embedded service is removed before the end
   std::vector<std::string> arguments;
   for (int i = 1; i < argc; ++i) arguments.push_back(rcb::cli::plain_number(argv[i]));

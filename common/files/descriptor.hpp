@@ -3,6 +3,7 @@
 
 #include <utility>
 
+#include <fcntl.h>
 #include <unistd.h>
 
 namespace rcb {
@@ -26,5 +27,12 @@ class Descriptor {
  private:
   int number_ = -1;
 };
+
+// Opens /dev/null for each standard stream that is closed, so that writing to it still fails. Else the next files and
+// pipes would get their numbers, and be mistaken for them. To be called first thing in main().
+inline void open_standard_streams() {
+  for (int number = 0; number <= 2; ++number)
+    if (fcntl(number, F_GETFD) < 0) (void)::open("/dev/null", O_RDONLY);  // takes the lowest free number
+}
 
 }  // namespace rcb

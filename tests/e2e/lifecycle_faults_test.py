@@ -35,6 +35,19 @@ class FailingService(Service):
         return down
 
 
+class ClosedStreams(unittest.TestCase):
+    def test_up_whatever_standard_streams_are_closed(self):
+        folder = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.addCleanup(shutil.rmtree, folder)
+        rcbctl = f"{BIN}/rcbctl --endpoint unix:{folder}/s"
+        for closed, told in (("<&-", True), ("2>&-", True), (">&-", False), ("<&- >&-", False), ("<&- >&- 2>&-", False)):
+            up = subprocess.run(["sh", "-c", f"{rcbctl} up -n 1 --data-dir {folder}/data {closed}"], capture_output=True,
+                                text=True, timeout=60)
+            status = subprocess.run(["sh", "-c", f"{rcbctl} status"], capture_output=True, text=True, timeout=60)
+            down = subprocess.run(["sh", "-c", f"{rcbctl} down"], capture_output=True, text=True, timeout=60)
+            self.assertEqual((up.returncode == 0, status.returncode, down.returncode), (told, 0, 0), f"{closed}: {up.stderr}")
+
+
 class Faults(unittest.TestCase):
     def assert_nothing_left(self, service):
         self.assertTrue(wait_for(lambda: not processes_of(service.dir)), processes_of(service.dir))

@@ -1,4 +1,6 @@
 // status: what runs, what is wrong with it, and the scenes.
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
@@ -52,7 +54,9 @@ void print_facts(const Json& status) {
   Facts facts;
   facts.add("version", text_of(status, "version"));
   facts.add("endpoint", text_of(status, "endpoints"));
-  if (const std::string kind = text_of(status, "encryption"); kind != "none") facts.add("encryption", kind);
+  const Json endpoints = status.value("endpoints", Json::array());
+  const auto is_unix = [](const Json& one) { return one.get<std::string>().starts_with("unix:"); };
+  if (!std::all_of(endpoints.begin(), endpoints.end(), is_unix)) facts.add("encryption", text_of(status, "encryption"));
   facts.add("ranks", ranks_text(status));
   if (const std::string hosts = hosts_text(status); !hosts.empty()) facts.add("hosts", hosts);
   facts.add("uptime", duration(status.value("uptime_seconds", 0.0)));
