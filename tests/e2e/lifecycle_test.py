@@ -1,6 +1,4 @@
 """Life of the service: up and down, several beside each other, idle, clean ends, crashes, nothing left behind."""
-import socket
-
 from support import *
 
 
@@ -43,18 +41,6 @@ class Lifecycle(unittest.TestCase):
         self.assertEqual(service.ctl("down").returncode, 3)
         self.assertEqual(service.ctl("status").returncode, 3)
         shutil.rmtree(service.dir)
-
-    def test_a_signal_to_the_supervisor_ends_it_cleanly(self):
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            port = probe.getsockname()[1]
-        for tcp in (None, f"127.0.0.1:{port}"):  # where its token is in the data directory that it was given
-            with self.subTest(tcp):
-                with Service(2, tcp=tcp) as service:
-                    supervisor, = service.processes("rcbd-supervisor")
-                    os.kill(supervisor, signal.SIGTERM)
-                    self.assertTrue(wait_for(lambda: not processes_of(service.dir)), processes_of(service.dir))
-                    with open(os.path.join(service.data, "rcbd.log")) as file:
-                        self.assertIn("ended cleanly", file.read())
 
     def test_several_beside_each_other(self):
         with Service(1) as a, Service(2) as b:
