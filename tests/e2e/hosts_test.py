@@ -141,6 +141,20 @@ class HostsTest(MachinesTest):
             refused = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint)
             self.assertIn("is no file that", refused.stderr)
 
+    def test_an_endpoint_named_by_its_host(self):
+        self.machines(2)
+        self.up("--hosts", "a:1,b:1", "--trusted-interconnect", endpoint="a:7470", RCBD_TOKEN_FILE="")
+        for endpoint in ("a:7470", "10.77.0.1:7470"):  # on its machine the token is found without its being named
+            self.ctl("status", endpoint=endpoint, RCBD_TOKEN_FILE="")
+        supervisor, = (pid for pid in self.hosts.processes("a") if process_name(pid) == "rcbd-supervisor")
+        os.kill(supervisor, signal.SIGTERM)
+        self.assertTrue(wait_for(lambda: not any(self.hosts.processes(name) for name in self.hosts.names)),
+                        "processes are left")
+        self.assertIn("ended cleanly", self.log())
+        for name in self.hosts.names:
+            files = self.hosts.run(name, "ls", "/tmp", "/dev/shm", capture_output=True, text=True).stdout.split()
+            self.assertEqual([file for file in files if not file.endswith(":")], [], f"files are left on {name}")
+
     def test_what_the_machines_do_not_share_is_told(self):
         self.machines(3)
         file = os.path.join(self.hosts.shared, "service")
