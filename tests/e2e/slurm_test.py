@@ -65,7 +65,7 @@ class SlurmTest(MachinesTest):
 
     def service_log(self):
         try:
-            with open(os.path.join(self.hosts.shared, "rcbd-data", "rcbd.log")) as file:
+            with open(self.where + ".data.0/rcbd.log") as file:
                 return file.read()
         except OSError:
             return ""
