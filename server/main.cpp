@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <set>
 #include <span>
 #include <sstream>
 #include <vector>
@@ -218,6 +219,19 @@ Status check_hosts(const Hosts& hosts, const Config& config) {
       "the job's script"};
 }
 
+// Puts the token where clients on this machine look for it: they name the endpoint by the address, or as it was given.
+Status offer_token(Root& root, const std::string& given, const std::string& bound) {
+  std::set<std::string> directories{data_directory_for(bound)};
+  if (!given.ends_with(":0")) directories.insert(data_directory_for(given));
+  directories.erase(root.data->path());
+  for (const std::string& directory : directories) {
+    auto offered = net::OfferedToken::offer(directory, root.token);
+    if (!offered.ok()) return offered.status();
+    root.offered.push_back(std::move(*offered));
+  }
+  return {};
+}
+
 Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLoop& loop, ranks::EngineLoop& engine) {
   const int ranks = static_cast<int>(hosts.ranks.size());
   if (Status status = check_hosts(hosts, config); !status.ok()) return status;
@@ -275,11 +289,7 @@ Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLo
       return {Code::invalid_argument,
               fmt::format("--listen {} is {} on this machine, which no other reaches", where, *bound),
               "give the machine's address on the network"};
-    if (const std::string usual = data_directory_for(*bound); usual != root.data->path()) {
-      auto offered = net::OfferedToken::offer(usual, root.token);
-      if (!offered.ok()) return offered.status();
-      root.offered.push_back(std::move(*offered));
-    }
+    if (Status status = offer_token(root, where, *bound); !status.ok()) return status;
     spdlog::info("listening on {}, token in {}", *bound, join_path(root.data->path(), kTokenFile));
   }
   loop.on_signals([control = root.control.get()](int number) { control->shut_down(fmt::format("signal {}", number)); });

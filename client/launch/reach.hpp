@@ -8,13 +8,15 @@
 
 namespace rcb::launch {
 
-// For a supervisor, or for a program whose service nobody restarts: fails at once if the service has gone. endpoint:
-// empty: as the client library finds it. Errors: those of Client::connect.
-inline Result<client::Client> reach(const std::string& endpoint, const std::string& name, double deadline_seconds = 5) {
+// For a supervisor, or for a program whose service nobody restarts: fails at once if the service has gone. endpoint,
+// token: empty: as the client library finds them. Errors: those of Client::connect.
+inline Result<client::Client> reach(const std::string& endpoint, const std::string& name, double deadline_seconds = 5,
+                                    const std::string& token = {}) {
   client::ConnectOptions options;
   options.endpoint = endpoint;
   options.name = name;
   options.deadline_seconds = deadline_seconds;
+  options.token = token;
   options.outlive = false;
   return client::Client::connect(options);
 }

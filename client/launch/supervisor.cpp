@@ -6,6 +6,7 @@
 #include <cstring>
 #include <ctime>
 #include <filesystem>
+#include <fstream>
 #include <optional>
 
 #include <fcntl.h>
@@ -324,7 +325,9 @@ void Supervisor::stop(Job& job) {
   if (options_.embedded || !job.running()) return;  // an embedded service keeps nothing
   log_.note("stopping");
   const double began = clock_.seconds();
-  auto client = reach(options_.endpoint, "rcbctl up", 2);
+  std::string token;  // of a service on TCP; the library doesn't look for it in a data directory that the user named
+  std::ifstream(join_path(options_.data_dir, kTokenFile)) >> token;
+  auto client = reach(options_.endpoint, "rcbctl up", 2, token);
   const bool told = client && client->shutdown_service();
   // A batch system sends SIGTERM to all processes of a job at once: then the ranks are ending by themselves.
   const double deadline = began + (told ? kStopSeconds : kUntoldSeconds);

@@ -8,7 +8,7 @@ set -eu
 [[ -z ${RCBD_BIN_DIR:-} ]] || PATH=$RCBD_BIN_DIR:$PATH
 folder=$(mktemp -d "${SLURM_SUBMIT_DIR:-$PWD}/rcbd-$SLURM_JOB_ID-XXXX") # where all machines see it
 port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])')
-export RCBD_ENDPOINT=file:$folder/where
+export RCBD_ENDPOINT=file:$folder/where XDG_STATE_HOME=$folder/state
 # --foreground: as a child of this script the service gets the SIGTERM that scancel sends to all processes of the job.
 rcbctl up --foreground --endpoint "$(hostname):$port" --data-dir "$folder/data" --publish "$folder/where" \
   --trusted-interconnect &

@@ -141,6 +141,41 @@ class HostsTest(MachinesTest):
             refused = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint)
             self.assertIn("is no file that", refused.stderr)
 
+    def test_an_endpoint_named_by_its_host(self):
+        self.machines(2)
+        self.up("--hosts", "a:1,b:1", "--trusted-interconnect", endpoint="a:7470", RCBD_TOKEN_FILE="")
+        for endpoint in ("a:7470", "10.77.0.1:7470"):  # on its machine the token is found without its being named
+            self.ctl("status", endpoint=endpoint, RCBD_TOKEN_FILE="")
+        supervisor, = (pid for pid in self.hosts.processes("a") if process_name(pid) == "rcbd-supervisor")
+        os.kill(supervisor, signal.SIGTERM)
+        self.assertTrue(wait_for(lambda: not any(self.hosts.processes(name) for name in self.hosts.names)),
+                        "processes are left")
+        self.assertIn("ended cleanly", self.log())
+        for name in self.hosts.names:
+            files = self.hosts.run(name, "ls", "/tmp", "/dev/shm", capture_output=True, text=True).stdout.split()
+            self.assertEqual([file for file in files if not file.endswith(":")], [], f"files are left on {name}")
+
+    def test_what_the_machines_do_not_share_is_told(self):
+        self.machines(3)
+        file = os.path.join(self.hosts.shared, "service")
+        for where, says in (("10.77.0.1:7470", "says that its token is in /tmp/data/token, which can't be read on this machine"),
+                            ("127.0.0.1:7470", f"{file} names 127.0.0.1:7470 on host a, which is not this one"),
+                            ("unix:/tmp/s", f"{file} names unix:/tmp/s on host a, which is not this one")):
+            with self.subTest(where):
+                self.ctl("up", "--hosts", "a:1,b:1", "--trusted-network", "--data-dir", "/tmp/data", "--publish", file,
+                         endpoint=where)
+                for program in (["rcbctl", "status"], ["two_spheres", "--steps", 3]):
+                    refused = self.on("c", os.path.join(self.bin, program[0]), *program[1:], endpoint="file:" + file,
+                                      RCBD_TOKEN_FILE="")
+                    self.assertNotEqual(refused.returncode, 0)
+                    self.assertIn(says, refused.stderr)
+                self.down(endpoint=where, RCBD_TOKEN_FILE="/tmp/data/token")
+        self.hosts.run("a", "cp", "-r", self.bin, "/tmp/bin", check=True)
+        failed = self.on("a", "/tmp/bin/rcbctl", "up", "--hosts", "a:1,b:1", "--trusted-network", "--data-dir", self.data,
+                         RCBD_BIN_DIR="/tmp/bin")
+        self.assertNotEqual(failed.returncode, 0)
+        self.assertRegex(failed.stderr, r"(?s)Executable: /tmp/bin/rcbd.*Node: b")
+
     def test_a_machine_that_vanishes_is_named_and_the_service_comes_back(self):
         self.machines(2)
         endpoint = "unix:/tmp/rcbd.sock"

@@ -37,6 +37,14 @@ class SlurmTest(MachinesTest):
     def ended(self, job, seconds=60):
         self.hosts.wait_for(lambda: self.hosts.state(job) == "", f"the end of job {job}", seconds)
 
+    def nothing_is_left(self):
+        """Neither processes of the programs nor files in the folders that are each node's own."""
+        for name in self.hosts.names:
+            running = [pid for pid in self.hosts.processes(name) if process_name(pid) in ("rcbd", "rcbctl", "mpirun")]
+            self.assertEqual(running, [], f"processes on {name}")
+            files = self.hosts.run(name, "ls", "/tmp", "/dev/shm", capture_output=True, text=True).stdout.split()
+            self.assertEqual([file for file in files if file.startswith(("rcbd", "ompi", "vader"))], [], f"on {name}")
+
     def published(self):
         try:
             with open(self.where) as file:
@@ -57,7 +65,7 @@ class SlurmTest(MachinesTest):
 
     def service_log(self):
         try:
-            with open(os.path.join(self.hosts.shared, "rcbd-data", "rcbd.log")) as file:
+            with open(self.where + ".data.0/rcbd.log") as file:
                 return file.read()
         except OSError:
             return ""
@@ -90,13 +98,14 @@ class SlurmTest(MachinesTest):
         self.assertIn("the service has ended", self.service_log())
         self.assertNotIn("given up", self.service_log())
         self.assertIsNone(self.published())
+        self.nothing_is_left()
 
     def test_a_node_that_dies_and_a_solver_that_waits(self):
         self.cluster(4)
         service = self.up("--nodes=2", "--ntasks=4", "--exclude=d")
         hosts = {one["host"] for one in self.status("d")["hosts"]}
         self.assertEqual(len(hosts), 2)
-        solver = self.submit("--nodelist=d", os.path.join(SCRIPTS, "solver.sh"), "two_spheres", "--steps", "4000",
+        solver = self.submit("--nodelist=d", os.path.join(SCRIPTS, "solver.sh"), "two_spheres", "--steps", "1000",
                              "--parts", "5", "--json")
         self.hosts.wait_for(lambda: self.status("d")["steps"] > 50, "the solver's first steps")
         dead = max(hosts - {"a"})  # the controller is on a
@@ -111,21 +120,40 @@ class SlurmTest(MachinesTest):
         self.ended(solver, 120)
         text = self.output(solver, "solver")
         result = json.loads(text[text.index("{"):])
-        self.assertEqual(len(result["reports"]), 4001, text[:2000])
+        self.assertEqual(len(result["reports"]), 1001, text[:2000])
         self.assertTrue(any(report["scene_recreated"] for report in result["reports"]))
         self.hosts.slurm("scancel", service)
         self.ended(service)
 
+    def both(self, steps):
+        return self.submit("--nodes=2", "--ntasks=4", os.path.join(SCRIPTS, "both.sh"), "slope_mpi", "--points", "1000",
+                           "--steps", steps, "--interval", "0.3", "--parts", "6", "--check",
+                           OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
+
+    def folders_of_both(self):
+        return [name for name in os.listdir(self.hosts.shared) if name.startswith("rcbd-")]
+
     def test_both_in_one_job(self):
         self.cluster(2)
-        job = self.submit("--nodes=2", "--ntasks=4", os.path.join(SCRIPTS, "both.sh"), "slope_mpi", "--points", "1000",
-                          "--steps", "6", "--interval", "0.3", "--parts", "6", "--check",
-                          OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
+        job = self.both("6")
         self.ended(job, 120)
         text = self.output(job, "solver")
-        self.assertRegex(text, r"ranks +4", text)
+        self.assertIn("4 ranks on", text)
         self.assertIn("1000 points on 4 processes, 6 steps", text)
-        self.assertEqual([name for name in os.listdir(self.hosts.shared) if name.startswith("rcbd-")], [], text)
+        self.assertEqual(self.folders_of_both(), [], text)
+        self.nothing_is_left()
+        job = self.both("100000")
+
+        def stepping():
+            folders = self.folders_of_both()
+            self.where = os.path.join(self.hosts.shared, *folders, "where")
+            return folders and (self.status("a") or {"steps": 0})["steps"] > 2
+
+        self.hosts.wait_for(stepping, "the solver's first steps")
+        self.hosts.slurm("scancel", job)
+        self.ended(job)
+        self.assertEqual(self.folders_of_both(), [], self.output(job, "solver"))
+        self.nothing_is_left()
 
     def test_the_page_on_clusters_is_true_to_the_letter(self):
         self.cluster(3)
@@ -164,6 +192,15 @@ class SlurmTest(MachinesTest):
         self.ended(job)
         text = self.output(job, "one")
         self.assertEqual(json.loads(text[text.index("{"):])["ranks"], 6, text)
+        # A job on one machine has a rank for each task that it asked for.
+        with open(script, "w") as file:
+            file.write(f"#!/bin/sh\ncd /tmp\nexport RCBD_ENDPOINT=unix:/tmp/s\n{self.bin}/rcbctl up --json && "
+                       f"{self.bin}/rcbctl down >&2\n")
+        job = self.submit("--nodes=1", "--ntasks=3", "--output=one-%j.out", "--error=one.err", script)
+        self.ended(job)
+        text = self.output(job, "one")
+        self.assertEqual(json.loads(text)["ranks"], 3, text)
+        self.nothing_is_left()
 
 
 if __name__ == "__main__":
