@@ -43,7 +43,8 @@ class SlurmTest(MachinesTest):
             running = [pid for pid in self.hosts.processes(name) if process_name(pid) in ("rcbd", "rcbctl", "mpirun")]
             self.assertEqual(running, [], f"processes on {name}")
             files = self.hosts.run(name, "ls", "/tmp", "/dev/shm", capture_output=True, text=True).stdout.split()
-            self.assertEqual([file for file in files if file.startswith(("rcbd", "ompi", "vader"))], [], f"on {name}")
+            # Not ompi.*: Slurm may end mpirun's daemon before it has removed its folder.
+            self.assertEqual([file for file in files if file.startswith(("rcbd", "vader"))], [], f"on {name}")
 
     def published(self):
         try:
