@@ -158,7 +158,8 @@ class HostsTest(MachinesTest):
     def test_what_the_machines_do_not_share_is_told(self):
         self.machines(3)
         file = os.path.join(self.hosts.shared, "service")
-        for where, says in (("10.77.0.1:7470", "says that its token is in /tmp/data/token, which can't be read on this machine"),
+        unshared = "says that its token is in /tmp/data/token, which can't be read on this machine"
+        for where, says in (("10.77.0.1:7470", unshared),
                             ("127.0.0.1:7470", f"{file} names 127.0.0.1:7470 on host a, which is not this one"),
                             ("unix:/tmp/s", f"{file} names unix:/tmp/s on host a, which is not this one")):
             with self.subTest(where):
