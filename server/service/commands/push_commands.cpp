@@ -58,6 +58,14 @@ Response answer(const Scene& scene, const StepReport& report, const PushRequest&
   return response;
 }
 
+// Returns memory to the system that only a full change needs. Under a sanitizer the C library's allocator is unused,
+// and sets itself up at its first call, which ranks that are threads must not make at once.
+void return_freed_memory() {
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+  ::malloc_trim(0);
+#endif
+}
+
 Response push(Context& context, Scene& scene, const wire::Json& request) {
   const auto push = read_order(request, context.comm.size());
   if (!push.ok()) return failed(push.status());
@@ -68,10 +76,9 @@ Response push(Context& context, Scene& scene, const wire::Json& request) {
   const std::optional<std::int64_t> previous_step = scene.step;
   const StepReport report = commit(context, scene, *staged, push.value(), push->changes ? &changes : nullptr);
   give_back(context, scene, push.value(), *staged);
-  // Returns memory to the system that only a full change needs.
   if (!previous_step || layout::is_full_change(report.migrated, report.n)) {
     staged->scan = {};
-    ::malloc_trim(0);
+    return_freed_memory();
   }
   if (!context.root()) return {};  // only rank 0's response is used
   return answer(scene, report, push.value(), std::move(changes), std::move(staged->edits.inserted_part), previous_step);
