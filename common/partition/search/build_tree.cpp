@@ -116,11 +116,20 @@ Extents TreeBuilder::extents_of(const Node& node) const {
   return extents;
 }
 
+bool TreeBuilder::one_lossless_place(const QBounds& bounds) const {
+  if (axes_ == 0 || bounds.empty()) return false;
+  for (std::size_t a = 0; a < at(axes_); ++a)
+    if (!maps_[a].lossless() || bounds.lo[a] != bounds.hi[a]) return false;
+  return true;
+}
+
 void TreeBuilder::order_axes() {
   std::vector<std::size_t> open;
   for (std::size_t n = 0; n < level_.size(); ++n) {
     Node& node = level_[n];
-    if (const auto axes = rule_.axes_of(node.range, extents_of(node)))
+    node.coincident = node.coincident || one_lossless_place(node.bounds);
+    const bool alone = interior_ == nullptr || interior_->count(node.range.first, node.range.last) == 0;
+    if (const auto axes = rule_.axes_of(node.range, node.coincident && alone ? Extents{} : extents_of(node)))
       node.axes = *axes;
     else
       open.push_back(n);
@@ -156,15 +165,18 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     const NodeRange& range = level_[nodes[n]].range;
     const geometry::Box beside = interior_ == nullptr ? geometry::Box{} : interior_->box(range.first, range.last);
+    bool coincident = !level_[nodes[n]].bounds.empty();
     for (std::size_t a = 0; a < at(axes_); ++a) {
       std::uint64_t lo = least[n * words + 2 * a];
       std::uint64_t hi = ~least[n * words + 2 * a + 1];
+      coincident = coincident && lo == hi;
       if (!beside.empty(axes_)) {
         lo = std::min(lo, geometry::order_bits(beside.lo[a]));
         hi = std::max(hi, geometry::order_bits(beside.hi[a]));
       }
       extents[n][a] = geometry::extent(geometry::value_of_order_bits(lo), geometry::value_of_order_bits(hi));
     }
+    level_[nodes[n]].coincident = coincident;
   }
   return extents;
 }
@@ -173,6 +185,9 @@ Question TreeBuilder::question(const Node& node) const {
   Question ask;
   ask.axes = node.axes;
   ask.bounds = node.bounds;
+  ask.coincident = node.coincident;
+  ask.id_first = node.id_first;
+  ask.id_last = node.id_last;
   ask.count = node.count;
   ask.weight = node.weight;
   const auto [index, first, last] = node.range;
@@ -272,6 +287,10 @@ void TreeBuilder::split(std::span<const Question> answers) {
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};
+    if (node.coincident && !cut.right_empty) {
+      left.id_last = cut.key.id - 1;
+      right.id_first = cut.key.id;
+    }
     take_child(left, false, n);
     take_child(right, true, n);
   }

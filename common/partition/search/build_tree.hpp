@@ -14,6 +14,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <vector>
 
@@ -73,6 +74,9 @@ class TreeBuilder {
     u128 weight = 0;          // with weights
     QBounds bounds;
     AxisOrder axes{0, 1, 2};
+    bool coincident = false;  // they are known to lie in one place
+    Id id_first = 0;          // those of a coincident node have ids from here
+    Id id_last = std::numeric_limits<Id>::max();
   };
 
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
@@ -92,8 +96,10 @@ class TreeBuilder {
   // The roots' spans and, if there are several, each one's bounds. Collective.
   void lay_out_roots();
   void order_axes();
+  // True if integers alone tell that all quantised points lie in one place.
+  bool one_lossless_place(const QBounds& bounds) const;
   Extents extents_of(const Node& node) const;
-  // The exact extents of these nodes. Collective (one reduction).
+  // The exact extents of these nodes; notes which are coincident. Collective (one reduction).
   std::vector<Point> measure(std::span<const std::size_t> nodes);
   Question question(const Node& node) const;
   // Adds the interior particles to a question, and marks it failed if the quantised points alone can't answer it.

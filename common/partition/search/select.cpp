@@ -77,7 +77,10 @@ void Selector::start(std::size_t node) {
     for (Span& span : spans_of(node)) span.middle = span.last;
     return;
   }
-  state.phase = Phase::count;
+  const bool by_id = ask.coincident && ask.slack == 0;
+  state.phase = by_id ? Phase::next_word : Phase::count;
+  if (by_id) state.word = axes_;
+  state.by_id = axes_ == 0;
   state.lo = ask.bounds.lo[axis_of(node)];
   state.hi = ask.bounds.hi[axis_of(node)];
   state.below = ask.below;
@@ -274,7 +277,7 @@ void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool f
 
 void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) {
   const std::size_t from = states_[node].word;
-  note_pass(node, 2 * sizeof(QuantisedPoint) + (words_ - from) * sizeof(double));
+  note_pass(node, 2 * sizeof(QuantisedPoint) + (axes_ - from + (states_[node].by_id ? 1 : 0)) * sizeof(double));
   const auto look = [bounds](std::size_t word, std::uint64_t own) {
     bounds[2 * word] = std::min(bounds[2 * word], own);
     bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
@@ -314,7 +317,8 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
     for (std::size_t w = from; w < axes_; ++w)
       for (std::size_t i = 0; i < open.size() && !same[w]; ++i) look(w, geometry::order_bits(x[w][open[i].index]));
     const Id* const id = particles_.id + span.base;
-    for (const QuantisedPoint& point : open) look(axes_, static_cast<std::uint64_t>(id[point.index]));
+    for (std::size_t i = 0; i < open.size() && states_[node].by_id; ++i)
+      look(axes_, static_cast<std::uint64_t>(id[open[i].index]));
   }
 }
 
@@ -329,7 +333,8 @@ void Selector::next_word() {
       state.uniform_value = state.lo;
     }
     // A single integer decides the word if it determines the coordinate.
-    if (state.lo == state.hi && (state.tie_break ? state.shift == 0 : lossless(node, 0))) state.word += state.words;
+    const bool decided = state.tie_break ? state.shift == 0 : state.word == 0 && lossless(node, 0);
+    if (state.lo == state.hi && decided) state.word += state.words;
     state.words = 1;
     CHECK(state.word < words_, "two particles have the same id");
     if (state.word > 0 && lossless(node, state.word)) {
@@ -342,6 +347,9 @@ void Selector::next_word() {
       } else {
         enter(node, own.first, own.first + own.count - 1);
       }
+    } else if (state.word == axes_ && !state.by_id) {
+      const auto [least, greatest] = known_ids(node);
+      enter(node, least, greatest);
     } else {
       measured.push_back(node);
     }
@@ -350,8 +358,14 @@ void Selector::next_word() {
   // The least value of every word and the complement of the greatest, so that one minimum gives both.
   Buffer<std::uint64_t> bounds(measured.size() * words_ * 2);
   std::fill(bounds.begin(), bounds.end(), kNone);
-  for (std::size_t m = 0; m < measured.size(); ++m)
-    measure_words(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
+  for (std::size_t m = 0; m < measured.size(); ++m) {
+    const std::span<std::uint64_t> own = bounds.span().subspan(m * words_ * 2, words_ * 2);
+    measure_words(measured[m], own);
+    if (states_[measured[m]].by_id) continue;
+    const auto [least, greatest] = known_ids(measured[m]);
+    own[2 * axes_] = least;
+    own[2 * axes_ + 1] = ~greatest;
+  }
   reductions_ += all_min_in_messages(comm_, bounds.span());
   for (std::size_t m = 0; m < measured.size(); ++m) {
     State& state = states_[measured[m]];
@@ -370,8 +384,27 @@ void Selector::next_word() {
   }
 }
 
+std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
+  if (!ids_) {
+    std::array<std::uint64_t, 2> least{kNone, kNone};
+    for (std::size_t i = 0; i < particles_.count; ++i) {
+      const auto id = static_cast<std::uint64_t>(particles_.id[i]);
+      least[0] = std::min(least[0], id);
+      least[1] = std::min(least[1], ~id);
+    }
+    bytes_moved_ += particles_.count * sizeof(Id);
+    comm_.all_min(least);
+    ++reductions_;
+    ids_ = {least[0], ~least[1]};
+  }
+  const Question& ask = nodes_[node];
+  return {std::max((*ids_)[0], static_cast<std::uint64_t>(ask.id_first)),
+          std::min((*ids_)[1], static_cast<std::uint64_t>(ask.id_last))};
+}
+
 void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
   State& state = states_[node];
+  state.by_id = state.word == axes_;
   state.base = lo;
   state.shift = shift_to(hi - lo, kKeyBits);
   state.lo = 0;

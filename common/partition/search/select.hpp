@@ -16,6 +16,8 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -44,6 +46,9 @@ struct Question {
   bool search = true;  // false: nothing goes right
   AxisOrder axes{0, 1, 2};
   QBounds bounds;           // of the quantised points' integers, all ranks
+  bool coincident = false;  // all of these lie in one place: only ids tell them apart
+  Id id_first = 0;          // none of these has an id before this one
+  Id id_last = std::numeric_limits<Id>::max();
   std::uint64_t count = 0;  // quantised points
   // Interior particles of the left parts (they have no quantised point).
   std::uint64_t below = 0;
@@ -105,6 +110,7 @@ class Selector {
     bool uniform = false;  // all integers that were replaced were `uniform_value`
     std::int32_t uniform_value = 0;
     bool tie_break = false;  // the integers are replaced by a key word: (its value - base) >> shift
+    bool by_id = false;      // the integers hold the id, or have held it
     std::size_t word = 0;
     std::size_t words = 1;  // how many key words the integers hold, from `word` on
     unsigned shift = 0;
@@ -147,8 +153,11 @@ class Selector {
   bool take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& cell);
   void narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few);
   void next_word();
+  // What is known of the ids of a node's particles: the bounds of all particles' ids, and what the question tells.
+  // Collective (one reduction, the first time).
+  std::array<std::uint64_t, 2> known_ids(std::size_t node);
   // For each key word from the node's current one on: the least value among the open quantised points, and the
-  // complement of the greatest. Local.
+  // complement of the greatest; for the id, of what is known unless it is measured. Local.
   void measure_words(std::size_t node, std::span<std::uint64_t> bounds);
   // The values of a key word on a lossless axis: `count` of them from `first` on, in units of 2^zeros of the integers.
   struct WordValues {
@@ -213,6 +222,7 @@ class Selector {
   std::size_t chunks_ = 1;
   std::vector<State> states_;
   std::vector<Neighbour> neighbours_;
+  std::optional<std::array<std::uint64_t, 2>> ids_;  // the least and the greatest of all particles
   Buffer<std::uint64_t> message_;
   std::size_t per_word_ = 1;  // counts packed into a word of the message
   Buffer<std::uint32_t> bins_;
