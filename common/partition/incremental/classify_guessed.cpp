@@ -22,6 +22,8 @@ constexpr std::size_t kLeaves = kGuessLeaves;
 // Particles that are prefetched ahead: the branches of a block's boundary particles depend on data, and a mispredicted
 // one would otherwise wait for memory.
 constexpr std::size_t kAhead = 1024;
+constexpr std::int64_t kLeast = std::numeric_limits<std::int64_t>::min();
+constexpr std::int64_t kMost = std::numeric_limits<std::int64_t>::max();
 using Floats = std::array<float, kLeaves>;
 using Integers = std::array<std::int32_t, kLeaves>;
 using Axes = std::array<const double*, geometry::kDimsMax>;
@@ -43,6 +45,24 @@ struct alignas(64) Tables {
 
   float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
 };
+
+// A key as integers of the same order, the first word last.
+using KeyLanes = std::array<std::int64_t, geometry::kDimsMax + 1>;
+
+// One node of the guess, for whole keys. What lies neither before `least` nor behind `most` is a boundary particle.
+struct alignas(32) Step {
+  KeyLanes least{};
+  KeyLanes most{};
+  std::array<std::int32_t, 8> order{};  // the words as halves of {x, y, z, id}
+  std::int32_t next = 0;                // as in Tables
+};
+
+KeyLanes lanes_of(const Key& key) {
+  KeyLanes lanes{key.id};
+  for (std::size_t w = 0; w < key.at.size(); ++w)
+    lanes[3 - w] = static_cast<std::int64_t>(geometry::order_bits(key.at[w]) ^ (std::uint64_t{1} << 63U));
+  return lanes;
+}
 
 class GuessedPass {
  public:
@@ -83,9 +103,11 @@ class GuessedPass {
           mask &= (leaf >> bit & 1U) != 0 ? found.bits[bit] : ~found.bits[bit];
         counts_[leaf] += at(std::popcount(mask));
       }
+      std::array<std::int32_t, kBlock> by_key;
+      find_by_key(own, begin, found.unsure, by_key);
       for (; found.unsure != 0; found.unsure &= found.unsure - 1) {
         const auto k = at(std::countr_zero(found.unsure));
-        found.boundary |= (grow(begin + k, found.leaf(k)) ? 0ULL : 1ULL) << k;
+        found.boundary |= (settle(begin + k, found.leaf(k), by_key[k]) ? 0ULL : 1ULL) << k;
       }
       for (; found.boundary != 0; found.boundary &= found.boundary - 1) {
         const auto k = at(std::countr_zero(found.boundary));
@@ -135,14 +157,27 @@ class GuessedPass {
       std::vector<Node> next;
       for (std::size_t k = 0; k < level.size(); ++k) {
         tables_.next[l][k] = static_cast<std::int32_t>(next.size());
+        Step& step = steps_[l][k];
+        step.next = tables_.next[l][k];
+        step.least.fill(kMost);
+        step.most.fill(kMost);
         if (level[k].ends) {
           next.push_back(level[k]);
           continue;
         }
         const NodeRange& range = level[k].range;
-        const Cut& cut = guess.tree.cuts[at(range.node)];
-        tables_.cut[l][k] = tables_.rounded(at(cut.axes[0]), cut.key.at[0]);
-        tables_.axis[l][k] = cut.axes[0];
+        const KeyBracket& bracket = guess.brackets[at(range.node)];
+        // So that what lies on the plane of `least` or of `most` is where the inner region ends at that plane.
+        tables_.cut[l][k] = tables_.rounded(at(bracket.axes[0]), bracket.least.at[0]);
+        tables_.axis[l][k] = bracket.axes[0];
+        step.least = lanes_of(bracket.least);
+        step.most = lanes_of(bracket.most);
+        if (!bracket.whole) std::fill_n(step.least.begin(), 3, kLeast), std::fill_n(step.most.begin(), 3, kMost);
+        for (std::size_t w = 0; w < bracket.axes.size(); ++w)
+          for (std::size_t half = 0; half < 2; ++half)
+            step.order[2 * (3 - w) + half] = 2 * bracket.axes[w] + static_cast<std::int32_t>(half);
+        step.order[0] = 6;
+        step.order[1] = 7;
         next.push_back(below(range.left()));
         next.push_back(below(range.right()));
       }
@@ -153,19 +188,18 @@ class GuessedPass {
     for (std::size_t k = 0; k < leaves_; ++k) {
       const auto first = at(level[k].range.first);
       tables_.part[k] = level[k].range.first;
-      inner_[k] = level[k].fixed ? geometry::Box::unbounded() : guess.inner[first];
       if (level[k].fixed) continue;  // every particle is in its box
       box_[k] = guess.seen[first];
       for (std::size_t a = 0; a < axes(); ++a) {
+        tables_.inner_lo[a][k] = tables_.rounded(a, guess.inner[first].lo[a]);
+        tables_.inner_hi[a][k] = tables_.rounded(a, guess.inner[first].hi[a]);
         show(k, a);
-        tables_.inner_lo[a][k] = tables_.rounded(a, inner_[k].lo[a]);
-        tables_.inner_hi[a][k] = tables_.rounded(a, inner_[k].hi[a]);
       }
     }
   }
 
   // Takes a leaf's box over into the tables. A bound itself counts as inside where rounding tells it from its
-  // neighbour.
+  // neighbour; what isn't strictly in the inner region never does, since there the whole key may decide.
   void show(std::size_t leaf, std::size_t a) {
     constexpr float kInfinity = std::numeric_limits<float>::infinity();
     const double lo = box_[leaf].lo[a];
@@ -176,8 +210,8 @@ class GuessedPass {
       least = std::nextafter(least, -kInfinity);
     if (tables_.rounded(a, std::nextafter(hi, geometry::Box::kInfinity)) > most) most = std::nextafter(most, kInfinity);
     const bool none = lo > hi;
-    tables_.lo[a][leaf] = none ? kInfinity : least;
-    tables_.hi[a][leaf] = none ? -kInfinity : most;
+    tables_.lo[a][leaf] = none ? kInfinity : std::max(least, tables_.inner_lo[a][leaf]);
+    tables_.hi[a][leaf] = none ? -kInfinity : std::min(most, tables_.inner_hi[a][leaf]);
   }
 
   void resize(std::size_t count) {
@@ -189,21 +223,25 @@ class GuessedPass {
     if (count > out_.slot.size()) resize(std::max(count, 2 * out_.slot.size()));
   }
 
-  // True if a particle is interior; then its leaf's box grows to hold it.
-  bool grow(std::size_t i, std::size_t leaf) {
-    const geometry::Box& inner = inner_[leaf];
-    bool inside = true;
-    for (std::size_t a = 0; a < axes(); ++a)
-      inside &= particles_.position[a][i] > inner.lo[a] && particles_.position[a][i] < inner.hi[a];
+  // True if a particle is interior; then its leaf's box grows to hold it. leaf: the one that its rounded coordinates
+  // gave it; found: the one of its key, or -1.
+  bool settle(std::size_t i, std::size_t leaf, std::int32_t found) {
+    if (found < 0) return false;
+    if (at(found) != leaf) {
+      --counts_[leaf];
+      leaf = at(found);
+      ++counts_[leaf];
+      part_[i] = tables_.part[leaf];
+    }
     geometry::Box& box = box_[leaf];
-    for (std::size_t a = 0; a < axes() && inside; ++a) {
+    for (std::size_t a = 0; a < axes(); ++a) {
       const double x = particles_.position[a][i];
       if (x >= box.lo[a] && x <= box.hi[a]) continue;
       box.lo[a] = std::min(box.lo[a], x);
       box.hi[a] = std::max(box.hi[a], x);
       show(leaf, a);
     }
-    return inside;
+    return true;
   }
 
   // The particles of a block, one bit each, that are surely not in their leaf's inner region, and those that are
@@ -247,7 +285,70 @@ class GuessedPass {
     return found;
   }
 
+  // The leaf of each of these particles of a block by its key, or -1 if it is a boundary particle.
+  void find_by_key(const Axes& x, std::size_t begin, std::uint64_t which,
+                   std::array<std::int32_t, kBlock>& leaf) const {
 #if defined(__x86_64__)
+    if (has_avx2()) return find_by_key_in_lanes(x, begin, which, leaf);
+#endif
+    for (; which != 0; which &= which - 1) {
+      const auto k = at(std::countr_zero(which));
+      KeyLanes own{0, 0, 0, particles_.id[begin + k]};
+      for (std::size_t a = 0; a < axes(); ++a)
+        own[a] = static_cast<std::int64_t>(geometry::order_bits(x[a][k]) ^ (std::uint64_t{1} << 63U));
+      const auto sign = [&own](const Step& step, const KeyLanes& key) {
+        for (std::size_t w = 4; w-- > 0;)
+          if (const std::int64_t word = own[at(step.order[2 * w]) / 2]; word != key[w]) return word < key[w] ? -1 : 1;
+        return 0;
+      };
+      std::int32_t node = first_of(begin + k);
+      for (std::size_t level = 0; level < steps_.size() && node >= 0; ++level) {
+        const Step& step = steps_[level][at(node)];
+        const bool right = sign(step, step.most) > 0;
+        node = right || sign(step, step.least) < 0 ? step.next + (right ? 1 : 0) : -1;
+      }
+      leaf[k] = node;
+    }
+  }
+  std::int32_t first_of(std::size_t i) const { return several_ ? tables_.first[at(part_[i])] : 0; }
+
+#if defined(__x86_64__)
+  [[gnu::target("avx2"), gnu::always_inline]] static inline __m256i lanes(const KeyLanes& key) {
+    return _mm256_load_si256(reinterpret_cast<const __m256i*>(&key));
+  }
+  // Which words of a are greater than those of b; the first word is the highest bit.
+  [[gnu::target("avx2"), gnu::always_inline]] static inline int greater(__m256i a, __m256i b) {
+    return _mm256_movemask_pd(_mm256_castsi256_pd(_mm256_cmpgt_epi64(a, b)));
+  }
+  // All words of a key are compared at once, and the first that differs decides. Without branches: on planes that hold
+  // many particles they would be mispredicted.
+  [[gnu::target("avx2")]] void find_by_key_in_lanes(const Axes& x, std::size_t begin, std::uint64_t which,
+                                                    std::array<std::int32_t, kBlock>& leaf) const {
+    const __m256i none = _mm256_setzero_si256();
+    const auto mask = [this](std::size_t a) { return a < axes() ? -1LL : 0LL; };
+    const __m256i used = _mm256_set_epi64x(0, mask(2), mask(1), mask(0));
+    for (; which != 0; which &= which - 1) {
+      const auto k = at(std::countr_zero(which));
+      const __m256d point = _mm256_add_pd(_mm256_set_pd(0, x[2][k], x[1][k], x[0][k]), _mm256_setzero_pd());
+      __m256i own = _mm256_and_si256(_mm256_castpd_si256(point), used);
+      const __m256i turn = _mm256_srli_epi64(_mm256_cmpgt_epi64(none, own), 1);
+      own = _mm256_insert_epi64(_mm256_xor_si256(own, turn), particles_.id[begin + k], 3);
+      std::int32_t node = first_of(begin + k);
+      bool sure = true;
+      for (const auto& level : steps_) {
+        const Step& step = level[at(node)];
+        const __m256i order = _mm256_load_si256(reinterpret_cast<const __m256i*>(step.order.data()));
+        const __m256i key = _mm256_permutevar8x32_epi32(own, order);
+        const __m256i least = lanes(step.least);
+        const __m256i most = lanes(step.most);
+        const bool left = greater(least, key) > greater(key, least);
+        const bool right = greater(key, most) > greater(most, key);
+        sure &= left | right;
+        node = step.next + static_cast<std::int32_t>(right);
+      }
+      leaf[k] = sure ? node : -1;
+    }
+  }
   [[gnu::target("avx2"), gnu::always_inline]] static inline __m256 as_floats(const double* x, double origin,
                                                                              double scale) {
     const __m256d o = _mm256_set1_pd(origin);
@@ -311,10 +412,10 @@ class GuessedPass {
   OwnInterior& out_;
   std::size_t listed_ = 0;  // boundary particles so far
   Tables tables_;
+  std::array<std::array<Step, kLeaves>, kGuessLevels> steps_;
   bool several_ = false;  // roots, or parts in no root
   std::size_t leaves_ = 0;
   std::array<std::uint64_t, kLeaves> counts_{};
-  std::array<geometry::Box, kLeaves> inner_;
   std::array<geometry::Box, kLeaves> box_;  // of the interior particles so far, attained by some of any rank
 };
 

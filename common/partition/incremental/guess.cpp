@@ -59,7 +59,6 @@ class SampleWalk {
         own_.clear();
         for (const std::uint32_t k : indices_)
           if (part[k] >= root.range.first && part[k] < root.range.last) own_.push_back(k);
-        seen_in_ = region(below.tree, root.range);
         visit(root, own_, {});
       }
       leaves += leaves_ - before;
@@ -70,18 +69,6 @@ class SampleWalk {
   bool axis_open() const { return axis_open_; }
 
  private:
-  // The box that the cuts leave for a node.
-  static Box region(const CutTree& tree, const NodeRange& node) {
-    Box box = Box::unbounded();
-    for (NodeRange range = tree.root(); range.parts() > node.parts();) {
-      const Cut& cut = tree.cuts[at(range.node)];
-      const bool right = node.first >= range.middle();
-      if (!cut.right_empty) (right ? box.lo : box.hi)[at(cut.axes[0])] = cut.key.at[0];
-      range = right ? range.right() : range.left();
-    }
-    return box;
-  }
-
   struct Node {
     NodeRange range;
     int level = 0;
@@ -98,15 +85,15 @@ class SampleWalk {
   struct Valued {
     double x;
     double weight;
+    std::uint32_t k;
   };
   struct Bracket {
-    double lo;
-    double at;
-    double hi;
-    std::size_t before;  // sampled particles before `at`
+    KeyBracket keys;
+    Key cut;             // the expected one
+    std::size_t before;  // sampled particles before it
     double variance;
-    double share;  // of the sampled particles in [lo, hi]
-    bool tied;     // too many lie at `at`
+    double share;  // of the sampled particles in the bracket
+    bool bounded;  // else there is no bracket
   };
 
   int dims() const { return sample_.particles.dims; }
@@ -135,8 +122,7 @@ class SampleWalk {
     for (std::size_t a = 0; a < at(dims()); ++a) {
       const double* const x = sample_.particles.position[a].data();
       const auto outside = std::ranges::partition(
-          own, [lo = std::max(node.inner.lo[a], seen_in_.lo[a]), hi = std::min(node.inner.hi[a], seen_in_.hi[a]),
-                x](std::uint32_t k) { return x[k] > lo && x[k] < hi; });
+          own, [lo = node.inner.lo[a], hi = node.inner.hi[a], x](std::uint32_t k) { return x[k] > lo && x[k] < hi; });
       own = own.first(own.size() - outside.size());
     }
     if (!own.empty()) out_.seen[p].extend(box_of(own));
@@ -144,21 +130,20 @@ class SampleWalk {
 
   void visit(const Node& node, std::span<std::uint32_t> own, std::span<std::uint32_t> beyond) {
     if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.empty()) return end(node, own);
-    const std::optional<int> axis = axis_of(node, own, beyond);
-    if (!axis) {
+    const std::optional<AxisOrder> axes = axes_of(node, own, beyond);
+    if (!axes) {
       axis_open_ = true;
       return end(node, own);
     }
-    const auto a = at(*axis);
-    const Bracket bracket = bracket_of(node, own, a);
-    if (node.spent + bracket.share > options_.limits.guess.boundary_max || bracket.tied || !std::isfinite(bracket.lo) ||
-        !std::isfinite(bracket.hi))
-      return end(node, own);
+    const auto a = at((*axes)[0]);
+    const Bracket bracket = bracket_of(node, own, *axes);
+    if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
+    out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
     Cut& cut = out_.tree.cuts[at(node.range.node)];
     cut.right_empty = false;
-    cut.axes = geometry::with_first({0, 1, 2}, *axis, dims());
-    cut.key = key_between(bracket.at, dims());
+    cut.axes = *axes;
+    cut.key = bracket.cut;
     Node left = node;
     Node right = node;
     left.range = node.range.left();
@@ -168,23 +153,22 @@ class SampleWalk {
     right.leaves = node.leaves / 2;
     left.known = right.known = nullptr;
     left.spent = right.spent = node.spent + bracket.share;
-    left.inner.hi[a] = std::min(node.inner.hi[a], bracket.lo);
-    right.inner.lo[a] = std::max(node.inner.lo[a], bracket.hi);
+    left.inner.hi[a] = std::min(node.inner.hi[a], bracket.keys.least.at[0]);
+    right.inner.lo[a] = std::max(node.inner.lo[a], bracket.keys.most.at[0]);
     left.variance_hi[a] = right.variance_lo[a] = bracket.variance;
     left.cuts = right.cuts = node.cuts;
-    left.cuts.hi[a] = right.cuts.lo[a] = bracket.at;
+    left.cuts.hi[a] = right.cuts.lo[a] = bracket.cut.at[0];
     const auto divided =
-        std::ranges::partition(beyond, [&](std::uint32_t k) { return outermost_->x(a, k) < bracket.at; });
+        std::ranges::partition(beyond, [&](std::uint32_t k) { return outermost_->x(a, k) < bracket.cut.at[0]; });
     const auto beyond_left = static_cast<std::size_t>(divided.begin() - beyond.begin());
     visit(left, own.first(bracket.before), beyond.first(beyond_left));
     visit(right, own.subspan(bracket.before), beyond.subspan(beyond_left));
   }
 
-  // The likeliest cut axis. Of the root, only if the particles outside of the sample can't change it: a wrong axis
-  // costs the search of a node, and of this one it would cost everything.
-  std::optional<int> axis_of(const Node& node, std::span<const std::uint32_t> own,
-                             std::span<const std::uint32_t> beyond) const {
-    if (band_axis_) return band_axis_;
+  // The likeliest axis order. Of the root, only if the particles outside of the sample can't change its cut's axis: a
+  // wrong one costs the search of a node, and of this one it would cost everything.
+  std::optional<AxisOrder> axes_of(const Node& node, std::span<const std::uint32_t> own,
+                                   std::span<const std::uint32_t> beyond) const {
     Box box = node.known != nullptr ? *node.known : box_of(own);
     for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
@@ -193,16 +177,17 @@ class SampleWalk {
       if (std::isfinite(node.cuts.hi[a])) box.hi[a] = node.cuts.hi[a];
       extents[a] = geometry::extent(box.lo[a], box.hi[a]);
     }
-    const int axis = geometry::order_by_extent(extents, dims())[0];
-    if (node.level > 0 || node.known != nullptr || outermost_ != nullptr) return axis;
-    for (int b = 0; b < dims(); ++b)
-      if (b != axis && extents[at(b)] * (1 + 2 * options_.limits.guess.overhang_max) > extents[at(axis)])
-        return std::nullopt;
-    return axis;
+    const AxisOrder axes = geometry::order_by_extent(extents, dims());
+    if (band_axis_) return geometry::with_first(axes, *band_axis_, dims());
+    if (node.level > 0 || node.known != nullptr || outermost_ != nullptr || dims() == 1) return axes;
+    const double reach = 1 + 2 * options_.limits.guess.overhang_max;
+    if (extents[at(axes[1])] * reach > extents[at(axes[0])]) return std::nullopt;
+    return axes;
   }
 
   // The bracket of a node's cut; divides the node's sampled particles at the expected one.
-  Bracket bracket_of(const Node& node, std::span<std::uint32_t> own, std::size_t axis) {
+  Bracket bracket_of(const Node& node, std::span<std::uint32_t> own, const AxisOrder& axes) {
+    const auto axis = at(axes[0]);
     const double all = size_prefix_[at(node.range.last)] - size_prefix_[at(node.range.first)];
     const double share = (size_prefix_[at(node.range.middle())] - size_prefix_[at(node.range.first)]) / all;
     const double* const x = sample_.particles.position[axis].data();
@@ -210,7 +195,7 @@ class SampleWalk {
     double squares = 0;
     near_.clear();
     for (const std::uint32_t k : own) {
-      near_.push_back({x[k], weight(k)});
+      near_.push_back({x[k], weight(k), k});
       load += weight(k);
       squares += weight(k) * weight(k);
     }
@@ -220,37 +205,53 @@ class SampleWalk {
     const double margin = options_.limits.bracket_sigmas * std::sqrt(found.variance) +
                           options_.limits.bracket_margin * load / static_cast<double>(own.size());
     const double wanted = load * share;
-    double before = narrow(wanted - margin, wanted + margin);
-    std::ranges::sort(near_, {}, &Valued::x);
-    found.lo = -kInfinity;
-    found.at = found.hi = kInfinity;
-    for (const Valued& one : near_) {
-      if (before <= wanted - margin) found.lo = one.x;
-      if (before <= wanted) found.at = one.x;
-      before += one.weight;
-      if (before < wanted + margin) continue;
-      found.hi = one.x;
-      break;
+    // Word by word, until few are near, or these differ.
+    double before = 0;
+    for (std::size_t word = 0; narrow(before, wanted - margin, wanted + margin) && word < at(dims()); ++word)
+      for (Valued& one : near_) {
+        const Key own_key = key(one.k, axes);
+        one.x = word + 1 < at(dims()) ? own_key.at[word + 1] : static_cast<double>(own_key.id);
+      }
+    std::ranges::sort(near_, [&](const Valued& a, const Valued& b) { return key(a.k, axes) < key(b.k, axes); });
+    // The places in near_ of the bracket's ends and of the expected cut; those of its end if there is none.
+    std::size_t least = near_.size();
+    std::size_t cut = near_.size();
+    std::size_t most = near_.size();
+    for (std::size_t i = 0; i < near_.size() && most == near_.size(); ++i) {
+      if (before <= wanted - margin) least = i;
+      if (before <= wanted) cut = i;
+      before += near_[i].weight;
+      if (before >= wanted + margin) most = i;
     }
-    std::size_t within = 0;
+    if (least == near_.size() || most == near_.size()) return found;
+    found.keys = {axes, key(near_[least].k, axes), key(near_[most].k, axes)};
+    found.cut = key(near_[cut].k, axes);
+    found.bounded = true;
     std::size_t on = 0;
-    for (const Valued& one : near_) on += one.x == found.at ? 1U : 0U;
-    found.tied = static_cast<double>(on) > 1 + options_.limits.guess.tied_max * static_cast<double>(own.size());
-    for (const Valued& one : near_) within += one.x >= found.lo && one.x <= found.hi ? 1U : 0U;
-    found.share = static_cast<double>(within) / static_cast<double>(own.size());
-    const auto right = std::ranges::partition(own, [&](std::uint32_t k) { return x[k] < found.at; });
+    std::size_t within = 0;
+    for (const std::uint32_t k : own) {
+      on += x[k] == found.cut.at[0] ? 1U : 0U;
+      within += x[k] >= found.keys.least.at[0] && x[k] <= found.keys.most.at[0] ? 1U : 0U;
+    }
+    const auto size = static_cast<double>(own.size());
+    found.keys.whole = static_cast<double>(on) > 1 + options_.limits.guess.tied_max * size;
+    found.share = static_cast<double>(found.keys.whole ? most - least + 1 : within) / size;
+    if (!found.keys.whole) found.cut = key_between(found.cut.at[0], dims());
+    const auto right = std::ranges::partition(own, [&](std::uint32_t k) {
+      return x[k] < found.cut.at[0] || (found.keys.whole && x[k] == found.cut.at[0] && key(k, axes) < found.cut);
+    });
     found.before = own.size() - right.size();
     return found;
   }
 
   // Leaves those in near_ between which the loads from `least` to `most` lie, and a few more: sorting all would take
-  // longer. Returns the load before them.
-  double narrow(double least, double most) {
-    double before = 0;
+  // longer. Adds the load before them. True if they are many and all have one x.
+  bool narrow(double& before, double least, double most) {
     for (std::size_t size = 0; near_.size() > at(kBins) && size != near_.size();) {
       size = near_.size();
       const auto [lo, hi] = std::ranges::minmax(near_, {}, &Valued::x);
       const double start = lo.x * 0.5;
+      if (lo.x == hi.x) return true;
       const double bins_a_unit = static_cast<double>(kBins) / (hi.x * 0.5 - start);
       if (!std::isfinite(bins_a_unit)) break;
       const auto bin_of = [&](const Valued& one) {
@@ -264,9 +265,12 @@ class SampleWalk {
       for (double reached = before + bins_[at(last)]; last + 1 < kBins && reached < most;) reached += bins_[at(++last)];
       std::erase_if(near_, [&](const Valued& one) { return bin_of(one) < first || bin_of(one) > last; });
     }
-    return before;
+    return false;
   }
 
+  Key key(std::uint32_t k, const AxisOrder& axes) const {
+    return key_of(sample_.particles.view().point(k), sample_.particles.id[k], axes, dims());
+  }
   double weight(std::uint32_t k) const { return weighted_ ? sample_.particles.weight[k] : 1.0; }
 
   const Sample& sample_;
@@ -280,8 +284,6 @@ class SampleWalk {
   double levels_ = 0;  // guessed cuts above a particle, on average
   int leaves_ = 0;
   std::vector<std::uint32_t> own_;
-  // A sampled particle on the plane of an exact cut may be another node's, since its id isn't in the sample.
-  Box seen_in_ = Box::unbounded();
   std::vector<std::uint32_t> indices_;
   std::vector<std::uint32_t> beyond_;
   std::vector<Valued> near_;
@@ -295,6 +297,7 @@ std::optional<Guess> guess_cuts(const Sample& sample, const Sample* outermost, c
   Guess guess;
   guess.tree = below.tree;
   guess.ends.assign(guess.tree.cuts.size(), 0);
+  guess.brackets.resize(guess.tree.cuts.size());
   guess.inner.assign(at(options.parts), Box::unbounded());
   guess.seen.resize(at(options.parts));
   SampleWalk walk(sample, outermost, options, guess);

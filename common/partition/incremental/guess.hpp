@@ -10,6 +10,7 @@
 
 #include "common/geometry/box.hpp"
 #include "common/partition/incremental/sample.hpp"
+#include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
 
 namespace rcb::partition {
@@ -21,6 +22,7 @@ inline constexpr int kGuessLeaves = 8;
 struct Guess {
   CutTree tree;                      // of each cut, the axis and the expected coordinate
   std::vector<std::uint8_t> ends;    // [inner nodes]: 1: nothing is guessed from this node on
+  std::vector<KeyBracket> brackets;  // [inner nodes]
   std::vector<geometry::Box> inner;  // [parts]: inner regions (brackets.hpp); that of such a node is its first part's
   std::vector<geometry::Box> seen;   // [parts]: the sampled particles strictly inside of them
 };

@@ -113,10 +113,11 @@ class FirstPartition {
         particles_.count * (point + (roots_[0].parts() == options_.parts ? 1 : 2) * sizeof(std::int32_t)) +
         own.slot.size() * 2 * (point + sizeof(particles::Id));
     LoadSummary loads = loads_of(own);
-    const auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
-                                       std::move(loads.loads), most_of(n_), result_.searched);
+    auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
+                                 std::move(loads.loads), most_of(n_), result_.searched);
     ++result_.reductions;
     if (!interior) return false;
+    interior->brackets = guess->brackets;
     Buffer<std::int32_t> part = own.part;
     const Start start{.roots = roots_,
                       .part = part.span(),

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <numeric>
 
 #include "common/base/random.hpp"
 
@@ -19,7 +18,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
                     std::span<const std::size_t> slots) {
   const auto axes = static_cast<std::size_t>(particles.dims);
   // The message holds one array after the other.
-  const std::size_t bytes_of_one = (axes + 1) * sizeof(double) + sizeof(std::int32_t);
+  const std::size_t bytes_of_one = (axes + 1) * sizeof(double) + sizeof(particles::Id) + sizeof(std::int32_t);
   Buffer<std::byte> mine;
   mine.reserve(slots.size() * bytes_of_one);
   const auto send = [&](const auto* from, auto otherwise) {
@@ -30,6 +29,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
   };
   for (std::size_t a = 0; a < axes; ++a) send(particles.position[a], 0.0);
   send(particles.weight, 1.0);
+  send(particles.id, particles::Id{0});
   send(part, std::int32_t{0});
   std::vector<std::byte> all;
   std::vector<std::size_t> sizes;
@@ -40,7 +40,6 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
   sample.particles.has_weights = true;
   sample.particles.resize(all.size() / bytes_of_one);
   sample.part.resize(sample.count());
-  std::iota(sample.particles.id.begin(), sample.particles.id.end(), particles::Id{0});
   const std::byte* next = all.data();
   std::size_t begin = 0;
   for (const std::size_t size : sizes) {
@@ -51,6 +50,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
     };
     for (std::size_t a = 0; a < axes; ++a) take(sample.particles.position[a]);
     take(sample.particles.weight);
+    take(sample.particles.id);
     take(sample.part);
     begin += count;
   }

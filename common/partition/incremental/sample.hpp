@@ -12,7 +12,7 @@
 namespace rcb::partition {
 
 struct Sample {
-  particles::ParticleSet particles;  // in rank order; weights are 1 where there are none, ids are 0, 1, ...
+  particles::ParticleSet particles;  // in rank order; weights are 1 where there are none
   Buffer<std::int32_t> part;         // [count]
 
   std::size_t count() const { return particles.count(); }

@@ -13,6 +13,13 @@ namespace {
 
 constexpr std::uint64_t kNoOrderBits = ~std::uint64_t{0};
 
+KeyWords words_of(const Key& key, std::size_t axes) {
+  KeyWords words{};
+  for (std::size_t w = 0; w < axes; ++w) words[w] = geometry::order_bits(key.at[w]);
+  words[axes] = static_cast<std::uint64_t>(key.id);
+  return words;
+}
+
 }  // namespace
 
 CutTree uncut_tree(const PartitionOptions& options, int dims) {
@@ -232,6 +239,13 @@ bool TreeBuilder::cut_still_valid(const NodeRange& range, const Question& answer
   if (answer.failed) return false;
   const geometry::Box left = interior_->box(range.first, range.middle());
   const geometry::Box right = interior_->box(range.middle(), range.last);
+  if (left.empty(axes_) && right.empty(axes_)) return true;
+  if (!interior_->brackets.empty() && interior_->brackets[at(range.node)].whole) {
+    const KeyBracket& bracket = interior_->brackets[at(range.node)];
+    return answer.search && !answer.right_empty && answer.axes == bracket.axes &&
+           words_of(bracket.least, at(axes_)) <= answer.lowest_relied_on &&
+           answer.highest_relied_on <= words_of(bracket.most, at(axes_));
+  }
   const auto axis = at(answer.axes[0]);
   const bool any_left = !left.empty(axes_);
   if (answer.right_empty && !right.empty(axes_)) return false;

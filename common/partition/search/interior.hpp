@@ -4,8 +4,9 @@
 // Invariants
 // 1. Boxes are exact: an interior particle lies on each face. So a node's extents follow from its quantised points and
 //    these boxes.
-// 2. If a cut keeps all interior particles of the left parts strictly below it on its axis, and all those of the right
-//    parts strictly above, it is the cut that a search among all particles finds.
+// 2. If a cut keeps all interior particles of the left parts strictly below it, and all those of the right parts
+//    strictly above, it is the cut that a search among all particles finds. Their boxes tell that where their
+//    coordinates on the cut's axis do; where many lie on its plane, the bracket of their keys.
 #pragma once
 
 #include <algorithm>
@@ -14,13 +15,24 @@
 
 #include "common/base/wide.hpp"
 #include "common/geometry/box.hpp"
+#include "common/partition/tree/key.hpp"
 
 namespace rcb::partition {
+
+// Where a node's cut is expected. All interior particles of its left parts have lesser keys than `least`, all those of
+// its right parts greater ones than `most`.
+struct KeyBracket {
+  AxisOrder axes{0, 1, 2};
+  Key least;
+  Key most;
+  bool whole = false;  // else the first coordinate alone counts
+};
 
 struct Interior {
   std::vector<std::uint64_t> count_prefix;  // [parts + 1]: particles in parts [0, p)
   std::vector<u128> weight_prefix;          // likewise; empty where weights don't count
   std::vector<geometry::Box> boxes;         // [parts]
+  std::vector<KeyBracket> brackets;         // [inner nodes]; empty: not known
 
   std::uint64_t count(int first, int last) const {
     return count_prefix[static_cast<std::size_t>(last)] - count_prefix[static_cast<std::size_t>(first)];

@@ -26,7 +26,8 @@ struct GuessLimits {
   double overhang_max = 0.05;
   // No cut is guessed that would leave more than this fraction of the particles to be searched.
   double boundary_max = 0.3;
-  // Nor one with more than this fraction of the sampled particles on its plane: all on it would be searched.
+  // With more than this fraction of the sampled particles on its plane, a cut is guessed as a whole key: else all on it
+  // would be searched.
   double tied_max = 0.03;
   // A guess of fewer levels, on average over the particles, isn't tried; a tenth of it below nodes that are left.
   double levels_min = 1.5;
