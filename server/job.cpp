@@ -1,10 +1,12 @@
 #include "server/job.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <string>
 #include <string_view>
 
@@ -16,6 +18,7 @@
 #include <unistd.h>
 
 #include "common/files/paths.hpp"
+#include "common/wire/limits.hpp"
 #include "server/net/files/socket_name.hpp"
 
 namespace rcb::server {
@@ -104,6 +107,22 @@ void raise_open_files_limit() {
   if (::getrlimit(RLIMIT_NOFILE, &files) != 0) return;
   files.rlim_cur = files.rlim_max;
   ::setrlimit(RLIMIT_NOFILE, &files);
+}
+
+ConnectionLimits connection_limits(int ranks) {
+  constexpr int kFiles = 24;  // listeners, logs, files that commands read and write
+  rlimit files{};
+  std::error_code error;
+  const auto open = std::distance(std::filesystem::directory_iterator("/proc/self/fd", error), {});
+  if (error || ::getrlimit(RLIMIT_NOFILE, &files) != 0) return {wire::kSessionsMax, wire::kBeforeHelloMax};
+  const auto most = static_cast<std::int64_t>(std::min<rlim_t>(files.rlim_cur, 1U << 20U));
+  const std::int64_t left = std::max<std::int64_t>(most - open - ranks - kFiles, 0);
+  const ConnectionLimits limits{
+      static_cast<int>(std::clamp<std::int64_t>(left / 3, 2, wire::kSessionsMax)),
+      static_cast<std::size_t>(std::clamp<std::int64_t>(left / 16, 1, std::int64_t{wire::kBeforeHelloMax}))};
+  if (limits.sessions < wire::kSessionsMax)
+    spdlog::warn("{} sessions at most, since only {} files may be open (ulimit -n)", limits.sessions, most);
+  return limits;
 }
 
 void say_ready() {

@@ -2,6 +2,8 @@
 // in disorder.
 #pragma once
 
+#include <cstddef>
+
 namespace rcb::server {
 
 // From now on this process ends with its mpirun. However it ends, except by SIGKILL, it removes its files: its sockets
@@ -14,6 +16,15 @@ void end_with_mpirun(int rank);
 void end_at_faults(int rank);
 // As many files as the system lets this process open: every client is one.
 void raise_open_files_limit();
+
+// How many connections of each kind this process takes, so that it never runs out of descriptors: then it could not
+// even tell its supervisor that all is well.
+struct ConnectionLimits {
+  int sessions = 0;         // and as many data connections
+  std::size_t waiting = 0;  // at each listener, before their hello
+};
+// Of what the limit for open files leaves beside those that are open now.
+ConnectionLimits connection_limits(int ranks);
 
 // Removes these files; for a process that is about to end in disorder. Safe in a signal handler.
 void remove_traces() noexcept;

@@ -100,7 +100,9 @@ void set_up_log(const Config& config, int rank) {
 
 // Signals reach all ranks at once; only rank 0 acts on them, through its I/O thread.
 void set_up_signals(int rank) {
+  // A write that fails tells why; it ends no process.
   std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGXFSZ, SIG_IGN);
   if (ranks::started_by_mpirun()) end_with_mpirun(rank);
   if (rank == 0) return;
   for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
@@ -179,8 +181,11 @@ net::Credentials credentials_with(std::string token) {
   return credentials;
 }
 
-net::DataOptions data_options(net::Credentials credentials, std::uint64_t bulk_bytes, int rank) {
+net::DataOptions data_options(net::Credentials credentials, std::uint64_t bulk_bytes, int rank,
+                              const ConnectionLimits& limits) {
   net::DataOptions options;
+  options.connections_max = limits.sessions;
+  options.waiting_max = limits.waiting;
   options.rank = rank;
   options.credentials = std::move(credentials);
   options.bulk_bytes_max = bulk_bytes;
@@ -256,6 +261,9 @@ Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLo
   options.restarted = config.restarted;
   options.data_dir = root.data->path();
   options.bulk_bytes_max = bulk_bytes(config);
+  const ConnectionLimits limits = connection_limits(ranks);
+  options.sessions_max = limits.sessions;
+  options.waiting_max = limits.waiting;
   options.files_over_tcp = !config.files_below.empty();
   if (!config.listen.empty() || hosts.several) {
     const std::string_view prefix = config.trusted_network ? auth::kTrustedNetworkPrefix : std::string_view();
@@ -272,7 +280,8 @@ Status open_root(Root& root, const Config& config, const Hosts& hosts, net::IoLo
   if (!doorbells.ok()) return doorbells.status();
   root.doorbells = std::move(*doorbells);
   root.token = options.credentials.token;
-  root.port = std::make_unique<net::DataPort>(loop, data_options(options.credentials, options.bulk_bytes_max, 0));
+  root.port =
+      std::make_unique<net::DataPort>(loop, data_options(options.credentials, options.bulk_bytes_max, 0, limits));
   root.bridge = std::make_unique<Bridge>(loop, engine, *root.doorbells, *root.port, ranks);
   root.control = std::make_unique<net::Control>(loop, options, *root.bridge);
   if (!config.socket.empty()) {
@@ -432,7 +441,8 @@ int run_other(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts, 
   std::vector<std::string> places;
   for (std::string line; std::getline(shared, line);) places.push_back(line);
   net::IoLoop loop;
-  net::DataPort port(loop, data_options(credentials_with(token), bulk_bytes(config), mpi.rank()));
+  net::DataPort port(
+      loop, data_options(credentials_with(token), bulk_bytes(config), mpi.rank(), connection_limits(mpi.size())));
   // Declared after the loop: the engine's orders hold timers of the loop.
   std::unique_ptr<net::Doorbell> doorbell;
   std::atomic<std::uint64_t> executed = 0;

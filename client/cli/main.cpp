@@ -128,6 +128,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
 
 int main(int argc, char** argv) {
   rcb::open_standard_streams();
+  std::signal(SIGXFSZ, SIG_IGN);  // a write beyond the limit for files fails, and is told
   std::signal(SIGPIPE, SIG_IGN);  // ignored, so that a temporary scene or embedded service is removed before the end
   std::vector<std::string> arguments;
   for (int i = 1; i < argc; ++i) arguments.push_back(rcb::cli::plain_number(argv[i]));

@@ -40,7 +40,14 @@ Result<EndpointFile> read_endpoint_file(const std::string& path) {
   return file;
 }
 
+Status check_endpoint_place(const std::string& path) {
+  const auto there = read_endpoint_file(path);
+  if (there.ok() || there.status().code() == Code::unavailable) return {};
+  return {there.status().code(), there.status().message(), "remove it, or publish in another place"};
+}
+
 Status write_endpoint_file(const std::string& path, const EndpointFile& file) {
+  if (Status status = check_endpoint_place(path); !status.ok()) return status;
   const wire::Json json{
       {"endpoint", file.endpoint}, {"host", file.host}, {"job", file.job}, {"token_file", file.token_file}};
   return write_own_file(path, wire::dump_json(json) + "\n");

@@ -22,7 +22,9 @@ struct EndpointFile {
 
 // Errors: unavailable (there is none), invalid_argument (it is something else), those of open_own_file().
 Result<EndpointFile> read_endpoint_file(const std::string& path);
-// Errors: io_error.
+// Whether an endpoint file may be written here: there is none, or one of this user. Errors: as above.
+Status check_endpoint_place(const std::string& path);
+// Errors: io_error, those of check_endpoint_place().
 Status write_endpoint_file(const std::string& path, const EndpointFile& file);
 // Unless another service has written it meanwhile.
 void remove_endpoint_file(const std::string& path, const EndpointFile& own);

@@ -98,19 +98,24 @@ std::string joined(const std::vector<Endpoint>& endpoints) {
   return text;
 }
 
+// What RCBD_PATH says, where the program leaves it open.
+Status read_path(Path& path) {
+  const char* const given = std::getenv("RCBD_PATH");
+  const std::string_view name = given == nullptr ? "" : given;
+  if (path != Path::automatic || name.empty() || name == "auto") return {};
+  if (name == "direct") return path = Path::direct, Status();
+  if (name == "gateway") return path = Path::gateway, Status();
+  if (name == "shared") return path = Path::shared, Status();
+  return {Code::invalid_argument, fmt::format("RCBD_PATH is '{}'", name), "auto, shared, direct or gateway"};
+}
+
 }  // namespace
 
 std::string request_frame(std::uint64_t request, const wire::Json& json) {
   return frame_of(wire::FrameType::request, request, json);
 }
 
-Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {
-  const char* path = std::getenv("RCBD_PATH");
-  if (path == nullptr || options_.path != Path::automatic) return;
-  if (std::string_view(path) == "direct") options_.path = Path::direct;
-  if (std::string_view(path) == "gateway") options_.path = Path::gateway;
-  if (std::string_view(path) == "shared") options_.path = Path::shared;
-}
+Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {}
 
 Session::~Session() {
   if (!connection_) return;
@@ -123,6 +128,7 @@ Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
     return Status(Code::invalid_argument, fmt::format("a connection deadline of {} seconds", options.deadline_seconds),
                   "give a number above 0");
   std::unique_ptr<Session> session(new Session(options));
+  if (Status status = read_path(session->options_.path); !status) return status;
   auto endpoints = endpoints_to_try(options.endpoint);
   if (!endpoints) return endpoints.status();
   session->endpoints_ = std::move(*endpoints);

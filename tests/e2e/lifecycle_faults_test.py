@@ -1,24 +1,42 @@
 """What the supervisor survives: a service that fails again and again, a data directory that is removed, a full disk; and
 that `down` ends what there is and tells the truth."""
+import contextlib
 import re
 
+from protocol_client import Client, Refused
 from support import *
 
 REAL_RCBD = os.path.abspath(os.path.join(BIN, "rcbd"))
 
 
-class FailingService(Service):
+def text_of(*path):
+    with open(os.path.join(*path)) as file:
+        return file.read()
+
+
+class PreparedService(Service):
+    """Before its rcbd starts, each rank runs a line of shell."""
+
+    def __init__(self, ranks, line, **kwargs):
+        self.programs = tempfile.mkdtemp(prefix="rcb-e2e-bin-")
+        program = os.path.join(self.programs, "rcbd")
+        with open(program, "w") as file:
+            file.write(f"#!/bin/sh\n{line.format(programs=self.programs)}\nexec {REAL_RCBD} \"$@\"\n")
+        os.chmod(program, 0o755)
+        super().__init__(ranks, env={"RCBD_BIN_DIR": self.programs}, **kwargs)
+
+    def stop(self):
+        down = super().stop()
+        shutil.rmtree(self.programs)
+        return down
+
+
+class FailingService(PreparedService):
     """Its rcbd ends at once as long as there is the file `broken`."""
 
     def __init__(self, ranks, **kwargs):
-        self.programs = tempfile.mkdtemp(prefix="rcb-e2e-bin-")
+        super().__init__(ranks, "[ -e {programs}/broken ] && {{ echo 'error: the moon is wrong' >&2; exit 3; }}", **kwargs)
         self.broken = os.path.join(self.programs, "broken")
-        program = os.path.join(self.programs, "rcbd")
-        with open(program, "w") as file:
-            file.write(f"#!/bin/sh\n[ -e {self.broken} ] && {{ echo 'error: the moon is wrong' >&2; exit 3; }}\n"
-                       f"exec {REAL_RCBD} \"$@\"\n")
-        os.chmod(program, 0o755)
-        super().__init__(ranks, env={"RCBD_BIN_DIR": self.programs}, **kwargs)
 
     def failures(self):
         """In a row, as the supervisor's note says."""
@@ -29,10 +47,82 @@ class FailingService(Service):
         open(self.broken, "w").close()
         os.kill(self.processes("rcbd")[-1], signal.SIGKILL)
 
-    def stop(self):
-        down = super().stop()
-        shutil.rmtree(self.programs)
-        return down
+
+class ProcessLimits(unittest.TestCase, Refusals):
+    """What the system allows a process runs out: the request is refused, and the service lives on."""
+
+    def assert_lives(self, service):
+        self.assertEqual([scene["scene"] for scene in service.json("status")["scenes"]], ["s"])
+        self.assertNotIn("has died", text_of(service.data, "rcbd.log"))
+
+    def push(self, client, parts, n):
+        client.ask("scene.create", scene="s", parts=parts)
+        client.push("s", 0, np.random.default_rng(1).random((n, 3)))
+
+    def test_file_size(self):
+        folder = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.addCleanup(shutil.rmtree, folder)
+        out = os.path.join(folder, "out")
+        blocks = 20_000  # of 512 bytes; less than Open MPI needs would end the start
+        with (PreparedService(2, f"ulimit -f {blocks}", options=("--files-below", folder)) as service,
+              Client(service.endpoint) as client):
+            self.push(client, 2, 600_000)
+            self.assertIn("File too large", self.refused("io_error", client.ask, "write_parts", scene="s", directory=out))
+            self.assertEqual(os.listdir(out), [])
+            self.assert_lives(service)
+
+    def test_open_files(self):
+        with PreparedService(2, "ulimit -n 64") as service:
+            with Client(service.endpoint) as client:
+                self.push(client, 2, 1000)
+            clients = []
+            for _ in range(60):
+                with contextlib.suppress(OSError, Refused):
+                    clients.append(Client(service.endpoint))
+            self.assertGreater(len(clients), 2)
+            self.assert_lives(service)
+            self.assertIn("ulimit -n", text_of(service.data, "rcbd.log"))
+            for client in clients:
+                client.socket.close()
+            done = service.ctl("export", "s", os.path.join(service.dir, "out"))
+            self.assertEqual(done.returncode, 0, done.stderr)
+
+    def test_memory(self):
+        with PreparedService(2, "ulimit -v 1000000") as service, Client(service.endpoint) as client:
+            self.push(client, 2, 100_000)
+            for command in ("rebalance", "compare"):
+                message = self.refused("too_large", client.ask, command, scene="s", parts=2**20)
+                self.assertIn("no memory for a partition", message)
+            self.assertEqual(client.ask("rebalance", scene="s", parts=64)[0]["parts"], 64)
+            self.assert_lives(service)
+
+
+class Places(unittest.TestCase):
+    def setUp(self):
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.addCleanup(shutil.rmtree, self.dir)
+
+    def test_what_stands_where_an_endpoint_is_to_be_published_stays(self):
+        data, target, link, pipe = (os.path.join(self.dir, name) for name in ("data.csv", "target", "link", "pipe"))
+        for path in (data, target):
+            with open(path, "w") as file:
+                file.write("1,2,3\n")
+        os.symlink(target, link)
+        os.mkfifo(pipe)
+        for path in (data, link, pipe):
+            up = run("up", "-n", 1, "--data-dir", self.dir + "/data", "--publish", path, endpoint=f"unix:{self.dir}/s")
+            self.assertIn(up.returncode, (1, 2, 4), up.stderr)
+            self.assertRegex(up.stderr, rf"{path} is .*\n.*publish in another place")
+        self.assertEqual([text_of(data), text_of(link)], ["1,2,3\n"] * 2)
+        self.assertTrue(os.path.islink(link))
+        self.assertEqual(processes_of(self.dir), [])
+
+    def test_a_working_directory_that_is_gone(self):
+        up = subprocess.run(["sh", "-c", f"mkdir gone; cd gone; rmdir ../gone; {RCBCTL} --endpoint unix:{self.dir}/s up"],
+                            cwd=self.dir, capture_output=True, text=True, timeout=60)
+        self.assertEqual(up.returncode, 1, up.stderr)
+        self.assertIn("the working directory is gone", up.stderr)
+        self.assertEqual(processes_of(self.dir), [])
 
 
 class ClosedStreams(unittest.TestCase):

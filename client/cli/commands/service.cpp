@@ -4,6 +4,7 @@
 #include "client/cli/app.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/lib/endpoint.hpp"
+#include "client/lib/endpoint_file.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
 
@@ -38,9 +39,8 @@ std::vector<std::string> service_arguments(const UpOptions& options, const clien
   for (const std::string& folder : options.files_below)
     add("--files-below", std::filesystem::absolute(folder).lexically_normal().string());
   // rcbd has another working directory, so paths are made absolute here.
-  std::error_code unknown;
   if (options.files_below.empty() && endpoint.is_unix)
-    add("--local-files-below", std::filesystem::current_path(unknown).string());
+    add("--local-files-below", std::filesystem::current_path().string());
   if (options.trusted_network) arguments.emplace_back("--trusted-network");
   if (options.trusted_interconnect) arguments.emplace_back("--trusted-interconnect");
   add("--keep-reports", options.keep_reports);
@@ -51,6 +51,10 @@ std::vector<std::string> service_arguments(const UpOptions& options, const clien
 
 Status up(const UpOptions& options, const Context& context) {
   if (Status status = check_endpoint(context); !status) return status;
+  std::error_code gone;
+  if (const auto here = std::filesystem::current_path(gone); here.empty())
+    return {Code::io_error, "the working directory is gone: " + gone.message(),
+            "go to one that exists: below it clients of the Unix socket may use files"};
   launch::SuperviseOptions service;
   const auto endpoint = client::endpoint_to_serve(context.endpoint);
   if (!endpoint) return endpoint.status();
@@ -67,8 +71,10 @@ Status up(const UpOptions& options, const Context& context) {
     if (!slots) return slots.status();
     if (options.ranks == 0) service.ranks = *slots;
   }
-  if (!options.publish.empty())
+  if (!options.publish.empty()) {
     service.publish = std::filesystem::absolute(options.publish).lexically_normal().string();
+    if (Status status = client::check_endpoint_place(service.publish); !status) return status;
+  }
   service.ready_seconds = options.deadline;
   service.silence_seconds = options.answer_seconds;
   service.ask_seconds = std::min(service.ask_seconds, options.answer_seconds / 3);

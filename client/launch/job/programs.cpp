@@ -143,8 +143,9 @@ Result<int> Hosts::slots() const {
   std::istringstream lines(list);
   std::ifstream in;
   if (!file.empty()) {
-    in.open(file);
-    if (!in) return Status(Code::not_found, fmt::format("the hostfile {} can't be read", file));
+    std::error_code error;
+    if (std::filesystem::is_regular_file(file, error)) in.open(file);
+    if (!in.is_open()) return Status(Code::not_found, fmt::format("the hostfile {} can't be read", file));
   }
   std::istream& hosts = file.empty() ? static_cast<std::istream&>(lines) : in;
   int sum = 0;

@@ -27,7 +27,10 @@ struct Control::State : std::enable_shared_from_this<State> {
   void accept(Acceptor& acceptor, std::string endpoint) {
     const ControlOptions& options = coordinator->options();
     constexpr bool kTcp = std::is_same_v<Acceptor, TcpAcceptor>;
-    DoorOptions door{.listener = "endpoint", .credentials = {}, .hello_seconds = options.hello_seconds};
+    DoorOptions door{.listener = "endpoint",
+                     .credentials = {},
+                     .hello_seconds = options.hello_seconds,
+                     .waiting_max = options.waiting_max};
     if (kTcp) door.credentials = options.credentials;
     const bool files = !kTcp || options.files_over_tcp;
     doors.push_back(std::make_shared<Door>(std::move(door)));

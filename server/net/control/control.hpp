@@ -34,6 +34,7 @@ struct ControlOptions {
   double frame_seconds = wire::kFrameSecondsMax;
   double notice_seconds = 5;  // how often a waiting client is told what it waits for
   int sessions_max = wire::kSessionsMax;
+  std::size_t waiting_max = wire::kBeforeHelloMax;  // connections to a listener before their hello
   int orders_max = wire::kOrdersMax;
 };
 

@@ -135,8 +135,10 @@ struct DataPort::State : std::enable_shared_from_this<State> {
   // Each listener has its own door, so that connections waiting to say hello at one don't push out those at another.
   template <typename Acceptor>
   void accept(Acceptor& acceptor) {
-    DoorOptions door{
-        .listener = fmt::format("rank {}", options.rank), .credentials = {}, .hello_seconds = options.hello_seconds};
+    DoorOptions door{.listener = fmt::format("rank {}", options.rank),
+                     .credentials = {},
+                     .hello_seconds = options.hello_seconds,
+                     .waiting_max = options.waiting_max};
     if (std::is_same_v<Acceptor, TcpAcceptor>) door.credentials = options.credentials;
     doors.push_back(std::make_shared<Door>(std::move(door)));
     auto take = [self = shared_from_this(), door = doors.back()](Socket socket, const Status& peer) {

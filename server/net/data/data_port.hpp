@@ -40,6 +40,7 @@ struct DataOptions {
   double frame_seconds = wire::kFrameSecondsMax;
   double unknown_seconds = wire::kDeadlineSecondsDefault;  // how long a slice waits for its push to be opened
   int connections_max = wire::kSessionsMax;
+  std::size_t waiting_max = wire::kBeforeHelloMax;  // connections to a listener before their hello
 };
 
 class DataPort {

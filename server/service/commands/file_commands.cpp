@@ -186,6 +186,8 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
                      "ids must be distinct"});
     staged.ids = !ids_are_rows(comm, staged.arrays, slices.first_row);
   }
+  Status room = agree_room_to_partition(comm, staged.arrays.count(), scene.options.parts);
+  if (!room.ok()) return failed(std::move(room));
   // Last look at the deadline: from here on the command runs to its end, since the commit can't be stopped halfway.
   if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   staged.seconds = context.clock.seconds() - start;

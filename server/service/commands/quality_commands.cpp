@@ -9,6 +9,7 @@
 #include "common/wire/limits.hpp"
 #include "server/service/commands/lists.hpp"
 #include "server/service/commands/quality_json.hpp"
+#include "server/service/context/collective.hpp"
 
 namespace rcb::service {
 namespace {
@@ -118,6 +119,8 @@ Response compare(Context& context, Scene& s, const wire::Json& request) {
                             {"parts", options.parts},
                             {"ghost_width", 0.0},
                             {"methods", wire::Json::array()}});
+  Status room = agree_room_to_partition(context.comm, s.particles.count(), options.parts);
+  if (!room.ok()) return failed(std::move(room));
   for (const Method method : methods.value()) {
     options.method = method;
     if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));

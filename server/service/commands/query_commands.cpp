@@ -103,15 +103,14 @@ Response box(Context& context, Scene& s, const wire::Json& request) {
   return response;
 }
 
-// Whether rank 0 has memory for an answer of so many bytes a particle, and for gathering it. What is asked for here is
-// given back at once: the kernel counts it, but no page of it is touched. Collective. Errors: too_large.
+// Whether rank 0 has memory for an answer of so many bytes a particle, and for gathering it. Collective. Errors:
+// too_large.
 Status check_room(Context& context, const Scene& scene, std::uint64_t bytes_each) {
   constexpr std::uint64_t kGathering = 4 * sizeof(double);  // the order, twice; an array as bytes, and as values
-  Status room;
-  if (Buffer<std::byte> probe; context.root() && !probe.try_reserve(scene.n * (bytes_each + kGathering)))
-    room = {Code::too_large, fmt::format("no memory for an answer about {} particles", scene.n),
-            "write_parts has every rank write its own"};
-  return agree_status(context.comm, room);
+  Status room = agree_room(context.comm, context.root() ? scene.n * (bytes_each + kGathering) : 0,
+                           fmt::format("an answer about {} particles", scene.n));
+  if (room.ok()) return room;
+  return {room.code(), room.message(), "write_parts has every rank write its own"};
 }
 
 template <typename T>

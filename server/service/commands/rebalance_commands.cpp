@@ -9,6 +9,7 @@
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/commands/quality_json.hpp"
+#include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
 #include "server/service/step/migration.hpp"
 #include "server/service/step/step.hpp"
@@ -67,6 +68,8 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
   search.part_sizes = options.part_sizes;
   search.cut_tolerance = options.cut_tolerance;
   if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
+  Status room = agree_room_to_partition(context.comm, scene.particles.count(), options.parts);
+  if (!room.ok()) return failed(std::move(room));
   Status time;
   auto found = partition::partition(context.comm, scene.particles.view(), search, while_in_time(context, time));
   if (!time.ok()) return failed(std::move(time));

@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
+
 #include "common/base/random.hpp"
 
 namespace rcb::service {
@@ -23,6 +25,22 @@ Status agree_status(comm::Comm& comm, const Status& here) {
   std::string text = mine ? here.message() + here.hint() : std::string(header[1] + header[2], '\0');
   comm.broadcast(std::as_writable_bytes(std::span(text)), root);
   return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
+}
+
+Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what) {
+  Status room;
+  if (Buffer<std::byte> probe; !probe.try_reserve(bytes))
+    room = {Code::too_large, fmt::format("rank {} has no memory for {}", comm.rank(), what)};
+  return agree_status(comm, room);
+}
+
+Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered) {
+  constexpr std::uint64_t kBytesOfParticle = 64;  // searched: 20; leaving and arriving: twice what is sent of it
+  constexpr std::uint64_t kBytesOfPart = 1024;    // of the widest level of the tree
+  constexpr std::uint64_t kBytesAnswered = 24;    // an id and a part, as they come and as they go
+  const std::uint64_t bytes = particles * kBytesOfParticle + static_cast<std::uint64_t>(parts) * kBytesOfPart +
+                              (comm.rank() == 0 ? answered * kBytesAnswered : 0);
+  return agree_room(comm, bytes, fmt::format("a partition of {} particles into {} parts", particles, parts));
 }
 
 template <typename Slot>

@@ -5,6 +5,7 @@
 #include <limits>
 #include <optional>
 #include <span>
+#include <string>
 
 #include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
@@ -20,6 +21,14 @@ inline constexpr std::uint64_t kNone = std::numeric_limits<std::uint64_t>::max()
 
 // Returns on every rank the failure of the lowest rank that has one; ok if none has. Collective.
 Status agree_status(comm::Comm& comm, const Status& here);
+
+// Whether every rank has memory for so many more bytes, each its own number. They are asked for and given back at once:
+// the kernel counts them, but no page is touched. Collective. Errors: too_large, which tells what the memory is for.
+Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what);
+
+// Likewise for what a partition of this rank's particles and its migration take, and at a scene's first push the
+// answer, which rank 0 gathers: `answered` particles.
+Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered = 0);
 
 // The k-th entry is the index of the particle with the k-th smallest id. Ids come in a few ascending runs (one from
 // each rank), so the runs are merged in pairs. Local.

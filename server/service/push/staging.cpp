@@ -281,7 +281,7 @@ Status distribute(Context& context, const Scene& scene, const PushRequest& push,
 }
 
 // A scene's first push: checks every value; makes the ids, or checks those that came. Collective.
-Status check_first(comm::Comm& comm, const PushRequest& push, std::uint64_t mine, Staged& staged) {
+Status check_first(comm::Comm& comm, const PushRequest& push, std::uint64_t mine, int parts, Staged& staged) {
   const std::uint64_t first_row = layout::row_begin(comm.rank(), push.n, comm.size());
   if (!push.ids) {
     staged.arrays.id.resize(mine);
@@ -291,7 +291,7 @@ Status check_first(comm::Comm& comm, const PushRequest& push, std::uint64_t mine
   if (push.ids)
     if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
       return {Code::invalid_argument, fmt::format("id {} occurs more than once", *twin), "ids must be distinct"};
-  return {};
+  return agree_room_to_partition(comm, mine, parts, push.changes ? push.n : 0);
 }
 
 // Makes room for the positions of `mine` particles, if possible in the memory of the last push.
@@ -445,8 +445,8 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   const std::uint64_t arriving = staged.edits.arriving.count();
   if (ready.ok() && arriving > 0 && push.moved == Moved::all && !reserve(staged.arrays, mine + arriving, false))
     ready = {Code::too_large, fmt::format("rank {} has no memory for {} more particles", comm.rank(), arriving)};
-  const Status checked =
-      scene.pushed ? check_later(context, scene, push, ready, staged) : check_first(comm, push, mine, staged);
+  const Status checked = scene.pushed ? check_later(context, scene, push, ready, staged)
+                                      : check_first(comm, push, mine, scene.options.parts, staged);
   if (!checked.ok()) return checked;
   staged.seconds = context.received_seconds + context.clock.seconds() - start;
   return staged;

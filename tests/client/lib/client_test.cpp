@@ -85,6 +85,8 @@ TEST(Connect, NobodyThere) {
   EXPECT_EQ(client.status().hint(), "start one: rcbctl up");
   EXPECT_EQ(Client::connect({.endpoint = "nonsense"}).status().code(), Code::invalid_argument);
   EXPECT_EQ(Client::connect({.endpoint = endpoint, .deadline_seconds = 0}).status().code(), Code::invalid_argument);
+  const Variable path("RCBD_PATH", "straight");
+  EXPECT_EQ(Client::connect({.endpoint = endpoint}).status().message(), "RCBD_PATH is 'straight'");
   const double nan = std::numeric_limits<double>::quiet_NaN();
   EXPECT_EQ(Client::connect({.endpoint = endpoint, .deadline_seconds = nan}).status().code(), Code::invalid_argument);
 }
