@@ -205,14 +205,22 @@ Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, co
 }
 
 void widen(std::span<const std::byte> floats, std::span<std::byte> doubles) {
-  constexpr std::size_t kBlock = 1024;
-  std::array<float, kBlock> block;
+  constexpr std::size_t kTogether = 8;
+  using Floats = float __attribute__((vector_size(kTogether * sizeof(float))));
+  using Doubles = double __attribute__((vector_size(kTogether * sizeof(double))));
   const std::size_t count = doubles.size() / sizeof(double);
-  for (std::size_t i = 0; i < count; i += kBlock) {  // read a block before writing it: the two may overlap
-    const std::size_t size = std::min(kBlock, count - i);
-    std::memcpy(block.data(), floats.data() + i * sizeof(float), size * sizeof(float));
-    auto* to = reinterpret_cast<double*>(doubles.data()) + i;
-    for (std::size_t k = 0; k < size; ++k) to[k] = static_cast<double>(block[k]);
+  std::size_t i = 0;
+  for (; i + kTogether <= count; i += kTogether) {  // all are read before they are written: the two may overlap
+    Floats from;
+    std::memcpy(&from, floats.data() + i * sizeof(float), sizeof from);
+    const auto to = __builtin_convertvector(from, Doubles);
+    std::memcpy(doubles.data() + i * sizeof(double), &to, sizeof to);
+  }
+  for (; i < count; ++i) {
+    float from = 0;
+    std::memcpy(&from, floats.data() + i * sizeof(float), sizeof from);
+    const double to = from;
+    std::memcpy(doubles.data() + i * sizeof(double), &to, sizeof to);
   }
 }
 

@@ -1,4 +1,6 @@
 // Pushes: whole or not at all, one at a time, and whatever a client does in the middle changes nothing.
+#include "server/net/push/push.hpp"
+
 #include <array>
 #include <cstring>
 
@@ -25,6 +27,21 @@ Json slice_of_four() {
           {"count", 4},
           {"arrays",
            {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {4}}}, {{"name", "y"}, {"dtype", "<f8"}, {"shape", {4}}}}}};
+}
+
+TEST(Widen, AnyCountWhereFloatsAreTheLastHalfOfDoubles) {
+  for (std::size_t count = 0; count < 40; ++count) {
+    std::vector<double> doubles(count);
+    const std::span<std::byte> room = std::as_writable_bytes(std::span(doubles));
+    const std::span<std::byte> floats = room.subspan(room.size() / 2);
+    for (std::size_t i = 0; i < count; ++i) {
+      const float value = 0.1F * static_cast<float>(i) - 1;
+      std::memcpy(floats.data() + i * sizeof value, &value, sizeof value);
+    }
+    widen(floats, room);
+    for (std::size_t i = 0; i < count; ++i)
+      EXPECT_EQ(doubles[i], static_cast<double>(0.1F * static_cast<float>(i) - 1)) << i << " of " << count;
+  }
 }
 
 class Push : public ::testing::Test {
