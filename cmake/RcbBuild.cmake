@@ -45,7 +45,7 @@ if(RCB_SANITIZE)
     target_compile_options(rcb_flags INTERFACE -Wno-tsan)
   endif()
   if(RCB_SANITIZE MATCHES address)  # lets a program go on after a finding where its run-time options say halt_on_error=0
-    target_compile_options(rcb_usage INTERFACE -fsanitize-recover=address)
+    target_compile_options(rcb_usage INTERFACE -fsanitize-recover=address -fno-sanitize-recover=undefined)
   endif()
 endif()
 

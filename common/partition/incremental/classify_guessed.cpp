@@ -33,8 +33,6 @@ using Axes = std::array<const double*, geometry::kDimsMax>;
 struct alignas(64) Tables {
   Integers first{};  // of each part so far: its node on the first level
   std::array<Integers, kGuessLevels> next{};
-  std::array<double, geometry::kDimsMax> origin{};
-  std::array<double, geometry::kDimsMax> scale{1, 1, 1};
   std::array<Floats, kGuessLevels> cut;  // infinite where nothing goes right
   std::array<Integers, kGuessLevels> axis;
   std::array<Floats, geometry::kDimsMax> lo;  // by axis and leaf: of its box
@@ -42,6 +40,9 @@ struct alignas(64) Tables {
   std::array<Floats, geometry::kDimsMax> inner_lo;  // of its inner region
   std::array<Floats, geometry::kDimsMax> inner_hi;
   Integers part{};  // of each leaf
+  // Behind the tables, which are aligned.
+  std::array<double, geometry::kDimsMax> origin{};
+  std::array<double, geometry::kDimsMax> scale{1, 1, 1};
 
   float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
 };
