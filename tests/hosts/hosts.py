@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
-"""Several machines on one, for tests and for trying things by hand: each has its own network, host name, /tmp, /dev/shm
-and IPC, and all are on one bridge. They end with this process; close() also ends what runs on them. Needs root.
+"""Several machines on one, for tests and for trying things by hand: each has its own network, host name, /tmp,
+/dev/shm and IPC, and all are on one bridge. They end with this process; close() also ends what runs on them. Needs
+root.
 
     tests/hosts/hosts.py 3 -- COMMAND   runs COMMAND on machine a of a, b and c; $HOSTS_AGENT is a remote shell for mpirun
 
