@@ -22,23 +22,23 @@ class LinksTest(MachinesTest):
         return self.ctl("status", "--json")["pid"]
 
     def solver(self, *options):
-        """Started on machine a, with its standard error in a file."""
-        self.told = os.path.join(self.hosts.shared, "told")
+        """Started on machine a, with its output in files."""
+        self.told, self.found = (os.path.join(self.hosts.shared, name) for name in ("told", "found"))
         environment = self.hosts.environment(RCBD_ENDPOINT=TCP, RCBD_TOKEN_FILE=os.path.join(self.data, "token"))
-        with open(self.told, "w") as told:
+        with open(self.told, "w") as told, open(self.found, "w") as found:
             started = subprocess.Popen(
                 self.hosts.command("a", os.path.join(self.bin, "two_spheres"), "--parts", PARTS, "--json",
                                    "--deadline", 240, *options),
-                env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=told, text=True)
-        for end in (started.stdout.close, started.wait, started.kill):
+                env=environment, stdin=subprocess.DEVNULL, stdout=found, stderr=told)
+        for end in (started.wait, started.kill):
             self.addCleanup(end)
         return started
 
     def ended(self, solver):
         """What its run has found."""
-        out, _ = solver.communicate(timeout=240)
-        self.assertEqual(solver.returncode, 0, self.heard() + self.log())
-        return json.loads(out)
+        self.assertEqual(solver.wait(timeout=240), 0, self.heard() + self.log())
+        with open(self.found) as found:
+            return json.load(found)
 
     def heard(self):
         with open(self.told) as told:
