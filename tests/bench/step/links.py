@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Steps and partitions of a service over several machines (tests/hosts), whose links have a delay and a bandwidth, beside
-what the model of docs/scale.md says. Needs root.
+"""Steps and partitions of a service over several machines (tests/hosts), whose links have a delay and a bandwidth,
+beside what the model of docs/scale.md says. Needs root.
 
     predicted = time on one machine  +  chain * latency  +  bytes / speed
 
@@ -11,14 +11,15 @@ what the model of docs/scale.md says. Needs root.
     bytes                 that the busiest direction of a link carries, counted
     speed                 of a TCP connection that has sent for a while, measured at each setting
 
-    tests/bench/step/links.py [--hosts 2,3,5] [--points N] [--repeats K] [--build DIR]
+With --keep-windows TCP does not begin anew after a pause (net.ipv4.tcp_slow_start_after_idle=0 on all machines).
+
+    tests/bench/step/links.py [--hosts 2,3,5] [--points N] [--repeats K] [--keep-windows] [--build DIR]
 """
 import argparse
 import json
 import os
 import shutil
 import socket
-import statistics
 import subprocess
 import sys
 import time
@@ -57,23 +58,24 @@ class Bench:
 
     def up(self, *ranks):
         self.run("rcbctl", "up", *ranks, "--endpoint", f"{self.hosts.address('a')}:7470", "--trusted-network",
-                 "--data-dir", os.path.join(self.hosts.shared, "data"), "--publish", self.environment["RCBD_ENDPOINT"][5:])
+                 "--data-dir", os.path.join(self.hosts.shared, "data"),
+                 "--publish", self.environment["RCBD_ENDPOINT"].removeprefix("file:"))
 
     def steps(self, kinds, repeats):
-        """The median seconds of each kind of step."""
+        """The least seconds of each kind of step: what else the machine does can only lengthen them."""
         file = os.path.join(self.hosts.shared, "steps.json")
         self.run("rcb_bench", "step", "--scenes", "moving", "--variants", ",".join(STEPS[kind] for kind in kinds),
                  "--ranks", 1, "--points", self.told.points, "--services", self.environment["RCBD_ENDPOINT"],
                  "--repeats", repeats, "--json", file)
         with open(file) as written:
-            return dict(zip(kinds, [row["seconds"] for row in json.load(written)["rows"]]))
+            return dict(zip(kinds, [row["seconds_min"] for row in json.load(written)["rows"]]))
 
     def partition(self):
         return json.loads(self.run("rcbctl", "rebalance", "step-layout", "--json"))["seconds"]
 
     def seconds(self):
         found = self.steps(STEPS, self.told.repeats)
-        return found | {"partition": statistics.median(self.partition() for _ in range(self.told.repeats))}
+        return found | {"partition": min(self.partition() for _ in range(self.told.repeats))}
 
     def links(self, delay, rate):
         for name in self.hosts.names:
@@ -98,7 +100,7 @@ class Bench:
                     self.steps([kind], repeats)
                 counts.append([after - first for after, first in zip(self.counts(), before)])
             chain, *sizes = [(many - few) / most for few, many in zip(*counts)]
-            found[kind] = chain, max(sizes)
+            found[kind] = round(chain), max(sizes)  # a heartbeat may be between two of a chain
         return found
 
     def wires(self):
@@ -119,12 +121,14 @@ class Bench:
                 made.sendall(data)
                 made.recv(8)
                 seconds = time.perf_counter() - start
-            latency = statistics.median(trips) / 2
+            latency = min(trips) / 2
             return latency, TIMED / (seconds - 2 * latency)
 
 
 def measure(count, told):
     with Hosts(count, os.path.join(told.build, "bin", "rcb_switch")) as hosts:
+        for name in hosts.names if told.keep_windows else ():
+            hosts.run(name, "sysctl", "-q", "-w", "net.ipv4.tcp_slow_start_after_idle=0", check=True)
         bench = Bench(hosts, told)
         bench.up("-n", count)
         alone = bench.seconds()
@@ -133,7 +137,7 @@ def measure(count, told):
         bench.up("--hosts", ",".join(f"{name}:1" for name in hosts.names))
         counted = bench.counted()
         for kind, (chain, size) in counted.items():
-            print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain:.1f}, {size:.0f} bytes",
+            print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain}, {size:.0f} bytes",
                   flush=True)
         for trip, rate in SETTINGS:
             bench.links(trip / 2000, 1e9 * rate)
@@ -154,6 +158,7 @@ def main():
     parser.add_argument("--hosts", default="2,3,5")
     parser.add_argument("--points", default="100000")
     parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--keep-windows", action="store_true")
     parser.add_argument("--build", default=os.path.join(ROOT, "build", "release"))
     told = parser.parse_args()
     print(f"machines | round trip | Gbit/s | measured latency, Gbit/s | predicted ms, measured ms, ratio: "
