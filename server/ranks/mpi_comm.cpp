@@ -22,12 +22,19 @@ void copy(std::span<const std::byte> from, std::span<std::byte> to) {
 
 }  // namespace
 
-MpiComm::MpiComm(MPI_Comm parent, std::size_t message_bytes_max) : message_bytes_max_(message_bytes_max) {
+MpiComm::MpiComm(MPI_Comm parent, std::size_t message_bytes_max, bool apart)
+    : message_bytes_max_(message_bytes_max), apart_(apart) {
   CHECK(message_bytes_max > 0 && message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
   must(MPI_Comm_dup(parent, &comm_), "MPI_Comm_dup");
   must(MPI_Comm_set_errhandler(comm_, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
   must(MPI_Comm_rank(comm_, &rank_), "MPI_Comm_rank");
   must(MPI_Comm_size(comm_, &size_), "MPI_Comm_size");
+  MPI_Comm machine = MPI_COMM_NULL;
+  must(MPI_Comm_split_type(comm_, MPI_COMM_TYPE_SHARED, 0, MPI_INFO_NULL, &machine), "MPI_Comm_split_type");
+  int here = 0;
+  must(MPI_Comm_size(machine, &here), "MPI_Comm_size");
+  must(MPI_Comm_free(&machine), "MPI_Comm_free");
+  apart_ = apart_ || here < size_;
 }
 
 MpiComm::~MpiComm() {
@@ -51,7 +58,17 @@ void MpiComm::must(int result, const char* name) const {
 void MpiComm::reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name) {
   while (!values.empty()) {
     const std::size_t count = std::min(values.size(), kReduceValuesMax);
-    must(MPI_Allreduce(MPI_IN_PLACE, values.data(), static_cast<int>(count), MPI_UINT64_T, operation, comm_), name);
+    if (straight(count * sizeof(std::uint64_t))) {
+      std::vector<std::uint64_t> all(count * static_cast<std::size_t>(size_));
+      tell_all(std::as_bytes(values.first(count)), std::as_writable_bytes(std::span(all)), name);
+      for (int r = 0; r < size_; ++r)
+        if (r != rank_)
+          must(MPI_Reduce_local(&all[count * static_cast<std::size_t>(r)], values.data(), static_cast<int>(count),
+                                MPI_UINT64_T, operation),
+               name);
+    } else {
+      must(MPI_Allreduce(MPI_IN_PLACE, values.data(), static_cast<int>(count), MPI_UINT64_T, operation, comm_), name);
+    }
     values = values.subspan(count);
   }
 }
@@ -59,6 +76,20 @@ void MpiComm::reduce(std::span<std::uint64_t> values, MPI_Op operation, const ch
 void MpiComm::all_sum(std::span<std::uint64_t> values) { reduce(values, MPI_SUM, "MPI_Allreduce (sum)"); }
 void MpiComm::all_min(std::span<std::uint64_t> values) { reduce(values, MPI_MIN, "MPI_Allreduce (min)"); }
 void MpiComm::all_max(std::span<std::uint64_t> values) { reduce(values, MPI_MAX, "MPI_Allreduce (max)"); }
+
+bool MpiComm::straight(std::size_t bytes) const {
+  return apart_ && bytes <= message_bytes_max_ &&
+         (bytes + kStraightMessageBytes) * static_cast<std::size_t>(size_ - 1) <= kStraightBytesMax;
+}
+
+void MpiComm::tell_all(std::span<const std::byte> mine, std::span<std::byte> all, const char* name) {
+  const std::size_t room = all.size() / static_cast<std::size_t>(size_);
+  std::vector<MPI_Request> requests;
+  for (int r = 0; r < size_; ++r)
+    if (r != rank_) start_receive(all.subspan(room * static_cast<std::size_t>(r), room), r, requests);
+  for (int k = 1; k < size_; ++k) start_send(mine, (rank_ + k) % size_, requests);
+  finish(requests, name);
+}
 
 void MpiComm::start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests) {
   while (!bytes.empty()) {
@@ -94,8 +125,14 @@ void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte
   std::memcpy(mine.data(), &size, sizeof size);
   copy(local.first(std::min(room, local.size())), std::span(mine).subspan(sizeof size, std::min(room, local.size())));
   std::vector<std::byte> first(mine.size() * ranks);
-  const auto count = narrow<int>(mine.size());
-  must(MPI_Allgather(mine.data(), count, MPI_BYTE, first.data(), count, MPI_BYTE, comm_), "MPI_Allgather");
+  if (straight(mine.size())) {
+    const auto used = std::span(mine).first(sizeof size + std::min(room, local.size()));
+    copy(used, std::span(first).subspan(mine.size() * static_cast<std::size_t>(rank_), used.size()));
+    tell_all(used, first, "MPI_Waitall (all_gather)");
+  } else {
+    const auto count = narrow<int>(mine.size());
+    must(MPI_Allgather(mine.data(), count, MPI_BYTE, first.data(), count, MPI_BYTE, comm_), "MPI_Allgather");
+  }
   for (std::size_t r = 0; r < ranks; ++r) {
     std::uint64_t share = 0;
     std::memcpy(&share, &first[r * mine.size()], sizeof share);
@@ -134,12 +171,20 @@ void MpiComm::gather(std::span<const std::byte> local, int root, std::vector<std
   const bool here = rank_ == root;
   const auto ranks = static_cast<std::size_t>(size_);
   const std::uint64_t mine = local.size();
-  std::vector<std::uint64_t> shares(here ? ranks : 0);
-  must(MPI_Gather(&mine, 1, MPI_UINT64_T, shares.data(), 1, MPI_UINT64_T, root, comm_), "MPI_Gather");
+  std::vector<std::uint64_t> shares(here ? ranks : 0, mine);
+  std::vector<MPI_Request> requests;
+  // Straight to the root, as the bytes that follow: on MPI_Gather's way through other ranks they would wait.
+  for (int r = 0; here && r < size_; ++r)
+    if (r != root)
+      start_receive(std::as_writable_bytes(std::span(shares).subspan(static_cast<std::size_t>(r), 1)), r, requests);
+  if (here)
+    finish(requests, "MPI_Waitall (gather)");
+  else
+    start_send(std::as_bytes(std::span(&mine, 1)), root, requests);
   all.clear();
   sizes.assign(shares.begin(), shares.end());
-  std::vector<MPI_Request> requests;
   if (here) {
+    requests.clear();
     all.resize(std::accumulate(sizes.begin(), sizes.end(), std::size_t{0}));
     std::size_t start = 0;
     for (int r = 0; r < size_; ++r) {

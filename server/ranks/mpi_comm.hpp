@@ -4,6 +4,8 @@
 // 1. It works on its own duplicate of the communicator, freed with it (unless MPI has been finalised).
 // 2. Messages larger than kMessageBytesMax and reductions of more than kReduceValuesMax values are split.
 // 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
+// 4. Where ranks are on several machines, short reductions and gathers go from every rank straight to every other: one
+//    latency of the network, where MPI takes log2(ranks), twice that if the ranks are no power of two.
 #pragma once
 
 #include <cstddef>
@@ -21,8 +23,14 @@ class MpiComm final : public comm::Comm {
   // Run times of Open MPI's reductions are steady up to 32 KiB (4096 values) and erratic beyond.
   static constexpr std::size_t kReduceValuesMax = 4096;
 
-  // Collective over `parent`. MPI must be initialised. message_bytes_max: only tests pass less.
-  explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax);
+  // What a rank sends at most, to all others together, for a short message to go straight to every other: beyond that
+  // bytes cost more than latencies. A message costs about as much as so many bytes more.
+  static constexpr std::size_t kStraightBytesMax = 144 * 1024;
+  static constexpr std::size_t kStraightMessageBytes = 4 * 1024;
+
+  // Collective over `parent`. MPI must be initialised. Only tests pass more: fewer message_bytes_max, or `apart`, as
+  // though the ranks were on several machines.
+  explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax, bool apart = false);
   ~MpiComm() override;
   MpiComm(const MpiComm&) = delete;
   MpiComm& operator=(const MpiComm&) = delete;
@@ -44,6 +52,10 @@ class MpiComm final : public comm::Comm {
 
  private:
   void reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name);
+  // Whether messages of this size go straight to every other rank.
+  bool straight(std::size_t bytes) const;
+  // Sends `mine` to every other rank, and receives theirs, which may be shorter than their shares of `all`.
+  void tell_all(std::span<const std::byte> mine, std::span<std::byte> all, const char* name);
   void start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests);
   void start_receive(std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests);
   void finish(std::vector<MPI_Request>& requests, const char* name);
@@ -54,6 +66,7 @@ class MpiComm final : public comm::Comm {
   int rank_ = 0;
   int size_ = 1;
   std::size_t message_bytes_max_;
+  bool apart_;
   static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
 };
 

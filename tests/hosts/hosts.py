@@ -1,9 +1,16 @@
 #!/usr/bin/env python3
-"""Several machines on one, for tests and for trying things by hand: each has its own network, host name, /tmp, /dev/shm
-and IPC, and all are on one bridge. They end with this process; close() also ends what runs on them. Needs root.
+"""Several machines on one, for tests and for trying things by hand: each has its own network, host name, /tmp,
+/dev/shm and IPC, and all are on one bridge. They end with this process; close() also ends what runs on them. Needs
+root.
 
     tests/hosts/hosts.py 3 -- COMMAND   runs COMMAND on machine a of a, b and c; $HOSTS_AGENT is a remote shell for mpirun
+
+With a switch of our own (the program rcb_switch) in the bridge's place, each machine's link has a delay, a loss and a
+bandwidth, which may change at any time:
+
+    tests/hosts/hosts.py 3 --switch build/release/bin/rcb_switch --delay 0.0005 --rate 1e9 -- COMMAND
 """
+import argparse
 import contextlib
 import ctypes
 import os
@@ -22,7 +29,8 @@ ENDS_WITH_US = ["setpriv", "--pdeathsig", "KILL"]
 class Hosts:
     """machines[k] is named by its letter and has the address 10.77.0.k+1. A folder (`shared`) is the same on all."""
 
-    def __init__(self, count):
+    def __init__(self, count, switch=None):
+        self.program, self.links = switch, None
         self.names = list(NAMES[:count])
         self.shared = tempfile.mkdtemp(prefix="rcb-hosts-", dir="/var/tmp")
         self.agent = os.path.join(self.shared, "agent")
@@ -47,11 +55,18 @@ class Hosts:
                  script])
         for name, holder in list(self.holders.items()) + [(None, self.switch)]:
             self._wait_for(holder, ["sleep", "infinity"])
-        self._in_switch("ip link add bridge type bridge && ip link set bridge up")
+        if not self.program:
+            self._in_switch("ip link add bridge type bridge && ip link set bridge up")
         for number, name in enumerate(self.names, 1):
             self._in_switch(f"ip link add port-{name} type veth peer name eth0 netns {self.holders[name].pid} && "
-                            f"ip link set port-{name} master bridge && ip link set port-{name} up")
+                            + (f"echo 1 >/proc/sys/net/ipv6/conf/port-{name}/disable_ipv6" if self.program else
+                               f"ip link set port-{name} master bridge") + f" && ip link set port-{name} up")
             self.run(name, "sh", "-c", f"ip addr add {NETWORK}.{number}/24 dev eth0 && ip link set eth0 up", check=True)
+        if self.program:
+            self.links = subprocess.Popen(
+                [*ENDS_WITH_US, "nsenter", "-t", str(self.switch.pid), "-n", self.program,
+                 *(f"port-{name}" for name in self.names)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            self._answer("ready")
         with open(self.agent, "w") as file:
             file.write("#!/bin/sh\n# A remote shell between these machines: agent NAME COMMAND\n"
                        "case $1 in\n")
@@ -109,6 +124,27 @@ class Hosts:
         """Pulls a machine's cable (`down`), or puts it back (`up`)."""
         self._in_switch(f"ip link set port-{name} {state}")
 
+    def _answer(self, expected=None):
+        answer = self.links.stdout.readline().strip()
+        if not answer or expected not in (None, answer):
+            raise RuntimeError(f"the switch answers {answer!r}")
+        return answer
+
+    def set_link(self, name, delay=0, loss=0, rate=0):
+        """Of each direction of a machine's link: seconds, share of the frames, bits/s (0: no limit)."""
+        self.links.stdin.write(f"set port-{name} {delay:.9f} {loss} {rate}\n")
+        self.links.stdin.flush()
+        self._answer("ok")
+
+    def counts(self):
+        """What the switch has carried: the longest chain of messages that waited for each other, and for each machine
+        what it has sent and received, in frames and bytes, and how many frames its link has lost."""
+        self.links.stdin.write("count\n")
+        self.links.stdin.flush()
+        chain, *rest = map(int, self._answer().split())
+        fields = ("frames_sent", "bytes_sent", "frames_received", "bytes_received", "lost")
+        return chain, {name: dict(zip(fields, rest[5 * k:])) for k, name in enumerate(self.names)}
+
     def processes(self, name):
         """Those of a machine, by number, but for the one that holds it."""
         found = []
@@ -141,9 +177,9 @@ class Hosts:
                     break
                 self.kill(name)
                 time.sleep(0.05)
-        for holder in [*self.holders.values(), self.switch]:
-            holder.kill()
-            holder.wait()
+        for holder in [*self.holders.values(), self.switch, *filter(None, [self.links])]:
+            with holder:  # closes its pipes
+                holder.kill()
         shutil.rmtree(self.shared, ignore_errors=True)
 
     def __enter__(self):
@@ -154,13 +190,21 @@ class Hosts:
 
 
 def main():
-    if len(sys.argv) < 4 or not sys.argv[1].isdigit() or sys.argv[2] != "--":
-        sys.exit(__doc__)
-    with Hosts(int(sys.argv[1])) as hosts:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("count", type=int, choices=range(1, len(NAMES) + 1))
+    parser.add_argument("--switch", metavar="PROGRAM")
+    parser.add_argument("--delay", type=float, default=0, help="of each link, in seconds; two lie between two machines")
+    parser.add_argument("--loss", type=float, default=0, help="share of the frames that a link loses")
+    parser.add_argument("--rate", type=float, default=0, help="of each link, in bits/s")
+    parser.add_argument("command", nargs="+")
+    told = parser.parse_args()
+    with Hosts(told.count, told.switch) as hosts:
+        for name in hosts.names if told.switch else ():
+            hosts.set_link(name, told.delay, told.loss, told.rate)
         environment = hosts.environment(HOSTS_AGENT=hosts.agent)
         print(f"machines {', '.join(f'{name} {hosts.address(name)}' for name in hosts.names)}; shared folder "
               f"{hosts.shared}; on another: {shlex.quote(hosts.agent)} b COMMAND", file=sys.stderr)
-        return subprocess.run(hosts.command(hosts.names[0], *sys.argv[3:]), env=environment).returncode
+        return subprocess.run(hosts.command(hosts.names[0], *told.command), env=environment).returncode
 
 
 if __name__ == "__main__":

@@ -17,6 +17,8 @@ void on_every_comm(const std::function<void(comm::Comm&)>& body) {
   on_ranks(body);
   ranks::MpiComm pieces(MPI_COMM_WORLD, 24);
   body(pieces);
+  ranks::MpiComm apart(MPI_COMM_WORLD, ranks::MpiComm::kMessageBytesMax, true);
+  body(apart);
 }
 
 bool ranks_are_threads() { return false; }

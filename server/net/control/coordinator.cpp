@@ -442,8 +442,12 @@ Json Coordinator::silent_json() const {
 std::string Coordinator::engine_in_words() const {
   std::string words;
   if (silent_ranks_)
-    for (const SilentRank& one : silent_ranks_())
-      words += fmt::format("{}rank {}, silent for {:.0f} s", words.empty() ? "" : ", ", one.rank, one.seconds);
+    for (const SilentRank& one : silent_ranks_()) {
+      const auto rank = static_cast<std::size_t>(one.rank);
+      const bool elsewhere = rank < options_.hosts.size() && options_.hosts[rank].host != options_.hosts[0].host;
+      words += fmt::format("{}rank {}{}, silent for {:.0f} s", words.empty() ? "" : ", ", one.rank,
+                           elsewhere ? " on " + options_.hosts[rank].host : "", one.seconds);
+    }
   return words.empty() ? "the engine" : words;
 }
 

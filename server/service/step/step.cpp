@@ -8,6 +8,7 @@
 #include "common/partition/incremental/repartition.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/scene/policy.hpp"
+#include "server/service/step/exchange.hpp"
 #include "server/service/step/gather_changes.hpp"
 #include "server/service/step/migration.hpp"
 
@@ -322,6 +323,14 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   const Drift& drift = staged.scan.drift;
   const bool any = first || report.drifted > 0 || report.moved > 0;
   if (changes != nullptr && any && !first) mine = changes_of_step(scene, drift, moves);
+  const auto tell = [&] {
+    if (changes != nullptr && any)
+      gather_changes(context.comm, mine, first ? scene.n : report.drifted + report.moved, *changes);
+  };
+  // Few are told before the particles travel, since a rank that sends both waits for neither; many afterwards, when
+  // there is memory for them.
+  const bool few = !first && report.drifted + report.moved <= ExchangeLimits().few;
+  if (few) tell();
   const double migrating = context.clock.seconds();
   std::uint64_t changed_rank = 0;
   if (first) {
@@ -340,8 +349,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   report.migrated = first ? 0 : changed_rank;
   if (report.repartitioned) account_repartition(context, scene, report, first);
   if (changes != nullptr && first) mine = all_changes(scene);
-  if (changes != nullptr && any)
-    gather_changes(context.comm, mine, first ? scene.n : report.drifted + report.moved, *changes);
+  if (!few) tell();
 
   note_skips(scene, push, context.no_skip, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;

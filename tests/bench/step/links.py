@@ -1,0 +1,171 @@
+#!/usr/bin/python3
+"""Steps and partitions of a service over several machines (tests/hosts), whose links have a delay and a bandwidth,
+beside what the model of docs/scale.md says. Needs root.
+
+    predicted = time on one machine  +  chain * latency  +  bytes / speed
+
+    time on one machine   of the same, with as many ranks, measured
+    chain                 messages of which each waits for the one before it, from machine to machine. The switch counts
+                          them, at a delay beside which all else is short
+    latency               half of a round trip of 8 bytes over one TCP connection, measured at each setting
+    bytes                 that the busiest direction of a link carries, counted
+    speed                 of a TCP connection that has sent for a while, measured at each setting
+
+With --keep-windows TCP does not begin anew after a pause (net.ipv4.tcp_slow_start_after_idle=0 on all machines).
+
+    tests/bench/step/links.py [--hosts 2,3,5] [--points N] [--repeats K] [--keep-windows] [--build DIR]
+"""
+import argparse
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
+sys.path.insert(0, os.path.join(ROOT, "tests", "hosts"))
+from hosts import Hosts
+
+STEPS = {"all": "layout", "few": "subset", "none": "unmoved"}  # which particles moved: variant of rcb_bench step
+SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round trip in ms, Gbit/s
+COUNTED_AT = 0.04  # seconds from machine to machine
+WARM_UP, TIMED = 8 << 20, 16 << 20  # bytes
+ECHO = """
+import socket
+listener, room = socket.create_server(("", 9000)), bytearray(1 << 20)
+while True:
+    connection, _ = listener.accept()
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    while count := connection.recv_into(room):
+        if room[count - 1] == ord("?"):
+            connection.send(b"answered")
+"""
+
+
+class Bench:
+    def __init__(self, hosts, told):
+        self.hosts, self.told = hosts, told
+        self.environment = hosts.environment(RCBD_BIN_DIR=hosts.shared,
+                                             RCBD_ENDPOINT="file:" + os.path.join(hosts.shared, "where"))
+        for program in ("rcbd", "rcbctl", "rcb_bench"):
+            shutil.copy(os.path.join(told.build, "bin", program), hosts.shared)
+
+    def run(self, program, *args):
+        return self.hosts.run("a", os.path.join(self.hosts.shared, program), *args, env=self.environment, check=True,
+                              stdout=subprocess.PIPE, text=True).stdout
+
+    def up(self, *ranks):
+        self.run("rcbctl", "up", *ranks, "--endpoint", f"{self.hosts.address('a')}:7470", "--trusted-network",
+                 "--data-dir", os.path.join(self.hosts.shared, "data"),
+                 "--publish", self.environment["RCBD_ENDPOINT"].removeprefix("file:"))
+
+    def steps(self, kinds, repeats):
+        """The least seconds of each kind of step: what else the machine does can only lengthen them."""
+        file = os.path.join(self.hosts.shared, "steps.json")
+        self.run("rcb_bench", "step", "--scenes", "moving", "--variants", ",".join(STEPS[kind] for kind in kinds),
+                 "--ranks", 1, "--points", self.told.points, "--services", self.environment["RCBD_ENDPOINT"],
+                 "--repeats", repeats, "--json", file)
+        with open(file) as written:
+            return dict(zip(kinds, [row["seconds_min"] for row in json.load(written)["rows"]]))
+
+    def partition(self):
+        return json.loads(self.run("rcbctl", "rebalance", "step-layout", "--json"))["seconds"]
+
+    def seconds(self):
+        found = self.steps(STEPS, self.told.repeats)
+        return found | {"partition": min(self.partition() for _ in range(self.told.repeats))}
+
+    def links(self, delay, rate):
+        for name in self.hosts.names:
+            self.hosts.set_link(name, delay / 2, 0, rate)
+
+    def counts(self):
+        chain, links = self.hosts.counts()
+        return [chain] + [link[field] for link in links.values() for field in ("bytes_sent", "bytes_received")]
+
+    def counted(self):
+        """(chain, bytes) of each kind: what some more of them add."""
+        self.links(COUNTED_AT / 2, 0)
+        found = {}
+        for kind in [*STEPS, "partition"]:
+            most, counts = 20, []
+            for repeats in (1, 1 + most):
+                before = self.counts()
+                if kind == "partition":
+                    for _ in range(repeats):
+                        self.partition()
+                else:
+                    self.steps([kind], repeats)
+                counts.append([after - first for after, first in zip(self.counts(), before)])
+            chain, *sizes = [(many - few) / most for few, many in zip(*counts)]
+            found[kind] = round(chain), max(sizes)  # a heartbeat may be between two of a chain
+        return found
+
+    def wires(self):
+        """(latency, speed) of a TCP connection from a to b."""
+        with self.hosts.network("a"):
+            made = socket.create_connection((self.hosts.address("b"), 9000))
+        with made:
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            trips = []
+            for _ in range(200):
+                start = time.perf_counter()
+                made.send(b"asked: ?")
+                made.recv(8)
+                trips.append(time.perf_counter() - start)
+            for size in (WARM_UP, TIMED):
+                data = bytes(size - 1) + b"?"
+                start = time.perf_counter()
+                made.sendall(data)
+                made.recv(8)
+                seconds = time.perf_counter() - start
+            latency = min(trips) / 2
+            return latency, TIMED / (seconds - 2 * latency)
+
+
+def measure(count, told):
+    with Hosts(count, os.path.join(told.build, "bin", "rcb_switch")) as hosts:
+        for name in hosts.names if told.keep_windows else ():
+            hosts.run(name, "sysctl", "-q", "-w", "net.ipv4.tcp_slow_start_after_idle=0", check=True)
+        bench = Bench(hosts, told)
+        bench.up("-n", count)
+        alone = bench.seconds()
+        bench.run("rcbctl", "down")
+        echo = subprocess.Popen(hosts.command("b", sys.executable, "-c", ECHO))
+        bench.up("--hosts", ",".join(f"{name}:1" for name in hosts.names))
+        counted = bench.counted()
+        for kind, (chain, size) in counted.items():
+            print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain}, {size:.0f} bytes",
+                  flush=True)
+        for trip, rate in SETTINGS:
+            bench.links(trip / 2000, 1e9 * rate)
+            latency, speed = bench.wires()
+            seconds = bench.seconds()
+            cells = []
+            for kind, (chain, size) in counted.items():
+                predicted = alone[kind] + chain * latency + size / speed
+                cells.append(f"{1e3 * predicted:7.1f} {1e3 * seconds[kind]:7.1f} {seconds[kind] / predicted:5.2f}")
+            print(f"{count} | {trip} ms | {rate} | {1e3 * latency:.3f} ms, {8e-9 * speed:.2f} | {' | '.join(cells)}",
+                  flush=True)
+        bench.run("rcbctl", "down")
+        echo.kill()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hosts", default="2,3,5")
+    parser.add_argument("--points", default="100000")
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--keep-windows", action="store_true")
+    parser.add_argument("--build", default=os.path.join(ROOT, "build", "release"))
+    told = parser.parse_args()
+    print(f"machines | round trip | Gbit/s | measured latency, Gbit/s | predicted ms, measured ms, ratio: "
+          f"{' | '.join([*STEPS, 'partition'])}")
+    for count in told.hosts.split(","):
+        measure(int(count), told)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
