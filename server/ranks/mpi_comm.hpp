@@ -25,8 +25,8 @@ class MpiComm final : public comm::Comm {
 
   // What a rank sends at most, to all others together, for a short message to go straight to every other: beyond that
   // bytes cost more than latencies. A message costs about as much as so many bytes more.
-  static constexpr std::size_t kStraightBytesMax = 144 * 1024;
-  static constexpr std::size_t kStraightMessageBytes = 4 * 1024;
+  static constexpr std::size_t kStraightBytesMax = std::size_t{144} << 10U;
+  static constexpr std::size_t kStraightMessageBytes = std::size_t{4} << 10U;
 
   // Collective over `parent`. MPI must be initialised. Only tests pass more: fewer message_bytes_max, or `apart`, as
   // though the ranks were on several machines.

@@ -61,7 +61,10 @@ class Hosts:
             self._in_switch(f"ip link add port-{name} type veth peer name eth0 netns {self.holders[name].pid} && "
                             + (f"echo 1 >/proc/sys/net/ipv6/conf/port-{name}/disable_ipv6" if self.program else
                                f"ip link set port-{name} master bridge") + f" && ip link set port-{name} up")
-            self.run(name, "sh", "-c", f"ip addr add {NETWORK}.{number}/24 dev eth0 && ip link set eth0 up", check=True)
+            script = f"ip addr add {NETWORK}.{number}/24 dev eth0 && ip link set eth0 up"
+            if self.program:  # BBR, some kernels' choice, goes for 10 s by a round trip from before the link changed
+                script += " && echo reno >/proc/sys/net/ipv4/tcp_congestion_control"
+            self.run(name, "sh", "-c", script, check=True)
         if self.program:
             self.links = subprocess.Popen(
                 [*ENDS_WITH_US, "nsenter", "-t", str(self.switch.pid), "-n", self.program,

@@ -76,9 +76,9 @@ std::size_t header_bytes(const Frame& frame) {
   if (frame.size() < kHead + ETH_HLEN + 40 || frame[kHead + 12] != 8 || frame[kHead + 13] != 0 ||
       frame[kHead + ETH_HLEN + 9] != IPPROTO_TCP)
     return 0;
-  const std::size_t ip = (frame[kHead + ETH_HLEN] & 15U) * 4U;
+  const std::size_t ip = std::size_t{4} * (frame[kHead + ETH_HLEN] & 15U);
   if (frame.size() < kHead + ETH_HLEN + ip + 20) return 0;
-  return ETH_HLEN + ip + (frame[kHead + ETH_HLEN + ip + 12] >> 4U) * 4U;
+  return ETH_HLEN + ip + std::size_t{4} * (frame[kHead + ETH_HLEN + ip + 12] >> 4U);
 }
 
 // Bytes after the header of a frame of TCP over IPv4; 0 of others. Short frames may be padded, so the packet's own
@@ -86,7 +86,7 @@ std::size_t header_bytes(const Frame& frame) {
 std::size_t data_bytes(const Frame& frame) {
   const std::size_t header = header_bytes(frame);
   if (header == 0) return 0;
-  const std::size_t length = ETH_HLEN + frame[kHead + ETH_HLEN + 2] * 256U + frame[kHead + ETH_HLEN + 3];
+  const std::size_t length = ETH_HLEN + std::size_t{256} * frame[kHead + ETH_HLEN + 2] + frame[kHead + ETH_HLEN + 3];
   return length > header ? length - header : 0;
 }
 
