@@ -352,7 +352,7 @@ class MembersDirect(unittest.TestCase):
         os.environ["RCBD_GATEWAY_ONLY"] = "1"
         try:
             with Service(2) as service:
-                self.assertEqual(self.solve(service, 2, "slope", "automatic")[1], [32] * 9)
+                self.assertEqual(self.solve(service, 2, "slope", "auto")[1], [32] * 9)
                 running = self.solve(service, 2, "slope", "direct", wait=False)
                 self.assertIn("--gateway-only", running.communicate(timeout=120)[1])
                 self.assertEqual(running.returncode, 3)
