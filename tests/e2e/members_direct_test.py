@@ -311,7 +311,7 @@ class MembersDirect(unittest.TestCase):
         sizes = [report.pop("bytes") // 1500 for report in solved["reports"]]
         for report in solved["reports"]:
             report.pop("seconds"), report.pop("scene")
-        ways = {"gateway": "endpoint", "automatic": "endpoint", "direct": "sockets", "shared": "shared-memory"}
+        ways = {"gateway": "endpoint", "auto": "endpoint", "direct": "sockets", "shared": "shared-memory"}
         self.assertEqual([report.pop("way") for report in solved["reports"]],
                          ["endpoint"] + [ways[path]] * (len(solved["reports"]) - 1))
         return solved, sizes
