@@ -115,36 +115,43 @@ Status Connection::read_failed(const error_code& error) const {
   return {Code::unavailable, error ? error.message() : "the connection is closed"};
 }
 
-awaitable<std::pair<error_code, std::size_t>> Connection::receive_with_descriptors() {
+// Not a coroutine: GCC 12 doesn't align what lies in a coroutine's frame, and cmsghdr needs it.
+std::pair<error_code, std::size_t> Connection::receive_message() {
   alignas(cmsghdr) std::array<char, CMSG_SPACE(kDescriptorsMax * sizeof(int))> control;
+  iovec piece{inbox_.data(), inbox_.size()};
+  msghdr message{};
+  message.msg_iov = &piece;
+  message.msg_iovlen = 1;
+  message.msg_control = control.data();
+  message.msg_controllen = control.size();
+  const ssize_t bytes = ::recvmsg(socket_.native_handle(), &message, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
+  if (bytes < 0) return {error_code(errno, boost::system::system_category()), 0};
+  for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr; part = CMSG_NXTHDR(&message, part)) {
+    if (part->cmsg_level != SOL_SOCKET || part->cmsg_type != SCM_RIGHTS) continue;
+    const std::size_t count = (part->cmsg_len - CMSG_LEN(0)) / sizeof(int);
+    for (std::size_t k = 0; k < count; ++k) {
+      int number = -1;
+      std::memcpy(&number, CMSG_DATA(part) + k * sizeof(int), sizeof(int));
+      Descriptor descriptor(number);  // closed if there are more than anybody has a use for
+      if (descriptors_.size() < kDescriptorsMax)
+        descriptors_.push_back({std::move(descriptor), bytes_received_ + static_cast<std::uint64_t>(bytes)});
+    }
+  }
+  if (bytes == 0) return {asio::error::eof, 0};
+  return {error_code(), static_cast<std::size_t>(bytes)};
+}
+
+awaitable<std::pair<error_code, std::size_t>> Connection::receive_with_descriptors() {
   while (true) {
-    iovec piece{inbox_.data(), inbox_.size()};
-    msghdr message{};
-    message.msg_iov = &piece;
-    message.msg_iovlen = 1;
-    message.msg_control = control.data();
-    message.msg_controllen = control.size();
-    const ssize_t bytes = ::recvmsg(socket_.native_handle(), &message, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
-    if (bytes < 0 && (errno == EAGAIN || errno == EINTR)) {
-      auto [error] = co_await socket_.async_wait(Socket::wait_read, kAwait);
-      if (error) co_return std::pair(error, std::size_t{0});
+    const auto received = receive_message();
+    const error_code& error = received.first;
+    if (error == asio::error::would_block || error == asio::error::try_again || error == asio::error::interrupted) {
+      auto [waited] = co_await socket_.async_wait(Socket::wait_read, kAwait);
+      if (waited) co_return std::pair(waited, std::size_t{0});
       continue;
     }
-    if (bytes < 0) co_return std::pair(error_code(errno, boost::system::system_category()), std::size_t{0});
-    for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr; part = CMSG_NXTHDR(&message, part)) {
-      if (part->cmsg_level != SOL_SOCKET || part->cmsg_type != SCM_RIGHTS) continue;
-      const std::size_t count = (part->cmsg_len - CMSG_LEN(0)) / sizeof(int);
-      for (std::size_t k = 0; k < count; ++k) {
-        int number = -1;
-        std::memcpy(&number, CMSG_DATA(part) + k * sizeof(int), sizeof(int));
-        Descriptor descriptor(number);  // closed if there are more than anybody has a use for
-        if (descriptors_.size() < kDescriptorsMax)
-          descriptors_.push_back({std::move(descriptor), bytes_received_ + static_cast<std::uint64_t>(bytes)});
-      }
-    }
-    if (bytes == 0) co_return std::pair(error_code(asio::error::eof), std::size_t{0});
-    co_await asio::post(socket_.get_executor(), asio::use_awaitable);  // others have their turn, as in async_read_some
-    co_return std::pair(error_code(), static_cast<std::size_t>(bytes));
+    if (!error) co_await asio::post(socket_.get_executor(), asio::use_awaitable);  // others have their turn
+    co_return received;
   }
 }
 

@@ -105,7 +105,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
   awaitable<std::pair<error_code, std::size_t>> read_encrypted(std::span<std::byte> into);
   awaitable<std::pair<error_code, std::size_t>> write_encrypted(std::span<const std::byte> bytes);
   awaitable<error_code> wait_for(tls::Next next);
-  // Like async_read_some into the inbox, but keeps descriptors.
+  // Reads what has come into the inbox, and keeps its descriptors.
+  std::pair<error_code, std::size_t> receive_message();
+  // The same, waiting until something has come.
   awaitable<std::pair<error_code, std::size_t>> receive_with_descriptors();
   awaitable<void> write_all();
   awaitable<bool> write_span(std::span<const std::byte> bytes);
