@@ -40,7 +40,7 @@ ARROWS = {
     "server/net/data": ["server/net/push", "server/net/sockets"],
     "server/net/peers": ["server/net/data"],
     "server/net/control": ["server/net/peers"],
-    "server": ["server/ranks", "server/net/control"],
+    "server/program": ["server/ranks", "server/net/control"],
     "client/lib": ["common/wire", "common/auth", "common/tls", "common/layout", "common/files"],
     "client/launch/job": ["client/lib"],
     "client/launch": ["client/launch/job"],

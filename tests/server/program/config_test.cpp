@@ -1,5 +1,5 @@
 // rcbd's command line and environment.
-#include "server/config.hpp"
+#include "server/program/config.hpp"
 
 #include <cstdlib>
 #include <string>

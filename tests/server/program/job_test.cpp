@@ -1,5 +1,5 @@
 // A rank that fails ends, whatever its memory and its output are like.
-#include "server/job.hpp"
+#include "server/program/job.hpp"
 
 #include <array>
 #include <csignal>

@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "common/comm/self_comm.hpp"
-#include "server/bridge.hpp"
+#include "server/program/watchdog.hpp"
 #include "tests/support/forwarding_comm.hpp"
 
 namespace rcb::server {

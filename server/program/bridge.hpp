@@ -47,21 +47,4 @@ class Bridge final : public net::Engine {
 // in Slice::rank; or the memory that the client shares. Empty if the order isn't such a push. I/O thread.
 std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request);
 
-// Detects an engine that is so far past its order's deadline that it will never finish; the caller then ends the
-// process. It counts ticks (one every kTickSeconds), so that a machine that was suspended isn't taken for a stalled
-// engine.
-class Watchdog {
- public:
-  Watchdog(const ranks::EngineLoop& engine, double stall_seconds) : engine_(engine), stall_seconds_(stall_seconds) {}
-  // True if the engine is stalled.
-  bool tick();
-  double seconds() const { return ticks_ * net::kTickSeconds; }
-
- private:
-  const ranks::EngineLoop& engine_;
-  double stall_seconds_;
-  std::uint64_t number_ = 0;
-  int ticks_ = 0;
-};
-
 }  // namespace rcb::server

@@ -1,4 +1,4 @@
-#include "server/config.hpp"
+#include "server/program/config.hpp"
 
 #include <cstdlib>
 #include <sstream>

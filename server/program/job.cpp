@@ -1,4 +1,4 @@
-#include "server/job.hpp"
+#include "server/program/job.hpp"
 
 #include <algorithm>
 #include <cerrno>

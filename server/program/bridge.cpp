@@ -1,4 +1,4 @@
-#include "server/bridge.hpp"
+#include "server/program/bridge.hpp"
 
 #include <memory>
 #include <utility>
@@ -104,13 +104,6 @@ void Bridge::send_to_rank_0(net::Order order, net::OrderQueue::Done done) {
   out.cancelled = std::move(order.cancelled);
   out.done = std::move(done);
   CHECK(engine_.push(std::move(out)), "the engine's queue is full");
-}
-
-bool Watchdog::tick() {
-  const std::uint64_t running = engine_.number_running();
-  ticks_ = running != 0 && running == number_ ? ticks_ + 1 : 0;
-  number_ = running;
-  return running != 0 && seconds() > engine_.deadline_running_seconds() + stall_seconds_;
 }
 
 }  // namespace rcb::server

@@ -1,0 +1,88 @@
+#include "server/program/direct_path.hpp"
+
+#include <algorithm>
+#include <sstream>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <spdlog/spdlog.h>
+
+#include "common/auth/proof.hpp"
+#include "common/tls/identity.hpp"
+#include "server/net/control/control.hpp"
+#include "server/net/peers/host.hpp"
+
+namespace rcb::server {
+namespace {
+
+// Where this rank listens for the clients of an endpoint: at its place, or, if that is on another machine's network
+// interface, at this machine's own. Errors: unsupported, if the endpoint's clients can't reach this machine.
+Result<std::string> listen_at(net::DataPort& port, const std::string& place, int rank, const std::string& elsewhere) {
+  const bool is_unix = place.starts_with("unix:");
+  if (!elsewhere.empty() && (place.starts_with("127.") || place == "[::1]"))  // its clients may come through a tunnel
+    return Status(Code::unsupported,
+                  fmt::format("rank {} is on another machine, and clients here push by way of rank 0", rank));
+  if (!is_unix || !elsewhere.empty())
+    return port.listen_tcp(elsewhere.empty() ? place + ":0" : net::with_port(elsewhere, 0));
+  const std::string address = fmt::format("{}.{}", place, rank);
+  if (Status status = port.listen_unix(address.substr(5)); !status.ok()) return status;
+  return address;
+}
+
+}  // namespace
+
+DirectPath share_direct_path(ranks::MpiSession& mpi, const DirectPath& of_rank_0) {
+  std::istringstream lines(mpi.share(fmt::format("{}\n{}", of_rank_0.token, fmt::join(of_rank_0.places, "\n"))));
+  DirectPath path;
+  std::getline(lines, path.token);
+  for (std::string line; std::getline(lines, line);) path.places.push_back(line);
+  return path;
+}
+
+std::vector<std::vector<std::string>> open_direct_path(ranks::MpiSession& mpi, net::DataPort& port,
+                                                       const std::vector<std::string>& places,
+                                                       const std::string& elsewhere) {
+  std::string text;
+  for (const std::string& place : places) {
+    const Result<std::string> address = listen_at(port, place, mpi.rank(), elsewhere);
+    if (!address.ok()) spdlog::warn("no direct path at {}: {}", place, address.status().message());
+    text += (address.ok() ? *address : "") + "\n";
+  }
+  std::vector<std::vector<std::string>> found(places.size());
+  for (const std::string& of_rank : mpi.gather(text)) {
+    std::istringstream lines(of_rank);
+    for (auto& addresses : found) std::getline(lines, addresses.emplace_back());
+  }
+  for (auto& addresses : found)
+    if (std::find(addresses.begin(), addresses.end(), "") != addresses.end()) addresses.clear();
+  return found;
+}
+
+net::Credentials credentials_with(std::string token) {
+  net::Credentials credentials{std::move(token), {}};
+  if (credentials.token.empty() || auth::trusts_network(credentials.token)) return credentials;
+  auto identity = tls::Identity::make();
+  if (identity.ok())
+    credentials.identity = std::move(*identity);
+  else
+    spdlog::warn("{}; so no other machine may connect", identity.status().message());
+  return credentials;
+}
+
+net::DataOptions data_options(const Config& config, net::Credentials credentials, int rank,
+                              const ConnectionLimits& limits) {
+  net::DataOptions options;
+  options.connections_max = limits.sessions;
+  options.waiting_max = limits.waiting;
+  options.rank = rank;
+  options.credentials = std::move(credentials);
+  options.bulk_bytes_max = bulk_bytes(config);
+  return options;
+}
+
+std::uint64_t bulk_bytes(const Config& config) {
+  return config.bulk_bytes != 0 ? config.bulk_bytes : net::bulk_bytes_default();
+}
+
+}  // namespace rcb::server

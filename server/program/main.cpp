@@ -1,0 +1,90 @@
+// rcbd's main program: the options, MPI, and what all ranks agree on before each runs its part. Rank 0 opens the
+// sockets and tells the others through MPI where its doorbell listens; then all ranks execute orders until the
+// shutdown.
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include "common/files/paths.hpp"
+#include "server/net/files/log_sink.hpp"
+#include "server/program/client_folders.hpp"
+#include "server/program/config.hpp"
+#include "server/program/hosts.hpp"
+#include "server/program/job.hpp"
+#include "server/program/rank.hpp"
+#include "server/ranks/mpi_session.hpp"
+
+namespace rcb::server {
+namespace {
+
+void set_log_pattern(const std::string& who) {
+  spdlog::set_pattern(fmt::format("%Y-%m-%dT%H:%M:%S.%e%z {} %l: %v", who));
+}
+
+void set_up_log(const Config& config, int rank) {
+  auto log = std::make_shared<spdlog::logger>("rcbd", std::make_shared<net::LogSink>(STDERR_FILENO));
+  spdlog::set_default_logger(log);
+  spdlog::set_level(spdlog::level::from_str(config.log_level));
+  set_log_pattern(fmt::format("rank {}", rank));
+}
+
+// Signals reach all ranks at once; only rank 0 acts on them, through its I/O thread.
+void set_up_signals(int rank) {
+  // A write that fails tells why; it ends no process.
+  std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGXFSZ, SIG_IGN);
+  if (ranks::started_by_mpirun()) end_with_mpirun(rank);
+  if (rank == 0) return;
+  for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
+}
+
+int run(int argc, char** argv) {
+  const ParsedConfig parsed = parse_config(argc, argv);
+  if (!parsed.run) {
+    // Another machine may refuse what rank 0's takes.
+    const char* launcher = std::getenv(kLauncherHostVariable);
+    if (ranks::rank_from_environment() != 0 && launcher != nullptr && host_name() != launcher)
+      std::fprintf(stderr, "on %s: %s", host_name().c_str(), parsed.error.c_str());
+    if (ranks::rank_from_environment() != 0) return parsed.exit_code;
+    std::fputs(parsed.out.c_str(), stdout);
+    std::fputs(parsed.error.c_str(), stderr);
+    return parsed.exit_code;
+  }
+  raise_open_files_limit();
+  set_up_signals(ranks::rank_from_environment());
+  auto mpi = ranks::MpiSession::start(&argc, &argv);
+  if (!mpi.ok()) {
+    if (ranks::rank_from_environment() == 0) say_failure(mpi.status());
+    return 1;
+  }
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // which tell more
+  end_at_faults(mpi->rank());
+#endif
+  set_up_log(parsed.config, mpi->rank());
+  set_check_context(fmt::format("rank {} of {}", mpi->rank(), mpi->size()));
+  // Rank 0's option applies to all ranks, since their collectives must match.
+  const std::string names = mpi->share(parsed.config.no_skip);
+  const auto no_skip = service::NoSkip::parse(names);
+  CHECK(no_skip.ok(), no_skip.status().message());
+  if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
+  const Hosts hosts = find_hosts(*mpi);
+  if (hosts.several)
+    set_log_pattern(fmt::format("{} rank {}", hosts.ranks[static_cast<std::size_t>(mpi->rank())].host, mpi->rank()));
+  const auto folders = open_client_folders(parsed.config, *mpi, hosts);
+  if (!folders.ok()) {
+    if (mpi->rank() == 0) say_failure(folders.status());
+    return 1;
+  }
+  const RankSetup setup{parsed.config, *mpi, hosts, *no_skip, *folders};
+  return mpi->rank() == 0 ? run_rank_0(setup) : run_other_rank(setup);
+}
+
+}  // namespace
+}  // namespace rcb::server
+
+int main(int argc, char** argv) { return rcb::server::run(argc, argv); }
