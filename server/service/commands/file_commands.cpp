@@ -21,6 +21,7 @@
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/context/collective.hpp"
+#include "server/service/push/values.hpp"
 #include "server/service/step/step.hpp"
 
 namespace rcb::service {

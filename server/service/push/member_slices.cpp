@@ -66,9 +66,9 @@ class Feed {
   std::size_t next_ = 0;
 };
 
-bool has_arrays(const PushSlice& slice, std::span<const std::string> names) {
-  if (!slice.shared.empty()) return slice.shared.size() == names.size() + 1;  // and the rows
-  bool fits = slice.arrays.size() == names.size();
+bool has_arrays(const PushSlice& slice, const ArrayTypes& types) {
+  if (!slice.shared.empty()) return slice.shared.size() == types.size() + 1;  // and the rows
+  bool fits = slice.arrays.size() == types.size();
   for (const wire::Array& array : slice.arrays) fits = fits && array.bytes.size() == slice.count * 8;
   return fits;
 }
@@ -129,7 +129,7 @@ Status join_few_of_members(const comm::Comm& comm, const Scene& scene, int membe
 }
 
 Result<bool> join_member_slices(const comm::Comm& comm, const Scene& scene, std::span<const Moved> moved_by,
-                                std::span<const std::string> names, std::array<Buffer<double>, 3>& room,
+                                const ArrayTypes& types, std::array<Buffer<double>, 3>& room,
                                 std::vector<PushSlice>& slices) {
   const int rank = comm.rank();
   const int members = static_cast<int>(moved_by.size());
@@ -148,7 +148,7 @@ Result<bool> join_member_slices(const comm::Comm& comm, const Scene& scene, std:
   bool fits = true;
   for (std::size_t s = 0; s < slices.size() && fits; ++s) {
     const auto member = static_cast<std::size_t>(slices[s].member);
-    fits = member < missing.size() && has_arrays(slices[s], names) && missing[member] == slices[s].count;
+    fits = member < missing.size() && has_arrays(slices[s], types) && missing[member] == slices[s].count;
     if (fits) missing[member] = 0;
     if (fits) slice_of[member] = s;
   }
@@ -171,7 +171,7 @@ Result<bool> join_member_slices(const comm::Comm& comm, const Scene& scene, std:
                     feed.status().hint());
     feeds.push_back(std::move(*feed));
   }
-  for (std::size_t a = 0; a < names.size(); ++a) {
+  for (std::size_t a = 0; a < types.size(); ++a) {
     const bool axis = a < dims;  // if weights come, all members bring all their particles
     Buffer<double> joined;
     if (axis) joined.swap(room[a]);
@@ -191,7 +191,7 @@ Result<bool> join_member_slices(const comm::Comm& comm, const Scene& scene, std:
     }
     for (PushSlice& slice : slices)
       if (slice.shared.empty()) slice.arrays[a].bytes.release();
-    whole.arrays.push_back({names[a], "<f8", {whole.count}, joined.release_as<std::byte>()});
+    whole.arrays.push_back({types[a].first, "<f8", {whole.count}, joined.release_as<std::byte>()});
   }
   slices.clear();
   slices.push_back(std::move(whole));

@@ -1,83 +1,24 @@
 #include "server/service/push/staging.hpp"
 
 #include <algorithm>
-#include <bit>
-#include <cmath>
-#include <limits>
+#include <cstring>
+#include <utility>
 
 #include <fmt/format.h>
 
-#include "common/base/axis_names.hpp"
 #include "common/layout/layout.hpp"
-#include "common/wire/field_reader.hpp"
-#include "common/wire/limits.hpp"
 #include "server/service/context/collective.hpp"
+#include "server/service/push/arrays.hpp"
 #include "server/service/push/member_slices.hpp"
+#include "server/service/push/values.hpp"
 
 namespace rcb::service {
 namespace {
 
-// True if any value is NaN or infinite; a loop without branches.
-bool any_not_finite(const double* values, std::size_t count) {
-  constexpr std::uint64_t kExponent = 0x7FF0000000000000U;
-  std::uint64_t bad = 0;
-  for (std::size_t i = 0; i < count; ++i)
-    bad |= static_cast<std::uint64_t>((std::bit_cast<std::uint64_t>(values[i]) & kExponent) == kExponent);
-  return bad != 0;
-}
-
-bool any_below_zero(const double* values, std::size_t count) {
-  bool bad = false;
-  for (std::size_t i = 0; i < count; ++i) bad |= values[i] < 0;
-  return bad;
-}
-
-// Describes what is wrong with particle i; empty if nothing is.
-std::string fault_of(const particles::ParticleView& view, std::size_t i) {
-  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
-    if (!std::isfinite(view.position[a][i])) return fmt::format("{} is {}", kAxisNames[a], view.position[a][i]);
-  if (view.weight != nullptr && !(view.weight[i] >= 0 && std::isfinite(view.weight[i])))
-    return fmt::format("weight is {}", view.weight[i]);
-  if (view.id != nullptr && view.id[i] < 0) return fmt::format("id is {}", view.id[i]);
-  return {};
-}
-
-bool suspicious(const particles::ParticleView& view) {
-  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
-    if (any_not_finite(view.position[a], view.count)) return true;
-  if (view.weight != nullptr && (any_not_finite(view.weight, view.count) || any_below_zero(view.weight, view.count)))
-    return true;
-  return view.id != nullptr && std::any_of(view.id, view.id + view.count, [](particles::Id id) { return id < 0; });
-}
-
-// The names of the arrays of every slice, in order.
-std::vector<std::string> array_names(const Scene& scene, const PushRequest& push) {
-  std::vector<std::string> names(kAxisNames, kAxisNames + scene.options.dims);
-  if (push.weights) names.emplace_back("w");
-  if (push.ids) names.emplace_back("id");
-  return names;
-}
-
-Status check_slice(const PushSlice& slice, const std::vector<std::string>& names) {
-  if (slice.arrays.size() != names.size())
-    return {Code::invalid_argument,
-            fmt::format("slice of rank {} has {} arrays, expected {}", slice.rank, slice.arrays.size(), names.size()),
-            "send x (y, z), then w and id where push.begin says so"};
-  for (std::size_t a = 0; a < names.size(); ++a) {
-    const wire::Array& array = slice.arrays[a];
-    const std::string dtype = names[a] == "id" ? "<i8" : "<f8";
-    if (array.name != names[a] || array.dtype != dtype || array.shape != std::vector<std::uint64_t>{slice.count} ||
-        array.bytes.size() != slice.count * 8)
-      return {Code::invalid_argument, fmt::format("slice of rank {}: array {} must be '{}' {} of shape [{}]",
-                                                  slice.rank, a, names[a], dtype, slice.count)};
-  }
-  return {};
-}
-
 // Rank 0: checks that every rank that holds particles has exactly one slice, of the right length.
 Status check_slices(const Context& context, const Scene& scene, const PushRequest& push) {
   const int ranks = context.comm.size();
-  const auto names = array_names(scene, push);
+  const ArrayTypes types = arrays_of(scene, push);
   std::vector<bool> seen(static_cast<std::size_t>(ranks), false);
   for (const PushSlice& slice : context.slices) {
     if (slice.rank < 0 || slice.rank >= ranks)
@@ -91,7 +32,9 @@ Status check_slices(const Context& context, const Scene& scene, const PushReques
       return {Code::stale_plan,
               fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank, slice.count, expected),
               "fetch the plan and push again"};
-    if (Status status = check_slice(slice, names); !status.ok()) return status;
+    if (Status status = check_arrays(slice, fmt::format("particles of rank {}", slice.rank), expected, types);
+        !status.ok())
+      return status;
   }
   for (int r = 0; r < ranks; ++r) {
     const bool needed = push.by_id ? r == 0 && push.n > 0 : held_by(scene, push.n, r, ranks) > 0;
@@ -159,32 +102,6 @@ void scatter_array(Context& context, const Scene& scene, const PushRequest& push
       if (a < slice.arrays.size() && (slice.rank != 0 || push.by_id)) slice.arrays[a].bytes.release();
 }
 
-Status check_header(const Scene& scene, const PushRequest& push) {
-  if (scene.step && push.id.step <= *scene.step)
-    return {Code::stale_step,
-            fmt::format("step {} of scene '{}' is not above the last one, {}", push.id.step, scene.name, *scene.step),
-            fmt::format("push step {} or a later one", *scene.step + 1)};
-  if (scene.pushed && push.n != scene.n)
-    return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
-            "push all of the scene's particles, or create a scene anew with --replace"};
-  if (Status status = check_changes(scene, push); !status.ok()) return status;
-  if (scene.pushed && push.ids) return {Code::invalid_argument, "ids may come with a scene's first push alone"};
-  if (scene.pushed && push.weights && !scene.particles.has_weights)
-    return {Code::invalid_argument, fmt::format("scene '{}' has no weights", scene.name),
-            "weights must be there from the first push on"};
-  if (scene.pushed && !push.by_id && push.moved != Moved::none &&
-      (push.plan.version != scene.plan_version || push.plan.checksum != scene.plan_checksum))
-    return {
-        Code::stale_plan,
-        fmt::format("push has plan version {}, scene '{}' is at {}", push.plan.version, scene.name, scene.plan_version),
-        "fetch the plan and push again"};
-  if (!scene.pushed && !push.by_id && push.plan.version != 0)
-    return {Code::stale_plan,
-            fmt::format("push has plan version {}, but scene '{}' has no positions yet", push.plan.version, scene.name),
-            "the first push goes by blocks of rows, plan version 0"};
-  return {};
-}
-
 // Checks the slice that this rank received directly.
 Status check_own_slice(const Context& context, const Scene& scene, const PushRequest& push, std::uint64_t held) {
   if (context.slices.size() != 1 || context.slices.front().rank != context.comm.rank())
@@ -194,7 +111,7 @@ Status check_own_slice(const Context& context, const Scene& scene, const PushReq
     return {Code::stale_plan,
             fmt::format("slice of rank {} has {} particles, the plan has {}", slice.rank, slice.count, held),
             "fetch the plan and push again"};
-  return check_slice(slice, array_names(scene, push));
+  return check_arrays(slice, fmt::format("particles of rank {}", slice.rank), held, arrays_of(scene, push));
 }
 
 // Makes the slice's arrays the staged ones, without a copy.
@@ -214,44 +131,6 @@ bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
   if (set.has_weights) fits = fits && set.weight.try_reserve(count);
   return fits && (!ids || set.id.try_reserve(count));
 }
-
-}  // namespace
-
-Result<PushRequest> read_order(const wire::Json& request, int ranks) {
-  wire::FieldReader fields(request);
-  api::PushId id{.scene = fields.text("scene", 64), .session = fields.text("session", 64)};
-  id.step = fields.integer("step", 0, wire::kStepMax);
-  if (!fields.ok()) return fields.status();
-  auto push = api::read_push(request, std::move(id), ranks);
-  if (!push.ok()) return push.status();
-  return PushRequest{std::move(*push), request.contains("staged")};
-}
-
-Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row) {
-  std::uint64_t least = kNone;
-  std::size_t least_at = 0;
-  if (suspicious(view))
-    for (std::size_t i = 0; i < view.count; ++i) {
-      if (fault_of(view, i).empty()) continue;
-      const std::uint64_t name = first ? first_row + i : static_cast<std::uint64_t>(view.id[i]);
-      if (name < least) least = name, least_at = i;
-    }
-  std::uint64_t global_least = least;
-  comm.all_min({&global_least, 1});
-  if (global_least == kNone) return {};
-  Status mine;
-  if (least == global_least) {
-    const std::string fault = fault_of(view, least_at);
-    const bool finite = fault.find("nan") == std::string::npos && fault.find("inf") == std::string::npos;
-    mine = {finite ? Code::invalid_argument : Code::not_finite,
-            first ? fmt::format("particle {} (index, from 0): {}", least, fault)
-                  : fmt::format("particle {}: {}", least, fault),
-            "positions must be finite, weights finite and >= 0, ids >= 0; the previous step stands"};
-  }
-  return agree_status(comm, mine);
-}
-
-namespace {
 
 // Sends the slices that rank 0 received to their ranks. Collective.
 Status distribute(Context& context, const Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
@@ -403,7 +282,7 @@ void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& 
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) {
   const double start = context.clock.seconds();
   comm::Comm& comm = context.comm;
-  if (Status status = check_header(scene, push); !status.ok()) return status;
+  if (Status status = check_request(scene, push); !status.ok()) return status;
 
   Staged staged;
   staged.n = push.n;
@@ -429,8 +308,7 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
       if (Status status = agree_status(comm, ready); !status.ok()) return status;
   } else if (push.staged) {
     if (push.members() > 0) {
-      auto joined =
-          join_member_slices(comm, scene, push.moved_by, array_names(scene, push), scene.spare, context.slices);
+      auto joined = join_member_slices(comm, scene, push.moved_by, arrays_of(scene, push), scene.spare, context.slices);
       ready = joined.status();
       staged.joined = joined.ok() && *joined;
     }

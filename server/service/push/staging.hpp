@@ -9,8 +9,10 @@
 #include <string>
 
 #include "server/service/context/context.hpp"
-#include "server/service/push/changes.hpp"
+#include "server/service/push/edits.hpp"
+#include "server/service/push/request.hpp"
 #include "server/service/push/scan.hpp"
+#include "server/service/push/subset.hpp"
 
 namespace rcb::service {
 
@@ -32,9 +34,6 @@ struct Staged {
   const particles::BlockRanges* ranges() const { return scan.ranges.of[0].empty() ? nullptr : &scan.ranges; }
 };
 
-// Local. Reads an order to push. Errors: invalid_argument.
-Result<PushRequest> read_order(const wire::Json& request, int ranks);
-
 // Number of particles that the rank holds before a push of n particles: those of its parts or, at a first push, of its
 // block of rows. Local.
 std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks);
@@ -46,9 +45,5 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
 
 // Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory. Local.
 void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged);
-
-// Collective. Checks that positions and weights are finite, weights >= 0 and ids >= 0. The error names the first
-// offender: at a first push by its row (`first_row` is this rank's first row), later by its id.
-Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row);
 
 }  // namespace rcb::service

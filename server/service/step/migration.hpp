@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "server/service/context/context.hpp"
-#include "server/service/push/changes.hpp"
+#include "server/service/push/edits.hpp"
 #include "server/service/push/scan.hpp"
 
 namespace rcb::service {

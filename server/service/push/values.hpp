@@ -1,0 +1,16 @@
+// Whether positions, weights and ids are values that a scene takes.
+#pragma once
+
+#include <cstdint>
+
+#include "common/base/status.hpp"
+#include "common/comm/comm.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::service {
+
+// Collective. Checks that positions and weights are finite, weights >= 0 and ids >= 0. The error names the first
+// offender: at a first push by its row (`first_row` is this rank's first row), later by its id.
+Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row);
+
+}  // namespace rcb::service
