@@ -1,0 +1,142 @@
+// What the coordinator tells about the service: the answer to `status`, and whom or what a client waits for.
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <map>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <unistd.h>
+
+#include "common/base/nearest.hpp"
+#include "common/files/paths.hpp"
+#include "server/net/control/coordinator.hpp"
+#include "server/net/control/session.hpp"
+#include "server/net/files/process_memory.hpp"
+
+namespace rcb::net {
+
+using wire::Json;
+
+std::vector<std::string> Coordinator::members(const std::string& scene, const std::string& except) const {
+  std::vector<std::string> names;
+  for (const Session* session : sessions_)
+    if (session->has_open(scene) && (except.empty() || session->number() != except)) names.push_back(session->client());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+Status Coordinator::unknown_scene(const std::string& scene) const {
+  constexpr std::size_t kNamesMax = 8;
+  constexpr std::size_t kComparedMax = 100;  // comparing more names takes too long on the I/O thread
+  std::vector<std::string> names;
+  for (const auto& [name, info] : snapshot_) names.push_back(name);
+  std::string hint;
+  if (!names.empty()) {
+    if (names.size() <= kComparedMax)
+      if (const auto near = names_like(scene, names); !near.empty())
+        hint = fmt::format("did you mean {}? ", near.front());
+    const std::size_t shown = std::min(names.size(), kNamesMax);
+    hint += fmt::format("there {} {}", names.size() == 1 ? "is" : "are:",
+                        fmt::join(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(shown), ", "));
+    if (shown < names.size()) hint += fmt::format(" and {} more", names.size() - shown);
+    if (options_.restarted) hint += "; what was there before the service was restarted is lost";
+  } else if (options_.restarted) {
+    hint = "the service was restarted and is empty: create the scene again and push everything";
+  } else {
+    hint = "there is none yet: create it first";
+  }
+  return {Code::not_found, fmt::format("no scene '{}'", scene), hint};
+}
+
+Json Coordinator::scenes_json() const {
+  std::map<std::string, std::vector<std::string>> holders;
+  for (const Session* session : sessions_)
+    for (const std::string& scene : session->open()) holders[scene].push_back(session->client());
+  const auto number = [](const std::optional<double>& value) { return value ? Json(*value) : Json(); };
+  Json scenes = Json::array();
+  for (const auto& [name, scene] : snapshot_) {
+    std::vector<std::string>& names = holders[name];
+    std::sort(names.begin(), names.end());
+    scenes.push_back({{"scene", name},
+                      {"n", scene.n},
+                      {"dims", scene.dims},
+                      {"parts", scene.parts},
+                      {"step", scene.step ? Json(*scene.step) : Json()},
+                      {"epoch", scene.epoch},
+                      {"error", number(scene.error)},
+                      {"imbalance", number(scene.imbalance)},
+                      {"mean_step_seconds", number(scene.mean_step_seconds)},
+                      {"holders", names}});
+  }
+  return scenes;
+}
+
+Json Coordinator::log_json() const {
+  // The launcher redirects standard error to this file. A file last written before this service started is an earlier
+  // service's. The file system's clock may lag a little.
+  constexpr std::chrono::seconds kLag(2);
+  const std::filesystem::path path = join_path(options_.data_dir, kLogFile);
+  std::error_code fault;
+  const auto written = std::filesystem::last_write_time(path, fault);
+  if (fault || written + kLag < started_on_disk_) return nullptr;
+  return path.string();
+}
+
+Json Coordinator::status_json() const {
+  Json memory = Json::array({resident_bytes()});
+  for (std::size_t rank = 1; rank < memory_bytes_.size(); ++rank)
+    memory.push_back(memory_bytes_[rank] == 0 ? Json() : Json(memory_bytes_[rank]));
+  std::uint64_t steps = 0;
+  for (const auto& [name, scene] : snapshot_) steps += scene.steps;
+  return {{"version", options_.version},
+          {"ranks", options_.ranks},
+          {"pid", ::getpid()},
+          {"uptime_seconds", seconds_since(started_)},
+          {"endpoints", endpoints_},
+          {"encryption", encryption_},
+          {"data_dir", options_.data_dir},
+          {"log", log_json()},
+          {"memory_bytes", memory},
+          {"hosts", hosts_json()},
+          {"empty", snapshot_.empty()},
+          {"restarted", options_.restarted},
+          {"sessions", sessions_.size()},
+          {"silent", silent_json()},
+          {"unfinished", unfinished_json()},
+          {"scenes", scenes_json()},
+          {"steps", steps}};
+}
+
+Json Coordinator::hosts_json() const {
+  Json hosts = Json::array();
+  for (std::size_t rank = 0; rank < options_.hosts.size(); ++rank) {
+    Json addresses = Json::array();
+    for (const auto& [endpoint, of_ranks] : data_addresses_)
+      if (rank < of_ranks.size()) addresses.push_back(of_ranks[rank]);
+    const RankHost& one = options_.hosts[rank];
+    hosts.push_back({{"rank", rank}, {"host", one.host}, {"pid", one.pid}, {"addresses", std::move(addresses)}});
+  }
+  return hosts;
+}
+
+Json Coordinator::silent_json() const {
+  Json silent = Json::array();
+  if (!silent_ranks_) return silent;
+  for (const SilentRank& one : silent_ranks_()) silent.push_back({{"rank", one.rank}, {"seconds", one.seconds}});
+  return silent;
+}
+
+std::string Coordinator::engine_in_words() const {
+  std::string words;
+  if (silent_ranks_)
+    for (const SilentRank& one : silent_ranks_()) {
+      const auto rank = static_cast<std::size_t>(one.rank);
+      const bool elsewhere = rank < options_.hosts.size() && options_.hosts[rank].host != options_.hosts[0].host;
+      words += fmt::format("{}rank {}{}, silent for {:.0f} s", words.empty() ? "" : ", ", one.rank,
+                           elsewhere ? " on " + options_.hosts[rank].host : "", one.seconds);
+    }
+  return words.empty() ? "the engine" : words;
+}
+
+}  // namespace rcb::net
