@@ -14,7 +14,20 @@
 #include "common/base/check.hpp"
 #include "common/wire/limits.hpp"
 
-namespace rcb::cli::kind {
+namespace rcb::cli {
+
+std::vector<std::string> read_list(const std::string& names, const std::string& text, const Kind& kind) {
+  std::vector<std::string> values;
+  for (std::size_t begin = 0; begin <= text.size();) {
+    const std::size_t end = std::min(text.find(',', begin), text.size());
+    values.push_back(text.substr(begin, end - begin));
+    if (const std::string fault = kind.check(values.back()); !fault.empty()) throw CLI::ValidationError(names, fault);
+    begin = end + 1;
+  }
+  return values;
+}
+
+namespace kind {
 namespace {
 
 constexpr int kRanksMax = 4096;
@@ -172,4 +185,5 @@ Kind output_file(Format format) {
               "")};
 }
 
-}  // namespace rcb::cli::kind
+}  // namespace kind
+}  // namespace rcb::cli

@@ -24,6 +24,20 @@ CLI::Option* add_value(CLI::App& command, const std::string& names, T& variable,
   return command.add_option(names, variable, help)->type_name(kind.shown)->transform(kind.check);
 }
 
+// The values of a list with commas between. Throws CLI::ValidationError, in the words of the check.
+std::vector<std::string> read_list(const std::string& names, const std::string& text, const Kind& kind);
+
+// One word on the command line, so that what follows it isn't taken for a part of the list.
+template <typename T>
+CLI::Option* add_list(CLI::App& command, const std::string& names, std::vector<T>& list, const Kind& kind,
+                      const std::string& help) {
+  const auto read = [names, &list, kind](const std::string& text) {
+    list.clear();
+    for (const std::string& value : read_list(names, text, kind)) CLI::detail::lexical_cast(value, list.emplace_back());
+  };
+  return command.add_option_function<std::string>(names, read, help)->type_name(kind.shown);
+}
+
 namespace kind {
 
 Kind text(const std::string& shown);  // must not be empty

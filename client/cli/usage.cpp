@@ -52,7 +52,10 @@ struct UsageMessage {
 UsageMessage unexpected(const CLI::App& app, const Chosen& chosen, const std::string& word) {
   if (word.size() < 2 || word[0] != '-') return {fmt::format("'{}' is one word too many", word), ""};
   const std::string name = word.substr(0, word.find('='));
-  return {fmt::format("there is no option {}", name), did_you_mean(name, options_of(app, *chosen.command))};
+  const std::vector<std::string> options = options_of(app, *chosen.command);
+  if (std::find(options.begin(), options.end(), name) != options.end())  // so the parser met "--" before it
+    return {fmt::format("{} stands behind --, where no options are read", name), ""};
+  return {fmt::format("there is no option {}", name), did_you_mean(name, options)};
 }
 
 UsageMessage unknown_command(const Chosen& chosen, const std::string& word) {

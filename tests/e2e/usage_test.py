@@ -73,6 +73,16 @@ class Usage(unittest.TestCase):
                     self.refuse(*full, f"{option}={value}", says=[option])
         self.assertGreater(seen, 30, "the pages of --help are not understood")
 
+    def test_lists(self):
+        for wrong in ("1,,2", ",1", "1,", "", ","):
+            self.refuse("scene", "create", "s", "--parts", "2", f"--part-sizes={wrong}", says=["--part-sizes"])
+        # A list is one word, so what follows it is something else.
+        done = run("partition", "--parts", "2", "--part-sizes", "1,2", "/nonexistent.csv", "--json", endpoint=NOWHERE)
+        self.assertEqual(json.loads(done.stdout)["failure"]["code"], "not_found")
+
+    def test_options_behind_two_dashes(self):
+        self.refuse("scene", "create", "--", "-x", "--parts", "8", says=["--parts stands behind --"])
+
     def test_any_number_syntax(self):
         for value in ("8", "8.0", "8e0", "+8"):
             done = run("partition", "/nonexistent.csv", "--parts", value, "--json", endpoint=NOWHERE)

@@ -143,10 +143,9 @@ void add_export_command(CLI::App& app, Context& context) {
                                   [options, &context] { return export_scene(*options, context); });
   add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
   add_value(*command, "DIR", options->directory, kind::text("DIR"), "made if missing")->required();
-  add_value(*command, "--format", options->formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
-            "csv (a file a part), npy, vtk; several with commas between")
-      ->default_str("csv")
-      ->delimiter(',');
+  add_list(*command, "--format", options->formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
+           "csv (a file a part), npy, vtk; several with commas between")
+      ->default_str("csv");
   command->add_flag("--replace", options->replace, kReplaceFilesHelp);
 }
 

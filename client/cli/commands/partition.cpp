@@ -182,8 +182,7 @@ void add_partition_command(CLI::App& app, Context& context) {
       ->capture_default_str();
   add_value(*command, "--ranks", options->ranks, kind::rank_count(),
             "an embedded service of so many MPI ranks (default: the running one)");
-  add_value(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp)
-      ->delimiter(',');
+  add_list(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
   add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
   add_value(*command, "--out", options->out, kind::text("DIR"), "a folder for one CSV a part");

@@ -286,9 +286,8 @@ void add_push_commands(CLI::App& app, Context& context) {
       ->needs(file);
   add_value(*command, "--insert", push_options->inserted.path, kind::text("FILE"),
             "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
-  add_value(*command, "--remove", push_options->removed, kind::whole_number("IDS", 0),
-            "ids of particles to remove, with commas between")
-      ->delimiter(',');
+  add_list(*command, "--remove", push_options->removed, kind::whole_number("IDS", 0),
+           "ids of particles to remove, with commas between");
   add_value(*command, "--step", push_options->step, kind::whole_number("K", 0, wire::kStepMax),
             "its number (default: the last + 1, 0 at first)");
   add_value(*command, "--step-seconds", push_options->step_seconds, kind::number_from_zero("SECONDS"),

@@ -124,8 +124,7 @@ void add_scene_commands(CLI::App& app, Context& context) {
       ->capture_default_str();
   add_value(*command, "--policy", options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
   add_value(*command, "--recut", options->recut, kind::recut(), kRecutHelp)->capture_default_str();
-  add_value(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp)
-      ->delimiter(',');
+  add_list(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
   command->add_flag("--replace", options->replace, "drop a scene of that name first");
 
   add_command(*scene, context, {"list", "All scenes", "  rcbctl scene list --json"},

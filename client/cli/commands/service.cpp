@@ -143,7 +143,7 @@ void add_up_options(CLI::App& command, UpOptions& options) {
             "a service that has not answered for so long is killed and started again")
       ->capture_default_str();
   command.add_flag("--foreground", options.foreground,
-                   "stay and supervise it here until SIGTERM or SIGINT, as a systemd unit wants it");
+                   "stay and supervise it here until SIGTERM, SIGINT or SIGHUP, as a systemd unit wants it");
   add_value(command, "--files-below", options.files_below, kind::text("DIR"),
             "a folder below which commands may read and write files; may be given more than once (default: on a Unix "
             "socket the working directory, over TCP none)");
