@@ -85,17 +85,19 @@ struct Started {
 // Runs in the child: leaves the starter's session, standard streams and open files.
 [[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd, const sigset_t& signals) {
   setsid();
-  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT}) signal(number, SIG_DFL);
+  for (const int number : {SIGINT, SIGTERM, SIGQUIT}) signal(number, SIG_DFL);
+  signal(SIGHUP, SIG_IGN);  // the terminal of the starter may go
   sigprocmask(SIG_SETMASK, &signals, nullptr);
   signal(SIGPIPE, SIG_IGN);
   signal(SIGXFSZ, SIG_IGN);
   const int null_fd = open("/dev/null", O_RDWR);
   for (int fd = 0; fd < 3; ++fd) dup2(null_fd, fd);
   // The pipes may have any numbers, even 3 and 4: so move them up first.
-  const int high_notify = fcntl(notify_fd, F_DUPFD, 16);
-  const int high_lifeline = fcntl(lifeline_fd, F_DUPFD, 16);
+  const int high_notify = fcntl(notify_fd, F_DUPFD, 5);
+  const int high_lifeline = fcntl(lifeline_fd, F_DUPFD, 5);
   options.notify_fd = dup2(high_notify, 3);
   options.lifeline_fd = dup2(high_lifeline, 4);
+  if (options.notify_fd < 0 || options.lifeline_fd < 0) _exit(1);  // no room for so many open files
   close_range(5, ~0U, 0);
   // Close-on-exec, so that the end of this process alone closes the pipe and tells the starter that all is done.
   for (const int fd : {3, 4}) fcntl(fd, F_SETFD, FD_CLOEXEC);
@@ -182,7 +184,9 @@ Status await_verdict(const Started& started, double deadline_seconds, const Prog
     if (got > 0) text.append(bytes, static_cast<std::size_t>(got));
     if (!text.empty() && text[0] == kReady) return {};
     if (got > 0) continue;
-    if (text.empty()) return {Code::internal, "the launcher died while it started the service"};
+    if (text.empty())
+      return {Code::internal, "the launcher died while it started the service",
+              "look at this shell's limits (ulimit -a): memory, stack, open files"};
     return failure_from(text);
   }
 }

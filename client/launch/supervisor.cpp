@@ -40,6 +40,7 @@ constexpr double kAskSecondsMost = 5;
 constexpr double kStopSeconds = 20;
 constexpr double kUntoldSeconds = 5;  // for a job that couldn't be told to end
 constexpr double kPauseJitter = 0.25;
+constexpr std::size_t kReadBytes = 64 * 1024;
 constexpr int kReadsMax = 64;  // of the job's output, before other events are looked at
 
 class Supervisor {
@@ -204,7 +205,12 @@ Status Supervisor::await_first_answer(Job& job) {
   const double deadline = clock_.seconds() + options_.ready_seconds;
   while (clock_.seconds() < deadline) {
     if (wait(kProbeSeconds) == Event::stop) return {Code::aborted, "the service was told to end while it started"};
-    if (const auto end = job.poll()) return {Code::aborted, reason(end->text), "the whole log: " + log_.path()};
+    if (const auto end = job.poll()) {
+      const bool by_signal = end->text.starts_with("signal");
+      return {Code::aborted, reason(end->text),
+              fmt::format("{}the whole log: {}",
+                          by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "", log_.path())};
+    }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && answers(options_.endpoint, kProbeDeadlineSeconds)) return {};
   }
@@ -349,8 +355,10 @@ Supervisor::Event Supervisor::wait(double seconds) {
     Event event = Event::none;
     signalfd_siginfo info{};
     while (read(signal_fd_, &info, sizeof info) == sizeof info) {
-      if (info.ssi_signo == SIGCHLD) event = event == Event::none ? Event::child : event;
-      if (info.ssi_signo == SIGTERM || info.ssi_signo == SIGINT) event = Event::stop;
+      if (info.ssi_signo == SIGCHLD)
+        event = event == Event::none ? Event::child : event;
+      else
+        event = Event::stop;
     }
     if (options_.lifeline_fd >= 0 && fds[2].revents != 0) {
       char byte = 0;
@@ -363,11 +371,11 @@ Supervisor::Event Supervisor::wait(double seconds) {
 
 // Moves what the job has written to the log.
 void Supervisor::drain() {
-  char bytes[64 * 1024];
+  std::string bytes(kReadBytes, '\0');  // not on the stack, which a limit may keep small
   for (int i = 0; i < kReadsMax; ++i) {
-    const ssize_t got = read(output_[0], bytes, sizeof bytes);
+    const ssize_t got = read(output_[0], bytes.data(), bytes.size());
     if (got <= 0) return;
-    log_.add({bytes, static_cast<std::size_t>(got)});
+    log_.add({bytes.data(), static_cast<std::size_t>(got)});
   }
 }
 

@@ -50,7 +50,8 @@ inline constexpr std::string_view kSupervisorName = "rcbd-supervisor";
 
 std::string log_path(const std::string& data_dir);
 
-// Returns when the service has ended for good: ok after a clean end or a stop by SIGTERM, SIGINT or the lifeline.
+// Returns when the service has ended for good: ok after a clean end or a stop by SIGTERM, SIGINT, SIGHUP (unless it is
+// ignored, as under nohup) or the lifeline.
 // Errors: why the service could not be started or kept.
 Status supervise(const SuperviseOptions& options);
 

@@ -32,7 +32,9 @@ Status bad_endpoint(std::string_view text, std::string_view why) {
 
 Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
   if (path.empty()) return bad_endpoint(text, "no path");
-  if (path.find('\0') != std::string_view::npos) return bad_endpoint(text, "a null character inside");
+  // Logs, and the files that tell where a service is, give a line to an endpoint.
+  for (const char c : path)
+    if (static_cast<unsigned char>(c) < ' ' || c == '\x7f') return bad_endpoint(text, "a control character inside");
   std::error_code error;
   const auto absolute = std::filesystem::absolute(std::filesystem::path(path), error);
   if (error) return bad_endpoint(text, error.message());
