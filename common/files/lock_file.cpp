@@ -46,6 +46,11 @@ Result<LockFile> LockFile::take(const std::string& path, std::string_view note) 
   for (int i = 0; i < kTriesMax; ++i) {
     auto file = open_own_file(path, O_RDWR | O_CREAT);
     if (!file.ok()) return file.status();
+    struct stat about {};
+    if (::fstat(*file, &about) != 0 || (about.st_size != 0 && about.st_size != std::int64_t{kNoteBytes})) {
+      ::close(*file);
+      return Status(Code::io_error, fmt::format("{} exists and is not a lock of rcbd's", path), "move it away");
+    }
     LockFile lock(path, *file);
     ::fchmod(*file, 0600);  // anyone who can open the file could lock it
     struct flock whole = whole_file();

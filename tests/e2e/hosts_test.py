@@ -201,7 +201,7 @@ class HostsTest(MachinesTest):
         self.machines(3)
         endpoint = "unix:/tmp/rcbd.sock"
         for args, says in ((["--hosts", "b:1,c:1", "--trusted-network"], "rank 0 would run on b, but 'rcbctl up' was run on a"),
-                           (["--hosts", "a:1,b:1", "--trusted-network", "--interface", "192.168.7.0/24"], "no interface of this machine is"),
+                           (["--hosts", "a:1,b:1", "--trusted-network", "--interface", "192.168.7.0/24"], "no interface of this machine that others reach is"),
                            (["--hosts", "a:1,nowhere:1"], "no machine nowhere"),
                            (["--hosts", "a:1,b:1", "--interface", "10.77.0.1"], "no interface and no IPv4 network"),
                            (["--hosts", "a:1,b:1"], "say with --trusted-network"),

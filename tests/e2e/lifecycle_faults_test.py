@@ -117,6 +117,44 @@ class Places(unittest.TestCase):
         self.assertTrue(os.path.islink(link))
         self.assertEqual(processes_of(self.dir), [])
 
+    def up(self, before, *options):
+        line = f"{before}; exec {RCBCTL} --endpoint unix:{self.dir}/s up -n 2 --data-dir {self.dir}/data " + " ".join(options)
+        return subprocess.Popen(["sh", "-c", line], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def test_limits_under_which_nothing_can_start(self):
+        for limit in ("ulimit -n 16", "ulimit -n 6", "ulimit -s 64"):
+            with self.up(limit) as up:
+                said = up.communicate(timeout=90)[1]
+            self.assertEqual(up.returncode, 1, (limit, said))
+            self.assertRegex(said, r"open|descriptor|pipe|stack|limit|memory", limit)
+            self.assertEqual(processes_of(self.dir), [], limit)
+
+    def test_a_misspelt_interface(self):
+        with self.up("true", "--interface", "eht0") as up:
+            said = up.communicate(timeout=90)[1]
+        self.assertEqual(up.returncode, 1, said)
+        self.assertIn("no interface of this machine that others reach is 'eht0'", said)
+
+    def test_hanging_up_ends_what_stays_in_the_foreground(self):
+        for before, ends in (("true", True), ("trap '' HUP", False)):
+            with self.up(before, "--foreground") as up:
+                wait_for(lambda: run("status", endpoint=f"unix:{self.dir}/s").returncode == 0, 60)
+                up.send_signal(signal.SIGHUP)
+                if ends:
+                    self.assertEqual(up.wait(60), 0, up.stderr.read())
+                else:
+                    self.assertEqual(run("down", endpoint=f"unix:{self.dir}/s").returncode, 0)
+                    self.assertEqual(up.wait(60), 0, up.stderr.read())
+            self.assertEqual(processes_of(self.dir), [])
+
+    def test_a_users_own_file_where_a_lock_belongs(self):
+        with open(os.path.join(self.dir, "s.lock"), "w") as file:
+            file.write("precious")
+        up = run("up", "-n", 1, "--data-dir", self.dir + "/data", endpoint=f"unix:{self.dir}/s")
+        self.assertEqual(up.returncode, 1, up.stderr)
+        self.assertIn("is not a lock of rcbd's", up.stderr)
+        self.assertEqual(text_of(self.dir, "s.lock"), "precious")
+
     def test_a_working_directory_that_is_gone(self):
         up = subprocess.run(["sh", "-c", f"mkdir gone; cd gone; rmdir ../gone; {RCBCTL} --endpoint unix:{self.dir}/s up"],
                             cwd=self.dir, capture_output=True, text=True, timeout=60)

@@ -199,6 +199,9 @@ Result<std::unique_ptr<DoorbellHub>> DoorbellHub::open(IoLoop& loop, HubOptions 
     state->acceptor.emplace(std::move(*acceptor));
     state->accept(*state->acceptor);
   }
+  // A misspelt interface is an error on one machine too.
+  if (const auto found = addresses_on(state->options.interface); !state->options.interface.empty() && !found.ok())
+    return found.status();
   if (!state->options.hosts.empty()) {
     auto acceptor = listen_for_ranks(loop.context(), state->options.interface, state->address.tcp);
     if (!acceptor.ok()) return acceptor.status();

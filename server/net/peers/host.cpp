@@ -82,7 +82,7 @@ Result<std::vector<std::string>> addresses_on(const std::string& interface) {
   if (found.empty())
     return Status(Code::invalid_argument,
                   interface.empty() ? "this machine has no network interface that others reach"
-                                    : fmt::format("no interface of this machine is '{}'", interface),
+                                    : fmt::format("no interface of this machine that others reach is '{}'", interface),
                   names.empty() ? "" : fmt::format("there are {}", fmt::join(names, ", ")));
   return found;
 }

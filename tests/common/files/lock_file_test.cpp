@@ -42,7 +42,7 @@ TEST_F(Lock, HasOneHolderWhoseNoteIsRead) {
   EXPECT_EQ(LockFile::holder(at("l")), "changed");
   { const LockFile gone = std::move(*first); }
   EXPECT_FALSE(fs::exists(at("l")));
-  std::ofstream(at("l")) << "left by a process that was killed";
+  std::ofstream(at("l")) << std::string(LockFile::kNoteBytes, 'x');  // left by a process that was killed
   fs::permissions(at("l"), fs::perms::owner_read | fs::perms::owner_write);
   EXPECT_FALSE(LockFile::holder(at("l")));
   EXPECT_TRUE(LockFile::take(at("l"), "next").ok());
@@ -87,6 +87,14 @@ TEST_F(Lock, IsNotTakenThroughALink) {
   fs::create_symlink(at("precious"), at("l"));
   EXPECT_EQ(LockFile::take(at("l"), "note").status().code(), Code::not_authorised);
   EXPECT_EQ(fs::file_size(at("precious")), 8U);
+}
+
+TEST_F(Lock, IsNoFileOfTheUsers) {
+  std::ofstream(at("l")) << "precious";
+  EXPECT_EQ(LockFile::take(at("l"), "note").status().code(), Code::io_error);
+  EXPECT_EQ(fs::file_size(at("l")), 8U);
+  std::ofstream(at("m")).close();  // a full disk has left it empty
+  EXPECT_TRUE(LockFile::take(at("m"), "note").ok());
 }
 
 // The folder may be anybody's to open, as /tmp is.
