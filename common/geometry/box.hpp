@@ -2,7 +2,9 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <limits>
+#include <span>
 
 #include "common/geometry/axes.hpp"
 
@@ -33,5 +35,27 @@ struct Box {
     }
   }
 };
+
+// Widens the interval from lo to hi so that it holds these values. With four accumulators each, since every step of one
+// would wait for the step before.
+inline void least_and_most(std::span<const double> values, double& lo, double& hi) {
+  std::array<double, 4> least;
+  std::array<double, 4> most;
+  least.fill(lo);
+  most.fill(hi);
+  std::size_t i = 0;
+  for (; i + 4 <= values.size(); i += 4)
+    for (std::size_t k = 0; k < 4; ++k) {
+      const double value = values[i + k];
+      least[k] = value < least[k] ? value : least[k];
+      most[k] = value > most[k] ? value : most[k];
+    }
+  for (; i < values.size(); ++i) {
+    least[0] = std::min(least[0], values[i]);
+    most[0] = std::max(most[0], values[i]);
+  }
+  lo = *std::ranges::min_element(least);
+  hi = *std::ranges::max_element(most);
+}
 
 }  // namespace rcb::geometry

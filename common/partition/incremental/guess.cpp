@@ -23,19 +23,21 @@ class SampleWalk {
         outermost_(outermost),
         options_(options),
         band_axis_(SplitRule(options, sample.particles.dims).band_axis()),
-        out_(out),
-        indices_(sample.count()) {
+        out_(out) {
     size_prefix_.assign(1, 0.0);
     for (int p = 0; p < options.parts; ++p)
       size_prefix_.push_back(size_prefix_.back() + (options.part_sizes.empty() ? 1.0 : options.part_sizes[at(p)]));
     const auto& weight = sample.particles.weight;
     weighted_ = std::ranges::any_of(weight, [&](double w) { return w != weight[0]; });
-    for (std::uint32_t k = 0; k < sample.count(); ++k) indices_[k] = k;
+    for (auto* array : {&x_[0], &x_[1], &x_[2], &weight_, &moved_}) array->resize(sample.count());
+    for (auto* array : {&index_, &left_, &right_}) array->resize(sample.count());
+    bin_.resize(sample.count());
     for (std::uint32_t k = 0; outermost != nullptr && k < outermost->count(); ++k) beyond_.push_back(k);
   }
 
   // True if enough cuts were guessed.
   bool run(const GuessRoots& below) {
+    before_ = below.before;
     int inside = 0;
     for (const NodeRange& root : below.roots) inside += root.parts();
     int leaves = out_.tree.parts - inside;  // parts in no root
@@ -53,14 +55,8 @@ class SampleWalk {
       const int others = static_cast<int>(below.roots.size() - r) - 1;
       root.leaves = kGuessLeaves - leaves - others;
       const int before = leaves_;
-      if (part.empty()) {
-        visit(root, indices_, beyond_);
-      } else {
-        own_.clear();
-        for (const std::uint32_t k : indices_)
-          if (part[k] >= root.range.first && part[k] < root.range.last) own_.push_back(k);
-        visit(root, own_, {});
-      }
+      const Range own = load(part, root.range);
+      visit(root, own, part.empty() ? std::span(beyond_) : std::span<std::uint32_t>());
       leaves += leaves_ - before;
     }
     // A pass over all particles that cuts few of them would cost more than it saves.
@@ -87,6 +83,12 @@ class SampleWalk {
     double weight;
     std::uint32_t k;
   };
+  // Of a node's sampled particles in x_, weight_ and index_.
+  struct Range {
+    std::size_t first = 0;
+    std::size_t last = 0;
+    std::size_t size() const { return last - first; }
+  };
   struct Bracket {
     KeyBracket keys;
     Key cut;             // the expected one
@@ -98,45 +100,54 @@ class SampleWalk {
 
   int dims() const { return sample_.particles.dims; }
 
-  Box box_of(std::span<const std::uint32_t> own) const {
-    Box box;
-    for (std::size_t a = 0; a < at(dims()); ++a) {
-      const double* const x = sample_.particles.position[a].data();
-      double lo = kInfinity;
-      double hi = -kInfinity;
-      for (const std::uint32_t k : own) {
-        lo = x[k] < lo ? x[k] : lo;
-        hi = x[k] > hi ? x[k] : hi;
-      }
-      box.lo[a] = lo;
-      box.hi[a] = hi;
+  // Takes a root's sampled particles over. part: of all; empty: all are its own.
+  Range load(std::span<const std::int32_t> part, const NodeRange& root) {
+    Range own;
+    for (std::uint32_t k = 0; k < sample_.count(); ++k) {
+      index_[own.last] = k;
+      own.last += part.empty() || (part[k] >= root.first && part[k] < root.last) ? 1U : 0U;
     }
+    for (std::size_t i = 0; i < own.last; ++i) {
+      for (std::size_t a = 0; a < at(dims()); ++a) x_[a][i] = sample_.x(a, index_[i]);
+      weight_[i] = weighted_ ? sample_.particles.weight[index_[i]] : 1.0;
+    }
+    return own;
+  }
+
+  Box box_of(const Range& own) const {
+    Box box;
+    for (std::size_t a = 0; a < at(dims()); ++a)
+      geometry::least_and_most(std::span(x_[a]).subspan(own.first, own.size()), box.lo[a], box.hi[a]);
     return box;
   }
 
-  void end(const Node& node, std::span<std::uint32_t> own) {
+  void end(const Node& node, const Range& own) {
     ++leaves_;
     if (!node.range.leaf()) out_.ends[at(node.range.node)] = 1;
     const auto p = at(node.range.first);
     out_.inner[p] = node.inner;
-    for (std::size_t a = 0; a < at(dims()); ++a) {
-      const double* const x = sample_.particles.position[a].data();
-      const auto outside = std::ranges::partition(
-          own, [lo = node.inner.lo[a], hi = node.inner.hi[a], x](std::uint32_t k) { return x[k] > lo && x[k] < hi; });
-      own = own.first(own.size() - outside.size());
+    // Of those strictly inside.
+    Box seen;
+    for (std::size_t i = own.first; i < own.last; ++i) {
+      bool inside = true;
+      for (std::size_t a = 0; a < at(dims()); ++a) inside &= x_[a][i] > node.inner.lo[a] && x_[a][i] < node.inner.hi[a];
+      for (std::size_t a = 0; a < at(dims()); ++a) {
+        seen.lo[a] = std::min(seen.lo[a], inside ? x_[a][i] : kInfinity);
+        seen.hi[a] = std::max(seen.hi[a], inside ? x_[a][i] : -kInfinity);
+      }
     }
-    if (!own.empty()) out_.seen[p].extend(box_of(own));
+    if (!seen.empty(dims())) out_.seen[p].extend(seen);
   }
 
-  void visit(const Node& node, std::span<std::uint32_t> own, std::span<std::uint32_t> beyond) {
-    if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.empty()) return end(node, own);
+  void visit(const Node& node, const Range& own, std::span<std::uint32_t> beyond) {
+    if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
     const std::optional<AxisOrder> axes = axes_of(node, own, beyond);
     if (!axes) {
       axis_open_ = true;
       return end(node, own);
     }
     const auto a = at((*axes)[0]);
-    const Bracket bracket = bracket_of(node, own, *axes);
+    const Bracket bracket = bracket_of(node, own, *axes, sigmas_of(node, *axes));
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
     out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
@@ -161,14 +172,14 @@ class SampleWalk {
     const auto divided =
         std::ranges::partition(beyond, [&](std::uint32_t k) { return outermost_->x(a, k) < bracket.cut.at[0]; });
     const auto beyond_left = static_cast<std::size_t>(divided.begin() - beyond.begin());
-    visit(left, own.first(bracket.before), beyond.first(beyond_left));
-    visit(right, own.subspan(bracket.before), beyond.subspan(beyond_left));
+    const std::size_t middle = own.first + bracket.before;
+    visit(left, {own.first, middle}, beyond.first(beyond_left));
+    visit(right, {middle, own.last}, beyond.subspan(beyond_left));
   }
 
   // The likeliest axis order. Of the root, only if the particles outside of the sample can't change its cut's axis: a
   // wrong one costs the search of a node, and of this one it would cost everything.
-  std::optional<AxisOrder> axes_of(const Node& node, std::span<const std::uint32_t> own,
-                                   std::span<const std::uint32_t> beyond) const {
+  std::optional<AxisOrder> axes_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
     Box box = node.known != nullptr ? *node.known : box_of(own);
     for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
@@ -185,34 +196,42 @@ class SampleWalk {
     return axes;
   }
 
+  // A cut that its bracket missed would be missed again: the sample is the same.
+  double sigmas_of(const Node& node, const AxisOrder& axes) const {
+    const auto n = at(node.range.node);
+    const bool missed =
+        node.level == 0 && before_ != nullptr && before_->ends[n] == 0 && before_->tree.cuts[n].axes == axes;
+    return options_.limits.bracket_sigmas * (missed ? 2 : 1);
+  }
+
   // The bracket of a node's cut; divides the node's sampled particles at the expected one.
-  Bracket bracket_of(const Node& node, std::span<std::uint32_t> own, const AxisOrder& axes) {
+  Bracket bracket_of(const Node& node, const Range& own, const AxisOrder& axes, double sigmas) {
     const auto axis = at(axes[0]);
     const double all = size_prefix_[at(node.range.last)] - size_prefix_[at(node.range.first)];
     const double share = (size_prefix_[at(node.range.middle())] - size_prefix_[at(node.range.first)]) / all;
-    const double* const x = sample_.particles.position[axis].data();
+    const std::span<const double> x = std::span(x_[axis]).subspan(own.first, own.size());
     double load = 0;
     double squares = 0;
-    near_.clear();
-    for (const std::uint32_t k : own) {
-      near_.push_back({x[k], weight(k), k});
-      load += weight(k);
-      squares += weight(k) * weight(k);
+    for (std::size_t i = own.first; i < own.last; ++i) {
+      load += weight_[i];
+      squares += weight_[i] * weight_[i];
     }
     Bracket found{};
     found.variance = (1 - share) * (1 - share) * node.variance_lo[axis] + share * share * node.variance_hi[axis] +
                      share * (1 - share) * squares;
-    const double margin = options_.limits.bracket_sigmas * std::sqrt(found.variance) +
-                          options_.limits.bracket_margin * load / static_cast<double>(own.size());
+    const double margin =
+        sigmas * std::sqrt(found.variance) + options_.limits.bracket_margin * load / static_cast<double>(own.size());
     const double wanted = load * share;
+    double before = take_near(own, axis, wanted - margin, wanted + margin);
     // Word by word, until few are near, or these differ.
-    double before = 0;
     for (std::size_t word = 0; narrow(before, wanted - margin, wanted + margin) && word < at(dims()); ++word)
       for (Valued& one : near_) {
         const Key own_key = key(one.k, axes);
         one.x = word + 1 < at(dims()) ? own_key.at[word + 1] : static_cast<double>(own_key.id);
       }
-    std::ranges::sort(near_, [&](const Valued& a, const Valued& b) { return key(a.k, axes) < key(b.k, axes); });
+    std::ranges::sort(near_, [&](const Valued& a, const Valued& b) {
+      return a.x != b.x ? a.x < b.x : key(a.k, axes) < key(b.k, axes);
+    });
     // The places in near_ of the bracket's ends and of the expected cut; those of its end if there is none.
     std::size_t least = near_.size();
     std::size_t cut = near_.size();
@@ -229,19 +248,89 @@ class SampleWalk {
     found.bounded = true;
     std::size_t on = 0;
     std::size_t within = 0;
-    for (const std::uint32_t k : own) {
-      on += x[k] == found.cut.at[0] ? 1U : 0U;
-      within += x[k] >= found.keys.least.at[0] && x[k] <= found.keys.most.at[0] ? 1U : 0U;
+    for (const double value : x) {
+      on += value == found.cut.at[0] ? 1U : 0U;
+      within += value >= found.keys.least.at[0] && value <= found.keys.most.at[0] ? 1U : 0U;
     }
     const auto size = static_cast<double>(own.size());
     found.keys.whole = static_cast<double>(on) > 1 + options_.limits.guess.tied_max * size;
     found.share = static_cast<double>(found.keys.whole ? most - least + 1 : within) / size;
     if (!found.keys.whole) found.cut = key_between(found.cut.at[0], dims());
-    const auto right = std::ranges::partition(own, [&](std::uint32_t k) {
-      return x[k] < found.cut.at[0] || (found.keys.whole && x[k] == found.cut.at[0] && key(k, axes) < found.cut);
-    });
-    found.before = own.size() - right.size();
+    found.before = divide(own, axis, found.cut, found.keys.whole ? &axes : nullptr);
     return found;
+  }
+
+  // Moves the particles below a cut before the others; returns how many they are. Without branches, which would be
+  // mispredicted. axes: if the whole key counts; else null.
+  std::size_t divide(const Range& own, std::size_t axis, const Key& cut, const AxisOrder* axes) {
+    std::size_t left = 0;
+    std::size_t right = 0;
+    for (std::size_t i = own.first; i < own.last; ++i) {
+      const double x = x_[axis][i];
+      bool below = x < cut.at[0];
+      if (axes != nullptr && x == cut.at[0]) below = key(index_[i], *axes) < cut;
+      left_[left] = right_[right] = static_cast<std::uint32_t>(i);
+      left += below ? 1U : 0U;
+      right += below ? 0U : 1U;
+    }
+    std::copy_n(right_.begin(), right, left_.begin() + static_cast<std::ptrdiff_t>(left));
+    const auto reorder = [&](auto& values, auto& moved) {
+      for (std::size_t i = 0; i < own.size(); ++i) moved[i] = values[left_[i]];
+      std::copy_n(moved.begin(), own.size(), values.begin() + static_cast<std::ptrdiff_t>(own.first));
+    };
+    for (std::size_t a = 0; a < at(dims()); ++a) reorder(x_[a], moved_);
+    if (weighted_) reorder(weight_, moved_);
+    reorder(index_, right_);
+    return left;
+  }
+
+  // Fills near_ with those of a node between which the loads from `least` to `most` lie, and more, since narrow()
+  // leaves fewer. Returns the load before them.
+  double take_near(const Range& own, std::size_t axis, double least, double most) {
+    near_.clear();
+    const std::span<const double> x = std::span(x_[axis]).subspan(own.first, own.size());
+    double lo = kInfinity;
+    double hi = -kInfinity;
+    geometry::least_and_most(x, lo, hi);
+    Bins bins(lo, hi);
+    if (own.size() <= at(kBins) || !bins.divides()) bins = Bins(0, 0);
+    for (std::size_t i = 0; i < x.size(); ++i) bin_[i] = bins.of(x[i]);
+    bins_.fill(0);
+    for (std::size_t i = 0; i < x.size(); ++i) bins_[at(bin_[i])] += weight_[own.first + i];
+    double before = 0;
+    const BinRange within = bins_between(least, most, before);
+    for (std::size_t i = 0; i < x.size(); ++i)
+      if (within(bin_[i])) near_.push_back({x[i], weight_[own.first + i], index_[own.first + i]});
+    return before;
+  }
+
+  // Equal steps from lo to hi; all are one if those can't be told.
+  struct Bins {
+    double start;
+    double a_unit;
+    Bins(double lo, double hi)
+        : start(lo * 0.5), a_unit(lo < hi ? static_cast<double>(kBins) / (hi * 0.5 - start) : 0) {}
+    bool divides() const { return a_unit > 0 && std::isfinite(a_unit); }
+    std::int32_t of(double x) const {
+      return std::min(static_cast<std::int32_t>((x * 0.5 - start) * a_unit), kBins - 1);
+    }
+  };
+
+  struct BinRange {
+    std::int32_t first;
+    std::int32_t last;
+    // One comparison: whether a bin is below or above `first` can't be predicted.
+    bool operator()(std::int32_t bin) const {
+      return static_cast<std::uint32_t>(bin - first) <= static_cast<std::uint32_t>(last - first);
+    }
+  };
+  // The bins of the loads from `least` to `most`; adds the load before them.
+  BinRange bins_between(double least, double most, double& before) const {
+    std::int32_t first = 0;
+    while (first + 1 < kBins && before + bins_[at(first)] <= least) before += bins_[at(first++)];
+    std::int32_t last = first;
+    for (double reached = before + bins_[at(last)]; last + 1 < kBins && reached < most;) reached += bins_[at(++last)];
+    return {first, last};
   }
 
   // Leaves those in near_ between which the loads from `least` to `most` lie, and a few more: sorting all would take
@@ -250,20 +339,13 @@ class SampleWalk {
     for (std::size_t size = 0; near_.size() > at(kBins) && size != near_.size();) {
       size = near_.size();
       const auto [lo, hi] = std::ranges::minmax(near_, {}, &Valued::x);
-      const double start = lo.x * 0.5;
       if (lo.x == hi.x) return true;
-      const double bins_a_unit = static_cast<double>(kBins) / (hi.x * 0.5 - start);
-      if (!std::isfinite(bins_a_unit)) break;
-      const auto bin_of = [&](const Valued& one) {
-        return std::min(static_cast<std::int32_t>((one.x * 0.5 - start) * bins_a_unit), kBins - 1);
-      };
+      const Bins bins(lo.x, hi.x);
+      if (!bins.divides()) break;
       bins_.fill(0);
-      for (const Valued& one : near_) bins_[at(bin_of(one))] += one.weight;
-      std::int32_t first = 0;
-      while (first + 1 < kBins && before + bins_[at(first)] <= least) before += bins_[at(first++)];
-      std::int32_t last = first;
-      for (double reached = before + bins_[at(last)]; last + 1 < kBins && reached < most;) reached += bins_[at(++last)];
-      std::erase_if(near_, [&](const Valued& one) { return bin_of(one) < first || bin_of(one) > last; });
+      for (const Valued& one : near_) bins_[at(bins.of(one.x))] += one.weight;
+      const BinRange within = bins_between(least, most, before);
+      std::erase_if(near_, [&](const Valued& one) { return !within(bins.of(one.x)); });
     }
     return false;
   }
@@ -271,7 +353,6 @@ class SampleWalk {
   Key key(std::uint32_t k, const AxisOrder& axes) const {
     return key_of(sample_.particles.view().point(k), sample_.particles.id[k], axes, dims());
   }
-  double weight(std::uint32_t k) const { return weighted_ ? sample_.particles.weight[k] : 1.0; }
 
   const Sample& sample_;
   const Sample* outermost_;
@@ -280,11 +361,19 @@ class SampleWalk {
   Guess& out_;
   std::vector<double> size_prefix_;
   bool weighted_ = false;
+  const Guess* before_ = nullptr;
   bool axis_open_ = false;
   double levels_ = 0;  // guessed cuts above a particle, on average
   int leaves_ = 0;
-  std::vector<std::uint32_t> own_;
-  std::vector<std::uint32_t> indices_;
+  // The sampled particles, those of a node side by side: their places, weights and numbers in the sample.
+  std::array<std::vector<double>, geometry::kDimsMax> x_;
+  std::vector<double> weight_;
+  std::vector<std::uint32_t> index_;
+  // For one pass over them.
+  std::vector<double> moved_;
+  std::vector<std::uint32_t> left_;
+  std::vector<std::uint32_t> right_;
+  std::vector<std::int32_t> bin_;
   std::vector<std::uint32_t> beyond_;
   std::vector<Valued> near_;
   std::array<double, at(kBins)> bins_;

@@ -32,6 +32,7 @@ struct GuessRoots {
   CutTree tree;                      // whose cuts above the roots are exact
   std::vector<NodeRange> roots;      // none below another
   std::vector<geometry::Box> boxes;  // [roots]: of their particles; empty: not known
+  const Guess* before = nullptr;     // the guess that left them uncut; null: none was made
 };
 
 // The guess below some nodes: at most kGuessLeaves leaves, the parts in no root among them. sample: one particle of

@@ -17,6 +17,7 @@ using geometry::Box;
 // kStrideMax; a rank sends about kStridesMax strides at most, since more mean that the sample is unusual.
 constexpr std::uint64_t kStrideMax = 32768;
 constexpr std::uint64_t kStridesMax = 16;
+constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
 
 // The slots of the particles outside of this box on some axis, about `most` of them at most. Compiled twice: with
 // AVX2's comparisons it takes half the time. The version is chosen while the program is loaded, which is before the
@@ -34,7 +35,9 @@ slots_beyond(const particles::ParticleView& particles, const Box& box, std::uint
     const std::size_t end = std::min(begin + kTogether, particles.count);
     Mask beyond{};
     for (std::size_t a = 0; a < at(particles.dims); ++a) {
-      const auto* const lanes = reinterpret_cast<const Lanes*>(particles.position[a] + begin);
+      const double* const x = particles.position[a] + begin;
+      for (std::size_t i = 0; i < kTogether; i += 8) __builtin_prefetch(x + kAhead + i);
+      const auto* const lanes = reinterpret_cast<const Lanes*>(x);
       for (std::size_t i = 0; i < (end - begin) / 4; ++i) beyond |= (lanes[i] < box.lo[a]) | (lanes[i] > box.hi[a]);
     }
     if ((beyond[0] | beyond[1] | beyond[2] | beyond[3]) == 0 && (end - begin) % 4 == 0) continue;
@@ -87,7 +90,8 @@ class FirstPartition {
   // nothing was cut: each root's particles still have parts of that root. Collective.
   bool cut_by_guess(bool first) {
     bool axis_open = false;
-    std::optional<Guess> guess = guess_cuts(sample_, nullptr, options_, {result_.tree, roots_, boxes_}, axis_open);
+    const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
+    std::optional<Guess> guess = guess_cuts(sample_, nullptr, options_, below, axis_open);
     if (first && axis_open && stride_ <= kStrideMax) {
       Box sampled;
       for (std::size_t k = 0; k < sample_.count(); ++k) sampled.extend(sample_.particles.view().point(k), axes());
@@ -95,7 +99,7 @@ class FirstPartition {
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
       ++result_.reductions;
-      guess = guess_cuts(sample_, &outermost, options_, {result_.tree, roots_, boxes_}, axis_open);
+      guess = guess_cuts(sample_, &outermost, options_, below, axis_open);
     }
     if (!guess) return false;
 
@@ -135,6 +139,7 @@ class FirstPartition {
     add(std::move(found));
     roots_ = builder.uncut();
     std::ranges::sort(roots_, {}, &NodeRange::first);
+    guess_ = std::move(guess);
     if (!roots_.empty()) measure_roots(own, part.span(), *interior);
     return true;
   }
@@ -218,6 +223,7 @@ class FirstPartition {
   Sample sample_;
   std::vector<NodeRange> roots_;  // not cut yet
   std::vector<Box> boxes_;        // of their particles; empty: not known
+  std::optional<Guess> guess_;    // that left them uncut
   PartitionResult result_;
 };
 

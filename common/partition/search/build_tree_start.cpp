@@ -17,27 +17,6 @@ constexpr std::size_t kSampleMax = 256;  // particles per rank, sampled to choos
 constexpr std::size_t kSampleBins = 512;
 constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 
-// Minimum and maximum of an array, with four accumulators each, since every step of one would wait for the step before.
-void least_and_most(std::span<const double> values, double& lo, double& hi) {
-  std::array<double, 4> least;
-  std::array<double, 4> most;
-  least.fill(lo);
-  most.fill(hi);
-  std::size_t i = 0;
-  for (; i + 4 <= values.size(); i += 4)
-    for (std::size_t k = 0; k < 4; ++k) {
-      const double value = values[i + k];
-      least[k] = value < least[k] ? value : least[k];
-      most[k] = value > most[k] ? value : most[k];
-    }
-  for (; i < values.size(); ++i) {
-    least[0] = std::min(least[0], values[i]);
-    most[0] = std::max(most[0], values[i]);
-  }
-  lo = *std::ranges::min_element(least);
-  hi = *std::ranges::max_element(most);
-}
-
 }  // namespace
 
 std::vector<std::uint64_t> TreeBuilder::find_roots() {
@@ -69,7 +48,7 @@ bool TreeBuilder::find_bounds() {
     result_.traffic.bytes += particles_.count * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
     double lo = all_particles_ ? x[0] : geometry::Box::kInfinity;
     double hi = all_particles_ ? x[0] : -geometry::Box::kInfinity;
-    if (all_particles_) least_and_most({x, particles_.count}, lo, hi);
+    if (all_particles_) geometry::least_and_most({x, particles_.count}, lo, hi);
     for (std::size_t i = 0; i < particles_.count && !all_particles_; ++i) {
       const bool within = roots_.of(i) != Roots::kNone;
       lo = within ? std::min(lo, x[i]) : lo;

@@ -15,7 +15,7 @@ namespace rcb::partition {
 // When a partition begins with a guess from a sample (incremental/guess.hpp), and how much that sample is trusted.
 struct GuessLimits {
   // Particles per rank: with fewer, the further collectives and the sample cost more than the passes that are saved.
-  std::uint64_t count_min = std::uint64_t{1} << 19U;
+  std::uint64_t count_min = std::uint64_t{3} << 17U;
   int parts_min = 4;
   int parts_max = 8;
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow

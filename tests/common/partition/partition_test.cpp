@@ -7,6 +7,8 @@
 
 #include <gtest/gtest.h>
 
+#include "common/comm/self_comm.hpp"
+#include "common/partition/incremental/sample.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/forwarding_comm.hpp"
 #include "tests/support/judge.hpp"
@@ -254,6 +256,37 @@ TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
       EXPECT_EQ(few.counts, all.counts);
     });
   }
+}
+
+// A sample may miss the first cut by more than its bracket allows. A wider one finds it, without a search among all.
+TEST(Partition, AMissedCutIsGuessedAgain) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 200000, false, kPartitionSeed);
+  comm::SelfComm alone;
+  Share share = deal(scene, 0, 1, kPartitionSeed);
+  auto& x = share.particles.position[0];
+  for (double& value : x) value *= 10;  // its axis is the first cut's
+  PartitionOptions options;
+  options.parts = 8;
+  options.limits.guess.count_min = scene.count() + 1;
+  PartitionOptions guessed = options;
+  guessed.limits.guess.count_min = 0;
+  guessed.limits.guess.stride = 32;
+  guessed.limits.guess.sample_min = 1;
+  const std::vector<std::size_t> sampled = pick(x.size(), guessed.limits.guess.stride);
+  // Four standard deviations of the number of sampled particles left of the cut.
+  auto moved = static_cast<int>(4 * std::sqrt(0.25 * static_cast<double>(sampled.size())));
+  for (std::size_t k = 1; k + 1 < sampled.size() && moved > 0; ++k)
+    for (std::size_t other = sampled[k - 1] + 1; other < sampled[k] && moved > 0 && x[sampled[k]] > 0; ++other)
+      if (x[other] < 0) {
+        std::swap(x[sampled[k]], x[other]);
+        --moved;
+      }
+  ASSERT_EQ(moved, 0);
+  const PartitionResult all = partition(alone, share.particles.view(), options).value();
+  const PartitionResult few = partition(alone, share.particles.view(), guessed).value();
+  EXPECT_EQ(few.tree.hash(), all.tree.hash());
+  EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
+  EXPECT_LT(few.searched, scene.count() * 3 / 4);
 }
 
 TEST(Partition, RefusesBadOptions) {

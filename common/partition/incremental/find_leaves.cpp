@@ -1,0 +1,381 @@
+#include "common/partition/incremental/find_leaves.hpp"
+
+#include <bit>
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+#include "common/base/cpu.hpp"
+#include "common/base/index.hpp"
+#include "common/geometry/axes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using Tables = GuessTables;
+using particles::kBlock;
+using Counts = std::array<std::uint64_t, Tables::kLeaves>;
+
+// The leaves of those particles from `i` on.
+void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::size_t i, std::size_t count,
+                     FoundLeaves& found) {
+  for (; i < count; ++i) {
+    const std::array<float, 3> own{t.rounded(0, x[0][i]), t.rounded(1, x[1][i]), t.rounded(2, x[2][i])};
+    std::size_t leaf = t.several ? at(t.first[at(part[i])]) : 0;
+    for (std::size_t level = 0; level < at(kGuessLevels); ++level)
+      leaf = at(t.next[level][leaf]) + (own[at(t.axis[level][leaf])] > t.cut[level][leaf] ? 1U : 0U);
+    for (std::size_t bit = 0; bit < found.bits.size(); ++bit) found.bits[bit] |= (leaf >> bit & std::uint64_t{1}) << i;
+    bool in = true;
+    bool out = false;
+    for (std::size_t a = 0; a < own.size(); ++a) {
+      in &= own[a] > t.lo[a][leaf] && own[a] < t.hi[a][leaf];
+      out |= own[a] < t.inner_lo[a][leaf] || own[a] > t.inner_hi[a][leaf];
+    }
+    part[i] = t.part[leaf];
+    found.boundary |= (out ? 1ULL : 0ULL) << i;
+    found.unsure |= (in || out ? 0ULL : 1ULL) << i;
+  }
+}
+
+#if defined(__x86_64__)
+[[gnu::always_inline]]
+#endif
+inline void
+count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, Counts& counts) {
+  const std::uint64_t all = count < kBlock ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
+  for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
+    std::uint64_t mask = all;
+    for (std::size_t bit = 0; bit < found.bits.size(); ++bit)
+      mask &= (leaf >> bit & 1U) != 0 ? found.bits[bit] : ~found.bits[bit];
+    counts[leaf] += at(std::popcount(mask));
+  }
+}
+
+void find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* id, const std::int32_t* part,
+                          std::uint64_t which, BlockLeaves& leaf) {
+  constexpr std::size_t kWords = geometry::kDimsMax + 1;
+  for (std::size_t j = 0; which != 0; which &= which - 1, ++j) {
+    const auto k = at(std::countr_zero(which));
+    std::array<std::int64_t, kWords> own{0, 0, 0, id[k]};
+    for (std::size_t a = 0; a < at(t.dims); ++a)
+      own[a] = static_cast<std::int64_t>(geometry::order_bits(x[a][k]) ^ (std::uint64_t{1} << 63U));
+    std::int32_t node = t.several ? t.first[at(part[k])] : 0;
+    for (std::size_t level = 0; level < t.keys.size() && node >= 0; ++level) {
+      const Tables::Keys& keys = t.keys[level];
+      const auto n = at(node);
+      const auto sign = [&](const auto& of) {
+        for (std::size_t w = 0; w < kWords; ++w) {
+          const std::int64_t word = own[w + 1 < kWords ? at(keys.axis[w][n]) : w];
+          if (word != of[w][n]) return word < of[w][n] ? -1 : 1;
+        }
+        return 0;
+      };
+      const bool right = sign(keys.most) > 0;
+      node = right || sign(keys.least) < 0 ? static_cast<std::int32_t>(keys.next[n]) + (right ? 1 : 0) : -1;
+    }
+    leaf[j] = node;
+  }
+}
+
+#if defined(__x86_64__)
+// Particles that are prefetched ahead: the branches of a block's boundary particles depend on data, and a mispredicted
+// one would otherwise wait for memory.
+constexpr std::size_t kBlocksAhead = 16;
+constexpr std::size_t kParticlesAhead = kBlocksAhead * kBlock;
+
+[[gnu::target("avx2"), gnu::always_inline]] inline __m256 as_floats(const double* x, double origin, double scale) {
+  const __m256d o = _mm256_set1_pd(origin);
+  const __m256d s = _mm256_set1_pd(scale);
+  return _mm256_set_m128(_mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x + 4), o), s)),
+                         _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x), o), s)));
+}
+[[gnu::target("avx2"), gnu::always_inline]] inline __m256 in_table(const Tables::Floats& table, __m256i index) {
+  return _mm256_permutevar8x32_ps(_mm256_load_ps(table.data()), index);
+}
+[[gnu::target("avx2"), gnu::always_inline]] inline __m256i in_table(const Tables::Integers& table, __m256i index) {
+  return _mm256_permutevar8x32_epi32(_mm256_load_si256(reinterpret_cast<const __m256i*>(table.data())), index);
+}
+
+// Returns how many particles it took.
+template <bool kSeveral>
+[[gnu::target("avx2,popcnt")]] std::size_t find_eights(const Tables& t, const Axes& x, std::int32_t* part,
+                                                       std::size_t count, FoundLeaves& found) {
+  std::size_t i = 0;
+  for (; i + 8 <= count; i += 8) {
+    for (const double* axis : x) _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
+    const __m256 own[3] = {as_floats(x[0] + i, t.origin[0], t.scale[0]), as_floats(x[1] + i, t.origin[1], t.scale[1]),
+                           as_floats(x[2] + i, t.origin[2], t.scale[2])};
+    __m256i leaf = _mm256_setzero_si256();
+    if constexpr (kSeveral) leaf = in_table(t.first, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i)));
+    for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+      const __m256i axis = in_table(t.axis[level], leaf);
+      // Bit 0 selects the second coordinate, bit 1 the third.
+      const __m256 low = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(_mm256_slli_epi32(axis, 31)));
+      const __m256 on = _mm256_blendv_ps(low, own[2], _mm256_castsi256_ps(_mm256_slli_epi32(axis, 30)));
+      const __m256 right = _mm256_cmp_ps(on, in_table(t.cut[level], leaf), _CMP_GT_OQ);
+      leaf = _mm256_sub_epi32(in_table(t.next[level], leaf), _mm256_castps_si256(right));
+    }
+    for (std::size_t bit = 0; bit < found.bits.size(); ++bit) {
+      const __m256i top = _mm256_slli_epi32(leaf, 31 - static_cast<int>(bit));
+      found.bits[bit] |= std::uint64_t{static_cast<unsigned>(_mm256_movemask_ps(_mm256_castsi256_ps(top)))} << i;
+    }
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(part + i), in_table(t.part, leaf));
+    __m256 in = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
+    __m256 out = _mm256_setzero_ps();
+    for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
+      in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.lo[a], leaf), _CMP_GT_OQ));
+      in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.hi[a], leaf), _CMP_LT_OQ));
+      out = _mm256_or_ps(out, _mm256_cmp_ps(own[a], in_table(t.inner_lo[a], leaf), _CMP_LT_OQ));
+      out = _mm256_or_ps(out, _mm256_cmp_ps(own[a], in_table(t.inner_hi[a], leaf), _CMP_GT_OQ));
+    }
+    const auto beyond = static_cast<unsigned>(_mm256_movemask_ps(in)) ^ 0xFFU;
+    const auto boundary = static_cast<unsigned>(_mm256_movemask_ps(out));
+    found.boundary |= std::uint64_t{boundary} << i;
+    found.unsure |= std::uint64_t{beyond & ~boundary} << i;
+  }
+  return i;
+}
+
+template <bool kSeveral>
+[[gnu::target("avx2,popcnt")]] FoundLeaves find_in_avx2(const Tables& t, const Axes& x, std::int32_t* part,
+                                                        std::size_t count, Counts& counts) {
+  FoundLeaves found;
+  if (const std::size_t i = find_eights<kSeveral>(t, x, part, count, found); i < count)
+    find_one_by_one(t, x, part, i, count, found);
+  count_leaves(found, t.leaves, count, counts);
+  return found;
+}
+
+[[gnu::target("avx2"), gnu::always_inline]] inline __m256i four_words(const std::array<std::int64_t, 4>& words) {
+  return _mm256_load_si256(reinterpret_cast<const __m256i*>(&words));
+}
+// Which words of a are greater than those of b; the first word is the highest bit.
+[[gnu::target("avx2"), gnu::always_inline]] inline int greater(__m256i a, __m256i b) {
+  return _mm256_movemask_pd(_mm256_castsi256_pd(_mm256_cmpgt_epi64(a, b)));
+}
+// All words of a key are compared at once, and the first that differs decides. Without branches: on planes that hold
+// many particles they would be mispredicted.
+[[gnu::target("avx2,bmi")]] void find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
+                                                   const std::int32_t* part, std::uint64_t which, BlockLeaves& leaf) {
+  const auto mask = [&t](int a) { return a < t.dims ? -1LL : 0LL; };
+  const __m256i used = _mm256_set_epi64x(0, mask(2), mask(1), mask(0));
+  for (std::size_t j = 0; which != 0; which &= which - 1, ++j) {
+    const auto k = at(std::countr_zero(which));
+    // Both zeros are one place.
+    const __m256d point = _mm256_add_pd(_mm256_set_pd(0, x[2][k], x[1][k], x[0][k]), _mm256_setzero_pd());
+    __m256i own = _mm256_and_si256(_mm256_castpd_si256(point), used);
+    const __m256i turn = _mm256_srli_epi64(_mm256_cmpgt_epi64(_mm256_setzero_si256(), own), 1);
+    own = _mm256_insert_epi64(_mm256_xor_si256(own, turn), id[k], 3);
+    std::int32_t node = t.several ? t.first[at(part[k])] : 0;
+    bool sure = true;
+    for (const auto& level : t.steps) {
+      const Tables::Step& step = level[at(node)];
+      const __m256i order = _mm256_load_si256(reinterpret_cast<const __m256i*>(step.order.data()));
+      const __m256i key = _mm256_permutevar8x32_epi32(own, order);
+      const __m256i least = four_words(step.least);
+      const __m256i most = four_words(step.most);
+      const bool left = greater(least, key) > greater(key, least);
+      const bool right = greater(key, most) > greater(most, key);
+      sure &= left | right;
+      node = step.next + static_cast<std::int32_t>(right);
+    }
+    leaf[j] = sure ? node : -1;
+  }
+}
+
+#define RCB_AVX512 "avx512f,avx512dq,avx512bw,avx512vl,avx2,popcnt,bmi"
+using Words = __m512i;
+
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 as_floats16(const double* x, double origin,
+                                                                          double scale) {
+  const __m512d o = _mm512_set1_pd(origin);
+  const __m512d s = _mm512_set1_pd(scale);
+  const __m256 low = _mm512_cvtpd_ps(_mm512_mul_pd(_mm512_sub_pd(_mm512_loadu_pd(x), o), s));
+  const __m256 high = _mm512_cvtpd_ps(_mm512_mul_pd(_mm512_sub_pd(_mm512_loadu_pd(x + 8), o), s));
+  return _mm512_insertf32x8(_mm512_castps256_ps512(low), high, 1);
+}
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 in_table16(const Tables::Floats& table, __m512i index) {
+  return _mm512_permutexvar_ps(index, _mm512_broadcast_f32x8(_mm256_load_ps(table.data())));
+}
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512i in_table16(const Tables::Integers& table,
+                                                                          __m512i index) {
+  const __m256i eight = _mm256_load_si256(reinterpret_cast<const __m256i*>(table.data()));
+  return _mm512_permutexvar_epi32(index, _mm512_broadcast_i32x8(eight));
+}
+
+template <bool kSeveral>
+[[gnu::target(RCB_AVX512)]] FoundLeaves find_in_avx512(const Tables& t, const Axes& x, std::int32_t* part,
+                                                       std::size_t count, Counts& counts) {
+  FoundLeaves found;
+  const __m512i bit0 = _mm512_set1_epi32(1);
+  const __m512i bit1 = _mm512_set1_epi32(2);
+  const __m512i bit2 = _mm512_set1_epi32(4);
+  std::size_t i = 0;
+  for (; i + 16 <= count; i += 16) {
+    for (const double* axis : x) {
+      _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
+      _mm_prefetch(axis + i + kParticlesAhead + 8, _MM_HINT_T0);
+    }
+    const __m512 own[3] = {as_floats16(x[0] + i, t.origin[0], t.scale[0]),
+                           as_floats16(x[1] + i, t.origin[1], t.scale[1]),
+                           as_floats16(x[2] + i, t.origin[2], t.scale[2])};
+    __m512i leaf = _mm512_setzero_si512();
+    if constexpr (kSeveral) leaf = in_table16(t.first, _mm512_loadu_si512(part + i));
+    for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+      const __m512i axis = in_table16(t.axis[level], leaf);
+      const __m512 low = _mm512_mask_blend_ps(_mm512_test_epi32_mask(axis, bit0), own[0], own[1]);
+      const __m512 on = _mm512_mask_blend_ps(_mm512_test_epi32_mask(axis, bit1), low, own[2]);
+      const __mmask16 right = _mm512_cmp_ps_mask(on, in_table16(t.cut[level], leaf), _CMP_GT_OQ);
+      leaf = in_table16(t.next[level], leaf);
+      leaf = _mm512_mask_add_epi32(leaf, right, leaf, bit0);
+    }
+    found.bits[0] |= std::uint64_t{_mm512_test_epi32_mask(leaf, bit0)} << i;
+    found.bits[1] |= std::uint64_t{_mm512_test_epi32_mask(leaf, bit1)} << i;
+    found.bits[2] |= std::uint64_t{_mm512_test_epi32_mask(leaf, bit2)} << i;
+    _mm512_storeu_si512(part + i, in_table16(t.part, leaf));
+    __mmask16 in = 0xFFFF;
+    __mmask16 inner = 0xFFFF;
+    for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
+      in = _mm512_mask_cmp_ps_mask(in, own[a], in_table16(t.lo[a], leaf), _CMP_GT_OQ);
+      inner = _mm512_mask_cmp_ps_mask(inner, own[a], in_table16(t.inner_lo[a], leaf), _CMP_NLT_UQ);
+      in = _mm512_mask_cmp_ps_mask(in, own[a], in_table16(t.hi[a], leaf), _CMP_LT_OQ);
+      inner = _mm512_mask_cmp_ps_mask(inner, own[a], in_table16(t.inner_hi[a], leaf), _CMP_NGT_UQ);
+    }
+    found.boundary |= std::uint64_t{static_cast<__mmask16>(~inner)} << i;
+    found.unsure |= std::uint64_t{static_cast<__mmask16>(inner & ~in)} << i;
+  }
+  if (i < count) find_one_by_one(t, x, part, i, count, found);
+  count_leaves(found, t.leaves, count, counts);
+  return found;
+}
+
+// Which of eight keys are less than a bound (or greater, if !kLess), word by word.
+struct Undecided {
+  __mmask8 still = 0xFF;
+  __mmask8 yes = 0;
+};
+template <bool kLess>
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline void compare(Words key, Words bound, Undecided& state) {
+  state.yes = static_cast<__mmask8>(state.yes | (kLess ? _mm512_mask_cmplt_epi64_mask(state.still, key, bound)
+                                                       : _mm512_mask_cmpgt_epi64_mask(state.still, key, bound)));
+  state.still = _mm512_mask_cmpeq_epi64_mask(state.still, key, bound);
+}
+
+// Eight keys at once, without branches: on planes that hold many particles they would be mispredicted.
+[[gnu::target(RCB_AVX512)]] void find_keys_in_avx512(const Tables& t, const Axes& x, const particles::Id* id,
+                                                     const std::int32_t* part, std::uint64_t which, BlockLeaves& leaf) {
+  alignas(64) std::array<std::int64_t, kBlock> slot;
+  std::size_t count = 0;
+  for (; which != 0; which &= which - 1) slot[count++] = std::countr_zero(which);
+  const Words one = _mm512_set1_epi64(1);
+  const Words two = _mm512_set1_epi64(2);
+  const Words top = _mm512_set1_epi64(std::numeric_limits<std::int64_t>::max());
+  for (std::size_t j = 0; j < count; j += 8) {
+    const auto some = static_cast<__mmask8>(count - j < 8 ? (1U << (count - j)) - 1 : 0xFFU);
+    const Words k = _mm512_maskz_loadu_epi64(some, slot.data() + j);
+    Words own[4];
+    for (std::size_t a = 0; a < 3; ++a) {
+      own[a] = _mm512_setzero_si512();
+      if (a >= at(t.dims)) continue;
+      // Both zeros are one place.
+      const Words bits = _mm512_castpd_si512(
+          _mm512_add_pd(_mm512_mask_i64gather_pd(_mm512_setzero_pd(), some, k, x[a], 8), _mm512_setzero_pd()));
+      own[a] = _mm512_mask_xor_epi64(bits, _mm512_movepi64_mask(bits), bits, top);
+    }
+    own[3] = _mm512_mask_i64gather_epi64(_mm512_setzero_si512(), some, k, id, 8);
+    Words node = _mm512_setzero_si512();
+    if (t.several) {
+      const __m256i parts = _mm512_mask_i64gather_epi32(_mm256_setzero_si256(), some, k, part, 4);
+      node = _mm512_cvtepi32_epi64(
+          _mm256_permutevar8x32_epi32(_mm256_load_si256(reinterpret_cast<const __m256i*>(t.first.data())), parts));
+    }
+    __mmask8 sure = 0xFF;
+    for (const Tables::Keys& keys : t.keys) {
+      Undecided before;
+      Undecided behind;
+      for (std::size_t w = 0; w < 4; ++w) {
+        Words word = own[3];
+        if (w < 3) {
+          const Words axis = _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.axis[w].data()));
+          word = _mm512_mask_blend_epi64(_mm512_test_epi64_mask(axis, one), own[0], own[1]);
+          word = _mm512_mask_blend_epi64(_mm512_test_epi64_mask(axis, two), word, own[2]);
+        }
+        compare<true>(word, _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.least[w].data())), before);
+        compare<false>(word, _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.most[w].data())), behind);
+      }
+      sure = static_cast<__mmask8>(sure & (before.yes | behind.yes));
+      node = _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.next.data()));
+      node = _mm512_mask_add_epi64(node, behind.yes, node, one);
+    }
+    const __m256i found = _mm512_cvtepi64_epi32(_mm512_mask_blend_epi64(sure, _mm512_set1_epi64(-1), node));
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(leaf.data() + j), found);
+  }
+}
+
+// `which` has no bits beyond full eights.
+[[gnu::target(RCB_AVX512)]] std::size_t list_in_avx512(const Axes& x, int dims, std::size_t slot,
+                                                       const std::int32_t* part, std::uint64_t which,
+                                                       const BoundaryList& to) {
+  std::size_t listed = 0;
+  Words slots =
+      _mm512_add_epi64(_mm512_set1_epi64(static_cast<std::int64_t>(slot)), _mm512_set_epi64(7, 6, 5, 4, 3, 2, 1, 0));
+  for (std::size_t i = 0; which >> i != 0; i += 8) {
+    const auto eight = static_cast<__mmask8>(which >> i);
+    for (std::size_t a = 0; a < at(dims); ++a)
+      _mm512_storeu_pd(to.position[a] + listed, _mm512_maskz_compress_pd(eight, _mm512_loadu_pd(x[a] + i)));
+    _mm512_storeu_si512(to.slot + listed, _mm512_maskz_compress_epi64(eight, slots));
+    const __m256i parts = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i));
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(to.part + listed), _mm256_maskz_compress_epi32(eight, parts));
+    listed += at(std::popcount(unsigned{eight}));
+    slots = _mm512_add_epi64(slots, _mm512_set1_epi64(8));
+    if (i == 56) break;
+  }
+  return listed;
+}
+#endif
+
+}  // namespace
+
+FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count,
+                        Counts& counts) {
+#if defined(__x86_64__)
+  if (has_avx512()) {
+    if (tables.several) return find_in_avx512<true>(tables, x, part, count, counts);
+    return find_in_avx512<false>(tables, x, part, count, counts);
+  }
+  if (has_avx2()) {
+    if (tables.several) return find_in_avx2<true>(tables, x, part, count, counts);
+    return find_in_avx2<false>(tables, x, part, count, counts);
+  }
+#endif
+  FoundLeaves found;
+  find_one_by_one(tables, x, part, 0, count, found);
+  count_leaves(found, tables.leaves, count, counts);
+  return found;
+}
+
+void find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, const std::int32_t* part,
+                        std::uint64_t which, BlockLeaves& leaf) {
+#if defined(__x86_64__)
+  if (has_avx512()) return find_keys_in_avx512(tables, x, id, part, which, leaf);
+  if (has_avx2()) return find_keys_in_avx2(tables, x, id, part, which, leaf);
+#endif
+  find_keys_one_by_one(tables, x, id, part, which, leaf);
+}
+
+std::size_t list_boundary(const Axes& x, int dims, std::size_t slot, const std::int32_t* part, std::size_t count,
+                          std::uint64_t which, const BoundaryList& to) {
+#if defined(__x86_64__)
+  if (has_avx512() && count == kBlock) return list_in_avx512(x, dims, slot, part, which, to);
+#endif
+  std::size_t listed = 0;
+  for (; which != 0; which &= which - 1, ++listed) {
+    const auto k = at(std::countr_zero(which));
+    to.slot[listed] = slot + k;
+    to.part[listed] = part[k];
+    for (std::size_t a = 0; a < at(dims); ++a) to.position[a][listed] = x[a][k];
+  }
+  return listed;
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,140 @@
+#include "common/partition/incremental/guess_tables.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "common/base/index.hpp"
+#include "common/geometry/axes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr std::int64_t kLeastWord = std::numeric_limits<std::int64_t>::min();
+constexpr std::int64_t kMostWord = std::numeric_limits<std::int64_t>::max();
+constexpr float kInfinite = std::numeric_limits<float>::infinity();
+
+std::int64_t signed_order_bits(double value) {
+  return static_cast<std::int64_t>(geometry::order_bits(value) ^ (std::uint64_t{1} << 63U));
+}
+
+}  // namespace
+
+GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, int own_dims) : dims(own_dims) {
+  for (auto& row : cut) row.fill(kInfinite);
+  for (auto& row : lo) row.fill(-kInfinite);
+  for (auto& row : hi) row.fill(kInfinite);
+  inner_lo = lo;
+  inner_hi = hi;
+  scale_axes(guess);
+  std::vector<Node> level = add_roots(guess, roots);
+  for (std::size_t l = 0; l < at(kGuessLevels); ++l) {
+    for (Words& words : keys[l].least) words.fill(kMostWord);
+    for (Words& words : keys[l].most) words.fill(kMostWord);
+    std::vector<Node> below;
+    for (std::size_t k = 0; k < level.size(); ++k) {
+      next[l][k] = static_cast<std::int32_t>(below.size());
+      keys[l].next[k] = next[l][k];
+      if (level[k].ends) {
+        below.push_back(level[k]);
+        continue;
+      }
+      const NodeRange& range = level[k].range;
+      add_cut(l, k, guess.brackets[at(range.node)]);
+      for (const NodeRange& child : {range.left(), range.right()})
+        below.push_back({child, child.leaf() || guess.ends[at(child.node)] != 0, false});
+    }
+    for (std::size_t k = 0; k < kLeaves; ++k) steps[l][k] = step(l, k);
+    level = std::move(below);
+    CHECK(level.size() <= kLeaves, "a guess has few leaves");
+  }
+  leaves = level.size();
+  for (std::size_t k = 0; k < leaves; ++k) add_leaf(k, guess, level[k]);
+}
+
+void GuessTables::scale_axes(const Guess& guess) {
+  geometry::Box all;
+  for (const geometry::Box& seen : guess.seen) all.extend(seen);
+  for (std::size_t a = 0; a < at(dims) && !all.empty(dims); ++a) {
+    // Floats are densest at 0.
+    origin[a] = std::clamp(0.0, all.lo[a], all.hi[a]);
+    const double most = std::max(all.hi[a] * 0.5 - origin[a] * 0.5, origin[a] * 0.5 - all.lo[a] * 0.5);
+    const double factor = std::isnormal(most) ? std::ldexp(1.0, -std::ilogb(most)) : 1.0;
+    if (std::isnormal(factor)) scale[a] = factor;
+  }
+}
+
+std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::span<const NodeRange> roots) {
+  several = roots.size() > 1 || roots[0].parts() < guess.tree.parts;
+  std::vector<Node> level;
+  int p = 0;
+  const auto add_fixed = [&](int until) {
+    for (; p < until; ++p) {
+      first[at(p)] = static_cast<std::int32_t>(level.size());
+      level.push_back({{0, p, p + 1}, true, true});
+    }
+  };
+  for (const NodeRange& root : roots) {
+    if (several) add_fixed(root.first);
+    for (; several && p < root.last; ++p) first[at(p)] = static_cast<std::int32_t>(level.size());
+    level.push_back({root, root.leaf() || guess.ends[at(root.node)] != 0, false});
+  }
+  if (several) add_fixed(guess.tree.parts);
+  return level;
+}
+
+void GuessTables::add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket) {
+  // So that what lies on the plane of `least` or of `most` is where the inner region ends at that plane.
+  cut[level][node] = rounded(at(bracket.axes[0]), bracket.least.at[0]);
+  axis[level][node] = bracket.axes[0];
+  Keys& words = keys[level];
+  for (std::size_t w = 0; w < bracket.axes.size(); ++w) {
+    words.axis[w][node] = bracket.axes[w];
+    const bool counts = bracket.whole || w == 0;
+    words.least[w][node] = counts ? signed_order_bits(bracket.least.at[w]) : kLeastWord;
+    words.most[w][node] = counts ? signed_order_bits(bracket.most.at[w]) : kMostWord;
+  }
+  words.least.back()[node] = bracket.whole ? bracket.least.id : kLeastWord;
+  words.most.back()[node] = bracket.whole ? bracket.most.id : kMostWord;
+}
+
+GuessTables::Step GuessTables::step(std::size_t level, std::size_t node) const {
+  const Keys& words = keys[level];
+  Step one;
+  for (std::size_t w = 0; w <= geometry::kDimsMax; ++w) {
+    const std::int64_t from = w < geometry::kDimsMax ? words.axis[w][node] : geometry::kDimsMax;
+    const std::size_t lane = geometry::kDimsMax - w;
+    one.least[lane] = words.least[w][node];
+    one.most[lane] = words.most[w][node];
+    one.order[2 * lane] = static_cast<std::int32_t>(2 * from);
+    one.order[2 * lane + 1] = static_cast<std::int32_t>(2 * from + 1);
+  }
+  one.next = static_cast<std::int32_t>(words.next[node]);
+  return one;
+}
+
+void GuessTables::add_leaf(std::size_t leaf, const Guess& guess, const Node& node) {
+  const auto p = at(node.range.first);
+  part[leaf] = node.range.first;
+  if (node.fixed) return;  // every particle is in its box
+  box[leaf] = guess.seen[p];
+  for (std::size_t a = 0; a < at(dims); ++a) {
+    inner_lo[a][leaf] = rounded(a, guess.inner[p].lo[a]);
+    inner_hi[a][leaf] = rounded(a, guess.inner[p].hi[a]);
+    show(leaf, a);
+  }
+}
+
+void GuessTables::show(std::size_t leaf, std::size_t a) {
+  const double least = box[leaf].lo[a];
+  const double most = box[leaf].hi[a];
+  float below = rounded(a, least);
+  float above = rounded(a, most);
+  if (rounded(a, std::nextafter(least, -geometry::Box::kInfinity)) < below) below = std::nextafter(below, -kInfinite);
+  if (rounded(a, std::nextafter(most, geometry::Box::kInfinity)) > above) above = std::nextafter(above, kInfinite);
+  const bool none = least > most;
+  lo[a][leaf] = none ? kInfinite : std::max(below, inner_lo[a][leaf]);
+  hi[a][leaf] = none ? -kInfinite : std::min(above, inner_hi[a][leaf]);
+}
+
+}  // namespace rcb::partition

@@ -1,0 +1,81 @@
+// A guess as tables, in which a pass over all particles looks up the leaf of each.
+//
+// Most particles lie in the box of the sampled particles of their part. Coordinates rounded to float show that:
+// rounding keeps the order, so what is strictly between two rounded bounds lies between the bounds. Only the others are
+// compared by their whole keys.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+
+#include "common/partition/incremental/guess.hpp"
+
+namespace rcb::partition {
+
+// On each level node k has the children next[k], and next[k] + 1 if it is cut; what ends above the last level is its
+// own child.
+struct GuessTables {
+  static constexpr std::size_t kLeaves = kGuessLeaves;
+  using Floats = std::array<float, kLeaves>;
+  using Integers = std::array<std::int32_t, kLeaves>;
+  using Words = std::array<std::int64_t, kLeaves>;
+
+  // The nodes of a level, for whole keys as integers of the same order, by word and node. What lies neither before
+  // `least` nor behind `most` is a boundary particle.
+  struct Keys {
+    std::array<Words, geometry::kDimsMax> axis{};  // whose coordinate the word is; behind them comes the id
+    std::array<Words, geometry::kDimsMax + 1> least{};
+    std::array<Words, geometry::kDimsMax + 1> most{};
+    Words next{};
+  };
+  // One node of them, in the order that one comparison of all four words wants: the first word last.
+  struct alignas(32) Step {
+    std::array<std::int64_t, geometry::kDimsMax + 1> least{};
+    std::array<std::int64_t, geometry::kDimsMax + 1> most{};
+    std::array<std::int32_t, 8> order{};  // the words as halves of {x, y, z, id}
+    std::int32_t next = 0;
+  };
+
+  // roots, part: as for classify_guessed().
+  GuessTables(const Guess& guess, std::span<const NodeRange> roots, int dims);
+
+  float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
+  // Takes the box of a leaf's interior particles over into the tables. A bound itself counts as inside where rounding
+  // tells it from its neighbour; what isn't strictly in the inner region never does, since there the whole key may
+  // decide.
+  void show(std::size_t leaf, std::size_t a);
+  // The key words of this node of a level.
+  Step step(std::size_t level, std::size_t node) const;
+
+  alignas(64) std::array<Keys, kGuessLevels> keys;
+  std::array<std::array<Step, kLeaves>, kGuessLevels> steps;  // as step() tells them
+  alignas(64) Integers first{};                               // of each part so far: its node on the first level
+  std::array<Integers, kGuessLevels> next{};
+  std::array<Floats, kGuessLevels> cut;  // infinite where nothing goes right
+  std::array<Integers, kGuessLevels> axis{};
+  std::array<Floats, geometry::kDimsMax> lo;  // by axis and leaf: of its box
+  std::array<Floats, geometry::kDimsMax> hi;
+  std::array<Floats, geometry::kDimsMax> inner_lo;  // of its inner region
+  std::array<Floats, geometry::kDimsMax> inner_hi;
+  Integers part{};  // of each leaf
+  std::array<double, geometry::kDimsMax> origin{};
+  std::array<double, geometry::kDimsMax> scale{1, 1, 1};
+  std::array<geometry::Box, kLeaves> box;  // of the interior particles so far, attained by some of any rank
+  int dims = 3;
+  bool several = false;  // roots, or parts in no root
+  std::size_t leaves = 0;
+
+ private:
+  struct Node {
+    NodeRange range;
+    bool ends;
+    bool fixed;  // in no root
+  };
+  void scale_axes(const Guess& guess);
+  std::vector<Node> add_roots(const Guess& guess, std::span<const NodeRange> roots);
+  void add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket);
+  void add_leaf(std::size_t leaf, const Guess& guess, const Node& node);
+};
+
+}  // namespace rcb::partition
