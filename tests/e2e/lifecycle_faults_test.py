@@ -96,6 +96,28 @@ class ProcessLimits(unittest.TestCase, Refusals):
             self.assertEqual(client.ask("rebalance", scene="s", parts=64)[0]["parts"], 64)
             self.assert_lives(service)
 
+    def test_memory_for_a_later_step(self):
+        """Other scenes take what a step needs in which most particles change rank, by drift or by new cuts."""
+        points = np.random.default_rng(1).random((1_000_000, 3))
+        for tolerance, moved in (("inf", points * 0.1), (0.1, points[:, ::-1] * points)):
+            with PreparedService(2, "ulimit -v 420000") as service, Client(service.endpoint, timeout=120) as client:
+                client.ask("scene.create", scene="s", parts=2, tolerance=tolerance)
+                client.push("s", 0, points)
+                for step in range(1, 40):
+                    client.ask("scene.create", scene=f"f{step}", parts=2)
+                    client.push(f"f{step}", 0, points[:100_000])
+                    before = client.ask("scene.show", scene="s")[0]
+                    try:
+                        client.push("s", step, moved if step % 2 else points)
+                    except Refused as refused:
+                        self.assertEqual(refused.args[0], "too_large")
+                        break
+                else:
+                    self.fail("there was memory for all")
+                self.assertEqual(client.ask("scene.show", scene="s")[0], before)
+                client.ask("scene.drop", scene="f1")
+                self.assertNotIn("has died", text_of(service.data, "rcbd.log"))
+
 
 class Places(unittest.TestCase):
     def setUp(self):

@@ -27,21 +27,33 @@ Status agree_status(comm::Comm& comm, const Status& here) {
   return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
 }
 
+namespace {
+
+Status room_for(const comm::Comm& comm, std::uint64_t bytes, const std::string& what) {
+  Buffer<std::byte> probe;
+  if (probe.try_reserve(bytes)) return {};
+  return {Code::too_large, fmt::format("rank {} has no memory for {}", comm.rank(), what)};
+}
+
+}  // namespace
+
 Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what) {
-  Status room;
-  if (Buffer<std::byte> probe; !probe.try_reserve(bytes))
-    room = {Code::too_large, fmt::format("rank {} has no memory for {}", comm.rank(), what)};
-  return agree_status(comm, room);
+  return agree_status(comm, room_for(comm, bytes, what));
 }
 
 Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered) {
+  return agree_status(comm, room_to_partition(comm, particles, parts, answered, 0));
+}
+
+Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered,
+                         std::uint64_t to_be_freed) {
   // Searched; on several ranks leaving and arriving, too.
   const std::uint64_t bytes_of_particle = comm.size() > 1 ? 64 : 24;
   constexpr std::uint64_t kBytesOfPart = 1024;  // of the widest level of the tree
   constexpr std::uint64_t kBytesAnswered = 24;  // an id and a part, as they come and as they go
   const std::uint64_t bytes = particles * bytes_of_particle + static_cast<std::uint64_t>(parts) * kBytesOfPart +
                               (comm.rank() == 0 ? answered * kBytesAnswered : 0);
-  return agree_room(comm, bytes, fmt::format("a partition of {} particles into {} parts", particles, parts));
+  return room_for(comm, bytes - std::min(bytes, to_be_freed), fmt::format("a partition of {} particles into {} parts", particles, parts));
 }
 
 template <typename Slot>

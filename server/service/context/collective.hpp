@@ -26,9 +26,12 @@ Status agree_status(comm::Comm& comm, const Status& here);
 // the kernel counts them, but no page is touched. Collective. Errors: too_large, which tells what the memory is for.
 Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what);
 
-// Likewise for what a partition of this rank's particles and its migration take, and at a scene's first push the
-// answer, which rank 0 gathers: `answered` particles.
+// Likewise for what a partition of this rank's particles and its migration take, and the answer, which rank 0 gathers:
+// `answered` particles.
 Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered = 0);
+// The same of this rank alone, which will have freed `to_be_freed` bytes by then. Local.
+Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered,
+                         std::uint64_t to_be_freed);
 
 // The k-th entry is the index of the particle with the k-th smallest id. Ids come in a few ascending runs (one from
 // each rank), so the runs are merged in pairs. Local.

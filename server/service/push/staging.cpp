@@ -223,9 +223,34 @@ Status read_shared(const Context& context, Scene& scene, const PushRequest& push
   return {};
 }
 
+// Once a step has changed anything it must not lack memory for new cuts or for particles that change rank. So there must
+// be room for the most that a rank may get of either before it is known whether it is needed. Local.
+Status room_for_step(const comm::Comm& comm, const Scene& scene, const PushRequest& push, const Staged& staged) {
+  const std::uint64_t mean = scene.n / static_cast<std::uint64_t>(comm.size());
+  const std::uint64_t most = std::max<std::uint64_t>(scene.particles.count(), mean) + push.inserted;
+  // A search among all particles begins by freeing the staged positions.
+  std::uint64_t freed = 0;
+  for (const auto& axis : staged.arrays.position) freed += axis.capacity() * sizeof(double);
+  return room_to_partition(comm, most, scene.options.parts, push.changes ? push.n : 0, freed);
+}
+
+// Where drift alone brings a rank more than that.
+Status agree_room_to_migrate(comm::Comm& comm, const Scene& scene, const StepSums& sums) {
+  constexpr std::uint64_t kFew = 65536;
+  if (sums.migrating <= std::max(kFew, scene.n / static_cast<std::uint64_t>(comm.size()))) return {};
+  const auto ranks = static_cast<std::size_t>(comm.size());
+  const auto rank = static_cast<std::size_t>(comm.rank());
+  std::uint64_t arriving = sums.from_to.empty() ? sums.migrating : 0;
+  if (!sums.from_to.empty())
+    for (std::size_t r = 0; r < ranks; ++r) arriving += sums.from_to[r * ranks + rank];
+  constexpr std::uint64_t kBytesOfParticle = 64;  // its values, and as they arrive
+  return agree_room(comm, arriving * kBytesOfParticle, fmt::format("{} particles that change rank", arriving));
+}
+
 // A later push: one scan and one reduction. `ready`: a fault that only this rank knows of. Collective.
-Status check_later(Context& context, Scene& scene, const PushRequest& push, const Status& ready, Staged& staged) {
+Status check_later(Context& context, Scene& scene, const PushRequest& push, Status ready, Staged& staged) {
   comm::Comm& comm = context.comm;
+  if (ready.ok()) ready = room_for_step(comm, scene, push, staged);
   particles::ParticleView view = staged.arrays.view();
   const bool all = push.moved == Moved::all;
   if (all) {
@@ -240,7 +265,7 @@ Status check_later(Context& context, Scene& scene, const PushRequest& push, cons
                       : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());
   forget_removed(staged.edits, staged.scan.drift);
   staged.sums = sum_scans(comm, scene, staged.scan, !ready.ok() || staged.scan.fault);
-  if (staged.sums.faults == 0) return {};
+  if (staged.sums.faults == 0) return agree_room_to_migrate(comm, scene, staged.sums);
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
   Status status = check_values(comm, view, false, 0);
   CHECK(!status.ok(), "the pass found a fault that isn't there");
