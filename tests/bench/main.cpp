@@ -75,8 +75,10 @@ Plan static_plan(const Options& options) {
   for (const SceneKind& kind : scene_kinds()) {
     const auto& asked = options.scenes;
     if (!asked.empty() && std::find(asked.begin(), asked.end(), kind.name) == asked.end()) continue;
-    const auto n = options.points.empty() ? kind.points : static_cast<std::uint64_t>(options.points.front());
-    for (const int parts : options.parts) plan.cells.push_back({kind.name, n, parts});
+    const std::vector<double> own{static_cast<double>(kind.points)};
+    for (const double points : options.points.empty() ? own : options.points)
+      for (const int parts : options.parts)
+        plan.cells.push_back({kind.name, static_cast<std::uint64_t>(points), parts});
   }
   plan.wish = {options.methods, options.cut_tolerances, true};
   plan.repeats = options.repeats;
@@ -146,6 +148,7 @@ std::string footer() {
          "\nExamples:\n"
          "  rcb_bench static --json static.json --figure static.svg\n"
          "  rcb_bench static --scenes uniform,offset --parts 8 --ranks 2\n"
+         "  rcb_bench static --ranks 2 --parts 8,64 --methods rcb --cut-tolerances 0 --points 1e6,2e6,4e6,8e6,16e6\n"
          "  rcb_bench scaling --json scaling.json\n"
          "  rcb_bench dynamic --json dynamic.json --figure dynamic.svg\n"
          "  rcb_bench step --json step.json\n"
@@ -179,7 +182,9 @@ int run_program(int argc, char** argv) {
                    "our cut tolerances; 0, the exact run, is always there")
       ->delimiter(',')
       ->capture_default_str();
-  statics->add_option("--points", of_static.points, "points of every scene, instead of its own number")->expected(1);
+  statics
+      ->add_option("--points", of_static.points, "numbers of points of every scene, instead of its own number")
+      ->delimiter(',');
   statics->add_option("--figure", of_static.figure,
                       "draw run time against error as SVG (its gnuplot source beside it)");
   of_scaling.parts = {8, 64, 512, 4096};

@@ -108,6 +108,21 @@ class Static(unittest.TestCase):
             self.assertIn(word, self.text)
 
 
+class Sizes(unittest.TestCase):
+    def test_several_numbers_of_points(self):
+        document, text = measure("static", "--points", "3e4,20000", "--parts", "8", "--ranks", "2", "--repeats", "2",
+                                 "--scenes", "uniform,plane", "--methods", "rcb,read")
+        cells = {(row["scene"], row["n"]) for row in document["rows"]}
+        self.assertEqual(cells, {(scene, n) for scene in ("uniform", "plane") for n in (20000, 30000)})
+        self.assertEqual({entry["n"] for entry in document["summary"]}, {20000, 30000})
+        rcb = [next(row for row in document["rows"] if row["work"] == "partition" and row["method"] == "rcb" and
+                    (row["scene"], row["n"], row["cut_tolerance"]) == ("plane", n, 0)) for n in (30000, 20000)]
+        line = next(line for line in text.partition("nanoseconds a point")[2].splitlines() if line.startswith("plane"))
+        nanoseconds = [1e9 * row["seconds"] / row["n"] for row in rcb]
+        self.assertEqual(line.split()[:4], ["plane", "8"] + [f"{value:.1f}" for value in nanoseconds])
+        self.assertEqual(line.split()[4], f"{max(nanoseconds) / nanoseconds[0]:.2f}")
+
+
 class Scaling(unittest.TestCase):
     def test_memory_and_growth(self):
         document, _ = measure("scaling", "--points", "200000,400000", "--parts", "8,16", "--ranks", "2", "--repeats", "2",

@@ -84,27 +84,42 @@ std::string ratio_text(const std::string& peer, double ratio) {
   return peer == kRead ? fmt::format("{:.1f}", ratio) : fmt::format("1 : {:.1f}", 1 / ratio);
 }
 
-// One table a rank count, a line a scene and number of parts, a column a contender.
+// True if scenes were run with several numbers of points.
+bool several_sizes(const Json& rows) {
+  std::map<std::string, std::uint64_t> first;
+  return std::any_of(rows.begin(), rows.end(), [&](const Json& row) {
+    const std::uint64_t n = row["n"];
+    return first.emplace(row["scene"], n).first->second != n;
+  });
+}
+
+// One table a rank count, a line a scene, number of points and number of parts, a column a contender.
 std::string wide_table(const Json& rows, int ranks, const std::vector<std::string>& names,
                        const std::function<std::string(const Json&)>& text_of, bool with_ratios) {
-  std::map<std::pair<std::string, int>, std::vector<const Json*>> cells;
-  std::vector<std::pair<std::string, int>> order;
+  using Key = std::tuple<std::string, std::uint64_t, int>;
+  std::map<Key, std::vector<const Json*>> cells;
+  std::vector<Key> order;
   std::vector<std::string> peers;
+  const bool sizes = several_sizes(rows);
   for (const Json& row : rows) {
     if (row["ranks"] != ranks) continue;
-    const std::pair<std::string, int> key{row["scene"], row["parts"]};
+    const Key key{row["scene"], row["n"], row["parts"]};
     if (!cells.contains(key)) order.push_back(key);
     cells[key].push_back(&row);
     for (const auto& [peer, ratio] : row["ratio"].items())
       if (std::find(peers.begin(), peers.end(), peer) == peers.end()) peers.push_back(peer);
   }
-  Line head{"scene", "parts"};
+  Line head{"scene"};
+  if (sizes) head.emplace_back("points");
+  head.emplace_back("parts");
   head.insert(head.end(), names.begin(), names.end());
   if (with_ratios)
     for (const std::string& peer : peers) head.push_back(peer == kRead ? "rcb / read" : "rcb : " + peer);
   std::vector<Line> lines{head};
   for (const auto& key : order) {
-    Line line{key.first, std::to_string(key.second)};
+    Line line{std::get<0>(key)};
+    if (sizes) line.push_back(std::to_string(std::get<1>(key)));
+    line.push_back(std::to_string(std::get<2>(key)));
     for (const std::string& name : names) {
       const Json* row = representative(cells[key], name);
       line.push_back(row == nullptr ? "-" : text_of(*row));
@@ -116,6 +131,37 @@ std::string wide_table(const Json& rows, int ranks, const std::vector<std::strin
     }
     lines.push_back(std::move(line));
   }
+  return table(lines, 1);
+}
+
+// Nanoseconds a point of the exact rcb: a line a scene and number of parts, a column a number of points; then the
+// greatest as a multiple of the first.
+std::string size_table(const Json& rows, int ranks) {
+  const auto sizes = values_of<std::uint64_t>(rows, "n");
+  Line head{"scene", "parts"};
+  for (const std::uint64_t n : sizes) head.push_back(std::to_string(n));
+  head.emplace_back("worst / first");
+  std::vector<Line> lines{head};
+  for (const std::string& scene : values_of<std::string>(rows, "scene"))
+    for (const int parts : values_of<int>(rows, "parts")) {
+      Line line{scene, std::to_string(parts)};
+      double first = 0;
+      double worst = 0;
+      for (const std::uint64_t n : sizes) {
+        std::vector<const Json*> cell;
+        for (const Json& row : rows)
+          if (row["ranks"] == ranks && row["scene"] == scene && row["parts"] == parts && row["n"] == n)
+            cell.push_back(&row);
+        const Json* const rcb = representative(cell, "rcb");
+        const bool known = rcb != nullptr && measured(*rcb);
+        const double nanoseconds = known ? 1e9 * (*rcb)["seconds"].get<double>() / static_cast<double>(n) : 0;
+        line.push_back(known ? fmt::format("{:.1f}", nanoseconds) : "-");
+        if (first == 0) first = nanoseconds;
+        worst = std::max(worst, nanoseconds);
+      }
+      line.push_back(first > 0 ? fmt::format("{:.2f}", worst / first) : "-");
+      lines.push_back(std::move(line));
+    }
   return table(lines, 1);
 }
 
@@ -172,22 +218,25 @@ Json growth(std::vector<const Json*> rows, const char* field, bool per_particle)
 
 Json summarise_static(const Json& rows) {
   Json summary = Json::array();
-  std::map<std::tuple<int, int, std::string>, std::vector<std::pair<double, std::string>>> ratios;
+  const bool sizes = several_sizes(rows);
+  std::map<std::tuple<int, int, std::uint64_t, std::string>, std::vector<std::pair<double, std::string>>> ratios;
   for (const Json& row : rows)
     if (row["method"] == "rcb")
       for (const auto& [peer, ratio] : row["ratio"].items())
-        ratios[{row["ranks"], row["parts"], peer}].emplace_back(ratio, row["scene"]);
+        ratios[{row["ranks"], row["parts"], sizes ? row["n"].get<std::uint64_t>() : 0, peer}].emplace_back(
+            ratio, row["scene"]);
   for (const auto& [key, list] : ratios) {
     std::vector<double> values;
     for (const auto& entry : list) values.push_back(entry.first);
     const auto worst = *std::max_element(list.begin(), list.end());
     summary.push_back({{"ranks", std::get<0>(key)},
                        {"parts", std::get<1>(key)},
-                       {"peer", std::get<2>(key)},
+                       {"peer", std::get<3>(key)},
                        {"scenes", list.size()},
                        {"ratio_median", median(values)},
                        {"ratio_worst", worst.first},
                        {"worst_scene", worst.second}});
+    if (sizes) summary.back()["n"] = std::get<2>(key);
   }
   return summary;
 }
@@ -227,16 +276,21 @@ std::string static_tables(const Json& document) {
   for (const int ranks : values_of<int>(rows, "ranks")) {
     text += fmt::format("\n{} rank(s): milliseconds, median of {}\n\n", ranks, document["repeats"].get<int>());
     text += wide_table(rows, ranks, names, static_ms, true);
+    if (several_sizes(rows)) {
+      text += fmt::format("\n{} rank(s): nanoseconds a point of rcb, by number of points\n\n", ranks);
+      text += size_table(rows, ranks);
+    }
     text += fmt::format("\n{} rank(s): largest relative error of a part\n\n", ranks);
     text += wide_table(rows, ranks, names, static_error, false);
     text += fmt::format("\n{} rank(s): by tolerance, over the scenes\n\n", ranks);
     text += tolerance_table(rows, ranks);
   }
   if (document["summary"].empty()) return text;
-  std::vector<Line> lines{{"peer", "ranks", "parts", "median", "worst scene", ""}};
+  std::vector<Line> lines{{"peer", "ranks", "parts", "points", "median", "worst scene", ""}};
   for (const Json& s : document["summary"])
-    lines.push_back({s["peer"], s["ranks"].dump(), s["parts"].dump(), ratio_text(s["peer"], s["ratio_median"]),
-                     ratio_text(s["peer"], s["ratio_worst"]), s["worst_scene"]});
+    lines.push_back({s["peer"], s["ranks"].dump(), s["parts"].dump(), s.contains("n") ? s["n"].dump() : "each its own",
+                     ratio_text(s["peer"], s["ratio_median"]), ratio_text(s["peer"], s["ratio_worst"]),
+                     s["worst_scene"]});
   return text + "\nOur time to the peer's, exact, pairwise in one run, over the scenes\n\n" + table(lines, 1);
 }
 
