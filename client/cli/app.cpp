@@ -6,7 +6,7 @@
 
 #include "client/cli/lists.hpp"
 #include "client/cli/print/output.hpp"
-#include "client/lib/endpoint.hpp"
+#include "client/lib/connect/endpoint.hpp"
 
 namespace rcb::cli {
 CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& text, std::function<Status()> run) {

@@ -10,7 +10,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include "client/lib/endpoint.hpp"
+#include "client/lib/connect/endpoint.hpp"
 #include "common/base/clock.hpp"
 
 namespace rcb::launch {

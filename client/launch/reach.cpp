@@ -4,8 +4,8 @@
 
 #include <fmt/format.h>
 
-#include "client/lib/endpoint.hpp"
-#include "client/lib/retry.hpp"
+#include "client/lib/connect/endpoint.hpp"
+#include "client/lib/connect/retry.hpp"
 #include "common/files/endpoint_lock.hpp"
 
 namespace rcb::launch {

@@ -13,7 +13,7 @@
 #include "client/launch/job/processes.hpp"
 #include "client/launch/launch.hpp"
 #include "client/launch/reach.hpp"
-#include "client/lib/endpoint.hpp"
+#include "client/lib/connect/endpoint.hpp"
 #include "common/base/clock.hpp"
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/socket_file.hpp"

@@ -22,7 +22,7 @@
 #include "client/launch/reach.hpp"
 #include "client/launch/service_log.hpp"
 #include "client/launch/silence_watch.hpp"
-#include "client/lib/endpoint_file.hpp"
+#include "client/lib/connect/endpoint_file.hpp"
 #include "common/base/backoff.hpp"
 #include "common/base/clock.hpp"
 #include "common/files/endpoint_lock.hpp"

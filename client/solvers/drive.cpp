@@ -15,7 +15,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include "client/lib/endpoint.hpp"
+#include "client/lib/connect/endpoint.hpp"
 #include "common/base/clock.hpp"
 
 namespace rcb::solvers {

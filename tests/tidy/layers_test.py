@@ -41,22 +41,26 @@ ARROWS = {
     "server/net/peers": ["server/net/data"],
     "server/net/control": ["server/net/peers"],
     "server/program": ["server/ranks", "server/net/control"],
-    "client/lib": ["common/wire", "common/auth", "common/tls", "common/layout", "common/files"],
-    "client/launch/job": ["client/lib"],
+    "client/lib": ["common/base"],
+    "client/lib/connect": ["common/wire", "common/auth", "common/tls", "common/files"],
+    "client/lib/session": ["client/lib", "client/lib/connect", "common/layout"],
+    "client/lib/scene": ["client/lib/session"],
+    "client/lib/member": ["client/lib/scene"],
+    "client/launch/job": ["client/lib", "client/lib/connect"],
     "client/launch": ["client/launch/job"],
     "client/cli/print": ["client/lib", "common/io"],
     "client/cli": ["client/launch", "client/cli/print"],
     "client/cli/files": ["client/cli"],
     "client/cli/commands": ["client/cli/files"],
     "client/solvers/mpm": ["common/base", "common/geometry"],
-    "client/solvers": ["client/solvers/mpm", "client/lib", "common/io"],
-    "client/solvers/mpi": ["client/solvers"],
+    "client/solvers": ["client/solvers/mpm", "client/lib", "client/lib/connect", "common/io"],
+    "client/solvers/mpi": ["client/solvers", "common/layout"],
 }
 
 # header: the folders where it may be included.
 ROOMS = {
     r"<mpi\.h>": ["server/ranks", "client/solvers/mpi", "tests/support", "tests/bench", "tests/bench/peers"],
-    r"<boost/asio": ["server/net/sockets", "client/lib"],
+    r"<boost/asio": ["server/net/sockets", "client/lib/connect"],
     r"<openssl/": ["common/auth", "common/tls", "tests/common/tls"],
     r"<hdf5\.h>": ["common/hdf5", "tests/common/io"],
 }

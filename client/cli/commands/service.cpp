@@ -3,8 +3,8 @@
 
 #include "client/cli/app.hpp"
 #include "client/cli/print/output.hpp"
-#include "client/lib/endpoint.hpp"
-#include "client/lib/endpoint_file.hpp"
+#include "client/lib/connect/endpoint.hpp"
+#include "client/lib/connect/endpoint_file.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
 

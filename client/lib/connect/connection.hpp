@@ -1,0 +1,100 @@
+// Room `connect`: where a service is, one connection to it, and how long a call tries again. Frames in and out; nothing
+// here knows a command.
+//
+// Connection: one socket to a service, encrypted or not, frames out and in. Hides Boost.Asio.
+//
+// Invariants
+// 1. Every wait ends at its deadline. After a timeout the position in the byte stream is unknown, so the connection
+//    counts as lost.
+// 2. It reads while it writes, so that a service that answers early and a client that still sends never block each
+//    other.
+// 3. Memory for an answer grows with the bytes that arrive, not with the length that the peer announces.
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include <sys/uio.h>
+
+#include "client/lib/connect/endpoint.hpp"
+#include "common/base/status.hpp"
+#include "common/wire/frame.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::client {
+
+class Deadline {
+ public:
+  using Clock = std::chrono::steady_clock;
+  // Limited to a day, so that no number given by a caller overflows the clock.
+  explicit Deadline(double seconds);
+  Clock::time_point at() const { return at_; }
+  double left_seconds() const { return std::chrono::duration<double>(at_ - Clock::now()).count(); }
+  // The earlier of this deadline and `seconds` from now.
+  Deadline within(double seconds) const;
+
+ private:
+  Clock::time_point at_;
+};
+
+struct Frame {
+  wire::FrameType type = wire::FrameType::reply;
+  std::uint64_t request = 0;
+  std::string text;  // JSON, not parsed: some answers are large and only passed on
+  std::vector<wire::Array> arrays;
+
+  Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax, wire::kReplyJsonBytesMax); }
+};
+
+using Bytes = std::span<const std::byte>;
+using NoticeHandler = std::function<void(const std::string&)>;
+
+class Connection {
+ public:
+  // Nothing is said yet. Errors: unavailable, deadline_exceeded, not_authorised (another user serves the socket).
+  static Result<std::unique_ptr<Connection>> open(const Endpoint& endpoint, const Deadline& deadline,
+                                                  NoticeHandler on_notice);
+  ~Connection();
+
+  // Whether it leads to an address of TCP that isn't loopback, hence perhaps to another machine.
+  bool off_loopback() const;
+  // Before anything else is said: speaks TLS from here on. Errors: protocol_error (the peer doesn't), unavailable,
+  // deadline_exceeded.
+  Status encrypt(const Deadline& deadline);
+  // The fingerprint of the certificate that the peer has shown; empty: the connection isn't encrypted.
+  std::string certificate() const;
+
+  // Returns when the kernel has taken all bytes. Errors: unavailable, deadline_exceeded, protocol_error.
+  Status write(std::span<const Bytes> pieces, const Deadline& deadline);
+  // The next frame that isn't a notice. Errors: those of write().
+  Result<Frame> read(const Deadline& deadline);
+  // Whether a frame can be read or the connection is lost; doesn't wait.
+  bool has_frame();
+  // Why no more frames can come; ok while the connection stands.
+  Status lost() const;
+  // Whether the service ended the connection with a goodbye.
+  bool said_goodbye() const;
+  // Sends as much of the pieces as the socket has room for, and returns how many bytes that is. The next call must go
+  // on from there; write() must not be used meanwhile. Errors: unavailable.
+  Result<std::size_t> send_some(std::span<const iovec> pieces);
+  // The socket, to wait for room.
+  int handle();
+  // Sends a short frame over a Unix socket, with a descriptor unless that is -1, without waiting for room. write() must
+  // not be in use. Errors: unavailable.
+  Status send_at_once(Bytes frame, int descriptor);
+  // Whether the peer's address is one of this machine.
+  bool this_machine() const;
+
+ private:
+  struct State;
+  explicit Connection(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace rcb::client

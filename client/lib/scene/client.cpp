@@ -1,0 +1,166 @@
+#include "client/lib/client.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "client/lib/scene/lost_scene.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+template <typename T>
+std::span<const T> elements(const Array& array, std::string_view dtype) {
+  if (array.dtype != dtype) return {};
+  return {reinterpret_cast<const T*>(array.bytes.data()), array.bytes.size() / sizeof(T)};
+}
+
+}  // namespace
+
+namespace {
+
+template <typename T>
+Positions shaped(std::array<const T*, 3> Positions::*axis, const T* xyz, std::size_t count, int dims) {
+  Positions positions;
+  positions.dims = dims;
+  positions.count = count;
+  positions.stride = dims > 0 ? static_cast<std::size_t>(dims) : 1;
+  for (std::size_t a = 0; a < 3 && static_cast<int>(a) < dims && xyz != nullptr; ++a) (positions.*axis)[a] = xyz + a;
+  return positions;
+}
+
+template <typename T>
+Positions shaped(std::array<const T*, 3> Positions::*axis, std::span<const T* const> axes, std::size_t count) {
+  Positions positions;
+  positions.dims = static_cast<int>(std::min<std::size_t>(axes.size(), 4));  // 4 is refused by step()
+  positions.count = count;
+  for (std::size_t a = 0; a < 3 && a < axes.size(); ++a) (positions.*axis)[a] = axes[a];
+  return positions;
+}
+
+Positions planned(std::uint64_t plan_version, std::size_t count, int dims) {
+  Positions positions;
+  positions.dims = dims;
+  positions.count = count;
+  positions.plan_version = plan_version;
+  return positions;
+}
+
+}  // namespace
+
+Positions Positions::rows(const double* xyz, std::size_t count, int dims) {
+  return shaped(&Positions::axis, xyz, count, dims);
+}
+
+Positions Positions::rows(const float* xyz, std::size_t count, int dims) {
+  return shaped(&Positions::axis_f4, xyz, count, dims);
+}
+
+Positions Positions::axes(std::span<const double* const> axes, std::size_t count) {
+  return shaped(&Positions::axis, axes, count);
+}
+
+Positions Positions::axes(std::span<const float* const> axes, std::size_t count) {
+  return shaped(&Positions::axis_f4, axes, count);
+}
+
+Positions Positions::in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
+                                   std::size_t count, int dims) {
+  Positions positions = planned(plan_version, count, dims);
+  positions.by_rank = ranks;
+  return positions;
+}
+
+Positions Positions::in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
+                                   std::size_t count, int dims) {
+  Positions positions = planned(plan_version, count, dims);
+  positions.by_rank_f4 = ranks;
+  return positions;
+}
+
+bool Positions::single() const { return axis_f4[0] != nullptr || !by_rank_f4.empty(); }
+bool Positions::in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
+
+std::span<const double> Array::f8() const { return elements<double>(*this, "<f8"); }
+std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this, "<i8"); }
+std::span<const std::int32_t> Array::i4() const { return elements<std::int32_t>(*this, "<i4"); }
+
+const Array* Reply::find(const std::string& name) const {
+  for (const Array& array : arrays)
+    if (array.name == name) return &array;
+  return nullptr;
+}
+
+Client::Client(std::shared_ptr<State> state) : state_(std::move(state)) {}
+Client::Client(Client&&) noexcept = default;
+Client& Client::operator=(Client&&) noexcept = default;
+Client::~Client() = default;
+
+Result<Client> Client::connect(const ConnectOptions& options) {
+  auto session = Session::open(options);
+  if (!session) return session.status();
+  auto state = std::make_shared<State>();
+  state->session = std::move(*session);
+  return Client(std::move(state));
+}
+
+Status Client::create_scene(const std::string& name, const SceneOptions& options) {
+  if (Status status = wire::check_scene_name(name); !status) return status;
+  if (std::isnan(options.tolerance) || std::isnan(options.axis_hysteresis) || std::isnan(options.cut_tolerance))
+    return {Code::invalid_argument, "a tolerance or axis hysteresis that is not a number"};
+  wire::Json request{{"command", "scene.create"},
+                     {"scene", name},
+                     {"parts", options.parts},
+                     {"dims", options.dims},
+                     {"method", options.method},
+                     {"tolerance", wire::number_json(options.tolerance)},
+                     {"axis_hysteresis", wire::number_json(options.axis_hysteresis)},
+                     {"cut_tolerance", wire::number_json(options.cut_tolerance)},
+                     {"policy", options.policy},
+                     {"recut", options.recut},
+                     {"replace", options.replace}};
+  if (!options.part_sizes.empty()) {
+    request["part_sizes"] = wire::Json::array();
+    for (const double size : options.part_sizes) request["part_sizes"].push_back(wire::number_json(size));
+  }
+  const wire::Json known = scene_options(request);
+  if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
+    return made.status();
+  state_->created[name] = {known, state_->session->instance()};
+  return {};
+}
+
+Status Client::drop_scene(const std::string& name) {
+  if (Status status = wire::check_scene_name(name); !status) return status;
+  state_->created.erase(name);
+  return state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault).status();
+}
+
+Status Client::shutdown_service() {
+  return state_->session->call({{"command", "shutdown"}}, wire::kDeadlineSecondsDefault).status();
+}
+
+Result<Reply> Client::call(const std::string& command, const std::string& arguments_json, double deadline_seconds) {
+  if (command.starts_with("push.") || command.empty())
+    return Status(Code::unsupported, fmt::format("the command '{}' can't be called so", command), "use Scene::step");
+  if (!(deadline_seconds >= 0))
+    return Status(Code::invalid_argument, fmt::format("a deadline of {} seconds", deadline_seconds), "give 0 or more");
+  auto request = wire::parse_json(arguments_json.empty() ? "{}" : arguments_json);
+  if (!request)
+    return Status(Code::invalid_argument, fmt::format("arguments of '{}': {}", command, request.status().message()));
+  (*request)["command"] = command;
+  auto frame = state_->session->call(std::move(*request), deadline_seconds);
+  if (!frame) return frame.status();
+  Reply reply{std::move(frame->text), {}};
+  reply.arrays.reserve(frame->arrays.size());
+  for (wire::Array& array : frame->arrays)
+    reply.arrays.push_back(
+        {std::move(array.name), std::move(array.dtype), std::move(array.shape), std::move(array.bytes)});
+  return reply;
+}
+
+int Client::ranks() const { return state_->session->ranks(); }
+const std::string& Client::endpoint() const { return state_->session->endpoint(); }
+
+}  // namespace rcb::client

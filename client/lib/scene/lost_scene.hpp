@@ -1,0 +1,38 @@
+// Creates a scene again if its service was restarted, empty, with the options that the client knows. Scene and
+// MemberScene then push the particles into it.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+
+#include "client/lib/session/session.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::client {
+
+// What is known of a scene besides its particles.
+struct KnownScene {
+  wire::Json options;    // arguments of scene.create; null: not known yet
+  std::string instance;  // identifies the run of the service that had the scene
+};
+
+// Picks the scene's options out of an answer to scene.show or the arguments of a scene.create.
+wire::Json scene_options(const wire::Json& description);
+
+// One scene.open with these arguments. If the service was restarted and doesn't have the scene, creates it first.
+// Another client may create it at the same moment, with the same options: either will do. Errors: not_found, if the
+// scene can't be created: it was dropped, its options aren't known, or ConnectOptions::outlive is false.
+Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& arguments, KnownScene& known,
+                                     const Retry& retry);
+
+// Asks for the scene's options after another client has changed them. If that fails, they stay as they were.
+void refresh_options(Session& session, const std::string& scene, KnownScene& known, const Retry& retry);
+
+// Defined here so that Scene and MemberScene can use it; nobody outside this folder sees it.
+struct Client::State {
+  std::unique_ptr<Session> session;
+  std::map<std::string, KnownScene> created;  // scenes created and not dropped by this client
+};
+
+}  // namespace rcb::client

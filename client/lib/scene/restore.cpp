@@ -1,0 +1,131 @@
+// Scene after its service was restarted and has lost the particles: what the client keeps for this case, and the push
+// that restores them.
+#include <algorithm>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include "client/lib/scene/scene.hpp"
+
+namespace rcb::client {
+namespace {
+
+// Copies positions from layout order to row order. T is double or float.
+template <typename T>
+void gather_rows(const layout::Layout& plan, std::span<const std::array<const T*, 3>> by_rank, std::size_t dims,
+                 T* rows) {
+  for (int rank = 0; rank < plan.ranks(); ++rank) {
+    const auto of_rank = plan.rows(rank);
+    for (std::size_t a = 0; a < dims; ++a)
+      for (std::size_t slot = 0; slot < of_rank.size(); ++slot)
+        rows[of_rank[slot] * dims + a] = by_rank[static_cast<std::size_t>(rank)][a][slot];
+  }
+}
+
+}  // namespace
+
+void Scene::State::forget_plan() {
+  if (plan_) {
+    lost_version_ = version_for_caller();
+    lost_plan_ = std::move(plan_);
+    plan_.reset();
+  }
+  versions_before_ = std::max(versions_before_, version_given_ + 1);
+}
+
+void Scene::State::lose() {
+  lost_ = true;
+  pushed_ = false;
+  if (known_.empty()) known_ = std::move(parts_);
+  parts_.clear();
+}
+
+void Scene::State::keep_weights(std::span<const double> weights) {
+  if (session().outlive() && weights.data() != weights_.data()) weights_.assign(weights.begin(), weights.end());
+}
+
+Status Scene::State::base_lost(const std::string& why) const {
+  return {Code::base_lost,
+          fmt::format("the service at {} was started again and has lost the particles of scene '{}': {}",
+                      session().endpoint(), name_, why),
+          "push all positions with step()"};
+}
+
+void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
+  if (!lost_ || !ask.whole()) return;
+  const auto& ids = ask.options.ids;
+  const bool same_ids = ids.empty() || ids_.empty() || std::equal(ids.begin(), ids.end(), ids_.begin(), ids_.end());
+  if (ask.positions.count == count_ && same_ids) return;
+  ids_.clear();
+  has_ids_ = false;
+  weights_.clear();
+  known_.clear();
+  told_ = began_ = false;
+  lost_plan_.reset();
+  count_ = ask.positions.count;
+}
+
+bool Scene::State::in_lost_order(const StepRequest& ask) const {
+  return ask.positions.in_plan_order() && lost_plan_ && ask.positions.plan_version == lost_version_;
+}
+
+StepRequest Scene::State::by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const {
+  const auto dims = static_cast<std::size_t>(dims_);
+  const std::size_t values = static_cast<std::size_t>(count_) * dims;
+  StepRequest out = ask;
+  if (ask.positions.single()) {
+    rows.resize(values * sizeof(float));
+    auto* to = reinterpret_cast<float*>(rows.data());
+    gather_rows(*lost_plan_, ask.positions.by_rank_f4, dims, to);
+    out.positions = Positions::rows(to, count_, dims_);
+  } else {
+    rows.resize(values * sizeof(double));
+    auto* to = reinterpret_cast<double*>(rows.data());
+    gather_rows(*lost_plan_, ask.positions.by_rank, dims, to);
+    out.positions = Positions::rows(to, count_, dims_);
+  }
+  return out;
+}
+
+Result<StepRequest> Scene::State::with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const {
+  if (!ask.whole())
+    return base_lost(fmt::format("of {} particles this push has the positions of {}", count_, ask.positions.count));
+  const bool own_ids = !ask.options.ids.empty() || !ids_.empty();
+  if (has_ids_ && !own_ids && count_ > 0)
+    return base_lost("they had ids of their own, which this client doesn't know: give them, too");
+  if (has_weights_ && ask.options.weights.empty() && weights_.size() != count_)
+    return base_lost("they had weights, which this client doesn't know: give them, too");
+  StepRequest whole = ask;
+  if (ask.positions.in_plan_order()) {
+    if (!in_lost_order(ask)) return base_lost("the order of these positions isn't known any more: give rows or axes");
+    if (Status status = check_plan_order(ask.positions, *lost_plan_, lost_version_); !status) return status;
+    whole = by_rows(ask, rows);
+  }
+  whole.moved = StepRequest::Moved::all;
+  whole.options.moved.reset();
+  if (whole.options.ids.empty()) whole.options.ids = ids_;
+  if (has_weights_ && whole.options.weights.empty()) whole.options.weights = weights_;
+  return whole;
+}
+
+Status Scene::State::restore(const StepRequest& whole, const Retry& retry) {
+  restored_ = true;
+  StepRequest ask = whole;
+  ask.options.removed = {};
+  ask.options.inserted = nullptr;
+  ask.options.step_seconds.reset();
+  ask.options.want_parts = ask.options.want_changes = false;
+  const std::int64_t step = *last_step_;
+  const auto known = known_;
+  const bool told = told_;
+  by_id_ = shared_ = by_shared_memory(ask, retry);
+  if (Status status = ready(count_, ask.options.ids, retry, !by_id_); !status) return status;
+  const auto answer = push(ask, step, std::nullopt, retry);
+  if (!answer) return answer.status();
+  const auto finished = finish(*answer, step, ask, true, retry);
+  known_ = known;
+  told_ = told;
+  return finished.status();
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,214 @@
+// Opening a scene, fetching its layout, and the public functions of Scene; the push is in step.cpp.
+#include "client/lib/scene/scene.hpp"
+
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+Status odd_answer(const std::string& what, const std::string& why) {
+  return {Code::protocol_error, fmt::format("answer to '{}': {}", what, why),
+          "use a client and a service of the same version"};
+}
+
+}  // namespace
+
+Scene::Scene(std::unique_ptr<State> state) : state_(std::move(state)) {}
+Scene::Scene(Scene&&) noexcept = default;
+Scene& Scene::operator=(Scene&&) noexcept = default;
+Scene::~Scene() = default;
+std::optional<std::int64_t> Scene::last_step() const { return state_->last_step(); }
+Result<StepResult> Scene::step(const Positions& positions, const StepOptions& options) {
+  const auto moved = options.moved ? StepRequest::Moved::rows : StepRequest::Moved::all;
+  return state_->step({positions, options, moved, {}});
+}
+
+Result<StepResult> Scene::step_unmoved(const StepOptions& options) {
+  Positions none;
+  none.dims = state_->dims();
+  return state_->step({none, options, StepRequest::Moved::none, {}});
+}
+
+Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Positions& positions,
+                                     const StepOptions& options) {
+  return state_->step({positions, options, StepRequest::Moved::ids, ids});
+}
+
+Result<std::span<double>> Scene::position_rows(std::size_t count) {
+  return state_->arrays().rows<double>(count, state_->dims());
+}
+
+Result<std::vector<std::span<double>>> Scene::position_axes(std::size_t count) {
+  return state_->arrays().axes<double>(count, state_->dims());
+}
+
+Result<std::span<float>> Scene::position_rows_f4(std::size_t count) {
+  return state_->arrays().rows<float>(count, state_->dims());
+}
+
+Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count) {
+  return state_->arrays().axes<float>(count, state_->dims());
+}
+
+Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
+
+Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
+    : client_(std::move(client)), name_(std::move(name)) {
+  if (const auto made = client_->created.find(name_); made != client_->created.end()) scene_ = made->second;
+}
+
+Result<PlanView> Scene::State::plan(double deadline_seconds) {
+  if (!has_particles())
+    return Status(Code::not_found, fmt::format("scene '{}' has no positions, hence no plan", name_),
+                  "push a first step by rows or axes");
+  Retry retry(deadline_seconds);
+  const auto once = [&]() -> Result<PlanView> {
+    if (Status status = hold(retry); !status) return status;
+    if (lost_) return base_lost("it has no plan until it has positions again");
+    if (Status status = ready(count_, {}, retry); !status) return status;
+    version_given_ = version_for_caller();
+    PlanView view{version_given_, {}};
+    for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
+    return view;
+  };
+  return session().retry_until_deadline(retry, once, [](const Status&) { return false; });
+}
+
+Result<Scene> Client::open_scene(const std::string& name) {
+  if (Status status = wire::check_scene_name(name); !status) return status;
+  auto state = std::make_unique<Scene::State>(state_, name);
+  if (Status status = state->open(wire::kDeadlineSecondsDefault); !status) return status;
+  return Scene(std::move(state));
+}
+
+Scene::State::~State() {
+  // On a connection that is gone nothing is open.
+  if (!session().connected() || generation_ != session().generation()) return;
+  arrays_.unshare(session(), Deadline(kCloseSeconds));
+  if (session().connected())
+    static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name_}}, Retry(kCloseSeconds)));
+}
+
+Status Scene::State::open(double deadline_seconds) {
+  Retry retry(deadline_seconds);
+  const auto once = [&]() -> Result<bool> {
+    if (Status status = hold(retry); !status) return status;
+    return true;
+  };
+  return session().retry_until_deadline(retry, once, [](const Status&) { return false; }).status();
+}
+
+Result<Scene::State::Description> Scene::State::read_description(const wire::Json& json) {
+  wire::FieldReader fields(json);
+  Description found;
+  found.dims = static_cast<int>(fields.integer("dims", 1, 3));
+  found.parts = static_cast<int>(fields.integer("parts", 1, wire::kPartsMax));
+  found.count = fields.particles("n");
+  found.epoch = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
+  if (fields.has("step")) found.step = fields.integer("step", 0, wire::kStepMax);
+  found.ids = fields.flag("ids");
+  found.weights = fields.flag("weights");
+  if (!fields.ok()) return odd_answer("scene.open", fields.status().message());
+  return found;
+}
+
+Status Scene::State::hold(const Retry& retry) {
+  if (generation_ == session().generation()) return {};
+  const std::string service_before = scene_.instance;
+  const auto json = open_or_make_anew(session(), {{"scene", name_}}, scene_, retry);
+  const std::string lost = fmt::format("the connection to {} was lost, and now", session().endpoint());
+  const std::string advice = "create the scene and push it from its first step";
+  if (json.status().code() == Code::not_found && has_particles())
+    return {Code::not_found, fmt::format("{} it has no scene '{}'", lost, name_), advice};
+  if (!json) return json.status();
+  const auto found = read_description(*json);
+  if (!found) return found.status();
+  generation_ = session().generation();
+  scene_.options = scene_options(*json);
+  parts_count_ = found->parts;
+  dims_ = found->dims;
+  if (!has_particles()) {
+    count_ = found->count;
+    epoch_ = found->epoch;
+    pushed_ = found->step.has_value();
+    last_step_ = found->step;
+    has_ids_ = found->ids;
+    has_weights_ = found->weights;
+    return {};
+  }
+  const bool other_service = scene_.instance != service_before;
+  if (other_service) forget_plan();
+  if (!found->step && (lost_ || (session().outlive() && other_service))) {
+    lose();
+    return {};
+  }
+  // Counts a step whose answer was lost, too.
+  if (found->step && (found->count == count_ || found->count == count_if_committed_)) {
+    pushed_ = true;
+    lost_ = false;
+    last_step_ = found->step;
+    return {};
+  }
+  generation_ = 0;  // so that the next step asks again
+  return {Code::not_found,
+          found->step ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, found->count, count_)
+                      : fmt::format("{} scene '{}' is empty", lost, name_),
+          advice};
+}
+
+Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& retry) {
+  const auto frame = session().call_once({{"command", "plan"}, {"scene", name_}}, retry);
+  if (!frame) return frame.status();
+  const auto json = frame->json();
+  if (!json) return json.status();
+  const wire::Array* slot_id = wire::find_array(frame->arrays, "id");
+  const wire::Array* slot_part = wire::find_array(frame->arrays, "part");
+  const auto parts = wire::integer_field_or(*json, "parts", 1, wire::kPartsMax, parts_count_);
+  if (slot_id == nullptr || slot_id->dtype != "<i8" || slot_part == nullptr || slot_part->dtype != "<i4" ||
+      slot_id->bytes.size() / 8 != slot_part->bytes.size() / 4 || !parts)
+    return odd_answer("plan", "its arrays or parts are not as the protocol says");
+  const auto counts = wire::numbers_field_or_empty(*json, "counts", 1U << 20U);
+  const auto named = json->find("plan");
+  if (!counts || counts->size() != static_cast<std::size_t>(session().ranks()) || named == json->end())
+    return odd_answer("plan", fmt::format("'counts' must have {} entries", session().ranks()));
+  std::vector<std::uint64_t> rank_counts;
+  for (const double count : *counts) {
+    if (!(count >= 0 && count <= static_cast<double>(wire::kParticlesMax)))
+      return odd_answer("plan", "a negative count");
+    rank_counts.push_back(static_cast<std::uint64_t>(count));
+  }
+  const auto version = wire::integer_field(*named, "version", 0, kLarge);
+  const auto checksum_text = wire::string_field(*named, "checksum", 16);
+  if (!version || !checksum_text) return odd_answer("plan", "no version or checksum");
+  const std::span slot_ids(reinterpret_cast<const std::int64_t*>(slot_id->bytes.data()), slot_id->bytes.size() / 8);
+  std::vector<std::int64_t> sorted;  // if the caller gave no ids, rows are in ascending id
+  if (has_ids_ && ids.empty()) {
+    sorted.assign(slot_ids.begin(), slot_ids.end());
+    std::sort(sorted.begin(), sorted.end());
+    ids = sorted;
+  }
+  auto plan = layout::Layout::full(rank_counts, slot_ids, ids, static_cast<std::uint64_t>(*version));
+  if (!plan) return plan.status();
+  if (wire::hex64(plan->checksum()) != *checksum_text)
+    return odd_answer(
+        "plan", fmt::format("its checksum is {}, its ids give {}", *checksum_text, wire::hex64(plan->checksum())));
+  const std::span part(reinterpret_cast<const std::int32_t*>(slot_part->bytes.data()), slot_ids.size());
+  std::vector<std::int32_t> by_row(slot_ids.size());
+  std::size_t next = 0;
+  for (int rank = 0; rank < plan->ranks(); ++rank)
+    for (const std::uint64_t row : plan->rows(rank)) by_row[row] = part[next++];
+  if (known_.empty()) known_ = std::move(parts_);
+  parts_ = std::move(by_row);
+  parts_count_ = static_cast<int>(*parts);
+  plan_ = std::move(*plan);
+  if (ids.data() != ids_.data()) ids_.assign(ids.begin(), ids.end());
+  return {};
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,175 @@
+// Room `scene`: a single client's scene: its steps and their answers, its history, and how it is made anew if the
+// service lost it. The public classes are in client/lib/client.hpp.
+//
+// What the client knows of a scene that it pushes to.
+//
+// Invariants
+// 1. plan_ (the layout) and parts_ are of the same moment. After a commit both are updated from the changes in the
+//    answer; if the result doesn't match the answer's version or checksum, they are fetched instead.
+// 2. A push that failed changes nothing here.
+// 3. While lost_, the service has the scene without particles, and this client knows which there were: the next push
+//    brings all of them. Ids and weights, which the caller need not give again, are kept for this.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "client/lib/scene/lost_scene.hpp"
+#include "client/lib/session/push_source.hpp"
+#include "client/lib/session/session.hpp"
+#include "client/lib/session/shared_arrays.hpp"
+#include "common/layout/layout.hpp"
+
+namespace rcb::client {
+
+// One step as its caller requests it.
+struct StepRequest {
+  enum class Moved { all, rows, ids, none };
+
+  Positions positions;
+  StepOptions options;
+  Moved moved = Moved::all;           // rows: options.moved are the rows; ids: positions holds only those of `ids`
+  std::span<const std::int64_t> ids;  // of the particles that moved
+
+  bool edits() const { return !options.removed.empty() || options.inserted != nullptr; }
+  std::size_t inserted() const { return options.inserted == nullptr ? 0 : options.inserted->positions.count; }
+  bool whole() const { return moved == Moved::all || moved == Moved::rows; }  // all positions are at hand
+};
+
+// Some particles of a layout, by rank, in ascending slots.
+struct Selection {
+  std::vector<std::vector<std::uint64_t>> slots;
+  std::vector<std::vector<std::uint64_t>> places;  // indices into the caller's arrays
+};
+
+// How the removals and insertions of a step change the rows.
+struct RowEdit {
+  std::vector<std::uint64_t> removed;  // ascending
+  layout::SlotEdit moves;
+  std::vector<std::int32_t> inserted_part;  // their parts on arrival, if the answer tells them
+};
+
+struct Scene::State {
+ public:
+  State(std::shared_ptr<Client::State> client, std::string name);
+  ~State();
+
+  Status open(double deadline_seconds);
+  Result<StepResult> step(StepRequest ask);
+  int dims() const { return dims_; }
+  std::optional<std::int64_t> last_step() const { return last_step_; }
+  Result<PlanView> plan(double deadline_seconds);
+  SharedArrays& arrays() { return arrays_; }
+
+ private:
+  // The service's description of the scene.
+  struct Description {
+    int dims = 0;
+    int parts = 0;
+    std::uint64_t count = 0;
+    std::uint64_t epoch = 0;
+    std::optional<std::int64_t> step;  // none: the scene has no positions
+    bool ids = false, weights = false;
+  };
+
+  Session& session() const { return *client_->session; }
+  static Result<Description> read_description(const wire::Json& json);
+  Status wrong(std::string message, std::string hint) const;
+  Status check(const StepRequest& ask) const;
+  Status check_positions(const StepRequest& ask) const;
+  Status check_edits(const StepRequest& ask) const;
+  // version: of the layout, as the caller sees it.
+  Status check_plan_order(const Positions& positions, const layout::Layout& plan, std::uint64_t version) const;
+  bool has_particles() const { return pushed_ || lost_; }
+  // Opens the scene on the current connection, if it isn't open there, and checks that it is still the one pushed to.
+  Status hold(const Retry& retry);
+  void lose();
+  void forget_plan();
+  // All particles with ids and weights, from what the caller gives and what is kept here. `rows` is the buffer for
+  // positions that were given in layout order. Errors: base_lost, which says what is missing.
+  Result<StepRequest> with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const;
+  bool in_lost_order(const StepRequest& ask) const;
+  StepRequest by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const;
+  Status base_lost(const std::string& why) const;
+  // If the caller gives other particles than those lost, forgets the lost ones.
+  void forget_lost_if_replaced(const StepRequest& ask);
+  // Pushes the lost particles again, at their current positions and under the number of the last step: needed before a
+  // step that inserts or removes particles.
+  Status restore(const StepRequest& whole, const Retry& retry);
+  // One attempt to push a step.
+  Result<StepResult> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
+                              const Retry& retry);
+  // Makes sure that the layout is there; fetches it if it is missing.
+  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
+  // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
+  Status fetch_plan(std::span<const std::int64_t> ids, const Retry& retry);
+  Result<Frame> push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
+  // Whether the step can be pushed from shared memory, and is to be.
+  bool by_shared_memory(const StepRequest& ask, const Retry& retry);
+  // Whether row k is the particle with the id k, as the ranks take it at a first push, and later if nothing is said.
+  bool rows_are_ids(const StepRequest& ask) const;
+  Result<Frame> push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
+                            const Deadline& deadline);
+  Result<Frame> send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const StepRequest& ask,
+                     const std::string& what, const Deadline& deadline);
+  // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
+  Result<StepResult> finish(const Frame& answer, std::int64_t step, const StepRequest& ask, bool tried_before,
+                            const Retry& retry);
+  // The service now has the scene's first positions, or those that replace lost ones.
+  void take_first(const StepRequest& ask);
+  void keep_weights(std::span<const double> weights);
+  // Rank and slot of the moved particles. Errors: invalid_argument, not_found.
+  Result<Selection> select(const StepRequest& ask) const;
+  // Errors: not_found, invalid_argument (ids that the scene doesn't have, or given twice).
+  Result<RowEdit> row_edit(const StepRequest& ask) const;
+  // Updates rows, ids and parts after the edit; also the layout if the answer tells enough, else the layout is dropped.
+  void edit_rows(const StepRequest& ask, RowEdit& edit, const StepReport& report, const Frame& answer, bool follows,
+                 StepResult& result);
+  // The parts of inserted particles are set to -1 (not known yet).
+  void move_rows(const RowEdit& edit, std::span<const std::int64_t> ids);
+  Status apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes);
+  std::vector<PartChange> all_parts() const;
+  std::vector<PartChange> changes_since_known() const;
+  // The layout's version as the caller sees it: unique within this Scene, although a restarted service counts from 0
+  // again.
+  std::uint64_t version_for_caller() const { return versions_before_ + plan_->version(); }
+  // The scene's ids by row, as far as this client can know them.
+  std::span<const std::int64_t> ids_by_row(std::span<const std::int64_t> given) const;
+
+  std::shared_ptr<Client::State> client_;
+  SharedArrays arrays_;
+  bool shared_ = false;              // the current attempt takes them
+  bool by_id_ = false;               // and the ranks find the rows by the particles' ids
+  bool shared_unsupported_ = false;  // the service doesn't take this scene's positions so
+  std::string name_;
+  KnownScene scene_;
+  std::uint64_t generation_ = 0;  // of the connection on which the scene is open
+  int dims_ = 3;
+  int parts_count_ = 1;
+  bool pushed_ = false;   // the service has positions of the scene
+  bool lost_ = false;     // the service had positions and lost them
+  bool has_ids_ = false;  // ids given by a solver
+  bool has_weights_ = false;
+  std::uint64_t count_ = 0;
+  std::uint64_t epoch_ = 0;
+  std::optional<std::int64_t> last_step_;
+  std::optional<std::int64_t> unanswered_;  // a step that may have been committed although its answer didn't come
+  std::optional<layout::Layout> plan_;
+  std::vector<std::int64_t> ids_;            // by row, once the scene has them; empty: id = row
+  std::vector<std::int32_t> parts_;          // by row
+  std::vector<std::int32_t> known_;          // parts the caller knows, if parts_ was fetched since; else empty
+  std::uint64_t count_if_committed_ = 0;     // if the service commits the current push
+  bool began_ = false;                       // this Scene made the first push, so its rows are known
+  bool told_ = false;                        // a step was answered: changes are relative to it
+  std::vector<double> weights_;              // by row; kept only to restore a lost scene
+  std::optional<layout::Layout> lost_plan_;  // the last layout before the loss
+  std::uint64_t lost_version_ = 0;           // its version as the caller sees it
+  std::uint64_t versions_before_ = 0;
+  std::uint64_t version_given_ = 0;  // the last one given to the caller
+  bool restored_ = false;            // by restore(), in the current step
+};
+
+}  // namespace rcb::client

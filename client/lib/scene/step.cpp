@@ -1,0 +1,354 @@
+// Scene::step: check, push, and retry. The answer is read in step_answer.cpp.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/lib/scene/changes.hpp"
+#include "client/lib/scene/scene.hpp"
+#include "client/lib/scene/step_report.hpp"
+#include "client/lib/session/data_path.hpp"
+#include "client/lib/session/push_source.hpp"
+#include "common/base/axis_names.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+wire::Json plan_json(const layout::Layout& plan) {
+  return {{"version", plan.version()}, {"checksum", wire::hex64(plan.checksum())}};
+}
+
+}  // namespace
+
+Status Scene::State::wrong(std::string message, std::string hint) const {
+  return {Code::invalid_argument, fmt::format("push to scene '{}': {}", name_, message), std::move(hint)};
+}
+
+Status Scene::State::check_positions(const StepRequest& ask) const {
+  const Positions& positions = ask.positions;
+  if (positions.dims != dims_)
+    return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims_),
+                 "create the scene with the positions' dims");
+  if (positions.in_plan_order() && !has_particles())
+    return wrong("positions in the plan's order, and there is no plan yet", "push a first step by rows or axes");
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
+    if (positions.count > 0 && !positions.in_plan_order() &&
+        (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
+      return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
+  if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
+  if (positions.count > static_cast<std::uint64_t>(wire::kParticlesMax))
+    return wrong(fmt::format("{} particles", positions.count),
+                 fmt::format("at most {} are taken", wire::kParticlesMax));
+  if (has_particles() && ask.whole() && positions.count != count_)
+    return wrong(fmt::format("{} particles, the scene has {}", positions.count, count_),
+                 "push all particles of the scene, with those to insert or remove beside them, or create it anew with "
+                 "replace");
+  if (ask.moved == StepRequest::Moved::ids && positions.count != ask.ids.size())
+    return wrong(fmt::format("{} positions of {} moved particles", positions.count, ask.ids.size()),
+                 "give one position an id");
+  if (ask.moved != StepRequest::Moved::all && positions.in_plan_order())
+    return wrong("few particles of positions in the plan's order", "give rows or axes");
+  return {};
+}
+
+Status Scene::State::check(const StepRequest& ask) const {
+  const Positions& positions = ask.positions;
+  const StepOptions& options = ask.options;
+  if (Status status = check_positions(ask); !status) return status;
+  if (ask.whole() && !options.ids.empty() && options.ids.size() != positions.count)
+    return wrong(fmt::format("{} ids for {} particles", options.ids.size(), positions.count), "give one id a particle");
+  if (!options.weights.empty() && ask.moved != StepRequest::Moved::all)
+    return wrong("new weights in a push of few particles", "push all particles with their weights");
+  if (!options.weights.empty() && options.weights.size() != positions.count)
+    return wrong(fmt::format("{} weights for {} particles", options.weights.size(), positions.count),
+                 "give one weight a particle, or none");
+  if (has_particles() && !options.weights.empty() && !has_weights_)
+    return wrong("weights, and the scene has none", "weights must be there from the first push on");
+  if ((began_ || told_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
+    for (std::size_t row = 0; row < options.ids.size(); ++row)
+      if (const std::int64_t known = ids_.empty() ? static_cast<std::int64_t>(row) : ids_[row];
+          options.ids[row] != known)
+        return wrong(fmt::format("row {} has id {}, at first it had {}", row, options.ids[row], known),
+                     "ids belong to rows, which insertions and removals alone change; leave them out after the first "
+                     "push");
+  if (has_particles() && has_ids_ && ids_.empty() && options.ids.empty() && count_ > 0 && ask.whole())
+    return wrong("the scene has ids of its own, and the push gives none",
+                 "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
+  if (options.step && *options.step < 0)
+    return wrong(fmt::format("step {}", *options.step), "steps are numbered from 0");
+  if (options.step_seconds && !(*options.step_seconds >= 0 && std::isfinite(*options.step_seconds)))
+    return wrong(fmt::format("a step of {} seconds", *options.step_seconds), "give a finite number >= 0, or none");
+  if (!(options.deadline_seconds > 0))
+    return wrong(fmt::format("a deadline of {} seconds", options.deadline_seconds), "give a number above 0");
+  return check_edits(ask);
+}
+
+Status Scene::State::ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan) {
+  if (!pushed_) {
+    plan_.reset();
+    if (with_plan) plan_ = layout::Layout::blocks(count, session().ranks(), ids);
+    return {};
+  }
+  if (plan_ && plan_->ranks() != session().ranks()) plan_.reset();  // restarted with another number of ranks
+  return plan_ || !with_plan ? Status{} : fetch_plan(ids_by_row(ids), retry);
+}
+
+std::span<const std::int64_t> Scene::State::ids_by_row(std::span<const std::int64_t> given) const {
+  return ids_.empty() ? given : std::span<const std::int64_t>(ids_);
+}
+
+Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
+                                 const Retry& retry) {
+  const Positions& positions = ask.positions;
+  const StepOptions& options = ask.options;
+  const bool all = ask.moved == StepRequest::Moved::all;
+  const bool send_ids = !pushed_ && !options.ids.empty();
+  if (Status status = plan_ ? check_plan_order(positions, *plan_, version_for_caller()) : Status(); !status)
+    return status;
+  Selection few;
+  if (ask.moved == StepRequest::Moved::rows || ask.moved == StepRequest::Moved::ids) {
+    auto selected = select(ask);
+    if (!selected) return selected.status();
+    few = std::move(*selected);
+  }
+  const auto none = [](const auto& rank) { return rank.empty(); };
+  const bool some = !all && !std::all_of(few.slots.begin(), few.slots.end(), none);
+  const bool alone = positions.count == 0 && ask.inserted() > 0;
+  const bool single = alone ? options.inserted->positions.single() : positions.single();
+  wire::Json begin{{"scene", name_},
+                   {"session", session().number()},
+                   {"step", step},
+                   {"attempt", session().next_attempt()},
+                   {"n", pushed_ ? count_ : positions.count},
+                   {"order", "plan"},
+                   {"plan", plan_ ? plan_json(*plan_) : wire::Json()},
+                   {"base_step", all || !base ? wire::Json() : wire::Json(*base)},
+                   {"moved", all    ? "all"
+                             : some ? "some"
+                                    : "none"},
+                   {"dtype", single ? "<f4" : "<f8"},
+                   {"weights", !options.weights.empty()},
+                   {"ids", send_ids},
+                   {"changes", plan_.has_value()},
+                   {"inserted", ask.inserted()},
+                   {"removed", options.removed.size()},
+                   {"inserted_ids", ask.inserted() > 0 && !options.inserted->ids.empty()},
+                   {"deadline_seconds", retry.seconds_left()}};
+  if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
+  const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
+  if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
+  // Pointers by rank: to the elements of the axes; [3]: to the slots.
+  std::array<std::vector<const void*>, 4> by_rank;
+  std::vector<Column> columns;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
+    for (const auto& axes : positions.by_rank) by_rank[a].push_back(axes[a]);
+    for (const auto& axes : positions.by_rank_f4) by_rank[a].push_back(axes[a]);
+    columns.push_back(axis_column(positions, a, by_rank[a].empty() ? nullptr : by_rank[a].data()));
+  }
+  if (!options.weights.empty()) columns.push_back({"w", "<f8", options.weights.data(), 1});
+  if (send_ids) columns.push_back({"id", "<i8", options.ids.data(), 1});
+  RankRows rows;
+  if (all) {
+    rows = all_rows(*plan_);
+  } else if (some) {
+    begin["counts"] = wire::Json::array();
+    for (std::size_t rank = 0; rank < few.slots.size(); ++rank) {
+      begin["counts"].push_back(few.slots[rank].size());
+      rows.emplace_back(few.places[rank]);
+      by_rank[3].push_back(few.slots[rank].data());
+    }
+    columns.push_back({"slot", "<u8", nullptr, 1, by_rank[3].data()});
+  }
+  return send(std::move(begin), rows, std::move(columns), ask, what, retry.deadline());
+}
+
+bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) {
+  const Path path = session().path();
+  return (path == Path::automatic || path == Path::shared) && ask.moved == StepRequest::Moved::all &&
+         ask.positions.count > 0 && !ask.positions.in_plan_order() && !shared_unsupported_ &&
+         session().can_share(retry.deadline());
+}
+
+bool Scene::State::rows_are_ids(const StepRequest& ask) const {
+  if (!pushed_) return true;
+  if (has_ids_) return false;
+  std::int64_t row = 0;
+  const auto ids = ids_by_row(ask.options.ids);
+  return std::all_of(ids.begin(), ids.end(), [&row](std::int64_t id) { return id == row++; });
+}
+
+Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
+                                        const Deadline& deadline) {
+  SharedArrays::Values values{.positions = ask.positions, .weights = ask.options.weights};
+  if (!pushed_) values.ids = ask.options.ids;
+  RankRows rows;
+  if (!by_id_) {
+    rows = all_rows(*plan_);
+    values.rows = rows;
+    values.layout = {plan_->number(), plan_->version()};
+    for (const auto& of_rank : rows) begin["counts"].push_back(of_rank.size());
+  }
+  auto memory = arrays_.describe(session(), values, deadline);
+  if (!memory) return memory.status();
+  const std::uint64_t request = session().next_request();
+  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
+  begin["command"] = "push.begin";
+  begin["path"] = "shared";
+  begin["order"] = by_id_ ? "id" : "plan";
+  begin["memory"] = std::move(*memory);
+  begin["slices"] = edits.count;
+  return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, deadline);
+}
+
+Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns,
+                                 const StepRequest& ask, const std::string& what, const Deadline& deadline) {
+  const std::uint64_t request = session().next_request();
+  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
+  std::size_t particles = 0;
+  for (const auto& of_rank : rows) particles += of_rank.size();
+  const bool large = particles * particle_bytes(columns) >= kDirectBytesMin;
+  const Path path = session().path();
+  if (particles > 0 && (path == Path::direct || (path != Path::gateway && large))) {
+    if (session().data(deadline) != nullptr) {
+      wire::Json slice{{"command", "push.slice"}};
+      for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice[name] = begin.at(name);
+      begin["command"] = "push.begin";
+      begin["path"] = "direct";
+      begin["slices"] = edits.count;
+      return session().exchange_directly(request, request_frame(request, begin) + edits.bytes, slice, rows, columns,
+                                         what, deadline);
+    }
+    if (path == Path::direct) return session().no_data();
+  }
+  PushSource source(begin, request, rows, std::move(columns), edits.bytes, edits.count);
+  return session().exchange(request, source, what, deadline);
+}
+
+Status Scene::State::check_plan_order(const Positions& positions, const layout::Layout& plan,
+                                      std::uint64_t version) const {
+  if (!positions.in_plan_order()) return {};
+  const std::string hint = "ask Scene::plan() and put the positions into its order";
+  if (positions.plan_version != version)
+    return {Code::stale_plan,
+            fmt::format("push to scene '{}': positions in the order of plan {}, it is {}", name_,
+                        positions.plan_version, version),
+            hint};
+  const std::size_t ranks = std::max(positions.by_rank.size(), positions.by_rank_f4.size());
+  if (ranks != static_cast<std::size_t>(plan.ranks()))
+    return {Code::invalid_argument, fmt::format("positions of {} ranks, there are {}", ranks, plan.ranks()), hint};
+  const auto missing = [&positions](std::size_t rank, std::size_t a) {
+    return positions.single() ? positions.by_rank_f4[rank][a] == nullptr : positions.by_rank[rank][a] == nullptr;
+  };
+  for (std::size_t rank = 0; rank < ranks; ++rank)
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
+      if (missing(rank, a) && !plan.rows(static_cast<int>(rank)).empty())
+        return {Code::invalid_argument, fmt::format("no array for axis {} of rank {}", kAxisNames[a], rank), hint};
+  return {};
+}
+
+Result<StepResult> Scene::State::step(StepRequest ask) {
+  forget_lost_if_replaced(ask);
+  // If the scene has no particles, those pushed are sent as insertions.
+  Insertion all;
+  if (pushed_ && !lost_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
+    all = {ask.positions, ask.options.ids, ask.options.weights};
+    ask.positions = Positions{.dims = all.positions.dims};
+    ask.options.ids = {};
+    ask.options.weights = {};
+    ask.options.inserted = &all;
+    ask.moved = StepRequest::Moved::all;
+  }
+  if (Status status = check(ask); !status) return status;
+  const StepOptions& options = ask.options;
+  if (!options.step && last_step_ && *last_step_ == wire::kStepMax)
+    return Status(Code::invalid_argument, "there is no step number left");
+  if (!has_particles() && !ask.whole())
+    return Status(Code::base_lost, fmt::format("push to scene '{}': it has no positions yet", name_),
+                  "push all positions with step()");
+  if (options.step && last_step_ && *options.step <= *last_step_)
+    return Status(Code::stale_step,
+                  fmt::format("step {} of scene '{}' is not above the last one, {}", *options.step, name_, *last_step_),
+                  "to go back to an earlier state, push it as a later step, or create the scene again");
+  const std::int64_t step = options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
+  const std::optional<std::int64_t> base = last_step_;
+  if (!base) ask.moved = StepRequest::Moved::all;
+  count_if_committed_ = count_ + ask.inserted() - options.removed.size();
+  restored_ = false;
+  Retry retry(options.deadline_seconds);
+  std::uint64_t plan_fetched_on = 0;  // generation of the connection
+  const auto once = [&] { return try_step(ask, step, base, retry); };
+  const auto mend = [&](const Status& status) {
+    switch (status.code()) {
+      case Code::aborted: {
+        // A rank's connection was lost, and the push with it: retry on another path, if the caller leaves the choice.
+        const bool data_lost = session().data_lost();
+        arrays_.share_again();
+        return (data_lost || session().outlive()) &&
+               session().wait(retry, status, fmt::format("scene '{}': {}", name_, status.message())).ok();
+      }
+      case Code::base_lost:
+        if (ask.moved != StepRequest::Moved::rows) return false;
+        ask.moved = StepRequest::Moved::all;
+        return true;
+      case Code::stale_plan:
+        if (std::exchange(plan_fetched_on, session().generation()) == session().generation()) return false;
+        plan_.reset();
+        if (!pushed_) generation_ = 0;  // another client made the first push
+        return true;
+      case Code::unsupported:
+      case Code::too_large:
+      case Code::io_error:
+        if (!shared_ || shared_unsupported_) return false;
+        shared_unsupported_ = true;  // by another way, then
+        return true;
+      default:
+        return false;
+    }
+  };
+  auto result = session().retry_until_deadline(retry, once, mend);
+  if (result) lost_plan_.reset();
+  return result;
+}
+
+Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
+                                          const Retry& retry) {
+  const std::uint64_t held_on = generation_;
+  if (Status status = hold(retry); !status) return status;
+  if (held_on != generation_)
+    if (Status fits = check(ask); !fits) return fits;
+  StepRequest sent = ask;
+  Buffer<std::byte> rows;
+  if (lost_) {
+    auto whole = with_all_particles(ask, rows);
+    if (!whole) return whole.status();
+    sent = *whole;
+    if (ask.edits())
+      if (Status status = restore(sent, retry); !status) return status;
+  } else if (in_lost_order(ask)) {  // an earlier attempt has restored the particles
+    sent = by_rows(ask, rows);
+  }
+  // From shared memory the ranks take the particles by id, where rows are ids. Then the layout is of use only to tell
+  // which parts changed.
+  shared_ = by_shared_memory(sent, retry);
+  by_id_ = shared_ && rows_are_ids(sent);
+  const bool asked = sent.options.want_parts || sent.options.want_changes;
+  const bool with_plan = (!by_id_ && sent.moved != StepRequest::Moved::none) || asked || sent.edits();
+  if (shared_ && !with_plan) plan_.reset();
+  const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
+  if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;
+  const bool tried_before = std::exchange(unanswered_, step) == step;
+  const auto answer = push(sent, step, base, retry);
+  if (!answer) {
+    // Any other failure says that this attempt wasn't committed.
+    const Code code = answer.status().code();
+    const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted;
+    if (!unknown && !tried_before) unanswered_.reset();
+    return answer.status();
+  }
+  unanswered_.reset();
+  return finish(*answer, step, sent, tried_before, retry);
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,170 @@
+// Scene::step after the commit: updates layout and parts, and collects the changes for the caller.
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "client/lib/scene/changes.hpp"
+#include "client/lib/scene/scene.hpp"
+#include "client/lib/scene/step_report.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max();
+
+// Inserted particles have a part for the first time, so each counts as changed.
+void add_inserted(StepResult& result, std::span<const std::int32_t> parts) {
+  std::vector<std::uint64_t> rows;
+  for (const RowMove& move : result.row_moves)
+    if (move.inserted) rows.push_back(move.to);
+  std::sort(rows.begin(), rows.end());
+  std::erase_if(result.changes,
+                [&rows](const PartChange& change) { return std::binary_search(rows.begin(), rows.end(), change.row); });
+  for (const std::uint64_t row : rows) result.changes.push_back({row, parts[row]});
+  std::sort(result.changes.begin(), result.changes.end(),
+            [](const PartChange& a, const PartChange& b) { return a.row < b.row; });
+}
+
+}  // namespace
+
+void Scene::State::take_first(const StepRequest& ask) {
+  const StepOptions& options = ask.options;
+  has_weights_ = !options.weights.empty();
+  has_ids_ = !options.ids.empty();
+  if (options.ids.empty() || options.ids.data() != ids_.data()) ids_.assign(options.ids.begin(), options.ids.end());
+  count_ = ask.positions.count;
+  pushed_ = began_ = true;
+  lost_ = false;
+}
+
+// The step is committed: an error here doesn't undo it.
+Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, const StepRequest& ask,
+                                        bool tried_before, const Retry& retry) {
+  const StepOptions& options = ask.options;
+  const auto json = answer.json();
+  if (!json) return json.status();
+  const auto found = json->find("report");
+  if (found == json->end()) return Status(Code::protocol_error, "answer to a push: no 'report'");
+  auto report = read_report(*found);
+  if (!report) return report.status();
+  const auto repeated = wire::bool_field_or(*json, "repeated", false);
+  if (repeated && *repeated && !tried_before)
+    return Status(Code::stale_step,
+                  fmt::format("step {} of scene '{}' was pushed by another Scene of this client", step, name_),
+                  "use one Scene for each scene of a client");
+  const bool first = !pushed_;
+  if (first) take_first(ask);
+  if (!options.weights.empty()) keep_weights(options.weights);
+  if (restored_) mark_recreated(*report);
+  if (report->parts == 0) report->parts = parts_count_;
+  // Another session's step in between may have changed parts without changing the layout.
+  const auto before = wire::integer_field_or(*json, "previous_step", 0, kStepMax, last_step_.value_or(-1));
+  const bool step_follows = first || (before && *before == last_step_.value_or(-1));
+  last_step_ = std::max(step, last_step_.value_or(step));
+
+  const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
+  epoch_ = report->epoch;
+  StepResult result;
+  const bool follows = !(repeated && *repeated) && epoch_follows && step_follows && report->parts == parts_count_;
+  if (!epoch_follows) refresh_options(session(), name_, scene_, retry);
+  parts_count_ = report->parts;
+  scene_.options["parts"] = parts_count_;
+  RowEdit edit;
+  if (ask.edits()) {
+    auto found_rows = row_edit(ask);
+    if (!found_rows) return found_rows.status();
+    edit = std::move(*found_rows);
+    if (ids_.empty()) ids_.assign(options.ids.begin(), options.ids.end());
+    edit_rows(ask, edit, *report, answer, follows, result);
+  }
+  Status current;
+  const bool asked = options.want_parts || options.want_changes;
+  if (!plan_ && !asked && !ask.edits()) {
+    // The layout is fetched when it is needed.
+  } else if (!follows || !plan_ || !apply(answer, *json, first, result.changes)) {
+    current = fetch_plan(ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(options.ids), retry);
+  }
+  if (current && plan_ && parts_.size() == count_)
+    for (const layout::SlotMove& move : edit.moves.moves)
+      if (move.arrival && parts_[move.to] < 0) parts_[move.to] = edit.inserted_part[move.from];
+  if (!current) {
+    // The layout is fetched again before the next push.
+    plan_.reset();
+    // Steps without edits are pushed again when the service is lost; edited rows can't be pushed as the same step
+    // again.
+    const bool lost = current.code() == Code::unavailable && ask.edits();
+    if (asked)
+      return Status(lost ? Code::base_lost : current.code(),
+                    fmt::format("step {} is committed, but its parts are not known: {}", step, current.message()),
+                    lost ? "push all positions with step()" : current.hint());
+  }
+  if (!current || !options.want_changes)
+    result.changes.clear();
+  else if (!told_)
+    result.changes = all_parts();
+  else if (!known_.empty())
+    result.changes = changes_since_known();
+  else if (ask.edits())
+    add_inserted(result, parts_);
+  if (current && plan_) {
+    told_ = true;
+    known_.clear();
+    if (options.want_parts) result.parts = parts_;
+  }
+  result.report = std::move(*report);
+  return result;
+}
+
+// Updates plan_ and parts_ from the answer alone. If that fails, parts_ is unchanged, and plan_ unusable.
+Status Scene::State::apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes) {
+  const Status odd(Code::protocol_error, "answer to a push: its changes don't lead to its plan");
+  const wire::Array* id = wire::find_array(answer.arrays, "changed_id");
+  const wire::Array* part = wire::find_array(answer.arrays, "changed_part");
+  if (id == nullptr || part == nullptr || id->dtype != "<i8" || part->dtype != "<i4") return odd;
+  const std::size_t count = id->bytes.size() / 8;
+  if (part->bytes.size() / 4 != count || count > count_ || (first && count != count_)) return odd;
+  const auto* ids = reinterpret_cast<const std::int64_t*>(id->bytes.data());
+  const auto* new_parts = reinterpret_cast<const std::int32_t*>(part->bytes.data());
+  std::vector<std::uint64_t> rows(count);
+  std::vector<std::int32_t> ranks(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto row = plan_->row_of_id(ids[i]);
+    if (i > 0 && ids[i] <= ids[i - 1]) return odd;
+    if (!row || new_parts[i] < 0 || new_parts[i] >= parts_count_) return odd;
+    rows[i] = *row;
+    ranks[i] = layout::rank_of_part(new_parts[i], parts_count_, plan_->ranks());
+  }
+  if (Status status = plan_->apply(rows, ranks, first); !status) return status;
+  const auto named = json.find("plan");
+  if (named == json.end()) return odd;
+  const auto version = wire::integer_field(*named, "version", 0, std::numeric_limits<std::int64_t>::max());
+  const auto checksum = wire::string_field(*named, "checksum", 16);
+  if (!version || static_cast<std::uint64_t>(*version) != plan_->version() || !checksum ||
+      *checksum != wire::hex64(plan_->checksum()))
+    return odd;
+  if (first) parts_.assign(count_, -1);
+  changes.resize(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    parts_[rows[i]] = new_parts[i];
+    changes[i] = {rows[i], new_parts[i]};
+  }
+  const auto by_row = [](const PartChange& a, const PartChange& b) { return a.row < b.row; };
+  if (!std::is_sorted(changes.begin(), changes.end(), by_row)) std::sort(changes.begin(), changes.end(), by_row);
+  return {};
+}
+
+std::vector<PartChange> Scene::State::all_parts() const {
+  std::vector<PartChange> changes(parts_.size());
+  for (std::size_t row = 0; row < parts_.size(); ++row) changes[row] = {row, parts_[row]};
+  return changes;
+}
+
+std::vector<PartChange> Scene::State::changes_since_known() const {
+  std::vector<PartChange> changes;
+  for (std::size_t row = 0; row < parts_.size(); ++row)
+    if (row >= known_.size() || known_[row] != parts_[row]) changes.push_back({row, parts_[row]});
+  return changes;
+}
+
+}  // namespace rcb::client

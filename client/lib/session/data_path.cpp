@@ -1,0 +1,202 @@
+#include "client/lib/session/data_path.hpp"
+
+#include <algorithm>
+#include <array>
+
+#include <fmt/format.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <sys/uio.h>
+
+#include "common/wire/frame.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;          // if gathered
+constexpr std::size_t kStraightFrameBytes = std::size_t{8} << 20U;  // if sent from the caller's memory
+constexpr int kSendBufferBytes = 1 << 20;
+constexpr int kPollMillisecondsMax = 100;  // longest delay in noticing an early answer while all sockets are full
+
+// Whether the columns are one (n, dims) array: column k is element k of each row.
+bool interleaved(std::span<const Column> columns) {
+  for (std::size_t k = 0; k < columns.size(); ++k)
+    if (columns[k].by_rank != nullptr || columns[k].stride != columns.size() || columns[k].bytes != columns[0].bytes ||
+        static_cast<const std::byte*>(columns[k].first) !=
+            static_cast<const std::byte*>(columns[0].first) + k * columns[k].bytes)
+      return false;
+  return columns.size() == 2 || columns.size() == 3;
+}
+
+template <std::size_t kDims, typename T>
+void gather_rows(const void* first, std::span<const std::uint64_t> rows, std::byte* out) {
+  const std::size_t count = rows.size();
+  const T* values = static_cast<const T*>(first);
+  T* to = reinterpret_cast<T*>(out);
+  for (std::size_t i = 0; i < count; ++i) {
+    const T* from = values + rows[i] * kDims;
+    for (std::size_t k = 0; k < kDims; ++k) to[k * count + i] = from[k];
+  }
+}
+
+template <typename T>
+void gather_as(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  T* out = reinterpret_cast<T*>(to);
+  const T* first = static_cast<const T*>(column.first);
+  if (column.stride == 1)
+    for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i]];
+  else
+    for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i] * column.stride];
+}
+
+void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  if (column.bytes == 8)
+    gather_as<std::uint64_t>(column, rows, to);
+  else
+    gather_as<std::uint32_t>(column, rows, to);
+}
+
+}  // namespace
+
+// One rank's connection and the frame that is being sent.
+struct DataPath::Link {
+  std::unique_ptr<Connection> connection;
+  int rank = 0;
+  std::uint64_t sent = 0;  // particles of this push
+  bool done = true;
+  std::string head;
+  Buffer<std::byte> gathered;
+  std::vector<iovec> pieces;
+  std::size_t piece = 0;  // the first not completely sent
+
+  bool between_frames() const { return piece == pieces.size(); }
+
+  void add(const void* from, std::size_t bytes) {
+    if (bytes > 0) pieces.push_back({const_cast<void*>(from), bytes});  // they are only read
+  }
+
+  void next_frame(const wire::Json& slice, std::uint64_t request, std::span<const std::uint64_t> all,
+                  std::span<const Column> columns) {
+    const bool straight =
+        std::all_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank != nullptr; });
+    const std::size_t bytes = straight ? kStraightFrameBytes : kFrameBytes;
+    const std::size_t most = std::max<std::size_t>(1, bytes / particle_bytes(columns));
+    const auto rows = all.subspan(sent, std::min<std::size_t>(most, all.size() - sent));
+    wire::Json json = slice;
+    json["rank"] = rank;
+    json["first"] = sent;
+    json["count"] = rows.size();
+    json["arrays"] = wire::Json::array();
+    for (const Column& column : columns)
+      json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {rows.size()}}});
+    wire::FrameHeader header;
+    header.request = request;
+    header.bulk_bytes = rows.size() * particle_bytes(columns);
+    head = wire::encode_frame(header, wire::dump_json(json));
+    pieces.clear();
+    piece = 0;
+    add(head.data(), head.size());
+    add_columns(rows, columns);
+    sent += rows.size();
+  }
+
+  void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
+    if (std::any_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank == nullptr; }))
+      gathered.resize(rows.size() * particle_bytes(columns));
+    if (interleaved(columns)) {
+      const bool single = columns[0].bytes == sizeof(float);
+      if (columns.size() == 3)
+        (single ? gather_rows<3, float> : gather_rows<3, double>)(columns[0].first, rows, gathered.data());
+      else
+        (single ? gather_rows<2, float> : gather_rows<2, double>)(columns[0].first, rows, gathered.data());
+      add(gathered.data(), gathered.size());
+      return;
+    }
+    const bool run = consecutive(rows);
+    std::byte* to = gathered.data();
+    for (const Column& column : columns) {
+      const std::size_t bytes = rows.size() * column.bytes;
+      if (column.by_rank != nullptr) {
+        add(column.of_rank(rank, sent), bytes);
+      } else if (run && column.stride == 1) {
+        add(static_cast<const std::byte*>(column.first) + rows.front() * column.bytes, bytes);
+      } else {
+        gather(column, rows, to);
+        add(to, bytes);
+      }
+      to += bytes;
+    }
+  }
+};
+
+DataPath::DataPath(std::vector<std::unique_ptr<Connection>> links) {
+  for (auto& connection : links) {
+    // With the kernel's default size the sender would block far too often.
+    ::setsockopt(connection->handle(), SOL_SOCKET, SO_SNDBUF, &kSendBufferBytes, sizeof kSendBufferBytes);
+    links_.push_back(std::make_unique<Link>());
+    links_.back()->connection = std::move(connection);
+    links_.back()->rank = static_cast<int>(links_.size() - 1);
+  }
+}
+
+DataPath::~DataPath() = default;
+
+bool DataPath::stands() {
+  return std::none_of(links_.begin(), links_.end(), [](const auto& link) { return link->connection->has_frame(); });
+}
+
+Connection& DataPath::connection(int rank) { return *links_[static_cast<std::size_t>(rank)]->connection; }
+
+Status DataPath::send_some(Link& link, bool& moved) {
+  const auto sent = link.connection->send_some(std::span(link.pieces).subspan(link.piece));
+  if (!sent) return {sent.status().code(), fmt::format("rank {}: {}", link.rank, sent.status().message())};
+  std::size_t left = *sent;
+  moved = moved || left > 0;
+  while (left > 0) {
+    iovec& piece = link.pieces[link.piece];
+    const std::size_t bytes = std::min(left, piece.iov_len);
+    piece.iov_base = static_cast<std::byte*>(piece.iov_base) + bytes;
+    piece.iov_len -= bytes;
+    left -= bytes;
+    if (piece.iov_len == 0) ++link.piece;
+  }
+  return {};
+}
+
+Status DataPath::send(const wire::Json& slice, std::uint64_t request, const RankRows& rows,
+                      std::span<const Column> columns, const std::function<bool()>& answered,
+                      const Deadline& deadline) {
+  CHECK(rows.size() == links_.size(), "a connection for each rank");
+  std::size_t unfinished = 0;
+  for (const auto& link : links_) {
+    link->sent = 0;
+    link->done = rows[static_cast<std::size_t>(link->rank)].empty();
+    unfinished += link->done ? 0U : 1U;
+  }
+  bool stop = false;
+  std::vector<pollfd> full;
+  while (unfinished > 0) {
+    bool moved = false;
+    full.clear();
+    for (const auto& link : links_) {
+      if (link->done) continue;
+      const auto all = rows[static_cast<std::size_t>(link->rank)];
+      if (link->between_frames() && !stop) link->next_frame(slice, request, all, columns);
+      if (!link->between_frames())
+        if (Status status = send_some(*link, moved); !status) return status;
+      if (link->between_frames() && (stop || link->sent == all.size())) {
+        link->done = true;
+        --unfinished;
+      } else if (!link->between_frames()) {
+        full.push_back({link->connection->handle(), POLLOUT, 0});
+      }
+    }
+    if (!stop && unfinished > 0) stop = answered();
+    if (moved || unfinished == 0) continue;
+    if (deadline.left_seconds() <= 0) return {Code::deadline_exceeded, "the ranks did not take what was sent in time"};
+    ::poll(full.data(), full.size(), kPollMillisecondsMax);
+  }
+  return {};
+}
+
+}  // namespace rcb::client

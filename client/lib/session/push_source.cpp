@@ -1,0 +1,135 @@
+#include "client/lib/session/push_source.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "common/base/axis_names.hpp"
+#include "common/wire/frame.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr std::size_t kElementBytesMax = 8;
+constexpr std::size_t kBatchBytes = 1U << 20U;
+constexpr std::size_t kPiecesMax = 48;  // the number of pieces in one system call is limited
+
+Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text)); }
+
+}  // namespace
+
+bool consecutive(std::span<const std::uint64_t> rows) {
+  for (std::size_t i = 1; i < rows.size(); ++i)
+    if (rows[i] != rows[i - 1] + 1) return false;
+  return true;
+}
+
+Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank) {
+  if (positions.single())
+    return {kAxisNames[axis], "<f4", positions.axis_f4[axis], positions.stride, by_rank, sizeof(float)};
+  return {kAxisNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
+}
+
+RankRows all_rows(const layout::Layout& plan) {
+  RankRows rows;
+  for (int rank = 0; rank < plan.ranks(); ++rank) rows.push_back(plan.rows(rank));
+  return rows;
+}
+
+std::size_t particle_bytes(std::span<const Column> columns) {
+  std::size_t bytes = 0;
+  for (const Column& column : columns) bytes += column.bytes;
+  return bytes;
+}
+
+PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
+                       const std::string& edits, int edit_slices)
+    : rows_(std::move(rows)), columns_(std::move(columns)), request_(request) {
+  wire::Json json = begin;
+  json["command"] = "push.begin";
+  int slices = edit_slices;
+  for (const auto& of_rank : rows_) slices += of_rank.empty() ? 0 : 1;
+  json["slices"] = slices;
+  begin_frame_ = request_frame(request, json) + edits;
+  for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice_json_[name] = begin.at(name);
+  slice_json_["command"] = "push.slice";
+}
+
+// Begins the frame of rank_'s slice.
+void PushSource::begin_slice() {
+  const std::uint64_t count = rows_[static_cast<std::size_t>(rank_)].size();
+  wire::Json json = slice_json_;
+  json["rank"] = rank_;
+  json["count"] = count;
+  json["arrays"] = wire::Json::array();
+  for (const Column& column : columns_)
+    json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
+  wire::FrameHeader header;
+  header.request = request_;
+  header.bulk_bytes = count * particle_bytes(columns_);
+  heads_.push_back(wire::encode_frame(header, wire::dump_json(json)));
+  batch_.push_back(bytes_of(heads_.back()));
+  batch_bytes_ += heads_.back().size();
+  in_slice_ = true;
+  column_ = 0;
+  slot_ = 0;
+}
+
+// Adds as much of the current column as fits into the batch.
+void PushSource::add_stretch() {
+  const Column& column = columns_[column_];
+  const auto all = rows_[static_cast<std::size_t>(rank_)];
+  const std::size_t width = column.bytes;
+  const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - width)) / width;
+  const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
+  const auto* first = static_cast<const std::byte*>(column.first);
+  const std::size_t bytes = rows.size() * width;
+  if (column.by_rank != nullptr) {
+    batch_.emplace_back(column.of_rank(rank_, slot_), bytes);
+  } else if (column.stride == 1 && consecutive(rows)) {
+    batch_.emplace_back(first + rows.front() * width, bytes);
+  } else {
+    if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytesMax);
+    std::byte* to = gathered_.data() + gathered_bytes_;
+    const std::size_t step = column.stride * width;
+    if (width == kElementBytesMax)
+      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * 8, first + rows[i] * step, 8);
+    else
+      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * 4, first + rows[i] * step, 4);
+    batch_.emplace_back(to, bytes);
+    gathered_bytes_ += bytes;
+  }
+  batch_bytes_ += bytes;
+  slot_ += rows.size();
+  if (slot_ < all.size()) return;
+  slot_ = 0;
+  if (++column_ < columns_.size()) return;
+  in_slice_ = false;
+  ++rank_;
+}
+
+std::span<const Bytes> PushSource::next(bool answered) {
+  batch_.clear();
+  heads_.clear();
+  heads_.reserve(kPiecesMax);  // batch_ points into its strings, which must not move
+  batch_bytes_ = 0;
+  gathered_bytes_ = 0;
+  if (!begin_frame_.empty()) {
+    heads_.push_back(std::move(begin_frame_));
+    begin_frame_.clear();
+    batch_.push_back(bytes_of(heads_.back()));
+    batch_bytes_ = heads_.back().size();
+  }
+  while (batch_bytes_ < kBatchBytes && batch_.size() < kPiecesMax) {
+    if (!in_slice_) {
+      const int ranks = static_cast<int>(rows_.size());
+      while (rank_ < ranks && rows_[static_cast<std::size_t>(rank_)].empty()) ++rank_;
+      if (rank_ >= ranks || answered) break;
+      begin_slice();
+      continue;
+    }
+    add_stretch();
+  }
+  return batch_;
+}
+
+}  // namespace rcb::client

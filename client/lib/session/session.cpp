@@ -1,0 +1,461 @@
+#include "client/lib/session/session.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdlib>
+#include <random>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+#include <sys/random.h>
+
+#include "client/lib/session/data_path.hpp"
+#include "common/files/endpoint_lock.hpp"
+#include "common/wire/frame.hpp"
+#include "common/wire/limits.hpp"
+
+namespace rcb::client {
+namespace {
+
+constexpr double kGoodbyeSeconds = 0.2;
+constexpr std::string_view kEndpointListener = "endpoint";
+
+// Commands that change nothing, or whose repetition changes nothing more.
+bool repeatable(std::string_view command) {
+  constexpr std::array<std::string_view, 18> kRepeatable{
+      "status",  "scene.open", "scene.close", "scene.list", "scene.show", "plan",  "error",   "counts",  "cuts",
+      "history", "stats",      "owner",       "box",        "assign",     "fetch", "quality", "compare", "write_parts"};
+  return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
+}
+
+// Not seeded from the clock: two clients that start at the same moment must differ.
+std::string random_session() {
+  std::uint64_t value = 0;
+  if (::getrandom(&value, sizeof value, 0) != static_cast<ssize_t>(sizeof value)) {
+    std::random_device device;
+    value = std::uint64_t{device()} << 32U | device();
+  }
+  return wire::hex64(value);
+}
+
+std::string frame_of(wire::FrameType type, std::uint64_t request, const wire::Json& json) {
+  wire::FrameHeader header;
+  header.type = type;
+  header.request = request;
+  return wire::encode_frame(header, wire::dump_json(json));
+}
+
+// Frames that are there already.
+class WholeFrames final : public FrameSource {
+ public:
+  explicit WholeFrames(std::string frames) : frames_(std::move(frames)) {
+    bytes_[0] = std::as_bytes(std::span(frames_));
+  }
+  std::span<const Bytes> next(bool) override {
+    if (sent_) return {};
+    sent_ = true;
+    return bytes_;
+  }
+
+ private:
+  std::string frames_;
+  std::array<Bytes, 1> bytes_;
+  bool sent_ = false;
+};
+
+// Reads the welcome. Returns the nonce that a proof of the token must answer; empty if none is required.
+Result<std::string> read_welcome(Connection& link, const Endpoint& endpoint, const Deadline& deadline) {
+  const auto frame = link.read(deadline);
+  if (!frame) {
+    if (frame.status().code() != Code::deadline_exceeded) return frame.status();
+    return Status(Code::deadline_exceeded, fmt::format("{} takes connections but does not greet", endpoint.text()),
+                  "the service may be stopped or busy; see its log");
+  }
+  const auto json = frame->json();
+  if (!json) return json.status();
+  if (frame->type == wire::FrameType::failure) return wire::status_from_failure(*json);
+  if (frame->type != wire::FrameType::welcome)
+    return Status(Code::protocol_error, fmt::format("{} does not begin with a welcome", endpoint.text()));
+  if (auto protocol = wire::integer_field(*json, "protocol", wire::kProtocolVersion, wire::kProtocolVersion); !protocol)
+    return Status(Code::protocol_error, fmt::format("{}: welcome: {}", endpoint.text(), protocol.status().message()));
+  const auto method = wire::string_field(*json, "authentication", 64);
+  const auto nonce = wire::string_field(*json, "nonce", 256);
+  if (method && *method == auth::kMethod && nonce && auth::is_nonce(*nonce)) return *nonce;
+  // On a Unix socket the kernel has told who serves it. Over TCP it may be anybody: a peer that asks for less than a
+  // proof, perhaps for the token itself, isn't trusted.
+  if (endpoint.is_unix && method && *method == "none") return std::string();
+  return Status(
+      Code::not_authorised,
+      fmt::format("whoever listens at {} doesn't ask for a proof of the token, as the service does", endpoint.text()),
+      "nothing was told to it; see who has taken the port, or start a service of this client's version");
+}
+
+std::string joined(const std::vector<Endpoint>& endpoints) {
+  std::string text;
+  for (const Endpoint& endpoint : endpoints) text += (text.empty() ? "" : " nor ") + endpoint.text();
+  return text;
+}
+
+// What RCBD_PATH says, where the program leaves it open.
+Status read_path(Path& path) {
+  const char* const given = std::getenv("RCBD_PATH");
+  const std::string_view name = given == nullptr ? "" : given;
+  if (path != Path::automatic || name.empty() || name == "auto") return {};
+  if (name == "direct") return path = Path::direct, Status();
+  if (name == "gateway") return path = Path::gateway, Status();
+  if (name == "shared") return path = Path::shared, Status();
+  return {Code::invalid_argument, fmt::format("RCBD_PATH is '{}'", name), "auto, shared, direct or gateway"};
+}
+
+}  // namespace
+
+std::string request_frame(std::uint64_t request, const wire::Json& json) {
+  return frame_of(wire::FrameType::request, request, json);
+}
+
+Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {}
+
+Session::~Session() {
+  if (!connection_) return;
+  WholeFrames goodbye(frame_of(wire::FrameType::goodbye, 0, wire::Json::object()));
+  static_cast<void>(connection_->write(goodbye.next(false), Deadline(kGoodbyeSeconds)));
+}
+
+Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
+  if (!(options.deadline_seconds > 0))
+    return Status(Code::invalid_argument, fmt::format("a connection deadline of {} seconds", options.deadline_seconds),
+                  "give a number above 0");
+  std::unique_ptr<Session> session(new Session(options));
+  if (Status status = read_path(session->options_.path); !status) return status;
+  auto endpoints = endpoints_to_try(options.endpoint);
+  if (!endpoints) return endpoints.status();
+  session->endpoints_ = std::move(*endpoints);
+  if (Status status = session->connect(Deadline(options.deadline_seconds)); !status) return status;
+  return session;
+}
+
+Status Session::ensure(const Deadline& deadline) {
+  // Unexpected frames are left over from an earlier call, or the service's goodbye: either way, connect anew.
+  if (connection_ && connection_->has_frame()) drop_connection();
+  return connection_ ? Status{} : connect(deadline.within(options_.deadline_seconds));
+}
+
+void Session::drop_connection() {
+  told_goodbye_ = told_goodbye_ || connection_->said_goodbye();
+  connection_.reset();
+}
+
+std::string Session::gone() const { return fmt::format("the service at {}, which has gone", endpoint_text_); }
+
+void Session::notice(const std::string& text) const {
+  if (options_.on_notice) options_.on_notice(text);
+}
+
+Status Session::wait(Retry& retry, const Status& why, const std::string& what) const {
+  if (!options_.outlive && retry.failures() > 0) return why;
+  if (retry.wait(what, options_.on_notice)) return {};
+  return {why.code(), fmt::format("{}; {}", why.message(), retry.tried()), why.hint()};
+}
+
+Status Session::connect(const Deadline& deadline) {
+  if (!endpoints_.front().published.empty())  // started again, it may be elsewhere
+    if (auto now = endpoints_to_try(options_.endpoint)) endpoints_ = std::move(*now);
+  for (const Endpoint& endpoint : endpoints_) {
+    const Status status = connect_to(endpoint, deadline);
+    if (status) {
+      endpoints_ = {Endpoint(endpoint)};
+      if (generation_++ == 0) first_instance_ = instance_;
+      told_goodbye_ = false;
+      return {};
+    }
+    connection_.reset();
+    if (status.code() != Code::unavailable) return status;
+  }
+  if (const std::string& published = endpoints_.front().published; !published.empty())
+    return {Code::unavailable, fmt::format("{} no longer answers", published),
+            fmt::format("it was at {}; one that is started elsewhere writes the file anew", endpoints_.front().text())};
+  if (generation_ > 0)
+    return {Code::unavailable, fmt::format("the service at {} has gone", endpoint_text_),
+            told_goodbye_ ? "it was stopped; start it again: rcbctl up"
+                          : "one that rcbctl up started comes back by itself: see rcbctl status, and its log"};
+  const bool comes_back = std::any_of(endpoints_.begin(), endpoints_.end(), [](const Endpoint& endpoint) {
+    return endpoint_holder(endpoint.text()).has_value();
+  });
+  return {Code::unavailable, fmt::format("no service answers at {}", joined(endpoints_)),
+          comes_back ? "it is being started again: try again in a moment; rcbctl status says more"
+                     : "start one: rcbctl up"};
+}
+
+Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
+  auto connection = Connection::open(endpoint, deadline, options_.on_notice);
+  if (!connection) return connection.status();
+  connection_ = std::move(*connection);
+  endpoint_text_ = endpoint.text();
+  data_.reset();
+  data_addresses_.clear();
+  data_tried_ = false;
+  share_refused_ = false;
+  const auto reply = greet(connection_, endpoint, std::string(kEndpointListener), deadline);
+  if (!reply) return reply.status();
+  const auto ranks = wire::integer_field(*reply, "ranks", 1, 1 << 20);
+  if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
+  ranks_ = static_cast<int>(*ranks);
+  instance_ = reply->value("instance", wire::Json()).is_string() ? reply->at("instance").get<std::string>() : "";
+  if (const auto token = reply->find("data_token"); endpoint.is_unix && token != reply->end() && token->is_string())
+    token_ = token->get<std::string>();  // for ranks on other machines
+  if (const auto data = reply->find("data"); data != reply->end() && data->is_array())
+    for (const wire::Json& address : *data)
+      data_addresses_.push_back(address.is_string() ? address.get<std::string>() : std::string());
+  return {};
+}
+
+Result<wire::Json> Session::greet(std::unique_ptr<Connection>& link, const Endpoint& endpoint,
+                                  const std::string& listener, const Deadline& deadline) {
+  std::vector<std::string> tokens;
+  if (!endpoint.is_unix) {
+    auto found = tokens_to_try(*link, endpoint, listener);
+    if (!found) return found.status();
+    tokens = std::move(*found);
+  }
+  for (std::size_t attempt = 0;; ++attempt) {
+    auto reply = greet_once(*link, endpoint, listener, tokens.empty() ? "" : tokens[attempt], deadline);
+    // A token that lies here from an earlier service may be unknown to this one, or call for TLS where it has none.
+    const Code code = reply.status().code();
+    const bool refused = code == Code::not_authorised || code == Code::protocol_error;
+    if (!refused || attempt + 1 >= tokens.size()) return reply;
+    auto connection = Connection::open(endpoint, deadline, options_.on_notice);
+    if (!connection) return connection.status();
+    link = std::move(*connection);
+  }
+}
+
+Result<wire::Json> Session::greet_once(Connection& link, const Endpoint& endpoint, const std::string& listener,
+                                       const std::string& token, const Deadline& deadline) {
+  // The token has come to us by a way that nobody on the network controls; what is said on the network can't undo TLS.
+  if (link.off_loopback() && !auth::trusts_network(token))
+    if (Status encrypted = link.encrypt(deadline); !encrypted) return encrypted;
+  const auto nonce = read_welcome(link, endpoint, deadline);
+  if (!nonce) return nonce.status();
+  if (nonce->empty()) return say_hello(link, wire::Json::object(), deadline);
+  if (token.empty())
+    return Status(Code::not_authorised, fmt::format("{} asks for a token and none was found", endpoint.text()),
+                  "set RCBD_TOKEN_FILE to the file 'token' of the service's data directory");
+  const auth::Opening opening{listener, *nonce, auth::random_nonce(), number_, link.certificate()};
+  return prove_and_say_hello(link, token, opening, endpoint.text(), deadline);
+}
+
+Result<std::vector<std::string>> Session::tokens_to_try(const Connection& link, const Endpoint& endpoint,
+                                                        const std::string& listener) const {
+  // A rank's own listener accepts the token that the endpoint accepted.
+  if (listener != kEndpointListener && !token_.empty()) return std::vector{token_};
+  return tokens_for(endpoint, options_.token, link.this_machine());
+}
+
+Result<wire::Json> Session::prove_and_say_hello(Connection& link, const std::string& token, auth::Opening opening,
+                                                const std::string& where, const Deadline& deadline) {
+  auto reply = say_hello(
+      link, {{"nonce", opening.client_nonce}, {"proof", auth::proof(auth::Role::client, token, opening)}}, deadline);
+  if (!reply) return reply;
+  const auto proof = wire::string_field(*reply, "proof", opening.client_nonce.size());
+  if (!proof || !auth::same_secret(*proof, auth::proof(auth::Role::service, token, opening)))
+    return Status(Code::not_authorised, fmt::format("whoever listens at {} doesn't know the token", where),
+                  "it isn't the service that made the token, which was not told to it; see who has taken the port");
+  token_ = token;
+  return reply;
+}
+
+Result<wire::Json> Session::say_hello(Connection& link, wire::Json more, const Deadline& deadline) {
+  wire::Json hello{{"protocol", wire::kProtocolVersion}, {"client", options_.name}, {"session", number_}};
+  hello.update(more);
+  const std::uint64_t request = next_request();
+  WholeFrames frame(frame_of(wire::FrameType::hello, request, hello));
+  static_cast<void>(link.write(frame.next(false), deadline));  // a failed write is reported by the read below
+  const auto answer = await_answer(link, request, deadline);
+  if (!answer) return answer.status();
+  return answer->json();
+}
+
+Status Session::open_data(const Deadline& deadline) {
+  std::vector<std::unique_ptr<Connection>> links;
+  for (const std::string& address : data_addresses_) {
+    auto endpoint = parse_endpoint(address);
+    if (!endpoint) return endpoint.status();
+    // A listener on all interfaces is reached at the host where the endpoint was found.
+    if (!endpoint->is_unix && (endpoint->host == "0.0.0.0" || endpoint->host == "::"))
+      endpoint->host = endpoints_.front().host;
+    auto link = Connection::open(*endpoint, deadline, options_.on_notice);
+    if (!link) return link.status();
+    const std::string listener = fmt::format("rank {}", links.size());
+    if (const auto reply = greet(*link, *endpoint, listener, deadline); !reply) return reply.status();
+    links.push_back(std::move(*link));
+  }
+  data_ = std::make_unique<DataPath>(std::move(links));
+  ++data_generation_;
+  return {};
+}
+
+DataPath* Session::data(const Deadline& deadline) {
+  if (data_ && !data_->stands()) data_.reset(), data_tried_ = false;
+  if (!data_ && !data_tried_ && data_addresses_.size() == static_cast<std::size_t>(ranks_)) {
+    data_tried_ = true;
+    static_cast<void>(open_data(deadline.within(options_.deadline_seconds)));
+  }
+  return data_.get();
+}
+
+bool Session::can_share(const Deadline& deadline) {
+  const auto on_this_host = [](const std::string& address) { return address.starts_with("unix:"); };
+  return std::all_of(data_addresses_.begin(), data_addresses_.end(), on_this_host) && data(deadline) != nullptr &&
+         !share_refused_;
+}
+
+Status Session::share(const SharedMemory& memory, std::int64_t number, const Deadline& deadline) {
+  const Status status = ask_ranks({{"command", "memory.share"}, {"memory", number}, {"bytes", memory.size()}},
+                                  memory.descriptor(), deadline);
+  share_refused_ = share_refused_ || status.code() == Code::unsupported;
+  return status;
+}
+
+void Session::unshare(std::int64_t number, const Deadline& deadline) {
+  static_cast<void>(ask_ranks({{"command", "memory.drop"}, {"memory", number}}, -1, deadline));
+}
+
+Status Session::ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline) {
+  if (!data_) return {Code::aborted, "the connections to the ranks were lost"};
+  std::vector<std::uint64_t> requests;
+  Status lost, refused;
+  for (int rank = 0; rank < ranks_ && lost; ++rank) {
+    const std::string frame = request_frame(requests.emplace_back(next_request()), request);
+    lost = data_->connection(rank).send_at_once(std::as_bytes(std::span(frame)), descriptor);
+  }
+  for (std::size_t rank = 0; rank < requests.size() && lost; ++rank) {
+    Connection& link = data_->connection(static_cast<int>(rank));
+    const Status answer = await_answer(link, requests[rank], deadline).status();
+    if (!answer && !link.lost())
+      lost = answer;
+    else if (!answer && refused)
+      refused = answer;
+  }
+  if (!lost) {
+    give_up_data();
+    return {Code::aborted, lost.message(), lost.hint()};
+  }
+  if (refused || refused.code() == Code::too_large) return refused;
+  return {Code::unsupported, refused.message(), refused.hint()};
+}
+
+Status Session::no_data() {
+  if (data_addresses_.size() != static_cast<std::size_t>(ranks_))
+    return {Code::unavailable, fmt::format("{} has no direct path to its ranks", endpoint_text_),
+            "leave the path to the library, or start the service without --gateway-only"};
+  connection_.reset();
+  return {Code::unavailable, fmt::format("a rank of the service at {} doesn't answer", endpoint_text_),
+          "leave the path to the library, or see rcbctl status"};
+}
+
+bool Session::data_lost() {
+  if (data_ && !data_->stands()) give_up_data();
+  return std::exchange(data_broke_, false);
+}
+
+void Session::give_up_data() {
+  data_broke_ = true;
+  data_.reset();
+  data_tried_ = options_.path != Path::direct;
+}
+
+// The answer to `request`; a failure with request number 0 concerns the connection, so it is returned, too.
+Result<Frame> Session::await_answer(Connection& link, std::uint64_t request, const Deadline& deadline) {
+  for (;;) {
+    auto frame = link.read(deadline);
+    if (!frame) return frame.status();
+    const bool failure = frame->type == wire::FrameType::failure;
+    if (frame->request != request && !(failure && frame->request == 0)) continue;
+    if (!failure && frame->type != wire::FrameType::reply) continue;
+    if (!failure) return frame;
+    const auto json = frame->json();
+    return json ? wire::status_from_failure(*json) : json.status();
+  }
+}
+
+Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, const std::string& what,
+                                const Deadline& deadline) {
+  CHECK(connection_ != nullptr, "a request without a connection");
+  for (;;) {
+    const auto bytes = source.next(connection_->has_frame());
+    if (bytes.empty() || !connection_->write(bytes, deadline)) break;
+  }
+  return await_answer_to(request, what, deadline);
+}
+
+Result<Frame> Session::exchange_frames(std::uint64_t request, std::string frames, const std::string& what,
+                                       const Deadline& deadline) {
+  WholeFrames source(std::move(frames));
+  return exchange(request, source, what, deadline);
+}
+
+Result<Frame> Session::exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
+                                         const std::vector<std::span<const std::uint64_t>>& rows,
+                                         std::span<const Column> columns, const std::string& what,
+                                         const Deadline& deadline) {
+  CHECK(connection_ != nullptr && data_ != nullptr, "a push without its connections");
+  const std::array<Bytes, 1> frames{std::as_bytes(std::span(begin))};
+  if (connection_->write(frames, deadline)) {
+    const auto answered = [this] { return connection_->has_frame(); };
+    const Status sent = data_->send(slice, request, rows, columns, answered, deadline);
+    if (!sent) {
+      give_up_data();
+      return Status(Code::aborted, sent.message(), sent.hint());
+    }
+  }
+  return await_answer_to(request, what, deadline);
+}
+
+Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {
+  auto answer = await_answer(*connection_, request, deadline);
+  // A service that answers `unavailable` is about to end.
+  if (!connection_->lost() || answer.status().code() == Code::unavailable) drop_connection();
+  if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
+    return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),
+                  "the service may be stopped or overloaded; see its log, or wait longer");
+  return answer;
+}
+
+Result<Frame> Session::call_once(wire::Json request, const Retry& retry) {
+  const auto command = wire::string_field(request, "command", 64);
+  if (!command) return command.status();
+  if (!request.contains("deadline_seconds")) request["deadline_seconds"] = retry.seconds_left();
+  const std::uint64_t number = next_request();
+  return exchange_frames(number, request_frame(number, request), *command, retry.deadline());
+}
+
+Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
+  const auto command = wire::string_field(request, "command", 64);
+  if (!command) return command.status();
+  Retry retry(deadline_seconds);
+  if (*command == "shutdown") {  // not retry_until_deadline(): if the service is gone, it has shut down
+    if (Status status = ensure(retry.deadline()); !status) return status;
+    return call_once(std::move(request), retry);
+  }
+  std::optional<std::string> sent_to;  // instance to which the command was sent; it may have been done there
+  const auto once = [&]() -> Result<Frame> {
+    if (!repeatable(*command) && sent_to == instance_)
+      return Status(
+          Code::unavailable,
+          fmt::format("the connection to {} was lost; whether '{}' was done is not known", endpoint_text_, *command),
+          "ask the service, then repeat it if need be");
+    sent_to = instance_;
+    return call_once(request, retry);
+  };
+  return retry_until_deadline(retry, once, [](const Status&) { return false; });
+}
+
+Result<wire::Json> Session::ask_once(wire::Json request, const Retry& retry) {
+  const auto answer = call_once(std::move(request), retry);
+  if (!answer) return answer.status();
+  return answer->json();
+}
+
+}  // namespace rcb::client

@@ -1,0 +1,90 @@
+// SharedArrays: positions of a scene in memory that the ranks on this host read (common/files/shared_memory.hpp). The
+// solver computes in arrays that it got from here, or its own are copied here before a push.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "client/lib/session/session.hpp"
+#include "common/base/buffer.hpp"
+#include "common/files/shared_memory.hpp"
+
+namespace rcb::client {
+
+class SharedArrays {
+ public:
+  // Arrays for a solver that computes in them: [count][dims], or one [count] for each axis, with what they held before
+  // as far as it fits. Where memory can't be shared they are in ordinary memory. Errors: too_large.
+  template <typename T>
+  Result<std::span<T>> rows(std::size_t count, int dims) {
+    const auto room = make_given(count, dims, sizeof(T), Order::rows);
+    if (!room) return room.status();
+    return std::span(reinterpret_cast<T*>(room->first), count * static_cast<std::size_t>(dims));
+  }
+  template <typename T>
+  Result<std::vector<std::span<T>>> axes(std::size_t count, int dims) {
+    const auto room = make_given(count, dims, sizeof(T), Order::axes);
+    if (!room) return room.status();
+    std::vector<std::span<T>> axes;
+    for (int a = 0; a < dims; ++a)
+      axes.emplace_back(reinterpret_cast<T*>(room->first + static_cast<std::size_t>(a) * room->stride), count);
+    return axes;
+  }
+
+  // What a push brings: the positions, and what else isn't empty.
+  struct Values {
+    const Positions& positions;
+    std::span<const double> weights = {};
+    std::span<const std::int64_t> ids = {};
+    // By rank, in the order of its slots: where the ranks don't find the particles by their ids.
+    std::span<const std::span<const std::uint64_t>> rows = {};
+    // The number and version of the layout that they are: for the same ones as last time, nothing is copied.
+    std::optional<std::pair<std::uint64_t, std::uint64_t>> layout = {};
+  };
+  // The field "memory" of such a push. Copies what isn't in the arrays given out, and shares memory with the ranks
+  // where that wasn't done on these connections. Errors: of Session::share, io_error.
+  Result<wire::Json> describe(Session& session, const Values& values, const Deadline& deadline);
+  // The next push shares its memory anew.
+  void share_again() { given_.anew = copies_.anew = lists_.anew = true; }
+  // The ranks are to forget the memory.
+  void unshare(Session& session, const Deadline& deadline);
+
+ private:
+  enum class Order { rows, axes };
+  struct Room {
+    std::byte* first = nullptr;
+    std::size_t stride = 0;  // bytes from one axis to the next
+  };
+  Result<Room> make_given(std::size_t count, int dims, std::size_t width, Order order);
+  std::byte* first_given();
+  // Whether the positions lie in the arrays given out.
+  bool gave(const Positions& positions) const;
+
+  // Memory and where it is known.
+  struct Block {
+    SharedMemory memory;
+    std::int64_t number = 0;      // by which the ranks know it; 0: not named yet
+    std::int64_t replaces = 0;    // the number of the memory before it, which the ranks may still hold; 0: none
+    std::uint64_t shared_on = 0;  // Session::data_generation() at which it was shared
+    bool anew = false;            // a rank may have lost it: share it once more
+    bool covers(const void* from, std::size_t bytes) const;
+  };
+  // What the block held is lost if it has to grow.
+  static Status make_room(Block& block, std::size_t bytes);
+  static Status share(Block& block, Session& session, const Deadline& deadline);
+  // Puts the rows into lists_, unless they are there.
+  Status list_rows(const Values& values, std::size_t count, Session& session, const Deadline& deadline);
+
+  Block given_;              // to the solver
+  Buffer<std::byte> plain_;  // instead, where memory can't be shared
+  Order order_ = Order::rows;
+  std::size_t capacity_ = 0;  // positions in given_
+  std::size_t point_bytes_ = 0;
+  Block copies_;
+  Block lists_;                                                    // of rows
+  std::optional<std::pair<std::uint64_t, std::uint64_t>> listed_;  // the layout of lists_
+};
+
+}  // namespace rcb::client

@@ -1,0 +1,107 @@
+#include "client/lib/connect/retry.hpp"
+
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include "client/lib/client.hpp"
+#include "tests/client/lib/fake_service.hpp"
+
+namespace rcb::client {
+namespace {
+
+TEST(Retry, EndsAtTheDeadlineAndTellsWhatItWaitsFor) {
+  std::vector<std::string> told;
+  Retry retry(2);
+  int tries = 0;
+  while (retry.wait("the service at E, which has gone", [&told](const std::string& text) { told.push_back(text); }))
+    ++tries;
+  EXPECT_GT(tries, 1);  // the pauses are random
+  EXPECT_EQ(retry.failures(), tries + 1);
+  ASSERT_FALSE(told.empty());
+  EXPECT_TRUE(told[0].starts_with("waiting for the service at E, which has gone; tried ")) << told[0];
+  EXPECT_TRUE(retry.end_of_waiting());
+  EXPECT_FALSE(retry.end_of_waiting());
+}
+
+// A service whose connections end after the hello, but for every `patience`-th.
+FakeService cutting(int patience) {
+  return FakeService([patience](Peer& peer, int number) {
+    if (!peer.greet(1)) return;
+    auto request = peer.receive();
+    if (!request || number % patience != patience - 1) return;
+    peer.reply(*request, {{"number", number}});
+    while (peer.receive()) continue;
+  });
+}
+
+TEST(Outlive, ACallSurvivesAnyNumberOfCuts) {
+  FakeService service = cutting(8);
+  auto client = Client::connect({.endpoint = service.endpoint()});
+  ASSERT_TRUE(client.ok());
+  const auto reply = client->call("status", "{}", 30);
+  ASSERT_TRUE(reply.ok()) << reply.status().message();
+  EXPECT_NE(reply->json.find("\"number\":7"), std::string::npos) << reply->json;
+}
+
+TEST(Outlive, ACallThatDoesNotTriesOneNewConnection) {
+  FakeService service = cutting(3);
+  auto client = Client::connect({.endpoint = service.endpoint(), .outlive = false});
+  ASSERT_TRUE(client.ok());
+  EXPECT_EQ(client->call("status", "{}", 30).status().code(), Code::unavailable);
+}
+
+TEST(Outlive, TheDeadlineEndsItAndTheHintIsTrue) {
+  for (const bool goodbye : {false, true}) {
+    auto service = std::make_unique<FakeService>([goodbye](Peer& peer, int) {
+      if (!peer.greet(1) || !peer.receive()) return;
+      if (goodbye) peer.send(protocol::FrameType::goodbye, 0, protocol::Json::object());
+    });
+    auto client = Client::connect({.endpoint = service->endpoint()});
+    ASSERT_TRUE(client.ok());
+    std::thread end([&service] { service.reset(); });
+    const Status status = client->call("status", "{}", 0.3).status();
+    end.join();
+    EXPECT_EQ(status.code(), Code::unavailable);
+    EXPECT_NE(status.message().find("has gone; tried "), std::string::npos) << status.message();
+    EXPECT_EQ(status.hint().find("start it again") != std::string::npos, goodbye) << status.hint();
+  }
+}
+
+// What may not be done twice is done again where the service that may have done it is no more.
+TEST(Outlive, ACommandThatDiedWithItsServiceIsGivenToTheNext) {
+  std::vector<std::string> seen;
+  FakeService service([&seen](Peer& peer, int number) {
+    if (!peer.greet(1, number == 0 ? "first" : "second")) return;
+    while (const auto request = peer.receive()) {
+      if (request->type == protocol::FrameType::goodbye) return;
+      seen.push_back(request->json["command"]);
+      if (number == 0) return;
+      peer.reply(*request, protocol::Json::object());
+    }
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok());
+    EXPECT_TRUE(client->create_scene("s", {.parts = 2}).ok());
+  }
+  service.stop();
+  EXPECT_EQ(seen, (std::vector<std::string>{"scene.create", "scene.create"}));
+}
+
+TEST(Outlive, AShutdownIsNotRepeated) {
+  int shutdowns = 0;
+  FakeService service([&shutdowns](Peer& peer, int) {
+    if (peer.greet(1) && peer.receive()) ++shutdowns;
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok());
+    EXPECT_EQ(client->shutdown_service().code(), Code::unavailable);
+  }
+  service.stop();
+  EXPECT_EQ(shutdowns, 1);
+}
+
+}  // namespace
+}  // namespace rcb::client
