@@ -100,6 +100,9 @@ struct MemberScene::State {
   bool lost = false;  // the service was restarted, and the scene has no positions yet
   std::optional<std::int64_t> last_step;
   std::uint64_t epoch = 0;  // after last_step
+  // False if a step or new cuts came that this member was told nothing of. Then it can't name a step as the base of its
+  // push, and brings all its particles.
+  bool up_to_date = true;
   // After last_step, with follow:
   MemberPlaces places;
   wire::Json plan;
@@ -131,13 +134,18 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   fields.fail(generation.status());
   if (!fields.ok()) return odd_answer(fields.status().message());
   connection = session().generation();
+  const bool known_before = seat > 0;
   seat = static_cast<std::uint64_t>(*generation);
   known.options = scene_options(*json);
   dims = axes;
   const bool other_service = known.instance != service_before;
   lost = step < 0 && (lost || (last_step && other_service));
   const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
-  if (step_now != last_step || other_service) places.forget();
+  // A rebalance changes the epoch alone.
+  if (known_before && (step_now != last_step || epoch_now != epoch || other_service)) {
+    places.forget();
+    up_to_date = false;
+  }
   if (lost) return {};
   n = count;
   weights = has_weights;
@@ -208,7 +216,7 @@ Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
 }
 
 std::optional<std::span<const std::uint64_t>> MemberScene::State::moved_rows(const MemberStepOptions& with) const {
-  if (!last_step || send_all || !with.weights.empty()) return std::nullopt;
+  if (!last_step || !up_to_date || send_all || !with.weights.empty()) return std::nullopt;
   return with.unmoved ? std::span<const std::uint64_t>() : with.moved;
 }
 
@@ -351,6 +359,7 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   if (report->parts > 0) known.options["parts"] = report->parts;
   epoch = report->epoch;
   last_step = std::max(step, last_step.value_or(step));
+  up_to_date = true;
   weights = weights || !with.weights.empty();
   const auto repeated = wire::bool_field_or(*json, "repeated", false);
   lost = lost && repeated && *repeated;  // the answer is one that was kept by the service before the restart

@@ -1,5 +1,7 @@
 #include "client/lib/scene/lost_scene.hpp"
 
+#include <vector>
+
 #include <fmt/format.h>
 
 namespace rcb::client {
@@ -11,6 +13,19 @@ wire::Json scene_options(const wire::Json& description) {
     if (const auto field = description.find(name); field != description.end() && !field->is_null())
       options[name] = *field;
   return options;
+}
+
+Result<wire::Json> described(Session& session, wire::Json request, const Retry& retry) {
+  const auto answer = session.call_once(std::move(request), retry);
+  if (!answer) return answer.status();
+  auto json = answer->json();
+  if (!json) return json;
+  const wire::Array* const sizes = wire::find_array(answer->arrays, "part_sizes");
+  if (sizes != nullptr && sizes->dtype == "<f8") {
+    const auto* const first = reinterpret_cast<const double*>(sizes->bytes.data());
+    (*json)["part_sizes"] = std::vector<double>(first, first + sizes->bytes.size() / sizeof(double));
+  }
+  return json;
 }
 
 namespace {
@@ -34,7 +49,7 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
                                      const Retry& retry) {
   wire::Json open = arguments;
   open["command"] = "scene.open";
-  auto opened = session.ask_once(open, retry);
+  auto opened = described(session, open, retry);
   const bool lost = known.options.is_object() && known.instance != session.instance() && session.outlive();
   if (!opened && opened.status().code() == Code::not_found && lost) {
     session.notice(fmt::format("{} was started again without scene '{}', which is made anew", session.endpoint(),
@@ -46,7 +61,7 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
     if (const auto made = session.ask_once(std::move(create), retry);
         !made && made.status().code() != Code::already_exists)
       return made.status();
-    opened = session.ask_once(std::move(open), retry);
+    opened = described(session, std::move(open), retry);
   }
   if (opened && lost) tell_differences(session, arguments.at("scene").get<std::string>(), *opened, known);
   if (opened) known.instance = session.instance();
@@ -55,7 +70,7 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
 
 void refresh_options(Session& session, const std::string& scene, KnownScene& known, const Retry& retry) {
   if (!session.connected()) return;
-  const auto shown = session.ask_once({{"command", "scene.show"}, {"scene", scene}}, retry);
+  const auto shown = described(session, {{"command", "scene.show"}, {"scene", scene}}, retry);
   if (shown && shown->contains("parts")) known.options = scene_options(*shown);
 }
 

@@ -17,8 +17,11 @@ struct KnownScene {
   std::string instance;  // identifies the run of the service that had the scene
 };
 
-// Picks the scene's options out of an answer to scene.show or the arguments of a scene.create.
+// Picks the scene's options out of a described() scene or the arguments of a scene.create.
 wire::Json scene_options(const wire::Json& description);
+
+// The answer to a request that describes a scene. Long part sizes, which come as an array beside the answer, are in it.
+Result<wire::Json> described(Session& session, wire::Json request, const Retry& retry);
 
 // One scene.open with these arguments. If the service was restarted and doesn't have the scene, creates it first.
 // Another client may create it at the same moment, with the same options: either will do. Errors: not_found, if the

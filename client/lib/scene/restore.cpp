@@ -60,7 +60,7 @@ void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
   has_ids_ = false;
   weights_.clear();
   known_.clear();
-  told_ = began_ = false;
+  told_ = answered_ = began_ = false;
   lost_plan_.reset();
   count_ = ask.positions.count;
 }

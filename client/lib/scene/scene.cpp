@@ -152,6 +152,8 @@ Status Scene::State::hold(const Retry& retry) {
   if (found->step && (found->count == count_ || found->count == count_if_committed_)) {
     pushed_ = true;
     lost_ = false;
+    missed_ = missed_ || found->step != last_step_;
+    others_ = others_ || (found->step != last_step_ && found->step != unanswered_);
     last_step_ = found->step;
     return {};
   }

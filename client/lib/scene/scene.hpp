@@ -99,9 +99,15 @@ struct Scene::State {
   // Pushes the lost particles again, at their current positions and under the number of the last step: needed before a
   // step that inserts or removes particles.
   Status restore(const StepRequest& whole, const Retry& retry);
+  // A committed step. The parts may not be known yet.
+  struct Committed {
+    StepResult result;
+    RowEdit edit;
+    bool plan_needed = false;  // layout and parts must be fetched, since the answer doesn't lead to them
+  };
   // One attempt to push a step.
-  Result<StepResult> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
-                              const Retry& retry);
+  Result<Committed> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
+                             const Retry& retry);
   // Makes sure that the layout is there; fetches it if it is missing.
   Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
   // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
@@ -116,8 +122,12 @@ struct Scene::State {
   Result<Frame> send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const StepRequest& ask,
                      const std::string& what, const Deadline& deadline);
   // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
-  Result<StepResult> finish(const Frame& answer, std::int64_t step, const StepRequest& ask, bool tried_before,
-                            const Retry& retry);
+  Result<Committed> finish(const Frame& answer, std::int64_t step, const StepRequest& ask, bool tried_before,
+                           const Retry& retry);
+  // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
+  // known.
+  Result<StepResult> complete(const StepRequest& ask, Committed done, Retry& retry);
+  Status fetch_plan_of_step(const StepRequest& ask, Retry& retry);
   // The service now has the scene's first positions, or those that replace lost ones.
   void take_first(const StepRequest& ask);
   void keep_weights(std::span<const double> weights);
@@ -160,10 +170,13 @@ struct Scene::State {
   std::optional<layout::Layout> plan_;
   std::vector<std::int64_t> ids_;            // by row, once the scene has them; empty: id = row
   std::vector<std::int32_t> parts_;          // by row
-  std::vector<std::int32_t> known_;          // parts the caller knows, if parts_ was fetched since; else empty
+  std::vector<std::int32_t> known_;          // parts last told to the caller, if parts_ isn't that any more; else empty
   std::uint64_t count_if_committed_ = 0;     // if the service commits the current push
   bool began_ = false;                       // this Scene made the first push, so its rows are known
-  bool told_ = false;                        // a step was answered: changes are relative to it
+  bool answered_ = false;                    // a step was answered, so the rows are known
+  bool told_ = false;                        // parts were told: changes are relative to them
+  bool missed_ = false;                      // a step was committed whose answer this Scene hasn't seen
+  bool others_ = false;                      // and it was another client's, whose positions this one doesn't know
   std::vector<double> weights_;              // by row; kept only to restore a lost scene
   std::optional<layout::Layout> lost_plan_;  // the last layout before the loss
   std::uint64_t lost_version_ = 0;           // its version as the caller sees it

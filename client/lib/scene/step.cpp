@@ -66,7 +66,7 @@ Status Scene::State::check(const StepRequest& ask) const {
                  "give one weight a particle, or none");
   if (has_particles() && !options.weights.empty() && !has_weights_)
     return wrong("weights, and the scene has none", "weights must be there from the first push on");
-  if ((began_ || told_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
+  if ((began_ || answered_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
     for (std::size_t row = 0; row < options.ids.size(); ++row)
       if (const std::int64_t known = ids_.empty() ? static_cast<std::int64_t>(row) : ids_[row];
           options.ids[row] != known)
@@ -307,17 +307,27 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
         return false;
     }
   };
-  auto result = session().retry_until_deadline(retry, once, mend);
-  if (result) lost_plan_.reset();
-  return result;
+  for (;;) {
+    auto done = session().retry_until_deadline(retry, once, mend);
+    if (!done) return done.status();
+    lost_plan_.reset();
+    auto result = complete(ask, std::move(*done), retry);
+    // If the service has lost the scene meanwhile, the step is pushed again. Rows that were edited can't be.
+    if (result || !lost_ || ask.edits()) return result;
+  }
 }
 
-Result<StepResult> Scene::State::try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
-                                          const Retry& retry) {
+Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, std::int64_t step,
+                                                       std::optional<std::int64_t> base, const Retry& retry) {
   const std::uint64_t held_on = generation_;
   if (Status status = hold(retry); !status) return status;
   if (held_on != generation_)
     if (Status fits = check(ask); !fits) return fits;
+  if (others_ && ask.moved != StepRequest::Moved::all)
+    return Status(Code::base_lost,
+                  fmt::format("another client has pushed step {} of scene '{}', whose positions this one doesn't know",
+                              last_step_.value_or(0), name_),
+                  "push all positions with step()");
   StepRequest sent = ask;
   Buffer<std::byte> rows;
   if (lost_) {

@@ -39,8 +39,8 @@ void Scene::State::take_first(const StepRequest& ask) {
 }
 
 // The step is committed: an error here doesn't undo it.
-Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, const StepRequest& ask,
-                                        bool tried_before, const Retry& retry) {
+Result<Scene::State::Committed> Scene::State::finish(const Frame& answer, std::int64_t step, const StepRequest& ask,
+                                                     bool tried_before, const Retry& retry) {
   const StepOptions& options = ask.options;
   const auto json = answer.json();
   if (!json) return json.status();
@@ -58,48 +58,65 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
   if (!options.weights.empty()) keep_weights(options.weights);
   if (restored_) mark_recreated(*report);
   if (report->parts == 0) report->parts = parts_count_;
-  // Another session's step in between may have changed parts without changing the layout.
+  // A step in between that this Scene knows nothing of may have changed parts without changing the layout.
   const auto before = wire::integer_field_or(*json, "previous_step", 0, kStepMax, last_step_.value_or(-1));
-  const bool step_follows = first || (before && *before == last_step_.value_or(-1));
+  const bool step_follows = first || (!missed_ && before && *before == last_step_.value_or(-1));
   last_step_ = std::max(step, last_step_.value_or(step));
+  missed_ = others_ = false;
+  answered_ = true;
 
   const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
   epoch_ = report->epoch;
-  StepResult result;
+  Committed done;
   const bool follows = !(repeated && *repeated) && epoch_follows && step_follows && report->parts == parts_count_;
   if (!epoch_follows) refresh_options(session(), name_, scene_, retry);
   parts_count_ = report->parts;
   scene_.options["parts"] = parts_count_;
-  RowEdit edit;
+  const bool asked = options.want_parts || options.want_changes;
+  if (plan_ && !asked && told_ && known_.empty()) known_ = parts_;
   if (ask.edits()) {
     auto found_rows = row_edit(ask);
     if (!found_rows) return found_rows.status();
-    edit = std::move(*found_rows);
+    done.edit = std::move(*found_rows);
     if (ids_.empty()) ids_.assign(options.ids.begin(), options.ids.end());
-    edit_rows(ask, edit, *report, answer, follows, result);
+    edit_rows(ask, done.edit, *report, answer, follows, done.result);
   }
-  Status current;
+  // Without a layout and where nothing is asked, it is fetched when it is needed.
+  if (plan_ || asked) done.plan_needed = !follows || !plan_ || !apply(answer, *json, first, done.result.changes);
+  if (done.plan_needed) plan_.reset();
+  done.result.report = std::move(*report);
+  return done;
+}
+
+Status Scene::State::fetch_plan_of_step(const StepRequest& ask, Retry& retry) {
+  const auto once = [&]() -> Result<bool> {
+    if (Status status = hold(retry); !status) return status;
+    if (lost_) return base_lost("they are to be pushed again");
+    const auto ids = ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(ask.options.ids);
+    if (Status status = fetch_plan(ids, retry); !status) return status;
+    return true;
+  };
+  return session().retry_until_deadline(retry, once, [](const Status&) { return false; }).status();
+}
+
+Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done, Retry& retry) {
+  const StepOptions& options = ask.options;
+  StepResult& result = done.result;
   const bool asked = options.want_parts || options.want_changes;
-  if (!plan_ && !asked && !ask.edits()) {
-    // The layout is fetched when it is needed.
-  } else if (!follows || !plan_ || !apply(answer, *json, first, result.changes)) {
-    current = fetch_plan(ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(options.ids), retry);
+  if (asked && done.plan_needed)
+    if (Status status = fetch_plan_of_step(ask, retry); !status)
+      return Status(
+          status.code(),
+          fmt::format("step {} is committed, but its parts are not known: {}", result.report.step, status.message()),
+          status.hint());
+  if (plan_ && parts_.size() == count_)
+    for (const layout::SlotMove& move : done.edit.moves.moves)
+      if (move.arrival && parts_[move.to] < 0) parts_[move.to] = done.edit.inserted_part[move.from];
+  if (!asked) {
+    result.changes.clear();
+    return result;
   }
-  if (current && plan_ && parts_.size() == count_)
-    for (const layout::SlotMove& move : edit.moves.moves)
-      if (move.arrival && parts_[move.to] < 0) parts_[move.to] = edit.inserted_part[move.from];
-  if (!current) {
-    // The layout is fetched again before the next push.
-    plan_.reset();
-    // Steps without edits are pushed again when the service is lost; edited rows can't be pushed as the same step
-    // again.
-    const bool lost = current.code() == Code::unavailable && ask.edits();
-    if (asked)
-      return Status(lost ? Code::base_lost : current.code(),
-                    fmt::format("step {} is committed, but its parts are not known: {}", step, current.message()),
-                    lost ? "push all positions with step()" : current.hint());
-  }
-  if (!current || !options.want_changes)
+  if (!options.want_changes)
     result.changes.clear();
   else if (!told_)
     result.changes = all_parts();
@@ -107,12 +124,9 @@ Result<StepResult> Scene::State::finish(const Frame& answer, std::int64_t step, 
     result.changes = changes_since_known();
   else if (ask.edits())
     add_inserted(result, parts_);
-  if (current && plan_) {
-    told_ = true;
-    known_.clear();
-    if (options.want_parts) result.parts = parts_;
-  }
-  result.report = std::move(*report);
+  told_ = true;
+  known_.clear();
+  if (options.want_parts) result.parts = parts_;
   return result;
 }
 

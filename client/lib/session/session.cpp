@@ -382,12 +382,16 @@ Result<Frame> Session::await_answer(Connection& link, std::uint64_t request, con
 
 Result<Frame> Session::exchange(std::uint64_t request, FrameSource& source, const std::string& what,
                                 const Deadline& deadline) {
-  CHECK(connection_ != nullptr, "a request without a connection");
+  if (!connection_) return lost_connection();  // by an earlier request of the same attempt
   for (;;) {
     const auto bytes = source.next(connection_->has_frame());
     if (bytes.empty() || !connection_->write(bytes, deadline)) break;
   }
   return await_answer_to(request, what, deadline);
+}
+
+Status Session::lost_connection() const {
+  return {Code::unavailable, fmt::format("the connection to {} was lost", endpoint_text_), "see rcbctl status"};
 }
 
 Result<Frame> Session::exchange_frames(std::uint64_t request, std::string frames, const std::string& what,
@@ -400,7 +404,8 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
                                          const std::vector<std::span<const std::uint64_t>>& rows,
                                          std::span<const Column> columns, const std::string& what,
                                          const Deadline& deadline) {
-  CHECK(connection_ != nullptr && data_ != nullptr, "a push without its connections");
+  if (!connection_) return lost_connection();
+  CHECK(data_ != nullptr, "a push to the ranks without connections to them");
   const std::array<Bytes, 1> frames{std::as_bytes(std::span(begin))};
   if (connection_->write(frames, deadline)) {
     const auto answered = [this] { return connection_->has_frame(); };

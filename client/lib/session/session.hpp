@@ -131,6 +131,7 @@ class Session {
   Result<Frame> call(wire::Json request, double deadline_seconds);
   // One attempt of call() on the current connection, for use in retry_until_deadline().
   Result<Frame> call_once(wire::Json request, const Retry& retry);
+  // Of an answer without arrays.
   Result<wire::Json> ask_once(wire::Json request, const Retry& retry);
 
  private:
@@ -161,6 +162,7 @@ class Session {
   // Sends every rank a request over data(), with a descriptor unless it is -1, and waits for all answers.
   Status ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline);
   void give_up_data();
+  Status lost_connection() const;
 
   ConnectOptions options_;
   std::vector<Endpoint> endpoints_;  // to try; after the first connection only the one that answered

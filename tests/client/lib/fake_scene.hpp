@@ -49,6 +49,9 @@ class FakeScene {
   std::vector<double> weights;                        // as pushed last, by row
   std::optional<std::int64_t> step;
   std::int64_t epoch = 0;
+  std::vector<double> long_part_sizes;  // told in an array beside the scene's description
+  // Whether the connection ends at the n-th (from 0) of these commands, instead of its answer.
+  std::function<bool(const std::string& command, int n)> close_at = [](const std::string&, int) { return false; };
 
   void serve(Peer& peer) {
     const auto hello = peer.greet(ranks_, "instance " + std::to_string(restarts));
@@ -57,12 +60,16 @@ class FakeScene {
     while (auto frame = peer.receive()) {
       if (frame->type == protocol::FrameType::goodbye) return;
       const auto command = frame->json["command"].get<std::string>();
+      const auto n = std::count(commands.begin(), commands.end(), command);
       commands.push_back(command);
+      if (close_at(command, static_cast<int>(n))) return;
       if (command == "scene.open") {
         if (empty_now)
           peer.fail(*frame, {Code::not_found, "no such scene"});
         else
-          peer.reply(*frame, description());
+          peer.reply(*frame, description(), described_arrays());
+      } else if (command == "scene.show") {
+        peer.reply(*frame, description(), described_arrays());
       } else if (command == "scene.create") {
         created.push_back(frame->json);
         empty_now = false;
@@ -95,6 +102,10 @@ class FakeScene {
                         {"weights", weights_}};
     json.update(options);
     return json;
+  }
+  std::vector<protocol::Array> described_arrays() const {
+    if (long_part_sizes.empty()) return {};
+    return {protocol::array_of("part_sizes", "<f8", long_part_sizes)};
   }
   void send_plan(Peer& peer, const Received& request) const {
     std::vector<std::int64_t> ids;

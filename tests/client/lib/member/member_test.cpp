@@ -125,6 +125,44 @@ TEST(MemberScene, ReturnsWithAHigherGenerationAndPushesAgain) {
   EXPECT_LT(begun[0]["attempt"], begun[1]["attempt"]);
 }
 
+// A rebalance that came while the connection was gone told nobody who has which particle now.
+TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
+  for (const int epoch_now : {3, 4}) {
+    std::vector<Json> begun;
+    FakeService service([&](Peer& peer, int number) {
+      peer.greet(2);
+      Json seat = seat_reply(4 + number, number == 0 ? -1 : 0);
+      seat["epoch"] = number == 0 ? 0 : epoch_now;
+      peer.reply(*peer.receive(), seat);
+      for (int step = number; step < 2; ++step) {
+        const auto begin = peer.receive();
+        begun.push_back(begin->json);
+        if (begin->json["slices"] == 1) peer.receive();
+        Json answer = report(step);
+        answer["report"]["epoch"] = 3;
+        if (step == 0) {
+          peer.reply(*begin, answer, news());
+          return;
+        }
+        peer.reply(*begin, answer, news());
+      }
+      answer_close(peer);
+    });
+    {
+      auto client = Client::connect({.endpoint = service.endpoint()});
+      auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+      ASSERT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds).ok());
+      MemberStepOptions unmoved;
+      unmoved.unmoved = true;
+      const auto result = scene->step(Positions::axes(kAxes, 3), kIds, unmoved);
+      EXPECT_TRUE(result.ok()) << result.status().message();
+    }
+    service.stop();
+    ASSERT_EQ(begun.size(), 2U);
+    EXPECT_EQ(begun[1]["moved"], epoch_now == 3 ? "none" : "all");
+  }
+}
+
 TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
   FakeService service([](Peer& peer, int) {
     peer.greet(2);

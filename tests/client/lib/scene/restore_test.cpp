@@ -125,6 +125,16 @@ TEST(Restore, TheSceneIsMadeWithTheOptionsThatTheServiceSaidLast) {
             solver.notices.end());
 }
 
+TEST(Restore, PartSizesThatCameAsAnArrayAreKept) {
+  FakeScene fake = scene_that(Fault::die_before_commit, {1});
+  fake.long_part_sizes = {5, 4, 3, 2, 1};
+  Solver solver(fake);
+  ASSERT_TRUE(solver.step(0).ok() && solver.step(1).ok());
+  solver.end();
+  ASSERT_EQ(fake.created.size(), 1U);
+  EXPECT_EQ(fake.created[0]["part_sizes"], protocol::Json(fake.long_part_sizes));
+}
+
 TEST(Restore, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
   FakeScene fake = scene_that(Fault::die_before_commit, {1});
   Solver solver(fake);

@@ -201,7 +201,7 @@ TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
   fake.fault = [](int push) { return push == 1 ? FakeScene::Fault::stale : FakeScene::Fault::none; };
   Session session(fake);
   StepCaller caller{1000, 3, {}, {}, {}};
-  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
   const auto result = session.scene->step(caller.at(1, true), wanting());
   ASSERT_TRUE(result.ok()) << result.status().message();
   expect_parts(*result, caller, 1, 20, 5, false);
@@ -209,6 +209,76 @@ TEST(Step, StalePlanIsFetchedOnceAndThePushRepeated) {
   session.end();
   EXPECT_EQ(fake.attempts, (std::vector<std::int64_t>{1, 2, 3, 4}));
   EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "plan"), 1);
+}
+
+// Changes are those since parts or changes were told last, whatever was asked in between.
+TEST(Step, ChangesOfStepsThatDidNotAskAreTold) {
+  for (const bool first_asked : {true, false}) {
+    FakeScene fake = scene_of(3, 5, 3, 5);
+    Session session(fake);
+    StepCaller caller{1000, 3, {}, {}, {}};
+    ASSERT_TRUE(session.scene->step(caller.at(0, true), first_asked ? wanting() : StepOptions()).ok());
+    for (std::int64_t step = 1; step < 4; ++step) ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
+    const auto result = session.scene->step(caller.at(4, true), wanting());
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    std::vector<std::uint64_t> changed;
+    for (std::uint64_t row = 0; row < caller.n; ++row)
+      if (const auto id = static_cast<std::int64_t>(row); !first_asked || wandering(id, 0, 5, 5) != result->parts[row])
+        changed.push_back(row);
+    std::vector<std::uint64_t> told;
+    for (const PartChange& change : result->changes) told.push_back(change.row);
+    EXPECT_EQ(told, changed) << "first asked: " << first_asked;
+    const auto next = session.scene->step(caller.at(5, true), wanting());
+    ASSERT_TRUE(next.ok()) << next.status().message();
+    expect_parts(*next, caller, 5, 5, 5, false);
+  }
+}
+
+// What is asked after the commit may lose its connection, too; the step is committed once.
+TEST(Step, AConnectionLostAfterTheCommitIsMadeAgain) {
+  for (const int losses : {1, 2})
+    for (const bool changed_by_others : {false, true}) {
+      FakeScene fake = scene_of(3, 5, 3, 20);
+      fake.fault = [&fake, changed_by_others](int push) {
+        if (push == 1 && changed_by_others) fake.epoch += 3;
+        return push == 1 ? FakeScene::Fault::wrong_checksum : FakeScene::Fault::none;
+      };
+      fake.close_at = [losses](const std::string& command, int n) {
+        return (command == "plan" || command == "scene.show") && n < losses;
+      };
+      Session session(fake);
+      StepCaller caller{1000, 3, {}, {}, {}};
+      ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
+      for (std::int64_t step = 1; step < 4; ++step) {
+        const auto result = session.scene->step(caller.at(step, true), wanting());
+        ASSERT_TRUE(result.ok()) << result.status().message();
+        expect_parts(*result, caller, step, 20, 5, false);
+      }
+      session.end();
+      EXPECT_EQ(fake.commits, 4);
+    }
+}
+
+// While the connection was gone another client pushed: rows that moved since this client's step would be put among
+// that one's positions.
+TEST(Step, OthersStepsBehindALostConnectionAreNoBase) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  fake.fault = [&fake](int push) {
+    if (push == 1) *fake.step += 7;
+    return push == 1 ? FakeScene::Fault::close_before_commit : FakeScene::Fault::none;
+  };
+  Session session(fake);
+  StepCaller caller{1000, 3, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  const std::array<std::uint64_t, 1> moved{3};
+  StepOptions few = wanting();
+  few.moved = moved;
+  few.step = 100;
+  const auto result = session.scene->step(caller.at(100, true), few);
+  ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
+  expect_parts(*result, caller, 100, 20, 5, true);
+  session.end();
+  EXPECT_EQ(fake.commits, 2);
 }
 
 // A scene may be another one by then, at step 0 again: what still comes for the old push must not be taken for its.
