@@ -156,7 +156,9 @@ struct StepOptions {
   // [count], distinct, >= 0; empty: 0..count-1. To be given at the scene's first push, and at the first step of a Scene
   // that was opened when the scene already had ids given by a solver; later they may be left out.
   std::span<const std::int64_t> ids;
-  std::span<const double> weights;  // [count]; empty: the scene has none, or they are unchanged
+  // [count]; empty: the scene has none, or they are unchanged. Whether a scene has weights is decided by its first
+  // push, which must bring at least one particle for it.
+  std::span<const double> weights;
   // Computing time of the solver since its last push, on its slowest process; the policy "cost" decides by it.
   std::optional<double> step_seconds;
   // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged

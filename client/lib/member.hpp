@@ -38,8 +38,9 @@ struct MemberOptions {
 };
 
 struct MemberStepOptions {
-  std::optional<std::int64_t> step;    // default: the scene's last step + 1; 0 for the first
-  std::span<const double> weights;     // [count]; empty: none, or unchanged. Either all members give them, or none
+  std::optional<std::int64_t> step;  // default: the scene's last step + 1; 0 for the first
+  std::span<const double>
+      weights;  // [count]; empty: none, or unchanged. Either all members that bring particles give them, or none
   std::optional<double> step_seconds;  // computing time of this member since its last push
   // Rows that moved since this member's last step, distinct, in any order: the positions of the others are unchanged
   // and need not be sent. Not given: all. With new weights, and where the service can't build on that step, all are

@@ -1,4 +1,5 @@
 // export: writes a scene's particles as files for ParaView and scripts.
+#include <algorithm>
 #include <bit>
 #include <cerrno>
 #include <cstdio>
@@ -81,14 +82,18 @@ Status write_arrays(const Fetched& set, const ExportOptions& options, Json& file
   return io::write_npy(path("part.npy"), set.part);
 }
 
+// Each once, however often it was named.
+bool wants(const ExportOptions& options, const char* format) {
+  return std::find(options.formats.begin(), options.formats.end(), format) != options.formats.end();
+}
+
 // The names of the files that an export writes.
 std::vector<std::string> file_names(const ExportOptions& options, const Json& shown) {
   std::vector<std::string> names;
-  for (const std::string& format : options.formats) {
-    if (format == "csv")
-      for (std::string& name : part_file_names(shown.at("parts").get<int>())) names.push_back(std::move(name));
-    if (format == "vtk") names.push_back(options.name + ".vtk");
-    if (format != "npy") continue;
+  if (wants(options, "csv"))
+    for (std::string& name : part_file_names(shown.at("parts").get<int>())) names.push_back(std::move(name));
+  if (wants(options, "vtk")) names.push_back(options.name + ".vtk");
+  if (wants(options, "npy")) {
     names.insert(names.end(), {"positions.npy", "id.npy", "part.npy"});
     if (shown.at("weights").get<bool>()) names.push_back("weight.npy");
   }
@@ -97,14 +102,11 @@ std::vector<std::string> file_names(const ExportOptions& options, const Json& sh
 
 Status write_files(const Fetched& set, const ExportOptions& options, int parts, Json& files) {
   if (Status status = make_directory(options.directory); !status) return status;
-  for (const std::string& format : options.formats) {
-    Status status;
-    if (format == "csv") status = write_part_files(set, parts, options.directory, files);
-    if (format == "npy") status = write_arrays(set, options, files);
-    if (format == "vtk") status = write_vtk(set, options, files);
-    if (!status) return status;
-  }
-  return {};
+  Status status;
+  if (wants(options, "csv")) status = write_part_files(set, parts, options.directory, files);
+  if (status && wants(options, "npy")) status = write_arrays(set, options, files);
+  if (status && wants(options, "vtk")) status = write_vtk(set, options, files);
+  return status;
 }
 
 Status export_scene(const ExportOptions& options, const Context& context) {

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <memory>
 #include <mutex>
+#include <system_error>
 #include <thread>
 
 #include <boost/asio/ip/address.hpp>
@@ -44,10 +45,17 @@ Result<std::vector<Address>> look_up_name(const Endpoint& endpoint, const Deadli
   };
   boost::system::error_code not_numeric;
   boost::asio::ip::make_address(endpoint.host, not_numeric);
-  if (!not_numeric)
+  if (!not_numeric) {
     work();
-  else
-    std::thread(work).detach();
+  } else {
+    try {
+      std::thread(work).detach();
+    } catch (const std::system_error& none) {
+      return Status(Code::unavailable,
+                    fmt::format("the name '{}' can't be looked up: no thread: {}", endpoint.host, none.what()),
+                    "see ulimit -u, or give the address as numbers");
+    }
+  }
   std::unique_lock lock(look_up->mutex);
   if (!look_up->done.wait_until(lock, deadline.at(), [&] { return look_up->finished; }))
     return Status(Code::deadline_exceeded, fmt::format("the name '{}' could not be looked up in time", endpoint.host));
