@@ -19,7 +19,7 @@ namespace {
 constexpr const char* kFooter = R"(rcbctl COMMAND --help tells what each command takes.
 
 Environment:
-  RCBD_ENDPOINT  the service: unix:PATH or HOST:PORT (--endpoint wins)
+  RCBD_ENDPOINT  the service: unix:PATH, HOST:PORT or file:PATH (--endpoint wins)
   RCBD_BIN_DIR   where rcbd is
   NO_COLOR       no colours
 
@@ -44,8 +44,10 @@ std::string plain_number(const char* argument) {
 
 void add_commands(CLI::App& app, Context& context) {
   app.add_flag("--json", context.json, "one JSON document on standard output");
-  add_value(app, "--endpoint", context.endpoint, kind::text("E"),
-            "the service: unix:PATH or HOST:PORT (default: RCBD_ENDPOINT, then your own socket, then 127.0.0.1:7470)")
+  add_value(
+      app, "--endpoint", context.endpoint, kind::text("E"),
+      "the service: unix:PATH, HOST:PORT, or file:PATH, which 'up --publish' writes (default: RCBD_ENDPOINT, then your "
+      "own socket, then 127.0.0.1:7470)")
       ->envname("RCBD_ENDPOINT");
   app.set_help_flag("-h,--help", "this page");
   app.set_version_flag("--version", std::string("rcbctl " RCB_VERSION), "the version");

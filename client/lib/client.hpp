@@ -33,7 +33,9 @@ namespace rcb::client {
 enum class Path { automatic, shared, direct, gateway };
 
 struct ConnectOptions {
-  std::string endpoint;  // unix:PATH or HOST:PORT; empty: RCBD_ENDPOINT, else the default socket, else 127.0.0.1:7470
+  // unix:PATH, HOST:PORT or file:PATH (what `rcbctl up --publish` writes); empty: RCBD_ENDPOINT, else the default
+  // socket, else 127.0.0.1:7470.
+  std::string endpoint;
   double deadline_seconds = 5;  // for connecting and saying hello
   std::string name = "rcb client";
   // TCP only; empty: RCBD_TOKEN, else the file RCBD_TOKEN_FILE, else, for a service on this machine, the token in its
@@ -67,9 +69,10 @@ struct Positions {
   std::size_t stride = 1;               // doubles from one particle to the next
   std::size_t count = 0;
   int dims = 3;
-  // If the solver keeps its arrays in layout order: by_rank[r][a] is axis a of the particles of rank r, slot by slot.
+  // If the solver keeps its arrays in the order of the plan: by_rank[r][a] is axis a of the particles of rank r, slot
+  // by slot.
   std::span<const std::array<const double*, 3>> by_rank;
-  std::uint64_t plan_version = 0;  // version of that layout
+  std::uint64_t plan_version = 0;  // version of that plan
   // Instead of `axis` and `by_rank`, if the solver has float32: sent as float32, half the bytes, and widened to double
   // exactly by the service.
   std::array<const float*, 3> axis_f4{};
@@ -116,7 +119,7 @@ struct StepReport {
   std::string reason;
   int axes_flipped = 0;
   std::uint64_t drifted = 0;   // particles that moved across a cut into another part
-  std::uint64_t moved = 0;     // particles whose part new cuts changed
+  std::uint64_t moved = 0;     // particles whose part new cuts changed; not those of StepOptions::moved
   std::uint64_t migrated = 0;  // particles that changed rank; 0 at the first push
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
@@ -163,7 +166,7 @@ struct StepOptions {
   std::optional<double> step_seconds;
   // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged
   // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, all rows are sent.
-  // Not with positions in layout order, nor with new weights.
+  // Not with positions in the order of the plan, nor with new weights.
   std::optional<std::span<const std::uint64_t>> moved;
   std::span<const std::int64_t> removed;  // ids, distinct, of particles in the scene
   const Insertion* inserted = nullptr;
@@ -192,7 +195,8 @@ struct StepResult {
   std::vector<std::int64_t> inserted_ids;  // in the order in which they were given
 };
 
-// The layout: which rank holds which of the solver's particles in which slot.
+// The plan: which rank holds which of the solver's particles in which slot of its arrays. (The sources of the service
+// call the same thing the layout.)
 struct PlanView {
   std::uint64_t version = 0;
   std::vector<std::span<const std::uint64_t>> rows;  // by rank: rows of the solver's arrays, in the order of the slots
@@ -258,7 +262,7 @@ class Scene {
   ~Scene();
 
   // Pushes one step. Returns when it is committed on all ranks; after an error the previous step stands. Waits until
-  // the deadline for a lost service or connection; if the layout is stale, fetches it once and tries again.
+  // the deadline for a lost service or connection; if the plan is stale, fetches it once and tries again.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
   // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or the service has lost
@@ -278,9 +282,9 @@ class Scene {
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
-  // The layout for the next push, valid until then; fetched if it isn't known. A solver that pushes in layout order
+  // The plan for the next push, valid until then; fetched if it isn't known. A solver that pushes in the plan's order
   // asks for it after every step that migrated particles or whose report says scene_recreated (the version changes
-  // then), and passes the version with its positions. If the layout has changed in between, the push is refused with
+  // then), and passes the version with its positions. If the plan has changed in between, the push is refused with
   // stale_plan.
   Result<PlanView> plan(double deadline_seconds = 60);
 

@@ -82,8 +82,9 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOp
   app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
       ->type_name("NAME")
       ->default_str(d.scene);
-  app.add_option("--endpoint", options.endpoint,
-                 "where the service is: unix:PATH or HOST:PORT (default: $RCBD_ENDPOINT, then this user's socket)")
+  app.add_option(
+         "--endpoint", options.endpoint,
+         "where the service is: unix:PATH, HOST:PORT or file:PATH (default: $RCBD_ENDPOINT, then this user's socket)")
       ->type_name("E");
   app.add_option("--trajectory", options.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");

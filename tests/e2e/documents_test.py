@@ -1,4 +1,5 @@
-"""What the documents show works as shown: the README's program, its first session, the protocol page's client."""
+"""What the documents show works as shown: the README's program and first session, the programs of the page on coupling,
+the protocol page's client."""
 import re
 
 from support import *
@@ -6,9 +7,9 @@ from support import *
 ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
 
 
-def block(document, language):
+def block(document, language, number=0):
     with open(os.path.join(ROOT, document)) as file:
-        return re.search(r"^```" + language + r"\n(.*?)^```", file.read(), re.S | re.M).group(1)
+        return re.findall(r"^```" + language + r"\n(.*?)^```", file.read(), re.S | re.M)[number]
 
 
 # What a solver has and the README doesn't show.
@@ -29,19 +30,51 @@ void advance(std::vector<double>& xyz) {
 }
 """
 
+# What the parallel solver has and the page on coupling doesn't show.
+PARALLEL_SOLVER = """
+#include <cmath>
+std::vector<Particle> first_share(int rank, int size) {
+  std::vector<Particle> share;
+  for (int i = rank; i < 3000; i += size) share.push_back({i, {std::fmod(i * 0.61803398875, 1.0), i / 3000.0, 0}, {}});
+  return share;
+}
+void advance(std::vector<Particle>& mine) {
+  for (Particle& particle : mine) if (particle.id % 2 == 0) particle.x[1] *= 0.99;
+}
+"""
+
 
 class Documents(ServiceTest):
-    def test_the_readme_program(self):
+    def compile(self, compiler, text):
         source, program = os.path.join(self.dir, "solver.cpp"), os.path.join(self.dir, "solver")
         with open(source, "w") as file:
-            file.write(SOLVER + block("README.md", "cpp"))
+            file.write(text)
         build = os.path.dirname(BIN)
         libraries = [os.path.join(build, f"librcb_{name}.a")
-                     for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls", "common_particles", "common_files", "common_base")]
-        compiled = subprocess.run(["c++", "-std=c++20", "-I", ROOT, source, "-o", program,
-                                   *filter(os.path.exists, libraries), "-lfmt", "-lxxhash", "-lssl", "-lcrypto", "-lpthread"],
+                     for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls",
+                                  "common_particles", "common_files", "common_base")]
+        compiled = subprocess.run([compiler, "-std=c++20", "-I", ROOT, source, "-o", program,
+                                   *filter(os.path.exists, libraries),
+                                   "-lfmt", "-lxxhash", "-lssl", "-lcrypto", "-lpthread"],
                                   capture_output=True, text=True, timeout=200)
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
+        return program
+
+    def test_the_parallel_program(self):
+        program = self.compile("mpicxx", block("docs/coupling.md", "cpp") + PARALLEL_SOLVER)
+        done = run(3, program, program=MPIRUN, endpoint=self.service.endpoint)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        history = self.service.json("history", "jet")
+        self.assertEqual([report["step"] for report in history], list(range(201)))
+        self.assertEqual({report["n"] for report in history}, {3000})
+        self.assertGreater(sum(report["repartitioned"] for report in history), 1)
+
+    def test_the_wrapper_for_c(self):
+        main = "int main() { return rcb_create(nullptr, 1, 0); }"
+        self.compile("c++", block("docs/coupling.md", "cpp", 1) + main)
+
+    def test_the_readme_program(self):
+        program = self.compile("c++", SOLVER + block("README.md", "cpp"))
         done = run(program=program, endpoint=self.service.endpoint)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("has reached the tolerance", done.stdout)

@@ -77,7 +77,7 @@ void declare(CLI::App& app, Options& o) {
   app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
       ->check(tolerance());
   app.add_option("--scene", o.scene, "name of the scene; one of that name is replaced")->type_name("NAME");
-  app.add_option("--endpoint", o.endpoint, "where the service is: unix:PATH or HOST:PORT")->type_name("E");
+  app.add_option("--endpoint", o.endpoint, "where the service is: unix:PATH, HOST:PORT or file:PATH")->type_name("E");
   app.add_option("--trajectory", o.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");
   app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));

@@ -31,7 +31,8 @@ class GuessedPass {
       make_room(listed_ + kBlock);
       run_block({x[0] + begin, x[1] + begin, x[2] + begin}, begin, count);
     }
-    // Where it stopped, the others get some part all the same.
+    // If it stopped early, the result will not be used, but the rest of `part` must be valid parts all the same. With
+    // several roots they are.
     for (std::size_t i = begin; i < particles_.count && !tables_.several; ++i) part_[i] = 0;
     resize(listed_);
     for (std::size_t leaf = 0; leaf < tables_.leaves; ++leaf) {

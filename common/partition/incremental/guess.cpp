@@ -51,7 +51,7 @@ class SampleWalk {
       root.range = below.roots[r];
       root.inner = Box::unbounded();
       root.known = below.boxes.empty() ? nullptr : &below.boxes[r];
-      // What the other roots leave, one leaf each at least.
+      // The leaves that are left; each root that follows needs at least one.
       const int others = static_cast<int>(below.roots.size() - r) - 1;
       root.leaves = kGuessLeaves - leaves - others;
       const int before = leaves_;
@@ -223,7 +223,7 @@ class SampleWalk {
         sigmas * std::sqrt(found.variance) + options_.limits.bracket_margin * load / static_cast<double>(own.size());
     const double wanted = load * share;
     double before = take_near(own, axis, wanted - margin, wanted + margin);
-    // Word by word, until few are near, or these differ.
+    // One component of the key after the other, until few are near, or these differ.
     for (std::size_t word = 0; narrow(before, wanted - margin, wanted + margin) && word < at(dims()); ++word)
       for (Valued& one : near_) {
         const Key own_key = key(one.k, axes);

@@ -23,8 +23,10 @@ struct Guess {
   CutTree tree;                      // of each cut, the axis and the expected coordinate
   std::vector<std::uint8_t> ends;    // [inner nodes]: 1: nothing is guessed from this node on
   std::vector<KeyBracket> brackets;  // [inner nodes]
-  std::vector<geometry::Box> inner;  // [parts]: inner regions (brackets.hpp); that of such a node is its first part's
-  std::vector<geometry::Box> seen;   // [parts]: the sampled particles strictly inside of them
+  // [parts]: inner regions (brackets.hpp). The parts below a node of `ends` share one region, which stands at the first
+  // of them.
+  std::vector<geometry::Box> inner;
+  std::vector<geometry::Box> seen;  // [parts]: bounding boxes of the sampled particles strictly inside of `inner`
 };
 
 // Nodes whose cuts are to be guessed.
@@ -35,9 +37,11 @@ struct GuessRoots {
   const Guess* before = nullptr;     // the guess that left them uncut; null: none was made
 };
 
-// The guess below some nodes: at most kGuessLeaves leaves, the parts in no root among them. sample: one particle of
-// each `stride`. outermost: all particles outside of the sampled ones' box; null: not known. axis_open: becomes true if
-// an axis could not be told that `outermost` might tell. nullopt if no cut can be guessed. Local.
+// Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
+//   sample     one particle of each `stride`
+//   outermost  all particles outside of the sampled ones' bounding box; null: not known
+//   axis_open  is set to true if a node's longest axis is undecided without `outermost`
+// nullopt if no cut can be guessed. Local.
 std::optional<Guess> guess_cuts(const Sample& sample, const Sample* outermost, const PartitionOptions& options,
                                 const GuessRoots& below, bool& axis_open);
 

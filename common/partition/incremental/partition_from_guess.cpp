@@ -13,8 +13,9 @@ namespace {
 
 using geometry::Box;
 
-// Particles outside of the sampled ones' box, about a stride of them at each side, are gathered if a stride is at most
-// kStrideMax; a rank sends about kStridesMax strides at most, since more mean that the sample is unusual.
+// The particles outside of the sampled ones' bounding box are gathered if the sample's stride is at most kStrideMax:
+// about one stride of particles lies beyond each of its faces. A rank sends at most about kStridesMax strides of
+// particles, since more than that mean that the sample is unusual.
 constexpr std::uint64_t kStrideMax = 32768;
 constexpr std::uint64_t kStridesMax = 16;
 constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
@@ -103,7 +104,7 @@ class FirstPartition {
     }
     if (!guess) return false;
 
-    // Half as many again as the guess allows.
+    // The most boundary particles among `count`: 1.5 times the share that the guess was allowed.
     const auto most_of = [this](std::uint64_t count) {
       return static_cast<std::uint64_t>(std::min(1.5 * limits_.boundary_max, 1.0) * static_cast<double>(count));
     };

@@ -129,7 +129,7 @@ ByPart group(std::span<const std::int32_t> part, int parts) {
   return by;
 }
 
-// The owner that has this turn has particles near all parts of [first, last).
+// The owner whose turn is number `owner_index` (see owner_of()) has particles near all parts of [first, last).
 struct NearRange {
   std::int32_t owner_index;
   std::int32_t first;

@@ -1,5 +1,6 @@
 // Key: the total order behind a cut. A particle's key at a node is its coordinates in the node's axis order,
-// then its id, compared lexicographically; -0.0 equals 0.0.
+// then its id, compared lexicographically; -0.0 equals 0.0. A component of the key, a coordinate or the id, is also
+// called a key word.
 #pragma once
 
 #include <limits>

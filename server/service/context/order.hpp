@@ -18,7 +18,8 @@ namespace rcb::service {
 
 using PushSlice = api::Slice;
 
-// Memory to receive the scene's next push into. If there is none, the memory kept for the scene is to be freed.
+// What an order hands back to the socket side: memory into which the scene's next push is to be received. Without
+// buffers it says that memory kept for the scene so far is to be freed.
 struct Spare {
   std::string scene;
   std::vector<Buffer<std::byte>> buffers;

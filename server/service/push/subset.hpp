@@ -10,7 +10,8 @@
 
 namespace rcb::service {
 
-// This rank's moved particles in a push of some: the scene's slots for the staged arrays, whose ids are then filled in.
+// Of a push in which only some particles moved, those of this rank: element k of the staged arrays is the new position
+// of the particle in this slot of the scene.
 struct Subset {
   Buffer<std::uint64_t> slot;  // ascending
 };

@@ -37,7 +37,8 @@ struct PlacesBefore {
 struct InsertedByMembers {
   Buffer<particles::Id> id;
   Buffer<std::int32_t> member;
-  Buffer<std::int32_t> part;  // on arrival, before new cuts; empty: in `known` of member_results()
+  // Their parts when they arrived, before new cuts of the step. Empty: member_results() takes the parts from `known`.
+  Buffer<std::int32_t> part;
 };
 
 // The particles whose rank, slot or member changed in the step, and those inserted. Before it each member had the

@@ -327,8 +327,8 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
     if (changes != nullptr && any)
       gather_changes(context.comm, mine, first ? scene.n : report.drifted + report.moved, *changes);
   };
-  // Few are told before the particles travel, since a rank that sends both waits for neither; many afterwards, when
-  // there is memory for them.
+  // A short list of changes goes to rank 0 before the particles travel: a rank need not wait until it has arrived, and
+  // goes on to send particles. A long list goes afterwards, when there is memory for it.
   const bool few = !first && report.drifted + report.moved <= ExchangeLimits().few;
   if (few) tell();
   const double migrating = context.clock.seconds();
