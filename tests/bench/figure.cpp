@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <map>
 #include <vector>
@@ -26,19 +27,21 @@ namespace {
 constexpr double kErrorFloor = 1e-8;  // where an error of 0 is drawn on the logarithmic axis
 constexpr double kPlotSeconds = 60;
 constexpr int kRanksPreferred = 2;
-constexpr int kPanelWidth = 420;
+constexpr int kPanelWidth = 380;
+constexpr int kKeyWidth = 190;
 
-// Filled circles are ours, open shapes the peers.
+// Filled shapes are ours, open ones the peers'. Each has a shape of its own, so that they can be told apart without
+// colours.
 struct Look {
   const char* tool;
   const char* method;
   const char* colour;
   int point;
 };
-constexpr std::array kLooks{Look{"rcbd", "rcb", "#c1272d", 7},     Look{"rcbd", "bands-x", "#e08214", 7},
-                            Look{"rcbd", "bands-y", "#e8b04a", 7}, Look{"rcbd", "bands-z", "#b8860b", 7},
-                            Look{"Zoltan", "RCB", "#1f5f99", 4},   Look{"Zoltan", "RIB", "#3a8f5c", 8},
-                            Look{"Zoltan", "HSFC", "#7b5ea7", 12}, Look{"Zoltan2", "MJ", "#444444", 6}};
+constexpr std::array kLooks{Look{"rcbd", "rcb", "#c1272d", 7},      Look{"rcbd", "bands-x", "#e08214", 9},
+                            Look{"rcbd", "bands-y", "#8c6d1f", 11}, Look{"rcbd", "bands-z", "#b8860b", 13},
+                            Look{"Zoltan", "RCB", "#1f5f99", 4},    Look{"Zoltan", "RIB", "#3a8f5c", 8},
+                            Look{"Zoltan", "HSFC", "#7b5ea7", 12},  Look{"Zoltan2", "MJ", "#444444", 6}};
 
 int ranks_drawn(const Json& rows) {
   int most = 0;
@@ -65,7 +68,25 @@ std::string points_of(const Json& rows, int ranks, int parts, const Look& look) 
   return data;
 }
 
+// From one power of ten to another; all panels have the same, so that they can be compared.
+std::string range_of_milliseconds(const Json& rows, int ranks) {
+  double least = 1;
+  double most = 1;
+  bool any = false;
+  for (const Json& row : rows) {
+    if (row["ranks"] != ranks || row["work"] != kPartition || !row["seconds"].is_number() || row["tool"] == kFloor)
+      continue;
+    const double milliseconds = 1e3 * row["seconds"].get<double>();
+    least = any ? std::min(least, milliseconds) : milliseconds;
+    most = any ? std::max(most, milliseconds) : milliseconds;
+    any = true;
+  }
+  return fmt::format("[1e{:.0f}:1e{:.0f}]", std::floor(std::log10(least)), std::ceil(std::log10(most)));
+}
+
 std::string script(const Json& rows, int ranks, const std::vector<int>& parts, const std::string& output) {
+  const auto panels = static_cast<double>(std::max<std::size_t>(1, parts.size()));
+  const double width = panels * kPanelWidth + kKeyWidth;
   std::string text = fmt::format(
       "set terminal svg size {},520 noenhanced font 'sans-serif,13' background '#ffffff'\n"
       "set output '{}'\n"
@@ -77,12 +98,14 @@ std::string script(const Json& rows, int ranks, const std::vector<int>& parts, c
       "set format y '%.0e'\n"
       "set yrange [{}:100]\n"
       "set ytics 100 add ('0' {})\n"
+      "set xrange {}\n"
       "set xlabel 'milliseconds of one partition'\n",
-      std::max<std::size_t>(1, parts.size()) * kPanelWidth + 160, output, kErrorFloor / 3, kErrorFloor);
+      width, output, kErrorFloor / 3, kErrorFloor, range_of_milliseconds(rows, ranks));
   text += fmt::format(
-      "set multiplot layout 1,{} title 'run time against largest relative error of a part, {} rank(s); "
-      "a point: one scene at one tolerance (small: above 0)'\n",
-      parts.size(), ranks);
+      "set multiplot layout 1,{} margins {:.3f},{:.3f},0.13,0.84 spacing {:.3f} title "
+      "'run time against largest relative error of a part, {} rank(s); a point: one set of points at one tolerance "
+      "(small: above 0)'\n",
+      parts.size(), 95 / width, panels * kPanelWidth / width, 55 / width, ranks);
   for (std::size_t panel = 0; panel < parts.size(); ++panel) {
     std::string plots;
     for (std::size_t l = 0; l < kLooks.size(); ++l) {
@@ -97,7 +120,7 @@ std::string script(const Json& rows, int ranks, const std::vector<int>& parts, c
     const bool last = panel + 1 == parts.size();
     text += fmt::format("set title '{} parts'\n", parts[panel]);
     text += panel == 0 ? "set ylabel 'largest abs(load - target) / target'\n" : "unset ylabel\n";
-    text += last ? "set key outside right top\n" : "unset key\n";
+    text += last ? "set key at screen 0.99, screen 0.84 right top\n" : "unset key\n";
     text += plots + "\n";
   }
   return text + "unset multiplot\n";

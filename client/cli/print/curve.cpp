@@ -38,6 +38,12 @@ void Curve::add(const client::StepReport& report) {
   }
 }
 
+double Curve::largest() const {
+  double most = 0;
+  for (const Stretch& stretch : line_) most = std::max({most, stretch.first.error, stretch.last.error});
+  return most;
+}
+
 std::string Curve::line_data() const {
   std::string data;
   for (const Stretch& stretch : line_) {

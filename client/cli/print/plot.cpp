@@ -4,7 +4,9 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <numeric>
 #include <set>
+#include <utility>
 
 #include <fmt/format.h>
 #include <signal.h>
@@ -63,40 +65,68 @@ class MemoryFile {
   int fd_;
 };
 
-std::string script(const std::vector<Curve>& curves) {
-  std::string text =
-      "set terminal svg size 900,480 noenhanced font 'sans-serif,14' background '#ffffff'\n"
-      "set border 3 linecolor '#444444'\n"
-      "set tics out nomirror textcolor '#222222'\n"
-      "set grid ytics linecolor '#dddddd' linetype 1 linewidth 0.5\n"
-      "set key outside top center horizontal reverse Left samplen 2 spacing 1.2\n"
-      "set xlabel 'step'\n"
-      "set ylabel 'largest error of a part'\n"
-      "set yrange [0:*]\n"
-      "set autoscale xfix\n"
-      "set offsets 0, graph 0.01, graph 0.05, 0\n";
+// A curve in words.
+std::string title_of(const Curve& curve) {
+  if (!curve.tolerance) return curve.name + ": tolerance inf, never repartitioned";
+  return fmt::format("{}: tolerance {:g}", curve.name, *curve.tolerance);
+}
+
+// The lines, the tolerances and the repartitions of these curves, which have their numbers among all.
+std::string plot_of(const std::vector<Curve>& curves, const std::vector<std::size_t>& shown) {
   std::string plots;
   std::set<double> tolerances;
   bool dots = false;
-  for (std::size_t c = 0; c < curves.size(); ++c) {
-    const Curve& curve = curves[c];
-    text += fmt::format("$line{} << EOD\n{}EOD\n", c, curve.line_data());
+  for (const std::size_t c : shown) {
     plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}'",
-                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], curve.name);
-    if (curve.tolerance) tolerances.insert(*curve.tolerance);
+                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], title_of(curves[c]));
+    if (curves[c].tolerance) tolerances.insert(*curves[c].tolerance);
   }
   for (const double tolerance : tolerances)
-    plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' title 'tolerance {:g}'", tolerance,
-                         tolerance);
-  for (std::size_t c = 0; c < curves.size(); ++c) {
-    const std::string data = curves[c].dot_data();
-    if (data.empty()) continue;
-    text += fmt::format("$dots{} << EOD\n{}EOD\n", c, data);
-    plots += fmt::format(", $dots{} using 1:2 with points pointtype 7 pointsize 0.6 linecolor '#d62728' {}", c,
-                         dots ? "notitle" : "title 'repartition'");
-    dots = true;
+    plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' title '{}'", tolerance,
+                         tolerances.size() == 1 ? "the tolerance" : fmt::format("tolerance {:g}", tolerance));
+  for (const std::size_t c : shown)
+    if (!curves[c].dot_data().empty())
+      plots += fmt::format(", $dots{} using 1:2 with points pointtype 7 pointsize 0.6 linecolor '#d62728' {}", c,
+                           std::exchange(dots, true) ? "notitle" : "title 'repartition'");
+  return plots + "\n";
+}
+
+// Those that are hardly to be seen beside the others.
+std::vector<std::size_t> low_curves(const std::vector<Curve>& curves) {
+  constexpr double kLow = 0.25;
+  double most = 0;
+  for (const Curve& curve : curves) most = std::max(most, curve.largest());
+  std::vector<std::size_t> low;
+  for (std::size_t c = 0; c < curves.size(); ++c)
+    if (!curves[c].empty() && curves[c].largest() < kLow * most) low.push_back(c);
+  return low;
+}
+
+std::string script(const std::vector<Curve>& curves) {
+  const std::vector<std::size_t> low = low_curves(curves);
+  std::string text = fmt::format("set terminal svg size 900,{} noenhanced font 'sans-serif,14' background '#ffffff'\n",
+                                 low.empty() ? 480 : 760) +
+                     "set border 3 linecolor '#444444'\n"
+                     "set tics out nomirror textcolor '#222222'\n"
+                     "set grid ytics linecolor '#dddddd' linetype 1 linewidth 0.5\n"
+                     "set key outside top center horizontal reverse Left samplen 2 spacing 1.2\n"
+                     "set xlabel 'step'\n"
+                     "set ylabel 'largest error of a part'\n"
+                     "set yrange [0:*]\n"
+                     "set autoscale xfix\n"
+                     "set offsets 0, graph 0.01, graph 0.05, 0\n";
+  std::vector<std::size_t> all(curves.size());
+  std::iota(all.begin(), all.end(), std::size_t{0});
+  for (const std::size_t c : all) {
+    text += fmt::format("$line{} << EOD\n{}EOD\n", c, curves[c].line_data());
+    if (const std::string data = curves[c].dot_data(); !data.empty())
+      text += fmt::format("$dots{} << EOD\n{}EOD\n", c, data);
   }
-  return text + plots + "\n";
+  if (low.empty()) return text + plot_of(curves, all);
+  // Once more by themselves, below, on a scale of their own.
+  return text + "set multiplot\nset size 1,0.56\nset origin 0,0.44\n" + plot_of(curves, all) +
+         "set size 1,0.44\nset origin 0,0\nset ylabel 'the same, enlarged'\n" + plot_of(curves, low) +
+         "unset multiplot\n";
 }
 
 // Runs gnuplot and returns the figure.

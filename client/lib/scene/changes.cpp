@@ -211,7 +211,7 @@ void Scene::State::move_rows(const RowEdit& edit, std::span<const std::int64_t> 
     has_ids_ = true;
   }
   if (parts_.size() == count_) move_with(edit, parts_, std::span(open));
-  if (known_.size() == count_ && !known_.empty()) move_with(edit, known_, std::span(open));
+  if (known_ && known_->size() == count_) move_with(edit, *known_, std::span(open));
   count_ = edit.moves.new_count;
 }
 

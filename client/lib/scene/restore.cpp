@@ -36,7 +36,7 @@ void Scene::State::forget_plan() {
 void Scene::State::lose() {
   lost_ = true;
   pushed_ = false;
-  if (known_.empty()) known_ = std::move(parts_);
+  if (!known_) known_ = std::move(parts_);
   parts_.clear();
 }
 
@@ -59,7 +59,7 @@ void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
   ids_.clear();
   has_ids_ = false;
   weights_.clear();
-  known_.clear();
+  known_.reset();
   told_ = answered_ = began_ = false;
   lost_plan_.reset();
   count_ = ask.positions.count;

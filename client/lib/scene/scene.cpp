@@ -205,7 +205,7 @@ Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& 
   std::size_t next = 0;
   for (int rank = 0; rank < plan->ranks(); ++rank)
     for (const std::uint64_t row : plan->rows(rank)) by_row[row] = part[next++];
-  if (known_.empty()) known_ = std::move(parts_);
+  if (!known_) known_ = std::move(parts_);
   parts_ = std::move(by_row);
   parts_count_ = static_cast<int>(*parts);
   plan_ = std::move(*plan);

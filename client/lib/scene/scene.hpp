@@ -170,7 +170,8 @@ struct Scene::State {
   std::optional<layout::Layout> plan_;
   std::vector<std::int64_t> ids_;            // by row, once the scene has them; empty: id = row
   std::vector<std::int32_t> parts_;          // by row
-  std::vector<std::int32_t> known_;          // parts last told to the caller, if parts_ isn't that any more; else empty
+  // By row, the parts last told to the caller; none: these are parts_.
+  std::optional<std::vector<std::int32_t>> known_;
   std::uint64_t count_if_committed_ = 0;     // if the service commits the current push
   bool began_ = false;                       // this Scene made the first push, so its rows are known
   bool answered_ = false;                    // a step was answered, so the rows are known
@@ -183,6 +184,7 @@ struct Scene::State {
   std::uint64_t versions_before_ = 0;
   std::uint64_t version_given_ = 0;  // the last one given to the caller
   bool restored_ = false;            // by restore(), in the current step
+  bool first_ = false;               // the current step is this scene's first
 };
 
 }  // namespace rcb::client

@@ -276,6 +276,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   if (!base) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
+  first_ = !has_particles();
   Retry retry(options.deadline_seconds);
   std::uint64_t plan_fetched_on = 0;  // generation of the connection
   const auto once = [&] { return try_step(ask, step, base, retry); };

@@ -54,7 +54,9 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& answer, std::i
                   fmt::format("step {} of scene '{}' was pushed by another Scene of this client", step, name_),
                   "use one Scene for each scene of a client");
   const bool first = !pushed_;
-  if (first) take_first(ask);
+  // If the answer to the first push was lost, the scene is found with its particles; which rows they are is known here
+  // alone.
+  if (first || (first_ && tried_before && repeated && *repeated)) take_first(ask);
   if (!options.weights.empty()) keep_weights(options.weights);
   if (restored_) mark_recreated(*report);
   if (report->parts == 0) report->parts = parts_count_;
@@ -73,7 +75,7 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& answer, std::i
   parts_count_ = report->parts;
   scene_.options["parts"] = parts_count_;
   const bool asked = options.want_parts || options.want_changes;
-  if (plan_ && !asked && told_ && known_.empty()) known_ = parts_;
+  if (plan_ && !asked && told_ && !known_) known_ = parts_;
   if (ask.edits()) {
     auto found_rows = row_edit(ask);
     if (!found_rows) return found_rows.status();
@@ -120,12 +122,12 @@ Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done
     result.changes.clear();
   else if (!told_)
     result.changes = all_parts();
-  else if (!known_.empty())
+  else if (known_)
     result.changes = changes_since_known();
   else if (ask.edits())
     add_inserted(result, parts_);
   told_ = true;
-  known_.clear();
+  known_.reset();
   if (options.want_parts) result.parts = parts_;
   return result;
 }
@@ -177,7 +179,7 @@ std::vector<PartChange> Scene::State::all_parts() const {
 std::vector<PartChange> Scene::State::changes_since_known() const {
   std::vector<PartChange> changes;
   for (std::size_t row = 0; row < parts_.size(); ++row)
-    if (row >= known_.size() || known_[row] != parts_[row]) changes.push_back({row, parts_[row]});
+    if (row >= known_->size() || (*known_)[row] != parts_[row]) changes.push_back({row, parts_[row]});
   return changes;
 }
 

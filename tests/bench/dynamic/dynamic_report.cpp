@@ -1,6 +1,7 @@
 #include "tests/bench/dynamic/dynamic_report.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <vector>
 
 #include <fmt/format.h>
@@ -56,6 +57,10 @@ std::vector<std::vector<const Json*>> groups_of(const Json& rows) {
   return groups;
 }
 
+double milliseconds_of(const Json& row, const Json& head) {
+  return 1e3 * row["seconds"].get<double>() / std::max(1.0, head["steps"].get<double>());
+}
+
 // What gnuplot is told of one scene; its points are added to `data`, in blocks that begin with `name`.
 std::string panel_of(const std::vector<const Json*>& group, const std::string& name, std::string& data) {
   const Json& head = *group.front();
@@ -65,8 +70,8 @@ std::string panel_of(const std::vector<const Json*>& group, const std::string& n
     (is_peer(*row)                ? by_peer
      : (*row)["policy"] == "cost" ? by_cost
                                   : by_tolerance) +=
-        fmt::format("{} {} {}\n", 1e3 * (*row)["seconds"].get<double>() / std::max(1.0, head["steps"].get<double>()),
-                    std::max((*row)["error"].get<double>(), kDynamicFloor), setting_of(*row));
+        fmt::format("{} {} {}\n", milliseconds_of(*row, head), std::max((*row)["error"].get<double>(), kDynamicFloor),
+                    setting_of(*row));
   }
   data += fmt::format("{0} << EOD\n{1}EOD\n{0}c << EOD\n{2}EOD\n{0}z << EOD\n{3}EOD\n", name, by_tolerance, by_cost,
                       by_peer);
@@ -116,27 +121,33 @@ Status draw_dynamic(const Json& document, const std::string& path) {
   if (groups.empty()) return {Code::invalid_argument, "there is nothing to draw"};
   std::vector<std::string> panels;
   std::string data;
+  double least = std::numeric_limits<double>::max();
+  double most = 0;
   for (const auto& group : groups) {
     const Json& head = *group.front();
     if (head["parts"] != groups.front().front()->at("parts") || head["ranks"] != groups.front().front()->at("ranks"))
       continue;
+    for (const Json* row : group) {
+      least = std::min(least, milliseconds_of(*row, head));
+      most = std::max(most, milliseconds_of(*row, head));
+    }
     panels.push_back(panel_of(group, fmt::format("$p{}", panels.size()), data));
   }
   std::string script = fmt::format(
-      "set terminal svg size {},480 noenhanced font 'sans-serif,13' background '#ffffff'\n"
+      "set terminal svg size {},520 noenhanced font 'sans-serif,13' background '#ffffff'\n"
       "set output '{}'\n"
       "set border 3 linecolor '#444444'\n"
       "set tics nomirror textcolor '#222222'\n"
       "set grid linecolor '#dddddd' linetype 1 linewidth 0.5\n"
       "set logscale xy\n"
-      "set offsets graph 0.02, graph 0.15, 0, 0\n"
-      "set key top right\n"
+      "set key outside bottom center horizontal samplen 2\n"
+      "set xrange [{}:{}]\n"
       "set format xy '%g'\n"
       "set yrange [{}:10]\n"
       "set ytics add ('0' {})\n"
       "set xlabel 'milliseconds a step'\n"
       "set ylabel 'mean over the steps of the largest relative error of a part'\n",
-      panels.size() * 620, path, kDynamicFloor / 2, kDynamicFloor);
+      panels.size() * 620, path, 0.7 * least, 2.5 * most, kDynamicFloor / 2, kDynamicFloor);
   script += data + fmt::format("set multiplot layout 1,{}\n", panels.size());
   for (const std::string& panel : panels) script += panel;
   script += "unset multiplot\n";

@@ -259,6 +259,25 @@ TEST(Step, AConnectionLostAfterTheCommitIsMadeAgain) {
     }
 }
 
+// The ids of the rows are given at the first push alone. Where its answer is lost, they are kept all the same.
+TEST(Step, IdsOfAFirstPushWhoseAnswerIsLostAreKept) {
+  for (const bool asked : {false, true}) {
+    FakeScene fake = scene_of(2, 5, 3, 20);
+    fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::close_after_commit : FakeScene::Fault::none; };
+    Session session(fake);
+    StepCaller caller{500, 2, {}, {}, {}};
+    for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(9000 - 7 * i));
+    StepOptions first = asked ? wanting(caller.ids) : StepOptions();
+    first.ids = caller.ids;
+    ASSERT_TRUE(session.scene->step(caller.at(0, true), first).ok());
+    for (std::int64_t step = 1; step < 3; ++step) {
+      const auto result = session.scene->step(caller.at(step, true), wanting());
+      ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
+      expect_parts(*result, caller, step, 20, 5, step == 1 && !asked);
+    }
+  }
+}
+
 // While the connection was gone another client pushed: rows that moved since this client's step would be put among
 // that one's positions.
 TEST(Step, OthersStepsBehindALostConnectionAreNoBase) {
