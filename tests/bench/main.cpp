@@ -15,6 +15,7 @@
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/drift.hpp"
+#include "tests/bench/step/hosts.hpp"
 #include "tests/bench/step/idle.hpp"
 #include "tests/bench/step/memory.hpp"
 #include "tests/bench/step/skips.hpp"
@@ -155,7 +156,8 @@ std::string footer() {
          "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n"
          "  rcb_bench skips --json skips.json\n"
          "  rcb_bench drift --json drift.json\n"
-         "  rcb_bench idle --ranks 8\n";
+         "  rcb_bench idle --ranks 8\n"
+         "  rcb_bench hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json\n";
 }
 
 int fail(const Status& status) {
@@ -208,6 +210,8 @@ int run_program(int argc, char** argv) {
   const auto* drift = add_drift(app, of_drift);
   IdleOptions of_idle;
   const auto* idle = add_idle(app, of_idle);
+  HostsOptions of_hosts;
+  const auto* hosts = add_hosts(app, of_hosts);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& done) {
@@ -215,6 +219,7 @@ int run_program(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return fail(usage(error.what()));
   }
+  if (hosts->parsed()) return ended(run_hosts(of_hosts, start_document("hosts", of_hosts.repeats)));
   if (idle->parsed()) return ended(run_idle(of_idle, start_document("idle", 1)));
   if (drift->parsed()) return ended(run_drift(of_drift, start_document("drift", of_drift.repeats)));
   if (step->parsed()) return ended(run_step(of_step, start_document("step", of_step.repeats)));

@@ -123,6 +123,23 @@ class Sizes(unittest.TestCase):
         self.assertEqual(line.split()[4], f"{max(nanoseconds) / nanoseconds[0]:.2f}")
 
 
+@unittest.skipIf(os.geteuid() != 0, "machines are made of network namespaces, which only root may")
+class Hosts(unittest.TestCase):
+    def test_what_is_counted_and_predicted(self):
+        document, text = measure("hosts", "--hosts", "2", "--latency", "1", "--bandwidth", "1", "--points", "5000",
+                                 "--repeats", "2")
+        self.assertEqual(document["bench"], "hosts")
+        rows = {row["moved"]: row for row in document["rows"]}
+        self.assertEqual(list(rows), ["all", "few", "none", "partition"])
+        # A slice, that it is whole, the order, the reduction; nothing where nothing moved.
+        self.assertEqual([rows["none"]["rounds"], rows["few"]["rounds"]], [0, 4])
+        self.assertGreater(rows["all"]["bytes"], 5000 / 2 * 24)
+        for row in rows.values():
+            self.assertEqual([row["latency"], row["bandwidth"], row["ranks"]], [0.0005, 1.25e8, 2])
+            self.assertAlmostEqual(row["ratio"]["model"], row["seconds"] / row["seconds_predicted"])
+        self.assertIn("2 | 1.0 ms | 1.0", text)
+
+
 class Scaling(unittest.TestCase):
     def test_memory_and_growth(self):
         document, _ = measure("scaling", "--points", "200000,400000", "--parts", "8,16", "--ranks", "2", "--repeats", "2",
@@ -154,7 +171,8 @@ class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
         for arguments in ([], ["nonsense"], ["static", "--scenes", "nowhere"], ["static", "--parts", "0"],
                           ["static", "--ranks", "x"], ["static", "--methods", "magic"], ["scaling", "--points", "1.5"],
-                          ["static", "--repeats", "0"], ["static", "--cut-tolerances", "-1"]):
+                          ["static", "--repeats", "0"], ["static", "--cut-tolerances", "-1"], ["hosts", "--hosts", "1"],
+                          ["hosts", "--latency", "-1"], ["hosts", "--bandwidth", "0"]):
             done = bench(*arguments)
             self.assertEqual(done.returncode, 2, arguments)
             self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)

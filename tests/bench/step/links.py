@@ -12,10 +12,13 @@ beside what the model of docs/scale.md says. Needs root.
     speed                 of a TCP connection that has sent for a while, measured at each setting
 
 With --keep-windows TCP does not begin anew after a pause (net.ipv4.tcp_slow_start_after_idle=0 on all machines).
+`rcb_bench hosts` is this program.
 
-    tests/bench/step/links.py [--hosts 2,3,5] [--points N] [--repeats K] [--keep-windows] [--build DIR]
+    tests/bench/step/links.py [--hosts 2,3,5] [--latency MS,...] [--bandwidth GBIT,...] [--points N] [--repeats K]
+                              [--keep-windows] [--build DIR] [--json FILE]
 """
 import argparse
+import itertools
 import json
 import os
 import shutil
@@ -29,6 +32,7 @@ sys.path.insert(0, os.path.join(ROOT, "tests", "hosts"))
 from hosts import Hosts
 
 STEPS = {"all": "layout", "few": "subset", "none": "unmoved"}  # which particles moved: variant of rcb_bench step
+DIMS, PARTS = 3, 8  # of the scene `moving` of rcb_bench step
 SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round trip in ms, Gbit/s
 COUNTED_AT = 0.04  # seconds from machine to machine
 WARM_UP, TIMED = 8 << 20, 16 << 20  # bytes
@@ -90,7 +94,7 @@ class Bench:
         self.links(COUNTED_AT / 2, 0)
         found = {}
         for kind in [*STEPS, "partition"]:
-            most, counts = 20, []
+            most, counts = min(20, 2 * self.told.repeats), []
             for repeats in (1, 1 + most):
                 before = self.counts()
                 if kind == "partition":
@@ -125,7 +129,17 @@ class Bench:
             return latency, TIMED / (seconds - 2 * latency)
 
 
+def row(count, told, kind, setting, counts, predicted, seconds):
+    (trip, rate), (chain, size) = setting, counts
+    return {"scene": "moving", "n": int(told.points), "dims": DIMS, "parts": PARTS, "ranks": count, "hosts": count,
+            "tool": "rcbd", "method": "rcb", "work": "partition" if kind == "partition" else "step", "moved": kind,
+            "cut_tolerance": 0, "latency": trip / 2000, "bandwidth": rate * 1e9 / 8, "rounds": chain, "bytes": size,
+            "seconds": seconds, "seconds_predicted": predicted, "ratio": {"model": seconds / predicted}}
+
+
 def measure(count, told):
+    """The rows of this number of machines; latency is one way, in seconds, bandwidth in bytes a second."""
+    rows = []
     with Hosts(count, os.path.join(told.build, "bin", "rcb_switch")) as hosts:
         for name in hosts.names if told.keep_windows else ():
             hosts.run(name, "sh", "-c", "echo 0 >/proc/sys/net/ipv4/tcp_slow_start_after_idle", check=True)
@@ -139,32 +153,44 @@ def measure(count, told):
         for kind, (chain, size) in counted.items():
             print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain}, {size:.0f} bytes",
                   flush=True)
-        for trip, rate in SETTINGS:
+        for trip, rate in told.settings:
             bench.links(trip / 2000, 1e9 * rate)
             latency, speed = bench.wires()
             seconds = bench.seconds()
             cells = []
             for kind, (chain, size) in counted.items():
                 predicted = alone[kind] + chain * latency + size / speed
+                rows.append(row(count, told, kind, (trip, rate), (chain, size), predicted, seconds[kind]))
                 cells.append(f"{1e3 * predicted:7.1f} {1e3 * seconds[kind]:7.1f} {seconds[kind] / predicted:5.2f}")
             print(f"{count} | {trip} ms | {rate} | {1e3 * latency:.3f} ms, {8e-9 * speed:.2f} | {' | '.join(cells)}",
                   flush=True)
         bench.run("rcbctl", "down")
         echo.kill()
+    return rows
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hosts", default="2,3,5")
+    parser.add_argument("--latency", help="round trips in milliseconds")
+    parser.add_argument("--bandwidth", help="Gbit/s")
     parser.add_argument("--points", default="100000")
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--keep-windows", action="store_true")
     parser.add_argument("--build", default=os.path.join(ROOT, "build", "release"))
+    parser.add_argument("--json")
+    parser.add_argument("--document", type=json.loads, default={"bench": "hosts"}, help=argparse.SUPPRESS)
     told = parser.parse_args()
+    told.settings = SETTINGS
+    if told.latency or told.bandwidth:
+        lists = [[float(word) for word in (words or "").split(",") if word] for words in (told.latency, told.bandwidth)]
+        told.settings = list(itertools.product(lists[0] or [0.5], lists[1] or [10]))
     print(f"machines | round trip | Gbit/s | measured latency, Gbit/s | predicted ms, measured ms, ratio: "
           f"{' | '.join([*STEPS, 'partition'])}")
-    for count in told.hosts.split(","):
-        measure(int(count), told)
+    rows = [row for count in told.hosts.split(",") for row in measure(int(count), told)]
+    if told.json:
+        with open(told.json, "w") as written:
+            json.dump({**told.document, "rows": rows}, written, indent=1)
 
 
 if __name__ == "__main__":

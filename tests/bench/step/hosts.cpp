@@ -1,0 +1,76 @@
+#include "tests/bench/step/hosts.hpp"
+
+#include <cerrno>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+namespace rcb::bench {
+namespace {
+
+constexpr int kHostsMax = 16;
+
+Status usage(const std::string& message) { return {Code::usage, message, "rcb_bench hosts --help"}; }
+
+Status check(const HostsOptions& options) {
+  for (const int hosts : options.hosts)
+    if (hosts < 2 || hosts > kHostsMax) return usage(fmt::format("--hosts {}: give 2 to {}", hosts, kHostsMax));
+  for (const double latency : options.latency)
+    if (!(latency >= 0 && latency <= 1000)) return usage(fmt::format("--latency {}: give 0 to 1000 ms", latency));
+  for (const double rate : options.bandwidth)
+    if (!(rate > 0 && rate <= 1000)) return usage(fmt::format("--bandwidth {}: give up to 1000 Gbit/s", rate));
+  if (!(options.points >= 1000 && options.points <= 1e8) || options.points != std::floor(options.points))
+    return usage(fmt::format("--points {}: give a whole number from 1000 to 1e8", options.points));
+  if (options.repeats < 1 || options.repeats > 1000)
+    return usage(fmt::format("--repeats {}: give 1 to 1000", options.repeats));
+  if (geteuid() != 0) return usage("machines are made of network namespaces, which only root may");
+  return {};
+}
+
+template <typename T>
+std::string list_of(const std::vector<T>& values) {
+  return fmt::format("{}", fmt::join(values, ","));
+}
+
+}  // namespace
+
+CLI::App* add_hosts(CLI::App& app, HostsOptions& options) {
+  auto* command = app.add_subcommand("hosts",
+                                     "steps and partitions over links with latency and bandwidth, beside the "
+                                     "model of docs/scale.md (as root)");
+  const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
+  list(command->add_option("--hosts", options.hosts, "numbers of machines, a rank on each"));
+  list(command->add_option("--latency", options.latency, "round trips, in milliseconds"));
+  list(command->add_option("--bandwidth", options.bandwidth, "of a link, in Gbit/s"));
+  command->add_option("--points", options.points, "particles, uniform in a cube")->capture_default_str();
+  command->add_option("--repeats", options.repeats, "timed steps of each kind")->capture_default_str();
+  command->add_flag("--keep-windows", options.keep_windows, "TCP does not begin anew after a pause");
+  command->add_option("--json", options.json, "write the result to this file");
+  return command;
+}
+
+Status run_hosts(const HostsOptions& options, const Json& document) {
+  if (Status status = check(options); !status.ok()) return status;
+  std::error_code ignored;
+  const auto build = std::filesystem::read_symlink("/proc/self/exe", ignored).parent_path().parent_path();
+  std::vector<std::string> words{"python3",    RCB_BENCH_SOURCE "/step/links.py",
+                                 "--build",    build.string(),
+                                 "--hosts",    list_of(options.hosts),
+                                 "--points",   fmt::format("{:.0f}", options.points),
+                                 "--repeats",  std::to_string(options.repeats),
+                                 "--document", document.dump()};
+  if (!options.latency.empty()) words.insert(words.end(), {"--latency", list_of(options.latency)});
+  if (!options.bandwidth.empty()) words.insert(words.end(), {"--bandwidth", list_of(options.bandwidth)});
+  if (options.keep_windows) words.emplace_back("--keep-windows");
+  if (!options.json.empty()) words.insert(words.end(), {"--json", options.json});
+  std::vector<char*> argv;
+  for (std::string& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  execv("/usr/bin/python3", argv.data());
+  return {Code::io_error, fmt::format("/usr/bin/python3 can't be started: {}", std::strerror(errno))};
+}
+
+}  // namespace rcb::bench
