@@ -5,6 +5,11 @@
 
 namespace rcb::comm {
 
+void Comm::all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all) {
+  std::vector<std::size_t> sizes;
+  all_gather(local, all, sizes);
+}
+
 void exchange_counts(Comm& comm, std::span<const std::uint64_t> to, std::span<std::uint64_t> from) {
   const auto ranks = static_cast<std::size_t>(comm.size());
   CHECK(to.size() == ranks && from.size() == ranks, "one count a rank");

@@ -34,6 +34,9 @@ class Comm {
   // Every rank's bytes, in rank order, on every rank; `sizes` gets the number of bytes of each rank.
   virtual void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
                           std::vector<std::size_t>& sizes) = 0;
+  // Like all_gather, where nobody asks who sent what and all shares together are small. On very many ranks nothing of
+  // it grows with their number.
+  virtual void all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all);
   // Like all_gather, on `root` alone (elsewhere `all` and `sizes` come back empty).
   virtual void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
                       std::vector<std::size_t>& sizes) = 0;

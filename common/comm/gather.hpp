@@ -36,6 +36,14 @@ Gathered<T> all_gather_values(Comm& comm, std::span<const T> mine) {
   return as_values<T>(bytes, std::move(sizes));
 }
 
+// The same where all values together are few. Collective.
+template <typename T>
+Buffer<T> all_gather_few_values(Comm& comm, std::span<const T> mine) {
+  std::vector<std::byte> bytes;
+  comm.all_gather_few(std::as_bytes(mine), bytes);
+  return as_values<T>(bytes, {}).values;
+}
+
 // Every rank's values on rank 0; nothing elsewhere. Collective.
 template <typename T>
 Buffer<T> gather_values(Comm& comm, std::span<const T> mine) {

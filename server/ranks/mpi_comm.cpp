@@ -9,6 +9,7 @@
 
 #include "common/base/check.hpp"
 #include "common/base/narrow.hpp"
+#include "common/comm/tree.hpp"
 
 namespace rcb::ranks {
 namespace {
@@ -22,8 +23,8 @@ void copy(std::span<const std::byte> from, std::span<std::byte> to) {
 
 }  // namespace
 
-MpiComm::MpiComm(MPI_Comm parent, std::size_t message_bytes_max, bool apart)
-    : message_bytes_max_(message_bytes_max), apart_(apart) {
+MpiComm::MpiComm(MPI_Comm parent, std::size_t message_bytes_max, bool apart, int tell_all_ranks_max)
+    : message_bytes_max_(message_bytes_max), apart_(apart), tell_all_ranks_max_(tell_all_ranks_max) {
   CHECK(message_bytes_max > 0 && message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
   must(MPI_Comm_dup(parent, &comm_), "MPI_Comm_dup");
   must(MPI_Comm_set_errhandler(comm_, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
@@ -164,6 +165,33 @@ void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte
     broadcast(share, r);
     start += share.size();
   }
+}
+
+void MpiComm::all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all) {
+  if (size_ <= tell_all_ranks_max_) return Comm::all_gather_few(local, all);
+  const comm::TreePlace place = comm::place_in_tree(rank_, size_, kTreeFanOut);
+  std::vector<MPI_Request> requests;
+  std::vector<std::uint64_t> sizes(place.children.size());
+  for (std::size_t c = 0; c < sizes.size(); ++c)
+    start_receive(std::as_writable_bytes(std::span(sizes).subspan(c, 1)), place.children[c], requests);
+  finish(requests, "MPI_Waitall (all_gather_few)");
+  requests.clear();
+  std::uint64_t total = std::accumulate(sizes.begin(), sizes.end(), std::uint64_t{local.size()});
+  all.resize(total);
+  copy(local, std::span(all).first(local.size()));
+  std::size_t start = local.size();
+  for (std::size_t c = 0; c < sizes.size(); start += sizes[c++])
+    start_receive(std::span(all).subspan(start, sizes[c]), place.children[c], requests);
+  finish(requests, "MPI_Waitall (all_gather_few)");
+  requests.clear();
+  if (place.parent >= 0) {
+    start_send(std::as_bytes(std::span(&total, 1)), place.parent, requests);
+    start_send(all, place.parent, requests);
+    finish(requests, "MPI_Waitall (all_gather_few)");
+  }
+  broadcast(std::as_writable_bytes(std::span(&total, 1)), 0);
+  all.resize(total);
+  broadcast(all, 0);
 }
 
 void MpiComm::gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,

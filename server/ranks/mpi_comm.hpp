@@ -6,6 +6,8 @@
 // 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
 // 4. Where ranks are on several machines, short reductions and gathers go from every rank straight to every other: one
 //    latency of the network, where MPI takes log2(ranks), twice that if the ranks are no power of two.
+// 5. With more than kTellAllRanksMax ranks few values are gathered along a tree and broadcast: in a gather every rank
+//    hears of every other, if only that it has nothing.
 #pragma once
 
 #include <cstddef>
@@ -28,9 +30,14 @@ class MpiComm final : public comm::Comm {
   static constexpr std::size_t kStraightBytesMax = std::size_t{144} << 10U;
   static constexpr std::size_t kStraightMessageBytes = std::size_t{4} << 10U;
 
+  // 8 bytes of each, 32 KiB: as much as the other messages have.
+  static constexpr int kTellAllRanksMax = 4096;
+  static constexpr int kTreeFanOut = 16;
+
   // Collective over `parent`. MPI must be initialised. Only tests pass more: fewer message_bytes_max, or `apart`, as
-  // though the ranks were on several machines.
-  explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax, bool apart = false);
+  // though the ranks were on several machines, or fewer ranks that tell all others.
+  explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax, bool apart = false,
+                   int tell_all_ranks_max = kTellAllRanksMax);
   ~MpiComm() override;
   MpiComm(const MpiComm&) = delete;
   MpiComm& operator=(const MpiComm&) = delete;
@@ -42,6 +49,7 @@ class MpiComm final : public comm::Comm {
   void all_max(std::span<std::uint64_t> values) override;
   void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
                   std::vector<std::size_t>& sizes) override;
+  void all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all) override;
   void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
               std::vector<std::size_t>& sizes) override;
   void broadcast(std::span<std::byte> bytes, int root) override;
@@ -67,6 +75,7 @@ class MpiComm final : public comm::Comm {
   int size_ = 1;
   std::size_t message_bytes_max_;
   bool apart_;
+  int tell_all_ranks_max_;
   static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
 };
 

@@ -1,6 +1,8 @@
 // One suite for every Comm: SelfComm, threads, MPI, and MPI in small pieces.
 #include "common/comm/comm.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <limits>
 
@@ -8,6 +10,7 @@
 
 #include "common/base/random.hpp"
 #include "common/comm/self_comm.hpp"
+#include "common/comm/tree.hpp"
 #include "tests/support/on_ranks.hpp"
 
 namespace rcb::partition {
@@ -109,6 +112,54 @@ TEST(Comm, GathersUnevenAndEmptyShares) {
     EXPECT_TRUE(all.empty());
     EXPECT_EQ(sizes, std::vector<std::size_t>(static_cast<std::size_t>(comm.size()), 0));
   });
+}
+
+TEST(Comm, GathersFewInTheOrderOfTheRanks) {
+  on_every_comm([](comm::Comm& comm) {
+    std::vector<std::byte> all(3);
+    for (int round = 0; round < 7; ++round) {
+      std::vector<std::byte> expected;
+      for (int r = 0; r < comm.size(); ++r) {
+        const std::vector<std::byte> bytes = bytes_of(seed_of(r, 0, round), share_size(r, round));
+        expected.insert(expected.end(), bytes.begin(), bytes.end());
+      }
+      comm.all_gather_few(bytes_of(seed_of(comm.rank(), 0, round), share_size(comm.rank(), round)), all);
+      EXPECT_EQ(all, expected);
+    }
+    comm.all_gather_few({}, all);
+    EXPECT_TRUE(all.empty());
+  });
+}
+
+// Every rank once, below its parent, in ascending order, and few messages wait for each other.
+TEST(Tree, HoldsEveryRankOnceInFewLevels) {
+  for (const int size : {1, 2, 3, 17, 18, 1000, 10'000, 1'000'000})
+    for (const int fan_out : {2, 16}) {
+      std::vector<int> level(static_cast<std::size_t>(size), 0);
+      int last = 0;
+      int levels = 0;
+      std::uint64_t messages = 0;
+      for (int rank = 0; rank < size; ++rank) {
+        const comm::TreePlace place = comm::place_in_tree(rank, size, fan_out);
+        ASSERT_LE(place.children.size(), static_cast<std::size_t>(fan_out));
+        ASSERT_TRUE(std::is_sorted(place.children.begin(), place.children.end()));
+        if (!place.children.empty()) {
+          ASSERT_EQ(place.children.front(), rank + 1);
+        }
+        ASSERT_EQ(place.parent < 0, rank == 0);
+        for (const int child : place.children) {
+          ASSERT_GT(child, rank);
+          ASSERT_EQ(comm::place_in_tree(child, size, fan_out).parent, rank);
+          level[static_cast<std::size_t>(child)] = level[static_cast<std::size_t>(rank)] + 1;
+          last = std::max(last, child);
+          ++messages;
+        }
+        levels = std::max(levels, level[static_cast<std::size_t>(rank)]);
+      }
+      EXPECT_EQ(messages, static_cast<std::uint64_t>(size) - 1);
+      EXPECT_EQ(last, size - 1);
+      EXPECT_LE(levels, 1 + std::ceil(std::log(size) / std::log(fan_out)));
+    }
 }
 
 TEST(Comm, BroadcastsFromAnyRoot) {

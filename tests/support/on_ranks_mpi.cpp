@@ -19,6 +19,8 @@ void on_every_comm(const std::function<void(comm::Comm&)>& body) {
   body(pieces);
   ranks::MpiComm apart(MPI_COMM_WORLD, ranks::MpiComm::kMessageBytesMax, true);
   body(apart);
+  ranks::MpiComm tree(MPI_COMM_WORLD, ranks::MpiComm::kMessageBytesMax, false, 0);
+  body(tree);
 }
 
 bool ranks_are_threads() { return false; }

@@ -42,7 +42,7 @@ void Selector::gather_group(std::span<const std::size_t> group) {
         mine.push_back(static_cast<std::uint64_t>(weight));
         mine.push_back(static_cast<std::uint64_t>(weight >> 64U));
       }
-  const auto all = comm::all_gather_values<std::uint64_t>(comm_, mine).values;
+  const auto all = comm::all_gather_few_values<std::uint64_t>(comm_, mine);
   ++reductions_;
   std::vector<Candidate> candidates;
   candidates.reserve(all.size() / candidate_words());
@@ -180,7 +180,7 @@ std::vector<std::uint8_t> Selector::nearest(std::span<const Neighbour> wanted, b
       mine.push_back(n);
       mine.insert(mine.end(), keys[n].begin(), keys[n].begin() + static_cast<std::ptrdiff_t>(words_));
     }
-    const auto all = comm::all_gather_values<std::uint64_t>(comm_, mine).values;
+    const auto all = comm::all_gather_few_values<std::uint64_t>(comm_, mine);
     ++reductions_;
     for (std::size_t at = 0; at < all.size(); at += point) {
       KeyWords key{};
