@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "server/ranks/mpi_comm.hpp"
+#include "server/ranks/shared_segments.hpp"
 
 namespace rcb::ranks {
 
@@ -36,7 +37,11 @@ Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
     MPI_Finalize();
     return Status(Code::unsupported, "this MPI has no thread support", "rcbd needs MPI_THREAD_FUNNELED");
   }
-  return MpiSession(std::make_unique<State>());
+  MpiSession session(std::make_unique<State>());
+  for (const std::string& fault : session.gather(allocate_shared_segments().message()))
+    if (!fault.empty())
+      return Status(Code::io_error, fault, "make room there; a container's /dev/shm grows by --shm-size");
+  return session;
 }
 
 int MpiSession::rank() const { return state_->comm.rank(); }

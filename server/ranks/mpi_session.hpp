@@ -15,7 +15,8 @@ namespace rcb::ranks {
 
 class MpiSession {
  public:
-  // Collective. Errors: unsupported (MPI without thread support).
+  // Collective. Errors, on all ranks alike: unsupported (MPI without thread support), io_error (no room for the
+  // memory that ranks share).
   static Result<MpiSession> start(int* argc, char*** argv);
   MpiSession(MpiSession&&) noexcept;
   MpiSession& operator=(MpiSession&&) noexcept;
