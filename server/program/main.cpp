@@ -72,6 +72,10 @@ int run(int argc, char** argv) {
 #if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // which tell more
   end_at_faults(mpi->rank());
 #endif
+  if (const Status allocated = mpi->allocate_shared_memory(); !allocated.ok()) {
+    if (mpi->rank() == 0) say_failure(allocated);
+    return 1;
+  }
   set_up_log(parsed.config, mpi->rank());
   set_check_context(fmt::format("rank {} of {}", mpi->rank(), mpi->size()));
   // Rank 0's option applies to all ranks, since their collectives must match.

@@ -37,11 +37,13 @@ Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
     MPI_Finalize();
     return Status(Code::unsupported, "this MPI has no thread support", "rcbd needs MPI_THREAD_FUNNELED");
   }
-  MpiSession session(std::make_unique<State>());
-  for (const std::string& fault : session.gather(allocate_shared_segments().message()))
-    if (!fault.empty())
-      return Status(Code::io_error, fault, "make room there; a container's /dev/shm grows by --shm-size");
-  return session;
+  return MpiSession(std::make_unique<State>());
+}
+
+Status MpiSession::allocate_shared_memory() {
+  for (const std::string& fault : gather(allocate_shared_segments().message()))
+    if (!fault.empty()) return {Code::io_error, fault, "make room there; a container's /dev/shm grows by --shm-size"};
+  return {};
 }
 
 int MpiSession::rank() const { return state_->comm.rank(); }

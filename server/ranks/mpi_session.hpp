@@ -15,12 +15,15 @@ namespace rcb::ranks {
 
 class MpiSession {
  public:
-  // Collective. Errors, on all ranks alike: unsupported (MPI without thread support), io_error (no room for the
-  // memory that ranks share).
+  // Collective. Errors: unsupported (MPI without thread support).
   static Result<MpiSession> start(int* argc, char*** argv);
   MpiSession(MpiSession&&) noexcept;
   MpiSession& operator=(MpiSession&&) noexcept;
   ~MpiSession();  // Collective: MPI_Finalize, unless finish() was called
+
+  // Collective. All pages of the memory that ranks share, which MPI takes one by one as they are touched. Errors, the
+  // same on all ranks: io_error (no room for them).
+  Status allocate_shared_memory();
 
   int rank() const;    // Local.
   int size() const;    // Local.

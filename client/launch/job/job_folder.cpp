@@ -29,9 +29,10 @@ std::string prefix() { return fmt::format("{}{}-", kJobFolderPrefix, ::geteuid()
 
 std::uint64_t bytes_for(int ranks) { return kSessionBytes + static_cast<std::uint64_t>(ranks) * kRankBytes; }
 
+// Also true where that can't be found out: making a folder there tells why.
 bool has_room(const std::string& folder, int ranks) {
   struct statvfs info {};
-  if (::statvfs(folder.c_str(), &info) != 0) return false;
+  if (::statvfs(folder.c_str(), &info) != 0) return true;
   return std::uint64_t{info.f_bavail} * info.f_frsize > bytes_for(ranks);
 }
 
