@@ -11,6 +11,7 @@
 #include "client/cli/options.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/usage.hpp"
+#include "common/base/child.hpp"
 #include "common/files/descriptor.hpp"
 
 namespace rcb::cli {
@@ -130,6 +131,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
 
 int main(int argc, char** argv) {
   rcb::open_standard_streams();
+  rcb::keep_ended_children();     // of programs that read and plot files
   std::signal(SIGXFSZ, SIG_IGN);  // a write beyond the limit for files fails, and is told
   std::signal(SIGPIPE, SIG_IGN);  // ignored, so that a temporary scene or embedded service is removed before the end
   std::vector<std::string> arguments;

@@ -83,11 +83,13 @@ struct Started {
 };
 
 // Runs in the child: leaves the starter's session, standard streams and open files.
-[[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd, const sigset_t& signals) {
+[[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd) {
   setsid();
   for (const int number : {SIGINT, SIGTERM, SIGQUIT}) signal(number, SIG_DFL);
   signal(SIGHUP, SIG_IGN);  // the terminal of the starter may go
-  sigprocmask(SIG_SETMASK, &signals, nullptr);
+  sigset_t none;            // what the starter blocks is its own business
+  sigemptyset(&none);
+  sigprocmask(SIG_SETMASK, &none, nullptr);
   signal(SIGPIPE, SIG_IGN);
   signal(SIGXFSZ, SIG_IGN);
   const int null_fd = open("/dev/null", O_RDWR);
@@ -131,7 +133,7 @@ Result<Started> fork_supervisor(const SuperviseOptions& options) {
   if (child == 0) {
     close(lifeline[1]);
     close(notify[0]);
-    run_supervisor(options, notify[1], lifeline[0], before);
+    run_supervisor(options, notify[1], lifeline[0]);
   }
   const int reason = errno;
   close(notify[1]);
@@ -195,13 +197,14 @@ Status await_verdict(const Started& started, double deadline_seconds, const Prog
 // the locks in them.
 void sweep_temporary(const std::string& parent) {
   std::error_code error;
-  for (const auto& entry : std::filesystem::directory_iterator(parent, error)) {
-    const std::string path = entry.path().string();
-    if (!entry.path().filename().string().starts_with(kTemporaryPrefix) || !is_own_directory(path)) continue;
+  for (std::filesystem::directory_iterator entry(parent, error), end; !error && entry != end; entry.increment(error)) {
+    const std::string path = entry->path().string();
+    if (!entry->path().filename().string().starts_with(kTemporaryPrefix) || !is_own_directory(path)) continue;
     const std::string lock_path = join_path(path, kLockFile);
-    const auto written = std::filesystem::last_write_time(lock_path, error);
-    if (error || decltype(written)::clock::now() - written < kStartTime) continue;  // it may just be starting
-    if (const auto lock = LockFile::take(lock_path, ""); lock.ok()) std::filesystem::remove_all(path, error);
+    std::error_code fault;
+    const auto written = std::filesystem::last_write_time(lock_path, fault);
+    if (fault || decltype(written)::clock::now() - written < kStartTime) continue;  // it may just be starting
+    if (const auto lock = LockFile::take(lock_path, ""); lock.ok()) std::filesystem::remove_all(path, fault);
   }
 }
 

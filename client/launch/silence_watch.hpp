@@ -37,6 +37,8 @@ class SilenceWatch {
     if (++open_ == 1 && answered_) since_ = asked_at;
     return open_ >= kUnansweredMin && now - since_ >= allowed_seconds_;
   }
+  // The service couldn't be asked, which tells nothing.
+  void skip_probe(double now) { due_ = now + ask_seconds_; }
   bool answered() const { return answered_; }
   double silent_seconds(double now) const { return open_ > 0 ? now - since_ : 0; }
 

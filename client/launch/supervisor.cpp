@@ -9,14 +9,11 @@
 #include <fstream>
 #include <optional>
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <poll.h>
-#include <signal.h>
 #include <sys/prctl.h>
-#include <sys/signalfd.h>
 #include <unistd.h>
 
+#include "client/launch/events.hpp"
 #include "client/launch/job/job.hpp"
 #include "client/launch/probe.hpp"
 #include "client/launch/reach.hpp"
@@ -40,8 +37,6 @@ constexpr double kAskSecondsMost = 5;
 constexpr double kStopSeconds = 20;
 constexpr double kUntoldSeconds = 5;  // for a job that couldn't be told to end
 constexpr double kPauseJitter = 0.25;
-constexpr std::size_t kReadBytes = 64 * 1024;
-constexpr int kReadsMax = 64;  // of the job's output, before other events are looked at
 
 class Supervisor {
  public:
@@ -52,29 +47,36 @@ class Supervisor {
         backoff_({options.pause_first_seconds, options.pause_most_seconds, kPauseJitter},
                  mix64(static_cast<std::uint64_t>(getpid()) ^ ProcessId::self().start << 32U)),
         silence_(options.ask_seconds, options.silence_seconds) {}
-  ~Supervisor();
 
   Status run();
 
  private:
-  enum class Event { none, child, stop };
   enum class Outcome { running, ended, stopped, died, displaced };
 
   Status open();
-  Status open_pipes();
+  Status run_job();
   Status serve(Job& job);
   Status await_first_answer(Job& job);
   Status publish();
   Status keep(Job& job);
+  template <typename Work>
+  std::optional<Outcome> go_on_after_faults(const Work& work);
   Outcome watch(Job& job, std::string& why);
+  std::string where(Job& job) const;
+  bool is_silent(Job& job);
+  Answer ask_service(Job& job, double deadline_seconds);
   Outcome start_again(Job& job, std::string why);
   bool pause(double seconds);
   Status start(Job& job, bool restarted);
   void stop(Job& job);
   Status keep_place();
   bool is_displaced(const Status& status) const { return status.code() == Code::busy && !endpoint_lock_->in_place(); }
-  Event wait(double seconds);
-  void drain();
+  Events::Event wait(double seconds) {
+    return events_.wait(seconds, [this](std::string_view bytes) { log_.add(bytes); });
+  }
+  void drain() {
+    events_.drain([this](std::string_view bytes) { log_.add(bytes); });
+  }
   std::string reason(const std::string& end);
   void tell_state(double start_at_unix);
   void notify(const Status& status);
@@ -89,18 +91,12 @@ class Supervisor {
   client::EndpointFile published_;
   std::optional<LockFile> endpoint_lock_;
   std::optional<LockFile> data_lock_;
-  int output_[2] = {-1, -1};  // pipe for the job's output: [1] the job writes, [0] is read for the log
-  int signal_fd_ = -1;
-  sigset_t signals_before_{};
+  Events events_;
   double started_ = 0;
   std::string last_complaint_;
+  std::string last_fault_;
+  std::string last_unasked_;  // why the service couldn't be asked, while it can't be
 };
-
-Supervisor::~Supervisor() {
-  for (const int fd : {output_[0], output_[1], signal_fd_})
-    if (fd >= 0) close(fd);
-  if (signal_fd_ >= 0) sigprocmask(SIG_SETMASK, &signals_before_, nullptr);
-}
 
 Status Supervisor::open() {
   note_.process = ProcessId::self();
@@ -115,29 +111,27 @@ Status Supervisor::open() {
   if (!data.ok()) return data.status();
   data_lock_.emplace(std::move(*data));
   if (Status opened = log_.open(); !opened.ok()) return opened;
-  return open_pipes();
-}
-
-Status Supervisor::open_pipes() {
-  if (pipe2(output_, O_CLOEXEC) != 0) return {Code::internal, fmt::format("pipe: {}", std::strerror(errno))};
-  fcntl(output_[0], F_SETFL, O_NONBLOCK);
-  sigset_t set;
-  sigemptyset(&set);
-  for (const int number : {SIGCHLD, SIGTERM, SIGINT, SIGHUP}) sigaddset(&set, number);
-  sigprocmask(SIG_BLOCK, &set, &signals_before_);
-  signal_fd_ = signalfd(-1, &set, SFD_CLOEXEC | SFD_NONBLOCK);
-  if (signal_fd_ < 0) return {Code::internal, fmt::format("signalfd: {}", std::strerror(errno))};
   prctl(PR_SET_NAME, kSupervisorName.data());
   if (prctl(PR_SET_CHILD_SUBREAPER, 1) != 0)
     return {Code::internal, fmt::format("child subreaper: {}", std::strerror(errno))};
-  return {};
+  return events_.open(options_.lifeline_fd);
 }
 
 Status Supervisor::run() {
-  if (Status status = open(); !status) {
-    notify(status);
-    return status;
+  Status status;
+  try {
+    status = open();
+    if (status) return run_job();
+  } catch (const std::exception& fault) {
+    status = {Code::internal, fmt::format("the launcher has failed: {}", fault.what()),
+              "look at this shell's limits (ulimit -a): memory, open files"};
+    log_.note(status.message());
   }
+  notify(status);
+  return status;
+}
+
+Status Supervisor::run_job() {
   for (const std::string& path : JobFolder::sweep(options_.data_dir))
     log_.note("removed what a killed service has left: " + path);
   Job job({.endpoint = options_.endpoint,
@@ -145,7 +139,7 @@ Status Supervisor::run() {
            .ranks = options_.ranks,
            .hosts = options_.hosts,
            .service_arguments = options_.service_arguments},
-          options_.data_dir, output_[1]);
+          options_.data_dir, events_.output_fd());
   const Status status = serve(job);
   job.kill();
   drain();
@@ -204,7 +198,8 @@ Status Supervisor::start(Job& job, bool restarted) {
 Status Supervisor::await_first_answer(Job& job) {
   const double deadline = clock_.seconds() + options_.ready_seconds;
   while (clock_.seconds() < deadline) {
-    if (wait(kProbeSeconds) == Event::stop) return {Code::aborted, "the service was told to end while it started"};
+    if (wait(kProbeSeconds) == Events::Event::stop)
+      return {Code::aborted, "the service was told to end while it started"};
     if (const auto end = job.poll()) {
       const bool by_signal = end->text.starts_with("signal");
       return {Code::aborted, reason(end->text),
@@ -212,7 +207,7 @@ Status Supervisor::await_first_answer(Job& job) {
                           by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "", log_.path())};
     }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
-    if (job.ready() && answers(options_.endpoint, kProbeDeadlineSeconds)) return {};
+    if (job.ready() && ask_service(job, kProbeDeadlineSeconds) == Answer::heard) return {};
   }
   return {Code::deadline_exceeded,
           fmt::format("the service did not answer within {} s of its start", options_.ready_seconds),
@@ -221,11 +216,14 @@ Status Supervisor::await_first_answer(Job& job) {
 
 // Watches and restarts the service until it has ended for good.
 Status Supervisor::keep(Job& job) {
+  std::string why;
+  bool dead = false;
   for (;;) {
-    std::string why;
-    Outcome outcome = watch(job, why);
-    if (outcome == Outcome::died && !options_.embedded) outcome = start_again(job, why);
-    switch (outcome) {
+    const auto outcome = go_on_after_faults([&] { return dead ? start_again(job, why) : watch(job, why); });
+    if (!outcome) continue;
+    dead = *outcome == Outcome::died && !options_.embedded;
+    if (dead) continue;
+    switch (*outcome) {
       case Outcome::running:
         continue;
       case Outcome::ended:
@@ -235,7 +233,7 @@ Status Supervisor::keep(Job& job) {
         return {};
       case Outcome::died:
         // The starter reads the log first, then closes the lifeline.
-        while (wait(-1) != Event::stop) continue;
+        while (wait(-1) != Events::Event::stop) continue;
         return {};
       case Outcome::displaced:
         return {Code::aborted, fmt::format("another service has taken {} meanwhile", options_.endpoint)};
@@ -243,14 +241,58 @@ Status Supervisor::keep(Job& job) {
   }
 }
 
+// Nothing after a fault of this process's own: then the work is to be done again.
+template <typename Work>
+std::optional<Supervisor::Outcome> Supervisor::go_on_after_faults(const Work& work) {
+  constexpr useconds_t kPauseMicroseconds = 500'000;
+  try {
+    const Outcome outcome = work();
+    last_fault_.clear();
+    return outcome;
+  } catch (const std::exception& fault) {
+    usleep(kPauseMicroseconds);
+    try {
+      if (last_fault_ != fault.what()) log_.note(fmt::format("this process has failed, and goes on: {}", fault.what()));
+      last_fault_ = fault.what();
+    } catch (const std::exception&) {  // no memory for that either
+    }
+  }
+  return std::nullopt;
+}
+
+// The address at which the service has said that it listens, so that no name has to be looked up.
+std::string Supervisor::where(Job& job) const {
+  const std::string address = options_.endpoint.starts_with("unix:") ? "" : job.address();
+  return address.empty() ? options_.endpoint : address;
+}
+
+Answer Supervisor::ask_service(Job& job, double deadline_seconds) {
+  std::string why;
+  const Answer answer = ask(where(job), deadline_seconds, why);
+  if (answer == Answer::unasked && why != last_unasked_)
+    log_.note(fmt::format("the service can't be asked whether it lives: {}", why));
+  last_unasked_ = answer == Answer::unasked ? why : "";
+  return answer;
+}
+
+// Probes the service; true if it has been silent for too long.
+bool Supervisor::is_silent(Job& job) {
+  const double asked_at = clock_.seconds();
+  const Answer answer = ask_service(job, std::clamp(options_.ask_seconds, kAskSecondsLeast, kAskSecondsMost));
+  if (answer != Answer::unasked) return silence_.record_probe(answer == Answer::heard, asked_at, clock_.seconds());
+  silence_.skip_probe(clock_.seconds());
+  return false;
+}
+
 // Waits until the service ends or is silent for too long. why: the reason of a death.
 Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
   for (;;) {
     const double left = options_.embedded ? -1 : std::max(0.0, silence_.due() - clock_.seconds());
-    if (wait(left) == Event::stop) return Outcome::stopped;
+    if (wait(left) == Events::Event::stop) return Outcome::stopped;
     if (const auto end = job.poll()) {
       why = reason(end->text);
-      return end->clean || std::filesystem::exists(marker_) ? Outcome::ended : Outcome::died;
+      std::error_code unseen;  // a marker that can't be looked for: one that is started again can be ended again
+      return end->clean || std::filesystem::exists(marker_, unseen) ? Outcome::ended : Outcome::died;
     }
     if (options_.embedded || clock_.seconds() < silence_.due()) continue;
     if (Status status = keep_place(); !status) {
@@ -258,10 +300,7 @@ Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
       if (status.message() != last_complaint_) log_.note(status.message());
       last_complaint_ = status.message();
     }
-    const double asked_at = clock_.seconds();
-    const double patience = std::clamp(options_.ask_seconds, kAskSecondsLeast, kAskSecondsMost);
-    const bool answer = answers(options_.endpoint, patience);
-    if (silence_.record_probe(answer, asked_at, clock_.seconds())) {
+    if (is_silent(job)) {
       why = fmt::format("it has not answered for {:.0f} s", silence_.silent_seconds(clock_.seconds()));
       return Outcome::died;
     }
@@ -297,7 +336,7 @@ Supervisor::Outcome Supervisor::start_again(Job& job, std::string why) {
 bool Supervisor::pause(double seconds) {
   const double due = clock_.seconds() + seconds;
   for (double left = seconds; left > 0; left = due - clock_.seconds())
-    if (wait(left) == Event::stop) return false;
+    if (wait(left) == Events::Event::stop) return false;
   return true;
 }
 
@@ -333,49 +372,13 @@ void Supervisor::stop(Job& job) {
   const double began = clock_.seconds();
   std::string token;  // of a service on TCP; the library doesn't look for it in a data directory that the user named
   std::ifstream(join_path(options_.data_dir, kTokenFile)) >> token;
-  auto client = reach(options_.endpoint, "rcbctl up", 2, token);
+  auto client = reach(where(job), "rcbctl up", 2, token);
   const bool told = client && client->shutdown_service();
   // A batch system sends SIGTERM to all processes of a job at once: then the ranks are ending by themselves.
   const double deadline = began + (told ? kStopSeconds : kUntoldSeconds);
   while (job.running() && clock_.seconds() < deadline) {
     (void)wait(0.1);
     if (job.poll()) return;
-  }
-}
-
-// Sleeps until a child has ended, a stop was asked for, or `seconds` have passed (negative: no limit). Reads the job's
-// output meanwhile.
-Supervisor::Event Supervisor::wait(double seconds) {
-  const double end = clock_.seconds() + seconds;
-  for (;;) {
-    pollfd fds[3] = {{signal_fd_, POLLIN, 0}, {output_[0], POLLIN, 0}, {options_.lifeline_fd, POLLIN, 0}};
-    const double left = std::max(0.0, end - clock_.seconds());
-    if (poll(fds, 3, seconds < 0 ? -1 : static_cast<int>(left * 1000) + 1) <= 0) return Event::none;
-    if (fds[1].revents != 0) drain();
-    Event event = Event::none;
-    signalfd_siginfo info{};
-    while (read(signal_fd_, &info, sizeof info) == sizeof info) {
-      if (info.ssi_signo == SIGCHLD)
-        event = event == Event::none ? Event::child : event;
-      else
-        event = Event::stop;
-    }
-    if (options_.lifeline_fd >= 0 && fds[2].revents != 0) {
-      char byte = 0;
-      if (read(options_.lifeline_fd, &byte, 1) <= 0) return Event::stop;
-      options_.lifeline_fd = -1;
-    }
-    if (event != Event::none) return event;
-  }
-}
-
-// Moves what the job has written to the log.
-void Supervisor::drain() {
-  std::string bytes(kReadBytes, '\0');  // not on the stack, which a limit may keep small
-  for (int i = 0; i < kReadsMax; ++i) {
-    const ssize_t got = read(output_[0], bytes.data(), bytes.size());
-    if (got <= 0) return;
-    log_.add({bytes.data(), static_cast<std::size_t>(got)});
   }
 }
 

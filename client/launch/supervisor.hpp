@@ -8,7 +8,10 @@
 // 3. A job that fails before it has ever answered isn't restarted: the reason is reported at once.
 // 4. A job that runs but doesn't answer for silence_seconds is killed and counts as dead.
 // 5. Nothing it reads or writes can block it or the job: the job's output comes through a pipe.
-// 6. When supervise() returns, no process of the job is left, nor its sockets; those of other services stay.
+// 6. A fault of this process's own, such as a lack of memory, ends neither the job nor the supervisor: the log says so,
+//    and it goes on. What can't be found out about the service, since its name can't be looked up or its data directory
+//    can't be searched, isn't held against it.
+// 7. When supervise() returns, no process of the job is left, nor its sockets; those of other services stay.
 #pragma once
 
 #include <string>

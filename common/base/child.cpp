@@ -9,6 +9,8 @@
 
 namespace rcb {
 
+void keep_ended_children() { ::signal(SIGCHLD, SIG_DFL); }
+
 std::optional<int> wait_or_kill(pid_t child, double seconds) {
   constexpr useconds_t kMicroseconds = 1000;
   const SteadyClock clock;

@@ -1,4 +1,4 @@
-// Waits for a process that this one has started.
+// Waiting for processes that this one has started.
 #pragma once
 
 #include <optional>
@@ -6,6 +6,10 @@
 #include <sys/types.h>
 
 namespace rcb {
+
+// From now on the kernel keeps how a child has ended until somebody waits for it. Where whoever started this process
+// ignores SIGCHLD, as some daemons do and "trap '' CHLD" in a shell, it would not: that is inherited.
+void keep_ended_children();
 
 // How the child ended, as waitpid tells it; 0 if somebody else has reaped it. Nothing if it hasn't ended after so many
 // seconds: then it is killed.

@@ -26,9 +26,9 @@ std::vector<std::string> rank_sockets(const std::string& path) {
   const std::string begin = socket.filename().string() + ".";
   const std::filesystem::path folder = socket.has_parent_path() ? socket.parent_path() : ".";
   std::error_code error;
-  for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
-    const std::string name = entry.path().filename().string();
-    if (name.starts_with(begin) && is_rank_suffix(name.substr(begin.size()))) found.push_back(entry.path().string());
+  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
+    const std::string name = entry->path().filename().string();
+    if (name.starts_with(begin) && is_rank_suffix(name.substr(begin.size()))) found.push_back(entry->path().string());
   }
   return found;
 }

@@ -4,17 +4,27 @@
 #include <filesystem>
 #include <sstream>
 #include <string>
+#include <system_error>
 #include <vector>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 namespace rcb::server {
+namespace {
+
+std::string absolute_text(const std::string& folder) {
+  std::error_code error;  // the working directory may be gone; then opening it says so
+  const std::filesystem::path path = std::filesystem::absolute(folder, error);
+  return error ? folder : path.string();
+}
+
+}  // namespace
 
 Result<io::Roots> open_client_folders(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts) {
   std::string names;
   for (const std::string& folder : config.files_below.empty() ? config.local_files_below : config.files_below)
-    names.append(std::filesystem::absolute(folder).string()).push_back('\0');
+    names.append(absolute_text(folder)).push_back('\0');
   std::istringstream shared(mpi.share(names));
   io::Roots roots;
   // Rank 0's word, since the other machines don't know of a restart.

@@ -12,11 +12,13 @@
 
 #include <execinfo.h>
 #include <fcntl.h>
+#include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "common/files/descriptor.hpp"
 #include "common/files/paths.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/files/socket_name.hpp"
@@ -113,7 +115,10 @@ ConnectionLimits connection_limits(int ranks) {
   constexpr int kFiles = 24;  // listeners, logs, files that commands read and write
   rlimit files{};
   std::error_code error;
-  const auto open = std::distance(std::filesystem::directory_iterator("/proc/self/fd", error), {});
+  std::int64_t open = 0;
+  for (std::filesystem::directory_iterator entry("/proc/self/fd", error), end; !error && entry != end;
+       entry.increment(error))
+    ++open;
   if (error || ::getrlimit(RLIMIT_NOFILE, &files) != 0) return {wire::kSessionsMax, wire::kBeforeHelloMax};
   const auto most = static_cast<std::int64_t>(std::min<rlim_t>(files.rlim_cur, 1U << 20U));
   const std::int64_t left = std::max<std::int64_t>(most - open - ranks - kFiles, 0);
@@ -125,14 +130,17 @@ ConnectionLimits connection_limits(int ranks) {
   return limits;
 }
 
-void say_ready() {
+void say_ready(const std::vector<std::string>& endpoints) {
   if (g_job_folder[0] == '\0') return;
   const std::string path = join_path(g_job_folder, kReadyFile);
-  const int file = ::open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
-  if (file < 0)
+  const std::string begun = path + ".new";  // renamed once it is complete
+  const std::string text = fmt::format("{}\n", fmt::join(endpoints, "\n"));
+  const Descriptor file(::open(begun.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+  // Without its text, where there is no room for that, it still tells that the service is up.
+  if (file.open() && ::write(file.get(), text.data(), text.size()) != static_cast<ssize_t>(text.size()))
+    (void)!::ftruncate(file.get(), 0);
+  if (!file.open() || ::rename(begun.c_str(), path.c_str()) != 0)
     spdlog::error("can't make {}: {}; the launcher will not know that the service is up", path, std::strerror(errno));
-  else
-    ::close(file);
 }
 
 void end_in_order() { g_in_order = true; }

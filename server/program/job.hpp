@@ -3,6 +3,8 @@
 #pragma once
 
 #include <cstddef>
+#include <string>
+#include <vector>
 
 namespace rcb::server {
 
@@ -30,8 +32,8 @@ ConnectionLimits connection_limits(int ranks);
 void remove_traces() noexcept;
 
 // Rank 0: announces that the service answers, by making kReadyFile in the job's folder, where the launcher looks for
-// it.
-void say_ready();
+// it. The file has the endpoints, one a line, as they were bound: the launcher asks there whether the service lives.
+void say_ready(const std::vector<std::string>& endpoints);
 
 // Switches off the clean-up at exit, for a process that ends on command: it has removed its sockets, and the launcher
 // removes the job's folder after mpirun has ended.

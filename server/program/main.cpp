@@ -10,6 +10,7 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
+#include "common/base/child.hpp"
 #include "common/files/paths.hpp"
 #include "server/net/files/log_sink.hpp"
 #include "server/program/client_folders.hpp"
@@ -35,6 +36,12 @@ void set_up_log(const Config& config, int rank) {
 
 // Signals reach all ranks at once; only rank 0 acts on them, through its I/O thread.
 void set_up_signals(int rank) {
+  // What whoever started this process ignores or blocks is inherited: ended children and alarms that are missed.
+  keep_ended_children();
+  std::signal(SIGALRM, SIG_DFL);
+  sigset_t none;
+  sigemptyset(&none);
+  ::sigprocmask(SIG_SETMASK, &none, nullptr);
   // A write that fails tells why; it ends no process.
   std::signal(SIGPIPE, SIG_IGN);
   std::signal(SIGXFSZ, SIG_IGN);
@@ -65,6 +72,10 @@ int run(int argc, char** argv) {
 #if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // which tell more
   end_at_faults(mpi->rank());
 #endif
+  if (const Status allocated = mpi->allocate_shared_memory(); !allocated.ok()) {
+    if (mpi->rank() == 0) say_failure(allocated);
+    return 1;
+  }
   set_up_log(parsed.config, mpi->rank());
   set_check_context(fmt::format("rank {} of {}", mpi->rank(), mpi->size()));
   // Rank 0's option applies to all ranks, since their collectives must match.

@@ -227,7 +227,7 @@ void Rank0::serve() {
   const Status connected = doorbells_->wait_connected(kStartSeconds);
   if (!connected.ok()) die(connected.message());
   loop_.run([this] { control_->start(); });
-  say_ready();
+  say_ready(endpoints_);
   spdlog::info("rcbd {} is up: {} ranks, pid {}{}", RCB_VERSION, setup_.mpi.size(), ::getpid(),
                setup_.config.restarted ? ", restarted and empty" : "");
   run_engine();

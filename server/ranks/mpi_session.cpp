@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "server/ranks/mpi_comm.hpp"
+#include "server/ranks/shared_segments.hpp"
 
 namespace rcb::ranks {
 
@@ -37,6 +38,12 @@ Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
     return Status(Code::unsupported, "this MPI has no thread support", "rcbd needs MPI_THREAD_FUNNELED");
   }
   return MpiSession(std::make_unique<State>());
+}
+
+Status MpiSession::allocate_shared_memory() {
+  for (const std::string& fault : gather(allocate_shared_segments().message()))
+    if (!fault.empty()) return {Code::io_error, fault, "make room there; a container's /dev/shm grows by --shm-size"};
+  return {};
 }
 
 int MpiSession::rank() const { return state_->comm.rank(); }

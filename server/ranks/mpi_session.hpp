@@ -21,6 +21,10 @@ class MpiSession {
   MpiSession& operator=(MpiSession&&) noexcept;
   ~MpiSession();  // Collective: MPI_Finalize, unless finish() was called
 
+  // Collective. All pages of the memory that ranks share, which MPI takes one by one as they are touched. Errors, the
+  // same on all ranks: io_error (no room for them).
+  Status allocate_shared_memory();
+
   int rank() const;    // Local.
   int size() const;    // Local.
   comm::Comm& comm();  // Local.

@@ -4,7 +4,8 @@
 //
 // Invariants
 // 1. mpirun dies with the process that started it, and the ranks die with their mpirun.
-// 2. After kill() no process of the job is left, nor its folder.
+// 2. After kill() no process of the job is left, nor its folder. Other children of this process are left alone: where
+//    it was started by a shell's exec they are the user's, and where it is a container's first process it adopts them.
 // 3. mpirun is never sent SIGTERM: it would take two seconds and end with an exit code that says nothing about the
 //    ranks.
 #pragma once
@@ -29,7 +30,7 @@ struct JobEnd {
 class Job {
  public:
   // fallback: where the job's folder is created if not in /dev/shm. output_fd: becomes the job's standard output and
-  // error. The calling process must be a child subreaper and have no other children.
+  // error. The calling process must be a child subreaper; whichever of its children end are waited for here.
   Job(JobSpec spec, std::string fallback, int output_fd);
   ~Job();
   Job(const Job&) = delete;
@@ -39,7 +40,10 @@ class Job {
   bool running() const { return pid_ > 0; }
   // The service has written that it is up; whether it answers is for the caller to find out.
   bool ready() const;
-  // How mpirun ended, if it has; doesn't wait.
+  // At which TCP address the service has said that it listens, as numbers: so that nobody has to look up a name in
+  // order to ask it. Empty if it hasn't said so yet.
+  std::string address();
+  // How mpirun ended, if it has; doesn't wait. Remains so until the next start() or kill().
   std::optional<JobEnd> poll();
   void kill();
 
@@ -48,7 +52,10 @@ class Job {
   std::string fallback_;
   int output_fd_;
   std::optional<JobFolder> folder_;
+  std::string address_;
   pid_t pid_ = -1;
+  pid_t session_ = -1;              // of mpirun and its ranks, and of nobody else
+  std::optional<int> wait_status_;  // once mpirun has ended
 };
 
 }  // namespace rcb::launch

@@ -3,6 +3,7 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <new>
 #include <utility>
 
 #include <fmt/format.h>
@@ -22,14 +23,17 @@ constexpr const char* kSharedMemory = "/dev/shm";
 constexpr std::string_view kOwnerFile = "owner";
 constexpr int kTriesMax = 20;
 constexpr std::uint64_t kSessionBytes = 16 << 20;
-constexpr std::uint64_t kRankBytes = 4 << 20;
+constexpr std::uint64_t kRankBytes = (4 << 20) + (64 << 10);  // what Open MPI's vader shares of each, and a little more
 
 std::string prefix() { return fmt::format("{}{}-", kJobFolderPrefix, ::geteuid()); }
 
+std::uint64_t bytes_for(int ranks) { return kSessionBytes + static_cast<std::uint64_t>(ranks) * kRankBytes; }
+
+// Also true where that can't be found out: making a folder there tells why.
 bool has_room(const std::string& folder, int ranks) {
   struct statvfs info {};
-  if (::statvfs(folder.c_str(), &info) != 0) return false;
-  return std::uint64_t{info.f_bavail} * info.f_frsize > kSessionBytes + static_cast<std::uint64_t>(ranks) * kRankBytes;
+  if (::statvfs(folder.c_str(), &info) != 0) return true;
+  return std::uint64_t{info.f_bavail} * info.f_frsize > bytes_for(ranks);
 }
 
 void remove_tree(const std::string& path, std::vector<std::string>& removed) {
@@ -60,6 +64,11 @@ std::string note_in(const std::string& path) {
 Result<JobFolder> JobFolder::make(const std::string& fallback, int ranks) {
   if (has_room(kSharedMemory, ranks))
     if (auto folder = make_in(kSharedMemory); folder.ok()) return folder;
+  if (!has_room(fallback, ranks))
+    return Status(Code::io_error,
+                  fmt::format("neither {} nor {} has room for {} MiB, which {} ranks share", kSharedMemory, fallback,
+                              bytes_for(ranks) >> 20U, ranks),
+                  fmt::format("make room there, or let {} be larger (a container's --shm-size)", kSharedMemory));
   return make_in(fallback);
 }
 
@@ -85,7 +94,10 @@ JobFolder::JobFolder(JobFolder&& other) noexcept
 
 JobFolder::~JobFolder() {
   std::error_code ignored;
-  if (!path_.empty()) fs::remove_all(path_, ignored);
+  try {
+    if (!path_.empty()) fs::remove_all(path_, ignored);
+  } catch (const std::bad_alloc&) {  // the next sweep removes it
+  }
 }
 
 void JobFolder::sign(const EndpointNote& owner) const {
@@ -96,11 +108,12 @@ std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
   std::vector<std::string> removed;
   for (const std::string& parent : {std::string(kSharedMemory), fallback}) {
     std::error_code error;
-    for (const auto& entry : fs::directory_iterator(parent, error)) {
-      const std::string path = entry.path().string();
-      if (!entry.path().filename().string().starts_with(prefix()) || !is_own_directory(path)) continue;
+    for (fs::directory_iterator entry(parent, error), end; !error && entry != end; entry.increment(error)) {
+      const std::string path = entry->path().string();
+      if (!entry->path().filename().string().starts_with(prefix()) || !is_own_directory(path)) continue;
       // A folder without a note is just being created, or is of another version.
-      if (!fs::exists(join_path(path, kOwnerFile), error)) continue;
+      std::error_code unseen;
+      if (!fs::exists(join_path(path, kOwnerFile), unseen)) continue;
       const std::string note = note_in(join_path(path, kOwnerFile));
       const auto lock = LockFile::take(join_path(path, kOwnerFile), note);
       if (!lock.ok()) continue;  // its owner lives

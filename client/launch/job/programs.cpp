@@ -24,6 +24,12 @@ namespace fs = std::filesystem;
 
 constexpr int kDefaultRanksMax = 8;
 
+std::string absolute_text(const fs::path& path) {
+  std::error_code error;  // the working directory may be gone
+  const fs::path found = fs::absolute(path, error);
+  return (error ? path : found).string();
+}
+
 bool runnable(const fs::path& path) {
   std::error_code error;
   return fs::is_regular_file(path, error) && access(path.c_str(), X_OK) == 0;
@@ -36,7 +42,7 @@ std::string search(const std::string& folders, const std::string& program) {
     const std::size_t end = std::min(folders.find(':', begin), folders.size());
     const std::string folder = folders.substr(begin, end - begin);
     const fs::path path = fs::path(folder.empty() ? "." : folder) / program;
-    if (runnable(path)) return fs::absolute(path).string();
+    if (runnable(path)) return absolute_text(path);
     begin = end + 1;
   }
   return {};
@@ -178,7 +184,7 @@ Result<std::string> find_rcbd() {
   const char* named = std::getenv("RCBD_BIN_DIR");
   if (named != nullptr && *named != '\0') {
     const fs::path path = fs::path(named) / "rcbd";
-    if (runnable(path)) return fs::absolute(path).string();
+    if (runnable(path)) return absolute_text(path);
     return Status(Code::not_found, fmt::format("RCBD_BIN_DIR is {}, where there is no program rcbd", named),
                   "set it to the folder of rcbd, or unset it");
   }

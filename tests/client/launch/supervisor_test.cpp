@@ -12,6 +12,7 @@
 #include <gtest/gtest.h>
 #include <poll.h>
 #include <signal.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -147,15 +148,33 @@ bool all_threads_stopped(pid_t process) {
 TEST_F(Supervised, OneThatRefusesEverybodyLives) {
   options_.service_arguments = {};
   ASSERT_TRUE(start_detached(options_, {}).ok());
-  EXPECT_TRUE(answers(options_.endpoint, 5));
+  std::string why;
+  EXPECT_EQ(ask(options_.endpoint, 5, why), Answer::heard) << why;
   const pid_t rank = rank0();
   kill(rank, SIGSTOP);
   while (!all_threads_stopped(rank)) usleep(1000);
-  EXPECT_FALSE(answers(options_.endpoint, 0.2)) << "the kernel takes the connection, the service doesn't";
+  EXPECT_EQ(ask(options_.endpoint, 0.2, why), Answer::silent) << "the kernel takes the connection, the service doesn't";
   kill(rank, SIGCONT);
-  EXPECT_TRUE(answers(options_.endpoint, 5));
-  EXPECT_FALSE(answers("unix:" + (folder_ / "none").string(), 5));
-  EXPECT_FALSE(answers("127.0.0.1:1", 5));
+  EXPECT_EQ(ask(options_.endpoint, 5, why), Answer::heard) << why;
+  EXPECT_EQ(ask("unix:" + (folder_ / "none").string(), 5, why), Answer::silent);
+  EXPECT_EQ(ask("127.0.0.1:1", 5, why), Answer::silent);
+  EXPECT_EQ(why, "");
+}
+
+TEST(Ask, WhatCannotBeAskedIsNotCalledSilent) {
+  std::string why;
+  EXPECT_EQ(ask("name.invalid:1", 5, why), Answer::unasked);
+  EXPECT_NE(why, "");
+  EXPECT_EQ(ask("unix:/proc/self/exe/s", 5, why), Answer::unasked);
+  EXPECT_EQ(why, "Not a directory");
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
+  const rlimit none{0, before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &none), 0);
+  const Answer answer = ask("127.0.0.1:1", 5, why);
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &before), 0);
+  EXPECT_EQ(answer, Answer::unasked);
+  EXPECT_EQ(why, "Too many open files");
 }
 
 }  // namespace

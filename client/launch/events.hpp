@@ -1,0 +1,49 @@
+// Events: what a supervisor waits for: that a child ends, a signal to stop, the job's output, and the end of whoever
+// started it.
+//
+// Invariants
+// 1. From open() to the end of this object SIGCHLD, SIGTERM and SIGINT are blocked in this process and come as events;
+//    SIGHUP too, unless it is ignored.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <string_view>
+
+#include <signal.h>
+
+#include "common/base/status.hpp"
+
+namespace rcb::launch {
+
+class Events {
+ public:
+  enum class Event { none, child, stop };
+  using OnOutput = std::function<void(std::string_view bytes)>;
+
+  Events() = default;
+  Events(const Events&) = delete;
+  Events& operator=(const Events&) = delete;
+  ~Events();
+
+  // lifeline_fd: SuperviseOptions::lifeline_fd.
+  Status open(int lifeline_fd);
+  // Where the job writes its output.
+  int output_fd() const { return output_[1]; }
+  // Sleeps until a child has ended, a stop was asked for, or `seconds` have passed (negative: no limit). Reads the
+  // job's output meanwhile.
+  Event wait(double seconds, const OnOutput& on_output);
+  // Reads what the job has written.
+  void drain(const OnOutput& on_output);
+
+ private:
+  Event read_signals() const;
+
+  int output_[2] = {-1, -1};  // [1] the job writes, [0] is read
+  int signal_fd_ = -1;
+  int lifeline_fd_ = -1;
+  sigset_t signals_before_{};
+  std::string buffer_;  // for output; made once, so that a lack of memory later doesn't stop the reading
+};
+
+}  // namespace rcb::launch

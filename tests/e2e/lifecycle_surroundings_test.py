@@ -1,0 +1,230 @@
+"""What is around a service fails or is odd, and it lives on: the look-up of its name, room in the memory that processes
+share, the place of its data, what its starter ignores, other children of its supervisor."""
+import glob
+import re
+import resource
+
+from protocol_client import Client
+from support import *
+
+FAR_SECONDS = 3600  # what is noticed only after so long isn't noticed in a test
+
+
+def text_of(path):
+    with open(path) as file:
+        return file.read()
+
+
+def started_again(service, ranks):
+    """Waits until other ranks answer."""
+    if not wait_for(lambda: not set(ranks) & set(service.processes("rcbd")) and service.ctl("status").returncode == 0, 60):
+        raise AssertionError("not started again:\n" + text_of(os.path.join(service.data, "rcbd.log")))
+
+
+class Starters(unittest.TestCase):
+    """rcbctl up in a shell that has made odd preparations."""
+
+    def setUp(self):
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.data = os.path.join(self.dir, "data")
+        self.addCleanup(shutil.rmtree, self.dir)
+        self.addCleanup(lambda: self.ctl("down"))
+
+    def ctl(self, *args):
+        return run(*args, endpoint=f"unix:{self.dir}/s")
+
+    def processes(self, name):
+        return sorted(pid for pid, _ in processes_of(self.dir) if process_name(pid) == name)
+
+    def up(self, before, *options):
+        line = (f"cd {self.dir}; {before} exec {RCBCTL} --endpoint unix:{self.dir}/s up -n 2 --data-dir {self.data} "
+                + " ".join(map(str, options)))
+        up = subprocess.Popen(["bash", "-c", line], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(up.stdout.close)
+        self.addCleanup(up.stderr.close)
+        self.addCleanup(up.kill)
+        return up
+
+    def kill_a_rank(self):
+        ranks = self.processes("rcbd")
+        os.kill(ranks[-1], signal.SIGKILL)
+        self.assertTrue(wait_for(lambda: not set(ranks) & set(self.processes("rcbd")) and self.ctl("status").returncode == 0,
+                                 60), text_of(self.data + "/rcbd.log"))
+
+    def test_who_ignores_the_ends_of_children(self):
+        for odd in ("trap '' CHLD;", "trap '' CHLD ALRM TERM INT QUIT USR1;"):
+            with self.subTest(odd):
+                self.assertEqual(self.up(odd, "--answer-seconds", FAR_SECONDS).wait(60), 0)
+                self.kill_a_rank()
+                self.assertEqual(self.ctl("down").returncode, 0)
+                self.assertEqual(self.processes("rcbd-supervisor"), [])
+
+    def test_the_reason_of_a_failed_start_is_told_to_who_ignores_the_ends_of_children(self):
+        up = self.up("trap '' CHLD; export RCBD_SILENCE_SECONDS=1;", "--deadline", FAR_SECONDS)
+        self.assertIn("silence-seconds", up.communicate(timeout=60)[1].lower().replace("_", "-"))
+        self.assertEqual(up.returncode, 1)
+
+    def test_who_ignores_hanging_up_is_not_ended_by_it(self):
+        up = self.up("trap '' HUP;", "--foreground")
+        self.assertTrue(wait_for(lambda: self.ctl("status").returncode == 0, 60))
+        up.send_signal(signal.SIGHUP)
+        # It reads its signals in order of their numbers, SIGCHLD last: so it has seen SIGHUP when it has noticed a death.
+        self.kill_a_rank()
+        self.assertIsNone(up.poll())
+
+    def test_other_children_of_a_supervisor_are_left_alone(self):
+        """Those of the shell that became the supervisor, and an orphan that it has adopted."""
+        up = self.up("sleep 1001 & echo $! >child; (sh -c 'sleep 1002 & echo $! >orphan; sleep 0.1' &);", "--foreground")
+        self.assertTrue(wait_for(lambda: self.ctl("status").returncode == 0, 60))
+        others = [int(text_of(f"{self.dir}/{name}")) for name in ("child", "orphan")]
+        try:
+            self.kill_a_rank()
+            self.assertEqual([process_name(pid) for pid in others], ["sleep", "sleep"], "at a restart")
+            self.assertEqual(self.ctl("down").returncode, 0)
+            self.assertEqual(up.wait(60), 0)
+            self.assertEqual([process_name(pid) for pid in others], ["sleep", "sleep"], "at the end")
+            self.assertEqual(self.processes("rcbd") + self.processes("mpirun"), [])
+        finally:
+            for pid in others:
+                if process_name(pid) == "sleep":
+                    os.kill(pid, signal.SIGKILL)
+
+
+class Supervisors(unittest.TestCase):
+    """What befalls the supervisor itself at the moment when its service dies."""
+
+    def test_a_data_directory_that_cannot_be_examined(self):
+        with Service(2) as service:
+            away, ranks = service.data + ".away", service.processes("rcbd")
+            supervisor = service.processes("rcbd-supervisor")
+            os.rename(service.data, away)
+            os.symlink("data", service.data)
+            os.kill(ranks[-1], signal.SIGKILL)
+            try:
+                self.assertTrue(wait_for(lambda: len(re.findall("has died", text_of(away + "/rcbd.log"))) >= 2),
+                                text_of(away + "/rcbd.log"))
+            finally:
+                os.unlink(service.data)
+                os.rename(away, service.data)
+            started_again(service, ranks)
+            self.assertEqual(service.processes("rcbd-supervisor"), supervisor)
+
+    def test_no_memory(self):
+        with Service(2) as service:
+            supervisor, ranks = service.processes("rcbd-supervisor")[0], service.processes("rcbd")
+            log = os.path.join(service.data, "rcbd.log")
+            before = resource.prlimit(supervisor, resource.RLIMIT_AS)
+            resource.prlimit(supervisor, resource.RLIMIT_AS, (1, before[1]))
+            with open(f"/proc/{service.processes('mpirun')[0]}/fd/1", "wb", buffering=0) as output:
+                for _ in range(10):  # more than it keeps, so it needs memory for that
+                    output.write(b"x" * 63 + b"\n" + b"y" * 30_000 + b"\n")
+            os.kill(ranks[-1], signal.SIGKILL)
+            self.assertTrue(wait_for(lambda: not set(ranks) & set(service.processes("rcbd"))))
+            self.assertTrue(wait_for(lambda: "this process has failed, and goes on" in text_of(log)), text_of(log)[-3000:])
+            resource.prlimit(supervisor, resource.RLIMIT_AS, before)
+            started_again(service, ranks)
+            self.assertEqual(service.processes("rcbd-supervisor"), [supervisor])
+
+
+def mounted(kind, *args):
+    return subprocess.run(["mount", "-t", kind, *args], capture_output=True).returncode == 0 if kind != "bind" else \
+        subprocess.run(["mount", "--bind", *args], capture_output=True).returncode == 0
+
+
+def without_its_name():
+    """The service is at NAME:PORT, and the name can't be looked up any more."""
+    folder = tempfile.mkdtemp(prefix="rcb-e2e-")
+    hosts = os.path.join(folder, "hosts")
+
+    def names(*known):
+        with open(hosts, "w") as file:
+            file.writelines(f"127.0.0.1 {name}\n" for name in known)
+    names("localhost", "rcbhost")
+    if not mounted("bind", hosts, "/etc/hosts"):
+        return 77
+    with Service(2, tcp="rcbhost:17495", options=("--answer-seconds", 1)) as service:
+        log = os.path.join(service.data, "rcbd.log")
+        ranks = service.processes("rcbd")
+        names("localhost")
+        time.sleep(4)  # many times what it may be silent
+        assert service.processes("rcbd") == ranks and "has died" not in text_of(log), text_of(log)
+        os.kill(ranks[-1], signal.SIGKILL)
+        assert wait_for(lambda: len(re.findall("rcbhost:17495: no such host", text_of(log))) >= 2, 60), text_of(log)
+        names("localhost", "rcbhost")
+        started_again(service, ranks)
+        names("localhost")
+        os.kill(service.processes("rcbd-supervisor")[0], signal.SIGTERM)
+        assert wait_for(lambda: not service.processes("rcbd-supervisor"), 60)
+        assert os.path.exists(os.path.join(service.data, "clean-shutdown")), text_of(log)
+    shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+def fill(folder):
+    with open(os.path.join(folder, "fill"), "wb", buffering=0) as file:
+        try:
+            while file.write(bytes(4096)):
+                pass
+        except OSError:
+            pass
+
+
+def without_shared_memory():
+    """Another program fills /dev/shm while the service runs, or has done so before it starts."""
+    if not mounted("tmpfs", "-o", "size=64m", "shm", "/dev/shm"):
+        return 77
+    with Service(4) as service:
+        ranks = service.processes("rcbd")
+        sparse = [path for path in glob.glob("/dev/shm/rcbd-*/**", recursive=True)
+                  if os.path.isfile(path) and os.stat(path).st_blocks * 512 < os.stat(path).st_size]
+        assert not sparse, sparse
+        fill("/dev/shm")
+        rng = np.random.default_rng(1)
+        with Client(service.endpoint, timeout=60) as client:
+            client.ask("scene.create", scene="s", parts=64)
+            for step in range(3):
+                client.push("s", step, rng.random((200_000, 3)))
+        assert service.processes("rcbd") == ranks, text_of(os.path.join(service.data, "rcbd.log"))
+        os.kill(ranks[-1], signal.SIGKILL)  # it comes back in the data directory
+        started_again(service, ranks)
+        assert glob.glob(os.path.join(service.data, "rcbd-*")), os.listdir(service.data)
+    with tempfile.TemporaryDirectory(dir="/dev/shm", prefix="rcb-e2e-") as folder:
+        up = run("up", "-n", 2, "--data-dir", folder + "/data", endpoint=f"unix:{folder}/s")
+        assert up.returncode == 1 and re.search("neither /dev/shm nor .* has room for", up.stderr), up.stderr
+    # Enough to begin in, not for all: rcbd by itself refuses as well.
+    os.unlink("/dev/shm/fill")
+    subprocess.run(["mount", "-o", "remount,size=10m", "/dev/shm"], check=True)
+    with tempfile.TemporaryDirectory(prefix="rcb-e2e-") as folder:
+        alone = run(3, os.path.join(BIN, "rcbd"), "--socket", folder + "/s", "--data-dir", folder + "/data", program=MPIRUN)
+        assert alone.returncode == 1 and re.search("through which ranks share memory: No space", alone.stderr), alone.stderr
+    return 0
+
+
+CASES = {"name": without_its_name, "memory": without_shared_memory}
+
+
+class InAnotherPlace(unittest.TestCase):
+    """Each in a mount namespace of its own; an assertion that fails there is the test's failure."""
+
+    def run_case(self, name):
+        if os.geteuid() != 0:
+            print("SKIPPED: only root can mount", file=sys.stderr)
+            self.skipTest("only root can mount")
+        done = subprocess.run(["unshare", "--mount", "--propagation", "private", sys.executable, __file__, "--case", name],
+                              capture_output=True, text=True, timeout=240)
+        if done.returncode == 77:
+            print("SKIPPED: nothing can be mounted here", file=sys.stderr)
+            self.skipTest("nothing can be mounted here")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+
+    def test_a_name_that_cannot_be_looked_up(self):
+        self.run_case("name")
+
+    def test_no_room_in_shared_memory(self):
+        self.run_case("memory")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--case"]:
+        sys.exit(CASES[sys.argv[2]]())
+    unittest.main(verbosity=2)
