@@ -8,6 +8,7 @@
 
 #include <functional>
 #include <list>
+#include <memory>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -38,16 +39,22 @@ class LastingListener {
   // accept: is called for this socket and every later one, to take connections from it; an acceptor lives as long as
   // this object.
   void start(std::function<void(UnixAcceptor&)> accept);
-  // To be called periodically: makes the socket anew if its name is gone. After close() it does nothing.
+  // To be called periodically: makes the socket anew if its name is gone; on the thread of the files, since the
+  // socket's disk may stand still. After close() it does nothing.
   void look();
   void close();
 
  private:
+  struct Look;
+  void found(Look& look);
+
   asio::io_context* context_ = nullptr;
   std::string path_;
   std::function<void(UnixAcceptor&)> accept_;
   std::list<UnixListener> listeners_;  // the last one is open; accept loops refer to the older ones
   std::string complaint_;
+  bool looking_ = false;                                  // a look hasn't ended
+  std::shared_ptr<int> there_ = std::make_shared<int>();  // whose end tells a look that this object has gone
 };
 
 // Listens on an abstract socket (Linux), which has no name in the file system, so that none can be left there. Any user
