@@ -16,6 +16,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/base/status.hpp"
+#include "common/base/tcp_peer.hpp"
 #include "server/net/files/socket_name.hpp"
 #include "server/net/sockets/asio.hpp"
 #include "server/net/sockets/credentials.hpp"
@@ -89,7 +90,7 @@ awaitable<void> accept_all(asio::io_context& context, Acceptor& acceptor, Take t
     if constexpr (std::is_same_v<Acceptor, TcpAcceptor>) {
       error_code ignored;
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
-      socket.set_option(asio::socket_base::keep_alive(true), ignored);
+      end_with_vanished_peer(socket.native_handle());
     }
     Status peer;
     if constexpr (std::is_same_v<Acceptor, UnixAcceptor>) peer = check_peer_user(socket.native_handle());
