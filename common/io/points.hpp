@@ -31,8 +31,25 @@ Result<Points> read_points_slice(const std::string& path, const ReadOptions& opt
 // number.
 Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
                  std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight);
-Status write_csv(OutputFile file, int dims, std::span<const double* const> position, std::size_t count,
-                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight);
+
+// The same, piece by piece.
+class CsvWriter {
+ public:
+  CsvWriter(OutputFile file, int dims, bool ids, bool weights);
+  // id, weight: as many as `count` if the file has them.
+  Status append(std::span<const double* const> position, std::size_t count, std::span<const std::int64_t> id,
+                std::span<const double> weight);
+  Status commit();
+
+ private:
+  Status flush();
+
+  OutputFile file_;
+  int dims_;
+  bool ids_;
+  bool weights_;
+  std::string text_;  // not written yet
+};
 
 // .npy files, version 1.0, C order, little-endian.
 Status write_npy(const std::string& path, std::span<const std::int32_t> values);

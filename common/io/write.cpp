@@ -93,31 +93,50 @@ Status write_csv(const std::string& path, int dims, std::span<const double* cons
                  std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight) {
   auto file = OutputFile::create(path);
   if (!file.ok()) return file.status();
-  return write_csv(std::move(*file), dims, position, count, id, weight);
+  CsvWriter writer(std::move(*file), dims, id.has_value(), weight.has_value());
+  if (Status status = writer.append(position, count, id.value_or(std::span<const std::int64_t>()),
+                                    weight.value_or(std::span<const double>()));
+      !status.ok())
+    return status;
+  return writer.commit();
 }
 
-Status write_csv(OutputFile file, int dims, std::span<const double* const> position, std::size_t count,
-                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight) {
-  CHECK(dims >= 1 && dims <= 3 && position.size() >= static_cast<std::size_t>(dims), "an array for each axis");
-  std::string text = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
-  if (id) text += ",id";
-  if (weight) text += ",weight";
-  text += '\n';
-  text.reserve(kWriteBytes + 8 * kNumberChars);
+CsvWriter::CsvWriter(OutputFile file, int dims, bool ids, bool weights)
+    : file_(std::move(file)), dims_(dims), ids_(ids), weights_(weights) {
+  CHECK(dims >= 1 && dims <= 3, "dimensions");
+  text_ = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
+  if (ids) text_ += ",id";
+  if (weights) text_ += ",weight";
+  text_ += '\n';
+}
+
+Status CsvWriter::append(std::span<const double* const> position, std::size_t count, std::span<const std::int64_t> id,
+                         std::span<const double> weight) {
+  CHECK(position.size() >= static_cast<std::size_t>(dims_), "an array for each axis");
+  CHECK((!ids_ || id.size() == count) && (!weights_ || weight.size() == count), "a value for each point");
   for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
-      if (a > 0) text += ',';
-      append_number(text, position[a][i]);
+    for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
+      if (a > 0) text_ += ',';
+      append_number(text_, position[a][i]);
     }
-    if (id) append_number(text += ',', (*id)[i]);
-    if (weight) append_number(text += ',', (*weight)[i]);
-    text += '\n';
-    if (text.size() < kWriteBytes) continue;
-    if (Status written = file.write(text); !written.ok()) return written;
-    text.clear();
+    if (ids_) append_number(text_ += ',', id[i]);
+    if (weights_) append_number(text_ += ',', weight[i]);
+    text_ += '\n';
+    if (text_.size() < kWriteBytes) continue;
+    if (Status written = flush(); !written.ok()) return written;
   }
-  if (Status written = file.write(text); !written.ok()) return written;
-  return file.commit();
+  return {};
+}
+
+Status CsvWriter::flush() {
+  Status written = file_.write(text_);
+  text_.clear();
+  return written;
+}
+
+Status CsvWriter::commit() {
+  if (Status written = flush(); !written.ok()) return written;
+  return file_.commit();
 }
 
 Status write_npy(const std::string& path, std::span<const std::int32_t> values) {

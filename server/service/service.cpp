@@ -14,6 +14,8 @@
 namespace rcb::service {
 namespace {
 
+constexpr std::uint64_t kFileBytesMax = std::uint64_t{1} << 30U;  // each command that uses files has a limit of its own
+
 // True if the command changes no scene.
 bool reads(std::string_view command) {
   const api::CommandInfo* known = api::find_command(command);
@@ -30,6 +32,7 @@ struct Service::State {
   std::map<std::string, Scene> scenes = {};
   std::map<std::string, Command> commands = {};
   std::vector<Spare> spares = {};
+  SideThread files{kFileBytesMax, options.start_thread};
   Response call(const Command& command, const wire::Json& request, Context& context) {
     if (command.run != nullptr) return command.run(context, request);
     const auto scene = find_scene(context, request, command.needs);
@@ -104,6 +107,7 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
                   state_->spares,
                   state_->options.no_skip,
                   state_->options.roots == nullptr ? kNowhere : *state_->options.roots,
+                  state_->files,
                   state_->histories,
                   state_->options.bulk_bytes_max,
                   terms,

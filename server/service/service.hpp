@@ -17,6 +17,7 @@
 #include "common/base/clock.hpp"
 #include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
+#include "common/files/side_thread.hpp"
 #include "common/wire/message.hpp"
 #include "server/service/context/order.hpp"
 #include "server/service/scene/no_skip.hpp"
@@ -35,6 +36,7 @@ struct ServiceOptions {
   // for older ones (make_report_directory); empty: older ones are lost.
   std::size_t keep_reports = 100'000;
   std::string report_directory = {};
+  SideThread::Start start_thread = {};  // for tests: starts the thread for clients' files
 };
 
 class Service {

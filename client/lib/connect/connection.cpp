@@ -25,6 +25,7 @@
 #include <unistd.h>
 
 #include "client/lib/connect/addresses.hpp"
+#include "common/base/tcp_peer.hpp"
 #include "common/tls/off_loopback.hpp"
 #include "common/tls/stream.hpp"
 #include "common/wire/limits.hpp"
@@ -139,7 +140,8 @@ Status Connection::State::open(const Deadline& deadline) {
       if (Status status = check_server(socket.native_handle(), endpoint); !status) return status;
     } else {
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
-      socket.set_option(asio::socket_base::keep_alive(true), ignored);
+      // A service may leave a slice unread until its push is opened.
+      end_with_vanished_peer(socket.native_handle(), 2 * kPeerGoneSeconds);
       const Address remote = socket.remote_endpoint(ignored);
       const auto peer = as_tcp(remote);
       const auto own = as_tcp(socket.local_endpoint(ignored));

@@ -94,13 +94,14 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
   const OrderOptions& kept = unfinished->order();
   Order out{std::move(request),    std::move(text),       std::move(slices),
             kept.received_seconds, kept.deadline_seconds, kept.cancelled};
-  auto done = [self = shared_from_this(), unfinished, pending](Answer answer) mutable {
+  auto take = [self = shared_from_this(), unfinished, pending](Answer answer) mutable {
     // The posted function may be copied, the answer should not be: hence the shared pointer.
     auto shared = std::make_shared<Answer>(std::move(answer));
     asio::post(self->context_, [self, unfinished = std::move(unfinished), pending, shared] {
       self->complete(std::move(*shared), unfinished, pending);
     });
   };
+  auto done = [take = std::move(take)](Answer answer) mutable { api::complete(std::move(answer), std::move(take)); };
   unfinished.reset();  // kept alive by `done` alone from here on
   engine_.submit(std::move(out), std::move(done));
   return pending;

@@ -192,6 +192,9 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
   Status unknown_scene(const std::string& scene) const;
 
+  // Finds out whether the log is this service's, for status_json(); returns after a moment where the disk doesn't
+  // answer.
+  awaitable<void> look_at_log();
   wire::Json status_json() const;
   wire::Json silent_json() const;
   wire::Json unfinished_json() const;
@@ -213,7 +216,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Aborts a push at its deadline; a contribution takes the whole step of the members with it.
   void abort_at_deadline(const std::shared_ptr<OpenPush>& push, const Status& why);
   void say_goodbye();
-  wire::Json log_json() const;
 
   asio::io_context& context_;
   ControlOptions options_;
@@ -239,6 +241,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   bool ended_ = false;
   TimePoint started_ = now();
   std::filesystem::file_time_type started_on_disk_ = std::filesystem::file_time_type::clock::now();
+  std::string log_path_;             // as last found; empty: there is none of this service
+  std::shared_ptr<Timer> log_look_;  // until when those who ask wait for the look that is under way; null: none is
 };
 
 }  // namespace rcb::net

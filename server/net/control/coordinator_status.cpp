@@ -3,6 +3,7 @@
 #include <chrono>
 #include <filesystem>
 #include <map>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -13,10 +14,18 @@
 #include "server/net/control/coordinator.hpp"
 #include "server/net/control/session.hpp"
 #include "server/net/files/process_memory.hpp"
+#include "server/net/sockets/file_thread.hpp"
 
 namespace rcb::net {
 
 using wire::Json;
+
+namespace {
+
+constexpr double kLookSeconds = 0.5;      // that `status` waits for the disk
+constexpr std::size_t kHoldersNamed = 8;  // of each scene, so that the scenes of all clients fit into an answer
+
+}  // namespace
 
 std::vector<std::string> Coordinator::members(const std::string& scene, const std::string& except) const {
   std::vector<std::string> names;
@@ -58,6 +67,8 @@ Json Coordinator::scenes_json() const {
   for (const auto& [name, scene] : snapshot_) {
     std::vector<std::string>& names = holders[name];
     std::sort(names.begin(), names.end());
+    const std::size_t holders_count = names.size();
+    names.resize(std::min(holders_count, kHoldersNamed));
     scenes.push_back({{"scene", name},
                       {"n", scene.n},
                       {"dims", scene.dims},
@@ -67,20 +78,31 @@ Json Coordinator::scenes_json() const {
                       {"error", number(scene.error)},
                       {"imbalance", number(scene.imbalance)},
                       {"mean_step_seconds", number(scene.mean_step_seconds)},
-                      {"holders", names}});
+                      {"holders", names},
+                      {"holders_count", holders_count}});
   }
   return scenes;
 }
 
-Json Coordinator::log_json() const {
+awaitable<void> Coordinator::look_at_log() {
   // The launcher redirects standard error to this file. A file last written before this service started is an earlier
   // service's. The file system's clock may lag a little.
   constexpr std::chrono::seconds kLag(2);
-  const std::filesystem::path path = join_path(options_.data_dir, kLogFile);
-  std::error_code fault;
-  const auto written = std::filesystem::last_write_time(path, fault);
-  if (fault || written + kLag < started_on_disk_) return nullptr;
-  return path.string();
+  if (!log_look_ && !options_.data_dir.empty()) {
+    const auto path = std::make_shared<std::string>(join_path(options_.data_dir, kLogFile));
+    const Status begun = FileThread::of(context_).run(
+        [path, since = started_on_disk_ - kLag] {
+          std::error_code fault;
+          const auto written = std::filesystem::last_write_time(*path, fault);
+          if (fault || written < since) path->clear();
+        },
+        [self = shared_from_this(), path] {
+          self->log_path_ = *path;
+          std::exchange(self->log_look_, nullptr)->cancel();
+        });
+    if (begun.ok()) log_look_ = std::make_shared<Timer>(context_, now() + duration_of(kLookSeconds));
+  }
+  if (const auto look = log_look_) co_await look->async_wait(kAwait);
 }
 
 Json Coordinator::status_json() const {
@@ -96,7 +118,7 @@ Json Coordinator::status_json() const {
           {"endpoints", endpoints_},
           {"encryption", encryption_},
           {"data_dir", options_.data_dir},
-          {"log", log_json()},
+          {"log", log_path_.empty() ? Json() : Json(log_path_)},
           {"memory_bytes", memory},
           {"hosts", hosts_json()},
           {"empty", snapshot_.empty()},

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <ctime>
 #include <filesystem>
+#include <span>
 #include <string_view>
 #include <utility>
 
@@ -19,6 +20,7 @@
 #include "common/files/paths.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
+#include "server/net/sockets/file_thread.hpp"
 
 namespace rcb::net {
 namespace {
@@ -45,29 +47,49 @@ std::uint64_t checksum(std::string_view bytes) {
   return sum.value();
 }
 
-// One frame a member, as it would be sent.
-std::string encode(const std::string& scene, const MemberAnswers& answers) {
-  std::string frames;
+bool write_at(int file, std::span<const std::byte> bytes, std::uint64_t& at) {
+  while (!bytes.empty()) {
+    const ssize_t count = ::pwrite(file, bytes.data(), bytes.size(), static_cast<off_t>(at));
+    if (count < 0 && errno == EINTR) continue;
+    if (count <= 0) return false;
+    bytes = bytes.subspan(static_cast<std::size_t>(count));
+    at += static_cast<std::uint64_t>(count);
+  }
+  return true;
+}
+
+// Writes one frame a member, as it would be sent, then their head: without a copy of the arrays, which may be large.
+bool write_answers(int file, const std::string& scene, const MemberAnswers& answers) {
+  std::uint64_t at = kHeadBytes;
+  wire::BulkChecksum sum;
+  const auto write = [&](std::span<const std::byte> bytes) {
+    sum.add(bytes);
+    return write_at(file, bytes, at);
+  };
   for (std::size_t member = 0; member < answers.sessions.size(); ++member) {
-    std::vector<wire::Array> arrays;
-    std::string bulk;
-    for (const wire::Array& array : answers.arrays[member]) {
-      if (array.name.starts_with("place_")) continue;
-      arrays.push_back({array.name, array.dtype, array.shape, {}});
-      bulk.append(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size());
-    }
+    std::vector<const wire::Array*> kept;
+    std::vector<wire::Array> told;  // the same without their bytes
     wire::FrameHeader header;
     header.type = wire::FrameType::reply;
     header.request = member;
-    header.bulk_bytes = bulk.size();
+    for (const wire::Array& array : answers.arrays[member]) {
+      if (array.name.starts_with("place_")) continue;
+      kept.push_back(&array);
+      told.push_back({array.name, array.dtype, array.shape, {}});
+      header.bulk_bytes += array.bytes.size();
+    }
     const wire::Json json{{"scene", scene},
                           {"step", answers.step},
                           {"session", answers.sessions[member]},
                           {"answer", answers.json},
-                          {"arrays", wire::describe(arrays)}};
-    frames += wire::encode_frame(header, wire::dump_json(json)) + bulk;
+                          {"arrays", wire::describe(told)}};
+    if (!write(bytes_of(wire::encode_frame(header, wire::dump_json(json))))) return false;
+    for (const wire::Array* array : kept)
+      if (!write(array->bytes.span())) return false;
   }
-  return number_bytes(frames.size()) + number_bytes(checksum(frames)) + frames;
+  const std::string head = number_bytes(at - kHeadBytes) + number_bytes(sum.value());
+  at = 0;
+  return write_at(file, bytes_of(head), at);
 }
 
 // Removes the first frame from `frames` and adds it to `answers` as the next member's answer.
@@ -105,18 +127,6 @@ Status decode_member(std::string_view& frames, std::string& scene, MemberAnswers
   return {};
 }
 
-bool write_at(int file, std::string_view bytes) {
-  off_t at = 0;
-  while (!bytes.empty()) {
-    const ssize_t count = ::pwrite(file, bytes.data(), bytes.size(), at);
-    if (count < 0 && errno == EINTR) continue;
-    if (count <= 0) return false;
-    bytes.remove_prefix(static_cast<std::size_t>(count));
-    at += count;
-  }
-  return true;
-}
-
 // Content of a file of this user that is younger than the longest deadline; else empty.
 std::string read_own(const std::string& path) {
   const auto file = open_own_file(path, O_RDONLY | O_CLOEXEC);
@@ -137,67 +147,153 @@ std::string read_own(const std::string& path) {
 
 }  // namespace
 
-KeptAnswers::KeptAnswers(std::string directory, bool restarted) : directory_(std::move(directory)) {
-  if (directory_.empty()) return;
-  std::error_code error;
-  for (const auto& entry : std::filesystem::directory_iterator(directory_, error)) {
-    const std::string found = entry.path().string();
-    if (!entry.path().filename().string().starts_with(kPrefix)) continue;
-    if (restarted)
-      read(found);
-    else
-      ::unlink(found.c_str());
-  }
-}
+// On the FileThread, and before the loop starts.
+class KeptAnswers::Files {
+ public:
+  explicit Files(std::string directory) : directory_(std::move(directory)) {}
 
-std::string KeptAnswers::path(const std::string& scene, int which) const {
-  return join_path(directory_, fmt::format("{}{}.{}", kPrefix, scene, which));
-}
-
-void KeptAnswers::read(const std::string& path) {
-  const std::string bytes = read_own(path);
-  if (bytes.empty()) {
-    ::unlink(path.c_str());
-    return;
+  void remove_all() {
+    for (const std::string& found : list()) ::unlink(found.c_str());
   }
-  if (bytes.size() < kHeadBytes) return;
-  std::string_view frames = bytes;
-  const std::uint64_t size = number_at(frames), sum = number_at(frames.substr(8));
-  frames.remove_prefix(kHeadBytes);
-  if (size > frames.size() || checksum(frames.substr(0, size)) != sum) return;  // being written when the process died
-  frames = frames.substr(0, size);
-  std::string scene;
-  MemberAnswers answers;
-  while (!frames.empty())
-    if (const Status status = decode_member(frames, scene, answers); !status.ok()) {
-      spdlog::warn("{} is not used: {}", path, status.message());
+  void read_all(std::map<std::string, MemberAnswers>& into) {
+    for (const std::string& found : list()) read(found, into);
+  }
+  void work(const std::string& scene, const Due& due) {
+    if (due.remove && next_.erase(scene) != 0)
+      for (const int which : {0, 1}) ::unlink(path(scene, which).c_str());
+    if (due.answers) write(scene, *due.answers);
+  }
+
+ private:
+  std::string path(const std::string& scene, int which) const {
+    return join_path(directory_, fmt::format("{}{}.{}", kPrefix, scene, which));
+  }
+
+  std::vector<std::string> list() const {
+    std::vector<std::string> found;
+    std::error_code error;
+    for (const auto& entry : std::filesystem::directory_iterator(directory_, error))
+      if (entry.path().filename().string().starts_with(kPrefix)) found.push_back(entry.path().string());
+    return found;
+  }
+
+  void read(const std::string& path, std::map<std::string, MemberAnswers>& into) {
+    const std::string bytes = read_own(path);
+    if (bytes.empty()) {
+      ::unlink(path.c_str());
       return;
     }
-  const auto known = before_.find(scene);
-  if (known != before_.end() && known->second.step >= answers.step) return;
-  // The other file has the older step, so that one is overwritten next.
-  next_[scene] = path.ends_with('0') ? 1 : 0;
-  before_[scene] = std::move(answers);
+    if (bytes.size() < kHeadBytes) return;
+    std::string_view frames = bytes;
+    const std::uint64_t size = number_at(frames), sum = number_at(frames.substr(8));
+    frames.remove_prefix(kHeadBytes);
+    if (size > frames.size() || checksum(frames.substr(0, size)) != sum) return;  // being written when the process died
+    frames = frames.substr(0, size);
+    std::string scene;
+    MemberAnswers answers;
+    while (!frames.empty())
+      if (const Status status = decode_member(frames, scene, answers); !status.ok()) {
+        spdlog::warn("{} is not used: {}", path, status.message());
+        return;
+      }
+    const auto known = into.find(scene);
+    if (known != into.end() && known->second.step >= answers.step) return;
+    // The other file has the older step, so that one is overwritten next.
+    next_[scene] = path.ends_with('0') ? 1 : 0;
+    into[scene] = std::move(answers);
+  }
+
+  void write(const std::string& scene, const MemberAnswers& answers) {
+    int& which = next_[scene];
+    const std::string to = path(scene, which);
+    const auto file = open_own_file(to, O_WRONLY | O_CREAT | O_CLOEXEC);
+    std::string fault = file.status().message();
+    if (file.ok()) {
+      if (!write_answers(*file, scene, answers)) fault = fmt::format("{}: {}", to, std::strerror(errno));
+      ::close(*file);
+    }
+    if (fault.empty()) {
+      which = 1 - which;
+      return;
+    }
+    ::unlink(to.c_str());
+    if (!std::exchange(fault_told_, true))
+      spdlog::warn("{}; members that wait for an answer when this service dies won't get it", fault);
+  }
+
+  std::string directory_;
+  std::map<std::string, int> next_;  // which of the two files is written next, by scene
+  bool fault_told_ = false;
+};
+
+KeptAnswers::KeptAnswers(asio::io_context& context, std::string directory, bool restarted) : context_(context) {
+  if (directory.empty()) return;
+  files_ = std::make_shared<Files>(std::move(directory));
+  if (restarted)
+    files_->read_all(before_);
+  else
+    files_->remove_all();
+  for (const auto& [scene, answers] : before_) kept_.insert(scene);
 }
 
-void KeptAnswers::keep(const std::string& scene, const MemberAnswers& answers) {
+KeptAnswers::~KeptAnswers() = default;
+
+void KeptAnswers::keep(const std::string& scene, std::shared_ptr<const MemberAnswers> answers,
+                       std::function<void()> then) {
   before_.erase(scene);
-  if (directory_.empty()) return;
-  int& which = next_[scene];
-  const std::string to = path(scene, which);
-  const auto file = open_own_file(to, O_WRONLY | O_CREAT | O_CLOEXEC);
-  std::string fault = file.status().message();
-  if (file.ok()) {
-    if (!write_at(*file, encode(scene, answers))) fault = fmt::format("{}: {}", to, std::strerror(errno));
-    ::close(*file);
+  if (!files_) return then();
+  kept_.insert(scene);
+  Due& due = due_[scene];
+  due.answers = std::move(answers);
+  due.number = ++number_;
+  work();
+  if (late_ || !working_) return then();
+  Waiting& waiting = waiting_.emplace_back(context_, number_, std::move(then));
+  waiting.timer.expires_after(duration_of(kWaitSeconds));
+  waiting.timer.async_wait([this, number = number_, there = std::weak_ptr(there_)](error_code error) {
+    if (!error && !there.expired() && !waiting_.empty() && waiting_.front().number <= number) late();
+  });
+}
+
+// One job at a time does whatever is due when it begins.
+void KeptAnswers::work() {
+  if (working_ || due_.empty()) return;
+  auto job = std::make_shared<std::map<std::string, Due>>(std::move(due_));
+  due_.clear();
+  const std::uint64_t upto = number_;
+  const Status begun = FileThread::of(context_).run(
+      [files = files_, job] {
+        for (const auto& [scene, due] : *job) files->work(scene, due);
+      },
+      [this, upto, there = std::weak_ptr(there_)] {
+        if (there.expired()) return;
+        working_ = false;
+        if (std::exchange(late_, false)) spdlog::info("the members' answers are kept in the data directory again");
+        let_go(upto);
+        work();
+      });
+  working_ = begun.ok();
+  if (begun.ok()) return;
+  due_ = std::move(*job);  // with what comes next
+  if (!std::exchange(late_, true))
+    spdlog::warn("{}; members that wait for an answer when this service dies won't get it", begun.message());
+}
+
+void KeptAnswers::let_go(std::uint64_t number) {
+  while (!waiting_.empty() && waiting_.front().number <= number) {
+    const auto then = std::move(waiting_.front().then);
+    waiting_.pop_front();
+    then();
   }
-  if (fault.empty()) {
-    which = 1 - which;
-    return;
-  }
-  ::unlink(to.c_str());
-  if (!std::exchange(fault_told_, true))
-    spdlog::warn("{}; members that wait for an answer when this service dies won't get it", fault);
+}
+
+void KeptAnswers::late() {
+  if (!std::exchange(late_, true))
+    spdlog::warn(
+        "the data directory has taken no answers for {} s; members that wait for one when this service dies "
+        "won't get it",
+        kWaitSeconds);
+  let_go(number_);
 }
 
 const MemberAnswers* KeptAnswers::before(const std::string& scene) const {
@@ -207,12 +303,14 @@ const MemberAnswers* KeptAnswers::before(const std::string& scene) const {
 
 void KeptAnswers::forget(const std::string& scene) {
   before_.erase(scene);
-  if (directory_.empty() || next_.erase(scene) == 0) return;
-  for (const int which : {0, 1}) ::unlink(path(scene, which).c_str());
+  if (kept_.erase(scene) == 0) return;
+  due_[scene] = {.remove = true, .answers = nullptr, .number = 0};
+  work();
 }
 
 void KeptAnswers::forget_all() {
-  while (!next_.empty()) forget(std::string(next_.begin()->first));
+  while (!kept_.empty()) forget(std::string(*kept_.begin()));
+  let_go(number_);
 }
 
 }  // namespace rcb::net

@@ -36,6 +36,22 @@ std::vector<wire::Array> copy_for(const Json& begin, const std::vector<wire::Arr
   return copy;
 }
 
+// Whether the push brings particles whose weights its flag `weights` is about. Who has none need not say it.
+bool weights_matter(const PushTerms& terms, const api::SceneSummary& scene) {
+  return terms.n > 0 || (terms.inserted > 0 && !scene.step);
+}
+
+// Whether the members push weights: what those say who bring particles; if nobody does, what any says.
+bool weights_of(const MemberPush& step, const api::SceneSummary& scene) {
+  bool any = false;
+  for (const auto& contribution : step.contributions) {
+    const PushTerms& terms = contribution->slices.terms();
+    if (weights_matter(terms, scene)) return terms.weights;
+    any = any || terms.weights;
+  }
+  return any;
+}
+
 }  // namespace
 
 Status MemberGroups::begin(ContributionBegin begin) {
@@ -51,12 +67,13 @@ Status MemberGroups::begin(ContributionBegin begin) {
     return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
             "open the scene again with a higher generation"};
   const auto member = static_cast<std::size_t>(seat - group->seats.begin());
-  if (const MemberAnswers* before = kept_.before(scene); before != nullptr && answer_again(*before, member, begin))
+  if (const MemberAnswers* before = kept_.before(scene);
+      before != nullptr && answer_again(*before, nullptr, member, begin))
     return {};
   const auto info = coordinator_.snapshot().find(scene);
   if (info == coordinator_.snapshot().end()) return coordinator_.unknown_scene(scene);
   if (info->second.step && begin.id.step <= *info->second.step) {
-    if (group->last && answer_again(*group->last, member, begin)) return {};
+    if (group->last && answer_again(*group->last, group->delivery.get(), member, begin)) return {};
     return {
         Code::stale_step,
         fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
@@ -168,7 +185,7 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
   for (const auto& contribution : step->contributions) {
     if (!contribution) continue;
     const PushTerms& other = contribution->slices.terms();
-    if (other.weights != terms->weights)
+    if (other.weights != terms->weights && weights_matter(other, info) && weights_matter(*terms, info))
       return Status(Code::invalid_argument,
                     fmt::format("this push {} weights, that of member {} does{}", terms->weights ? "has" : "has no",
                                 contribution->member, terms->weights ? " not" : ""),
@@ -183,16 +200,26 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
   return terms;
 }
 
-bool MemberGroups::answer_again(const MemberAnswers& answers, std::size_t member, const ContributionBegin& begin) {
+bool MemberGroups::answer_again(const MemberAnswers& answers, Delivery* delivery, std::size_t member,
+                                const ContributionBegin& begin) {
   if (answers.step != begin.id.step || member >= answers.sessions.size() ||
       answers.sessions[member] != begin.id.session)
     return false;
   if (begin.json.value("path", Json()) == "direct") coordinator_.refuse_directly(begin.id);
-  Json json = answers.json;
-  json["repeated"] = true;
-  static_cast<void>(begin.connection->send_message(FrameType::reply, begin.request, std::move(json),
-                                                   copy_for(begin.json, answers.arrays[member])));
+  Delivery::To to{member, begin.connection, begin.request, begin.json, true};
+  if (delivery != nullptr)
+    delivery->to.push_back(std::move(to));
+  else
+    send(answers, to);
   return true;
+}
+
+void MemberGroups::send(const MemberAnswers& answers, const Delivery::To& to) {
+  Json json = answers.json;
+  if (to.repeated) json["repeated"] = true;
+  const Status sent = to.connection->send_message(FrameType::reply, to.request, std::move(json),
+                                                  copy_for(to.begin, answers.arrays[to.member]));
+  if (!sent.ok()) to.connection->send(FrameType::failure, to.request, wire::failure_json(sent));
 }
 
 void MemberGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
@@ -248,6 +275,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     if (to_ranks) request["staged"].push_back(staged_by(*contribution));
     order.charged_bytes += std::exchange(contribution->charged_bytes, 0);
     for (Slice& slice : contribution->slices.take()) {
+      if (slice.count == 0) continue;  // it may have other arrays than those of the members that bring particles
       slice.member = contribution->member;
       order.slices.push_back(std::move(slice));
     }
@@ -272,7 +300,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   request["inserted_ids"] = all.inserted_ids;
   request["changes"] = changes;
   request["places"] = places;
-  request["weights"] = step->contributions.front()->slices.terms().weights;
+  request["weights"] = weights_of(*step, coordinator_.snapshot().at(step->scene));
   request["members"] = members;
   request["follow"] = find(step->scene)->follow;
   order.received_seconds = seconds_since(step->started);
@@ -303,23 +331,28 @@ void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answ
         contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(answer.status));
     return;
   }
-  MemberAnswers kept{step->step, {}, std::move(answer.json), {}};
+  auto kept = std::make_shared<MemberAnswers>();
+  kept->step = step->step;
+  kept->json = std::move(answer.json);
+  auto delivery = std::make_shared<Delivery>();
   const std::size_t each = answer.arrays.size() / contributions.size();
   auto next = std::make_move_iterator(answer.arrays.begin());
   for (const auto& contribution : contributions) {
-    kept.sessions.push_back(contribution->slices.terms().id.session);
-    kept.arrays.emplace_back(next, next + static_cast<std::ptrdiff_t>(each));
+    kept->sessions.push_back(contribution->slices.terms().id.session);
+    kept->arrays.emplace_back(next, next + static_cast<std::ptrdiff_t>(each));
     next += static_cast<std::ptrdiff_t>(each);
+    if (!told)
+      delivery->to.push_back({static_cast<std::size_t>(contribution->member), contribution->connection,
+                              contribution->request, std::move(contribution->begin), false});
   }
-  kept_.keep(step->scene, kept);  // before the first answer is sent
-  for (std::size_t member = 0; member < contributions.size() && !told; ++member) {
-    const OpenPush& contribution = *contributions[member];
-    const Status sent = contribution.connection->send_message(FrameType::reply, contribution.request, kept.json,
-                                                              copy_for(contribution.begin, kept.arrays[member]));
-    if (!sent.ok()) contribution.connection->send(FrameType::failure, contribution.request, wire::failure_json(sent));
+  if (Group* group = find(step->scene); group != nullptr && group->seats.size() == contributions.size()) {
+    group->last = kept;
+    group->delivery = delivery;
   }
-  if (Group* group = find(step->scene); group != nullptr && group->seats.size() == contributions.size())
-    group->last = std::move(kept);
+  kept_.keep(step->scene, kept, [this, scene = step->scene, kept, delivery] {
+    for (const Delivery::To& to : delivery->to) send(*kept, to);
+    if (Group* group = find(scene); group != nullptr && group->delivery == delivery) group->delivery.reset();
+  });
 }
 
 void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why) {

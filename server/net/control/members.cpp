@@ -54,7 +54,8 @@ bool MemberPush::to_ranks() const {
 }
 
 MemberGroups::MemberGroups(Coordinator& coordinator)
-    : coordinator_(coordinator), kept_(coordinator.options().data_dir, coordinator.options().restarted) {}
+    : coordinator_(coordinator),
+      kept_(coordinator.context(), coordinator.options().data_dir, coordinator.options().restarted) {}
 
 MemberGroups::Group* MemberGroups::find(const std::string& scene) {
   const auto found = groups_.find(scene);

@@ -113,10 +113,22 @@ class MemberGroups {
     const Connection* connection = nullptr;  // null: free
     std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
   };
+  // Answers that are sent once they are kept.
+  struct Delivery {
+    struct To {
+      std::size_t member = 0;
+      std::shared_ptr<Connection> connection;
+      std::uint64_t request = 0;
+      wire::Json begin;
+      bool repeated = false;  // the member has pushed the step again
+    };
+    std::vector<To> to;
+  };
   struct Group {
     bool follow = false;
     std::vector<Seat> seats;
-    std::optional<MemberAnswers> last;
+    std::shared_ptr<const MemberAnswers> last;
+    std::shared_ptr<Delivery> delivery;  // of `last`, until it is sent
   };
 
   Group* find(const std::string& scene);
@@ -124,8 +136,11 @@ class MemberGroups {
   void abort_step_because_of(const std::string& scene, std::size_t member, const std::string& why);
   std::string name(const std::string& scene, std::size_t member) const;
   std::string missing(const MemberPush& step) const;
-  // Answers a push.begin of a step that is committed. False: the push isn't of that step.
-  bool answer_again(const MemberAnswers& answers, std::size_t member, const ContributionBegin& begin);
+  // Answers a push.begin of a step that is committed, with the delivery if there is one. False: the push isn't of that
+  // step.
+  bool answer_again(const MemberAnswers& answers, Delivery* delivery, std::size_t member,
+                    const ContributionBegin& begin);
+  static void send(const MemberAnswers& answers, const Delivery::To& to);
   Result<PushTerms> read_terms(const ContributionBegin& begin, const api::SceneSummary& info,
                                const MemberPush* step) const;
   // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.

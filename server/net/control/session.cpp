@@ -197,6 +197,7 @@ awaitable<void> Session::dispatch(Request& request) {
   }
   // Requests that a client sent before it left still come in; those that only read are dropped.
   if (request.info->reads() && connection_->peer_is_lost()) co_return;
+  if (request.command == "status") co_await coordinator_->look_at_log();
   if (answer_here(request)) co_return;
   if (request.command == "shutdown") co_return co_await shut_down(request);
   if (coordinator_->shutting_down()) {

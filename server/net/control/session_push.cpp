@@ -22,6 +22,9 @@ Status foreign_memory() { return {Code::not_authorised, "a push from shared memo
 }  // namespace
 
 Status Session::push_conflict(const SceneGate& gate, const PushId& id) {
+  if (const std::string holders = coordinator_->groups().holders(id.scene); !holders.empty())
+    return {Code::busy, fmt::format("scene '{}' is pushed by {}", id.scene, holders),
+            "try again when they have closed it"};
   if (!gate.push) return {};
   const PushId& open = gate.push->slices.terms().id;
   if (open.session == id.session) {
@@ -44,9 +47,6 @@ awaitable<void> Session::push_begin(Request& request) {
   if (coordinator_->groups().knows(id->scene, connection_.get())) co_return co_await begin_contribution(request, *id);
   SceneGate& gate = coordinator_->gate(id->scene);
   Status status = push_conflict(gate, *id);
-  if (const std::string holders = coordinator_->groups().holders(id->scene); status.ok() && !holders.empty())
-    status = Status(Code::busy, fmt::format("scene '{}' is pushed by {}", id->scene, holders),
-                    "try again when they have closed it");
   if (status.ok() && gate.push)
     coordinator_->abort(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
   if (status.ok()) {

@@ -72,7 +72,16 @@ void SocketName::remove() {
   if (slot_ >= 0) remove_slot(g_slots[static_cast<std::size_t>(std::exchange(slot_, -1))]);
 }
 
-bool SocketName::in_place() const { return slot_ >= 0 && is_in_place(g_slots[static_cast<std::size_t>(slot_)]); }
+SocketPlace SocketName::place() const {
+  if (slot_ < 0) return {};
+  const Slot& slot = g_slots[static_cast<std::size_t>(slot_)];
+  return {slot.path.data(), slot.device, slot.inode};
+}
+
+bool SocketPlace::taken() const {
+  struct stat info {};
+  return inode != 0 && ::lstat(path.c_str(), &info) == 0 && info.st_dev == device && info.st_ino == inode;
+}
 
 void SocketName::remove_all() noexcept {
   for (Slot& slot : g_slots) remove_slot(slot);

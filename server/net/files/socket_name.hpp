@@ -6,9 +6,19 @@
 // 2. remove_all() may be called at any moment, also in a signal handler.
 #pragma once
 
+#include <cstdint>
 #include <string>
 
 namespace rcb::net {
+
+// A socket's place in the file system.
+struct SocketPlace {
+  std::string path;
+  std::uint64_t device = 0;
+  std::uint64_t inode = 0;  // 0: none
+  // Whether the path still names that socket.
+  bool taken() const;
+};
 
 class SocketName {
  public:
@@ -20,8 +30,8 @@ class SocketName {
   ~SocketName();
 
   void remove();
-  // Whether the path still names the socket that was bound.
-  bool in_place() const;
+  // Where the socket was bound.
+  SocketPlace place() const;
 
   // Removes the names of all objects of this process, which is about to end.
   static void remove_all() noexcept;

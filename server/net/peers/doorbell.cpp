@@ -10,6 +10,7 @@
 #include <fmt/ranges.h>
 
 #include "common/auth/proof.hpp"
+#include "common/base/tcp_peer.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/files/data_directory.hpp"
 #include "server/net/peers/host.hpp"
@@ -27,6 +28,27 @@ constexpr double kHandshakeSeconds = 10;
 constexpr double kConnectSeconds = 5;  // for each address
 
 int silent_ticks_max(double seconds) { return std::max(2, static_cast<int>(std::ceil(seconds / kTickSeconds))); }
+
+// How long nothing has come from a peer. Every byte counts, not only whole messages: a large order takes long over a
+// slow link.
+class Silence {
+ public:
+  int ticks() const { return ticks_; }
+  // To be called every kTickSeconds.
+  void tick(const Connection& connection) {
+    const std::uint64_t bytes = connection.bytes_received();
+    ticks_ = bytes == std::exchange(bytes_, bytes) ? ticks_ + 1 : 1;
+  }
+  // Something has come since the last tick.
+  void broken(const Connection& connection) {
+    ticks_ = 0;
+    bytes_ = connection.bytes_received();
+  }
+
+ private:
+  int ticks_ = 0;
+  std::uint64_t bytes_ = 0;
+};
 
 // Lets an engine thread wait for a change that the I/O thread makes.
 class SharedCondition {
@@ -80,7 +102,7 @@ Result<asio::ip::tcp::socket> connect_to_any(asio::io_context& context, const st
     if (!error) {
       asio::ip::tcp::socket connected(context, endpoint.protocol(), socket.release());
       connected.set_option(asio::ip::tcp::no_delay(true), error);
-      connected.set_option(asio::socket_base::keep_alive(true), error);
+      end_with_vanished_peer(connected.native_handle());
       return connected;
     }
     tried += fmt::format("{}{} ({})", tried.empty() ? "" : ", ", address, error.message());
@@ -104,7 +126,7 @@ DoorbellAddress DoorbellAddress::parse(const std::string& text) {
 struct DoorbellHub::State : std::enable_shared_from_this<State> {
   struct Peer {
     std::shared_ptr<Connection> connection;
-    int silent_ticks = 0;
+    Silence silence;
     bool goodbye = false;
   };
 
@@ -160,7 +182,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
                            frame.status().message().empty() ? "its process ended" : frame.status().message()));
         co_return;
       }
-      peer.silent_ticks = 0;
+      peer.silence.broken(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { peer.goodbye = true; });
       if (frame->header.type == wire::FrameType::notice && !frame->json.empty() && message)
         message(static_cast<int>(index), frame->json);
@@ -236,7 +258,8 @@ void DoorbellHub::tick() {
   for (std::size_t i = 1; i < state_->peers.size(); ++i) {
     State::Peer& peer = state_->peers[i];
     if (!peer.connection || peer.goodbye || state_->finished) continue;
-    if (++peer.silent_ticks > state_->ticks_max) {
+    peer.silence.tick(*peer.connection);
+    if (peer.silence.ticks() > state_->ticks_max) {
       peer.goodbye = true;
       state_->lost(fmt::format("{} has been silent for {} s", state_->name_of(i), state_->ticks_max * kTickSeconds));
       continue;
@@ -249,8 +272,8 @@ std::vector<SilentRank> DoorbellHub::silent() const {
   constexpr int kTicks = 2;  // a live rank may miss so many
   std::vector<SilentRank> list;
   for (std::size_t i = 1; i < state_->peers.size(); ++i)
-    if (const State::Peer& peer = state_->peers[i]; peer.silent_ticks > kTicks && !peer.goodbye)
-      list.push_back({static_cast<int>(i), peer.silent_ticks * kTickSeconds});
+    if (const State::Peer& peer = state_->peers[i]; peer.silence.ticks() > kTicks && !peer.goodbye)
+      list.push_back({static_cast<int>(i), peer.silence.ticks() * kTickSeconds});
   return list;
 }
 
@@ -307,7 +330,7 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
         if (!goodbye && !finished) lost("rank 0 is lost: its process ended");
         co_return;
       }
-      silent_ticks = 0;
+      silence.broken(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { goodbye = true; });
       if (frame->header.type == wire::FrameType::notice) {
         if (!frame->json.empty() && message) message(0, frame->json);
@@ -322,7 +345,7 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
   std::string local_address;
   std::shared_ptr<Connection> connection;
   bool ready = false;  // both have proved who they are
-  int silent_ticks = 0;
+  Silence silence;     // of rank 0
   int ticks_max = 0;
   OrderHandler ordered;
   PeerMessageHandler message;
@@ -368,7 +391,8 @@ void Doorbell::tell(const wire::Json& message) { state_->connection->send(wire::
 void Doorbell::tick(const wire::Json& word) {
   if (!state_->ready || state_->goodbye || state_->finished) return;
   tell(word);
-  if (++state_->silent_ticks <= state_->ticks_max) return;
+  state_->silence.tick(*state_->connection);
+  if (state_->silence.ticks() <= state_->ticks_max) return;
   state_->finished = true;
   state_->lost(fmt::format("rank 0 has been silent for {} s", state_->ticks_max * kTickSeconds));
 }

@@ -267,11 +267,12 @@ awaitable<Result<Frame>> Connection::read_frame(std::uint64_t json_bytes_max, st
   read_end_ = TimePoint::max();
   Result<wire::Json> json = wire::Json();
   if (large)
-    json = co_await large_json.parse(text);
+    json = co_await large_json.parse(std::move(text));
   else
     json = wire::parse_json(text);
   if (!json.ok()) co_return json.status();
-  if (header->bulk_bytes > 0) touch_reading();
+  // The time between two bytes of the bulk counts from when somebody reads it: who lets it wait (a slice whose push
+  // isn't open yet) has a limit of his own.
   co_return Frame{*header, std::move(*json)};
 }
 

@@ -4,13 +4,17 @@
 #include <future>
 #include <list>
 #include <optional>
+#include <system_error>
 #include <thread>
 #include <utility>
 
 #include <boost/asio/executor_work_guard.hpp>
 #include <spdlog/spdlog.h>
+#include <unistd.h>
 
 #include "server/net/sockets/asio.hpp"
+#include "server/net/sockets/file_thread.hpp"
+#include "server/net/sockets/large_json.hpp"
 
 namespace rcb::net {
 
@@ -20,6 +24,19 @@ struct IoLoop::State {
   std::list<Timer> tickers;
   std::optional<asio::signal_set> signals;
   std::thread thread;
+
+  // An exception in a handler is a bug or a failed allocation: what that handler served is lost, everything else goes
+  // on.
+  void run() {
+    for (bool ended = false; !ended;) {
+      try {
+        context.run();
+        ended = true;
+      } catch (const std::exception& fault) {
+        spdlog::error("an internal fault on the I/O thread: {}", fault.what());
+      }
+    }
+  }
 
   void tick(Timer& timer, double seconds, const std::shared_ptr<std::function<void()>>& task) {
     timer.expires_after(duration_of(seconds));
@@ -39,23 +56,22 @@ struct IoLoop::State {
   }
 };
 
-IoLoop::IoLoop() : state_(std::make_unique<State>()) {}
+// The threads beside this one are started now: later the system may give none.
+IoLoop::IoLoop() : state_(std::make_unique<State>()) {
+  FileThread::of(state_->context);
+  LargeJson::of(state_->context);
+}
 
 IoLoop::~IoLoop() { stop(); }
 
 void IoLoop::start() {
-  state_->thread = std::thread([this] {
-    // An exception in a handler is a bug or a failed allocation: what that handler served is lost, everything else goes
-    // on.
-    for (bool ended = false; !ended;) {
-      try {
-        state_->context.run();
-        ended = true;
-      } catch (const std::exception& fault) {
-        spdlog::error("an internal fault on the I/O thread: {}", fault.what());
-      }
-    }
-  });
+  try {
+    state_->thread = std::thread([this] { state_->run(); });
+  } catch (const std::system_error& fault) {
+    spdlog::critical("the service can start no thread: {}; raise the limit on processes (ulimit -u, pids.max)",
+                     fault.code().message());
+    ::_exit(1);  // as where a rank is lost: mpirun ends the job
+  }
 }
 
 void IoLoop::post(std::function<void()> task) { asio::post(state_->context, std::move(task)); }
@@ -83,6 +99,7 @@ void IoLoop::stop() {
   state_->work.reset();
   state_->context.stop();
   if (state_->thread.joinable()) state_->thread.join();
+  FileThread::of(state_->context).finish();
 }
 
 asio::io_context& IoLoop::context() { return state_->context; }

@@ -8,6 +8,12 @@ namespace rcb::net {
 
 asio::execution_context::id LargeJson::id;
 
+// Places that are freed one after the other, before anybody has run, must each wake somebody: so all are woken, and
+// those who find no place wait on.
+void LargeJson::wake_waiting() {
+  for (Timer* timer : waiting_) timer->cancel();
+}
+
 awaitable<LargeJson::Place> LargeJson::take_place() {
   while (places_taken_ >= kTextsMax) {
     Timer timer(co_await asio::this_coro::executor, TimePoint::max());
@@ -18,26 +24,22 @@ awaitable<LargeJson::Place> LargeJson::take_place() {
   ++places_taken_;
   co_return Place(this, [](LargeJson* of) {
     --of->places_taken_;
-    if (!of->waiting_.empty()) of->waiting_.front()->cancel();
+    of->wake_waiting();
   });
 }
 
-awaitable<Result<wire::Json>> LargeJson::parse(const std::string& text) {
-  if (!pool_) pool_.emplace(1);
-  std::optional<Result<wire::Json>> parsed;
-  // This coroutine resumes on the I/O thread when the one on the pool has ended.
-  co_await asio::co_spawn(
-      *pool_,
-      [&text, &parsed]() -> awaitable<void> {
-        parsed.emplace(wire::parse_json(text));
-        co_return;
-      },
-      asio::use_awaitable);
-  co_return std::move(*parsed);
-}
-
-void LargeJson::shutdown() {
-  if (pool_) pool_->join();
+awaitable<Result<wire::Json>> LargeJson::parse(std::string text) {
+  const auto executor = co_await asio::this_coro::executor;
+  // All three are the thread's as well, which may be at work when this coroutine is destroyed.
+  auto parsed = std::make_shared<std::optional<Result<wire::Json>>>();
+  auto done = std::make_shared<Timer>(executor, TimePoint::max());
+  const auto shared = std::make_shared<const std::string>(std::move(text));
+  const Status begun = thread_->post([parsed, shared] { parsed->emplace(wire::parse_json(*shared)); },
+                                     [parsed, done, executor] { asio::post(executor, [done] { done->cancel(); }); });
+  if (!begun.ok()) co_return wire::parse_json(*shared);
+  co_await done->async_wait(kAwait);
+  if (!*parsed) co_return Status(Code::too_large, "no memory for the JSON of this message");
+  co_return std::move(**parsed);
 }
 
 }  // namespace rcb::net

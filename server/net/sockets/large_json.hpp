@@ -1,5 +1,5 @@
 // LargeJson: parses large JSON texts on a thread beside the I/O thread, one after another, so that heartbeats and other
-// clients don't wait. Each io_context has one.
+// clients don't wait. Each io_context has one. Where the system gives no thread, the I/O thread parses.
 //
 // Invariant: at most kTextsMax large texts are in memory; further ones wait unread. A text must arrive whole within a
 // frame's time, so nobody waits long.
@@ -10,10 +10,11 @@
 #include <memory>
 #include <optional>
 #include <string>
-
-#include <boost/asio/thread_pool.hpp>
+#include <utility>
 
 #include "common/base/status.hpp"
+#include "common/files/side_thread.hpp"
+#include "common/wire/limits.hpp"
 #include "common/wire/message.hpp"
 #include "server/net/sockets/asio.hpp"
 
@@ -25,20 +26,23 @@ class LargeJson : public asio::execution_context::service {
   static asio::execution_context::id id;
   static constexpr int kTextsMax = 4;
 
-  explicit LargeJson(asio::execution_context& context) : service(context) {}
+  explicit LargeJson(asio::execution_context& context, SideThread::Start start = {})
+      : service(context), thread_(std::in_place, wire::kJsonBytesMax * kTextsMax, std::move(start)) {}
+  static LargeJson& of(asio::io_context& context) { return asio::use_service<LargeJson>(context); }
 
   // A place among the texts in memory, held by its copies.
   using Place = std::shared_ptr<LargeJson>;
   awaitable<Place> take_place();
   // Parses on the other thread.
-  awaitable<Result<wire::Json>> parse(const std::string& text);
+  awaitable<Result<wire::Json>> parse(std::string text);
 
  private:
-  void shutdown() override;
+  void shutdown() override { thread_.reset(); }
+  void wake_waiting();
 
   int places_taken_ = 0;
   std::deque<Timer*> waiting_;
-  std::optional<asio::thread_pool> pool_;  // one thread, created at first use
+  std::optional<SideThread> thread_;
 };
 
 }  // namespace rcb::net

@@ -3,6 +3,7 @@
 #include <cerrno>
 #include <charconv>
 #include <cstring>
+#include <optional>
 #include <utility>
 
 #include <fmt/format.h>
@@ -13,6 +14,7 @@
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
 #include "common/tls/off_loopback.hpp"
+#include "server/net/sockets/file_thread.hpp"
 
 namespace rcb::net {
 namespace {
@@ -91,19 +93,40 @@ void LastingListener::start(std::function<void(UnixAcceptor&)> accept) {
   if (!listeners_.empty()) accept_(listeners_.back().acceptor);
 }
 
+struct LastingListener::Look {
+  bool in_place = false;
+  std::optional<Result<UnixListener>> again;
+};
+
 void LastingListener::look() {
-  if (!accept_ || listeners_.empty() || !listeners_.back().acceptor.is_open() || listeners_.back().name.in_place())
-    return;
-  Result<UnixListener> again = listen_unix(*context_, path_);
-  if (!again.ok()) {
-    if (std::exchange(complaint_, again.status().message()) != complaint_)
+  if (!accept_ || looking_ || listeners_.empty() || !listeners_.back().acceptor.is_open()) return;
+  const auto look = std::make_shared<Look>();
+  const Status begun = FileThread::of(*context_).run(
+      [look, place = listeners_.back().name.place(), path = path_, context = context_] {
+        look->in_place = place.taken();
+        if (!look->in_place) look->again.emplace(listen_unix(*context, path));
+      },
+      [this, look, there = std::weak_ptr(there_)] {
+        if (there.expired()) return;
+        looking_ = false;
+        found(*look);
+      });
+  looking_ = begun.ok();  // otherwise the next call tries again
+}
+
+void LastingListener::found(Look& look) {
+  if (look.in_place || !listeners_.back().acceptor.is_open())
+    return;  // closed meanwhile: the new socket goes with `look`
+  if (!look.again->ok()) {
+    const std::string why = look.again->status().message();
+    if (std::exchange(complaint_, why) != why)
       spdlog::error("the socket {} was removed and can't be made again: {}", path_, complaint_);
     return;
   }
   spdlog::warn("the socket {} was removed; it is made again", path_);
   complaint_.clear();
   close();
-  listeners_.push_back(std::move(*again));
+  listeners_.push_back(std::move(**look.again));
   accept_(listeners_.back().acceptor);
 }
 

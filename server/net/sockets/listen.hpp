@@ -8,6 +8,7 @@
 
 #include <functional>
 #include <list>
+#include <memory>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -15,6 +16,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/base/status.hpp"
+#include "common/base/tcp_peer.hpp"
 #include "server/net/files/socket_name.hpp"
 #include "server/net/sockets/asio.hpp"
 #include "server/net/sockets/credentials.hpp"
@@ -38,16 +40,22 @@ class LastingListener {
   // accept: is called for this socket and every later one, to take connections from it; an acceptor lives as long as
   // this object.
   void start(std::function<void(UnixAcceptor&)> accept);
-  // To be called periodically: makes the socket anew if its name is gone. After close() it does nothing.
+  // To be called periodically: makes the socket anew if its name is gone; on the thread of the files, since the
+  // socket's disk may stand still. After close() it does nothing.
   void look();
   void close();
 
  private:
+  struct Look;
+  void found(Look& look);
+
   asio::io_context* context_ = nullptr;
   std::string path_;
   std::function<void(UnixAcceptor&)> accept_;
   std::list<UnixListener> listeners_;  // the last one is open; accept loops refer to the older ones
   std::string complaint_;
+  bool looking_ = false;                                  // a look hasn't ended
+  std::shared_ptr<int> there_ = std::make_shared<int>();  // whose end tells a look that this object has gone
 };
 
 // Listens on an abstract socket (Linux), which has no name in the file system, so that none can be left there. Any user
@@ -82,7 +90,7 @@ awaitable<void> accept_all(asio::io_context& context, Acceptor& acceptor, Take t
     if constexpr (std::is_same_v<Acceptor, TcpAcceptor>) {
       error_code ignored;
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
-      socket.set_option(asio::socket_base::keep_alive(true), ignored);
+      end_with_vanished_peer(socket.native_handle());
     }
     Status peer;
     if constexpr (std::is_same_v<Acceptor, UnixAcceptor>) peer = check_peer_user(socket.native_handle());

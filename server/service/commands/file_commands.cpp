@@ -2,14 +2,13 @@
 // writes its own output.
 #include <algorithm>
 #include <array>
-#include <atomic>
-#include <chrono>
 #include <cstring>
 #include <filesystem>
 #include <functional>
-#include <future>
 #include <limits>
+#include <memory>
 #include <numeric>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -20,6 +19,7 @@
 #include "common/layout/layout.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
+#include "server/service/commands/file_work.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/push/values.hpp"
 #include "server/service/step/step.hpp"
@@ -126,30 +126,19 @@ bool ids_are_rows(comm::Comm& comm, const particles::ParticleSet& set, std::uint
   return comm::agree(comm, rows);
 }
 
-// Reads this rank's slice on a thread of its own, while the ranks give way to orders of other scenes. Collective.
-// Errors: those of check_time(), else the same on all ranks.
-Result<io::Points> read_slice(Context& context, LoadRequest& load) {
-  constexpr std::chrono::milliseconds kBetweenLooks(20);
-  comm::Comm& comm = context.comm;
-  std::atomic<bool> stop = false;
-  load.options.stop = &stop;
-  auto reading = std::async(std::launch::async, [&load, rank = comm.rank(), ranks = comm.size()] {
-    return io::read_points_slice(load.path, load.options, rank, ranks);
+// Reads this rank's slice. Collective. Errors: those of finish().
+Result<io::Points> read_slice(Context& context, const LoadRequest& load) {
+  FileWork work(context.files);
+  auto points = std::make_shared<std::optional<io::Points>>();
+  work.run([load, points, &stop = work.stop(), rank = context.comm.rank(), ranks = context.comm.size()]() -> Status {
+    io::ReadOptions options = load.options;
+    options.stop = &stop;
+    auto read = io::read_points_slice(load.path, options, rank, ranks);
+    if (read.ok()) points->emplace(std::move(*read));
+    return read.status();
   });
-  Status given_up;
-  for (std::uint64_t read = 0; read == 0;) {
-    read = reading.wait_for(kBetweenLooks) == std::future_status::ready ? 1 : 0;
-    comm.all_min({&read, 1});
-    if (read != 0) break;
-    const Status time = context.check_time();
-    if (time.ok() || stop) continue;
-    given_up = time;
-    stop = true;
-  }
-  auto points = reading.get();
-  if (!given_up.ok()) return given_up;
-  if (Status status = agree_status(comm, points.status()); !status.ok()) return status;
-  return points;
+  if (Status status = finish(context, work, [] { return false; }); !status.ok()) return status;
+  return std::move(**points);
 }
 
 Response load(Context& context, Scene& scene, const wire::Json& request) {
@@ -220,27 +209,63 @@ ByPart slots_by_part(const Scene& scene, std::int64_t first, std::int64_t last) 
   return by;
 }
 
-// Writes the particles in these slots as CSV.
-Status write_part(const Scene& scene, std::span<const std::uint64_t> slots, const io::Folder& folder,
-                  const std::string& name) {
-  auto file = io::OutputFile::create_in(folder, name);
-  if (!file.ok()) return file.status();
-  particles::ParticleSet chosen;
-  chosen.dims = scene.options.dims;
-  chosen.has_weights = scene.particles.has_weights;
+// Particles copied for the thread that writes them.
+particles::ParticleSet chosen(const Scene& scene, std::span<const std::uint64_t> slots) {
+  particles::ParticleSet set;
+  set.dims = scene.options.dims;
+  set.has_weights = scene.particles.has_weights;
   for (const std::uint64_t i : slots) {
-    for (std::size_t a = 0; a < static_cast<std::size_t>(chosen.dims); ++a)
-      chosen.position[a].push_back(scene.particles.position[a][i]);
-    chosen.id.push_back(scene.particles.id[i]);
-    if (chosen.has_weights) chosen.weight.push_back(scene.particles.weight[i]);
+    for (std::size_t a = 0; a < static_cast<std::size_t>(set.dims); ++a)
+      set.position[a].push_back(scene.particles.position[a][i]);
+    set.id.push_back(scene.particles.id[i]);
+    if (set.has_weights) set.weight.push_back(scene.particles.weight[i]);
   }
-  const auto view = chosen.view();
-  std::optional<std::span<const double>> weight;
-  if (chosen.has_weights) weight = chosen.weight.span();
-  return io::write_csv(std::move(*file), chosen.dims,
-                       std::span(view.position.data(), static_cast<std::size_t>(chosen.dims)), view.count,
-                       chosen.id.span(), weight);
+  return set;
 }
+
+// Particles of a part's file.
+struct Piece {
+  std::string name;  // of the file that it begins; empty: it goes on with the one before
+  particles::ParticleSet particles;
+  bool last = false;  // of its file
+};
+
+// This rank's files, written one after another, piece by piece. Lives on the thread that writes them.
+class PartWriter {
+ public:
+  PartWriter(const io::Roots& roots, std::string directory) : roots_(roots), directory_(std::move(directory)) {}
+
+  Status open() {
+    auto folder = roots_.make_folder(directory_);
+    if (!folder.ok()) return folder.status();
+    folder_.emplace(std::move(*folder));
+    return {};
+  }
+  Status write(const std::vector<Piece>& pieces) {
+    Status written;
+    for (std::size_t k = 0; k < pieces.size() && written.ok(); ++k) written = write_piece(pieces[k]);
+    return written;
+  }
+
+ private:
+  Status write_piece(const Piece& piece) {
+    const particles::ParticleSet& set = piece.particles;
+    if (!piece.name.empty()) {
+      auto file = io::OutputFile::create_in(*folder_, piece.name);
+      if (!file.ok()) return file.status();
+      csv_.emplace(std::move(*file), set.dims, true, set.has_weights);
+    }
+    const auto view = set.view();
+    Status written = csv_->append(std::span(view.position.data(), static_cast<std::size_t>(set.dims)), view.count,
+                                  set.id.span(), set.weight.span());
+    return written.ok() && piece.last ? csv_->commit() : written;
+  }
+
+  const io::Roots& roots_;
+  std::string directory_;
+  std::optional<io::Folder> folder_;
+  std::optional<io::CsvWriter> csv_;
+};
 
 // The beginning of the files' names: without a slash, and without control characters, which could drive a terminal.
 Result<std::string> read_prefix(const wire::Json& request) {
@@ -255,25 +280,38 @@ Result<std::string> read_prefix(const wire::Json& request) {
   return prefix;
 }
 
-// Each rank writes the files of its parts; after every kBetween parts all ranks check the time. Collective.
-Status write_own_parts(Context& context, const Scene& scene, const io::Folder& folder,
+// Each rank writes the files of its parts, piece by piece, beside the engine. The scene stays as it is meanwhile: its
+// orders wait for the end of this one (net::OrderQueue). Collective.
+Status write_own_parts(Context& context, const Scene& scene, const std::string& directory,
                        const std::function<std::string(std::int64_t)>& name_of) {
-  constexpr std::int64_t kBetween = 16;
+  constexpr std::size_t kParticles = 65536;  // in a job of the thread
+  constexpr std::size_t kPieces = 64;        // likewise
   const int ranks = context.comm.size();
   const std::int64_t begin = layout::part_begin(context.comm.rank(), scene.options.parts, ranks);
   const std::int64_t end = layout::part_begin(context.comm.rank() + 1, scene.options.parts, ranks);
-  const std::int64_t most = (scene.options.parts + ranks - 1) / ranks;  // most parts of any rank
   const ByPart by = slots_by_part(scene, begin, end);
-  Status written;
-  for (std::int64_t k = 0; k < most; ++k) {
-    if (k % kBetween == 0)
-      if (Status status = context.check_time(); !status.ok()) return status;
-    if (begin + k >= end || !written.ok()) continue;
-    const auto at = static_cast<std::size_t>(k);
-    written = write_part(scene, std::span(by.slot).subspan(by.start[at], by.start[at + 1] - by.start[at]), folder,
-                         name_of(begin + k));
-  }
-  return agree_status(context.comm, written);
+  FileWork work(context.files);
+  const auto writer = std::make_shared<PartWriter>(context.roots, directory);
+  work.run([writer] { return writer->open(); });
+  if (Status opened = finish(context, work, [] { return false; }); !opened.ok())
+    return opened;  // all ranks may, or none
+  std::int64_t part = begin;
+  std::size_t at = 0;  // of the part's particles, those that are under way
+  return finish(context, work, [&] {
+    const auto pieces = std::make_shared<std::vector<Piece>>();
+    for (std::size_t copied = 0; part < end && copied < kParticles && pieces->size() < kPieces;) {
+      const auto index = static_cast<std::size_t>(part - begin);
+      const auto slots = std::span(by.slot).subspan(by.start[index], by.start[index + 1] - by.start[index]);
+      const std::size_t count = std::min(kParticles - copied, slots.size() - at);
+      const bool last = at + count == slots.size();
+      pieces->push_back({at == 0 ? name_of(part) : "", chosen(scene, slots.subspan(at, count)), last});
+      copied += count;
+      at = last ? 0 : at + count;
+      part += last ? 1 : 0;
+    }
+    if (!pieces->empty()) work.run([writer, pieces] { return writer->write(*pieces); });
+    return part < end;
+  });
 }
 
 Response write_parts(Context& context, Scene& scene, const wire::Json& request) {
@@ -286,10 +324,7 @@ Response write_parts(Context& context, Scene& scene, const wire::Json& request) 
   const auto name_of = [&](std::int64_t part) {
     return fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size());
   };
-  const auto folder = context.roots.make_folder(*directory);
-  Status made = agree_status(context.comm, folder.status());
-  if (made.ok()) made = write_own_parts(context, scene, *folder, name_of);
-  if (!made.ok()) return failed(std::move(made));
+  if (Status made = write_own_parts(context, scene, *directory, name_of); !made.ok()) return failed(std::move(made));
   if (!context.root()) return {};
   const auto path_of = [&](std::int64_t part) { return (std::filesystem::path(*directory) / name_of(part)).string(); };
   const bool listed = static_cast<std::size_t>(parts) * path_of(0).size() <= kListedBytesMax;

@@ -8,6 +8,7 @@
 
 #include "common/wire/limits.hpp"
 #include "server/service/commands/cuts_json.hpp"
+#include "server/service/commands/with_reports.hpp"
 #include "server/service/context/context.hpp"
 
 namespace rcb::service {
@@ -89,14 +90,15 @@ Response history(Context& context, Scene& scene, const wire::Json& request) {
   const auto page = read_page(request, total, total - wanted, wire::kReportsMax);
   if (!page.ok()) return failed(page.status());
   if (!context.root()) return {};
-  History& reports = *scene.history;
-  wire::Json found = wire::Json::array();
-  reports.read(page->from, page->end, [&found](wire::Json report) { found.push_back(std::move(report)); });
-  wire::Json json{{"total", total}, {"lost", page->end - page->from - found.size()}};
-  if (json["lost"] != 0) json["loss"] = reports.loss();
-  json["history"] = std::move(found);
-  page->tell(json, total);
-  return done(std::move(json));
+  return with_reports(*scene.history, page->from, page->end,
+                      [page = *page, total](FoundReports found, Response& answer) {
+                        wire::Json& json = answer.json;
+                        json["total"] = total;
+                        json["lost"] = page.end - page.from - found.reports.size();
+                        if (json["lost"] != 0) json["loss"] = found.loss;
+                        json["history"] = std::move(found.reports);
+                        page.tell(json, total);
+                      });
 }
 
 constexpr Command kPagedCommands[] = {{"cuts", cuts, Needs::positions}, {"history", history, Needs::scene}};

@@ -5,6 +5,7 @@
 #include <malloc.h>
 
 #include "common/layout/layout.hpp"
+#include "server/service/commands/with_reports.hpp"
 #include "server/service/step/step.hpp"
 
 namespace rcb::service {
@@ -30,16 +31,18 @@ bool is_repeated(const Scene& scene, const PushRequest& push) {
 // differ.
 Response repeated(const Context& context, const Scene& scene, const PushRequest& push) {
   if (!context.root()) return {};
-  wire::Json json{{"plan", plan_json(scene)}, {"repeated", true}};
   const auto later = static_cast<std::uint64_t>(scene.recent_steps.end() - find_step(scene, push.id.step));
   const std::uint64_t number = scene.history->total() - later;
-  scene.history->read(number, number + 1, [&json](wire::Json report) { json["report"] = std::move(report); });
-  if (!json.contains("report"))
-    return failed(
-        {Code::io_error,
-         fmt::format("step {} is committed, but its report was lost: {}", push.id.step, scene.history->loss()),
-         "go on with the next step"});
-  return done(std::move(json));
+  return with_reports(
+      *scene.history, number, number + 1,
+      [plan = plan_json(scene), step = push.id.step](FoundReports found, Response& answer) {
+        if (found.reports.empty())
+          answer.status =
+              Status(Code::io_error, fmt::format("step {} is committed, but its report was lost: {}", step, found.loss),
+                     "go on with the next step");
+        else
+          answer.json = {{"plan", plan}, {"repeated", true}, {"report", std::move(found.reports.front())}};
+      });
 }
 
 Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes,

@@ -10,6 +10,7 @@
 
 #include "common/base/clock.hpp"
 #include "common/comm/comm.hpp"
+#include "common/files/side_thread.hpp"
 #include "common/io/files/roots.hpp"
 #include "server/service/context/order.hpp"
 #include "server/service/scene/no_skip.hpp"
@@ -28,6 +29,7 @@ struct Context {
   std::vector<Spare>& spares;
   NoSkip no_skip;
   const io::Roots& roots;            // folders for clients' files
+  SideThread& files;                 // on which this rank reads and writes them
   HistoryMemory& histories;          // of the scenes, on rank 0
   std::uint64_t bulk_bytes_max = 0;  // of what a client may have the service hold; 0: no limit
 

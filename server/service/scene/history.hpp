@@ -2,19 +2,24 @@
 // of all scenes together are kept in memory, up to a limit; older ones go to a file in the data directory.
 //
 // Invariants
-// 1. The reports [total() - recent, total()) are in memory. Older ones that the file could not take or give back are
-//    lost; a disk's fault has no other consequence.
-// 2. All histories of a room together have at most `keep` reports in memory.
+// 1. The reports [total() - recent, total()) are in memory. Older ones that the file could not take (in time) or give
+//    back are lost; a disk's fault has no other consequence.
+// 2. All histories of a room together have at most `keep` reports in memory, and kOnTheirWayBytesMax of those that the
+//    disk hasn't taken yet.
+// 3. Files are touched on the room's own thread alone, so that no engine waits for a disk.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <set>
 #include <string>
+#include <vector>
 
+#include "common/files/side_thread.hpp"
 #include "server/service/scene/report.hpp"
 #include "server/service/scene/report_file.hpp"
 
@@ -22,15 +27,19 @@ namespace rcb::service {
 
 class History;
 
+inline constexpr std::uint64_t kOnTheirWayBytesMax = std::uint64_t{8} << 20U;
+
 // The memory shared by the histories of all scenes.
 class HistoryMemory {
  public:
   // directory: for older reports (make_report_directory); empty: they are lost.
-  HistoryMemory(std::size_t keep, std::string directory) : keep_(keep), directory_(std::move(directory)) {}
+  HistoryMemory(std::size_t keep, std::string directory);
   HistoryMemory(const HistoryMemory&) = delete;
   HistoryMemory& operator=(const HistoryMemory&) = delete;
 
   std::size_t held() const { return held_; }  // reports in memory
+  // That of the files; null if there is no directory.
+  SideThread* thread() { return thread_ ? &*thread_ : nullptr; }
 
  private:
   friend class History;
@@ -41,6 +50,13 @@ class HistoryMemory {
   std::string directory_;
   std::size_t held_ = 0;
   std::set<History*> histories_;
+  std::optional<SideThread> thread_;  // of the files
+};
+
+// What was found of the reports that were asked for.
+struct FoundReports {
+  std::vector<wire::Json> reports;  // ascending
+  std::string loss;                 // why reports were lost most recently; empty: none were
 };
 
 class History {
@@ -53,22 +69,25 @@ class History {
 
   void add(StepReport report);
   std::uint64_t total() const { return total_; }
-  // Why reports were lost most recently; empty if none were.
-  const std::string& loss() const { return loss_; }
-  // Calls take() for those of the reports [first, last) that are not lost, ascending; last <= total().
-  void read(std::uint64_t first, std::uint64_t last, const std::function<void(wire::Json report)>& take);
+  // Whether none of the reports from this one on has left the memory.
+  bool in_memory(std::uint64_t first) const { return first >= total_ - recent_.size(); }
+  // Those of the reports [first, last) that are in memory; last <= total().
+  FoundReports newest(std::uint64_t first, std::uint64_t last) const;
+  // Finds on the thread of the files what is not lost, calls `take` there, then `then` (see SideThread::post). Errors:
+  // those of SideThread::post; nothing is called then.
+  using Reading = std::function<Status(std::function<void(FoundReports found)> take, SideThread::Job then)>;
+  // Reads the reports [first, last) as they are now; the room must be there when it begins. last <= total().
+  Reading reading(std::uint64_t first, std::uint64_t last) const;
 
  private:
   friend class HistoryMemory;
+  class Older;
   void spill(std::size_t count);
-  void note_loss(const Status& why);
 
   HistoryMemory& room_;
-  std::string scene_;
-  ReportFile file_;
+  std::shared_ptr<Older> older_;
   std::deque<StepReport> recent_;
   std::uint64_t total_ = 0;
-  std::string loss_;
 };
 
 }  // namespace rcb::service

@@ -4,12 +4,16 @@
 #include <array>
 #include <filesystem>
 #include <fstream>
+#include <functional>
+#include <future>
+#include <memory>
 #include <random>
 
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
 #include "common/base/random.hpp"
+#include "server/net/sockets/file_thread.hpp"
 #include "tests/server/net/harness.hpp"
 
 namespace rcb::net::testing {
@@ -67,24 +71,145 @@ void write_file(const std::string& path, const std::string& bytes, mode_t mode =
   ::chmod(path.c_str(), mode);
 }
 
+// KeptAnswers and its loop, without a thread of its own.
+class Kept {
+ public:
+  Kept(const std::string& directory, bool restarted) : kept_(context_, directory, restarted) {}
+  ~Kept() { settle(); }
+  const MemberAnswers* before(const std::string& scene) const { return kept_.before(scene); }
+  void forget(const std::string& scene) { kept_.forget(scene); }
+  void forget_all() { kept_.forget_all(); }
+  // Until they may be sent.
+  void keep(const std::string& scene, const MemberAnswers& answers) {
+    bool sent = false;
+    begin(scene, answers, [&sent] { sent = true; });
+    run_until([&sent] { return sent; });
+  }
+  void begin(const std::string& scene, const MemberAnswers& answers, std::function<void()> then) {
+    kept_.keep(scene, std::make_shared<MemberAnswers>(answers), std::move(then));
+  }
+  // Until the thread of the files has nothing to do.
+  void settle() {
+    for (int jobs = 0; jobs < 3; ++jobs) {
+      bool idle = false;
+      ASSERT_TRUE(FileThread::of(context_).run([] {}, [&idle] { idle = true; }).ok());
+      run_until([&idle] { return idle; });
+    }
+  }
+  void run_until(const std::function<bool()>& holds) {
+    const TimePoint late = now() + std::chrono::seconds(30);
+    while (!holds() && now() < late) {
+      context_.restart();
+      context_.run_one_for(std::chrono::milliseconds(100));
+    }
+    EXPECT_TRUE(holds());
+  }
+  asio::io_context& context() { return context_; }
+
+ private:
+  asio::io_context context_;
+  KeptAnswers kept_;
+};
+
+// A disk that stands still: no file is touched until release().
+class StillDisk {
+ public:
+  explicit StillDisk(asio::io_context& context) {
+    const auto begun = FileThread::of(context).run([moves = moves_] { moves->get_future().wait(); }, [] {});
+    EXPECT_TRUE(begun.ok());
+  }
+  ~StillDisk() { release(); }
+  void release() {
+    if (!std::exchange(released_, true)) moves_->set_value();
+  }
+
+ private:
+  std::shared_ptr<std::promise<void>> moves_ = std::make_shared<std::promise<void>>();
+  bool released_ = false;
+};
+
+TEST(KeptAnswers, AreSentWhenTheyAreOnDisk) {
+  const Directory directory;
+  Kept kept(directory.path(), false);
+  StillDisk disk(kept.context());
+  std::vector<int> sent;
+  kept.begin("s", answers_of(1), [&] {
+    sent.push_back(1);
+    EXPECT_EQ(files_in(directory), std::vector<std::string>{"answers.s.0"});
+  });
+  kept.begin("t", answers_of(1), [&] { sent.push_back(2); });
+  kept.context().poll();
+  EXPECT_TRUE(sent.empty());
+  disk.release();
+  kept.run_until([&] { return sent.size() == 2; });
+  EXPECT_EQ(sent, (std::vector<int>{1, 2}));
+  kept.settle();
+  expect_step(Kept(directory.path(), true).before("s"), 1);
+  expect_step(Kept(directory.path(), true).before("t"), 1);
+}
+
+TEST(KeptAnswers, WaitForADiskThatStandsStillOnceAndNotForLong) {
+  const Directory directory;
+  Kept kept(directory.path(), false);
+  StillDisk disk(kept.context());
+  kept.keep("s", answers_of(1));  // returns though the disk stands still
+  EXPECT_TRUE(files_in(directory).empty());
+  for (const std::int64_t step : {2, 3, 4}) {
+    bool sent = false;
+    kept.begin("s", answers_of(step), [&sent] { sent = true; });
+    EXPECT_TRUE(sent) << "nobody waits for it again";
+  }
+  disk.release();
+  kept.settle();
+  expect_step(Kept(directory.path(), true).before("s"), 4);
+  bool sent = false;
+  {
+    StillDisk again(kept.context());
+    kept.begin("s", answers_of(5), [&sent] { sent = true; });
+    EXPECT_FALSE(sent) << "it moves, so it is waited for";
+  }
+  kept.run_until([&sent] { return sent; });
+}
+
+TEST(KeptAnswers, OfASceneThatIsForgottenMeanwhileAreNotWritten) {
+  const Directory directory;
+  Kept kept(directory.path(), false);
+  kept.keep("s", answers_of(7));
+  kept.keep("t", answers_of(7));
+  {
+    StillDisk disk(kept.context());
+    bool sent = false;
+    kept.begin("u", answers_of(8), [] {});  // is with the disk
+    kept.begin("s", answers_of(8), [&sent] { sent = true; });
+    kept.forget("s");
+    kept.forget("t");
+    kept.begin("t", answers_of(1), [] {});  // of another run, whose steps begin anew
+    disk.release();
+    kept.settle();
+    EXPECT_TRUE(sent);
+  }
+  EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr);
+  expect_step(Kept(directory.path(), true).before("t"), 1);
+}
+
 TEST(KeptAnswers, TheServiceThatIsStartedAgainHasTheLastOnes) {
   const Directory directory;
   {
-    KeptAnswers kept(directory.path(), false);
+    Kept kept(directory.path(), false);
     for (const std::int64_t step : {3, 4, 5}) kept.keep("s", answers_of(step));
     kept.keep("..", answers_of(9));
     EXPECT_EQ(kept.before("s"), nullptr) << "its own answers are the group's to give";
   }
   for (int death = 0; death < 2; ++death) {
-    KeptAnswers kept(directory.path(), true);
+    Kept kept(directory.path(), true);
     expect_step(kept.before("s"), 5);
     expect_step(kept.before(".."), 9);
     EXPECT_EQ(kept.before("t"), nullptr);
   }
-  KeptAnswers kept(directory.path(), true);
+  Kept kept(directory.path(), true);
   kept.keep("s", answers_of(6));
   EXPECT_EQ(kept.before("s"), nullptr);
-  expect_step(KeptAnswers(directory.path(), true).before("s"), 6);
+  expect_step(Kept(directory.path(), true).before("s"), 6);
 }
 
 TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
@@ -92,7 +217,7 @@ TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
   SCOPED_TRACE("seed " + std::to_string(seed));
   Random random(seed);
   const Directory directory;
-  KeptAnswers(directory.path(), false).keep("s", answers_of(1));
+  Kept(directory.path(), false).keep("s", answers_of(1));
   for (std::int64_t step = 2; step < 40; ++step) {
     const auto before = files_in(directory);
     std::vector<std::string> old;
@@ -100,7 +225,7 @@ TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
       std::ifstream in(directory.file(name), std::ios::binary);
       old.emplace_back(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
     }
-    KeptAnswers(directory.path(), true).keep("s", answers_of(step));
+    Kept(directory.path(), true).keep("s", answers_of(step));
     // The file that was written now: as much of it as was there at the death, over what was there before.
     for (const std::string& name : files_in(directory)) {
       const std::string path = directory.file(name);
@@ -113,10 +238,10 @@ TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
       const std::string mixed = now.substr(0, cut) + (was.size() > cut ? was.substr(cut) : "");
       write_file(path, mixed);
       // Where all bytes that were still to come are those of before, it is whole already.
-      expect_step(KeptAnswers(directory.path(), true).before("s"), mixed == now ? step : step - 1);
+      expect_step(Kept(directory.path(), true).before("s"), mixed == now ? step : step - 1);
       write_file(path, now);
     }
-    expect_step(KeptAnswers(directory.path(), true).before("s"), step);
+    expect_step(Kept(directory.path(), true).before("s"), step);
     if (::testing::Test::HasFailure()) return;
   }
 }
@@ -125,7 +250,7 @@ TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
   const Directory directory;
   write_file(directory.file("token"), "secret");
   {
-    KeptAnswers kept(directory.path(), false);
+    Kept kept(directory.path(), false);
     kept.keep("s", answers_of(3));
     kept.keep("s", answers_of(4));
     kept.keep("t", answers_of(4));
@@ -135,20 +260,21 @@ TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
   }
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"answers.t.0", "token"}));
   fs::last_write_time(directory.file("answers.t.0"), fs::file_time_type::clock::now() - std::chrono::hours(2));
-  EXPECT_EQ(KeptAnswers(directory.path(), true).before("t"), nullptr) << "older than any deadline";
+  EXPECT_EQ(Kept(directory.path(), true).before("t"), nullptr) << "older than any deadline";
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
-  KeptAnswers(directory.path(), false).keep("t", answers_of(4));
-  EXPECT_EQ(KeptAnswers(directory.path(), false).before("t"), nullptr) << "after a clean end";
+  Kept(directory.path(), false).keep("t", answers_of(4));
+  EXPECT_EQ(Kept(directory.path(), false).before("t"), nullptr) << "after a clean end";
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
   // A run of the service before, too, may be over.
-  KeptAnswers(directory.path(), false).keep("t", answers_of(4));
-  KeptAnswers kept(directory.path(), true);
+  Kept(directory.path(), false).keep("t", answers_of(4));
+  Kept kept(directory.path(), true);
   expect_step(kept.before("t"), 4);
   kept.forget("t");
   EXPECT_EQ(kept.before("t"), nullptr);
   kept.keep("u", answers_of(5));
   kept.keep("v", answers_of(5));
   kept.forget_all();
+  kept.settle();
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
 }
 
@@ -157,27 +283,27 @@ TEST(KeptAnswers, WhatIsNotOursOrNotWholeIsNotBelieved) {
   SCOPED_TRACE("seed " + std::to_string(seed));
   Random random(seed);
   const Directory directory;
-  KeptAnswers(directory.path(), false).keep("s", answers_of(3));
+  Kept(directory.path(), false).keep("s", answers_of(3));
   const std::string path = directory.file("answers.s.0");
   std::ifstream in(path, std::ios::binary);
   const std::string whole{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
   write_file(path, whole, 0666);
-  EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << "others may have written it";
+  EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr) << "others may have written it";
   for (int round = 0; round < 500; ++round) {
     std::string bytes = whole;
     bytes[random.below(bytes.size())] ^= static_cast<char>(1U << random.below(8));
     if (round % 3 == 0) bytes.resize(random.below(bytes.size()));
     write_file(path, bytes);
-    EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << round;
+    EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr) << round;
   }
   fs::remove(path);
   write_file(directory.file("elsewhere"), whole);
   fs::create_symlink(directory.file("elsewhere"), path);
-  EXPECT_EQ(KeptAnswers(directory.path(), true).before("s"), nullptr) << "a link";
+  EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr) << "a link";
   // Where nothing can be written, nothing else fails.
-  KeptAnswers nowhere(directory.file("missing"), false);
+  Kept nowhere(directory.file("missing"), false);
   nowhere.keep("s", answers_of(3));
-  KeptAnswers("", true).keep("s", answers_of(3));
+  Kept("", true).keep("s", answers_of(3));
 }
 
 }  // namespace

@@ -195,6 +195,34 @@ TEST_F(MemberDirect, PlacesAreToldWhereAllAskForThem) {
   EXPECT_EQ(engine_.pushed.at(0)["places"], false);
 }
 
+TEST_F(MemberDirect, OneWithoutParticlesNeedNotSayWeights) {
+  for (const int empty : {0, 1}) {
+    SCOPED_TRACE(empty);
+    join();
+    const int full = 1 - empty;
+    const std::int64_t step = engine_.last_step + 1;
+    team_[empty].begin(kSessions[empty], step, 0, {{"ids", true}, {"slices", 0}});
+    team_[full].begin(kSessions[full], step, 10, {{"ids", true}, {"weights", true}});
+    Json slice{{"command", "push.slice"},
+               {"scene", "s"},
+               {"session", kSessions[full]},
+               {"step", step},
+               {"attempt", 1},
+               {"rank", 0},
+               {"count", 10}};
+    for (const auto& [name, dtype] : {std::pair("x", "<f8"), {"y", "<f8"}, {"w", "<f8"}, {"id", "<i8"}})
+      slice["arrays"].push_back({{"name", name}, {"dtype", dtype}, {"shape", {10}}});
+    team_[full].send(FrameType::request, slice, std::string(std::size_t{4} * 8 * 10, '\0'));
+    for (Client& one : team_) {
+      const Received answer = one.receive_but_notices();
+      EXPECT_EQ(answer.type, FrameType::reply) << answer.message();
+    }
+    ASSERT_EQ(pushed(), static_cast<std::size_t>(empty) + 1);
+    EXPECT_EQ(engine_.pushed.back()["weights"], true);
+    for (Client& one : team_) one.close();
+  }
+}
+
 TEST_F(MemberDirect, OneThatHasNotMovedBringsNothing) {
   join();
   direct(0, {4, 3, 0}, {{"moved", "none"}, {"weights", true}});

@@ -290,6 +290,44 @@ TEST(Session, AnOpenScenesPartsAreNotChangedFromUnderItsClient) {
   EXPECT_EQ(rebalance({{"parts", 6}}).type, FrameType::reply);
 }
 
+// So that an answer has room for all scenes, however many clients have them open.
+TEST(Session, ScenesAreListedWithAFewOfManyHolders) {
+  TestService service;
+  std::vector<Client> holders;
+  for (int k = 0; k < 12; ++k) {
+    holders.push_back(service.client("holder " + std::to_string(10 + k), wire::hex64(100 + static_cast<unsigned>(k))));
+    if (k == 0) holders.back().call("scene.create", {{"scene", "s"}});
+    EXPECT_EQ(holders.back().call("scene.open", {{"scene", "s"}}).type, FrameType::reply);
+  }
+  for (const char* command : {"status", "scene.list"}) {
+    const Json scene = holders[0].call(command).json["scenes"][0];
+    EXPECT_EQ(scene["holders_count"], 12);
+    EXPECT_EQ(scene["holders"].size(), 8U);
+    EXPECT_EQ(scene["holders"][7], "holder 17");
+  }
+}
+
+TEST(Session, APushThatWaitsForItsTurnGivesWayToMembersThatCameMeanwhile) {
+  ControlOptions options = TestService::defaults();
+  options.notice_seconds = 0.05;
+  TestService service(options);
+  Client anna = service.client("anna", kAnna);
+  Client bert = service.client("bert", kBert);
+  Client member = service.client("member", "00000000000000cc");
+  anna.call("scene.create", {{"scene", "s"}});
+  service.engine().hold();
+  bert.request("rebalance", {{"scene", "s"}});
+  service.engine().wait_for_orders(1);
+  anna.begin(kAnna, 0, 5);
+  EXPECT_EQ(anna.receive().type, FrameType::notice);  // now it waits
+  member.request("scene.open", {{"scene", "s"}, {"member", 0}, {"members", 2}});
+  service.engine().wait_for_orders(2);
+  service.engine().release();
+  const Received refused = anna.receive_but_notices();
+  EXPECT_EQ(refused.code(), "busy") << refused.json;
+  EXPECT_NE(refused.message().find("2 members"), std::string::npos) << refused.message();
+}
+
 TEST(Session, TheHoldEndsWithTheConnection) {
   TestService service;
   Client bert = service.client("bert", kBert);

@@ -131,6 +131,32 @@ TEST_F(DataPortTest, AClientThatHasGoneKeepsNoPlaceWhileItsSlicesWait) {
   loop_.stop();  // a port is destroyed after its loop has stopped
 }
 
+// The limit on the time between two bytes is for who reads: a slice may wait for its push for longer.
+TEST_F(DataPortTest, ASliceMayWaitForItsPushLongerThanAFrameForItsBytes) {
+  DataOptions options;
+  options.rank = 2;
+  options.frame_seconds = 0.1;
+  options.unknown_seconds = 600;
+  port_ = std::make_unique<DataPort>(loop_, options);
+  const std::string socket = directory_.file("patient");
+  ASSERT_TRUE(port_->listen_unix(socket).ok());
+  loop_.run([&] {
+    port_->start([this](const SliceReport& report) {
+      const std::lock_guard lock(mutex_);
+      if (report.whole || !report.status.ok()) reports_.emplace_back(report.number, report.status);
+      changed_.notify_all();
+    });
+  });
+  Client sender = Client::on_unix(socket);
+  ASSERT_EQ(sender.hello("test", kSession).json["rank"], 2);
+  send(sender, 4, 0, 3);
+  std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  open(7, 4, 3);
+  const Status whole = report(7);
+  EXPECT_TRUE(whole.ok()) << whole.message();
+  EXPECT_EQ(take(7).size(), 1U);
+}
+
 TEST_F(DataPortTest, OtherFramesOfAPushThatNeverCameAreNotWaitedFor) {
   Client sender = client();
   constexpr int kFrames = 500;  // each by itself would wait 0.2 s, which is longer than a report is waited for

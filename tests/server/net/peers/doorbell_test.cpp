@@ -1,7 +1,9 @@
 // Doorbells: the same orders everywhere, nobody lost in silence, nobody lost at a clean end.
 #include "server/net/peers/doorbell.hpp"
 
+#include <algorithm>
 #include <condition_variable>
+#include <cstddef>
 #include <filesystem>
 #include <mutex>
 #include <optional>
@@ -9,6 +11,9 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
 
 #include "tests/support/wait.hpp"
 
@@ -161,6 +166,108 @@ TEST_F(Bells, SignsOfLifeAreSentUnasked) {
   }
   EXPECT_EQ(words.lines().back(), R"(1{"executed":30})");
   EXPECT_TRUE(lost_.lines().empty());
+}
+
+// A slow link between a rank and the hub: what the hub sends passes as the test lets it.
+class SlowLink {
+ public:
+  explicit SlowLink(const std::string& to) : to_(to) {
+    listener_ = ::socket(AF_UNIX, SOCK_STREAM, 0);
+    const sockaddr_un address = named(name());
+    EXPECT_EQ(::bind(listener_, reinterpret_cast<const sockaddr*>(&address), size(name())), 0);
+    EXPECT_EQ(::listen(listener_, 1), 0);
+    accept_ = std::thread([this] { carry(); });
+  }
+  ~SlowLink() {
+    let_pass(std::uint64_t{1} << 40U);
+    for (const int socket : {listener_, near_, far_}) ::shutdown(socket, SHUT_RDWR);
+    accept_.join();
+    for (const int socket : {listener_, near_, far_}) ::close(socket);
+  }
+  std::string name() const { return to_ + "-slow"; }
+  void let_pass(std::uint64_t bytes) {
+    const std::lock_guard lock(mutex_);
+    may_pass_ += bytes;
+    changed_.notify_all();
+  }
+
+ private:
+  static sockaddr_un named(const std::string& name) {
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    std::copy(name.begin(), name.end(), address.sun_path + 1);
+    return address;
+  }
+  static socklen_t size(const std::string& name) {
+    return static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + name.size());
+  }
+  void carry() {
+    near_ = ::accept(listener_, nullptr, nullptr);
+    far_ = ::socket(AF_UNIX, SOCK_STREAM, 0);
+    const sockaddr_un address = named(to_);
+    EXPECT_EQ(::connect(far_, reinterpret_cast<const sockaddr*>(&address), size(to_)), 0);
+    std::thread back([this] {
+      char bytes[4096];
+      for (ssize_t got = 0; (got = ::read(near_, bytes, sizeof bytes)) > 0;)
+        if (::send(far_, bytes, static_cast<std::size_t>(got), MSG_NOSIGNAL) != got) break;
+    });
+    char byte = 0;
+    while (true) {
+      {
+        std::unique_lock lock(mutex_);
+        changed_.wait(lock, [this] { return may_pass_ > 0; });
+        --may_pass_;
+      }
+      if (::read(far_, &byte, 1) != 1 || ::send(near_, &byte, 1, MSG_NOSIGNAL) != 1) break;
+    }
+    back.join();
+  }
+
+  std::string to_;
+  int listener_ = -1;
+  int near_ = -1;
+  int far_ = -1;
+  std::thread accept_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::uint64_t may_pass_ = 4096;  // the handshake
+};
+
+TEST_F(Bells, AnOrderThatTakesLongOverASlowLinkIsNoSilence) {
+  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6},
+                                  [this](const std::string& what) { lost_.add(what); });
+  ASSERT_TRUE(opened.ok());
+  hub_ = std::move(*opened);
+  loop_.start();
+  DoorbellAddress address = hub_->address();
+  SlowLink link(address.name);
+  address.name = link.name();
+  Rank rank;
+  auto bell = Doorbell::connect(
+      rank.loop, 1, address, true, 6,
+      [&rank](std::uint64_t number, const wire::Json&) { rank.orders.add(std::to_string(number)); },
+      [&rank](const std::string& what) { rank.lost.add(what); });
+  ASSERT_TRUE(bell.ok());
+  rank.bell = std::move(*bell);
+  rank.bell->on_peer_message([&rank](int, const wire::Json& word) { rank.words.add(word.dump()); });
+  rank.loop.start();
+  ASSERT_TRUE(hub_->wait_connected(20).ok());
+  loop_.run([&] { hub_->tell(1, {{"rank", 1}}); });
+  ASSERT_TRUE(rank.words.wait_for(1));
+  loop_.run([&] { hub_->ring(7, R"({"value":")" + std::string(20'000, 'x') + "\"}"); });
+  // What was still to pass of the 4096 bytes, then some before each tick.
+  for (int tick = 0; tick < 12; ++tick) {
+    link.let_pass(500);
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    rank.loop.run([&] { rank.bell->tick(wire::Json::object()); });
+  }
+  EXPECT_TRUE(rank.lost.lines().empty());
+  EXPECT_TRUE(rank.orders.lines().empty()) << "it is still on its way";
+  link.let_pass(20'000);
+  EXPECT_TRUE(rank.orders.wait_for(1));
+  // Where nothing comes it is silence.
+  for (int tick = 0; tick < 4; ++tick) rank.loop.run([&] { rank.bell->tick(wire::Json::object()); });
+  EXPECT_EQ(rank.lost.lines().size(), 1U);
 }
 
 TEST_F(Bells, AStrangerIsNotARank) {

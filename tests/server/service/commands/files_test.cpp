@@ -1,7 +1,13 @@
 // load and write_parts: only below the roots, on all ranks or on none.
+#include <cerrno>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
+#include <future>
+#include <set>
+#include <system_error>
+#include <thread>
 
 #include <gtest/gtest.h>
 
@@ -105,6 +111,101 @@ TEST_F(FilesTest, AllRanksOrNone) {
       EXPECT_EQ(written.status.code(), Code::not_authorised);
       EXPECT_TRUE(!fs::exists(base_ / "root/parts") || fs::is_empty(base_ / "root/parts"));
     }
+  });
+}
+
+// On one of the ranks the system gives no thread for files.
+TEST_F(FilesTest, WithoutAThreadACommandFailsAndNothingElse) {
+  on_ranks({3}, [&](comm::Comm& comm) {
+    const auto none = [](const SideThread::Job&) -> std::thread {
+      throw std::system_error(EAGAIN, std::generic_category());
+    };
+    Service service(comm, kClock,
+                    {.roots = &roots_, .start_thread = comm.rank() == 1 ? SideThread::Start(none) : nullptr});
+    Driver driver(comm, service, "s");
+    driver.create({{"parts", 4}});
+    const Response loaded = driver.ask("load", {{"path", at("root/points.csv")}});
+    driver.push(random_particles(5, 40, 3), 0);
+    const Response written = driver.ask("write_parts", {{"directory", at("root/parts")}});
+    const Response counts = driver.ask("counts");
+    if (comm.rank() != 0) return;
+    EXPECT_EQ(loaded.status.code(), Code::unavailable);
+    EXPECT_EQ(written.status.code(), Code::unavailable);
+    EXPECT_NE(written.status.hint().find("limit"), std::string::npos) << written.status.hint();
+    EXPECT_TRUE(counts.status.ok());
+  });
+}
+
+// Orders of other scenes, which a command gives way to: here they end the disk's standstill.
+class OrdersBehind final : public service::WaitingOrders {
+ public:
+  explicit OrdersBehind(std::function<void()> execute) : execute_(std::move(execute)) {}
+  std::uint64_t newest() override { return 1; }
+  void execute(std::uint64_t newest) override {
+    if (newest > 0) execute_();
+  }
+
+ private:
+  std::function<void()> execute_;
+};
+
+TEST_F(FilesTest, ADiskThatStandsStillHoldsUpTheCommandAlone) {
+  for (const std::string command : {"load", "write_parts"}) {
+    SCOPED_TRACE(command);
+    std::promise<void> moves;
+    const std::shared_future<void> moved = moves.get_future().share();
+    on_ranks({2}, [&](comm::Comm& comm) {
+      // The thread of one rank stands still before its first job.
+      const auto start = [moved, still = comm.rank() == 1](SideThread::Job run) {
+        return std::thread([moved, still, run = std::move(run)] {
+          if (still) moved.wait();
+          run();
+        });
+      };
+      Service service(comm, kClock, {.roots = &roots_, .start_thread = start});
+      Driver driver(comm, service, "s");
+      driver.create({{"parts", 4}});
+      if (command == "write_parts") driver.push(random_particles(5, 40, 3), 0);
+      Json request{
+          {"command", command}, {"scene", "s"}, {"path", at("root/points.csv")}, {"directory", at("root/new")}};
+      const Response late = service.execute(request, {}, {.seconds_left = 0.1});
+      const Response counts = driver.ask("scene.show");
+      int given_way = 0;
+      OrdersBehind behind([&] {
+        if (++given_way == 3 && comm.rank() == 0) moves.set_value();
+      });
+      const Response whole = service.execute(request, {}, {.seconds_left = 60, .waiting = &behind});
+      if (comm.rank() != 0) return;
+      EXPECT_EQ(late.status.code(), Code::deadline_exceeded);
+      EXPECT_TRUE(counts.status.ok());
+      EXPECT_TRUE(whole.status.ok()) << whole.status.message();
+      EXPECT_GE(given_way, 3);
+    });
+  }
+}
+
+TEST_F(FilesTest, PartsOfManyPiecesAreWhole) {
+  on_ranks({2}, [&](comm::Comm& comm) {
+    Service service(comm, kClock, {.roots = &roots_});
+    Driver driver(comm, service, "s");
+    constexpr std::size_t kCount = 300'000;
+    driver.create({{"parts", 3}});
+    driver.push_by_id(random_particles(5, kCount, 3), 0);
+    const Response written = driver.ask("write_parts", {{"directory", at("root/parts")}});
+    if (comm.rank() != 0) return;
+    ASSERT_TRUE(written.status.ok()) << written.status.message();
+    std::set<std::int64_t> ids;
+    for (int part = 0; part < 3; ++part) {
+      std::ifstream file(base_ / fmt::format("root/parts/part-{}.csv", part));
+      std::string line;
+      std::getline(file, line);
+      EXPECT_EQ(line, "x,y,z,id");
+      std::size_t lines = 0;
+      for (; std::getline(file, line); ++lines) ids.insert(std::stoll(line.substr(line.rfind(',') + 1)));
+      EXPECT_EQ(lines, kCount / 3);
+    }
+    EXPECT_EQ(ids.size(), kCount);
+    EXPECT_EQ(std::distance(fs::directory_iterator(base_ / "root/parts"), fs::directory_iterator()), 3);
   });
 }
 

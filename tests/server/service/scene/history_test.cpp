@@ -4,6 +4,8 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <memory>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -76,13 +78,33 @@ void add(History& history, std::int64_t from, std::int64_t to) {
   for (std::int64_t step = from; step < to; ++step) history.add(report_of(step));
 }
 
-std::vector<std::int64_t> steps(History& history, std::uint64_t first, std::uint64_t last) {
+service::FoundReports find(const History& history, std::uint64_t first, std::uint64_t last) {
+  std::promise<void> done;
+  service::FoundReports found;
+  const Status begun = history.reading(first, last)([&found](service::FoundReports all) { found = std::move(all); },
+                                                    [&done] { done.set_value(); });
+  EXPECT_TRUE(begun.ok()) << begun.message();
+  if (begun.ok()) done.get_future().wait();
+  return found;
+}
+
+std::vector<std::int64_t> steps(const History& history, std::uint64_t first, std::uint64_t last) {
   std::vector<std::int64_t> found;
-  history.read(first, last, [&](const Json& report) {
+  for (const Json& report : find(history, first, last).reports) {
     found.push_back(report["step"].get<std::int64_t>());
     EXPECT_EQ(report, service::to_json(report_of(found.back())));
-  });
+  }
   return found;
+}
+
+// Why reports were lost most recently, of those whose writing has begun.
+std::string loss(const History& history) { return find(history, 0, 0).loss; }
+
+// Until the disk has taken what is on its way.
+void settle(HistoryMemory& room) {
+  std::promise<void> done;
+  ASSERT_TRUE(room.thread()->post([] {}, [&done] { done.set_value(); }).ok());
+  done.get_future().wait();
 }
 
 std::vector<std::int64_t> range(std::int64_t from, std::int64_t to) {
@@ -96,7 +118,8 @@ TEST(History, LinesThatAreNoReportsAreLost) {
   HistoryMemory room(1, directory.reports);
   History history(room, "jet");
   add(history, 0, 400);
-  ASSERT_EQ(history.loss(), "");
+  ASSERT_EQ(loss(history), "");
+  settle(room);
   const std::string path = service::report_file_path(directory.reports, "jet");
   std::string text;
   {
@@ -110,7 +133,7 @@ TEST(History, LinesThatAreNoReportsAreLost) {
   text.replace(line, same_length.size(), same_length);
   std::ofstream(path) << text;
   EXPECT_EQ(steps(history, 0, 3), (std::vector<std::int64_t>{0, 2}));
-  EXPECT_NE(history.loss(), "");
+  EXPECT_NE(loss(history), "");
 }
 
 TEST(History, OlderReportsAreInTheFileAndReadBackInPages) {
@@ -123,7 +146,7 @@ TEST(History, OlderReportsAreInTheFileAndReadBackInPages) {
   EXPECT_EQ(steps(history, 0, 3000), range(0, 3000));
   for (const auto& [first, last] : {std::pair{0, 1}, {255, 257}, {700, 1500}, {2900, 3000}, {2999, 3000}, {5, 5}})
     EXPECT_EQ(steps(history, static_cast<std::uint64_t>(first), static_cast<std::uint64_t>(last)), range(first, last));
-  EXPECT_EQ(history.loss(), "");
+  EXPECT_EQ(loss(history), "");
 }
 
 TEST(History, AllScenesShareTheRoom) {
@@ -138,6 +161,7 @@ TEST(History, AllScenesShareTheRoom) {
               range(0, 30 * (k + 1)));
   histories.clear();
   EXPECT_EQ(room.held(), 0U);
+  settle(room);
   EXPECT_TRUE(fs::is_empty(directory.reports));
 }
 
@@ -147,6 +171,7 @@ TEST(History, FilesArePrivateAndThoseOfAnEarlierRunAreRemoved) {
     HistoryMemory room(1, directory.reports);
     History history(room, "..");  // a name of two dots is a name
     add(history, 0, 10);
+    settle(room);
     const std::string path = service::report_file_path(directory.reports, "..");
     struct stat found {};
     ASSERT_EQ(::stat(path.c_str(), &found), 0);
@@ -166,6 +191,7 @@ TEST(History, AStrangersLinkIsNotFollowed) {
   HistoryMemory room(1, directory.reports);
   History history(room, "jet");
   add(history, 0, 10);
+  settle(room);
   std::string text;
   std::getline(std::ifstream(victim), text);
   EXPECT_EQ(text, "mine");
@@ -177,10 +203,11 @@ TEST(History, OnAFullDiskReportsAreLostAndCountedAndTheRestIsThere) {
   HistoryMemory room(8, directory.reports);
   History history(room, "jet");
   add(history, 0, 20);
+  settle(room);
   {
     const FileLimit full(8000);
     add(history, 20, 60);  // some have room
-    EXPECT_NE(history.loss(), "");
+    EXPECT_NE(loss(history), "");
   }
   add(history, 60, 100);
   const auto found = steps(history, 0, 100);
@@ -200,6 +227,7 @@ TEST(History, WhoeverTakesTheFileAwayTakesTheReportsInItAlone) {
     HistoryMemory room(16, directory.reports);
     History history(room, "jet");
     add(history, 0, 100);
+    settle(room);
     if (how == "remove") fs::remove(path);
     if (how == "truncate") fs::resize_file(path, 100);
     if (how == "append") std::ofstream(path, std::ios::app) << "x";
@@ -214,8 +242,57 @@ TEST(History, WhoeverTakesTheFileAwayTakesTheReportsInItAlone) {
     EXPECT_EQ(found, range(200 - static_cast<std::int64_t>(found.size()), 200));
     EXPECT_GE(found.size(), 100U);
     EXPECT_LT(found.size(), 120U);
-    EXPECT_NE(history.loss(), "");
+    EXPECT_NE(loss(history), "");
   }
+}
+
+// The thread of the files is held, as by a disk that stands still.
+class StillDisk {
+ public:
+  explicit StillDisk(HistoryMemory& room) {
+    EXPECT_TRUE(room.thread()->post([moves = moves_] { moves->get_future().wait(); }).ok());
+  }
+  ~StillDisk() { moves_->set_value(); }
+
+ private:
+  std::shared_ptr<std::promise<void>> moves_ = std::make_shared<std::promise<void>>();
+};
+
+TEST(History, ADiskThatStandsStillHoldsUpNobody) {
+  const Directory directory;
+  HistoryMemory room(8, directory.reports);
+  History history(room, "jet");
+  {
+    const StillDisk disk(room);
+    add(history, 0, 100);
+    EXPECT_LE(room.held(), 8U);
+    auto gone = std::make_unique<History>(room, "gone");
+    add(*gone, 0, 100);
+    gone.reset();
+  }
+  EXPECT_EQ(steps(history, 0, 100), range(0, 100)) << "in its time it has taken all";
+  EXPECT_EQ(loss(history), "");
+  settle(room);
+  EXPECT_FALSE(fs::exists(service::report_file_path(directory.reports, "gone")));
+}
+
+TEST(History, WhatADiskDoesNotTakeInTimeIsLostAndCountedAndTheRestIsThere) {
+  const Directory directory;
+  HistoryMemory room(8, directory.reports);
+  History history(room, "jet");
+  std::int64_t total = 0;
+  {
+    const StillDisk disk(room);
+    for (; history.newest(0, 0).loss.empty() && total < 1'000'000; total += 100) add(history, total, total + 100);
+    ASSERT_LT(total, 1'000'000) << "what waits is bounded";
+  }
+  settle(room);
+  add(history, total, total + 100);
+  const auto found = steps(history, 0, static_cast<std::uint64_t>(total) + 100);
+  EXPECT_LT(found.size(), static_cast<std::size_t>(total) + 100);
+  const auto first = range(0, 8), last = range(total, total + 100);
+  EXPECT_TRUE(std::equal(first.begin(), first.end(), found.begin()));
+  EXPECT_TRUE(std::equal(last.rbegin(), last.rend(), found.rbegin()));
 }
 
 TEST(History, WithoutADirectoryOldReportsAreLost) {
@@ -236,15 +313,15 @@ class Still {
   }
 
   Response step(std::int64_t step, const std::string& session = "s") {
-    return service_.execute({{"command", "push"},
-                             {"scene", "still"},
-                             {"session", session},
-                             {"step", step},
-                             {"attempt", 0},
-                             {"n", 1},
-                             {"order", "plan"},
-                             {"moved", "none"},
-                             {"base_step", step - 1}});
+    return complete(service_.execute({{"command", "push"},
+                                      {"scene", "still"},
+                                      {"session", session},
+                                      {"step", step},
+                                      {"attempt", 0},
+                                      {"n", 1},
+                                      {"order", "plan"},
+                                      {"moved", "none"},
+                                      {"base_step", step - 1}}));
   }
   Response ask(const std::string& command, Json arguments = Json::object()) {
     return driver_.ask(command, std::move(arguments));

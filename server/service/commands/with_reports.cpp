@@ -1,0 +1,44 @@
+#include "server/service/commands/with_reports.hpp"
+
+#include <memory>
+#include <utility>
+
+namespace rcb::service {
+namespace {
+
+// Somebody waits for this answer: it is given in any case, at the latest when this goes.
+class Awaited {
+ public:
+  explicit Awaited(api::TakeAnswer take)
+      : take_(std::move(take)),
+        answer_(failed({Code::unavailable, "the service ended before the older step reports were read"})) {}
+  Awaited(const Awaited&) = delete;
+  Awaited& operator=(const Awaited&) = delete;
+  ~Awaited() { take_(std::move(answer_)); }
+  void set(Response answer) { answer_ = std::move(answer); }
+
+ private:
+  api::TakeAnswer take_;
+  Response answer_;
+};
+
+}  // namespace
+
+Response with_reports(const History& history, std::uint64_t first, std::uint64_t last,
+                      std::function<void(FoundReports, Response&)> fill) {
+  Response answer = done(wire::Json::object());
+  if (history.in_memory(first)) {
+    fill(history.newest(first, last), answer);
+    return answer;
+  }
+  answer.later = [reading = history.reading(first, last), fill = std::move(fill)](Response base, api::TakeAnswer take) {
+    auto awaited = std::make_shared<Awaited>(std::move(take));
+    auto filled = std::make_shared<Response>(std::move(base));
+    const Status begun = reading([fill, filled](FoundReports found) { fill(std::move(found), *filled); },
+                                 [awaited, filled] { awaited->set(std::move(*filled)); });
+    if (!begun.ok()) awaited->set(failed(begun));
+  };
+  return answer;
+}
+
+}  // namespace rcb::service
