@@ -45,6 +45,12 @@ class Starters(unittest.TestCase):
         self.addCleanup(up.kill)
         return up
 
+    def foreground(self, before):
+        """Returns once the supervisor, too, knows that the service answers: one that dies before isn't started again."""
+        up = self.up(before, "--foreground", "--publish", f"{self.dir}/where")
+        self.assertTrue(wait_for(lambda: os.path.exists(f"{self.dir}/where"), 60))
+        return up
+
     def kill_a_rank(self):
         ranks = self.processes("rcbd")
         os.kill(ranks[-1], signal.SIGKILL)
@@ -65,8 +71,7 @@ class Starters(unittest.TestCase):
         self.assertEqual(up.returncode, 1)
 
     def test_who_ignores_hanging_up_is_not_ended_by_it(self):
-        up = self.up("trap '' HUP;", "--foreground")
-        self.assertTrue(wait_for(lambda: self.ctl("status").returncode == 0, 60))
+        up = self.foreground("trap '' HUP;")
         up.send_signal(signal.SIGHUP)
         # It reads its signals in order of their numbers, SIGCHLD last: so it has seen SIGHUP when it has noticed a death.
         self.kill_a_rank()
@@ -74,8 +79,7 @@ class Starters(unittest.TestCase):
 
     def test_other_children_of_a_supervisor_are_left_alone(self):
         """Those of the shell that became the supervisor, and an orphan that it has adopted."""
-        up = self.up("sleep 1001 & echo $! >child; (sh -c 'sleep 1002 & echo $! >orphan; sleep 0.1' &);", "--foreground")
-        self.assertTrue(wait_for(lambda: self.ctl("status").returncode == 0, 60))
+        up = self.foreground("sleep 1001 & echo $! >child; (sh -c 'sleep 1002 & echo $! >orphan; sleep 0.1' &);")
         others = [int(text_of(f"{self.dir}/{name}")) for name in ("child", "orphan")]
         try:
             self.kill_a_rank()
@@ -190,6 +194,7 @@ def without_shared_memory():
         assert glob.glob(os.path.join(service.data, "rcbd-*")), os.listdir(service.data)
     with tempfile.TemporaryDirectory(dir="/dev/shm", prefix="rcb-e2e-") as folder:
         up = run("up", "-n", 2, "--data-dir", folder + "/data", endpoint=f"unix:{folder}/s")
+        run("down", endpoint=f"unix:{folder}/s")
         assert up.returncode == 1 and re.search("neither /dev/shm nor .* has room for", up.stderr), up.stderr
     # Enough to begin in, not for all: rcbd by itself refuses as well.
     os.unlink("/dev/shm/fill")
