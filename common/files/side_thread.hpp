@@ -32,7 +32,7 @@ class SideThread {
   // Runs what waits, as far as kEndSeconds allow.
   ~SideThread();
 
-  // Any thread. work: an exception is logged, and ends it. then: called on the same thread when `work` has ended,
+  // Any thread. work: an exception ends it. then: called on the same thread when `work` has ended,
   // unless this object has gone by then; it must be quick, and may not use this object. bytes: the memory that the job
   // holds. Errors: busy (too much waits), unavailable (there is no thread).
   Status post(Job work, Job then = {}, std::uint64_t bytes = 0);

@@ -103,7 +103,7 @@ class ProcessLimits(unittest.TestCase, Refusals):
             with PreparedService(2, "ulimit -v 420000") as service, Client(service.endpoint, timeout=120) as client:
                 client.ask("scene.create", scene="s", parts=2, tolerance=tolerance)
                 client.push("s", 0, points)
-                for step in range(1, 40):
+                for step in range(1, 120):
                     client.ask("scene.create", scene=f"f{step}", parts=2)
                     client.push(f"f{step}", 0, points[:100_000])
                     before = client.ask("scene.show", scene="s")[0]

@@ -149,9 +149,9 @@ TEST_F(DataPortTest, ASliceMayWaitForItsPushLongerThanAFrameForItsBytes) {
   });
   Client sender = Client::on_unix(socket);
   ASSERT_EQ(sender.hello("test", kSession).json["rank"], 2);
-  send(sender, 4, 0, 3);
+  send(sender, 4, 0, 3000);  // more than is read with the header
   std::this_thread::sleep_for(std::chrono::milliseconds(500));
-  open(7, 4, 3);
+  open(7, 4, 3000);
   const Status whole = report(7);
   EXPECT_TRUE(whole.ok()) << whole.message();
   EXPECT_EQ(take(7).size(), 1U);
