@@ -74,6 +74,13 @@ std::string step_milliseconds(const Json& scene) {
   return seconds.is_number() ? milliseconds(seconds.get<double>()) : "-";
 }
 
+// The service names a few of many.
+std::string holders_text(const Json& scene) {
+  const std::size_t named = scene.value("holders", Json::array()).size();
+  const std::size_t all = scene.value("holders_count", named);
+  return text_of(scene, "holders") + (all > named ? fmt::format(" and {} more", all - named) : "");
+}
+
 }  // namespace
 
 void print_scenes(const Json& scenes) {
@@ -94,7 +101,7 @@ void print_scenes(const Json& scenes) {
   for (const Json& scene : scenes)
     table.row({text_of(scene, "scene"), text_of(scene, "n"), text_of(scene, "dims"), text_of(scene, "parts"),
                text_of(scene, "step"), text_of(scene, "epoch"), text_of(scene, "error"), text_of(scene, "imbalance"),
-               step_milliseconds(scene), text_of(scene, "holders")});
+               step_milliseconds(scene), holders_text(scene)});
   table.print();
 }
 
