@@ -385,6 +385,12 @@ Result<Frame> Connection::read(const Deadline& deadline) {
   return frame;
 }
 
+bool Connection::await_frame(const Deadline& deadline) {
+  State& s = *state_;
+  s.start_reading();
+  return s.run([&] { return !s.inbox.empty() || !s.lost; }, deadline);
+}
+
 bool Connection::has_frame() {
   State& s = *state_;
   s.start_reading();

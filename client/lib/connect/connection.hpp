@@ -74,6 +74,8 @@ class Connection {
   Status write(std::span<const Bytes> pieces, const Deadline& deadline);
   // The next frame that isn't a notice. Errors: those of write().
   Result<Frame> read(const Deadline& deadline);
+  // Waits until a frame can be read or the connection is lost; false at the deadline, which costs nothing.
+  bool await_frame(const Deadline& deadline);
   // Whether a frame can be read or the connection is lost; doesn't wait.
   bool has_frame();
   // Why no more frames can come; ok while the connection stands.

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -12,6 +13,7 @@
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/lost_scene.hpp"
 #include "client/lib/scene/step_report.hpp"
+#include "client/lib/session/content.hpp"
 #include "client/lib/session/data_path.hpp"
 #include "client/lib/session/push_source.hpp"
 #include "client/lib/session/shared_arrays.hpp"
@@ -80,6 +82,11 @@ struct MemberScene::State {
   Result<Frame> push_by_sockets(wire::Json begin, std::uint64_t request, const EditFrames& edits,
                                 const std::vector<std::vector<std::uint64_t>>& rows, const Positions& positions,
                                 const MemberStepOptions& with, const std::string& what, const Deadline& deadline);
+  static std::uint64_t content_of(const Positions& positions, std::span<const std::int64_t> ids,
+                                  const MemberStepOptions& with);
+  // Finds out whether the step of an earlier call was committed, before something else is pushed. Errors: stale_step.
+  Status settle_unanswered(Retry& retry);
+  Result<bool> settle_once(const Retry& retry);
   // The rows that moved; nullopt: all are to be sent.
   std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
@@ -99,6 +106,10 @@ struct MemberScene::State {
   bool weights = false;
   bool lost = false;  // the service was restarted, and the scene has no positions yet
   std::optional<std::int64_t> last_step;
+  // As in Scene::State: a step that may have been committed although its answer didn't come.
+  std::optional<std::int64_t> unanswered;
+  std::uint64_t unanswered_content = 0;
+  bool unanswered_needed = false;
   std::uint64_t epoch = 0;  // after last_step
   // False if a step or new cuts came that this member was told nothing of. Then it can't name a step as the base of its
   // push, and brings all its particles.
@@ -195,7 +206,9 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
     if (row >= positions.count)
       return wrong(fmt::format("row {} moved, there are {}", row, positions.count), "rows count from 0");
   if (step.inserted != nullptr)
-    if (Status status = check_insertion(name, *step.inserted, positions, dims, weights || !step.weights.empty());
+    // A member that has brought no particles yet may not know of the scene's weights.
+    if (Status status = check_insertion(name, *step.inserted, positions, dims,
+                                        weights || !step.weights.empty() || !step.inserted->weights.empty());
         !status)
       return status;
   if (step.step && *step.step < 0) return wrong(fmt::format("step {}", *step.step), "steps are numbered from 0");
@@ -204,6 +217,54 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
   if (!(step.deadline_seconds > 0))
     return wrong(fmt::format("a deadline of {} seconds", step.deadline_seconds), "give a number above 0");
   return {};
+}
+
+std::uint64_t MemberScene::State::content_of(const Positions& positions, std::span<const std::int64_t> ids,
+                                             const MemberStepOptions& with) {
+  Content content;
+  content.add(std::uint64_t{with.unmoved ? 1U : 0U});
+  content.add(positions, nullptr);
+  content.add(ids);
+  content.add(with.weights);
+  content.add(with.moved.value_or(std::span<const std::uint64_t>()));
+  content.add(with.removed);
+  content.add(with.inserted);
+  return content.value();
+}
+
+Status MemberScene::State::settle_unanswered(Retry& retry) {
+  const auto once = [&] { return settle_once(retry); };
+  const auto needed = session().retry_until_deadline(retry, once, [](const Status&) { return false; });
+  if (!needed) return needed.status();
+  if (*needed)
+    return Status(Code::stale_step,
+                  fmt::format("step {} of scene '{}' was committed after all, although its answer didn't come",
+                              *unanswered, name),
+                  "push the same once more: the answer says which particles there are now");
+  unanswered.reset();
+  return {};
+}
+
+// Whether the step was committed, and its answer is needed.
+Result<bool> MemberScene::State::settle_once(const Retry& retry) {
+  if (Status status = take_seat(retry); !status) return status;
+  if (lost) return false;
+  const auto json = described(session(), {{"command", "scene.show"}, {"scene", name}}, retry);
+  if (!json) return json.status();
+  wire::FieldReader fields(*json);
+  const std::int64_t step = fields.integer_or("step", 0, wire::kStepMax, -1);
+  const std::uint64_t count = fields.particles("n");
+  const auto epoch_now = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
+  if (!fields.ok()) return odd_answer(fields.status().message());
+  if (step == *unanswered && unanswered_needed) return true;
+  const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
+  if (step_now == last_step) return false;
+  places.forget();
+  up_to_date = false;
+  last_step = step_now;
+  n = count;
+  epoch = epoch_now;
+  return false;
 }
 
 Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
@@ -465,9 +526,16 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   pushing_directly = false;
   if (Status status = take_seat(retry); !status) return status;
-  const bool lacks_weights = lost && weights && with.weights.empty();
+  const bool lacks_weights = lost && weights && with.weights.empty() && positions.count > 0;
+  const bool tried_before = std::exchange(unanswered, step) == step;
   const auto answer = lacks_weights ? ask_for_answer(step, with, retry) : push(positions, ids, step, with, retry);
-  if (!answer) return answer.status();
+  if (!answer) {
+    const Code code = answer.status().code();
+    const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted;
+    if (!unknown && !tried_before) unanswered.reset();
+    return answer.status();
+  }
+  unanswered.reset();
   auto result = read(*answer, step, with, retry);
   if (!result) places.forget();  // the step is committed, but its changes aren't known
   return result;
@@ -475,14 +543,21 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
 
 Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const std::int64_t> ids,
                                      const MemberStepOptions& options) {
+  if (Status status = state_->check(positions, ids, options); !status) return status;
+  Retry retry(options.deadline_seconds);
   std::optional<std::int64_t> step = options.step;
+  if (const auto open = state_->unanswered) {
+    if (step.value_or(*open) == *open && State::content_of(positions, ids, options) == state_->unanswered_content)
+      step = open;
+    else if (Status status = state_->settle_unanswered(retry); !status)
+      return status;
+  }
   if (!step && state_->last_step && *state_->last_step == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
-  if (Status status = state_->check(positions, ids, options); !status) return status;
+  const bool first = !state_->last_step;
   state_->send_all = false;
   Session& session = state_->session();
-  Retry retry(options.deadline_seconds);
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
   const auto mend = [&](const Status& status) {
     // The parts or the layout changed without this member knowing, or another member doesn't know them: push by ids.
@@ -500,7 +575,12 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
            session.wait(retry, status, fmt::format("the members of scene '{}': {}", state_->name, status.message()))
                .ok();
   };
-  return session.retry_until_deadline(retry, once, mend);
+  auto result = session.retry_until_deadline(retry, once, mend);
+  if (!result && state_->unanswered) {
+    state_->unanswered_content = State::content_of(positions, ids, options);
+    state_->unanswered_needed = first || options.inserted != nullptr || !options.removed.empty();
+  }
+  return result;
 }
 
 }  // namespace rcb::client

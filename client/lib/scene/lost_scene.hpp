@@ -36,6 +36,7 @@ void refresh_options(Session& session, const std::string& scene, KnownScene& kno
 struct Client::State {
   std::unique_ptr<Session> session;
   std::map<std::string, KnownScene> created;  // scenes created and not dropped by this client
+  std::map<std::string, int> scenes;          // how many Scene objects there are of each name
 };
 
 }  // namespace rcb::client

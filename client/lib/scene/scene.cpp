@@ -60,10 +60,14 @@ Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(dead
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
     : client_(std::move(client)), name_(std::move(name)) {
+  ++client_->scenes[name_];
   if (const auto made = client_->created.find(name_); made != client_->created.end()) scene_ = made->second;
 }
 
 Result<PlanView> Scene::State::plan(double deadline_seconds) {
+  if (!(deadline_seconds > 0))
+    return Status(Code::invalid_argument, fmt::format("a deadline of {} seconds", deadline_seconds),
+                  "give a number above 0");
   if (!has_particles())
     return Status(Code::not_found, fmt::format("scene '{}' has no positions, hence no plan", name_),
                   "push a first step by rows or axes");
@@ -71,6 +75,10 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
   const auto once = [&]() -> Result<PlanView> {
     if (Status status = hold(retry); !status) return status;
     if (lost_) return base_lost("it has no plan until it has positions again");
+    if (unanswered_ && unanswered_needed_ && last_step_ == unanswered_)
+      return Status(Code::stale_step, fmt::format("step {} was committed, but its answer didn't come", *unanswered_),
+                    "push it once more: the answer says which rows there are now");
+    if (missed_) plan_.reset();
     if (Status status = ready(count_, {}, retry); !status) return status;
     version_given_ = version_for_caller();
     PlanView view{version_given_, {}};
@@ -89,9 +97,11 @@ Result<Scene> Client::open_scene(const std::string& name) {
 
 Scene::State::~State() {
   // On a connection that is gone nothing is open.
+  // Another Scene of the same client may have it open, too.
+  const bool last = --client_->scenes[name_] == 0;
   if (!session().connected() || generation_ != session().generation()) return;
   arrays_.unshare(session(), Deadline(kCloseSeconds));
-  if (session().connected())
+  if (last && session().connected())
     static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name_}}, Retry(kCloseSeconds)));
 }
 

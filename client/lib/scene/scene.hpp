@@ -108,6 +108,12 @@ struct Scene::State {
   // One attempt to push a step.
   Result<Committed> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
                              const Retry& retry);
+  // A checksum of what the step pushes.
+  std::uint64_t content_of(const StepRequest& ask) const;
+  // Finds out whether the step of an earlier call, whose answer didn't come, was committed, before something else is
+  // pushed. Errors: stale_step, if the caller needs its answer.
+  Status settle_unanswered(Retry& retry);
+  Result<bool> settle_once(const Retry& retry);
   // Makes sure that the layout is there; fetches it if it is missing.
   Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
   // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
@@ -166,10 +172,14 @@ struct Scene::State {
   std::uint64_t count_ = 0;
   std::uint64_t epoch_ = 0;
   std::optional<std::int64_t> last_step_;
-  std::optional<std::int64_t> unanswered_;  // a step that may have been committed although its answer didn't come
+  // A step that may have been committed although its answer didn't come; after a call that failed, its content, and
+  // whether nothing else can be pushed before its answer is known.
+  std::optional<std::int64_t> unanswered_;
+  std::uint64_t unanswered_content_ = 0;
+  bool unanswered_needed_ = false;
   std::optional<layout::Layout> plan_;
-  std::vector<std::int64_t> ids_;            // by row, once the scene has them; empty: id = row
-  std::vector<std::int32_t> parts_;          // by row
+  std::vector<std::int64_t> ids_;    // by row, once the scene has them; empty: id = row
+  std::vector<std::int32_t> parts_;  // by row
   // By row, the parts last told to the caller; none: these are parts_.
   std::optional<std::vector<std::int32_t>> known_;
   std::uint64_t count_if_committed_ = 0;     // if the service commits the current push

@@ -8,6 +8,7 @@
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/scene.hpp"
 #include "client/lib/scene/step_report.hpp"
+#include "client/lib/session/content.hpp"
 #include "client/lib/session/data_path.hpp"
 #include "client/lib/session/push_source.hpp"
 #include "common/base/axis_names.hpp"
@@ -262,22 +263,27 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   }
   if (Status status = check(ask); !status) return status;
   const StepOptions& options = ask.options;
-  if (!options.step && last_step_ && *last_step_ == wire::kStepMax)
+  Retry retry(options.deadline_seconds);
+  const bool again =
+      unanswered_ && options.step.value_or(*unanswered_) == *unanswered_ && content_of(ask) == unanswered_content_;
+  if (unanswered_ && !again)
+    if (Status status = settle_unanswered(retry); !status) return status;
+  if (!again && !options.step && last_step_ && *last_step_ == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
   if (!has_particles() && !ask.whole())
     return Status(Code::base_lost, fmt::format("push to scene '{}': it has no positions yet", name_),
                   "push all positions with step()");
-  if (options.step && last_step_ && *options.step <= *last_step_)
+  if (!again && options.step && last_step_ && *options.step <= *last_step_)
     return Status(Code::stale_step,
                   fmt::format("step {} of scene '{}' is not above the last one, {}", *options.step, name_, *last_step_),
                   "to go back to an earlier state, push it as a later step, or create the scene again");
-  const std::int64_t step = options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
+  const std::int64_t step = again ? *unanswered_ : options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
+  const StepRequest original = ask;
   const std::optional<std::int64_t> base = last_step_;
   if (!base) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
-  first_ = !has_particles();
-  Retry retry(options.deadline_seconds);
+  first_ = !has_particles() || (again && first_);
   std::uint64_t plan_fetched_on = 0;  // generation of the connection
   const auto once = [&] { return try_step(ask, step, base, retry); };
   const auto mend = [&](const Status& status) {
@@ -310,12 +316,60 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   };
   for (;;) {
     auto done = session().retry_until_deadline(retry, once, mend);
-    if (!done) return done.status();
+    if (!done) {
+      if (unanswered_) {
+        unanswered_content_ = content_of(original);
+        unanswered_needed_ = first_ || ask.edits();
+      }
+      return done.status();
+    }
     lost_plan_.reset();
     auto result = complete(ask, std::move(*done), retry);
     // If the service has lost the scene meanwhile, the step is pushed again. Rows that were edited can't be.
     if (result || !lost_ || ask.edits()) return result;
   }
+}
+
+std::uint64_t Scene::State::content_of(const StepRequest& ask) const {
+  Content content;
+  content.add(static_cast<std::uint64_t>(ask.moved));
+  content.add(ask.positions, plan_ ? &*plan_ : nullptr);
+  content.add(ask.ids);
+  content.add(ask.options.ids);
+  content.add(ask.options.weights);
+  content.add(ask.options.moved.value_or(std::span<const std::uint64_t>()));
+  content.add(ask.options.removed);
+  content.add(ask.options.inserted);
+  return content.value();
+}
+
+Status Scene::State::settle_unanswered(Retry& retry) {
+  const auto once = [&] { return settle_once(retry); };
+  const auto needed = session().retry_until_deadline(retry, once, [](const Status&) { return false; });
+  if (!needed) return needed.status();
+  if (*needed)
+    return Status(Code::stale_step,
+                  fmt::format("step {} of scene '{}' was committed after all, although its answer didn't come",
+                              *unanswered_, name_),
+                  "push the same once more: the answer says which rows there are now; or create the scene again");
+  unanswered_.reset();
+  return {};
+}
+
+// Whether the step was committed, and its answer is needed.
+Result<bool> Scene::State::settle_once(const Retry& retry) {
+  if (Status status = hold(retry); !status) return status;
+  if (lost_) return false;
+  // The ranks answer this after whatever of the step was still under way.
+  const auto json = described(session(), {{"command", "scene.show"}, {"scene", name_}}, retry);
+  if (!json) return json.status();
+  const auto found = read_description(*json);
+  if (!found) return found.status();
+  if (found->step == unanswered_ && unanswered_needed_) return true;
+  missed_ = missed_ || found->step != last_step_;
+  others_ = others_ || (found->step != last_step_ && found->step != unanswered_);
+  last_step_ = found->step;
+  return false;
 }
 
 Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, std::int64_t step,

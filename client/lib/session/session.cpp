@@ -20,6 +20,7 @@ namespace rcb::client {
 namespace {
 
 constexpr double kGoodbyeSeconds = 0.2;
+constexpr double kLookSeconds = 0.25;  // at the connections to the ranks, while an answer is awaited
 constexpr std::string_view kEndpointListener = "endpoint";
 
 // Commands that change nothing, or whose repetition changes nothing more.
@@ -196,6 +197,7 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   data_.reset();
   data_addresses_.clear();
   data_tried_ = false;
+  data_stalls_ = 0;
   share_refused_ = false;
   const auto reply = greet(connection_, endpoint, std::string(kEndpointListener), deadline);
   if (!reply) return reply.status();
@@ -415,7 +417,21 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
       return Status(Code::aborted, sent.message(), sent.hint());
     }
   }
-  return await_answer_to(request, what, deadline);
+  // A slice that was on a lost connection is missed by nobody else: the rank can't know whose it was.
+  while (!connection_->await_frame(deadline.within(kLookSeconds)) && deadline.left_seconds() > 0)
+    if (!data_->stands()) {
+      give_up_data();
+      return Status(Code::aborted, "a connection to a rank was lost");
+    }
+  auto answer = await_answer_to(request, what, deadline);
+  // Perhaps the network has forgotten a connection without a word. New ones are tried once, then the endpoint.
+  if (answer.status().code() == Code::deadline_exceeded) {
+    data_.reset();
+    data_tried_ = ++data_stalls_ > 1 && options_.path != Path::direct;
+  } else if (answer) {
+    data_stalls_ = 0;
+  }
+  return answer;
 }
 
 Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {

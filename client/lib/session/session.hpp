@@ -182,6 +182,7 @@ class Session {
   std::int64_t next_memory_ = 1;
   bool data_tried_ = false;  // to open it, on this connection
   bool data_broke_ = false;  // since the last push began
+  int data_stalls_ = 0;      // pushes over data() in a row that met their deadline
   std::string token_;        // the one that was accepted
 };
 

@@ -105,6 +105,8 @@ std::byte* SharedArrays::first_given() {
 }
 
 Result<SharedArrays::Room> SharedArrays::make_given(std::size_t count, int dims, std::size_t width, Order order) {
+  if (count > static_cast<std::uint64_t>(wire::kParticlesMax))
+    return Status(Code::too_large, fmt::format("{} positions, at most {} are taken", count, wire::kParticlesMax));
   const auto axes = static_cast<std::size_t>(dims);
   if (order != order_ || width * axes != point_bytes_) {  // what is there means nothing in another order
     given_.memory = {};

@@ -20,6 +20,7 @@ class FakeScene {
     close_before_commit,  // reads the push, then closes
     close_after_commit,   // commits, then closes without an answer
     close_in_answer,      // commits and sends half of the answer
+    late_after_commit,    // commits, and says only that it wasn't done in time
     busy_early,           // refuses at push.begin, then reads the slices
     wrong_checksum,       // commits, with a plan that isn't what the client derives
     die_before_commit,    // reads the push, then is another service, without the scene
@@ -246,6 +247,10 @@ class FakeScene {
     first_of_recreated_ = first && restarts > 0;
     if (now == Fault::die_after_commit) return restart();
     if (now == Fault::close_after_commit) return false;
+    if (now == Fault::late_after_commit) {
+      peer.fail(begin, {Code::deadline_exceeded, "it goes on"});
+      return true;
+    }
     protocol::Json plan = plan_->json();
     if (now == Fault::wrong_checksum) plan["checksum"] = "0123456789abcdef";
     std::string bytes = protocol::frame(

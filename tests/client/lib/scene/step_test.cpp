@@ -278,6 +278,52 @@ TEST(Step, IdsOfAFirstPushWhoseAnswerIsLostAreKept) {
   }
 }
 
+// A step that failed at its deadline may be committed all the same. Then the same content is answered as that step, and
+// other content becomes the next one.
+TEST(Step, WhatFollowsAStepThatWasLateIsNotTakenForIt) {
+  for (const bool same : {true, false})
+    for (const bool lost : {true, false}) {
+      FakeScene fake = scene_of(2, 5, 3, 20);
+      fake.fault = [=](int push) {
+        if (push != 1) return FakeScene::Fault::none;
+        return lost ? FakeScene::Fault::close_after_commit : FakeScene::Fault::late_after_commit;
+      };
+      Session session(fake);
+      StepCaller caller{500, 2, {}, {}, {}};
+      ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
+      StepOptions late = wanting();
+      if (lost) {
+        fake.close_at = [](const std::string& command, int n) { return command == "scene.open" && n == 1; };
+        late.deadline_seconds = 1e-3;
+      }
+      // With the lost connection it may be answered after all, where the machine is quick enough.
+      if (session.scene->step(caller.at(1, true), late).ok()) continue;
+      const auto result = session.scene->step(caller.at(same ? 1 : 2, true), wanting());
+      ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
+      EXPECT_EQ(result->report.step, same ? 1 : 2);
+      const auto next = session.scene->step(caller.at(3, true), {.step = 3, .want_parts = true});
+      ASSERT_TRUE(next.ok()) << next.status().message();
+      for (std::size_t row = 0; row < caller.n; ++row)
+        ASSERT_EQ(next->parts[row], wandering(static_cast<std::int64_t>(row), 3, 20, 5));
+    }
+}
+
+TEST(Step, AFirstPushThatWasLateMustBeHeardOfFirst) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::late_after_commit : FakeScene::Fault::none; };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(7 * i + 3));
+  EXPECT_EQ(session.scene->step(caller.at(0, true), wanting(caller.ids)).status().code(), Code::deadline_exceeded);
+  EXPECT_EQ(session.scene->step(caller.at(0, true), wanting()).status().code(), Code::stale_step);
+  const auto again = session.scene->step(caller.at(0, true), wanting(caller.ids));
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(again->report.step, 0);
+  const auto next = session.scene->step(caller.at(1, true), wanting());
+  ASSERT_TRUE(next.ok()) << next.status().message();
+  expect_parts(*next, caller, 1, 20, 5, false);
+}
+
 // While the connection was gone another client pushed: rows that moved since this client's step would be put among
 // that one's positions.
 TEST(Step, OthersStepsBehindALostConnectionAreNoBase) {
