@@ -6,6 +6,7 @@
 #include <fstream>
 #include <future>
 #include <memory>
+#include <thread>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -103,7 +104,8 @@ std::string loss(const History& history) { return find(history, 0, 0).loss; }
 // Until the disk has taken what is on its way.
 void settle(HistoryMemory& room) {
   std::promise<void> done;
-  ASSERT_TRUE(room.thread()->post([] {}, [&done] { done.set_value(); }).ok());
+  // Refused while as much waits as may.
+  while (!room.thread()->post([] {}, [&done] { done.set_value(); }).ok()) std::this_thread::yield();
   done.get_future().wait();
 }
 
@@ -290,6 +292,7 @@ TEST(History, WhatADiskDoesNotTakeInTimeIsLostAndCountedAndTheRestIsThere) {
   add(history, total, total + 100);
   const auto found = steps(history, 0, static_cast<std::uint64_t>(total) + 100);
   EXPECT_LT(found.size(), static_cast<std::size_t>(total) + 100);
+  ASSERT_GE(found.size(), 108U);
   const auto first = range(0, 8), last = range(total, total + 100);
   EXPECT_TRUE(std::equal(first.begin(), first.end(), found.begin()));
   EXPECT_TRUE(std::equal(last.rbegin(), last.rend(), found.rbegin()));
