@@ -261,8 +261,11 @@ class Scene {
   Scene& operator=(Scene&&) noexcept;
   ~Scene();
 
-  // Pushes one step. Returns when it is committed on all ranks; after an error the previous step stands. Waits until
-  // the deadline for a lost service or connection; if the plan is stale, fetches it once and tries again.
+  // Pushes one step. Returns when it is committed on all ranks. After an error the previous step stands; only after
+  // deadline_exceeded and unavailable it may be committed all the same. Then the next call settles it: one that pushes
+  // the same is answered as that step, any other becomes the step after it (if that step inserted or removed particles,
+  // or was the first, its answer is needed first: stale_step). Waits until the deadline for a lost service or
+  // connection; if the plan is stale, fetches it once and tries again.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
   // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or the service has lost
