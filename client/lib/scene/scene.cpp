@@ -75,8 +75,8 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
   const auto once = [&]() -> Result<PlanView> {
     if (Status status = hold(retry); !status) return status;
     if (lost_) return base_lost("it has no plan until it has positions again");
-    if (unanswered_ && unanswered_needed_ && last_step_ == unanswered_)
-      return Status(Code::stale_step, fmt::format("step {} was committed, but its answer didn't come", *unanswered_),
+    if (unanswered_ && unanswered_.needed() && last_step_ == unanswered_.number())
+      return Status(Code::stale_step, fmt::format("step {} was committed, but its answer didn't come", *last_step_),
                     "push it once more: the answer says which rows there are now");
     if (missed_) plan_.reset();
     if (Status status = ready(count_, {}, retry); !status) return status;
@@ -163,7 +163,7 @@ Status Scene::State::hold(const Retry& retry) {
     pushed_ = true;
     lost_ = false;
     missed_ = missed_ || found->step != last_step_;
-    others_ = others_ || (found->step != last_step_ && found->step != unanswered_);
+    others_ = others_ || (found->step != last_step_ && found->step != unanswered_.number());
     last_step_ = found->step;
     return {};
   }

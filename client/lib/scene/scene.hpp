@@ -21,6 +21,7 @@
 #include "client/lib/session/push_source.hpp"
 #include "client/lib/session/session.hpp"
 #include "client/lib/session/shared_arrays.hpp"
+#include "client/lib/session/unanswered.hpp"
 #include "common/layout/layout.hpp"
 
 namespace rcb::client {
@@ -110,10 +111,8 @@ struct Scene::State {
                              const Retry& retry);
   // A checksum of what the step pushes.
   std::uint64_t content_of(const StepRequest& ask) const;
-  // Finds out whether the step of an earlier call, whose answer didn't come, was committed, before something else is
-  // pushed. Errors: stale_step, if the caller needs its answer.
-  Status settle_unanswered(Retry& retry);
-  Result<bool> settle_once(const Retry& retry);
+  // Asks whether the unanswered step of an earlier call was committed; true if so, and the caller needs its answer.
+  Result<bool> needs_unanswered(const Retry& retry);
   // Makes sure that the layout is there; fetches it if it is missing.
   Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
   // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
@@ -172,11 +171,7 @@ struct Scene::State {
   std::uint64_t count_ = 0;
   std::uint64_t epoch_ = 0;
   std::optional<std::int64_t> last_step_;
-  // A step that may have been committed although its answer didn't come; after a call that failed, its content, and
-  // whether nothing else can be pushed before its answer is known.
-  std::optional<std::int64_t> unanswered_;
-  std::uint64_t unanswered_content_ = 0;
-  bool unanswered_needed_ = false;
+  UnansweredStep unanswered_;
   std::optional<layout::Layout> plan_;
   std::vector<std::int64_t> ids_;    // by row, once the scene has them; empty: id = row
   std::vector<std::int32_t> parts_;  // by row

@@ -264,10 +264,10 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   if (Status status = check(ask); !status) return status;
   const StepOptions& options = ask.options;
   Retry retry(options.deadline_seconds);
-  const bool again =
-      unanswered_ && options.step.value_or(*unanswered_) == *unanswered_ && content_of(ask) == unanswered_content_;
+  const bool again = unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
   if (unanswered_ && !again)
-    if (Status status = settle_unanswered(retry); !status) return status;
+    if (Status status = unanswered_.settle(session(), name_, retry, [&] { return needs_unanswered(retry); }); !status)
+      return status;
   if (!again && !options.step && last_step_ && *last_step_ == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
   if (!has_particles() && !ask.whole())
@@ -277,7 +277,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
     return Status(Code::stale_step,
                   fmt::format("step {} of scene '{}' is not above the last one, {}", *options.step, name_, *last_step_),
                   "to go back to an earlier state, push it as a later step, or create the scene again");
-  const std::int64_t step = again ? *unanswered_ : options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
+  const std::int64_t step = again ? *unanswered_.number() : options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
   const StepRequest original = ask;
   const std::optional<std::int64_t> base = last_step_;
   if (!base) ask.moved = StepRequest::Moved::all;
@@ -317,10 +317,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   for (;;) {
     auto done = session().retry_until_deadline(retry, once, mend);
     if (!done) {
-      if (unanswered_) {
-        unanswered_content_ = content_of(original);
-        unanswered_needed_ = first_ || ask.edits();
-      }
+      if (unanswered_) unanswered_.keep(content_of(original), first_ || ask.edits());
       return done.status();
     }
     lost_plan_.reset();
@@ -343,21 +340,7 @@ std::uint64_t Scene::State::content_of(const StepRequest& ask) const {
   return content.value();
 }
 
-Status Scene::State::settle_unanswered(Retry& retry) {
-  const auto once = [&] { return settle_once(retry); };
-  const auto needed = session().retry_until_deadline(retry, once, [](const Status&) { return false; });
-  if (!needed) return needed.status();
-  if (*needed)
-    return Status(Code::stale_step,
-                  fmt::format("step {} of scene '{}' was committed after all, although its answer didn't come",
-                              *unanswered_, name_),
-                  "push the same once more: the answer says which rows there are now; or create the scene again");
-  unanswered_.reset();
-  return {};
-}
-
-// Whether the step was committed, and its answer is needed.
-Result<bool> Scene::State::settle_once(const Retry& retry) {
+Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
   if (Status status = hold(retry); !status) return status;
   if (lost_) return false;
   // The ranks answer this after whatever of the step was still under way.
@@ -365,9 +348,9 @@ Result<bool> Scene::State::settle_once(const Retry& retry) {
   if (!json) return json.status();
   const auto found = read_description(*json);
   if (!found) return found.status();
-  if (found->step == unanswered_ && unanswered_needed_) return true;
+  if (found->step == unanswered_.number() && unanswered_.needed()) return true;
   missed_ = missed_ || found->step != last_step_;
-  others_ = others_ || (found->step != last_step_ && found->step != unanswered_);
+  others_ = others_ || (found->step != last_step_ && found->step != unanswered_.number());
   last_step_ = found->step;
   return false;
 }
@@ -403,16 +386,13 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   if (shared_ && !with_plan) plan_.reset();
   const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
   if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;
-  const bool tried_before = std::exchange(unanswered_, step) == step;
+  const bool tried_before = unanswered_.begin(step);
   const auto answer = push(sent, step, base, retry);
   if (!answer) {
-    // Any other failure says that this attempt wasn't committed.
-    const Code code = answer.status().code();
-    const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted;
-    if (!unknown && !tried_before) unanswered_.reset();
+    unanswered_.failed(answer.status().code(), tried_before);
     return answer.status();
   }
-  unanswered_.reset();
+  unanswered_.answered();
   return finish(*answer, step, sent, tried_before, retry);
 }
 

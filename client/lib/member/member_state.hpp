@@ -1,0 +1,102 @@
+// MemberScene::State: a member's seat and what it knows of its scene. member.cpp takes the seat and makes the steps,
+// member_push.cpp pushes, member_answer.cpp reads the answers.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "client/lib/member.hpp"
+#include "client/lib/member/member_places.hpp"
+#include "client/lib/scene/changes.hpp"
+#include "client/lib/scene/lost_scene.hpp"
+#include "client/lib/session/shared_arrays.hpp"
+#include "client/lib/session/unanswered.hpp"
+
+namespace rcb::client {
+
+// Of an answer that isn't as the protocol says.
+inline Status odd_member_answer(const std::string& why) {
+  return {Code::protocol_error, fmt::format("answer to a member: {}", why),
+          "use a client and a service of the same version"};
+}
+
+struct MemberScene::State {
+  State(std::shared_ptr<Client::State> of, std::string scene, const MemberOptions& terms)
+      : client(std::move(of)), name(std::move(scene)), options(terms) {
+    if (const auto made = client->created.find(name); made != client->created.end()) known = made->second;
+  }
+
+  ~State() {
+    if (connection_held()) arrays.unshare(session(), Deadline(kCloseSeconds));
+    if (connection_held())
+      static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name}}, Retry(kCloseSeconds)));
+  }
+
+  Session& session() const { return *client->session; }
+  bool connection_held() const { return session().connected() && connection == session().generation(); }
+
+  Status open();
+  // Takes the seat on the current connection, unless it is held already.
+  Status take_seat(const Retry& retry);
+  Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
+  // Whether to push directly to the ranks. All members decide alike, unless their Path options differ.
+  Result<bool> wants_direct(const Deadline& deadline) const;
+  // One attempt to push a step.
+  Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                              const MemberStepOptions& with, const Retry& retry);
+  Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                     const MemberStepOptions& with, const Retry& retry);
+  // Asks for the answer to a step that was committed before the service was lost, when the member can't push that step
+  // again. Errors: base_lost, if there is none.
+  Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
+  // By the sockets of the ranks, or from memory that is shared with them. rows: by rank, of all particles.
+  Result<Frame> push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
+                              const Positions& positions, const MemberStepOptions& with, const std::string& what,
+                              const Retry& retry);
+  Result<Frame> push_by_sockets(wire::Json begin, std::uint64_t request, const EditFrames& edits,
+                                const std::vector<std::vector<std::uint64_t>>& rows, const Positions& positions,
+                                const MemberStepOptions& with, const std::string& what, const Deadline& deadline);
+  static std::uint64_t content_of(const Positions& positions, std::span<const std::int64_t> ids,
+                                  const MemberStepOptions& with);
+  // Asks whether the unanswered step of an earlier call was committed; true if so, and its answer is needed.
+  Result<bool> needs_unanswered(const Retry& retry);
+  // The rows that moved; nullopt: all are to be sent.
+  std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
+  Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
+  Status read_follow(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
+                     MemberStep& result);
+  Status read_places(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
+                     const MemberStep& result);
+
+  std::shared_ptr<Client::State> client;
+  std::string name;
+  MemberOptions options;
+  KnownScene known;
+  std::uint64_t connection = 0;  // the one that holds the seat
+  std::uint64_t seat = 0;        // generation of the seat; 0: never had it
+  int dims = 3;
+  std::uint64_t n = 0;  // particles of the scene; 0: not known yet
+  bool weights = false;
+  bool lost = false;  // the service was restarted, and the scene has no positions yet
+  std::optional<std::int64_t> last_step;
+  UnansweredStep unanswered;
+  std::uint64_t epoch = 0;  // after last_step
+  // False if a step or new cuts came that this member was told nothing of. Then it can't name a step as the base of its
+  // push, and brings all its particles.
+  bool up_to_date = true;
+  // After last_step, with follow:
+  MemberPlaces places;
+  wire::Json plan;
+  bool pushing_directly = false;  // path of the current push
+  bool pushing_few = false;       // particles, or none
+  bool send_all = false;          // whatever has moved, in the current step
+  SharedArrays arrays;
+  bool share_unsupported = false;  // a rank, or this kernel, refused it
+};
+
+}  // namespace rcb::client
