@@ -67,7 +67,7 @@ class Memory(Refusals, unittest.TestCase):
             self.refused("too_large", client.step, "big", 0, rows, same)
 
     def test_an_answer_that_memory_cannot_hold(self):
-        service, client = self.service(980)
+        service, client = self.service(900)
         client.ask("scene.create", scene="big", parts=4)
         client.ask("load", scene="big", path=sparse(os.path.join(service.dir, "big.npy"), 7_000_000))
         self.too_large(client, "fetch", scene="big")
