@@ -12,6 +12,18 @@
 
 namespace rcb {
 
+namespace {
+
+// What nobody is there any more to take back is never destroyed: that could use what has gone with its owner.
+void leave(SideThread::Job job) {
+  static std::mutex mutex;
+  static auto* const left = new std::deque<SideThread::Job>;
+  const std::lock_guard lock(mutex);
+  left->push_back(std::move(job));
+}
+
+}  // namespace
+
 struct SideThread::State {
   struct Waiting {
     Job work;
@@ -36,8 +48,7 @@ struct SideThread::State {
       lock.lock();
       bytes -= job.bytes;
       if (job.then && !orphaned) job.then();
-      if (orphaned)
-        new Job(std::move(job.then));  // nobody is there any more to whom it could be given back: it is left
+      if (orphaned) leave(std::move(job.then));
     }
     ended = true;
     drained.notify_all();

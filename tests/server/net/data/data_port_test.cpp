@@ -99,6 +99,7 @@ class DataPortTest : public ::testing::Test {
   IoLoop loop_;
   Directory directory_;
   std::unique_ptr<DataPort> port_;
+  std::unique_ptr<DataPort> replaced_;  // as every port, it is destroyed after its loop has stopped
   std::string tcp_;
   std::mutex mutex_;
   std::condition_variable changed_;
@@ -137,7 +138,7 @@ TEST_F(DataPortTest, ASliceMayWaitForItsPushLongerThanAFrameForItsBytes) {
   options.rank = 2;
   options.frame_seconds = 0.1;
   options.unknown_seconds = 600;
-  port_ = std::make_unique<DataPort>(loop_, options);
+  replaced_ = std::exchange(port_, std::make_unique<DataPort>(loop_, options));
   const std::string socket = directory_.file("patient");
   ASSERT_TRUE(port_->listen_unix(socket).ok());
   loop_.run([&] {
