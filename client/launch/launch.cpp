@@ -196,10 +196,10 @@ Status await_verdict(const Started& started, double deadline_seconds, const Prog
 // Removes the folders of embedded services whose program and supervisor were killed at the same moment; nobody holds
 // the locks in them.
 void sweep_temporary(const std::string& parent) {
-  std::error_code error;
-  for (std::filesystem::directory_iterator entry(parent, error), end; !error && entry != end; entry.increment(error)) {
-    const std::string path = entry->path().string();
-    if (!entry->path().filename().string().starts_with(kTemporaryPrefix) || !is_own_directory(path)) continue;
+  std::error_code ignored;
+  for (const std::string& name : names_in(parent, ignored)) {
+    const std::string path = join_path(parent, name);
+    if (!name.starts_with(kTemporaryPrefix) || !is_own_directory(path)) continue;
     const std::string lock_path = join_path(path, kLockFile);
     std::error_code fault;
     const auto written = std::filesystem::last_write_time(lock_path, fault);

@@ -103,6 +103,13 @@ std::string host_name() {
   return name.data();
 }
 
+std::vector<std::string> names_in(const std::string& directory, std::error_code& fault) {
+  std::vector<std::string> names;
+  for (fs::directory_iterator entry(directory, fault), end; !fault && entry != end; entry.increment(fault))
+    names.push_back(entry->path().filename().string());
+  return names;
+}
+
 std::string join_path(std::string_view directory, std::string_view name) {
   std::string out(directory);
   if (!out.empty() && out.back() != '/') out += '/';

@@ -9,6 +9,8 @@
 
 #include <string>
 #include <string_view>
+#include <system_error>
+#include <vector>
 
 #include "common/base/status.hpp"
 
@@ -45,6 +47,10 @@ Status make_private_directory(const std::string& path);
 // For output that the user asks for: makes `path` and its missing parents; uses an existing directory unchanged.
 // Errors: io_error.
 Status make_directory(const std::string& path);
+
+// What a directory holds, as far as it can be read. fault: why no further. A loop over std::filesystem's iterator
+// throws where reading fails half-way.
+std::vector<std::string> names_in(const std::string& directory, std::error_code& fault);
 
 // This machine's name, as gethostname(2) has it.
 std::string host_name();

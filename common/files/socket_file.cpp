@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "common/files/endpoint_lock.hpp"
+#include "common/files/paths.hpp"
 
 namespace rcb {
 namespace {
@@ -24,12 +25,10 @@ std::vector<std::string> rank_sockets(const std::string& path) {
   std::vector<std::string> found;
   const std::filesystem::path socket(path);
   const std::string begin = socket.filename().string() + ".";
-  const std::filesystem::path folder = socket.has_parent_path() ? socket.parent_path() : ".";
-  std::error_code error;
-  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
-    const std::string name = entry->path().filename().string();
-    if (name.starts_with(begin) && is_rank_suffix(name.substr(begin.size()))) found.push_back(entry->path().string());
-  }
+  const std::string folder = socket.has_parent_path() ? socket.parent_path().string() : ".";
+  std::error_code ignored;
+  for (const std::string& name : names_in(folder, ignored))
+    if (name.starts_with(begin) && is_rank_suffix(name.substr(begin.size()))) found.push_back(join_path(folder, name));
   return found;
 }
 

@@ -6,7 +6,6 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <string>
 #include <string_view>
 
@@ -115,10 +114,7 @@ ConnectionLimits connection_limits(int ranks) {
   constexpr int kFiles = 24;  // listeners, logs, files that commands read and write
   rlimit files{};
   std::error_code error;
-  std::int64_t open = 0;
-  for (std::filesystem::directory_iterator entry("/proc/self/fd", error), end; !error && entry != end;
-       entry.increment(error))
-    ++open;
+  const auto open = static_cast<std::int64_t>(names_in("/proc/self/fd", error).size());
   if (error || ::getrlimit(RLIMIT_NOFILE, &files) != 0) return {wire::kSessionsMax, wire::kBeforeHelloMax};
   const auto most = static_cast<std::int64_t>(std::min<rlim_t>(files.rlim_cur, 1U << 20U));
   const std::int64_t left = std::max<std::int64_t>(most - open - ranks - kFiles, 0);

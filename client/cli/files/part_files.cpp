@@ -42,13 +42,10 @@ Result<LeftoverFiles> LeftoverFiles::find(const std::string& directory, const st
   std::vector<std::string> sorted = written, names;
   std::sort(sorted.begin(), sorted.end());
   std::error_code fault;
-  for (auto entry = std::filesystem::directory_iterator(directory, fault);
-       !fault && entry != std::filesystem::directory_iterator(); entry.increment(fault)) {
-    const std::string name = entry->path().filename().string();
+  for (const std::string& name : names_in(directory, fault))
     if (is_export_name(name) && same_kind(name, written) && !std::binary_search(sorted.begin(), sorted.end(), name) &&
-        entry->is_regular_file(fault))
+        std::filesystem::is_regular_file(join_path(directory, name), fault))
       names.push_back(name);
-  }
   if (fault && fault != std::errc::no_such_file_or_directory)
     return Status(Code::io_error, fmt::format("{}: {}", directory, fault.message()));
   LeftoverFiles left;

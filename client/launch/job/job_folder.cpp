@@ -107,10 +107,10 @@ void JobFolder::sign(const EndpointNote& owner) const {
 std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
   std::vector<std::string> removed;
   for (const std::string& parent : {std::string(kSharedMemory), fallback}) {
-    std::error_code error;
-    for (fs::directory_iterator entry(parent, error), end; !error && entry != end; entry.increment(error)) {
-      const std::string path = entry->path().string();
-      if (!entry->path().filename().string().starts_with(prefix()) || !is_own_directory(path)) continue;
+    std::error_code ignored;
+    for (const std::string& name : names_in(parent, ignored)) {
+      const std::string path = join_path(parent, name);
+      if (!name.starts_with(prefix()) || !is_own_directory(path)) continue;
       // A folder without a note is just being created, or is of another version.
       std::error_code unseen;
       if (!fs::exists(join_path(path, kOwnerFile), unseen)) continue;

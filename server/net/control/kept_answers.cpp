@@ -5,7 +5,6 @@
 #include <cerrno>
 #include <cstring>
 #include <ctime>
-#include <filesystem>
 #include <span>
 #include <string_view>
 #include <utility>
@@ -171,9 +170,9 @@ class KeptAnswers::Files {
 
   std::vector<std::string> list() const {
     std::vector<std::string> found;
-    std::error_code error;
-    for (const auto& entry : std::filesystem::directory_iterator(directory_, error))
-      if (entry.path().filename().string().starts_with(kPrefix)) found.push_back(entry.path().string());
+    std::error_code ignored;
+    for (const std::string& name : names_in(directory_, ignored))
+      if (name.starts_with(kPrefix)) found.push_back(join_path(directory_, name));
     return found;
   }
 

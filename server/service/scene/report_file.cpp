@@ -55,9 +55,8 @@ int write_whole(int file, const std::string& text) {
 Status make_report_directory(const std::string& path) {
   if (Status made = make_own_directory(path); !made.ok()) return made;
   std::error_code fault;
-  for (auto entry = std::filesystem::directory_iterator(path, fault);
-       !fault && entry != std::filesystem::directory_iterator(); entry.increment(fault))
-    if (entry->path().string().ends_with(kSuffix)) ::unlink(entry->path().c_str());
+  for (const std::string& name : names_in(path, fault))
+    if (name.ends_with(kSuffix)) ::unlink(join_path(path, name).c_str());
   return fault ? failed_to("look into", path, fault.value()) : Status();
 }
 
