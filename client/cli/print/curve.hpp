@@ -23,6 +23,7 @@ class Curve {
   void add(const client::StepReport& report);
   bool empty() const { return line_.empty(); }
   double largest() const;  // error; 0 if there is none
+  bool repartitioned() const { return !dots_.empty(); }
   // Data for gnuplot, one point a line. line_data: for each step the error before and after its repartition, which
   // draws a sawtooth; dot_data: the errors that caused repartitions.
   std::string line_data() const;

@@ -67,7 +67,7 @@ class MemoryFile {
 
 // A curve in words.
 std::string title_of(const Curve& curve) {
-  if (!curve.tolerance) return curve.name + ": tolerance inf, never repartitioned";
+  if (!curve.tolerance) return curve.name + ": tolerance inf" + (curve.repartitioned() ? "" : ", never repartitioned");
   return fmt::format("{}: tolerance {:g}", curve.name, *curve.tolerance);
 }
 
@@ -85,7 +85,7 @@ std::string plot_of(const std::vector<Curve>& curves, const std::vector<std::siz
     plots += fmt::format(", {} with lines dashtype 2 linewidth 1 linecolor '#888888' title '{}'", tolerance,
                          tolerances.size() == 1 ? "the tolerance" : fmt::format("tolerance {:g}", tolerance));
   for (const std::size_t c : shown)
-    if (!curves[c].dot_data().empty())
+    if (curves[c].repartitioned())
       plots += fmt::format(", $dots{} using 1:2 with points pointtype 7 pointsize 0.6 linecolor '#d62728' {}", c,
                            std::exchange(dots, true) ? "notitle" : "title 'repartition'");
   return plots + "\n";
@@ -119,8 +119,7 @@ std::string script(const std::vector<Curve>& curves) {
   std::iota(all.begin(), all.end(), std::size_t{0});
   for (const std::size_t c : all) {
     text += fmt::format("$line{} << EOD\n{}EOD\n", c, curves[c].line_data());
-    if (const std::string data = curves[c].dot_data(); !data.empty())
-      text += fmt::format("$dots{} << EOD\n{}EOD\n", c, data);
+    if (curves[c].repartitioned()) text += fmt::format("$dots{} << EOD\n{}EOD\n", c, curves[c].dot_data());
   }
   if (low.empty()) return text + plot_of(curves, all);
   // Once more by themselves, below, on a scale of their own.
