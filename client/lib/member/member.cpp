@@ -114,10 +114,7 @@ std::uint64_t MemberScene::State::content_of(const Positions& positions, std::sp
   content.add(std::uint64_t{with.unmoved ? 1U : 0U});
   content.add(positions, nullptr);
   content.add(ids);
-  content.add(with.weights);
-  content.add(with.moved.value_or(std::span<const std::uint64_t>()));
-  content.add(with.removed);
-  content.add(with.inserted);
+  content.add_options(with);
   return content.value();
 }
 
@@ -133,7 +130,7 @@ Result<bool> MemberScene::State::needs_unanswered(const Retry& retry) {
   if (!fields.ok()) return odd_member_answer(fields.status().message());
   if (step == unanswered.number() && unanswered.needed()) return true;
   const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
-  if (step_now == last_step) return false;
+  if (step_now == last_step && step != unanswered.number()) return false;
   places.forget();
   up_to_date = false;
   last_step = step_now;

@@ -98,7 +98,9 @@ Result<Scene> Client::open_scene(const std::string& name) {
 Scene::State::~State() {
   // On a connection that is gone nothing is open.
   // Another Scene of the same client may have it open, too.
-  const bool last = --client_->scenes[name_] == 0;
+  const auto scenes = client_->scenes.find(name_);
+  const bool last = --scenes->second == 0;
+  if (last) client_->scenes.erase(scenes);
   if (!session().connected() || generation_ != session().generation()) return;
   arrays_.unshare(session(), Deadline(kCloseSeconds));
   if (last && session().connected())
@@ -163,7 +165,7 @@ Status Scene::State::hold(const Retry& retry) {
     pushed_ = true;
     lost_ = false;
     missed_ = missed_ || found->step != last_step_;
-    others_ = others_ || (found->step != last_step_ && found->step != unanswered_.number());
+    base_unknown_ = base_unknown_ || (found->step != last_step_ && found->step != unanswered_.number());
     last_step_ = found->step;
     return {};
   }

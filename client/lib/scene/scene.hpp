@@ -106,6 +106,9 @@ struct Scene::State {
     RowEdit edit;
     bool plan_needed = false;  // layout and parts must be fetched, since the answer doesn't lead to them
   };
+  // Pushes a step, again and again until the deadline, and finds out its parts if they are asked.
+  Result<StepResult> push_and_complete(StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
+                                       Retry& retry);
   // One attempt to push a step.
   Result<Committed> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
                              const Retry& retry);
@@ -182,7 +185,7 @@ struct Scene::State {
   bool answered_ = false;                    // a step was answered, so the rows are known
   bool told_ = false;                        // parts were told: changes are relative to them
   bool missed_ = false;                      // a step was committed whose answer this Scene hasn't seen
-  bool others_ = false;                      // and it was another client's, whose positions this one doesn't know
+  bool base_unknown_ = false;                // and its positions may be others than those that the caller builds on
   std::vector<double> weights_;              // by row; kept only to restore a lost scene
   std::optional<layout::Layout> lost_plan_;  // the last layout before the loss
   std::uint64_t lost_version_ = 0;           // its version as the caller sees it

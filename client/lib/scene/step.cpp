@@ -284,6 +284,13 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
   first_ = !has_particles() || (again && first_);
+  auto result = push_and_complete(ask, step, base, retry);
+  if (!result && unanswered_) unanswered_.keep(content_of(original), first_ || ask.edits());
+  return result;
+}
+
+Result<StepResult> Scene::State::push_and_complete(StepRequest& ask, std::int64_t step,
+                                                   std::optional<std::int64_t> base, Retry& retry) {
   std::uint64_t plan_fetched_on = 0;  // generation of the connection
   const auto once = [&] { return try_step(ask, step, base, retry); };
   const auto mend = [&](const Status& status) {
@@ -316,10 +323,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   };
   for (;;) {
     auto done = session().retry_until_deadline(retry, once, mend);
-    if (!done) {
-      if (unanswered_) unanswered_.keep(content_of(original), first_ || ask.edits());
-      return done.status();
-    }
+    if (!done) return done.status();
     lost_plan_.reset();
     auto result = complete(ask, std::move(*done), retry);
     // If the service has lost the scene meanwhile, the step is pushed again. Rows that were edited can't be.
@@ -333,10 +337,7 @@ std::uint64_t Scene::State::content_of(const StepRequest& ask) const {
   content.add(ask.positions, plan_ ? &*plan_ : nullptr);
   content.add(ask.ids);
   content.add(ask.options.ids);
-  content.add(ask.options.weights);
-  content.add(ask.options.moved.value_or(std::span<const std::uint64_t>()));
-  content.add(ask.options.removed);
-  content.add(ask.options.inserted);
+  content.add_options(ask.options);
   return content.value();
 }
 
@@ -349,8 +350,8 @@ Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
   const auto found = read_description(*json);
   if (!found) return found.status();
   if (found->step == unanswered_.number() && unanswered_.needed()) return true;
-  missed_ = missed_ || found->step != last_step_;
-  others_ = others_ || (found->step != last_step_ && found->step != unanswered_.number());
+  // The caller pushes something else, so it may build on the step before.
+  if (found->step == unanswered_.number() || found->step != last_step_) missed_ = base_unknown_ = true;
   last_step_ = found->step;
   return false;
 }
@@ -361,11 +362,12 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   if (Status status = hold(retry); !status) return status;
   if (held_on != generation_)
     if (Status fits = check(ask); !fits) return fits;
-  if (others_ && ask.moved != StepRequest::Moved::all)
-    return Status(Code::base_lost,
-                  fmt::format("another client has pushed step {} of scene '{}', whose positions this one doesn't know",
-                              last_step_.value_or(0), name_),
-                  "push all positions with step()");
+  if (base_unknown_ && ask.moved != StepRequest::Moved::all)
+    return Status(
+        Code::base_lost,
+        fmt::format("the positions of step {} of scene '{}' may be others than those that this step builds on",
+                    last_step_.value_or(0), name_),
+        "push all positions with step()");
   StepRequest sent = ask;
   Buffer<std::byte> rows;
   if (lost_) {

@@ -64,7 +64,7 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& answer, std::i
   const auto before = wire::integer_field_or(*json, "previous_step", 0, kStepMax, last_step_.value_or(-1));
   const bool step_follows = first || (!missed_ && before && *before == last_step_.value_or(-1));
   last_step_ = std::max(step, last_step_.value_or(step));
-  missed_ = others_ = false;
+  missed_ = base_unknown_ = false;
   answered_ = true;
 
   const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);

@@ -16,6 +16,14 @@ class Content {
   // plan: gives the sizes of positions in layout order; null: such positions count as unlike all others.
   void add(const Positions& positions, const layout::Layout* plan);
   void add(const Insertion* inserted);
+  // What a step of either kind of scene brings beside its positions.
+  template <typename Options>
+  void add_options(const Options& step) {
+    add(step.weights);
+    add(step.moved.value_or(std::span<const std::uint64_t>()));
+    add(step.removed);
+    add(step.inserted);
+  }
   template <typename T>
   void add(std::span<const T> values) {
     add(static_cast<std::uint64_t>(values.size()));

@@ -1,12 +1,13 @@
 // UnansweredStep: a step that may have been committed although its answer didn't come. The call that pushed it tries it
-// again under the same number. A later call does so only if it pushes the same content; otherwise it must first be
-// settled whether the step was committed, so that the service's answer to it isn't taken for one to something else.
+// again under the same number. A later call does so only if it pushes the same content. Otherwise it must first find
+// out whether the step was committed: the service would take the new content for the old step, and drop it.
 #pragma once
 
 #include <cstdint>
 #include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "client/lib/session/session.hpp"
 
@@ -24,13 +25,16 @@ class UnansweredStep {
   // After the failure of a push; tried_before: as begin() said.
   void failed(Code code, bool tried_before) {
     const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted;
-    if (!unknown && !tried_before) number_.reset();
+    if (!unknown && !tried_before) answered();
   }
-  void answered() { number_.reset(); }
+  void answered() {
+    number_.reset();
+    needed_ = false;
+  }
   // At the end of a call that failed. content: a checksum (Content).
   void keep(std::uint64_t content, bool needed) {
     content_ = content;
-    needed_ = needed;
+    needed_ = needed_ || needed;
   }
   // Whether a call pushes the same once more. step: its number, if it says one.
   template <typename ContentOf>
@@ -48,7 +52,7 @@ class UnansweredStep {
               fmt::format("step {} of scene '{}' was committed after all, although its answer didn't come", *number_,
                           scene),
               "push the same once more: the answer says which particles there are now; or create the scene again"};
-    number_.reset();
+    answered();
     return {};
   }
 

@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <limits>
 #include <numeric>
 #include <random>
@@ -306,6 +308,108 @@ TEST(Step, WhatFollowsAStepThatWasLateIsNotTakenForIt) {
       for (std::size_t row = 0; row < caller.n; ++row)
         ASSERT_EQ(next->parts[row], wandering(static_cast<std::int64_t>(row), 3, 20, 5));
     }
+}
+
+// The caller of few may have gone back to the step before, so that more has changed since the late one than it says.
+TEST(Step, FewAfterAStepThatWasLateAreSentWithAll) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.fault = [](int push) { return push == 1 ? FakeScene::Fault::late_after_commit : FakeScene::Fault::none; };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
+  ASSERT_FALSE(session.scene->step(caller.at(1, true), wanting()).ok());
+  const std::array<std::uint64_t, 1> moved{3};
+  StepOptions few = wanting();
+  few.moved = moved;
+  const auto result = session.scene->step(caller.at(2, true), few);
+  ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
+  EXPECT_EQ(result->report.step, 2);
+}
+
+// A service of one rank, whose connections to that rank the test lets go or keeps still.
+class OneRank {
+ public:
+  enum class Does { close, nothing };
+
+  explicit OneRank(Does does) {
+    rank_ = std::make_unique<FakeService>([this, does](Peer& peer, int) {
+      ++connections;
+      if (!peer.greet(1)) return;
+      while (const auto frame = peer.receive()) {
+        if (frame->json.value("command", "") == "memory.share")
+          peer.fail(*frame, {Code::unsupported, "no shared memory here"});
+        else if (does == Does::close)
+          return;
+      }
+    });
+    control_ = std::make_unique<FakeService>([this, does](Peer& peer, int) {
+      peer.send(protocol::FrameType::welcome, 0, Peer::welcome());
+      const auto hello = peer.receive();
+      if (!hello) return;
+      peer.reply(*hello, {{"session", hello->json["session"]}, {"ranks", 1}, {"data", {rank_->endpoint()}}});
+      while (const auto frame = peer.receive()) {
+        const auto command = frame->json.value("command", "");
+        if (command == "scene.open" || command == "scene.show") peer.reply(*frame, scene_);
+        if (command == "scene.close") peer.reply(*frame, protocol::Json::object());
+        if (command == "push.begin") push(peer, *frame, does);
+      }
+    });
+  }
+  const std::string& endpoint() const { return control_->endpoint(); }
+  void stop() {
+    control_->stop();
+    rank_->stop();
+  }
+
+  std::vector<std::string> paths;  // of the pushes
+  std::atomic<int> connections = 0;
+
+ private:
+  void push(Peer& peer, const Received& begin, Does does) {
+    paths.push_back(begin.json.value("path", "gateway"));
+    if (paths.back() == "gateway") {
+      EXPECT_TRUE(peer.receive());
+      peer.reply(begin, {{"report", {{"scene", "s"}, {"step", begin.json["step"]}, {"n", 4}, {"reason", ""}}}});
+    } else if (does == Does::nothing) {
+      peer.fail(begin, {Code::deadline_exceeded, "the push wasn't whole at its deadline"});
+    }
+  }
+
+  const protocol::Json scene_{{"scene", "s"}, {"dims", 1}, {"parts", 1}, {"n", 0}, {"step", nullptr}};
+  std::unique_ptr<FakeService> rank_, control_;
+};
+
+// Large enough for the path to the ranks.
+std::vector<double> many() { return std::vector<double>(100'000, 0.5); }
+
+TEST(Step, AConnectionToARankThatIsLostIsNoticedWithinTheCall) {
+  OneRank service(OneRank::Does::close);
+  const auto x = many();
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = client->open_scene("s");
+    ASSERT_TRUE(scene.ok()) << scene.status().message();
+    EXPECT_TRUE(scene->step(Positions::rows(x.data(), x.size(), 1)).ok());
+  }
+  service.stop();
+  ASSERT_GE(service.paths.size(), 2U);
+  EXPECT_NE(service.paths.front(), "gateway");
+  EXPECT_EQ(service.paths.back(), "gateway");
+}
+
+TEST(Step, SilentConnectionsToRanksAreReplacedOnceAndThenLeft) {
+  OneRank service(OneRank::Does::nothing);
+  const auto x = many();
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = client->open_scene("s");
+    ASSERT_TRUE(scene.ok()) << scene.status().message();
+    for (int call = 0; call < 3; ++call)
+      EXPECT_EQ(scene->step(Positions::rows(x.data(), x.size(), 1)).ok(), call == 2) << call;
+  }
+  service.stop();
+  EXPECT_EQ(service.paths.back(), "gateway");
+  EXPECT_EQ(service.connections, 2);
 }
 
 TEST(Step, AFirstPushThatWasLateMustBeHeardOfFirst) {
