@@ -21,12 +21,13 @@ std::string absolute_text(const std::string& folder) {
 
 }  // namespace
 
-Result<io::Roots> open_client_folders(const Config& config, ranks::MpiSession& mpi, const Hosts& hosts) {
+Result<std::shared_ptr<const io::Roots>> open_client_folders(const Config& config, ranks::MpiSession& mpi,
+                                                             const Hosts& hosts) {
   std::string names;
   for (const std::string& folder : config.files_below.empty() ? config.local_files_below : config.files_below)
     names.append(absolute_text(folder)).push_back('\0');
   std::istringstream shared(mpi.share(names));
-  io::Roots roots;
+  auto roots = std::make_shared<io::Roots>();
   // Rank 0's word, since the other machines don't know of a restart.
   const bool may_fail =
       mpi.share(config.restarted || (hosts.several && config.files_below.empty()) ? "warn" : "refuse") == "warn";
@@ -36,7 +37,7 @@ Result<io::Roots> open_client_folders(const Config& config, ranks::MpiSession& m
     const auto fault =
         std::find_if(faults.begin(), faults.end(), [](const std::string& text) { return !text.empty(); });
     if (fault == faults.end()) {
-      if (Status added = roots.add(folder); !added.ok()) return added;
+      if (Status added = roots->add(folder); !added.ok()) return added;
       continue;
     }
     const std::string& host = hosts.ranks[static_cast<std::size_t>(fault - faults.begin())].host;
@@ -44,7 +45,7 @@ Result<io::Roots> open_client_folders(const Config& config, ranks::MpiSession& m
     if (!may_fail) return Status(Code::io_error, what, opened.hint());
     if (mpi.rank() == 0) spdlog::warn("clients can't name files below {}: {}", folder, what);
   }
-  return roots;
+  return std::shared_ptr<const io::Roots>(std::move(roots));
 }
 
 }  // namespace rcb::server

@@ -65,7 +65,7 @@ int run_other_rank(const RankSetup& setup) {
   {
     service::Service service(
         mpi.comm(), clock,
-        {.no_skip = setup.no_skip, .roots = &setup.client_folders, .bulk_bytes_max = bulk_bytes(setup.config)});
+        {.no_skip = setup.no_skip, .roots = setup.client_folders, .bulk_bytes_max = bulk_bytes(setup.config)});
     engine.run(service);
   }
   loop.run([&] { port.finish(); });

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <string>
 
 #include "common/io/files/roots.hpp"
@@ -22,7 +23,7 @@ struct RankSetup {
   ranks::MpiSession& mpi;
   const Hosts& hosts;
   service::NoSkip no_skip;
-  const io::Roots& client_folders;
+  std::shared_ptr<const io::Roots> client_folders;
 };
 
 // Collective, run_rank_0 on rank 0 and run_other_rank on the others. Both return when the service has ended: the

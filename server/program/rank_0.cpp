@@ -249,7 +249,7 @@ void Rank0::run_engine() {
 // are lost.
 service::ServiceOptions Rank0::service_options() const {
   service::ServiceOptions options{.no_skip = setup_.no_skip,
-                                  .roots = &setup_.client_folders,
+                                  .roots = setup_.client_folders,
                                   .bulk_bytes_max = bulk_bytes(setup_.config),
                                   .keep_reports = setup_.config.keep_reports};
   const std::string directory = join_path(data_->path(), kReportDirectory);

@@ -42,6 +42,7 @@ struct Service::State {
 
 Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
     : state_(new State{comm, clock, std::move(options)}) {
+  if (!state_->options.roots) state_->options.roots = std::make_shared<const io::Roots>();
   for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), paged_commands(),
                            quality_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
@@ -98,7 +99,6 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  static const io::Roots kNowhere;
   Context context{state_->comm,
                   state_->clock,
                   state_->scenes,
@@ -106,7 +106,7 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
                   terms.received_seconds,
                   state_->spares,
                   state_->options.no_skip,
-                  state_->options.roots == nullptr ? kNowhere : *state_->options.roots,
+                  state_->options.roots,
                   state_->files,
                   state_->histories,
                   state_->options.bulk_bytes_max,

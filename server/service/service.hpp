@@ -29,8 +29,9 @@ class Roots;
 namespace rcb::service {
 
 struct ServiceOptions {
-  NoSkip no_skip = {};               // the same on all ranks
-  const io::Roots* roots = nullptr;  // folders for clients' files (must outlive the service); nullptr: none
+  NoSkip no_skip = {};  // the same on all ranks
+  // Folders for clients' files; null: none. Shared with the thread that reads and writes them.
+  std::shared_ptr<const io::Roots> roots = {};
   std::uint64_t bulk_bytes_max = 0;  // of the points that `load` reads; 0: no limit
   // Rank 0 only: the number of step reports kept in memory, all scenes together, and a directory of the service's own
   // for older ones (make_report_directory); empty: older ones are lost.

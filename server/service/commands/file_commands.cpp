@@ -130,8 +130,10 @@ bool ids_are_rows(comm::Comm& comm, const particles::ParticleSet& set, std::uint
 Result<io::Points> read_slice(Context& context, const LoadRequest& load) {
   FileWork work(context.files);
   auto points = std::make_shared<std::optional<io::Points>>();
-  work.run([load, points, &stop = work.stop(), rank = context.comm.rank(), ranks = context.comm.size()]() -> Status {
+  work.run([load, points, roots = context.roots, &stop = work.stop(), rank = context.comm.rank(),
+            ranks = context.comm.size()]() -> Status {
     io::ReadOptions options = load.options;
+    options.below = roots.get();
     options.stop = &stop;
     auto read = io::read_points_slice(load.path, options, rank, ranks);
     if (read.ok()) points->emplace(std::move(*read));
@@ -148,7 +150,6 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
     return failed({Code::invalid_argument, fmt::format("scene '{}' has positions already", scene.name),
                    "load is for a scene's first positions; push the file instead"});
   if (load->options.dims == 0) load->options.dims = scene.options.dims;
-  load->options.below = &context.roots;
   load->options.bytes_max = context.bulk_bytes_max;
   const double start = context.clock.seconds();
   comm::Comm& comm = context.comm;
@@ -233,10 +234,11 @@ struct Piece {
 // This rank's files, written one after another, piece by piece. Lives on the thread that writes them.
 class PartWriter {
  public:
-  PartWriter(const io::Roots& roots, std::string directory) : roots_(roots), directory_(std::move(directory)) {}
+  PartWriter(std::shared_ptr<const io::Roots> roots, std::string directory)
+      : roots_(std::move(roots)), directory_(std::move(directory)) {}
 
   Status open() {
-    auto folder = roots_.make_folder(directory_);
+    auto folder = roots_->make_folder(directory_);
     if (!folder.ok()) return folder.status();
     folder_.emplace(std::move(*folder));
     return {};
@@ -261,7 +263,7 @@ class PartWriter {
     return written.ok() && piece.last ? csv_->commit() : written;
   }
 
-  const io::Roots& roots_;
+  std::shared_ptr<const io::Roots> roots_;
   std::string directory_;
   std::optional<io::Folder> folder_;
   std::optional<io::CsvWriter> csv_;

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <map>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
@@ -28,10 +29,10 @@ struct Context {
   double received_seconds = 0;
   std::vector<Spare>& spares;
   NoSkip no_skip;
-  const io::Roots& roots;            // folders for clients' files
-  SideThread& files;                 // on which this rank reads and writes them
-  HistoryMemory& histories;          // of the scenes, on rank 0
-  std::uint64_t bulk_bytes_max = 0;  // of what a client may have the service hold; 0: no limit
+  const std::shared_ptr<const io::Roots>& roots;  // folders for clients' files
+  SideThread& files;                              // on which this rank reads and writes them
+  HistoryMemory& histories;                       // of the scenes, on rank 0
+  std::uint64_t bulk_bytes_max = 0;               // of what a client may have the service hold; 0: no limit
 
   OrderTerms terms = {};
   double begun = 0;  // clock time at which the order began

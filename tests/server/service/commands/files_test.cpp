@@ -35,7 +35,7 @@ class FilesTest : public ::testing::Test {
     std::ofstream(base_ / "outside/points.csv") << "0,0,0\n1,1,1\n";
     std::ofstream(base_ / "root/word.csv") << "1,2,3\n1,hunter2,3\n";
     fs::create_symlink("../outside", base_ / "root/out");
-    ASSERT_TRUE(roots_.add((base_ / "root").string()).ok());
+    ASSERT_TRUE(roots_->add((base_ / "root").string()).ok());
   }
   void TearDown() override {
     std::error_code ignored;
@@ -47,12 +47,12 @@ class FilesTest : public ::testing::Test {
   }
 
   fs::path base_;
-  io::Roots roots_;
+  std::shared_ptr<io::Roots> roots_ = std::make_shared<io::Roots>();
 };
 
 TEST_F(FilesTest, OnlyBelowTheRoots) {
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = &roots_});
+    Service service(comm, kClock, {.roots = roots_});
     Driver driver(comm, service, "s");
     driver.create({{"parts", 3}});
     const auto expect = [&](const char* command, const Json& arguments, Code code) {
@@ -99,8 +99,8 @@ TEST_F(FilesTest, AServiceWithoutRootsOpensNothing) {
 // One rank that may not is enough.
 TEST_F(FilesTest, AllRanksOrNone) {
   on_ranks({4}, [&](comm::Comm& comm) {
-    const io::Roots none;
-    Service service(comm, kClock, {.roots = comm.rank() == 2 ? &none : &roots_});
+    const auto none = std::make_shared<io::Roots>();
+    Service service(comm, kClock, {.roots = comm.rank() == 2 ? none : roots_});
     Driver driver(comm, service, "s");
     driver.create({{"parts", 4}});
     const Response loaded = driver.ask("load", {{"path", at("root/points.csv")}});
@@ -121,7 +121,7 @@ TEST_F(FilesTest, WithoutAThreadACommandFailsAndNothingElse) {
       throw std::system_error(EAGAIN, std::generic_category());
     };
     Service service(comm, kClock,
-                    {.roots = &roots_, .start_thread = comm.rank() == 1 ? SideThread::Start(none) : nullptr});
+                    {.roots = roots_, .start_thread = comm.rank() == 1 ? SideThread::Start(none) : nullptr});
     Driver driver(comm, service, "s");
     driver.create({{"parts", 4}});
     const Response loaded = driver.ask("load", {{"path", at("root/points.csv")}});
@@ -162,7 +162,7 @@ TEST_F(FilesTest, ADiskThatStandsStillHoldsUpTheCommandAlone) {
           run();
         });
       };
-      Service service(comm, kClock, {.roots = &roots_, .start_thread = start});
+      Service service(comm, kClock, {.roots = roots_, .start_thread = start});
       Driver driver(comm, service, "s");
       driver.create({{"parts", 4}});
       if (command == "write_parts") driver.push(random_particles(5, 40, 3), 0);
@@ -186,7 +186,7 @@ TEST_F(FilesTest, ADiskThatStandsStillHoldsUpTheCommandAlone) {
 
 TEST_F(FilesTest, PartsOfManyPiecesAreWhole) {
   on_ranks({2}, [&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = &roots_});
+    Service service(comm, kClock, {.roots = roots_});
     Driver driver(comm, service, "s");
     constexpr std::size_t kCount = 300'000;
     driver.create({{"parts", 3}});

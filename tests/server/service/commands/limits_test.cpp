@@ -121,10 +121,10 @@ TEST(Answers, PagesOfCutsAreTheWhole) {
 // Answers every question of a long command whether to go on by counting.
 TEST(LongCommands, EndAtTheirDeadlineOrWithTheirClientAndChangeNothing) {
   const std::string folder = (std::filesystem::temp_directory_path() / "rcb-limits-never-written").string();
-  io::Roots roots;
-  ASSERT_TRUE(roots.add(std::filesystem::temp_directory_path()).ok());
+  const auto roots = std::make_shared<io::Roots>();
+  ASSERT_TRUE(roots->add(std::filesystem::temp_directory_path()).ok());
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = &roots});
+    Service service(comm, kClock, {.roots = roots});
     Driver driver(comm, service, "long");
     driver.create({{"parts", 5}});
     driver.push_by_id(random_particles(3, 500, 3), 0);
@@ -164,10 +164,10 @@ TEST(LongCommands, ALoadIsGivenUpBeforeItsCommit) {
   const std::string text = "x,y,z\n0,0,0\n1,2,3\n4,5,6\n";
   ASSERT_EQ(::write(made, text.data(), text.size()), static_cast<ssize_t>(text.size()));
   ::close(made);
-  io::Roots roots;
-  ASSERT_TRUE(roots.add(std::filesystem::temp_directory_path()).ok());
+  const auto roots = std::make_shared<io::Roots>();
+  ASSERT_TRUE(roots->add(std::filesystem::temp_directory_path()).ok());
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = &roots});
+    Service service(comm, kClock, {.roots = roots});
     Driver driver(comm, service, "load");
     driver.create({{"parts", 2}});
     const Json order{{"command", "load"}, {"scene", "load"}, {"path", file}};
