@@ -265,21 +265,6 @@ class Faults(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
 
 
-def fill(folder):
-    """Not a byte and not a file more."""
-    with open(os.path.join(folder, "fill"), "ab", buffering=0) as file:
-        try:
-            while file.write(bytes(4096)):
-                pass
-        except OSError:
-            pass
-    try:
-        for i in range(10_000):
-            open(os.path.join(folder, f"fill.{i}"), "a").close()
-    except OSError:
-        pass
-
-
 def on_a_full_disk():
     """Runs in a mount namespace of its own; an assertion that fails is the test's failure."""
     folder = tempfile.mkdtemp(prefix="rcb-e2e-disk-")
@@ -296,7 +281,7 @@ def on_a_full_disk():
         return [entry for entry in processes_of(folder) if process_name(entry[0]) in ("rcbd", "mpirun", "rcbd-supervisor")]
     try:
         assert ctl("up", "-n", 2, "--data-dir", data).returncode == 0
-        fill(folder)
+        fill_disk(folder, files=10_000)
         first = [pid for pid, _ in left() if process_name(pid) == "rcbd"]
         os.kill(first[0], signal.SIGKILL)  # it comes back without a byte of disk
         assert wait_for(lambda: not any(pid in first for pid, _ in left()))
@@ -305,7 +290,7 @@ def on_a_full_disk():
         assert down.returncode == 0, down.stderr
         assert not left(), left()
         assert ctl("status").returncode == 3
-        fill(folder)  # what the service has given back
+        fill_disk(folder, files=10_000)  # what the service has given back
         up = ctl("up", "-n", 2, "--data-dir", data)
         assert up.returncode == 1 and "No space left on device" in up.stderr, (up.returncode, up.stdout, up.stderr)
         assert not left(), left()

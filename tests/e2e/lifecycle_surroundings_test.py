@@ -164,15 +164,6 @@ def without_its_name():
     return 0
 
 
-def fill(folder):
-    with open(os.path.join(folder, "fill"), "wb", buffering=0) as file:
-        try:
-            while file.write(bytes(4096)):
-                pass
-        except OSError:
-            pass
-
-
 def without_shared_memory():
     """Another program fills /dev/shm while the service runs, or has done so before it starts."""
     if not mounted("tmpfs", "-o", "size=64m", "shm", "/dev/shm"):
@@ -182,7 +173,7 @@ def without_shared_memory():
         sparse = [path for path in glob.glob("/dev/shm/rcbd-*/**", recursive=True)
                   if os.path.isfile(path) and os.stat(path).st_blocks * 512 < os.stat(path).st_size]
         assert not sparse, sparse
-        fill("/dev/shm")
+        fill_disk("/dev/shm")
         rng = np.random.default_rng(1)
         with Client(service.endpoint, timeout=60) as client:
             client.ask("scene.create", scene="s", parts=64)

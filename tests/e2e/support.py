@@ -1,4 +1,5 @@
 """What the scripted tests share: running the real programs, a service of one's own, scenes that are hard."""
+import contextlib
 import json
 import os
 import shutil
@@ -171,6 +172,16 @@ def wait_for(condition, seconds=30):
     return False
 
 
-__all__ = ["BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "hard_scenes", "json", "np", "os",
-           "process_name", "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "time",
-           "unittest", "wait_for"]
+def fill_disk(folder, files=0):
+    """Takes every byte that is left there, then with up to so many empty files the inodes as well."""
+    with contextlib.suppress(OSError), open(os.path.join(folder, "fill"), "ab", buffering=0) as file:
+        while file.write(bytes(4096)):
+            pass
+    with contextlib.suppress(OSError):
+        for i in range(files):
+            open(os.path.join(folder, f"fill.{i}"), "a").close()
+
+
+__all__ = ["BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "fill_disk", "hard_scenes", "json", "np",
+           "os", "process_name", "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile",
+           "time", "unittest", "wait_for"]

@@ -124,60 +124,60 @@ TEST(Socket, ALongPathIsRefusedWithItsLimit) {
   EXPECT_NE(refused.message().find("107"), std::string::npos);
 }
 
-// Looks, and waits until the look has ended.
-void look(asio::io_context& context, LastingListener& listener) {
-  bool ended = false;
-  listener.look();
-  ASSERT_TRUE(FileThread::of(context).run([] {}, [&ended] { ended = true; }).ok());
-  const TimePoint late = now() + std::chrono::seconds(30);
-  while (!ended && now() < late) {
-    context.restart();
-    context.run_one_for(std::chrono::milliseconds(100));
+// A listener at `path` that has begun to accept.
+class LastingSocket : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    ASSERT_TRUE(listener.listen(context, path).ok());
+    listener.start([this](UnixAcceptor&) { ++accepting; });
   }
-  ASSERT_TRUE(ended);
-}
+  // Looks, and waits until the look has ended.
+  void look() {
+    bool ended = false;
+    listener.look();
+    ASSERT_TRUE(FileThread::of(context).run([] {}, [&ended] { ended = true; }).ok());
+    const TimePoint late = now() + std::chrono::seconds(30);
+    while (!ended && now() < late) {
+      context.restart();
+      context.run_one_for(std::chrono::milliseconds(100));
+    }
+    ASSERT_TRUE(ended);
+  }
 
-TEST(Socket, WhatSomebodyRemovesIsMadeAgainUntilItIsClosed) {
   const Directory directory;
   const std::string path = directory.file("s");
   asio::io_context context;
   LastingListener listener;
-  ASSERT_TRUE(listener.listen(context, path).ok());
   int accepting = 0;
-  listener.start([&accepting](UnixAcceptor&) { ++accepting; });
+};
+
+TEST_F(LastingSocket, WhatSomebodyRemovesIsMadeAgainUntilItIsClosed) {
   EXPECT_EQ(accepting, 1);
-  look(context, listener);
+  look();
   EXPECT_EQ(accepting, 1) << "it was there";
   for (int again = 0; again < 3; ++again) {
     std::filesystem::remove(path);
-    look(context, listener);
+    look();
     EXPECT_EQ(accepting, 2 + again);
     EXPECT_EQ(socket_state(path), SocketState::live);
   }
   // What isn't ours stays, and the socket comes back when it has gone.
   std::filesystem::remove(path);
   std::ofstream(path) << "somebody's";
-  look(context, listener);
+  look();
   EXPECT_EQ(accepting, 4);
   EXPECT_TRUE(std::filesystem::is_regular_file(path));
   std::filesystem::remove(path);
-  look(context, listener);
+  look();
   EXPECT_EQ(accepting, 5);
   listener.close();
   EXPECT_FALSE(std::filesystem::exists(path));
-  look(context, listener);
+  look();
   EXPECT_FALSE(std::filesystem::exists(path)) << "a service that ends";
   EXPECT_EQ(accepting, 5);
 }
 
-TEST(Socket, ALookAtADiskThatStandsStillHoldsUpNobody) {
-  const Directory directory;
-  const std::string path = directory.file("s");
-  asio::io_context context;
-  LastingListener listener;
-  ASSERT_TRUE(listener.listen(context, path).ok());
-  int accepting = 0;
-  listener.start([&accepting](UnixAcceptor&) { ++accepting; });
+TEST_F(LastingSocket, ALookAtADiskThatStandsStillHoldsUpNobody) {
   std::promise<void> moves;
   ASSERT_TRUE(FileThread::of(context).run([&moves] { moves.get_future().wait(); }, [] {}).ok());
   std::filesystem::remove(path);
@@ -185,14 +185,14 @@ TEST(Socket, ALookAtADiskThatStandsStillHoldsUpNobody) {
   context.poll();
   EXPECT_EQ(accepting, 1);
   moves.set_value();
-  look(context, listener);
+  look();
   EXPECT_EQ(accepting, 2);
   EXPECT_EQ(socket_state(path), SocketState::live);
   // One that is closed while the disk is asked isn't made again.
   std::filesystem::remove(path);
   listener.look();
   listener.close();
-  look(context, listener);
+  look();
   EXPECT_EQ(accepting, 2);
   EXPECT_FALSE(std::filesystem::exists(path));
 }

@@ -46,6 +46,16 @@ class Log {
 
 struct Rank {
   ~Rank() { loop.stop(); }  // its handlers write to what follows
+  void connect(int number, const DoorbellAddress& address) {
+    auto opened = Doorbell::connect(
+        loop, number, address, true, 6,
+        [this](std::uint64_t order, const wire::Json& request) { orders.add(std::to_string(order) + request.dump()); },
+        [this](const std::string& what) { lost.add(what); });
+    ASSERT_TRUE(opened.ok());
+    bell = std::move(*opened);
+    bell->on_peer_message([this](int, const wire::Json& word) { words.add(word.dump()); });
+    loop.start();
+  }
   IoLoop loop;
   Log orders;
   Log lost;
@@ -64,17 +74,8 @@ class Bells : public ::testing::Test {
     loop_.start();
     for (int r = 1; r < ranks; ++r) {
       ranks_.push_back(std::make_unique<Rank>());
-      Rank& rank = *ranks_.back();
-      auto bell = Doorbell::connect(
-          rank.loop, r, hub_->address(), true, 6,
-          [&rank](std::uint64_t number, const wire::Json& request) {
-            rank.orders.add(std::to_string(number) + request.dump());
-          },
-          [&rank](const std::string& what) { rank.lost.add(what); });
-      ASSERT_TRUE(bell.ok());
-      rank.bell = std::move(*bell);
-      rank.bell->on_peer_message([&rank](int, const wire::Json& word) { rank.words.add(word.dump()); });
-      rank.loop.start();
+      ranks_.back()->connect(r, hub_->address());
+      if (HasFatalFailure()) return;
     }
     ASSERT_TRUE(hub_->wait_connected(20).ok());
     for (int r = 1; r < ranks; ++r) {  // until a rank has checked the hub's proof as well, it says nothing
@@ -243,14 +244,8 @@ TEST_F(Bells, AnOrderThatTakesLongOverASlowLinkIsNoSilence) {
   SlowLink link(address.name);
   address.name = link.name();
   Rank rank;
-  auto bell = Doorbell::connect(
-      rank.loop, 1, address, true, 6,
-      [&rank](std::uint64_t number, const wire::Json&) { rank.orders.add(std::to_string(number)); },
-      [&rank](const std::string& what) { rank.lost.add(what); });
-  ASSERT_TRUE(bell.ok());
-  rank.bell = std::move(*bell);
-  rank.bell->on_peer_message([&rank](int, const wire::Json& word) { rank.words.add(word.dump()); });
-  rank.loop.start();
+  rank.connect(1, address);
+  if (HasFatalFailure()) return;
   ASSERT_TRUE(hub_->wait_connected(20).ok());
   loop_.run([&] { hub_->tell(1, {{"rank", 1}}); });
   ASSERT_TRUE(rank.words.wait_for(1));
