@@ -102,9 +102,10 @@ void LastingListener::look() {
   if (!accept_ || looking_ || listeners_.empty() || !listeners_.back().acceptor.is_open()) return;
   const auto look = std::make_shared<Look>();
   const Status begun = FileThread::of(*context_).run(
-      [look, place = listeners_.back().name.place(), path = path_, context = context_] {
+      [look, place = listeners_.back().name.place(), path = path_, context = context_, there = std::weak_ptr(there_)] {
         look->in_place = place.taken();
-        if (!look->in_place) look->again.emplace(listen_unix(*context, path));
+        // The disk may have answered only after the end of this object, and of the context.
+        if (!look->in_place && !there.expired()) look->again.emplace(listen_unix(*context, path));
       },
       [this, look, there = std::weak_ptr(there_)] {
         if (there.expired()) return;
