@@ -23,7 +23,7 @@ print(len(held))
 
 class HostsTest(MachinesTest):
     def test_answers_are_those_of_one_machine(self):
-        for layout, ranks in (("a:2,b:2,c:2", 6), ("a:4,b:4", 8)):
+        for layout, ranks in (("a:2,b:2,c:2", 6), ("a:4,b:4", 8), ("a:1,b:1,c:1,d:1,e:1", 5)):
             with self.subTest(layout):
                 self.machines(len(layout.split(",")))
                 self.up("--hosts", layout, "--trusted-network", endpoint="unix:/tmp/rcbd.sock")
@@ -57,9 +57,18 @@ class HostsTest(MachinesTest):
         addresses = [one["addresses"][0] for one in self.ctl("status", "--json")["hosts"]]
         self.assertEqual([re.sub(":.*", "", address) for address in addresses],
                          [f"10.77.0.{k}" for k in (1, 1, 2, 2, 3)])
-        done = self.on("d", os.path.join(self.bin, "mpirun"), 3, os.path.join(self.bin, "slope_mpi"), "--points", 1000, "--steps", 6, "--interval", 0.3,
-                       "--parts", 6, "--check")
-        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        slope = ["--points", 1000, "--steps", 6, "--interval", 0.3, "--parts", 6, "--json"]
+        alone = None
+        for name in "abcd":
+            done = self.on(name, os.path.join(self.bin, "slope"), *slope)
+            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+            steps = [(report["error"], report["repartitioned"]) for report in json.loads(done.stdout)["reports"]]
+            alone = alone or steps
+            self.assertEqual(steps, alone)
+        for name, processes in (("a", "a:1,b:1,c:1"), ("b", "c:2,a:1"), ("c", "b:1,d:1"), ("d", "d:3")):
+            done = self.on(name, "mpirun", "--allow-run-as-root", "--bind-to", "none", "--oversubscribe", "--host", processes,
+                           "-x", "RCBD_ENDPOINT", "-x", "RCBD_TOKEN_FILE", os.path.join(self.bin, "slope_mpi"), *slope, "--check")
+            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
         self.down()
 
     def test_a_client_of_the_socket_reaches_ranks_on_other_machines(self):

@@ -20,7 +20,7 @@ class MachinesTest(unittest.TestCase):
         self.data = os.path.join(self.hosts.shared, "data")
         self.bin = os.path.join(self.hosts.shared, "bin")  # a checkout in /tmp isn't seen there
         os.mkdir(self.bin)
-        for program in ("rcbd", "rcbctl", "two_spheres", "slope_mpi"):
+        for program in ("rcbd", "rcbctl", "two_spheres", "slope", "slope_mpi"):
             shutil.copy(os.path.join(BIN, program), self.bin)
         shutil.copy(MPIRUN, self.bin)
 

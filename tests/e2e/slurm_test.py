@@ -101,7 +101,9 @@ class SlurmTest(MachinesTest):
         self.assertIsNone(self.published())
         self.nothing_is_left()
 
-    def test_a_node_that_dies_and_a_solver_that_waits(self):
+    def solver_outlives(self, lose):
+        """A solver on a node of its own goes on when a node of the service is lost, since the job begins anew on others.
+        lose(job, node)"""
         self.cluster(4)
         service = self.up("--nodes=2", "--ntasks=4", "--exclude=d")
         hosts = {one["host"] for one in self.status("d")["hosts"]}
@@ -111,7 +113,7 @@ class SlurmTest(MachinesTest):
         self.hosts.wait_for(lambda: self.status("d")["steps"] > 50, "the solver's first steps")
         dead = max(hosts - {"a"})  # the controller is on a
         before = self.published()
-        self.hosts.kill(dead)
+        lose(service, dead)
         # Slurm puts the job back into the queue, to start two minutes later on nodes that live: here at once.
         self.hosts.wait_for(lambda: self.hosts.state(service) == "PENDING", "the job to be queued again")
         self.hosts.slurm("scontrol", "update", f"jobid={service}", "starttime=now")
@@ -125,6 +127,17 @@ class SlurmTest(MachinesTest):
         self.assertTrue(any(report["scene_recreated"] for report in result["reports"]))
         self.hosts.slurm("scancel", service)
         self.ended(service)
+
+    def test_a_node_that_dies_and_a_solver_that_waits(self):
+        self.solver_outlives(lambda job, node: self.hosts.kill(node))
+
+    def test_a_node_that_is_drained(self):
+        def drain(job, node):
+            self.hosts.slurm("scontrol", "update", f"nodename={node}", "state=drain", "reason=repair")
+            self.hosts.slurm("scontrol", "requeue", job)
+
+        self.solver_outlives(drain)
+        self.nothing_is_left()
 
     def both(self, steps):
         return self.submit("--nodes=2", "--ntasks=4", os.path.join(SCRIPTS, "both.sh"), "slope_mpi", "--points", "1000",

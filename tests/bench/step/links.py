@@ -2,14 +2,18 @@
 """Steps and partitions of a service over several machines (tests/hosts), whose links have a delay and a bandwidth,
 beside what the model of docs/scale.md says. Needs root.
 
-    predicted = time on one machine  +  chain * latency  +  bytes / speed
+    predicted = time on one machine  +  chain * latency  +  bytes on the links  +  frames * work
 
     time on one machine   of the same, with as many ranks, measured
     chain                 messages of which each waits for the one before it, from machine to machine. The switch counts
                           them, at a delay beside which all else is short
     latency               half of a round trip of 8 bytes over one TCP connection, measured at each setting
-    bytes                 that the busiest direction of a link carries, counted
-    speed                 of a TCP connection that has sent for a while, measured at each setting
+    bytes on the links    the longer of two: the bytes that the busiest direction of a link carries, counted, at the speed
+                          of a TCP connection that has sent for a while, measured at each setting; and the bytes of all
+                          links at that speed without limits, since all machines and the switch are one machine
+    frames                that all links carry, counted, but for those of the chain
+    work                  what one costs this machine: the reciprocal of the 8-byte messages a second that it carries if
+                          every machine asks every other at once
 
 With --keep-windows TCP does not begin anew after a pause (net.ipv4.tcp_slow_start_after_idle=0 on all machines).
 `rcb_bench hosts` is this program.
@@ -37,15 +41,28 @@ SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round tri
 COUNTED_AT = 0.04  # seconds from machine to machine
 WARM_UP, TIMED = 8 << 20, 16 << 20  # bytes
 ECHO = """
-import socket
+import os, signal, socket
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)
 listener, room = socket.create_server(("", 9000)), bytearray(1 << 20)
 while True:
     connection, _ = listener.accept()
+    if os.fork():
+        connection.close()
+        continue
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     while count := connection.recv_into(room):
         if room[count - 1] == ord("?"):
             connection.send(b"answered")
+    break
 """
+ASK = """
+import socket, sys
+with socket.create_connection((sys.argv[1], 9000)) as made:
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    while made.send(b"asked: ?"):
+        made.recv(8)
+"""
+ASKED_FOR = 1.0  # seconds
 
 
 class Bench:
@@ -86,11 +103,13 @@ class Bench:
             self.hosts.set_link(name, delay / 2, 0, rate)
 
     def counts(self):
+        """The chain, the frames and bytes of all links, and the bytes of each link in each direction."""
         chain, links = self.hosts.counts()
-        return [chain] + [link[field] for link in links.values() for field in ("bytes_sent", "bytes_received")]
+        sent = [sum(link[field] for link in links.values()) for field in ("frames_sent", "bytes_sent")]
+        return [chain, *sent] + [link[field] for link in links.values() for field in ("bytes_sent", "bytes_received")]
 
     def counted(self):
-        """(chain, bytes) of each kind: what some more of them add."""
+        """(chain, frames, bytes of all links, bytes of the busiest) of each kind: what some more of them add."""
         self.links(COUNTED_AT / 2, 0)
         found = {}
         for kind in [*STEPS, "partition"]:
@@ -103,9 +122,23 @@ class Bench:
                 else:
                     self.steps([kind], repeats)
                 counts.append([after - first for after, first in zip(self.counts(), before)])
-            chain, *sizes = [(many - few) / most for few, many in zip(*counts)]
-            found[kind] = round(chain), max(sizes)  # a heartbeat may be between two of a chain
+            chain, frames, size, *sizes = [(many - few) / most for few, many in zip(*counts)]
+            found[kind] = round(chain), frames, size, max(sizes)  # a heartbeat may be between two of a chain
         return found
+
+    def work(self):
+        """Seconds that this machine takes for a frame, with all its processors."""
+        asking = [subprocess.Popen(self.hosts.command(name, sys.executable, "-c", ASK, self.hosts.address(other)),
+                                   stderr=subprocess.DEVNULL)
+                  for name in self.hosts.names for other in self.hosts.names if name < other]
+        time.sleep(1)
+        before, start = self.counts()[1], time.perf_counter()
+        time.sleep(ASKED_FOR)
+        frames, seconds = self.counts()[1] - before, time.perf_counter() - start
+        for process in asking:
+            process.kill()
+            process.wait()
+        return seconds / frames
 
     def wires(self):
         """(latency, speed) of a TCP connection from a to b."""
@@ -129,12 +162,13 @@ class Bench:
             return latency, TIMED / (seconds - 2 * latency)
 
 
-def row(count, told, kind, setting, counts, predicted, seconds):
-    (trip, rate), (chain, size) = setting, counts
+def row(count, told, kind, setting, counted, predicted, seconds):
+    trip, rate = setting
+    chain, frames, _, size = counted
     return {"scene": "moving", "n": int(told.points), "dims": DIMS, "parts": PARTS, "ranks": count, "hosts": count,
             "tool": "rcbd", "method": "rcb", "work": "partition" if kind == "partition" else "step", "moved": kind,
-            "cut_tolerance": 0, "latency": trip / 2000, "bandwidth": rate * 1e9 / 8, "rounds": chain, "bytes": size,
-            "seconds": seconds, "seconds_predicted": predicted, "ratio": {"model": seconds / predicted}}
+            "cut_tolerance": 0, "latency": trip / 2000, "bandwidth": rate * 1e9 / 8, "rounds": chain, "frames": frames,
+            "bytes": size, "seconds": seconds, "seconds_predicted": predicted, "ratio": {"model": seconds / predicted}}
 
 
 def measure(count, told):
@@ -144,28 +178,34 @@ def measure(count, told):
         for name in hosts.names if told.keep_windows else ():
             hosts.run(name, "sh", "-c", "echo 0 >/proc/sys/net/ipv4/tcp_slow_start_after_idle", check=True)
         bench = Bench(hosts, told)
+        echoes = [subprocess.Popen(hosts.command(name, sys.executable, "-c", ECHO), stderr=subprocess.DEVNULL)
+                  for name in hosts.names]
         bench.up("-n", count)
         alone = bench.seconds()
         bench.run("rcbctl", "down")
-        echo = subprocess.Popen(hosts.command("b", sys.executable, "-c", ECHO))
+        work = bench.work()
+        _, speed_of_all = bench.wires()
         bench.up("--hosts", ",".join(f"{name}:1" for name in hosts.names))
         counted = bench.counted()
-        for kind, (chain, size) in counted.items():
-            print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain}, {size:.0f} bytes",
-                  flush=True)
+        print(f"{count} machines: {1e6 * work:.1f} us of work a frame, {8e-9 * speed_of_all:.2f} Gbit/s without limits")
+        for kind, (chain, frames, all_links, size) in counted.items():
+            print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain}, {frames:.0f} frames, "
+                  f"{all_links:.0f} bytes, {size:.0f} on a link", flush=True)
         for trip, rate in told.settings:
             bench.links(trip / 2000, 1e9 * rate)
             latency, speed = bench.wires()
             seconds = bench.seconds()
             cells = []
-            for kind, (chain, size) in counted.items():
-                predicted = alone[kind] + chain * latency + size / speed
-                rows.append(row(count, told, kind, (trip, rate), (chain, size), predicted, seconds[kind]))
+            for kind, (chain, frames, all_links, size) in counted.items():
+                predicted = (alone[kind] + chain * latency + max(size / speed, all_links / speed_of_all)
+                             + max(0, frames - chain) * work)
+                rows.append(row(count, told, kind, (trip, rate), counted[kind], predicted, seconds[kind]))
                 cells.append(f"{1e3 * predicted:7.1f} {1e3 * seconds[kind]:7.1f} {seconds[kind] / predicted:5.2f}")
             print(f"{count} | {trip} ms | {rate} | {1e3 * latency:.3f} ms, {8e-9 * speed:.2f} | {' | '.join(cells)}",
                   flush=True)
         bench.run("rcbctl", "down")
-        echo.kill()
+        for echo in echoes:
+            echo.kill()
     return rows
 
 
