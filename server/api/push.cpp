@@ -33,6 +33,21 @@ Status read_counts(wire::FieldReader& fields, int ranks, Push& push) {
   return {};
 }
 
+// Errors: invalid_argument.
+Result<std::vector<int>> read_ranks(const wire::Json& request, const char* name, int ranks) {
+  std::vector<int> list;
+  const auto found = request.find(name);
+  if (found == request.end()) return list;
+  bool fits = found->is_array() && found->size() <= static_cast<std::size_t>(ranks);
+  for (std::size_t k = 0; fits && k < found->size(); ++k) {
+    const wire::Json& rank = (*found)[k];
+    fits = rank.is_number_integer() && rank >= 0 && rank < ranks && (list.empty() || rank > list.back());
+    if (fits) list.push_back(rank.get<int>());
+  }
+  if (fits) return list;
+  return Status(Code::invalid_argument, fmt::format("field '{}': expected a list of ranks, ascending", name));
+}
+
 }  // namespace
 
 const char* name_of(Moved moved) { return moved == Moved::all ? "all" : moved == Moved::some ? "some" : "none"; }
@@ -128,6 +143,11 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
     auto shared = read_shared(request);
     if (!shared.ok()) return shared.status();
     push.shared = std::move(*shared);
+    auto by_socket = read_ranks(request, "sockets", ranks);
+    if (!by_socket.ok()) return by_socket.status();
+    if (push.by_id && !by_socket->empty())
+      return Status(Code::invalid_argument, "field 'sockets': slices for ranks are in order \"plan\"");
+    push.by_socket = std::move(*by_socket);
   }
   if (push.by_id || !fields.has("plan")) return push;
   const auto plan = read_plan(request);

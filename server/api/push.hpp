@@ -2,6 +2,7 @@
 // before it admits the push, and for the ranks, which check it against the scene itself.
 #pragma once
 
+#include <algorithm>
 #include <compare>
 #include <cstdint>
 #include <optional>
@@ -60,6 +61,7 @@ struct Push {
   bool by_id = false;  // order "id": one slice with all particles; else one for each rank, in the layout's order
   Way way = Way::endpoint;
   std::vector<SharedArray> shared;  // by shared memory, instead of slices
+  std::vector<int> by_socket;       // by shared memory: the ranks, ascending, whose slices come over sockets all the same
   bool weights = false;
   bool ids = false;
   bool changes = false;     // the answer is to name the particles that changed their part
@@ -74,9 +76,12 @@ struct Push {
   std::optional<std::int64_t> base_step;  // the step of the other particles' positions
   std::optional<double> step_seconds;     // the solver's computing time since its last push
 
-  bool direct() const { return way == Way::sockets; }     // each rank receives its slices itself
   bool to_ranks() const { return way != Way::endpoint; }  // no positions come through the endpoint
   bool from_memory() const { return way == Way::shared_memory; }
+  bool from_memory(int rank) const { return from_memory() && !std::ranges::binary_search(by_socket, rank); }
+  // Whether ranks, or this one, receive slices over sockets of their own.
+  bool direct() const { return way == Way::sockets || !by_socket.empty(); }
+  bool direct(int rank) const { return direct() && !from_memory(rank); }
   bool edits() const { return inserted > 0 || removed > 0; }
   std::uint64_t moving() const;  // particles whose positions are sent
 };

@@ -1,5 +1,6 @@
 #include "server/program/bridge.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -26,6 +27,12 @@ api::Slice shared_slice(const net::DataPort& data, const wire::Json& push) {
   return slice;
 }
 
+// Whether this rank's particles come over its socket, though the push is one from shared memory.
+bool by_socket(const net::DataPort& data, const wire::Json& push) {
+  const auto ranks = push.find("sockets");
+  return ranks != push.end() && std::find(ranks->begin(), ranks->end(), data.rank()) != ranks->end();
+}
+
 // The same in order "plan": the push says how many of its rows are on each rank.
 api::Slice shared_slice_by_slot(const net::DataPort& data, const wire::Json& push) {
   api::Slice slice = shared_slice(data, push);
@@ -41,7 +48,8 @@ api::Slice shared_slice_by_slot(const net::DataPort& data, const wire::Json& pus
 }  // namespace
 
 std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& request) {
-  if (request.value("command", "") == "push" && request.value("path", wire::Json()) == "shared")
+  if (request.value("command", "") == "push" && request.value("path", wire::Json()) == "shared" &&
+      !by_socket(data, request))
     return {request.value("order", "") == "plan" ? shared_slice_by_slot(data, request) : shared_slice(data, request)};
   const auto staged = request.find("staged");
   if (staged == request.end()) return {};
@@ -50,10 +58,10 @@ std::vector<api::Slice> staged_slices(net::DataPort& data, const wire::Json& req
   for (std::size_t member = 0; member < staged->size(); ++member) {
     const wire::Json& one = (*staged)[member];
     std::vector<api::Slice> of_member;
-    if (one.is_object())
+    if (one.is_object() && !by_socket(data, one))
       of_member.push_back(shared_slice_by_slot(data, one));
     else
-      of_member = data.take(one.get<std::uint64_t>());
+      of_member = data.take(one.is_object() ? one.at("number").get<std::uint64_t>() : one.get<std::uint64_t>());
     for (api::Slice& slice : of_member) {
       slice.member = static_cast<int>(member);
       if (slice.count > 0) slices.push_back(std::move(slice));

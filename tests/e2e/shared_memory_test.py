@@ -192,6 +192,67 @@ class SharedMemory(Refusals, ServiceTest):
             self.assertEqual(client.ask("scene.show", scene="listed")[0], before)
             client.step("listed", 9, columns[:, :3], listed, **by_slot)
 
+    def test_some_ranks_read_memory_and_others_get_slices(self):
+        n = len(self.walk[0])
+        with SharedClient(self.path) as client, Client(self.path) as judge:
+            for name in ("mixed", "mixed-by-id"):
+                client.ask("scene.create", scene=name, parts=7)
+            columns = client.positions(n, 4)  # of each row x, y, z, and an entry of the list of rows
+            listed = [{"name": name, "offset": 8 * k, "stride": 32} for k, name in enumerate(("x", "y", "z", "row"))]
+            columns[:, :3] = self.walk[0]
+            client.step("mixed", 0, columns[:, :3], listed[:3])
+            judge.push("mixed-by-id", 0, self.walk[0])
+
+            def plan():
+                answer, bulk = client.ask("plan", scene="mixed")
+                columns[:, 3].view("<i8")[:] = ids = arrays_of(answer, bulk)["id"]
+                return ({"order": "plan", "plan": answer["plan"], "counts": answer["counts"]},
+                        np.split(ids.copy(), np.cumsum(answer["counts"])[:-1]))
+
+            def send(step, points, by_slot, rows, sockets, slices_for=None):
+                columns[:, :3] = points
+                for rank in range(self.ranks):  # those that get slices don't read the memory
+                    if isinstance(sockets, list) and rank in sockets:
+                        columns[rows[rank], :3] = np.nan
+                begin = client.begin("mixed", step, columns[:, :3], listed, **by_slot, sockets=sockets)
+                frames = []
+                for rank in sockets if slices_for is None else slices_for:
+                    arrays, bulk = described({"xyz"[a]: points[rows[rank], a] for a in range(3)})
+                    frames.append((rank, frame(REQUEST, client.number, {
+                        "command": "push.slice", "scene": "mixed", "session": client.session, "step": step, "rank": rank,
+                        "attempt": client.attempts, "plan": by_slot["plan"], "count": len(rows[rank]), "arrays": arrays}, bulk)))
+                client.write(begin)
+                for rank, slice_frame in frames:
+                    client.links[rank].write(slice_frame)
+                return client.answer()[0]
+
+            by_slot, rows = plan()
+            for step, sockets in enumerate(([1], [0, 2], [0, 1, 2], []), start=1):
+                points = self.walk[step]
+                given = send(step, points, by_slot, rows, sockets)["report"]
+                expected = judge.push("mixed-by-id", step, points)[0]["report"]
+                self.assertEqual(given["way"], "shared-memory")
+                self.assertEqual(self.report(given), self.report(expected))
+                self.assertEqual(self.assign("mixed"), self.assign("mixed-by-id"))
+                by_slot, rows = plan()
+            before = client.ask("scene.show", scene="mixed")[0]
+            for wrong in ([3], [-1], [1, 1], [1, 0], "1", 1, [1.5], [None], [0] * 4):
+                self.assertIn("sockets", self.refused("invalid_argument", send, 5, points, by_slot, rows, wrong, []))
+            self.assertIn("sockets", self.refused("invalid_argument", client.step, "mixed", 5, columns[:, :3], listed[:3], sockets=[1]))
+            # A slice that another rank reads from memory is dropped; one that doesn't come is missed at the deadline.
+            by_slot["deadline_seconds"] = 1
+            self.refused("deadline_exceeded", send, 5, points, by_slot, rows, [1, 2], [0, 1])
+            self.assertEqual(client.ask("scene.show", scene="mixed")[0], before)
+            by_slot["deadline_seconds"] = 60
+            send(6, points, by_slot, rows, [2])
+            # Ranks whose slices would come have no particles.
+            client.ask("scene.create", scene="mixed", parts=1, replace=True)
+            columns[:, :3] = points
+            client.step("mixed", 0, columns[:, :3], listed[:3])
+            by_slot, rows = plan()
+            self.assertEqual(by_slot["counts"], [0, 0, n])
+            send(1, points, by_slot, rows, [0, 1], [])
+
     def test_memory_that_is_not_what_it_should_be(self):
         points, n = self.walk[0], len(self.walk[0])
         before = self.at_rest()

@@ -9,18 +9,6 @@
 #include "client/lib/session/push_source.hpp"
 
 namespace rcb::client {
-namespace {
-
-std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights) {
-  std::vector<Column> columns;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(positions.dims); ++a)
-    columns.push_back(axis_column(positions, a));
-  if (!weights.empty()) columns.push_back({"w", "<f8", weights.data(), 1});
-  return columns;
-}
-
-}  // namespace
-
 Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
   const Path path = session().path();
   const bool large = n == 0 || n * static_cast<std::uint64_t>(dims) * sizeof(double) >= kDirectBytesMin;
@@ -33,6 +21,14 @@ Result<bool> MemberScene::State::wants_direct(const Deadline& deadline) const {
 std::optional<std::span<const std::uint64_t>> MemberScene::State::moved_rows(const MemberStepOptions& with) const {
   if (!last_step || !up_to_date || send_all || !with.weights.empty()) return std::nullopt;
   return with.unmoved ? std::span<const std::uint64_t>() : with.moved;
+}
+
+// Whether few positions would be copied for nothing if the ranks on this host read them from shared memory.
+bool MemberScene::State::mostly_here(const std::vector<std::vector<std::uint64_t>>& rows,
+                                     const Positions& positions) const {
+  std::size_t apart = 0;
+  for (const int rank : session().ranks_apart()) apart += rows[static_cast<std::size_t>(rank)].size();
+  return arrays.gave(positions) || 2 * apart <= positions.count || session().path() == Path::shared;
 }
 
 Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
@@ -49,14 +45,17 @@ Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vec
   for (const auto& mine : rows) begin["counts"].push_back(mine.size());
   const Path path = session().path();
   if ((path == Path::automatic || path == Path::shared) && !share_unsupported && begin.at("moved") == "all" &&
-      positions.count > 0 && session().can_share(retry.deadline())) {
+      positions.count > 0 && session().can_share(retry.deadline()) && mostly_here(rows, positions)) {
     const RankRows lists(rows.begin(), rows.end());
     auto memory =
         arrays.describe(session(), {.positions = positions, .weights = with.weights, .rows = lists}, retry.deadline());
     if (memory) {
       begin["path"] = "shared";
       begin["memory"] = std::move(*memory);
-      return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, retry.deadline());
+      if (session().ranks_apart().empty())
+        return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, retry.deadline());
+      return session().exchange_apart(request, std::move(begin), edits.bytes, lists,
+                                      columns_of(positions, with.weights), what, retry.deadline());
     }
     if (memory.status().code() == Code::aborted) return memory.status();
     share_unsupported = true;
@@ -85,10 +84,8 @@ Result<Frame> MemberScene::State::push_by_sockets(wire::Json begin, std::uint64_
   } else {
     of_rank.assign(rows.begin(), rows.end());
   }
-  wire::Json slice{{"command", "push.slice"}};
-  for (const char* field : {"scene", "session", "step", "attempt", "plan"}) slice[field] = begin.at(field);
-  return session().exchange_directly(request, request_frame(request, begin) + edits.bytes, slice, of_rank, columns,
-                                     what, deadline);
+  return session().exchange_directly(request, request_frame(request, begin) + edits.bytes, slice_json(begin), of_rank,
+                                     columns, what, deadline);
 }
 
 Result<Frame> MemberScene::State::push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,

@@ -55,6 +55,7 @@ struct MemberScene::State {
   // again. Errors: base_lost, if there is none.
   Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
   // By the sockets of the ranks, or from memory that is shared with them. rows: by rank, of all particles.
+  bool mostly_here(const std::vector<std::vector<std::uint64_t>>& rows, const Positions& positions) const;
   Result<Frame> push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
                               const Positions& positions, const MemberStepOptions& with, const std::string& what,
                               const Retry& retry);

@@ -167,9 +167,17 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
 
 bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) {
   const Path path = session().path();
-  return (path == Path::automatic || path == Path::shared) && ask.moved == StepRequest::Moved::all &&
-         ask.positions.count > 0 && !ask.positions.in_plan_order() && !shared_unsupported_ &&
-         session().can_share(retry.deadline());
+  if ((path != Path::automatic && path != Path::shared) || ask.moved != StepRequest::Moved::all ||
+      ask.positions.count == 0 || ask.positions.in_plan_order() || shared_unsupported_ ||
+      !session().can_share(retry.deadline()))
+    return false;
+  const std::size_t apart = session().ranks_apart().size();
+  if (apart == 0) return true;
+  // The ranks on other hosts get slices, by a layout, which a first push hasn't. It is worth while if few positions are
+  // copied for nothing.
+  const bool large = ask.positions.count * static_cast<std::size_t>(dims_) * sizeof(double) >= kDirectBytesMin;
+  const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
+  return pushed_ && (path == Path::shared || (large && few_copies));
 }
 
 bool Scene::State::rows_are_ids(const StepRequest& ask) const {
@@ -200,7 +208,10 @@ Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask
   begin["order"] = by_id_ ? "id" : "plan";
   begin["memory"] = std::move(*memory);
   begin["slices"] = edits.count;
-  return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, deadline);
+  if (session().ranks_apart().empty())
+    return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, deadline);
+  return session().exchange_apart(request, std::move(begin), edits.bytes, std::move(rows),
+                                  columns_of(ask.positions, ask.options.weights), what, deadline);
 }
 
 Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns,
@@ -213,8 +224,7 @@ Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::ve
   const Path path = session().path();
   if (particles > 0 && (path == Path::direct || (path != Path::gateway && large))) {
     if (session().data(deadline) != nullptr) {
-      wire::Json slice{{"command", "push.slice"}};
-      for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice[name] = begin.at(name);
+      const wire::Json slice = slice_json(begin);
       begin["command"] = "push.begin";
       begin["path"] = "direct";
       begin["slices"] = edits.count;
@@ -382,7 +392,7 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   // From shared memory the ranks take the particles by id, where rows are ids. Then the layout is of use only to tell
   // which parts changed.
   shared_ = by_shared_memory(sent, retry);
-  by_id_ = shared_ && rows_are_ids(sent);
+  by_id_ = shared_ && session().ranks_apart().empty() && rows_are_ids(sent);
   const bool asked = sent.options.want_parts || sent.options.want_changes;
   const bool with_plan = (!by_id_ && sent.moved != StepRequest::Moved::none) || asked || sent.edits();
   if (shared_ && !with_plan) plan_.reset();

@@ -29,6 +29,20 @@ Column axis_column(const Positions& positions, std::size_t axis, const void* con
   return {kAxisNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
 }
 
+std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights) {
+  std::vector<Column> columns;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(positions.dims); ++a)
+    columns.push_back(axis_column(positions, a));
+  if (!weights.empty()) columns.push_back({"w", "<f8", weights.data(), 1});
+  return columns;
+}
+
+wire::Json slice_json(const wire::Json& begin) {
+  wire::Json slice{{"command", "push.slice"}};
+  for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice[name] = begin.at(name);
+  return slice;
+}
+
 RankRows all_rows(const layout::Layout& plan) {
   RankRows rows;
   for (int rank = 0; rank < plan.ranks(); ++rank) rows.push_back(plan.rows(rank));
@@ -43,15 +57,13 @@ std::size_t particle_bytes(std::span<const Column> columns) {
 
 PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
                        const std::string& edits, int edit_slices)
-    : rows_(std::move(rows)), columns_(std::move(columns)), request_(request) {
+    : rows_(std::move(rows)), columns_(std::move(columns)), request_(request), slice_json_(slice_json(begin)) {
   wire::Json json = begin;
   json["command"] = "push.begin";
   int slices = edit_slices;
   for (const auto& of_rank : rows_) slices += of_rank.empty() ? 0 : 1;
   json["slices"] = slices;
   begin_frame_ = request_frame(request, json) + edits;
-  for (const char* name : {"scene", "session", "step", "attempt", "plan"}) slice_json_[name] = begin.at(name);
-  slice_json_["command"] = "push.slice";
 }
 
 // Begins the frame of rank_'s slice.

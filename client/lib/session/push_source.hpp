@@ -39,6 +39,12 @@ struct Column {
 // An axis of the positions, double or float32. by_rank: its arrays by rank, if the positions are in layout order.
 Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank = nullptr);
 
+// The axes, and the weights if there are any.
+std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights);
+
+// The fields that every slice of a push has in common with its push.begin.
+wire::Json slice_json(const wire::Json& begin);
+
 // For each rank, the rows in its slice, in the order to be sent.
 using RankRows = std::vector<std::span<const std::uint64_t>>;
 RankRows all_rows(const layout::Layout& plan);

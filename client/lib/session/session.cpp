@@ -308,9 +308,19 @@ DataPath* Session::data(const Deadline& deadline) {
 }
 
 bool Session::can_share(const Deadline& deadline) {
-  const auto on_this_host = [](const std::string& address) { return address.starts_with("unix:"); };
-  return std::all_of(data_addresses_.begin(), data_addresses_.end(), on_this_host) && data(deadline) != nullptr &&
-         !share_refused_;
+  return ranks_apart().size() < static_cast<std::size_t>(ranks_) && data(deadline) != nullptr && !share_refused_;
+}
+
+bool Session::shares_with(int rank) const {
+  const auto r = static_cast<std::size_t>(rank);
+  return r < data_addresses_.size() && data_addresses_[r].starts_with("unix:");
+}
+
+std::vector<int> Session::ranks_apart() const {
+  std::vector<int> apart;
+  for (int rank = 0; rank < ranks_; ++rank)
+    if (!shares_with(rank)) apart.push_back(rank);
+  return apart;
 }
 
 Status Session::share(const SharedMemory& memory, std::int64_t number, const Deadline& deadline) {
@@ -326,15 +336,16 @@ void Session::unshare(std::int64_t number, const Deadline& deadline) {
 
 Status Session::ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline) {
   if (!data_) return {Code::aborted, "the connections to the ranks were lost"};
-  std::vector<std::uint64_t> requests;
+  std::vector<std::pair<int, std::uint64_t>> requests;
   Status lost, refused;
   for (int rank = 0; rank < ranks_ && lost; ++rank) {
-    const std::string frame = request_frame(requests.emplace_back(next_request()), request);
+    if (!shares_with(rank)) continue;
+    const std::string frame = request_frame(requests.emplace_back(rank, next_request()).second, request);
     lost = data_->connection(rank).send_at_once(std::as_bytes(std::span(frame)), descriptor);
   }
-  for (std::size_t rank = 0; rank < requests.size() && lost; ++rank) {
-    Connection& link = data_->connection(static_cast<int>(rank));
-    const Status answer = await_answer(link, requests[rank], deadline).status();
+  for (std::size_t k = 0; k < requests.size() && lost; ++k) {
+    Connection& link = data_->connection(requests[k].first);
+    const Status answer = await_answer(link, requests[k].second, deadline).status();
     if (!answer && !link.lost())
       lost = answer;
     else if (!answer && refused)
@@ -432,6 +443,16 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
     data_stalls_ = 0;
   }
   return answer;
+}
+
+Result<Frame> Session::exchange_apart(std::uint64_t request, wire::Json begin, const std::string& edits, RankRows rows,
+                                      std::span<const Column> columns, const std::string& what,
+                                      const Deadline& deadline) {
+  begin["sockets"] = ranks_apart();
+  for (int rank = 0; rank < ranks_; ++rank)
+    if (shares_with(rank)) rows[static_cast<std::size_t>(rank)] = {};
+  return exchange_directly(request, request_frame(request, begin) + edits, slice_json(begin), rows, columns, what,
+                           deadline);
 }
 
 Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {

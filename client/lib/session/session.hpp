@@ -106,11 +106,14 @@ class Session {
   DataPath* data(const Deadline& deadline);
   // Rises whenever data() is opened anew; what was shared over older connections is shared no more.
   std::uint64_t data_generation() const { return data_generation_; }
-  // Whether all ranks can share memory with this client: they are on its host, and none has refused it.
+  // Whether ranks can share memory with this client: some are on its host, and none of them has refused it.
   bool can_share(const Deadline& deadline);
+  bool shares_with(int rank) const;
+  // The ranks, ascending, that don't share memory: they are on other hosts.
+  std::vector<int> ranks_apart() const;
   // Numbers name the memory that this session shares.
   std::int64_t next_memory() { return next_memory_++; }
-  // Shares the memory with every rank, under this number. Errors: too_large and unsupported (a rank refuses it),
+  // Shares the memory with every rank on this host, under this number. Errors: too_large and unsupported (a rank refuses it),
   // aborted (a rank was lost).
   Status share(const SharedMemory& memory, std::int64_t number, const Deadline& deadline);
   void unshare(std::int64_t number, const Deadline& deadline);
@@ -124,6 +127,10 @@ class Session {
   Result<Frame> exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
                                   const std::vector<std::span<const std::uint64_t>>& rows,
                                   std::span<const Column> columns, const std::string& what, const Deadline& deadline);
+  // Likewise for a push from shared memory in layout order: slices go to the ranks that don't share it. edits: frames.
+  Result<Frame> exchange_apart(std::uint64_t request, wire::Json begin, const std::string& edits,
+                               std::vector<std::span<const std::uint64_t>> rows, std::span<const Column> columns,
+                               const std::string& what, const Deadline& deadline);
   Path path() const { return options_.path; }
   // True once after a push whose direct path broke; the next push takes another path, or new connections.
   bool data_lost();
@@ -159,7 +166,7 @@ class Session {
   Result<Frame> await_answer(Connection& link, std::uint64_t request, const Deadline& deadline);
   Result<Frame> await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline);
   Status open_data(const Deadline& deadline);
-  // Sends every rank a request over data(), with a descriptor unless it is -1, and waits for all answers.
+  // Sends every rank on this host a request over data(), with a descriptor unless it is -1, and waits for all answers.
   Status ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline);
   void give_up_data();
   Status lost_connection() const;

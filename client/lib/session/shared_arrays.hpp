@@ -46,6 +46,8 @@ class SharedArrays {
   // The field "memory" of such a push. Copies what isn't in the arrays given out, and shares memory with the ranks
   // where that wasn't done on these connections. Errors: of Session::share, io_error.
   Result<wire::Json> describe(Session& session, const Values& values, const Deadline& deadline);
+  // Whether these positions are in the arrays given out.
+  bool gave(const Positions& positions) const;
   // The next push shares its memory anew.
   void share_again() { given_.anew = copies_.anew = lists_.anew = true; }
   // The ranks are to forget the memory.
@@ -59,8 +61,6 @@ class SharedArrays {
   };
   Result<Room> make_given(std::size_t count, int dims, std::size_t width, Order order);
   std::byte* first_given();
-  // Whether the positions lie in the arrays given out.
-  bool gave(const Positions& positions) const;
 
   // Memory and where it is known.
   struct Block {

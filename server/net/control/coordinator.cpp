@@ -270,10 +270,11 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
     for (std::uint64_t r = 0; r < ranks; ++r)
       counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
   CHECK(counts.size() == ranks, "a count for each rank");
-  const bool contribution = push->round != nullptr;
-  for (std::size_t r = 0; contribution && r < ranks; ++r) push->whole[r] = counts[r] == 0 || terms.moved == Moved::none;
+  for (std::size_t r = 0; r < ranks; ++r) counts[r] = terms.direct(static_cast<int>(r)) ? counts[r] : 0;
+  const bool some = push->round != nullptr || terms.from_memory();  // not every rank gets a slice
+  for (std::size_t r = 0; some && r < ranks; ++r) push->whole[r] = counts[r] == 0 || terms.moved == Moved::none;
   if (terms.moved == Moved::none) return;  // no slices will come
-  data_->open({push->number, terms, contribution}, counts);
+  data_->open({push->number, terms, some}, counts);
 }
 
 std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {

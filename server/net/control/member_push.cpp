@@ -205,7 +205,7 @@ bool MemberGroups::answer_again(const MemberAnswers& answers, Delivery* delivery
   if (answers.step != begin.id.step || member >= answers.sessions.size() ||
       answers.sessions[member] != begin.id.session)
     return false;
-  if (begin.json.value("path", Json()) == "direct") coordinator_.refuse_directly(begin.id);
+  if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);
   Delivery::To to{member, begin.connection, begin.request, begin.json, true};
   if (delivery != nullptr)
     delivery->to.push_back(std::move(to));
@@ -235,7 +235,9 @@ namespace {
 Json staged_by(const OpenPush& contribution) {
   const PushTerms& terms = contribution.slices.terms();
   if (!terms.from_memory()) return contribution.number;
-  return {{"session", terms.id.session},
+  return {{"number", contribution.number},
+          {"sockets", terms.by_socket},
+          {"session", terms.id.session},
           {"memory", contribution.begin.at("memory")},
           {"n", terms.n},
           {"dtype", terms.is_float32 ? "<f4" : "<f8"},

@@ -62,7 +62,7 @@ awaitable<void> Session::push_begin(Request& request) {
   coordinator_->gate(id->scene).wake();
   coordinator_->erase_gate_if_unused(id->scene);
   if (!status.ok()) {
-    if (id->step >= 0 && request.json.value("path", Json()) == "direct") coordinator_->refuse_directly(*id);
+    if (id->step >= 0 && may_bring_slices(request.json)) coordinator_->refuse_directly(*id);
     fail(request.number, status);
   }
   if (push && push->slices.terms().direct())
@@ -77,8 +77,8 @@ awaitable<void> Session::begin_contribution(Request& request, const PushId& id) 
   const auto joins = [&gate] { return gate.push && gate.push->round; };
   Status status = co_await wait_turn(request, id.scene, ready, joins);
   const Json path = request.json.value("path", Json());
-  const bool direct = path == "direct";
-  if (status.ok() && (direct || path == "shared") && coordinator_->data_addresses(entrance_.endpoint).empty())
+  const bool slices = may_bring_slices(request.json);
+  if (status.ok() && (path == "direct" || path == "shared") && coordinator_->data_addresses(entrance_.endpoint).empty())
     status = Status(Code::unsupported, "this endpoint has no direct path", "push in order \"id\"");
   if (status.ok() && path == "shared" && id.session != number_) status = foreign_memory();
   if (status.ok())
@@ -87,7 +87,7 @@ awaitable<void> Session::begin_contribution(Request& request, const PushId& id) 
   coordinator_->gate(id.scene).wake();
   coordinator_->erase_gate_if_unused(id.scene);
   if (status.ok()) co_return;
-  if (direct) coordinator_->refuse_directly(id);
+  if (slices) coordinator_->refuse_directly(id);
   fail(request.number, status);
 }
 
@@ -110,6 +110,7 @@ awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
         });
   };
   coordinator_->receive_directly(push);
+  if (push->ready()) co_await order_push(push);  // the ranks that get slices have no particles
 }
 
 Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, const PushId& id) {

@@ -186,6 +186,10 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   return terms;
 }
 
+bool may_bring_slices(const wire::Json& request) {
+  return request.value("path", wire::Json()) == "direct" || request.contains("sockets");
+}
+
 Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,
                          std::uint64_t count) {
   const auto specs = wire::array_specs(request, bulk_bytes);

@@ -48,6 +48,9 @@ enum class Pusher { client, member };
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const api::SceneSummary& scene,
                                   int ranks, std::uint64_t bytes_max, Pusher pusher = Pusher::client);
 
+// Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.
+bool may_bring_slices(const wire::Json& request);
+
 // A slice of `count` particles with the arrays that the terms require, still without bytes.
 // Errors: invalid_argument, protocol_error (the connection must end).
 Result<Slice> make_slice(const wire::Json& request, std::uint64_t bulk_bytes, const PushTerms& terms, int rank,

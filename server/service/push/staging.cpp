@@ -294,7 +294,7 @@ std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) 
 void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged) {
   if (push.moved == Moved::none) return;  // the kept memory stays for a later push
   scene.spare = {};
-  if (push.from_memory() || staged.joined) scene.spare = std::move(staged.arrays.position);
+  if (push.from_memory(context.comm.rank()) || staged.joined) scene.spare = std::move(staged.arrays.position);
   Spare spare{scene.name, {}};
   if (push.staged) {
     for (auto& axis : staged.arrays.position)
@@ -327,7 +327,7 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   if (push.moved == Moved::some) {
     Status status = receive_subset(context, scene, push, staged.arrays, staged.subset, ready);
     if (!status.ok()) return status;
-  } else if (push.from_memory() && push.members() == 0) {
+  } else if (push.from_memory(comm.rank()) && push.members() == 0) {
     ready = read_shared(context, scene, push, mine, staged);
     if (!scene.pushed)
       if (Status status = agree_status(comm, ready); !status.ok()) return status;
