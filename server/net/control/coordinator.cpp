@@ -270,11 +270,13 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
     for (std::uint64_t r = 0; r < ranks; ++r)
       counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
   CHECK(counts.size() == ranks, "a count for each rank");
-  for (std::size_t r = 0; r < ranks; ++r) counts[r] = terms.direct(static_cast<int>(r)) ? counts[r] : 0;
-  const bool some = push->round != nullptr || terms.from_memory();  // not every rank gets a slice
-  for (std::size_t r = 0; some && r < ranks; ++r) push->whole[r] = counts[r] == 0 || terms.moved == Moved::none;
-  if (terms.moved == Moved::none) return;  // no slices will come
-  data_->open({push->number, terms, some}, counts);
+  std::vector<std::optional<std::uint64_t>> expected(ranks);
+  for (std::size_t r = 0; r < ranks; ++r) {
+    const bool member_has_none = push->round != nullptr && counts[r] == 0;
+    if (terms.direct(static_cast<int>(r)) && terms.moved != Moved::none && !member_has_none) expected[r] = counts[r];
+    push->whole[r] = !expected[r];
+  }
+  if (std::ranges::count(push->whole, false) > 0) data_->open({push->number, terms}, expected);
 }
 
 std::shared_ptr<OpenPush> Coordinator::find_push(std::uint64_t number) const {

@@ -110,7 +110,6 @@ awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
         });
   };
   coordinator_->receive_directly(push);
-  if (push->ready()) co_await order_push(push);  // the ranks that get slices have no particles
 }
 
 Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, const PushId& id) {

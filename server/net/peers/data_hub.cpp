@@ -6,13 +6,12 @@ namespace rcb::net {
 
 DataHub::DataHub(DoorbellHub& doorbells, DataPort& own, int ranks) : doorbells_(doorbells), own_(own), ranks_(ranks) {}
 
-void DataHub::open(const PushTicket& ticket, std::span<const std::uint64_t> counts) {
+void DataHub::open(const PushTicket& ticket, std::span<const std::optional<std::uint64_t>> counts) {
   for (int rank = 1; rank < ranks_; ++rank)
-    if (const std::uint64_t count = counts[static_cast<std::size_t>(rank)]; count > 0 || !ticket.share)
-      doorbells_.tell(rank, ticket_json(ticket, count));
-  if (counts[0] == 0 && ticket.share) return;
+    if (const auto count = counts[static_cast<std::size_t>(rank)]) doorbells_.tell(rank, ticket_json(ticket, *count));
+  if (!counts[0]) return;
   PushTicket mine = ticket;
-  mine.terms.n = counts[0];
+  mine.terms.n = *counts[0];
   own_.open(std::move(mine));
 }
 

@@ -9,7 +9,7 @@ namespace rcb::net {
 class DataHub final : public DataPlane {
  public:
   DataHub(DoorbellHub& doorbells, DataPort& own, int ranks);
-  void open(const PushTicket& ticket, std::span<const std::uint64_t> counts) override;
+  void open(const PushTicket& ticket, std::span<const std::optional<std::uint64_t>> counts) override;
   void drop(const PushId& id) override;
 
  private:

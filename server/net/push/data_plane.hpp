@@ -11,6 +11,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -24,7 +25,6 @@ namespace rcb::net {
 struct PushTicket {
   std::uint64_t number = 0;  // the push's number, given by the coordinator
   PushTerms terms;           // n: particles of this rank alone
-  bool share = false;  // a member's contribution: ranks that get none of its particles aren't told, and don't report
 };
 
 // A rank's report on its slice of a push.
@@ -43,8 +43,8 @@ Result<PushTicket> read_ticket(const wire::Json& json);
 class DataPlane {
  public:
   virtual ~DataPlane() = default;
-  // counts: by rank.
-  virtual void open(const PushTicket& ticket, std::span<const std::uint64_t> counts) = 0;
+  // counts: by rank, of the slice's particles; ranks without one aren't told, and don't report.
+  virtual void open(const PushTicket& ticket, std::span<const std::optional<std::uint64_t>> counts) = 0;
   virtual void drop(const PushId& id) = 0;
 };
 

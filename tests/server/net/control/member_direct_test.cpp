@@ -45,13 +45,15 @@ class OneScene final : public Engine {
   std::vector<Json> pushed;
 };
 
+using Counts = std::vector<std::optional<std::uint64_t>>;
+
 class Notes final : public DataPlane {
  public:
   struct Opened {
     PushTicket ticket;
-    std::vector<std::uint64_t> counts;
+    Counts counts;
   };
-  void open(const PushTicket& ticket, std::span<const std::uint64_t> counts) override {
+  void open(const PushTicket& ticket, std::span<const std::optional<std::uint64_t>> counts) override {
     const std::lock_guard lock(mutex);
     opened.push_back({ticket, {counts.begin(), counts.end()}});
   }
@@ -145,10 +147,9 @@ TEST_F(MemberDirect, AStepIsOrderedWhenEveryRankHasWhatEveryMemberBrings) {
   settle();
   ASSERT_EQ(plane_.opened.size(), 1U);
   const PushTicket& ticket = plane_.opened[0].ticket;
-  EXPECT_TRUE(ticket.share);
   EXPECT_EQ(ticket.terms.id, (PushId{"s", kSessions[0], 8, 1}));
   EXPECT_EQ(ticket.terms.plan, (PlanId{2, 5}));
-  EXPECT_EQ(plane_.opened[0].counts, (std::vector<std::uint64_t>{4, 0, 1}));
+  EXPECT_EQ(plane_.opened[0].counts, (Counts{4, std::nullopt, 1}));
   const std::uint64_t first = ticket.number;
   whole(0, first);
   direct(1, {0, 3, 2}, {{"step_seconds", 0.5}});
@@ -188,7 +189,7 @@ TEST_F(MemberDirect, PlacesAreToldWhereAllAskForThem) {
   direct(0, {4, 3, 3}, {{"places", false}});
   direct(1, {0, 0, 0});
   settle();
-  ASSERT_EQ(plane_.opened.size(), 2U);
+  ASSERT_EQ(plane_.opened.size(), 1U);
   for (int rank = 0; rank < kRanks; ++rank) whole(rank, plane_.opened[0].ticket.number);
   EXPECT_EQ(team_[0].receive_but_notices().json["arrays"].size(), 1U);
   team_[1].receive_but_notices();
@@ -300,6 +301,29 @@ TEST_F(MemberDirect, OneBringsFewAndAnotherInserts) {
   EXPECT_EQ(pushed["inserted"], 2);
   EXPECT_EQ(pushed["removed"], 1);
   EXPECT_EQ(pushed["inserted_ids"], false);
+}
+
+TEST_F(MemberDirect, SharedMemoryAndSlicesInOneStep) {
+  join();
+  const auto array = [](const char* name) {
+    return Json{{"name", name}, {"number", 1}, {"offset", 0}, {"stride", 8}};
+  };
+  const Json memory{array("x"), array("y"), array("row")};
+  direct(0, {4, 0, 1}, {{"path", "shared"}, {"memory", memory}, {"sockets", {2, 1}}});
+  refused(0, "invalid_argument", "sockets");
+  direct(0, {4, 0, 1}, {{"path", "shared"}, {"memory", memory}, {"sockets", {1, 2}}});
+  direct(1, {0, 3, 2}, {{"path", "shared"}, {"memory", memory}});
+  settle();
+  // Rank 1 holds nothing of member 0, rank 0 reads its particles from memory, and so do all ranks those of member 1.
+  ASSERT_EQ(plane_.opened.size(), 1U);
+  EXPECT_EQ(plane_.opened[0].counts, (Counts{std::nullopt, std::nullopt, 1}));
+  EXPECT_EQ(pushed(), 0U);
+  whole(2, plane_.opened[0].ticket.number);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  const Json& staged = engine_.pushed.at(0)["staged"];
+  EXPECT_EQ(staged[0]["number"], plane_.opened[0].ticket.number);
+  EXPECT_EQ(staged[0]["sockets"], Json({1, 2}));
+  EXPECT_EQ(staged[1]["sockets"], Json::array());
 }
 
 TEST_F(MemberDirect, WhatDoesNotFitTheSceneIsRefusedAlone) {
