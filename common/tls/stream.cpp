@@ -22,6 +22,9 @@ constexpr std::size_t kBatchBytes = std::size_t{64} << 10U;
 // nobody may keep the I/O thread of a service by sending such.
 constexpr std::size_t kReadableBytes = std::size_t{1} << 20U;
 
+constexpr std::uint64_t kRenewalsMin = 16;
+constexpr std::uint64_t kRenewalBytes = std::uint64_t{1} << 20U;  // for each renewal more
+
 bool would_block() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }
 
 }  // namespace
@@ -99,6 +102,10 @@ Result<std::unique_ptr<Stream>> Stream::make(ssl_st* ssl, int socket) {
   }
   std::unique_ptr<Stream> stream(new Stream(ssl, socket));
   BIO_set_data(bio, stream.get());
+  SSL_set_msg_callback(ssl, [](int sent, int, int type, const void* message, std::size_t bytes, SSL*, void* self) {
+    static_cast<Stream*>(self)->count_message(sent != 0, type, message, bytes);
+  });
+  SSL_set_msg_callback_arg(ssl, stream.get());
   SSL_set_bio(ssl, bio, bio);
   return stream;
 }
@@ -152,6 +159,15 @@ Progress Stream::handshake() {
   return {Next::done};
 }
 
+void Stream::count_message(bool sent, int type, const void* message, std::size_t bytes) {
+  if (sent || type != SSL3_RT_HANDSHAKE || bytes == 0) return;
+  if (*static_cast<const unsigned char*>(message) != SSL3_MT_KEY_UPDATE) return;
+  ++renewals_;
+  if (renews_too_often()) readable_ = 0;  // OpenSSL would go on with the next one
+}
+
+bool Stream::renews_too_often() const { return renewals_ > kRenewalsMin + received_ / kRenewalBytes; }
+
 Progress Stream::read(std::span<std::byte> bytes) {
   readable_ = kReadableBytes;
   std::size_t have = 0;
@@ -159,6 +175,8 @@ Progress Stream::read(std::span<std::byte> bytes) {
     std::size_t got = 0;
     clear_errors();
     const int returned = SSL_read_ex(ssl_, bytes.data() + have, bytes.size() - have, &got);
+    received_ += got;
+    if (renews_too_often()) return fail("it renews its keys without need");
     if (returned != 1 && have > 0) break;  // it will say so again
     if (returned != 1) {
       const Progress progress = stopped(returned);

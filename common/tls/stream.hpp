@@ -4,11 +4,13 @@
 // Invariants
 // 1. Nothing older than TLS 1.3 is spoken; no session is resumed, so that every connection shows a certificate.
 // 2. A peer whose first byte isn't TLS's is sent nothing, so that its caller can still answer it without TLS.
-// 3. A call takes a bounded number of bytes from the socket, whatever comes.
+// 3. A call takes a bounded number of bytes from the socket, whatever comes, and a peer renews its keys at most once a
+//    MiB of data, since a renewal takes as long as the decryption of many bytes.
 // 4. Whose certificate it is isn't judged here: whoever uses certificate() must (common/auth).
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
@@ -72,6 +74,9 @@ class Stream {
   // Looks at the peer's first byte, unless that is known; false with errno if it hasn't come.
   bool look_at_first_byte();
   Next flush();
+  // Called for each message of TLS itself.
+  void count_message(bool sent, int type, const void* message, std::size_t bytes);
+  bool renews_too_often() const;
   Progress stopped(int returned);
   Progress fail(std::string why);
   Progress lose(int error);
@@ -83,7 +88,9 @@ class Stream {
   bool peer_has_begun_ = false;
   bool peer_has_gone_ = false;
   std::string certificate_;
-  std::size_t readable_ = 0;  // bytes that this call may still take from the socket
+  std::size_t readable_ = 0;    // bytes that this call may still take from the socket
+  std::uint64_t received_ = 0;  // bytes of data
+  std::uint64_t renewals_ = 0;  // of the peer's keys
   std::string outgoing_;      // encrypted, to be sent
   std::size_t flushed_ = 0;   // of outgoing_
   std::size_t accepted_ = 0;  // bytes of the caller's that are in outgoing_, and not yet reported as written

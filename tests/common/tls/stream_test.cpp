@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "common/base/buffer.hpp"
+#include "common/tls/openssl.hpp"
 
 namespace rcb::tls {
 namespace {
@@ -196,6 +197,47 @@ int versions_agreed(const Identity& identity, int lowest, int highest) {
   SSL_free(client);
   SSL_CTX_free(context);
   return version;
+}
+
+// A peer that renews its keys `times` times, after `data` bytes of data each; the last progress of the service's reads.
+Progress after_renewals(int times, std::size_t data) {
+  const auto identity = Identity::make().value();
+  const Pair pair;
+  const auto service = std::move(Stream::accept(*identity, pair.service()).value());
+  const ContextPointer context(SSL_CTX_new(TLS_client_method()));
+  const std::unique_ptr<SSL, Free<SSL, SSL_free>> client(SSL_new(context.get()));
+  SSL_set_fd(client.get(), pair.client());
+  for (int turn = 0; turn < 100 && (SSL_connect(client.get()) != 1 || !service->open()); ++turn) service->handshake();
+  EXPECT_TRUE(service->open());
+  const Bytes bytes = random_bytes(10000, 3);
+  Bytes piece(50000);
+  Progress progress{Next::wait_readable};
+  const auto read = [&] {
+    do progress = service->read(piece);
+    while (progress.next == Next::done);
+  };
+  for (int k = 0; k < times && progress.next != Next::failed; ++k) {
+    for (std::size_t sent = 0; sent < data && progress.next != Next::failed;) {
+      std::size_t put = 0;
+      if (SSL_write_ex(client.get(), bytes.data(), bytes.size(), &put) == 1) sent += put;
+      read();
+    }
+    EXPECT_EQ(SSL_key_update(client.get(), SSL_KEY_UPDATE_NOT_REQUESTED), 1);
+    while (progress.next != Next::failed && SSL_do_handshake(client.get()) != 1) read();
+    if (k % 8 == 7) read();  // several at once
+  }
+  read();
+  if (progress.next == Next::failed) {
+    EXPECT_NE(service->why().find("renews its keys"), std::string::npos) << service->why();
+  }
+  return progress;
+}
+
+TEST(Stream, APeerThatOnlyRenewsItsKeysIsNotReadOn) {
+  EXPECT_EQ(after_renewals(16, 0).next, Next::wait_readable);
+  EXPECT_EQ(after_renewals(17, 0).next, Next::failed);
+  EXPECT_EQ(after_renewals(1000, 0).next, Next::failed);
+  EXPECT_EQ(after_renewals(40, std::size_t{1} << 20U).next, Next::wait_readable);
 }
 
 TEST(Stream, NothingOlderThanTls13IsSpoken) {
