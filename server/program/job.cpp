@@ -23,6 +23,12 @@
 #include "server/net/files/socket_name.hpp"
 
 namespace rcb::server {
+
+std::string job_folder() {
+  const char* folder = std::getenv(kJobFolderVariable);
+  return folder != nullptr && folder[0] == '/' ? folder : "/tmp";
+}
+
 namespace {
 
 char g_job_folder[256];
@@ -59,8 +65,7 @@ void on_hangup(int) {
 
 // Checks the folder's name first, since the folder is later removed with everything in it.
 void remember_job_folder() {
-  const char* folder = std::getenv(kJobFolderVariable);
-  const std::string_view path = folder != nullptr ? folder : "";
+  const std::string path = job_folder();
   if (path.starts_with('/') && path.size() < sizeof g_job_folder &&
       path.substr(path.rfind('/') + 1).starts_with(kJobFolderPrefix))
     path.copy(g_job_folder, path.size());

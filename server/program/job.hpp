@@ -28,6 +28,9 @@ struct ConnectionLimits {
 // Of what the limit for open files leaves beside those that are open now.
 ConnectionLimits connection_limits(int ranks);
 
+// The job's folder, which the launcher removes at the end; /tmp for a job that it didn't start.
+std::string job_folder();
+
 // Removes these files; for a process that is about to end in disorder. Safe in a signal handler.
 void remove_traces() noexcept;
 

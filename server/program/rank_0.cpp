@@ -84,7 +84,8 @@ Status Rank0::open() {
                                           {.ranks = setup_.mpi.size(),
                                            .silence_seconds = setup_.config.silence_seconds,
                                            .hosts = several ? setup_.hosts.names() : std::vector<std::string>(),
-                                           .interface = setup_.config.interface},
+                                           .interface = setup_.config.interface,
+                                           .folder = job_folder()},
                                           die);
   if (!doorbells.ok()) return doorbells.status();
   doorbells_ = std::move(*doorbells);

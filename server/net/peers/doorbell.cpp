@@ -1,13 +1,17 @@
 #include "server/net/peers/doorbell.hpp"
 
+#include <cerrno>
 #include <cmath>
 #include <condition_variable>
+#include <cstdlib>
+#include <cstring>
 #include <mutex>
 #include <utility>
 #include <vector>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <unistd.h>
 
 #include "common/auth/proof.hpp"
 #include "common/base/tcp_peer.hpp"
@@ -114,12 +118,12 @@ Result<asio::ip::tcp::socket> connect_to_any(asio::io_context& context, const st
 }  // namespace
 
 std::string DoorbellAddress::text() const {
-  return wire::Json{{"name", name}, {"secret", secret}, {"tcp", tcp}}.dump();
+  return wire::Json{{"path", path}, {"secret", secret}, {"tcp", tcp}}.dump();
 }
 
 DoorbellAddress DoorbellAddress::parse(const std::string& text) {
   const wire::Json json = wire::Json::parse(text);
-  return {json.at("name").get<std::string>(), json.at("secret").get<std::string>(),
+  return {json.at("path").get<std::string>(), json.at("secret").get<std::string>(),
           json.at("tcp").get<std::vector<std::string>>()};
 }
 
@@ -133,7 +137,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
   State(IoLoop& io, HubOptions chosen, LostHandler handler)
       : loop(io),
         options(std::move(chosen)),
-        address{"rcbd-doorbell-" + auth::random_hex(16), auth::random_hex(32), {}},
+        address{{}, auth::random_hex(32), {}},
         door({.listener = kListener,
               .credentials = Credentials{address.secret, {}},  // without TLS, as MPI is
               .hello_seconds = kHandshakeSeconds,
@@ -143,19 +147,38 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
         lost(std::move(handler)) {}
 
   template <typename Acceptor>
-  void accept(Acceptor& listener) {
+  void accept(Acceptor& acceptor) {
     auto take = [self = shared_from_this()](Socket socket, const Status& peer) {
       if (!peer.ok()) return;  // closes it
       auto connection = std::make_shared<Connection>(std::move(socket), kFrameSeconds);
       asio::co_spawn(
           self->loop.context(), [self, connection] { return self->serve(connection); }, asio::detached);
     };
-    asio::co_spawn(loop.context(), accept_all(loop.context(), listener, std::move(take)), asio::detached);
+    asio::co_spawn(loop.context(), accept_all(loop.context(), acceptor, std::move(take)), asio::detached);
+  }
+
+  // In a folder of its own: to a socket that other users can reach they could send descriptors whose end, in the kernel,
+  // holds up whoever closes the connection.
+  Status listen_here() {
+    std::string folder = options.folder + "/doorbell-XXXXXX";
+    if (::mkdtemp(folder.data()) == nullptr)
+      return {Code::io_error, fmt::format("no folder in {} can be made: {}", options.folder, std::strerror(errno))};
+    address.path = folder + "/socket";
+    auto listening = listen_unix(loop.context(), address.path);
+    if (!listening.ok()) return listening.status();
+    listener.emplace(std::move(*listening));
+    accept(listener->acceptor);
+    return {};
+  }
+
+  void remove_files() {
+    if (listener) listener->name.remove();
+    if (!address.path.empty()) ::rmdir(address.path.substr(0, address.path.rfind('/')).c_str());
   }
 
   void listen_no_more() {
     error_code ignored;
-    if (acceptor) acceptor->close(ignored);
+    if (listener) listener->acceptor.close(ignored);
     if (tcp_acceptor) tcp_acceptor->close(ignored);
   }
 
@@ -198,7 +221,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
   IoLoop& loop;
   HubOptions options;
   DoorbellAddress address;
-  std::optional<UnixAcceptor> acceptor;
+  std::optional<UnixListener> listener;
   std::optional<TcpAcceptor> tcp_acceptor;
   Door door;
   std::vector<Peer> peers;  // by rank; [0] is unused
@@ -211,15 +234,12 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
 };
 
 DoorbellHub::DoorbellHub(std::shared_ptr<State> state) : state_(std::move(state)) {}
-DoorbellHub::~DoorbellHub() = default;
+DoorbellHub::~DoorbellHub() { state_->remove_files(); }
 
 Result<std::unique_ptr<DoorbellHub>> DoorbellHub::open(IoLoop& loop, HubOptions options, LostHandler lost) {
   auto state = std::make_shared<State>(loop, std::move(options), std::move(lost));
   if (state->options.ranks > 1) {
-    Result<UnixAcceptor> acceptor = listen_nameless(loop.context(), state->address.name);
-    if (!acceptor.ok()) return acceptor.status();
-    state->acceptor.emplace(std::move(*acceptor));
-    state->accept(*state->acceptor);
+    if (Status status = state->listen_here(); !status.ok()) return status;
   }
   // A misspelt interface is an error on one machine too.
   if (const auto found = addresses_on(state->options.interface); !state->options.interface.empty() && !found.ok())
@@ -237,7 +257,9 @@ const DoorbellAddress& DoorbellHub::address() const { return state_->address; }
 
 Status DoorbellHub::wait_connected(double seconds) {
   State& state = *state_;
-  if (state.gathering.wait(seconds, [&] { return state.connected + 1 == state.peers.size(); })) return {};
+  const bool all = state.gathering.wait(seconds, [&] { return state.connected + 1 == state.peers.size(); });
+  state.remove_files();
+  if (all) return {};
   return {Code::deadline_exceeded,
           fmt::format("only {} of {} ranks came within {} s", state.connected + 1, state.peers.size(), seconds)};
 }
@@ -368,7 +390,7 @@ Result<std::unique_ptr<Doorbell>> Doorbell::connect(IoLoop& loop, int rank, cons
   error_code error;
   if (same_host) {
     asio::local::stream_protocol::socket socket(loop.context());
-    socket.connect({nameless_address(address.name)}, error);
+    socket.connect({address.path}, error);
     if (error) return Status(Code::unavailable, fmt::format("rank {} can't reach rank 0: {}", rank, error.message()));
     state->connection = std::make_shared<Connection>(Socket(std::move(socket)), kFrameSeconds);
   } else {

@@ -31,7 +31,7 @@ inline constexpr double kTickSeconds = 2;
 
 // Where rank 0's DoorbellHub listens; rank 0 sends this to the other ranks through MPI.
 struct DoorbellAddress {
-  std::string name;  // of an abstract socket (listen_nameless())
+  std::string path;  // of a Unix socket; empty if there are no other ranks
   std::string secret;
   std::vector<std::string> tcp;  // HOST:PORT, in the order to be tried; empty unless ranks are on other machines
 
@@ -44,6 +44,7 @@ struct HubOptions {
   double silence_seconds = 15;
   std::vector<std::string> hosts = {};  // by rank, for messages; empty: all are on one machine, and there is no TCP
   std::string interface = {};           // for TCP, as addresses_on() takes it
+  std::string folder = "/tmp";          // for a folder with the Unix socket
 };
 
 // Handles peer messages: those between I/O threads that aren't orders (data_plane.hpp). From rank 0, orders and peer

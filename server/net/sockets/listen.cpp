@@ -138,18 +138,6 @@ void LastingListener::close() {
   listeners_.back().acceptor.close(ignored);
 }
 
-Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name) {
-  UnixAcceptor acceptor(context);
-  error_code error;
-  acceptor.open({}, error);
-  if (!error) acceptor.bind({nameless_address(name)}, error);
-  if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
-  if (error) return Status(Code::io_error, fmt::format("can't listen at {}: {}", name, error.message()));
-  return acceptor;
-}
-
-std::string nameless_address(const std::string& name) { return std::string(1, '\0') + name; }
-
 Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network) {
   Result<HostPort> parts = split(where);
   if (!parts.ok()) return parts.status();

@@ -58,10 +58,6 @@ class LastingListener {
   std::shared_ptr<int> there_ = std::make_shared<int>();  // whose end tells a look that this object has gone
 };
 
-// Listens on an abstract socket (Linux), which has no name in the file system, so that none can be left there. Any user
-// of the machine can connect: hence check_peer_user(). Errors: io_error.
-Result<UnixAcceptor> listen_nameless(asio::io_context& context, const std::string& name);
-std::string nameless_address(const std::string& name);
 // where: HOST:PORT or [V6]:PORT; port 0 takes a free one. Errors: invalid_argument (also if other machines could reach
 // it and nothing protects what they say), busy, io_error.
 Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network);

@@ -291,6 +291,13 @@ Status write_own_parts(Context& context, const Scene& scene, const std::string& 
   const int ranks = context.comm.size();
   const std::int64_t begin = layout::part_begin(context.comm.rank(), scene.options.parts, ranks);
   const std::int64_t end = layout::part_begin(context.comm.rank() + 1, scene.options.parts, ranks);
+  constexpr std::uint64_t kBytes = 1024;  // of a copied particle, as text too, and of a part
+  const std::uint64_t copied_at_once = std::min<std::uint64_t>(scene.part.size(), 2 * kParticles);
+  if (Status room = agree_room(context.comm,
+                               scene.part.size() * 8 + (copied_at_once + static_cast<std::uint64_t>(end - begin)) * kBytes,
+                               fmt::format("the files of {} particles", scene.part.size()));
+      !room.ok())
+    return room;
   const ByPart by = slots_by_part(scene, begin, end);
   FileWork work(context.files);
   const auto writer = std::make_shared<PartWriter>(context.roots, directory);

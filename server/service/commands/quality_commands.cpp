@@ -32,6 +32,13 @@ Result<std::optional<double>> ghost_width(const wire::Json& request) {
 Response quality(Context& context, Scene& s, const wire::Json& request) {
   const auto width = ghost_width(request);
   if (!width.ok()) return failed(width.status());
+  constexpr std::uint64_t kBytesOfPart = 1024;
+  constexpr std::uint64_t kReaches = std::uint64_t{32} << 20U;  // ranges of parts that are near a part's particles
+  if (Status room = agree_room(context.comm,
+                               s.part.size() * 8 + static_cast<std::uint64_t>(s.options.parts) * kBytesOfPart + kReaches,
+                               fmt::format("the quality of {} parts", s.options.parts));
+      !room.ok())
+    return failed(std::move(room));
   Status time;
   const auto found = partition::quality(context.comm, s.particles.view(), s.part.span(), s.options.parts, &s.tree,
                                         width.value(), while_in_time(context, time));

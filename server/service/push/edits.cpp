@@ -154,6 +154,8 @@ Status insert(comm::Comm& comm, Scene& scene, const Inserted& in, Edits& edits) 
       return {Code::invalid_argument, "no ids are left above the greatest ever used", "choose the ids yourself"};
     edits.first_id = static_cast<std::int64_t>(next);
   }
+  if (in.has_ids)
+    if (Status made = make_index(comm, scene); !made.ok()) return made;
   bool follow = !scene.ids && edits.removed == 0;
   std::uint64_t taken = kNone;
   if (edits.inserted > 0 && !scene.particles.has_weights) edits.inserted_counts.resize(scene.loads.counts.size());
@@ -168,9 +170,8 @@ Status insert(comm::Comm& comm, Scene& scene, const Inserted& in, Edits& edits) 
     if (in.has_weights) pieces.get(in.dims, piece.weight);
     if (in.has_ids) {
       pieces.get(in.ids(), piece.id);
-      const IdIndex& index = index_of(scene);
       for (const particles::Id id : piece.id)
-        if (index.slot.contains(id)) taken = std::min(taken, static_cast<std::uint64_t>(id));
+        if (scene.index.slot.contains(id)) taken = std::min(taken, static_cast<std::uint64_t>(id));
     } else {
       piece.id.resize(pieces.size());
       std::iota(piece.id.begin(), piece.id.end(), static_cast<particles::Id>(next + pieces.first()));

@@ -42,19 +42,21 @@ class Pieces {
   std::uint64_t first_ = 0;
 };
 
-// The index of this rank's ids: built once, in a scene that needs it, and then updated with the particles. Local.
-const IdIndex& index_of(Scene& scene);
+// Makes the index of each rank's ids, where it isn't there: it is built once, in a scene that needs it, and then updated
+// with the particles. Collective. Errors: too_large.
+Status make_index(comm::Comm& comm, Scene& scene);
 
 // What to answer where no rank has this id.
 Status not_held(particles::Id id, const char* doing);
 
 // Calls found(index in the piece, slot) for each of the distinct ids in this array of the slice that this rank holds,
-// after look() has fetched what else it needs of the piece. Errors: not_found, naming the first id that no rank holds.
+// after look() has fetched what else it needs of the piece. Errors: not_found, naming the first id that no rank holds; too_large.
 // Collective.
 template <typename Look, typename Found>
 Status find_held(comm::Comm& comm, Scene& scene, const PushSlice& slice, std::size_t array, std::uint64_t count,
                  const char* doing, const Look& look, const Found& found) {
-  const IdIndex& index = index_of(scene);
+  if (Status made = make_index(comm, scene); !made.ok()) return made;
+  const IdIndex& index = scene.index;
   Buffer<particles::Id> ids;
   std::uint64_t held = 0;
   for (Pieces pieces(comm, slice, count); !pieces.done(); pieces.next()) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 #include <limits>
+#include <new>
 #include <numeric>
 #include <utility>
 
@@ -220,10 +221,14 @@ void change_all(comm::Comm& comm, Scene& scene, Exports exports, std::span<const
 void keep_index(Scene& scene, const layout::SlotEdit& edit, const Exports& exports, const Arrivals& arrivals) {
   IdIndex& index = scene.index;
   if (index.plan_version != scene.plan_version) return;
-  for (const std::uint64_t slot : exports.slots) index.slot.erase(scene.particles.id[slot]);
-  for (const layout::SlotMove& move : edit.moves)
-    index.slot[move.arrival ? arrivals.particles.id[move.from] : scene.particles.id[move.from]] = move.to;
-  index.plan_version = scene.plan_version + 1;
+  try {
+    for (const std::uint64_t slot : exports.slots) index.slot.erase(scene.particles.id[slot]);
+    for (const layout::SlotMove& move : edit.moves)
+      index.slot[move.arrival ? arrivals.particles.id[move.from] : scene.particles.id[move.from]] = move.to;
+    index.plan_version = scene.plan_version + 1;
+  } catch (const std::bad_alloc&) {
+    index = {};  // who needs it makes it anew, and is told if there is no memory for it
+  }
 }
 
 }  // namespace

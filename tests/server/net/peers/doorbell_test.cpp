@@ -15,10 +15,13 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "tests/server/net/harness.hpp"
 #include "tests/support/wait.hpp"
 
 namespace rcb::net {
 namespace {
+
+using testing::Directory;
 
 // What a rank saw, readable from the test.
 class Log {
@@ -66,7 +69,7 @@ struct Rank {
 class Bells : public ::testing::Test {
  protected:
   void start(int ranks, PeerMessageHandler message = {}) {
-    auto opened = DoorbellHub::open(loop_, {.ranks = ranks, .silence_seconds = 6},
+    auto opened = DoorbellHub::open(loop_, {.ranks = ranks, .silence_seconds = 6, .folder = directory_.path()},
                                     [this](const std::string& what) { lost_.add(what); });
     ASSERT_TRUE(opened.ok());
     hub_ = std::move(*opened);
@@ -85,6 +88,7 @@ class Bells : public ::testing::Test {
   }
 
   ~Bells() override { loop_.stop(); }
+  Directory directory_;
   IoLoop loop_;
   Log lost_;
   std::unique_ptr<DoorbellHub> hub_;
@@ -92,7 +96,16 @@ class Bells : public ::testing::Test {
 };
 
 TEST_F(Bells, RingAlikeEverywhereAndLeaveNoFile) {
+  auto alone = DoorbellHub::open(loop_, {.ranks = 2, .folder = directory_.path()}, [](const std::string&) {});
+  ASSERT_TRUE(alone.ok());
+  // Nobody else of this machine can connect.
+  const std::filesystem::path folder = std::filesystem::path((*alone)->address().path).parent_path();
+  EXPECT_EQ(folder.parent_path(), directory_.path());
+  EXPECT_EQ(std::filesystem::status(folder).permissions(), std::filesystem::perms::owner_all);
+  alone->reset();
+  EXPECT_TRUE(std::filesystem::is_empty(directory_.path()));
   start(4);
+  EXPECT_TRUE(std::filesystem::is_empty(directory_.path()));
   std::vector<std::string> expected;
   for (std::uint64_t i = 1; i <= 200; ++i) {
     const std::string text = R"({"value":)" + std::to_string(i) + "}";
@@ -126,7 +139,7 @@ TEST_F(Bells, ADeadRankIsMissed) {
 
 TEST_F(Bells, ADeadCoordinatorIsMissed) {
   auto hub_loop = std::make_unique<IoLoop>();
-  auto opened = DoorbellHub::open(*hub_loop, {.ranks = 2, .silence_seconds = 6}, [](const std::string&) {});
+  auto opened = DoorbellHub::open(*hub_loop, {.ranks = 2, .silence_seconds = 6, .folder = directory_.path()}, [](const std::string&) {});
   ASSERT_TRUE(opened.ok());
   hub_loop->start();
   Rank rank;
@@ -174,8 +187,8 @@ class SlowLink {
  public:
   explicit SlowLink(const std::string& to) : to_(to) {
     listener_ = ::socket(AF_UNIX, SOCK_STREAM, 0);
-    const sockaddr_un address = named(name());
-    EXPECT_EQ(::bind(listener_, reinterpret_cast<const sockaddr*>(&address), size(name())), 0);
+    const sockaddr_un address = named(path());
+    EXPECT_EQ(::bind(listener_, reinterpret_cast<const sockaddr*>(&address), size(path())), 0);
     EXPECT_EQ(::listen(listener_, 1), 0);
     accept_ = std::thread([this] { carry(); });
   }
@@ -185,7 +198,7 @@ class SlowLink {
     accept_.join();
     for (const int socket : {listener_, near_, far_}) ::close(socket);
   }
-  std::string name() const { return to_ + "-slow"; }
+  std::string path() const { return to_ + "-slow"; }
   void let_pass(std::uint64_t bytes) {
     const std::lock_guard lock(mutex_);
     may_pass_ += bytes;
@@ -196,11 +209,11 @@ class SlowLink {
   static sockaddr_un named(const std::string& name) {
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
-    std::copy(name.begin(), name.end(), address.sun_path + 1);
+    std::copy(name.begin(), name.end(), address.sun_path);
     return address;
   }
   static socklen_t size(const std::string& name) {
-    return static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + name.size());
+    return static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + name.size());
   }
   void carry() {
     near_ = ::accept(listener_, nullptr, nullptr);
@@ -235,14 +248,14 @@ class SlowLink {
 };
 
 TEST_F(Bells, AnOrderThatTakesLongOverASlowLinkIsNoSilence) {
-  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6},
+  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6, .folder = directory_.path()},
                                   [this](const std::string& what) { lost_.add(what); });
   ASSERT_TRUE(opened.ok());
   hub_ = std::move(*opened);
   loop_.start();
   DoorbellAddress address = hub_->address();
-  SlowLink link(address.name);
-  address.name = link.name();
+  SlowLink link(address.path);
+  address.path = link.path();
   Rank rank;
   rank.connect(1, address);
   if (HasFatalFailure()) return;
@@ -266,7 +279,7 @@ TEST_F(Bells, AnOrderThatTakesLongOverASlowLinkIsNoSilence) {
 }
 
 TEST_F(Bells, AStrangerIsNotARank) {
-  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6},
+  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6, .folder = directory_.path()},
                                   [this](const std::string& what) { lost_.add(what); });
   ASSERT_TRUE(opened.ok());
   loop_.start();
