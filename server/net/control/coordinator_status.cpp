@@ -59,16 +59,26 @@ Status Coordinator::unknown_scene(const std::string& scene) const {
 }
 
 Json Coordinator::scenes_json() const {
-  std::map<std::string, std::vector<std::string>> holders;
+  struct Holders {
+    std::size_t count = 0;
+    std::vector<std::string_view> first;  // in alphabetical order, kHoldersNamed of them
+  };
+  // Sessions may hold a quarter of a million scenes together: nothing is copied.
+  std::unordered_map<std::string_view, Holders> holders;
   for (const Session* session : sessions_)
-    for (const std::string& scene : session->open()) holders[scene].push_back(session->client());
+    for (const std::string& scene : session->open()) {
+      Holders& of_scene = holders[scene];
+      ++of_scene.count;
+      std::vector<std::string_view>& first = of_scene.first;
+      const std::string_view name = session->client();
+      if (first.size() == kHoldersNamed && name >= first.back()) continue;
+      first.insert(std::upper_bound(first.begin(), first.end(), name), name);
+      if (first.size() > kHoldersNamed) first.pop_back();
+    }
   const auto number = [](const std::optional<double>& value) { return value ? Json(*value) : Json(); };
   Json scenes = Json::array();
   for (const auto& [name, scene] : snapshot_) {
-    std::vector<std::string>& names = holders[name];
-    std::sort(names.begin(), names.end());
-    const std::size_t holders_count = names.size();
-    names.resize(std::min(holders_count, kHoldersNamed));
+    const Holders& of_scene = holders[name];
     scenes.push_back({{"scene", name},
                       {"n", scene.n},
                       {"dims", scene.dims},
@@ -78,8 +88,8 @@ Json Coordinator::scenes_json() const {
                       {"error", number(scene.error)},
                       {"imbalance", number(scene.imbalance)},
                       {"mean_step_seconds", number(scene.mean_step_seconds)},
-                      {"holders", names},
-                      {"holders_count", holders_count}});
+                      {"holders", of_scene.first},
+                      {"holders_count", of_scene.count}});
   }
   return scenes;
 }

@@ -253,11 +253,11 @@ awaitable<Result<Frame>> Connection::read_frame(std::uint64_t json_bytes_max, st
   const bool large = header->json_bytes >= wire::kLargeRequest;
   auto& large_json = asio::use_service<LargeJson>(asio::query(socket_.get_executor(), asio::execution::context));
   LargeJson::Place place;
-  if (large) {
+  if (header->json_bytes > LargeJson::kWithoutPlaceBytes) {
     read_end_ = TimePoint::max();  // waiting for a place isn't the peer's fault
     place = co_await large_json.take_place();
-    limit_reading(now() + frame_time_);  // for the whole text, since others wait for the place
   }
+  if (large) limit_reading(now() + frame_time_);  // for the whole text, since others may wait for the place
   std::string text;
   status = co_await read_text(text, header->json_bytes);
   if (large) limit_reading(TimePoint::max());

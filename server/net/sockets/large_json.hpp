@@ -1,11 +1,12 @@
 // LargeJson: parses large JSON texts on a thread beside the I/O thread, one after another, so that heartbeats and other
 // clients don't wait. Each io_context has one. Where the system gives no thread, the I/O thread parses.
 //
-// Invariant: at most kTextsMax large texts are in memory; further ones wait unread. A text must arrive whole within a
-// frame's time, so nobody waits long.
+// Invariant: at most kTextsMax texts of more than kWithoutPlaceBytes are in memory; further ones wait unread, others
+// don't: a client that sends slowly holds up only those. A text must arrive whole within a frame's time.
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <memory>
 #include <optional>
@@ -25,9 +26,10 @@ class LargeJson : public asio::execution_context::service {
   using key_type = LargeJson;
   static asio::execution_context::id id;
   static constexpr int kTextsMax = 4;
+  static constexpr std::uint64_t kWithoutPlaceBytes = std::uint64_t{1} << 20U;
 
   explicit LargeJson(asio::execution_context& context, SideThread::Start start = {})
-      : service(context), thread_(std::in_place, wire::kJsonBytesMax * kTextsMax, std::move(start)) {}
+      : service(context), thread_(std::in_place, wire::kJsonBytesMax * kTextsMax + kWithoutPlaceBytes * wire::kSessionsMax, std::move(start)) {}
   static LargeJson& of(asio::io_context& context) { return asio::use_service<LargeJson>(context); }
 
   // A place among the texts in memory, held by its copies.

@@ -447,6 +447,22 @@ TEST(Session, ALargeRequestThatDoesNotComeFreesItsPlace) {
   for (Client& one : silent) EXPECT_EQ(last_failure(one), "deadline_exceeded");
 }
 
+TEST(Session, WhoSendsALargeRequestSlowlyHoldsUpOnlyLargerOnes) {
+  ControlOptions options = TestService::defaults();
+  options.frame_seconds = 1000;
+  TestService service(options);
+  std::vector<Client> slow;
+  for (int i = 0; i < 6; ++i) {  // more than there are places
+    for (const std::size_t bytes : {std::size_t{4} << 20U, std::size_t{1} << 17U}) {
+      slow.push_back(service.client("slow", kAnna));
+      slow.back().send_bytes(large_request(9, bytes, false).substr(0, 100));
+    }
+  }
+  Client other = service.client("other", kBert);
+  other.send_bytes(large_request(9, std::size_t{1} << 19U, false));
+  EXPECT_EQ(other.receive_but_notices().json["echo"], "scene.create");
+}
+
 TEST(Session, ManyValuesAreRefused) {
   TestService service;
   Client client = service.client("c", kAnna);
