@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <system_error>
 
 #include <fmt/format.h>
@@ -101,6 +102,16 @@ std::string host_name() {
   std::array<char, 256> name{};
   ::gethostname(name.data(), name.size() - 1);
   return name.data();
+}
+
+std::string machine_key() {
+  const auto space = [](const char* kind) {
+    std::error_code ignored;
+    return fs::read_symlink(fmt::format("/proc/self/ns/{}", kind), ignored).string();
+  };
+  std::string boot;
+  std::ifstream("/proc/sys/kernel/random/boot_id") >> boot;
+  return fmt::format("{} {} {} {}", host_name(), boot, space("net"), space("mnt"));
 }
 
 std::vector<std::string> names_in(const std::string& directory, std::error_code& fault) {

@@ -54,6 +54,9 @@ std::vector<std::string> names_in(const std::string& directory, std::error_code&
 
 // This machine's name, as gethostname(2) has it.
 std::string host_name();
+// The machine of this process, as far as its sockets reach: the same for two processes if and only if each reaches the
+// other's Unix sockets. Containers may share a name, and namespaces a boot.
+std::string machine_key();
 
 // dir + "/" + name.
 std::string join_path(std::string_view directory, std::string_view name);

@@ -9,6 +9,8 @@
 #include <spdlog/spdlog.h>
 
 #include "common/auth/proof.hpp"
+#include "common/files/own_files.hpp"
+#include "common/files/paths.hpp"
 #include "common/tls/identity.hpp"
 #include "server/net/control/control.hpp"
 #include "server/net/peers/host.hpp"
@@ -30,6 +32,17 @@ Result<std::string> listen_at(net::DataPort& port, const std::string& place, int
   return address;
 }
 
+// Where this rank listens for clients on its own machine, if no endpoint is a Unix socket there. Only this user can
+// connect to a socket, even in /tmp, and nobody else can guess or take its name.
+std::string listen_for_this_machine(net::DataPort& port, int rank) {
+  const std::string job = job_folder();
+  const std::string path =
+      fmt::format("{}/rcbd-{}.{}", is_own_directory(job) ? job : "/tmp", auth::random_hex(8), rank);
+  const Status status = port.listen_unix(path);
+  if (!status.ok()) spdlog::warn("clients on this machine reach rank {} over TCP alone: {}", rank, status.message());
+  return status.ok() ? "unix:" + path : "";
+}
+
 }  // namespace
 
 DirectPath share_direct_path(ranks::MpiSession& mpi, const DirectPath& of_rank_0) {
@@ -40,21 +53,28 @@ DirectPath share_direct_path(ranks::MpiSession& mpi, const DirectPath& of_rank_0
   return path;
 }
 
-std::vector<std::vector<std::string>> open_direct_path(ranks::MpiSession& mpi, net::DataPort& port,
-                                                       const std::vector<std::string>& places,
-                                                       const std::string& elsewhere) {
+DataAddresses open_direct_path(ranks::MpiSession& mpi, net::DataPort& port, const std::vector<std::string>& places,
+                               const std::string& elsewhere) {
   std::string text;
+  std::string local;
   for (const std::string& place : places) {
     const Result<std::string> address = listen_at(port, place, mpi.rank(), elsewhere);
     if (!address.ok()) spdlog::warn("no direct path at {}: {}", place, address.status().message());
+    if (address.ok() && address->starts_with("unix:")) local = *address;
     text += (address.ok() ? *address : "") + "\n";
   }
-  std::vector<std::vector<std::string>> found(places.size());
+  if (local.empty() && !places.empty()) local = listen_for_this_machine(port, mpi.rank());
+  text += local + "\n" + machine_key() + "\n";
+  DataAddresses found;
+  found.by_place.resize(places.size());
   for (const std::string& of_rank : mpi.gather(text)) {
     std::istringstream lines(of_rank);
-    for (auto& addresses : found) std::getline(lines, addresses.emplace_back());
+    for (auto& addresses : found.by_place) std::getline(lines, addresses.emplace_back());
+    net::LocalAddress& own = found.local.emplace_back();
+    std::getline(lines, own.address);
+    std::getline(lines, own.machine);
   }
-  for (auto& addresses : found)
+  for (auto& addresses : found.by_place)
     if (std::find(addresses.begin(), addresses.end(), "") != addresses.end()) addresses.clear();
   return found;
 }

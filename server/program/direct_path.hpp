@@ -20,12 +20,16 @@ struct DirectPath {
 // Collective. Returns rank 0's on every rank.
 DirectPath share_direct_path(ranks::MpiSession& mpi, const DirectPath& of_rank_0);
 
-// Collective. Every rank opens its listeners at the places, and all ranks learn their addresses. Returns the addresses
-// by place, then by rank; none for a place where some rank couldn't listen. elsewhere: the address of this machine, if
-// it isn't rank 0's.
-std::vector<std::vector<std::string>> open_direct_path(ranks::MpiSession& mpi, net::DataPort& port,
-                                                       const std::vector<std::string>& places,
-                                                       const std::string& elsewhere);
+struct DataAddresses {
+  // By place, then by rank; none for a place where some rank couldn't listen.
+  std::vector<std::vector<std::string>> by_place;
+  // By rank: for clients on its own machine, whatever their endpoint.
+  std::vector<net::LocalAddress> local;
+};
+// Collective. Every rank opens its listeners at the places, and a Unix socket; all ranks learn their addresses.
+// elsewhere: the address of this machine, if it isn't rank 0's.
+DataAddresses open_direct_path(ranks::MpiSession& mpi, net::DataPort& port, const std::vector<std::string>& places,
+                               const std::string& elsewhere);
 
 // With a certificate of this process, which the token's proofs are bound to, if there is a token to be proved.
 net::Credentials credentials_with(std::string token);

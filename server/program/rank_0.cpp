@@ -214,7 +214,8 @@ void Rank0::open_direct_path() {
   });
   control_->set_silence_query([this] { return doorbells_->silent(); });
   for (std::size_t i = 0; i < path.places.size(); ++i)
-    if (!addresses[i].empty()) control_->serve_data(*hub_, endpoints_[i], addresses[i]);
+    if (!addresses.by_place[i].empty()) control_->serve_data(*hub_, endpoints_[i], addresses.by_place[i]);
+  control_->serve_this_machine(addresses.local);
   port_->start([this](const net::SliceReport& report) { control_->slice_reported(0, report); });
 }
 

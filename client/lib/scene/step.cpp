@@ -168,16 +168,17 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
 bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) {
   const Path path = session().path();
   if ((path != Path::automatic && path != Path::shared) || ask.moved != StepRequest::Moved::all ||
-      ask.positions.count == 0 || ask.positions.in_plan_order() || shared_unsupported_ ||
-      !session().can_share(retry.deadline()))
+      ask.positions.count == 0 || ask.positions.in_plan_order() || shared_unsupported_)
     return false;
-  const std::size_t apart = session().ranks_apart().size();
-  if (apart == 0) return true;
   // The ranks on other hosts get slices, by a layout, which a first push hasn't. It is worth while if few positions are
   // copied for nothing.
-  const bool large = ask.positions.count * static_cast<std::size_t>(dims_) * sizeof(double) >= kDirectBytesMin;
-  const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
-  return pushed_ && (path == Path::shared || (large && few_copies));
+  const auto worth_while = [&] {
+    const std::size_t apart = session().ranks_apart().size();
+    const bool large = ask.positions.count * static_cast<std::size_t>(dims_) * sizeof(double) >= kDirectBytesMin;
+    const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
+    return apart == 0 || (pushed_ && (path == Path::shared || (large && few_copies)));
+  };
+  return worth_while() && session().can_share(retry.deadline()) && worth_while();
 }
 
 bool Scene::State::rows_are_ids(const StepRequest& ask) const {

@@ -13,6 +13,7 @@
 
 #include "client/lib/session/data_path.hpp"
 #include "common/files/endpoint_lock.hpp"
+#include "common/files/paths.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
 
@@ -21,6 +22,7 @@ namespace {
 
 constexpr double kGoodbyeSeconds = 0.2;
 constexpr double kLookSeconds = 0.25;  // at the connections to the ranks, while an answer is awaited
+constexpr std::size_t kMachineBytesMax = 1024;
 constexpr std::string_view kEndpointListener = "endpoint";
 
 // Commands that change nothing, or whose repetition changes nothing more.
@@ -196,6 +198,7 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   endpoint_text_ = endpoint.text();
   data_.reset();
   data_addresses_.clear();
+  local_addresses_.clear();
   data_tried_ = false;
   data_stalls_ = 0;
   share_refused_ = false;
@@ -210,6 +213,16 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   if (const auto data = reply->find("data"); data != reply->end() && data->is_array())
     for (const wire::Json& address : *data)
       data_addresses_.push_back(address.is_string() ? address.get<std::string>() : std::string());
+  const auto local = reply->find("local");
+  for (std::size_t rank = 0; rank < data_addresses_.size(); ++rank) {
+    const bool is_unix = data_addresses_[rank].starts_with("unix:");
+    local_addresses_.push_back(is_unix ? data_addresses_[rank] : "");
+    if (is_unix || local == reply->end() || !local->is_array() || rank >= local->size()) continue;
+    const auto machine = wire::string_field((*local)[rank], "machine", kMachineBytesMax);
+    const auto address = wire::string_field((*local)[rank], "address", kSocketPathMax + 5);
+    if (machine && address && *machine == machine_key() && address->starts_with("unix:"))
+      local_addresses_[rank] = *address;
+  }
   return {};
 }
 
@@ -281,21 +294,30 @@ Result<wire::Json> Session::say_hello(Connection& link, wire::Json more, const D
 
 Status Session::open_data(const Deadline& deadline) {
   std::vector<std::unique_ptr<Connection>> links;
-  for (const std::string& address : data_addresses_) {
-    auto endpoint = parse_endpoint(address);
-    if (!endpoint) return endpoint.status();
-    // A listener on all interfaces is reached at the host where the endpoint was found.
-    if (!endpoint->is_unix && (endpoint->host == "0.0.0.0" || endpoint->host == "::"))
-      endpoint->host = endpoints_.front().host;
-    auto link = Connection::open(*endpoint, deadline, options_.on_notice);
+  for (std::size_t rank = 0; rank < data_addresses_.size(); ++rank) {
+    auto link = open_link(rank, deadline);
     if (!link) return link.status();
-    const std::string listener = fmt::format("rank {}", links.size());
-    if (const auto reply = greet(*link, *endpoint, listener, deadline); !reply) return reply.status();
     links.push_back(std::move(*link));
   }
   data_ = std::make_unique<DataPath>(std::move(links));
   ++data_generation_;
   return {};
+}
+
+Result<std::unique_ptr<Connection>> Session::open_link(std::size_t rank, const Deadline& deadline) {
+  const bool is_local = !local_addresses_[rank].empty();
+  auto endpoint = parse_endpoint(is_local ? local_addresses_[rank] : data_addresses_[rank]);
+  if (!endpoint) return endpoint.status();
+  // A listener on all interfaces is reached at the host where the endpoint was found.
+  if (!endpoint->is_unix && (endpoint->host == "0.0.0.0" || endpoint->host == "::"))
+    endpoint->host = endpoints_.front().host;
+  auto link = Connection::open(*endpoint, deadline, options_.on_notice);
+  Status status = link.status();
+  if (status) status = greet(*link, *endpoint, fmt::format("rank {}", rank), deadline).status();
+  if (status) return link;
+  if (!is_local || local_addresses_[rank] == data_addresses_[rank]) return status;
+  local_addresses_[rank].clear();  // another user's, for one
+  return open_link(rank, deadline);
 }
 
 DataPath* Session::data(const Deadline& deadline) {
@@ -308,12 +330,13 @@ DataPath* Session::data(const Deadline& deadline) {
 }
 
 bool Session::can_share(const Deadline& deadline) {
-  return ranks_apart().size() < static_cast<std::size_t>(ranks_) && data(deadline) != nullptr && !share_refused_;
+  const auto any_here = [this] { return ranks_apart().size() < static_cast<std::size_t>(ranks_); };
+  return any_here() && !share_refused_ && data(deadline) != nullptr && any_here();
 }
 
 bool Session::shares_with(int rank) const {
   const auto r = static_cast<std::size_t>(rank);
-  return r < data_addresses_.size() && data_addresses_[r].starts_with("unix:");
+  return r < local_addresses_.size() && !local_addresses_[r].empty();
 }
 
 std::vector<int> Session::ranks_apart() const {

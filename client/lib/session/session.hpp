@@ -166,6 +166,8 @@ class Session {
   Result<Frame> await_answer(Connection& link, std::uint64_t request, const Deadline& deadline);
   Result<Frame> await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline);
   Status open_data(const Deadline& deadline);
+  // Of the rank's own listener: on its Unix socket, if it is on this machine and lets us in, else at its address.
+  Result<std::unique_ptr<Connection>> open_link(std::size_t rank, const Deadline& deadline);
   // Sends every rank on this host a request over data(), with a descriptor unless it is -1, and waits for all answers.
   Status ask_ranks(const wire::Json& request, int descriptor, const Deadline& deadline);
   void give_up_data();
@@ -182,7 +184,8 @@ class Session {
   std::uint64_t next_request_ = 1;
   std::int64_t next_attempt_ = 1;
   std::unique_ptr<Connection> connection_;
-  std::vector<std::string> data_addresses_;  // by rank; empty: no direct path
+  std::vector<std::string> data_addresses_;   // by rank; empty: no direct path
+  std::vector<std::string> local_addresses_;  // by rank: its Unix socket; empty where it is on another machine
   std::unique_ptr<DataPath> data_;
   std::uint64_t data_generation_ = 0;
   bool share_refused_ = false;  // by a rank of the service that was connected to last

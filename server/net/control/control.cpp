@@ -118,6 +118,10 @@ void Control::serve_data(DataPlane& plane, const std::string& endpoint, std::vec
   state_->coordinator->serve_data(plane, endpoint, std::move(addresses));
 }
 
+void Control::serve_this_machine(std::vector<LocalAddress> addresses) {
+  state_->coordinator->serve_this_machine(std::move(addresses));
+}
+
 void Control::set_silence_query(std::function<std::vector<SilentRank>()> ask) {
   state_->coordinator->set_silence_query(std::move(ask));
 }

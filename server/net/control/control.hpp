@@ -49,6 +49,8 @@ class Control {
   Result<std::string> listen_tcp(const std::string& where);
   // Before the loop starts: the addresses, by rank, at which clients of `endpoint` find the ranks' data listeners.
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
+  // Before the loop starts: by rank.
+  void serve_this_machine(std::vector<LocalAddress> addresses);
   void start();
   // To be called periodically after start(): makes the Unix socket anew if somebody has removed it.
   void tick();

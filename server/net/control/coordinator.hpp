@@ -182,6 +182,9 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   void serve_data(DataPlane& plane, const std::string& endpoint, std::vector<std::string> addresses);
   // The addresses, by rank, of the data listeners for clients of this endpoint; empty: there is no direct path.
   const std::vector<std::string>& data_addresses(const std::string& endpoint) const;
+  void serve_this_machine(std::vector<LocalAddress> addresses) { local_addresses_ = std::move(addresses); }
+  // By rank: its data listener for clients on its own machine.
+  const std::vector<LocalAddress>& local_addresses() const { return local_addresses_; }
 
   // Ends the push and tells its client why. Nothing was ordered yet, so the scene is unchanged.
   void abort(std::shared_ptr<OpenPush> push, const Status& why);  // by value, since the gate's pointer is reset
@@ -225,6 +228,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   ByteBudget large_requests_;  // not yet answered
   DataPlane* data_ = nullptr;
   std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
+  std::vector<LocalAddress> local_addresses_;
   std::uint64_t pushes_numbered_ = 0;
   api::Snapshot snapshot_;
   std::set<Session*> sessions_;

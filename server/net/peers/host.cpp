@@ -1,10 +1,8 @@
 #include "server/net/peers/host.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 #include <memory>
 
 #include <fmt/format.h>
@@ -19,12 +17,6 @@
 
 namespace rcb::net {
 namespace {
-
-std::string namespace_of(const char* kind) {
-  std::array<char, 64> text{};
-  const ssize_t bytes = ::readlink(fmt::format("/proc/self/ns/{}", kind).c_str(), text.data(), text.size());
-  return {text.data(), static_cast<std::size_t>(std::max<ssize_t>(bytes, 0))};
-}
 
 asio::ip::address address_in(const sockaddr& socket) {
   if (socket.sa_family == AF_INET) {
@@ -54,12 +46,7 @@ bool holds(const std::string& wanted, const asio::ip::address& address) {
 
 }  // namespace
 
-Host Host::here() {
-  const std::string name = host_name();
-  std::string boot;
-  std::ifstream("/proc/sys/kernel/random/boot_id") >> boot;
-  return {name, fmt::format("{} {} {} {}", name, boot, namespace_of("net"), namespace_of("mnt"))};
-}
+Host Host::here() { return {host_name(), machine_key()}; }
 
 Result<std::vector<std::string>> addresses_on(const std::string& interface) {
   ifaddrs* list = nullptr;

@@ -9,12 +9,17 @@
 
 namespace rcb::net {
 
-// The machine of a process, as far as its sockets reach: containers may share a name, and namespaces a boot.
 struct Host {
   std::string name;
-  std::string key;  // the same for two processes if and only if each reaches the other's Unix sockets
+  std::string key;  // machine_key()
 
   static Host here();
+};
+
+// A listener for clients on the machine where it is.
+struct LocalAddress {
+  std::string address;  // "unix:PATH"; empty: there is none
+  std::string machine;  // machine_key()
 };
 
 // Where a rank runs.
