@@ -60,14 +60,4 @@ Range range_of(std::span<const double> values) {
   return range_of_each(values.data(), values.size(), {});
 }
 
-BlockRanges ranges_of(const ParticleView& particles) {
-  BlockRanges ranges;
-  ranges.reset(particles.dims, particles.count);
-  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
-    for (std::size_t begin = 0; begin < particles.count; begin += kBlock)
-      ranges.of[a][begin / kBlock] =
-          range_of({particles.position[a] + begin, std::min(kBlock, particles.count - begin)});
-  return ranges;
-}
-
 }  // namespace rcb::particles

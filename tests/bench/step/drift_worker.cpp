@@ -19,6 +19,7 @@
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/drift.hpp"
 #include "tests/bench/worker.hpp"
+#include "tests/support/ranges_of.hpp"
 
 namespace rcb::bench {
 namespace {
@@ -120,7 +121,7 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
   const partition::OwnParts own{static_cast<int>(layout::part_begin(comm.rank(), cell.parts, comm.size())),
                                 static_cast<int>(layout::part_begin(comm.rank() + 1, cell.parts, comm.size()))};
   // As a step makes them while the positions arrive.
-  const particles::BlockRanges blocks = particles::ranges_of(view);
+  const particles::BlockRanges blocks = testing::ranges_of(view);
   std::vector<Repartition> found(std::size(kWays));
   std::vector<std::vector<double>> seconds(std::size(kWays));
   for (int repeat = -1; repeat < repeats; ++repeat)
