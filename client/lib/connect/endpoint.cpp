@@ -12,7 +12,9 @@
 #include <unistd.h>
 
 #include "client/lib/connect/endpoint_file.hpp"
+#include "common/files/descriptor.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb::client {
 namespace {
@@ -48,14 +50,11 @@ Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
 
 // The first line of a file; nothing if the file can't be read, or if the line is empty or too long for a token.
 std::optional<std::string> first_line(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // opening a FIFO would wait for ever
-  if (file < 0) return std::nullopt;
+  const Descriptor file(
+      ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));  // a FIFO would be waited for for ever
   struct stat about {};
-  std::string text(kTokenBytesMax + 1, '\0');
-  const ssize_t got =
-      ::fstat(file, &about) == 0 && S_ISREG(about.st_mode) ? ::read(file, text.data(), text.size()) : -1;
-  ::close(file);
-  text.resize(static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
+  if (!file.open() || ::fstat(file.get(), &about) != 0 || !S_ISREG(about.st_mode)) return std::nullopt;
+  std::string text = read_some(file.get(), kTokenBytesMax + 1);
   text = text.substr(0, text.find_first_of("\r\n"));
   if (text.empty() || text.size() > kTokenBytesMax) return std::nullopt;
   return text;
