@@ -7,6 +7,7 @@
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
 #include "common/geometry/axes.hpp"
+#include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/tree/cut_tree.hpp"
 
 namespace rcb::partition {
@@ -15,26 +16,12 @@ namespace {
 using geometry::Box;
 using geometry::Point;
 
-constexpr std::uint64_t kNone = ~std::uint64_t{0};
-
 // The bounding box of each part's particles, on all ranks; empty for a part without any. Collective.
 std::vector<Box> part_boxes(comm::Comm& comm, const particles::ParticleView& particles,
                             std::span<const std::int32_t> part, int parts) {
   std::vector<Box> boxes(at(parts));
   for (std::size_t i = 0; i < particles.count; ++i) boxes[at(part[i])].extend(particles.point(i), particles.dims);
-  const auto dims = at(particles.dims);
-  std::vector<std::uint64_t> least(boxes.size() * dims * 2, kNone);
-  for (std::size_t p = 0; p < boxes.size(); ++p)
-    for (std::size_t a = 0; a < dims && !boxes[p].empty(particles.dims); ++a) {
-      least[(p * dims + a) * 2] = geometry::order_bits(boxes[p].lo[a]);
-      least[(p * dims + a) * 2 + 1] = ~geometry::order_bits(boxes[p].hi[a]);
-    }
-  comm.all_min(least);
-  for (std::size_t p = 0; p < boxes.size(); ++p)
-    for (std::size_t a = 0; a < dims && least[p * dims * 2] != kNone; ++a) {
-      boxes[p].lo[a] = geometry::value_of_order_bits(least[(p * dims + a) * 2]);
-      boxes[p].hi[a] = geometry::value_of_order_bits(~least[(p * dims + a) * 2 + 1]);
-    }
+  extend_by_all(comm, boxes, particles.dims);
   return boxes;
 }
 
