@@ -1,7 +1,6 @@
 #include "client/lib/connect/endpoint.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <cstdlib>
 #include <filesystem>
 #include <optional>
@@ -12,6 +11,7 @@
 #include <unistd.h>
 
 #include "client/lib/connect/endpoint_file.hpp"
+#include "common/base/host_port.hpp"
 #include "common/files/descriptor.hpp"
 #include "common/files/paths.hpp"
 #include "common/files/read_write.hpp"
@@ -84,30 +84,23 @@ Result<Endpoint> published_endpoint(const std::string& path) {
 
 std::string Endpoint::text() const {
   if (is_unix) return "unix:" + path;
-  return host.find(':') == std::string::npos ? fmt::format("{}:{}", host, port) : fmt::format("[{}]:{}", host, port);
+  return join_host_port(host, port);
 }
 
 Result<Endpoint> parse_endpoint(std::string_view text) {
   if (text.starts_with("unix:")) return unix_endpoint(text, text.substr(5));
   if (text.find('/') != std::string_view::npos) return unix_endpoint(text, text);
-  const std::size_t colon = text.rfind(':');
-  if (colon == std::string_view::npos) return bad_endpoint(text, "no port");
-  std::string_view host = text.substr(0, colon);
-  const std::string_view port = text.substr(colon + 1);
-  if (host.starts_with('[') && host.ends_with(']'))
-    host = host.substr(1, host.size() - 2);
-  else if (host.find_first_of(":[]") != std::string_view::npos)
+  if (text.find(':') == std::string_view::npos) return bad_endpoint(text, "no port");
+  const auto [host, digits, brackets] = split_host_port(text);
+  if (!brackets && host.find_first_of(":[]") != std::string_view::npos)
     return bad_endpoint(text, "an IPv6 address stands in brackets, as in [::1]:7470");
   if (host.empty() || host.size() > 253) return bad_endpoint(text, "no host");
   for (const char c : host)
     if (static_cast<unsigned char>(c) <= ' ' || c == '\x7f') return bad_endpoint(text, "a space in the host's name");
   Endpoint endpoint;
   endpoint.is_unix = false;
-  unsigned number = 0;
-  const auto [end, error] = std::from_chars(port.data(), port.data() + port.size(), number);
-  if (error != std::errc{} || end != port.data() + port.size() || number == 0 || number > 65535)
-    return bad_endpoint(text, "the port is a number of 1 to 65535");
-  endpoint.port = static_cast<std::uint16_t>(number);
+  endpoint.port = port_number(digits).value_or(0);
+  if (endpoint.port == 0) return bad_endpoint(text, "the port is a number of 1 to 65535");
   endpoint.host = host;
   for (char& c : endpoint.host)  // host names ignore case
     if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');

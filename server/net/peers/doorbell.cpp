@@ -10,6 +10,7 @@
 #include <fmt/ranges.h>
 
 #include "common/auth/proof.hpp"
+#include "common/base/host_port.hpp"
 #include "common/base/tcp_peer.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/files/data_directory.hpp"
@@ -92,10 +93,9 @@ Result<asio::ip::tcp::socket> connect_to_any(asio::io_context& context, const st
     asio::io_context waiting;
     asio::ip::tcp::socket socket(waiting);
     error_code error;
-    const std::size_t colon = address.rfind(':');
-    const bool brackets = address.front() == '[';
-    const auto host = asio::ip::make_address(address.substr(brackets ? 1 : 0, colon - (brackets ? 2 : 0)), error);
-    const asio::ip::tcp::endpoint endpoint(host, static_cast<std::uint16_t>(std::stoul(address.substr(colon + 1))));
+    const HostPort parts = split_host_port(address);
+    const asio::ip::tcp::endpoint endpoint(asio::ip::make_address(parts.host, error),
+                                           port_number(parts.port).value_or(0));
     error = asio::error::timed_out;
     socket.async_connect(endpoint, [&error](const error_code& ended) { error = ended; });
     waiting.run_for(duration_of(kConnectSeconds));
