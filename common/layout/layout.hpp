@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include <boost/unordered/unordered_flat_map.hpp>
@@ -80,8 +81,8 @@ class Layout {
   std::uint64_t count() const { return count_; }
   std::uint64_t version() const { return version_; }
   std::uint64_t checksum() const { return checksum_; }
-  // Another one for each layout that blocks() or full() has made in this process: with version() it tells whether rows()
-  // are still the same.
+  // Another one for each layout that blocks() or full() has made in this process: with version() it tells whether
+  // rows() are still the same.
   std::uint64_t number() const { return number_; }
   // The rows (of the solver's arrays) that rank r holds, in slot order.
   std::span<const std::uint64_t> rows(int rank) const { return rows_[static_cast<std::size_t>(rank)]; }
@@ -114,6 +115,7 @@ class Layout {
   };
 
   Layout(std::uint64_t count, int ranks, std::span<const Id> ids);
+  static Status broken(const std::string& what);
   void put(std::uint64_t row, int rank, std::uint64_t slot);
   void sort_rows();
   Status check_edit(std::span<const std::uint64_t> removed_rows, std::span<const Id> inserted_ids,
