@@ -1,6 +1,5 @@
 #include "common/partition/balance/bounding_box.hpp"
 
-#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -10,12 +9,8 @@ namespace rcb::partition {
 
 geometry::Box bounding_box(comm::Comm& comm, const particles::ParticleView& particles) {
   geometry::Box box;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims) && particles.count > 0; ++a) {
-    const double* x = particles.position[a];
-    const auto [lo, hi] = std::minmax_element(x, x + particles.count);
-    box.lo[a] = *lo;
-    box.hi[a] = *hi;
-  }
+  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
+    geometry::least_and_most({particles.position[a], particles.count}, box.lo[a], box.hi[a]);
   extend_by_all(comm, {&box, 1}, particles.dims);
   return box;
 }
