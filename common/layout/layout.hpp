@@ -30,6 +30,13 @@ using particles::Id;
 
 // The parts that rank r of `ranks` owns: [part_begin(r), part_begin(r + 1)).
 std::int64_t part_begin(int rank, int parts, int ranks);
+struct PartRange {
+  int begin = 0;
+  int end = 0;
+
+  bool has(int part) const { return part >= begin && part < end; }
+};
+PartRange parts_of_rank(int rank, int parts, int ranks);
 int rank_of_part(int part, int parts, int ranks);
 // The rows of rank r before the first partition: [row_begin(r), row_begin(r + 1)).
 std::uint64_t row_begin(int rank, std::uint64_t count, int ranks);

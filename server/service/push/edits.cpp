@@ -100,8 +100,7 @@ Status reserve_arrivals(Scene& scene, std::uint64_t arriving, int rank) {
 class Arriving {
  public:
   Arriving(const comm::Comm& comm, const Scene& scene, Edits& edits)
-      : begin_(layout::part_begin(comm.rank(), scene.options.parts, comm.size())),
-        end_(layout::part_begin(comm.rank() + 1, scene.options.parts, comm.size())),
+      : own_(layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size())),
         set_(edits.arriving),
         parts_(edits.arriving_part) {
     set_.dims = scene.options.dims;
@@ -110,11 +109,11 @@ class Arriving {
 
   void add(const particles::ParticleSet& piece, std::span<const std::int32_t> part) {
     std::size_t own = 0;
-    for (const std::int32_t p : part) own += is_own(p) ? 1U : 0U;
+    for (const std::int32_t p : part) own += own_.has(p) ? 1U : 0U;
     full_ = full_ || !make_room_for(own);
     if (full_ || own == 0) return;
     for (std::size_t i = 0; i < part.size(); ++i) {
-      if (!is_own(part[i])) continue;
+      if (!own_.has(part[i])) continue;
       for (std::size_t a = 0; a < dims(); ++a) set_.position[a].push_back(piece.position[a][i]);
       set_.id.push_back(piece.id[i]);
       if (set_.has_weights) set_.weight.push_back(piece.weight[i]);
@@ -130,14 +129,13 @@ class Arriving {
 
  private:
   std::size_t dims() const { return static_cast<std::size_t>(set_.dims); }
-  bool is_own(std::int32_t part) const { return part >= begin_ && part < end_; }
   bool make_room_for(std::size_t more) {
     const std::size_t count = set_.id.size() + more;
     bool fits = make_room(set_.id, count) && make_room(parts_, count);
     for (std::size_t a = 0; a < dims(); ++a) fits = fits && make_room(set_.position[a], count);
     return fits && (!set_.has_weights || make_room(set_.weight, count));
   }
-  std::int64_t begin_, end_;
+  layout::PartRange own_;
   particles::ParticleSet& set_;
   Buffer<std::int32_t>& parts_;
   bool full_ = false;

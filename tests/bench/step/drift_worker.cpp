@@ -118,8 +118,8 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
   }
   const auto view = held.scene.particles.view();
   const partition::LoadSummary loads = partition::summarise_loads(comm, view, part.span(), {}, cell.parts);
-  const partition::OwnParts own{static_cast<int>(layout::part_begin(comm.rank(), cell.parts, comm.size())),
-                                static_cast<int>(layout::part_begin(comm.rank() + 1, cell.parts, comm.size()))};
+  const auto [first, last] = layout::parts_of_rank(comm.rank(), cell.parts, comm.size());
+  const partition::OwnParts own{first, last};
   // As a step makes them while the positions arrive.
   const particles::BlockRanges blocks = testing::ranges_of(view);
   std::vector<Repartition> found(std::size(kWays));
