@@ -1,18 +1,17 @@
 #include "server/service/push/edits.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <numeric>
 #include <utility>
 
 #include <fmt/format.h>
 
-#include "common/base/axis_names.hpp"
 #include "common/layout/layout.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/push/arrays.hpp"
 #include "server/service/push/find_held.hpp"
+#include "server/service/push/values.hpp"
 
 namespace rcb::service {
 namespace {
@@ -50,31 +49,18 @@ struct Inserted {
 
 // Rank 0's check of what it was sent.
 Status check_inserted(const Inserted& in, const PushSlice& removed) {
-  for (std::size_t a = 0; a < in.dims; ++a) {
-    const auto axis = values_of<double>(in.slice, a);
-    for (std::size_t i = 0; i < axis.size(); ++i)
-      if (!std::isfinite(axis[i]))
-        return {Code::not_finite,
-                fmt::format("inserted particle {} (index, from 0): {} is {}", i, kAxisNames[a], axis[i]),
-                "positions must be finite; the previous step stands"};
-  }
-  if (in.has_weights) {
-    const auto weights = values_of<double>(in.slice, in.dims);
-    for (std::size_t i = 0; i < weights.size(); ++i)
-      if (!(weights[i] >= 0 && std::isfinite(weights[i])))
-        return {Code::invalid_argument,
-                fmt::format("inserted particle {} (index, from 0): weight is {}", i, weights[i]),
-                "weights must be finite and >= 0; the previous step stands"};
-  }
-  if (in.has_ids) {
-    const auto ids = values_of<particles::Id>(in.slice, in.ids());
-    for (std::size_t i = 0; i < ids.size(); ++i)
-      if (ids[i] < 0)
-        return {Code::invalid_argument, fmt::format("inserted particle {} (index, from 0): id is {}", i, ids[i]),
-                "ids are >= 0; the previous step stands"};
-    if (const auto twin = twin_of(ids))
-      return {Code::invalid_argument, fmt::format("id {} is inserted more than once", *twin), "ids must be distinct"};
-  }
+  particles::ParticleView view;
+  view.dims = static_cast<int>(in.dims);
+  view.count = values_of<double>(in.slice, 0).size();
+  for (std::size_t a = 0; a < in.dims; ++a) view.position[a] = values_of<double>(in.slice, a).data();
+  if (in.has_weights) view.weight = values_of<double>(in.slice, in.dims).data();
+  const auto ids = in.has_ids ? values_of<particles::Id>(in.slice, in.ids()) : std::span<const particles::Id>();
+  if (in.has_ids) view.id = ids.data();
+  if (const auto fault = first_fault(view))
+    return {fault->code, fmt::format("inserted particle {} (index, from 0): {}", fault->particle, fault->text),
+            kGoodValues};
+  if (const auto twin = twin_of(ids))
+    return {Code::invalid_argument, fmt::format("id {} is inserted more than once", *twin), "ids must be distinct"};
   if (const auto twin = twin_of(values_of<particles::Id>(removed, 0)))
     return {Code::invalid_argument, fmt::format("id {} is removed more than once", *twin), "ids must be distinct"};
   return {};
