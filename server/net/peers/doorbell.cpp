@@ -41,7 +41,7 @@ class Silence {
     ticks_ = bytes == std::exchange(bytes_, bytes) ? ticks_ + 1 : 1;
   }
   // Something has come since the last tick.
-  void broken(const Connection& connection) {
+  void heard(const Connection& connection) {
     ticks_ = 0;
     bytes_ = connection.bytes_received();
   }
@@ -182,7 +182,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
                            frame.status().message().empty() ? "its process ended" : frame.status().message()));
         co_return;
       }
-      peer.silence.broken(*connection);
+      peer.silence.heard(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { peer.goodbye = true; });
       if (frame->header.type == wire::FrameType::notice && !frame->json.empty() && message)
         message(static_cast<int>(index), frame->json);
@@ -330,7 +330,7 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
         if (!goodbye && !finished) lost("rank 0 is lost: its process ended");
         co_return;
       }
-      silence.broken(*connection);
+      silence.heard(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { goodbye = true; });
       if (frame->header.type == wire::FrameType::notice) {
         if (!frame->json.empty() && message) message(0, frame->json);
