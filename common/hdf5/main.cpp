@@ -8,7 +8,6 @@
 #include <span>
 #include <string>
 
-#include <fcntl.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <unistd.h>

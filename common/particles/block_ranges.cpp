@@ -1,7 +1,5 @@
 #include "common/particles/block_ranges.hpp"
 
-#include <algorithm>
-
 // Vectorised by hand: the compiler doesn't vectorise the plain loop.
 #if defined(__x86_64__)
 #include <immintrin.h>

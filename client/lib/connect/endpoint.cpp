@@ -8,7 +8,6 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "client/lib/connect/endpoint_file.hpp"
 #include "common/base/host_port.hpp"

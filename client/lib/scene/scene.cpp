@@ -2,7 +2,6 @@
 #include "client/lib/scene/scene.hpp"
 
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 

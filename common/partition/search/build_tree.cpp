@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <limits>
 
 #include "common/base/index.hpp"
 #include "common/comm/wide_sum.hpp"

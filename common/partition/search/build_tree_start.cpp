@@ -2,7 +2,6 @@
 // of the roots.
 #include <algorithm>
 #include <numeric>
-#include <utility>
 
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"

@@ -1,10 +1,7 @@
 #include "server/service/step/migration.hpp"
 
 #include <algorithm>
-#include <cstring>
-#include <numeric>
 #include <tuple>
-#include <type_traits>
 #include <utility>
 
 #include "common/comm/comm.hpp"
