@@ -8,7 +8,6 @@
 #include <poll.h>
 #include <sys/socket.h>
 #include <sys/un.h>
-#include <unistd.h>
 
 #include "client/lib/connect/endpoint.hpp"
 #include "common/base/clock.hpp"

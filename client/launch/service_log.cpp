@@ -13,6 +13,7 @@
 
 #include "client/launch/log_tail.hpp"
 #include "common/files/own_files.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb::launch {
 namespace {
@@ -32,17 +33,12 @@ std::string time_stamp() {
 
 ServiceLog::ServiceLog(std::string path, std::uint64_t bytes_max) : path_(std::move(path)), bytes_max_(bytes_max) {}
 
-ServiceLog::~ServiceLog() {
-  if (file_ >= 0) ::close(file_);
-}
-
 Status ServiceLog::open() {
   auto file = open_own_file(path_, O_WRONLY | O_CREAT | O_APPEND);
   if (!file.ok()) return file.status();
-  if (file_ >= 0) ::close(file_);
-  file_ = *file;
+  file_ = std::move(*file);
   struct stat info {};
-  bytes_ = ::fstat(file_, &info) == 0 ? static_cast<std::uint64_t>(info.st_size) : 0;
+  bytes_ = ::fstat(file_.get(), &info) == 0 ? static_cast<std::uint64_t>(info.st_size) : 0;
   if (bytes_ > bytes_max_) rotate();
   return {};
 }
@@ -50,7 +46,7 @@ Status ServiceLog::open() {
 bool ServiceLog::in_place() const {
   struct stat opened {};
   struct stat named {};
-  return file_ >= 0 && ::fstat(file_, &opened) == 0 && ::lstat(path_.c_str(), &named) == 0 &&
+  return file_.open() && ::fstat(file_.get(), &opened) == 0 && ::lstat(path_.c_str(), &named) == 0 &&
          opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
@@ -60,27 +56,21 @@ void ServiceLog::rotate() {
   // If it can't be renamed, its content is discarded all the same, so that its size stays limited.
   const std::string old = path_ + ".1";
   if (!in_place() || std::rename(path_.c_str(), old.c_str()) != 0) {
-    if (::ftruncate(file_, 0) == 0) bytes_ = 0;
+    if (::ftruncate(file_.get(), 0) == 0) bytes_ = 0;
     return;
   }
   auto file = open_own_file(path_, O_WRONLY | O_CREAT | O_APPEND);
   if (!file.ok()) return;  // goes on with the renamed file
-  ::close(std::exchange(file_, *file));
+  file_ = std::move(*file);
   bytes_ = 0;
 }
 
 void ServiceLog::write(std::string_view bytes) {
-  while (!bytes.empty()) {
-    const ssize_t count = file_ >= 0 ? ::write(file_, bytes.data(), bytes.size()) : -1;
-    if (count < 0 && errno == EINTR) continue;
-    if (count <= 0) {
-      lost_bytes_ += bytes.size();
-      lost_reason_ = file_ >= 0 ? std::strerror(errno) : "no file";
-      return;
-    }
-    bytes_ += static_cast<std::uint64_t>(count);
-    bytes.remove_prefix(static_cast<std::size_t>(count));
-  }
+  const std::size_t written = file_.open() ? write_some(file_.get(), bytes) : 0;
+  bytes_ += written;
+  if (written == bytes.size()) return;
+  lost_bytes_ += bytes.size() - written;
+  lost_reason_ = file_.open() ? std::strerror(errno) : "no file";
 }
 
 void ServiceLog::add(std::string_view bytes) {

@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::launch {
 
@@ -20,9 +21,6 @@ class ServiceLog {
   static constexpr std::uint64_t kBytesMax = 16 << 20;
 
   explicit ServiceLog(std::string path, std::uint64_t bytes_max = kBytesMax);
-  ~ServiceLog();
-  ServiceLog(const ServiceLog&) = delete;
-  ServiceLog& operator=(const ServiceLog&) = delete;
 
   // Errors: io_error, not_authorised.
   Status open();
@@ -46,7 +44,7 @@ class ServiceLog {
 
   std::string path_;
   std::uint64_t bytes_max_;
-  int file_ = -1;
+  Descriptor file_;
   std::uint64_t bytes_ = 0;
   std::uint64_t lost_bytes_ = 0;
   std::string lost_reason_;

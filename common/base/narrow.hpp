@@ -1,4 +1,5 @@
-// The only way in which integers are narrowed: a value that does not fit is a bug and ends the process; it never wraps.
+// For an integer that is sure to fit into a narrower type: one that does not is a bug and ends the process; it never
+// wraps.
 #pragma once
 
 #include <utility>

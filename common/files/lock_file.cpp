@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "common/files/own_files.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb {
 namespace {
@@ -33,9 +34,7 @@ bool same_file(int file, const std::string& path) {
 }
 
 std::string read_note(int file) {
-  std::string note(LockFile::kNoteBytes, '\0');
-  const ssize_t bytes = ::pread(file, note.data(), note.size(), 0);
-  note.resize(bytes > 0 ? static_cast<std::size_t>(bytes) : 0);
+  std::string note = read_some(file, LockFile::kNoteBytes);
   note.resize(note.find_last_not_of("\n") + 1);
   return note;
 }
@@ -47,24 +46,18 @@ Result<LockFile> LockFile::take(const std::string& path, std::string_view note) 
     auto file = open_own_file(path, O_RDWR | O_CREAT);
     if (!file.ok()) return file.status();
     struct stat about {};
-    if (::fstat(*file, &about) != 0 || (about.st_size != 0 && about.st_size != std::int64_t{kNoteBytes})) {
-      ::close(*file);
+    if (::fstat(file->get(), &about) != 0 || (about.st_size != 0 && about.st_size != std::int64_t{kNoteBytes}))
       return Status(Code::io_error, fmt::format("{} exists and is not a lock of rcbd's", path), "move it away");
-    }
-    LockFile lock(path, *file);
-    ::fchmod(*file, 0600);  // anyone who can open the file could lock it
+    ::fchmod(file->get(), 0600);  // anyone who can open the file could lock it
     struct flock whole = whole_file();
-    if (::fcntl(*file, F_OFD_SETLK, &whole) != 0) {
+    if (::fcntl(file->get(), F_OFD_SETLK, &whole) != 0) {
       const int reason = errno;
-      ::close(std::exchange(lock.file_, -1));
       if (reason == EAGAIN || reason == EACCES) return Status(Code::busy, fmt::format("{} is locked", path));
       return Status(Code::io_error, fmt::format("can't lock {}: {}", path, std::strerror(reason)),
                     "name a place on a file system that knows locks, such as a local disk");
     }
-    if (!lock.in_place()) {
-      ::close(std::exchange(lock.file_, -1));
-      continue;
-    }
+    if (!same_file(file->get(), path)) continue;
+    LockFile lock(path, std::move(*file));
     if (Status written = lock.write(note); !written.ok()) return written;
     return lock;
   }
@@ -72,35 +65,28 @@ Result<LockFile> LockFile::take(const std::string& path, std::string_view note) 
 }
 
 std::optional<std::string> LockFile::holder(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);
-  if (file < 0) return std::nullopt;
+  const Descriptor file(::open(path.c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK));
   struct flock whole = whole_file();
-  std::optional<std::string> note;
-  if (::fcntl(file, F_OFD_GETLK, &whole) == 0 && whole.l_type != F_UNLCK) note = read_note(file);
-  ::close(file);
-  return note;
+  if (!file.open() || ::fcntl(file.get(), F_OFD_GETLK, &whole) != 0 || whole.l_type == F_UNLCK) return std::nullopt;
+  return read_note(file.get());
 }
-
-LockFile::LockFile(LockFile&& other) noexcept : path_(std::move(other.path_)), file_(std::exchange(other.file_, -1)) {}
 
 LockFile& LockFile::operator=(LockFile&& other) noexcept {
   std::swap(path_, other.path_);
-  std::swap(file_, other.file_);
+  file_ = std::move(other.file_);
   return *this;
 }
 
 LockFile::~LockFile() {
-  if (file_ < 0) return;
   if (in_place()) ::unlink(path_.c_str());
-  ::close(file_);
 }
 
-bool LockFile::in_place() const { return same_file(file_, path_); }
+bool LockFile::in_place() const { return same_file(file_.get(), path_); }
 
 Status LockFile::write(std::string_view note) const {
   std::string text(note.substr(0, kNoteBytes));
   text.resize(kNoteBytes, '\n');
-  const ssize_t bytes = ::pwrite(file_, text.data(), text.size(), 0);
+  const ssize_t bytes = ::pwrite(file_.get(), text.data(), text.size(), 0);
   if (bytes == static_cast<ssize_t>(text.size())) return {};
   return {Code::io_error, fmt::format("can't write {}: {}", path_, std::strerror(bytes < 0 ? errno : ENOSPC))};
 }

@@ -11,8 +11,10 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb {
 
@@ -28,7 +30,7 @@ class LockFile {
   // The note of the process that holds the lock now; nothing if no process does.
   static std::optional<std::string> holder(const std::string& path);
 
-  LockFile(LockFile&& other) noexcept;
+  LockFile(LockFile&& other) noexcept = default;
   LockFile& operator=(LockFile&& other) noexcept;
   ~LockFile();  // removes the file, unless it has been replaced
 
@@ -38,9 +40,9 @@ class LockFile {
   Status write(std::string_view note) const;
 
  private:
-  LockFile(std::string path, int file) : path_(std::move(path)), file_(file) {}
+  LockFile(std::string path, Descriptor file) : path_(std::move(path)), file_(std::move(file)) {}
   std::string path_;
-  int file_ = -1;
+  Descriptor file_;
 };
 
 }  // namespace rcb

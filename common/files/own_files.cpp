@@ -17,6 +17,7 @@
 #include <unistd.h>
 
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb {
 namespace {
@@ -147,11 +148,11 @@ bool is_own_directory(const std::string& path) {
   return ::lstat(path.c_str(), &info) == 0 && S_ISDIR(info.st_mode) && info.st_uid == ::geteuid();
 }
 
-Result<int> open_own_file(const std::string& path, int flags) {
+Result<Descriptor> open_own_file(const std::string& path, int flags) {
   // O_NONBLOCK: opening a FIFO would otherwise block.
-  const int file = ::open(path.c_str(), flags | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK, 0600);
+  Descriptor file(::open(path.c_str(), flags | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK, 0600));
   const char* hint = "remove it, or name another place";
-  if (file < 0) {
+  if (!file.open()) {
     if (errno == ELOOP) return Status(Code::not_authorised, path + " is a symbolic link", hint);
     if (errno == ENXIO || errno == EISDIR) return Status(Code::not_authorised, path + " is not a regular file", hint);
     const Code code = errno == ENOENT ? Code::not_found : errno == EACCES ? Code::not_authorised : Code::io_error;
@@ -159,7 +160,7 @@ Result<int> open_own_file(const std::string& path, int flags) {
   }
   struct stat info {};
   std::string wrong;
-  if (::fstat(file, &info) != 0)
+  if (::fstat(file.get(), &info) != 0)
     wrong = fmt::format("can't be examined: {}", std::strerror(errno));
   else if (!S_ISREG(info.st_mode))
     wrong = "is not a regular file";
@@ -170,24 +171,16 @@ Result<int> open_own_file(const std::string& path, int flags) {
   else if ((info.st_mode & 0022) != 0)
     wrong = fmt::format("may be written by others (mode {:04o})", info.st_mode & 07777U);
   if (wrong.empty()) return file;
-  ::close(file);
   return Status(Code::not_authorised, fmt::format("{} {}", path, wrong), hint);
 }
 
 Status write_own_file(const std::string& path, std::string_view text) {
   std::string temporary = path + ".XXXXXX";
-  const int file = ::mkostemp(temporary.data(), O_CLOEXEC);
-  if (file < 0) return {Code::io_error, fmt::format("can't write {}: {}", path, std::strerror(errno))};
-  bool written = true;
-  while (written && !text.empty()) {
-    const ssize_t count = ::write(file, text.data(), text.size());
-    if (count < 0 && errno == EINTR) continue;
-    written = count > 0;
-    if (written) text.remove_prefix(static_cast<std::size_t>(count));
-  }
-  written = written && ::fsync(file) == 0;
+  Descriptor file(::mkostemp(temporary.data(), O_CLOEXEC));
+  if (!file.open()) return {Code::io_error, fmt::format("can't write {}: {}", path, std::strerror(errno))};
+  const bool written = write_all(file.get(), text) && ::fsync(file.get()) == 0;
   const int reason = errno;
-  ::close(file);
+  file = Descriptor();
   if (written && ::rename(temporary.c_str(), path.c_str()) == 0) return {};
   const Status failed(Code::io_error, fmt::format("can't write {}: {}", path, std::strerror(written ? errno : reason)));
   ::unlink(temporary.c_str());

@@ -14,6 +14,7 @@
 #include <string_view>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb {
 
@@ -30,7 +31,7 @@ bool is_own_directory(const std::string& path);
 // Opens a regular file that belongs to this user, has no further hard links and can't be written by others. Flags as
 // for open(2); a file that is made gets mode 0600. The directory must have passed make_own_directory(), or the flags
 // include O_EXCL. Errors: not_found, io_error, not_authorised (a link, another kind of file, another user's).
-Result<int> open_own_file(const std::string& path, int flags);
+Result<Descriptor> open_own_file(const std::string& path, int flags);
 
 // Writes a file of mode 0600 under another name and renames it, so that no reader sees half of it. Errors: io_error.
 Status write_own_file(const std::string& path, std::string_view text);

@@ -10,6 +10,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "common/files/descriptor.hpp"
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/paths.hpp"
 
@@ -43,11 +44,10 @@ SocketState socket_state(const std::string& path) {
   address.sun_family = AF_UNIX;
   std::memcpy(address.sun_path, path.data(), path.size());
   // Non-blocking, since connecting to a service whose backlog is full would block.
-  const int probe = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  if (probe < 0) return SocketState::foreign;
-  const int result = ::connect(probe, reinterpret_cast<const sockaddr*>(&address), sizeof address);
+  const Descriptor probe(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  if (!probe.open()) return SocketState::foreign;
+  const int result = ::connect(probe.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address);
   const int reason = result == 0 ? 0 : errno;
-  ::close(probe);
   if (reason == 0 || reason == EAGAIN) return SocketState::live;
   return reason == ECONNREFUSED ? SocketState::dead : SocketState::foreign;
 }

@@ -1,8 +1,7 @@
 // Axes, their order by extent, and the order-preserving integer bits of a double.
 //
 // Invariants
-// 1. order_bits(a) < order_bits(b) exactly if a < b; order_bits(-0.0) == order_bits(0.0). NaN and infinity are never
-//    passed.
+// 1. order_bits(a) < order_bits(b) exactly if a < b; order_bits(-0.0) == order_bits(0.0). NaN is never passed.
 // 2. An axis order is a permutation of 0..dims-1, longest extent first, equal extents by axis number.
 #pragma once
 
@@ -19,7 +18,7 @@ inline constexpr int kDimsMax = 3;
 using Point = std::array<double, kDimsMax>;           // the first `dims` entries count
 using AxisOrder = std::array<std::int8_t, kDimsMax>;  // the first `dims` entries count
 
-// The order-preserving bits of a finite double: as unsigned integers they compare as the doubles do.
+// The order-preserving bits of a double: as unsigned integers they compare as the doubles do.
 constexpr std::uint64_t order_bits(double value) {
   const auto bits = std::bit_cast<std::uint64_t>(value + 0.0);  // -0.0 + 0.0 == 0.0
   const auto sign = static_cast<std::uint64_t>(static_cast<std::int64_t>(bits) >> 63);

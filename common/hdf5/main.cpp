@@ -1,7 +1,6 @@
 // rcb_read_hdf5: reads points from the HDF5 file that is its standard input (common/io/formats/hdf5_answer.hpp).
 // Started by rcbd, rcbctl and the solvers, not by people.
 #include <algorithm>
-#include <cerrno>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
@@ -9,11 +8,11 @@
 #include <span>
 #include <string>
 
-#include <fcntl.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "common/files/read_write.hpp"
 #include "common/hdf5/read.hpp"
 #include "common/io/files/roots.hpp"
 #include "common/io/formats/hdf5_answer.hpp"
@@ -24,16 +23,8 @@ using rcb::Code;
 using rcb::Status;
 using rcb::io::Hdf5Head;
 
-bool write_all(const void* from, std::size_t bytes) {
-  const char* next = static_cast<const char*>(from);
-  while (bytes > 0) {
-    const ssize_t count = ::write(STDOUT_FILENO, next, bytes);
-    if (count < 0 && errno == EINTR) continue;
-    if (count <= 0) return false;
-    next += count;
-    bytes -= static_cast<std::size_t>(count);
-  }
-  return true;
+bool put(const void* from, std::size_t bytes) {
+  return rcb::write_all(STDOUT_FILENO, {static_cast<const char*>(from), bytes});
 }
 
 bool tell(const Status& failure) {
@@ -43,8 +34,7 @@ bool tell(const Status& failure) {
   head.code = static_cast<std::uint32_t>(failure.code());
   head.message_bytes = static_cast<std::uint32_t>(message.size());
   head.hint_bytes = static_cast<std::uint32_t>(hint.size());
-  return write_all(&head, sizeof head) && write_all(message.data(), message.size()) &&
-         write_all(hint.data(), hint.size());
+  return put(&head, sizeof head) && put(message.data(), message.size()) && put(hint.data(), hint.size());
 }
 
 Status send(const rcb::io::Points& points) {
@@ -52,9 +42,9 @@ Status send(const rcb::io::Points& points) {
   head.dims = static_cast<std::uint16_t>(points.dims);
   head.weighted = points.weight.empty() ? 0 : 1;
   head.count = points.count;
-  bool sent = write_all(&head, sizeof head);
-  for (const auto& axis : points.position) sent = sent && write_all(axis.data(), axis.size() * sizeof(double));
-  if (!points.position.empty()) sent = sent && write_all(points.weight.data(), points.weight.size() * sizeof(double));
+  bool sent = put(&head, sizeof head);
+  for (const auto& axis : points.position) sent = sent && put(axis.data(), axis.size() * sizeof(double));
+  if (!points.position.empty()) sent = sent && put(points.weight.data(), points.weight.size() * sizeof(double));
   if (!sent) return {Code::io_error, "nobody reads what is read"};
   return {};
 }
@@ -71,7 +61,7 @@ void give_way() {
 }
 
 Status run(std::span<char*> arguments) {
-  auto file = rcb::io::InputFile::take(STDIN_FILENO, arguments[0]);
+  auto file = rcb::io::InputFile::take(rcb::Descriptor(STDIN_FILENO), arguments[0]);
   if (!file.ok()) return file.status();
   const rcb::io::Roots none;
   rcb::io::ReadOptions options;

@@ -137,10 +137,6 @@ Result<std::unique_ptr<TrajectoryReader>> open_any(const std::string& path, cons
 
 }  // namespace
 
-Result<Points> read_points(const std::string& path, const ReadOptions& options) {
-  return read_points_slice(path, options, 0, 1);
-}
-
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of) {
   CHECK(of >= 1 && k >= 0 && k < of, "share k of `of`");
   return without_throwing(path, [&]() { return read_any(path, options, k, of); });

@@ -1,6 +1,5 @@
 // Writers: CSV, .npy, and trajectories.
 #include <charconv>
-#include <cstring>
 #include <memory>
 #include <string>
 

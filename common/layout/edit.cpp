@@ -8,6 +8,10 @@ namespace rcb::layout {
 
 std::int64_t part_begin(int rank, int parts, int ranks) { return static_cast<std::int64_t>(rank) * parts / ranks; }
 
+PartRange parts_of_rank(int rank, int parts, int ranks) {
+  return {static_cast<int>(part_begin(rank, parts, ranks)), static_cast<int>(part_begin(rank + 1, parts, ranks))};
+}
+
 int rank_of_part(int part, int parts, int ranks) {
   // The largest r with floor(r P / R) <= part, that is r P < (part + 1) R.
   return static_cast<int>(((static_cast<std::int64_t>(part) + 1) * ranks - 1) / parts);

@@ -9,13 +9,10 @@
 #include "common/base/check.hpp"
 
 namespace rcb::layout {
-namespace {
 
-Status broken(std::string what) {
-  return Status(Code::protocol_error, "the plan: " + std::move(what), "fetch the plan again; the service may differ");
+Status Layout::broken(const std::string& what) {
+  return {Code::protocol_error, "the plan: " + what, "fetch the plan again; the service may differ"};
 }
-
-}  // namespace
 
 Layout::Layout(std::uint64_t count, int ranks, std::span<const Id> ids) : count_(count) {
   static std::atomic<std::uint64_t> made{0};
@@ -196,17 +193,9 @@ Status Layout::apply_partial(std::vector<Change> changes) {
   for (const Change& change : changes) {
     checksum_ -= place_mix(id_of_row(change.row), rank_of_row_[change.row], slot_of_row_[change.row]);
   }
-  for (const Edit& e : edits) {
-    auto& rows = rows_[static_cast<std::size_t>(e.rank)];
-    if (rows.size() < e.edit.new_count) rows.resize(e.edit.new_count);
-    for (const SlotMove& move : e.edit.moves) {
-      const std::uint64_t row = move.arrival ? arriving[e.arrivals_begin + move.from].row : rows[move.from];
-      if (!move.arrival) checksum_ -= place_mix(id_of_row(row), e.rank, move.from);
-      rows[move.to] = row;
-      put(row, e.rank, move.to);
-    }
-    rows.resize(e.edit.new_count);
-  }
+  std::vector<std::uint64_t> rows;
+  for (const Change& change : arriving) rows.push_back(change.row);
+  for (const Edit& e : edits) edit_rank(e.rank, e.edit, std::span(rows).subspan(e.arrivals_begin));
   return {};
 }
 

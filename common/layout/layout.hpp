@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include <boost/unordered/unordered_flat_map.hpp>
@@ -29,6 +30,13 @@ using particles::Id;
 
 // The parts that rank r of `ranks` owns: [part_begin(r), part_begin(r + 1)).
 std::int64_t part_begin(int rank, int parts, int ranks);
+struct PartRange {
+  int begin = 0;
+  int end = 0;
+
+  bool has(int part) const { return part >= begin && part < end; }
+};
+PartRange parts_of_rank(int rank, int parts, int ranks);
 int rank_of_part(int part, int parts, int ranks);
 // The rows of rank r before the first partition: [row_begin(r), row_begin(r + 1)).
 std::uint64_t row_begin(int rank, std::uint64_t count, int ranks);
@@ -80,8 +88,8 @@ class Layout {
   std::uint64_t count() const { return count_; }
   std::uint64_t version() const { return version_; }
   std::uint64_t checksum() const { return checksum_; }
-  // Another one for each layout that blocks() or full() has made in this process: with version() it tells whether rows()
-  // are still the same.
+  // Another one for each layout that blocks() or full() has made in this process: with version() it tells whether
+  // rows() are still the same.
   std::uint64_t number() const { return number_; }
   // The rows (of the solver's arrays) that rank r holds, in slot order.
   std::span<const std::uint64_t> rows(int rank) const { return rows_[static_cast<std::size_t>(rank)]; }
@@ -114,6 +122,7 @@ class Layout {
   };
 
   Layout(std::uint64_t count, int ranks, std::span<const Id> ids);
+  static Status broken(const std::string& what);
   void put(std::uint64_t row, int rank, std::uint64_t slot);
   void sort_rows();
   Status check_edit(std::span<const std::uint64_t> removed_rows, std::span<const Id> inserted_ids,

@@ -6,13 +6,6 @@
 #include "common/layout/layout.hpp"
 
 namespace rcb::layout {
-namespace {
-
-Status broken(std::string what) {
-  return Status(Code::protocol_error, "the plan: " + std::move(what), "fetch the plan again; the service may differ");
-}
-
-}  // namespace
 
 Status Layout::check_edit(std::span<const std::uint64_t> removed_rows, std::span<const Id> inserted_ids,
                           std::span<const std::int32_t> inserted_ranks) const {

@@ -1,7 +1,5 @@
 #include "common/particles/block_ranges.hpp"
 
-#include <algorithm>
-
 // Vectorised by hand: the compiler doesn't vectorise the plain loop.
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -58,16 +56,6 @@ Range range_of(std::span<const double> values) {
   if (has_avx2()) return range_of_avx2(values.data(), values.size());
 #endif
   return range_of_each(values.data(), values.size(), {});
-}
-
-BlockRanges ranges_of(const ParticleView& particles) {
-  BlockRanges ranges;
-  ranges.reset(particles.dims, particles.count);
-  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
-    for (std::size_t begin = 0; begin < particles.count; begin += kBlock)
-      ranges.of[a][begin / kBlock] =
-          range_of({particles.position[a] + begin, std::min(kBlock, particles.count - begin)});
-  return ranges;
 }
 
 }  // namespace rcb::particles

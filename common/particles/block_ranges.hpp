@@ -43,7 +43,4 @@ struct BlockRanges {
   }
 };
 
-// Reads every position once. Local.
-BlockRanges ranges_of(const ParticleView& particles);
-
 }  // namespace rcb::particles

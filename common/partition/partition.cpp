@@ -3,9 +3,7 @@
 #include "common/partition/partition.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <limits>
 
 #include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/incremental/partition_from_guess.hpp"

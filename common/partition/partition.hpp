@@ -4,6 +4,7 @@
 // Source: Berger and Bokhari 1987, doi:10.1109/TC.1987.1676942 (recursive bisection).
 #pragma once
 
+#include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
 #include "common/partition/search/request.hpp"
 

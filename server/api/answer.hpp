@@ -20,8 +20,8 @@ struct Answer {
   wire::Json json = wire::Json::object();
   std::vector<wire::Array> arrays;
   std::optional<SceneChange> change = {};  // set if the order may have changed its scene
-  // Set where a part of the answer is in a file: completes the answer beside the engine, and gives it to `take` from
-  // any thread. Always takes the answer without `later`.
+  // Set if a part of the answer must be read from a file. It is called with the rest of the answer, whose own `later`
+  // is empty then, reads that part without keeping the engine, and gives the whole to `take`, on any thread.
   std::function<void(Answer answer, TakeAnswer take)> later = {};
 };
 

@@ -1,7 +1,8 @@
-// Commands: one table of what is known of each command before it runs.
+// Commands: a table of what sessions and engines must know of a command to bring it to its handler. What the handlers
+// themselves need is said beside them (server/service/commands).
 //
-// The sessions look up who runs a command, the engine whether it may change a scene. A request is reduced to the fields
-// listed here before anything reads it, so a client can't set a field for internal use (such as a push's "staged").
+// The sessions look up who runs a command, the engine whether it may change a scene. A client's request is reduced to
+// the fields listed here, so it can't set a field for internal use (such as a push's "staged").
 #pragma once
 
 #include <span>

@@ -9,6 +9,7 @@
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/parts_table.hpp"
 #include "common/io/files/output_file.hpp"
+#include "common/wire/message.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -79,7 +80,7 @@ Status compare(const CompareOptions& options, const Context& context) {
   Json result{{"file", options.file.path}, {"ranks", session->client->ranks()}};
   for (const char* field : {"n", "parts", "ghost_width", "methods"}) result[field] = reply->at(field);
   if (!options.save.empty())
-    if (Status status = io::write_file(options.save, result.dump() + "\n"); !status) return status;
+    if (Status status = io::write_file(options.save, wire::dump_json(result) + "\n"); !status) return status;
   return show(context, result, [&] { print(options, result); });
 }
 

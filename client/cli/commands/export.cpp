@@ -1,10 +1,8 @@
 // export: writes a scene's particles as files for ParaView and scripts.
 #include <algorithm>
 #include <bit>
-#include <cerrno>
 #include <cstdio>
 #include <cstring>
-#include <filesystem>
 
 #include <fmt/format.h>
 

@@ -1,6 +1,5 @@
 // push, replay: steps from files.
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 

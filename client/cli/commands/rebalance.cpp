@@ -1,5 +1,4 @@
 // rebalance: repartitions now, or tells what that would change.
-#include <numeric>
 
 #include <fmt/format.h>
 

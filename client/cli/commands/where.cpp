@@ -1,5 +1,4 @@
 // owner, box, assign: which part owns a position, a box, each particle.
-#include <limits>
 
 #include <fmt/format.h>
 

@@ -71,7 +71,7 @@ struct Connection::State {
   Endpoint endpoint;
   NoticeHandler on_notice;
   std::deque<Frame> inbox;
-  Status lost;
+  Status standing;                   // why no more frames can come; ok while the connection stands
   std::unique_ptr<tls::Stream> tls;  // none: not encrypted
   bool this_machine = false;
   bool off_loopback = false;
@@ -79,7 +79,7 @@ struct Connection::State {
   bool said_goodbye = false;
 
   void lose(Code code, const std::string& why) {
-    if (lost.ok()) lost = Status(code, fmt::format("the connection to {} was lost: {}", endpoint.text(), why));
+    if (standing.ok()) standing = Status(code, fmt::format("the connection to {} was lost: {}", endpoint.text(), why));
     error_code ignored;
     if (tls) tls->end();
     socket.close(ignored);
@@ -303,7 +303,7 @@ asio::awaitable<bool> Connection::State::read_frame() {
       frame.text.find("\"arrays\"") != std::string::npos)
     if (!co_await read_arrays(frame, *header)) co_return false;
   if (frame.type == wire::FrameType::goodbye) {
-    said_goodbye = lost.ok();
+    said_goodbye = standing.ok();
     lose(Code::unavailable, "the service said goodbye");
     co_return false;
   }
@@ -348,7 +348,7 @@ Result<std::unique_ptr<Connection>> Connection::open(const Endpoint& endpoint, c
 Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline) {
   State& s = *state_;
   s.start_reading();
-  if (!s.lost) return s.lost;
+  if (!s.standing) return s.standing;
   std::vector<asio::const_buffer> buffers;
   buffers.reserve(pieces.size());
   for (const Bytes& piece : pieces) buffers.emplace_back(piece.data(), piece.size());
@@ -367,19 +367,19 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
     CHECK(outcome.has_value(), "a closed socket still writes");
   } else if (*outcome) {
     // The service's last message may still be in the socket, so the reader decides when the connection is lost.
-    if (!s.run([&] { return !s.lost || !s.inbox.empty(); }, deadline.within(1)))
+    if (!s.run([&] { return !s.standing || !s.inbox.empty(); }, deadline.within(1)))
       s.lose(Code::unavailable, outcome->message());
-    return s.lost ? Status(Code::unavailable, outcome->message()) : s.lost;
+    return s.standing ? Status(Code::unavailable, outcome->message()) : s.standing;
   }
-  return s.lost;
+  return s.standing;
 }
 
 Result<Frame> Connection::read(const Deadline& deadline) {
   State& s = *state_;
   s.start_reading();
-  if (!s.run([&] { return !s.inbox.empty() || !s.lost; }, deadline))
+  if (!s.run([&] { return !s.inbox.empty() || !s.standing; }, deadline))
     s.lose(Code::deadline_exceeded, "no answer in time");
-  if (s.inbox.empty()) return s.lost;
+  if (s.inbox.empty()) return s.standing;
   Frame frame = std::move(s.inbox.front());
   s.inbox.pop_front();
   return frame;
@@ -388,16 +388,16 @@ Result<Frame> Connection::read(const Deadline& deadline) {
 bool Connection::await_frame(const Deadline& deadline) {
   State& s = *state_;
   s.start_reading();
-  return s.run([&] { return !s.inbox.empty() || !s.lost; }, deadline);
+  return s.run([&] { return !s.inbox.empty() || !s.standing; }, deadline);
 }
 
 bool Connection::has_frame() {
   State& s = *state_;
   s.start_reading();
   if (s.io.stopped()) s.io.restart();
-  for (int round = 0; round < kPollRoundsMax && s.inbox.empty() && s.lost; ++round)
+  for (int round = 0; round < kPollRoundsMax && s.inbox.empty() && s.standing; ++round)
     if (s.io.poll_one() == 0) break;
-  return !s.inbox.empty() || !s.lost;
+  return !s.inbox.empty() || !s.standing;
 }
 
 Result<std::size_t> Connection::send_some(std::span<const iovec> pieces) {
@@ -446,7 +446,7 @@ Status Connection::send_at_once(Bytes frame, int descriptor) {
                                          sent < 0 ? std::strerror(errno) : "its socket is full")};
 }
 
-Status Connection::lost() const { return state_->lost; }
+Status Connection::lost() const { return state_->standing; }
 bool Connection::said_goodbye() const { return state_->said_goodbye; }
 int Connection::handle() { return state_->socket.native_handle(); }
 bool Connection::this_machine() const { return state_->this_machine; }

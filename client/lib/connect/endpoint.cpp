@@ -1,7 +1,6 @@
 #include "client/lib/connect/endpoint.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <cstdlib>
 #include <filesystem>
 #include <optional>
@@ -9,10 +8,12 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "client/lib/connect/endpoint_file.hpp"
+#include "common/base/host_port.hpp"
+#include "common/files/descriptor.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb::client {
 namespace {
@@ -48,14 +49,11 @@ Result<Endpoint> unix_endpoint(std::string_view text, std::string_view path) {
 
 // The first line of a file; nothing if the file can't be read, or if the line is empty or too long for a token.
 std::optional<std::string> first_line(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // opening a FIFO would wait for ever
-  if (file < 0) return std::nullopt;
+  const Descriptor file(
+      ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));  // a FIFO would be waited for for ever
   struct stat about {};
-  std::string text(kTokenBytesMax + 1, '\0');
-  const ssize_t got =
-      ::fstat(file, &about) == 0 && S_ISREG(about.st_mode) ? ::read(file, text.data(), text.size()) : -1;
-  ::close(file);
-  text.resize(static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
+  if (!file.open() || ::fstat(file.get(), &about) != 0 || !S_ISREG(about.st_mode)) return std::nullopt;
+  std::string text = read_some(file.get(), kTokenBytesMax + 1);
   text = text.substr(0, text.find_first_of("\r\n"));
   if (text.empty() || text.size() > kTokenBytesMax) return std::nullopt;
   return text;
@@ -85,30 +83,23 @@ Result<Endpoint> published_endpoint(const std::string& path) {
 
 std::string Endpoint::text() const {
   if (is_unix) return "unix:" + path;
-  return host.find(':') == std::string::npos ? fmt::format("{}:{}", host, port) : fmt::format("[{}]:{}", host, port);
+  return join_host_port(host, port);
 }
 
 Result<Endpoint> parse_endpoint(std::string_view text) {
   if (text.starts_with("unix:")) return unix_endpoint(text, text.substr(5));
   if (text.find('/') != std::string_view::npos) return unix_endpoint(text, text);
-  const std::size_t colon = text.rfind(':');
-  if (colon == std::string_view::npos) return bad_endpoint(text, "no port");
-  std::string_view host = text.substr(0, colon);
-  const std::string_view port = text.substr(colon + 1);
-  if (host.starts_with('[') && host.ends_with(']'))
-    host = host.substr(1, host.size() - 2);
-  else if (host.find_first_of(":[]") != std::string_view::npos)
+  if (text.find(':') == std::string_view::npos) return bad_endpoint(text, "no port");
+  const auto [host, digits, brackets] = split_host_port(text);
+  if (!brackets && host.find_first_of(":[]") != std::string_view::npos)
     return bad_endpoint(text, "an IPv6 address stands in brackets, as in [::1]:7470");
   if (host.empty() || host.size() > 253) return bad_endpoint(text, "no host");
   for (const char c : host)
     if (static_cast<unsigned char>(c) <= ' ' || c == '\x7f') return bad_endpoint(text, "a space in the host's name");
   Endpoint endpoint;
   endpoint.is_unix = false;
-  unsigned number = 0;
-  const auto [end, error] = std::from_chars(port.data(), port.data() + port.size(), number);
-  if (error != std::errc{} || end != port.data() + port.size() || number == 0 || number > 65535)
-    return bad_endpoint(text, "the port is a number of 1 to 65535");
-  endpoint.port = static_cast<std::uint16_t>(number);
+  endpoint.port = port_number(digits).value_or(0);
+  if (endpoint.port == 0) return bad_endpoint(text, "the port is a number of 1 to 65535");
   endpoint.host = host;
   for (char& c : endpoint.host)  // host names ignore case
     if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
@@ -142,7 +133,6 @@ Result<Endpoint> endpoint_to_serve(const std::string& given) {
 std::string data_directory(const Endpoint& endpoint) { return data_directory_for(endpoint.text()); }
 std::string log_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kLogFile); }
 std::string token_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kTokenFile); }
-std::string marker_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kCleanShutdownFile); }
 
 Result<std::vector<std::string>> tokens_for(const Endpoint& endpoint, const std::string& given, bool this_machine) {
   if (!given.empty()) return std::vector{given};

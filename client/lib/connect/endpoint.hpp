@@ -46,7 +46,6 @@ Result<Endpoint> endpoint_to_serve(const std::string& given);
 std::string data_directory(const Endpoint& endpoint);
 std::string log_path(const Endpoint& endpoint);
 std::string token_path(const Endpoint& endpoint);
-std::string marker_path(const Endpoint& endpoint);  // left by a service that was told to end
 
 // The tokens a client may try there, the likeliest first: `given`, else RCBD_TOKEN (the token itself), else the file
 // RCBD_TOKEN_FILE, else what an endpoint file names, else, if the service is on this machine, the files in the data

@@ -1,15 +1,13 @@
 #include "client/lib/connect/endpoint_file.hpp"
 
-#include <algorithm>
 #include <cstdio>
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include "common/base/text.hpp"
-#include "common/files/descriptor.hpp"
 #include "common/files/own_files.hpp"
+#include "common/files/read_write.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/message.hpp"
 
@@ -26,10 +24,7 @@ Result<EndpointFile> read_endpoint_file(const std::string& path) {
   if (!opened.ok())
     return Status(Code::unavailable, fmt::format("{} isn't there: no service has written it, or it has ended", path),
                   "start one: rcbctl up --publish FILE");
-  const Descriptor descriptor(*opened);
-  std::string text(kBytesMax, '\0');
-  text.resize(static_cast<std::size_t>(std::max<ssize_t>(::pread(descriptor.get(), text.data(), text.size(), 0), 0)));
-  const auto json = wire::parse_json(text);
+  const auto json = wire::parse_json(read_some(opened->get(), kBytesMax));
   const Status foreign(Code::invalid_argument, fmt::format("{} is no file that 'rcbctl up --publish' writes", path));
   if (!json.ok()) return foreign;
   wire::FieldReader fields(*json);

@@ -1,7 +1,6 @@
 // Scene after its service was restarted and has lost the particles: what the client keeps for this case, and the push
 // that restores them.
 #include <algorithm>
-#include <cstring>
 
 #include <fmt/format.h>
 

@@ -2,7 +2,6 @@
 #include "client/lib/scene/scene.hpp"
 
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 
@@ -96,11 +95,11 @@ Result<Scene> Client::open_scene(const std::string& name) {
 }
 
 Scene::State::~State() {
-  // On a connection that is gone nothing is open.
   // Another Scene of the same client may have it open, too.
   const auto scenes = client_->scenes.find(name_);
   const bool last = --scenes->second == 0;
   if (last) client_->scenes.erase(scenes);
+  // On a connection that is gone nothing is open.
   if (!session().connected() || generation_ != session().generation()) return;
   arrays_.unshare(session(), Deadline(kCloseSeconds));
   if (last && session().connected())

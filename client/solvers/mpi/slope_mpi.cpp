@@ -4,7 +4,6 @@
 #include <array>
 #include <cstdio>
 #include <memory>
-#include <new>
 #include <numeric>
 #include <string>
 

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "common/base/check.hpp"
+#include "common/geometry/box.hpp"
 
 namespace rcb::solvers {
 namespace {
@@ -148,9 +149,11 @@ NodeBox Mpm::reach() const {
   NodeBox box;
   if (size() == 0) return box;
   for (std::size_t a = 0; a < 3; ++a) {
-    const auto [low, high] = std::minmax_element(position_[a].begin(), position_[a].end());
-    box.first[a] = static_cast<std::size_t>((*low - origin_[a]) / spacing_ - 0.5);
-    box.last[a] = static_cast<std::size_t>((*high - origin_[a]) / spacing_ - 0.5) + 3;
+    double low = position_[a][0];
+    double high = low;
+    geometry::least_and_most(position_[a], low, high);
+    box.first[a] = static_cast<std::size_t>((low - origin_[a]) / spacing_ - 0.5);
+    box.last[a] = static_cast<std::size_t>((high - origin_[a]) / spacing_ - 0.5) + 3;
   }
   return box;
 }

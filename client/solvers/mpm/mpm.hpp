@@ -134,11 +134,10 @@ class Mpm {
   void update_grid();
   Status grid_to_particles(double dt);  // errors: a point left the domain
 
-  // The grid: node (i, j, k) lies at grid_origin() + (i, j, k) * spacing(); k varies fastest, then j, in grid().
+  // The grid: node (i, j, k) lies at the origin + (i, j, k) * spacing(); k varies fastest, then j, in grid().
   // Values are meaningful only within touched(), and 0 elsewhere.
   std::span<Node> grid() { return grid_; }
   const std::array<std::size_t, 3>& grid_nodes() const { return nodes_; }
-  const Vec3& grid_origin() const { return origin_; }
   const NodeBox& touched() const { return touched_; }
 
   // Removes the points sent to other cores and adds those received. leaving: indices here, ascending. Afterwards the

@@ -26,15 +26,15 @@ FileVersion version_of(const struct stat& about) {
 
 Result<InputFile> InputFile::open(const std::string& path) {
   if (path.find('\0') != std::string::npos) return Status(Code::invalid_argument, "a file name holds a NUL byte");
-  return opened(::open(path.c_str(), kFlags), path);
+  return take(Descriptor(::open(path.c_str(), kFlags)), path);
 }
 
 Result<InputFile> InputFile::open_in(int folder, const std::string& name, const std::string& path) {
-  return opened(::openat(folder, name.c_str(), kFlags | O_NOFOLLOW), path);
+  return take(Descriptor(::openat(folder, name.c_str(), kFlags | O_NOFOLLOW)), path);
 }
 
-Result<InputFile> InputFile::opened(int descriptor, const std::string& path) {
-  if (descriptor < 0) {
+Result<InputFile> InputFile::take(Descriptor descriptor, const std::string& path) {
+  if (!descriptor.open()) {
     const int error = errno;
     if (error == ENOENT || error == ENOTDIR) {
       return Status(Code::not_found, path + ": no such file",
@@ -44,48 +44,27 @@ Result<InputFile> InputFile::opened(int descriptor, const std::string& path) {
                   "check its permissions");
   }
   struct stat about {};
-  if (::fstat(descriptor, &about) != 0 || !S_ISREG(about.st_mode)) {
+  if (::fstat(descriptor.get(), &about) != 0 || !S_ISREG(about.st_mode)) {
     const bool directory = S_ISDIR(about.st_mode);
-    ::close(descriptor);
     return Status(Code::io_error, path + (directory ? ": is a directory" : ": is not a regular file"),
                   directory ? "name a file in it" : "write the points to a file first");
   }
   char byte = 0;
-  if (about.st_size == 0 && ::pread(descriptor, &byte, 1, 0) > 0) {  // as in /proc
-    ::close(descriptor);
+  if (about.st_size == 0 && ::pread(descriptor.get(), &byte, 1, 0) > 0)  // as in /proc
     return Status(Code::io_error, path + ": is not a file whose size is known", "write the points to a file first");
-  }
-  return InputFile(path, descriptor, version_of(about));
+  return InputFile(path, std::move(descriptor), version_of(about));
 }
 
-std::string InputFile::name_by_descriptor() const { return fmt::format("/proc/self/fd/{}", descriptor_); }
+std::string InputFile::name_by_descriptor() const { return fmt::format("/proc/self/fd/{}", descriptor_.get()); }
 
-InputFile::InputFile(std::string path, int descriptor, const FileVersion& version)
-    : path_(std::move(path)), descriptor_(descriptor), version_(version) {}
-
-InputFile::InputFile(InputFile&& other) noexcept
-    : path_(std::move(other.path_)),
-      descriptor_(std::exchange(other.descriptor_, -1)),
-      version_(other.version_),
-      stop_(other.stop_) {}
-
-InputFile& InputFile::operator=(InputFile&& other) noexcept {
-  std::swap(path_, other.path_);
-  std::swap(descriptor_, other.descriptor_);
-  std::swap(version_, other.version_);
-  std::swap(stop_, other.stop_);
-  return *this;
-}
-
-InputFile::~InputFile() {
-  if (descriptor_ >= 0) ::close(descriptor_);
-}
+InputFile::InputFile(std::string path, Descriptor descriptor, const FileVersion& version)
+    : path_(std::move(path)), descriptor_(std::move(descriptor)), version_(version) {}
 
 Status InputFile::read_at(std::uint64_t offset, void* to, std::size_t bytes) const {
   char* next = static_cast<char*>(to);
   while (bytes > 0) {
     if (Status stop = check_stop(); !stop.ok()) return stop;
-    const ssize_t got = ::pread(descriptor_, next, bytes, static_cast<off_t>(offset));
+    const ssize_t got = ::pread(descriptor_.get(), next, bytes, static_cast<off_t>(offset));
     if (got < 0 && errno == EINTR) continue;
     if (got < 0) {
       return Status(Code::io_error,
@@ -105,7 +84,7 @@ Status InputFile::read_at(std::uint64_t offset, void* to, std::size_t bytes) con
 
 Status InputFile::check_unchanged() const {
   struct stat about {};
-  if (::fstat(descriptor_, &about) == 0 && version_of(about) == version_) return {};
+  if (::fstat(descriptor_.get(), &about) == 0 && version_of(about) == version_) return {};
   return {Code::io_error, path_ + ": was changed while it was read", "wait until it is written, then try again"};
 }
 

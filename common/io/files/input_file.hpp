@@ -9,6 +9,7 @@
 #include <string_view>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::io {
 
@@ -26,16 +27,11 @@ class InputFile {
   static Result<InputFile> open(const std::string& path);
   // Like open(), for a name in an open folder, which must not be a symbolic link; path: for messages.
   static Result<InputFile> open_in(int folder, const std::string& name, const std::string& path);
-  // Of a descriptor, which it closes at its end.
-  static Result<InputFile> take(int descriptor, const std::string& path) { return opened(descriptor, path); }
-  InputFile(InputFile&& other) noexcept;
-  InputFile& operator=(InputFile&& other) noexcept;
-  InputFile(const InputFile&) = delete;
-  InputFile& operator=(const InputFile&) = delete;
-  ~InputFile();
+  // Of what has just been opened; if it wasn't, errno says why.
+  static Result<InputFile> take(Descriptor descriptor, const std::string& path);
 
   const std::string& path() const { return path_; }
-  int descriptor() const { return descriptor_; }
+  int descriptor() const { return descriptor_.get(); }
   // A name that opens this very file again, for libraries that take names.
   std::string name_by_descriptor() const;
   // As it was when the file was opened.
@@ -55,11 +51,10 @@ class InputFile {
   bool starts_with(std::string_view magic) const;
 
  private:
-  InputFile(std::string path, int descriptor, const FileVersion& version);
-  static Result<InputFile> opened(int descriptor, const std::string& path);
+  InputFile(std::string path, Descriptor descriptor, const FileVersion& version);
 
   std::string path_;
-  int descriptor_ = -1;
+  Descriptor descriptor_;
   FileVersion version_;
   const std::atomic<bool>* stop_ = nullptr;
 };

@@ -6,6 +6,7 @@
 #include <string_view>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::io {
 
@@ -16,7 +17,7 @@ class OutputFile {
   static Result<OutputFile> create(const std::string& path);
   // In an open folder. What has this name is replaced; a symbolic link is not followed.
   static Result<OutputFile> create_in(const Folder& folder, const std::string& name);
-  OutputFile(OutputFile&& other) noexcept;
+  OutputFile(OutputFile&& other) noexcept = default;
   OutputFile& operator=(OutputFile&&) = delete;
   ~OutputFile();  // removes what was not committed
 
@@ -27,14 +28,16 @@ class OutputFile {
   bool regular() const { return !beside_.empty(); }
 
  private:
-  OutputFile(int folder, std::string name, std::string beside, std::string path, int descriptor);
+  OutputFile(Descriptor folder, std::string name, std::string beside, std::string path, Descriptor file);
   Status failed(const char* what) const;
+  int folder() const;  // for openat(2)
+  void remove() const;
 
-  int folder_;          // an open folder in which the names are, or AT_FDCWD
+  Descriptor folder_;   // an open folder in which the names are; none: the working directory
   std::string name_;    // with symbolic links resolved
   std::string beside_;  // the temporary file; empty: written directly
   std::string path_;    // for messages
-  int descriptor_ = -1;
+  Descriptor file_;
 };
 
 // Writes a whole file.

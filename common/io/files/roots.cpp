@@ -9,7 +9,6 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 namespace rcb::io {
 namespace {
@@ -32,19 +31,6 @@ Status failed(const std::string& path, int error, const char* what) {
 }
 
 }  // namespace
-
-Folder::Folder(Folder&& other) noexcept
-    : path_(std::move(other.path_)), descriptor_(std::exchange(other.descriptor_, -1)) {}
-
-Folder& Folder::operator=(Folder&& other) noexcept {
-  std::swap(path_, other.path_);
-  std::swap(descriptor_, other.descriptor_);
-  return *this;
-}
-
-Folder::~Folder() {
-  if (descriptor_ >= 0) ::close(descriptor_);
-}
 
 // A resolved path below a root, as the names that lead there.
 struct Roots::Place {

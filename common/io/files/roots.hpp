@@ -7,9 +7,11 @@
 #pragma once
 
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 #include "common/io/files/input_file.hpp"
 
 namespace rcb::io {
@@ -18,15 +20,12 @@ namespace rcb::io {
 class Folder {
  public:
   Folder(std::string path, int descriptor) : path_(std::move(path)), descriptor_(descriptor) {}
-  Folder(Folder&& other) noexcept;
-  Folder& operator=(Folder&& other) noexcept;
-  ~Folder();
   const std::string& path() const { return path_; }
-  int descriptor() const { return descriptor_; }
+  int descriptor() const { return descriptor_.get(); }
 
  private:
   std::string path_;
-  int descriptor_;
+  Descriptor descriptor_;
 };
 
 class Roots {

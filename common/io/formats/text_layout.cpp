@@ -2,8 +2,6 @@
 #include <algorithm>
 #include <charconv>
 
-#include <fmt/format.h>
-
 #include "common/io/formats/fields.hpp"
 #include "common/io/formats/text.hpp"
 

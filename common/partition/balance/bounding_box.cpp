@@ -1,30 +1,35 @@
 #include "common/partition/balance/bounding_box.hpp"
 
-#include <algorithm>
-#include <array>
 #include <cstdint>
+#include <vector>
 
 #include "common/geometry/axes.hpp"
 
 namespace rcb::partition {
 
 geometry::Box bounding_box(comm::Comm& comm, const particles::ParticleView& particles) {
-  std::array<std::uint64_t, 2 * geometry::kDimsMax> least{};
-  least.fill(~std::uint64_t{0});
-  const auto dims = static_cast<std::size_t>(particles.dims);
-  for (std::size_t a = 0; a < dims && particles.count > 0; ++a) {
-    const double* x = particles.position[a];
-    const auto [lo, hi] = std::minmax_element(x, x + particles.count);
-    least[a] = geometry::order_bits(*lo);
-    least[geometry::kDimsMax + a] = ~geometry::order_bits(*hi);
-  }
-  comm.all_min(least);
   geometry::Box box;
-  for (std::size_t a = 0; a < dims && least[0] != ~std::uint64_t{0}; ++a) {
-    box.lo[a] = geometry::value_of_order_bits(least[a]);
-    box.hi[a] = geometry::value_of_order_bits(~least[geometry::kDimsMax + a]);
-  }
+  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
+    geometry::least_and_most({particles.position[a], particles.count}, box.lo[a], box.hi[a]);
+  extend_by_all(comm, {&box, 1}, particles.dims);
   return box;
+}
+
+void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims) {
+  const auto axes = static_cast<std::size_t>(dims);
+  std::vector<std::uint64_t> least;
+  for (const geometry::Box& box : boxes)
+    for (std::size_t a = 0; a < axes; ++a) {
+      least.push_back(geometry::order_bits(box.lo[a]));
+      least.push_back(~geometry::order_bits(box.hi[a]));
+    }
+  comm.all_min(least);
+  auto next = least.begin();
+  for (geometry::Box& box : boxes)
+    for (std::size_t a = 0; a < axes; ++a) {
+      box.lo[a] = geometry::value_of_order_bits(*next++);
+      box.hi[a] = geometry::value_of_order_bits(~*next++);
+    }
 }
 
 }  // namespace rcb::partition

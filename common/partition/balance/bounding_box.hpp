@@ -1,6 +1,8 @@
 // The extents of all ranks' particles.
 #pragma once
 
+#include <span>
+
 #include "common/comm/comm.hpp"
 #include "common/geometry/box.hpp"
 #include "common/particles/particle_set.hpp"
@@ -9,5 +11,8 @@ namespace rcb::partition {
 
 // The box of all ranks' particles; empty if there are none. Collective (one reduction).
 geometry::Box bounding_box(comm::Comm& comm, const particles::ParticleView& particles);
+
+// Extends each box so that it holds that of every rank. Collective (one reduction).
+void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims);
 
 }  // namespace rcb::partition

@@ -9,7 +9,7 @@
 #include <boost/multiprecision/cpp_int.hpp>
 
 #include "common/comm/wide_sum.hpp"
-#include "common/geometry/axes.hpp"
+#include "common/geometry/box.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -196,10 +196,11 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
 }
 
 std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles) {
-  std::array<std::uint64_t, 2> order_bits{~std::uint64_t{0}, ~std::uint64_t{0}};
-  if (particles.weight == nullptr || particles.count == 0) return order_bits;
-  const auto [least, largest] = std::minmax_element(particles.weight, particles.weight + particles.count);
-  return {geometry::order_bits(*least), ~geometry::order_bits(*largest)};
+  if (particles.weight == nullptr || particles.count == 0) return {~std::uint64_t{0}, ~std::uint64_t{0}};
+  double least = particles.weight[0];
+  double most = least;
+  geometry::least_and_most({particles.weight, particles.count}, least, most);
+  return {geometry::order_bits(least), ~geometry::order_bits(most)};
 }
 
 std::optional<WeightRange> weight_range_of_order_bits(std::span<const std::uint64_t, 2> reduced) {

@@ -48,7 +48,8 @@ struct WeightRange {
   double least = 0;
   double largest = 0;
 };
-// The two numbers whose all_min over ranks is the argument of weight_range_of_order_bits(). Local.
+// The order bits of the least weight and the complement of those of the greatest; all ones if there are no weights.
+// Their minima over the ranks (Comm::all_min) are what weight_range_of_order_bits() takes. Local.
 std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles);
 // nullopt where weights don't count: absent on all ranks, all equal, or all zero. Local.
 std::optional<WeightRange> weight_range_of_order_bits(std::span<const std::uint64_t, 2> reduced);

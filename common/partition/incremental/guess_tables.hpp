@@ -13,23 +13,24 @@
 
 namespace rcb::partition {
 
-// On each level node k has the children next[k], and next[k] + 1 if it is cut; what ends above the last level is its
-// own child.
+// The guessed tree, level by level. A node k that is cut has the children next[k] and next[k] + 1 on the level below.
+// One that isn't goes down as it is: its only child, next[k], is the same node again.
 struct GuessTables {
   static constexpr std::size_t kLeaves = kGuessLeaves;
   using Floats = std::array<float, kLeaves>;
   using Integers = std::array<std::int32_t, kLeaves>;
   using Words = std::array<std::int64_t, kLeaves>;
 
-  // The nodes of a level, for whole keys as integers of the same order, by word and node. What lies neither before
-  // `least` nor behind `most` is a boundary particle.
+  // The cuts of a level's nodes, by word and node, for comparing whole keys; the words are integers that compare as
+  // what they stand for does. A particle whose key is neither less than `least` nor greater than `most` is a boundary
+  // particle.
   struct Keys {
     std::array<Words, geometry::kDimsMax> axis{};  // whose coordinate the word is; behind them comes the id
     std::array<Words, geometry::kDimsMax + 1> least{};
     std::array<Words, geometry::kDimsMax + 1> most{};
     Words next{};
   };
-  // One node of them, in the order that one comparison of all four words wants: the first word last.
+  // The words of one node, so laid out that all four are compared at once: the last word first.
   struct alignas(32) Step {
     std::array<std::int64_t, geometry::kDimsMax + 1> least{};
     std::array<std::int64_t, geometry::kDimsMax + 1> most{};
@@ -41,9 +42,9 @@ struct GuessTables {
   GuessTables(const Guess& guess, std::span<const NodeRange> roots, int dims);
 
   float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
-  // Takes the box of a leaf's interior particles over into the tables. A bound itself counts as inside where rounding
-  // tells it from its neighbour; what isn't strictly in the inner region never does, since there the whole key may
-  // decide.
+  // Sets lo and hi of a leaf and an axis from box[leaf]. What rounds to between them is in the box; a coordinate equal
+  // to one of the box's bounds does, too, unless it rounds to the same as the next one outside. Neither goes beyond the
+  // inner region, outside of which the whole key may decide.
   void show(std::size_t leaf, std::size_t a);
   // The key words of this node of a level.
   Step step(std::size_t level, std::size_t node) const;

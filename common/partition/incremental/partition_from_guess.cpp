@@ -13,11 +13,11 @@ namespace {
 
 using geometry::Box;
 
-// The particles outside of the sampled ones' bounding box are gathered if the sample's stride is at most kStrideMax:
-// about one stride of particles lies beyond each of its faces. A rank sends at most about kStridesMax strides of
-// particles, since more than that mean that the sample is unusual.
-constexpr std::uint64_t kStrideMax = 32768;
-constexpr std::uint64_t kStridesMax = 16;
+// The particles outside of the sampled ones' bounding box are gathered if the sample's stride is at most
+// kGatherStrideMax: about one stride of particles lies beyond each of its faces. A rank sends at most about
+// kGatheredStridesMax strides of particles, since more than that mean that the sample is unusual.
+constexpr std::uint64_t kGatherStrideMax = 32768;
+constexpr std::uint64_t kGatheredStridesMax = 16;
 constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
 
 // The slots of the particles outside of this box on some axis, about `most` of them at most. Compiled twice: with
@@ -93,10 +93,10 @@ class FirstPartition {
     bool axis_open = false;
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
     std::optional<Guess> guess = guess_cuts(sample_, nullptr, options_, below, axis_open);
-    if (first && axis_open && stride_ <= kStrideMax) {
+    if (first && axis_open && stride_ <= kGatherStrideMax) {
       Box sampled;
       for (std::size_t k = 0; k < sample_.count(); ++k) sampled.extend(sample_.particles.view().point(k), axes());
-      const auto slots = slots_beyond(particles_, sampled, kStridesMax * (stride_ + 64));
+      const auto slots = slots_beyond(particles_, sampled, kGatheredStridesMax * (stride_ + 64));
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
       ++result_.reductions;

@@ -1,7 +1,5 @@
 #include "common/partition/incremental/recut.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <numeric>
 
 namespace rcb::partition {

@@ -1,7 +1,6 @@
 #include "common/partition/incremental/repartition.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <numeric>
 
 #include "common/base/index.hpp"

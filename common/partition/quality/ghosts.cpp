@@ -7,6 +7,8 @@
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
 #include "common/geometry/axes.hpp"
+#include "common/particles/by_part.hpp"
+#include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/tree/cut_tree.hpp"
 
 namespace rcb::partition {
@@ -15,26 +17,12 @@ namespace {
 using geometry::Box;
 using geometry::Point;
 
-constexpr std::uint64_t kNone = ~std::uint64_t{0};
-
 // The bounding box of each part's particles, on all ranks; empty for a part without any. Collective.
 std::vector<Box> part_boxes(comm::Comm& comm, const particles::ParticleView& particles,
                             std::span<const std::int32_t> part, int parts) {
   std::vector<Box> boxes(at(parts));
   for (std::size_t i = 0; i < particles.count; ++i) boxes[at(part[i])].extend(particles.point(i), particles.dims);
-  const auto dims = at(particles.dims);
-  std::vector<std::uint64_t> least(boxes.size() * dims * 2, kNone);
-  for (std::size_t p = 0; p < boxes.size(); ++p)
-    for (std::size_t a = 0; a < dims && !boxes[p].empty(particles.dims); ++a) {
-      least[(p * dims + a) * 2] = geometry::order_bits(boxes[p].lo[a]);
-      least[(p * dims + a) * 2 + 1] = ~geometry::order_bits(boxes[p].hi[a]);
-    }
-  comm.all_min(least);
-  for (std::size_t p = 0; p < boxes.size(); ++p)
-    for (std::size_t a = 0; a < dims && least[p * dims * 2] != kNone; ++a) {
-      boxes[p].lo[a] = geometry::value_of_order_bits(least[(p * dims + a) * 2]);
-      boxes[p].hi[a] = geometry::value_of_order_bits(~least[(p * dims + a) * 2 + 1]);
-    }
+  extend_by_all(comm, boxes, particles.dims);
   return boxes;
 }
 
@@ -112,23 +100,6 @@ class BoxTree {
   double width_;
 };
 
-// The local particles' rows by part.
-struct ByPart {
-  std::vector<std::size_t> start;  // of each part, and the end
-  std::vector<std::size_t> row;
-};
-
-ByPart group(std::span<const std::int32_t> part, int parts) {
-  ByPart by;
-  by.start.assign(at(parts) + 1, 0);
-  for (const std::int32_t p : part) ++by.start[at(p) + 1];
-  for (std::size_t p = 0; p < at(parts); ++p) by.start[p + 1] += by.start[p];
-  by.row.resize(part.size());
-  std::vector<std::size_t> next(by.start.begin(), by.start.end() - 1);
-  for (std::size_t i = 0; i < part.size(); ++i) by.row[next[at(part[i])]++] = i;
-  return by;
-}
-
 // The owner whose turn is number `owner_index` (see owner_of()) has particles near all parts of [first, last).
 struct NearRange {
   std::int32_t owner_index;
@@ -162,7 +133,7 @@ class GhostSearch {
         limits_(limits),
         parts_(parts),
         boxes_(part_boxes(comm, particles, part, parts), particles.dims, width),
-        by_(group(part, parts)),
+        by_(particles::by_part(part, 0, parts)),
         ghost_differences_(at(parts) + 1, 0),
         neighbour_differences_(at(parts) + 1, 0) {}
 
@@ -199,7 +170,7 @@ class GhostSearch {
       const std::size_t before = own_.size();
       for (std::size_t k = by_.start[owner] + next_; k < by_.start[owner + 1]; ++k, ++next_) {
         if (visits >= limits_.round_visits || (pending_.size() > limits_.pending_max && before == 0)) return;
-        visits += boxes_.near(particles_.point(by_.row[k]), [this](int first, int last) {
+        visits += boxes_.near(particles_.point(by_.particle[k]), [this](int first, int last) {
           ++ghost_differences_[at(first)];
           --ghost_differences_[at(last)];
           own_.push_back({turn_, first, last});
@@ -256,7 +227,7 @@ class GhostSearch {
   const GhostLimits& limits_;
   int parts_;
   BoxTree boxes_;
-  ByPart by_;
+  particles::ByPart by_;  // the local particles
   // By part, the difference of its count from that of the part before.
   std::vector<std::uint64_t> ghost_differences_;
   std::vector<std::uint64_t> neighbour_differences_;

@@ -100,9 +100,4 @@ std::optional<Quality> quality(comm::Comm& comm, const particles::ParticleView& 
   return result;
 }
 
-Quality quality(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                int parts, const CutTree* tree, std::optional<double> ghost_width) {
-  return *quality(comm, particles, part, parts, tree, ghost_width, [] { return true; });
-}
-
 }  // namespace rcb::partition

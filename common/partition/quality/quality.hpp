@@ -37,7 +37,5 @@ double default_ghost_width(const geometry::Box& bounds, std::uint64_t n, int dim
 std::optional<Quality> quality(comm::Comm& comm, const particles::ParticleView& particles,
                                std::span<const std::int32_t> part, int parts, const CutTree* tree,
                                std::optional<double> ghost_width, const comm::GoOn& go_on);
-Quality quality(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                int parts, const CutTree* tree, std::optional<double> ghost_width);
 
 }  // namespace rcb::partition

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <limits>
 
 #include "common/base/index.hpp"
 #include "common/comm/wide_sum.hpp"
@@ -265,7 +264,8 @@ void TreeBuilder::leave_uncut(std::size_t node) {
       ends_[c * at(options_.parts) + at(p)] = static_cast<std::size_t>(spans_[node * chunks + c].last - starts_[c]);
 }
 
-// Neither side may be off its target by more than this fraction, so the smaller side decides.
+// By how much load a cut may miss its target. The tolerance is a fraction of each side's target; the smaller one
+// decides.
 u128 TreeBuilder::slack_of(const Node& node) const {
   const u128 left = rule_.size(node.range.first, node.range.middle());
   const u128 right = rule_.size(node.range.middle(), node.range.last);

@@ -2,7 +2,6 @@
 // of the roots.
 #include <algorithm>
 #include <numeric>
-#include <utility>
 
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
@@ -156,7 +155,7 @@ std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
       for (const double x : sample)
         ++counts[a * kSampleWords + m * kSampleBins + static_cast<std::uint64_t>(maps[m](x)) * (kSampleBins - 1) / top];
     }
-    if (maps[0].even() && zeros_of_lossless(maps[0], sample) < 0) ++counts[(a + 1) * kSampleWords - 1];
+    if (maps[0].linear() && zeros_of_lossless(maps[0], sample) < 0) ++counts[(a + 1) * kSampleWords - 1];
   }
   return counts;
 }
@@ -168,14 +167,14 @@ void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
       return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
     };
     maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_order_bits(lo_[a], hi_[a]) : AxisMap::by_value(lo_[a], hi_[a]);
-    lossless_[a] = maps_[a].even() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
+    lossless_[a] = maps_[a].linear() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
   }
 }
 
 // For axes that are lossless in the sample, the pass that quantises checks all particles.
 void TreeBuilder::quantise() {
   const bool tell = std::ranges::max(lossless_) != 0 &&
-                    std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.even(); });
+                    std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.linear(); });
   const std::array<int, geometry::kDimsMax> zeros =
       points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell, roots_);
   if (axes_ > 0) result_.traffic.reads += particles_.count;

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <numeric>
 
@@ -74,11 +73,11 @@ struct ByRoot {
 #if defined(__x86_64__)
 // Makes quantised points four at a time, each with all axes in one vector; returns how many.
 template <bool kCheckLossless, typename Places>
-[[gnu::target("avx2")]] std::size_t fill_fours(const ByValue& even, std::size_t count, Places& places,
+[[gnu::target("avx2")]] std::size_t fill_fours(const ByValue& linear, std::size_t count, Places& places,
                                                std::array<Lossless, geometry::kDimsMax>& lossless) {
-  const __m256d base = _mm256_load_pd(even.base.data());
-  const __m256d scale = _mm256_load_pd(even.scale.data());
-  const __m256d step = _mm256_load_pd(even.step.data());
+  const __m256d base = _mm256_load_pd(linear.base.data());
+  const __m256d scale = _mm256_load_pd(linear.scale.data());
+  const __m256d step = _mm256_load_pd(linear.step.data());
   const __m256d half = _mm256_set1_pd(0.5);
   const __m256d two = _mm256_set1_pd(2);
   __m256d differ = _mm256_setzero_pd();
@@ -86,7 +85,7 @@ template <bool kCheckLossless, typename Places>
   std::size_t i = 0;
   for (; i + 4 <= count; i += 4) {
     __m256d point[4];
-    load_four_points(even.x, i, point);
+    load_four_points(linear.x, i, point);
     for (std::size_t k = 0; k < 4; ++k) {
       const __m128i q = _mm256_cvttpd_epi32(_mm256_mul_pd(_mm256_sub_pd(_mm256_mul_pd(point[k], half), base), scale));
       if constexpr (kCheckLossless) {
@@ -113,18 +112,18 @@ template <bool kCheckLossless, typename Places>
 template <std::size_t kAxes, bool kCheckLossless, typename Places>
 void fill_by_value(const particles::ParticleView& particles, std::size_t first, std::size_t count, const AxisMaps& maps,
                    Places& places, std::array<Lossless, geometry::kDimsMax>& lossless) {
-  const ByValue even(particles, first, maps, kAxes);
+  const ByValue linear(particles, first, maps, kAxes);
   std::size_t i = 0;
 #if defined(__x86_64__)
-  if (has_avx2()) i = fill_fours<kCheckLossless>(even, count, places, lossless);
+  if (has_avx2()) i = fill_fours<kCheckLossless>(linear, count, places, lossless);
 #endif
   std::array<Lossless, kAxes> found;
   for (; i < count; ++i) {
     QuantisedPoint point;
     for (std::size_t a = 0; a < kAxes; ++a) {
-      const double x = even.x[a][i];
-      const auto q = static_cast<std::int32_t>((x * 0.5 - even.base[a]) * even.scale[a]);
-      if constexpr (kCheckLossless) found[a].look(x, 2 * (even.base[a] + q * even.step[a]), q);
+      const double x = linear.x[a][i];
+      const auto q = static_cast<std::int32_t>((x * 0.5 - linear.base[a]) * linear.scale[a]);
+      if constexpr (kCheckLossless) found[a].look(x, 2 * (linear.base[a] + q * linear.step[a]), q);
       point.q[a] = q;
     }
     point.index = static_cast<std::uint32_t>(i);
@@ -139,7 +138,7 @@ void fill_by_value(const particles::ParticleView& particles, std::size_t first, 
 template <std::size_t kAxes, typename Places>
 void fill(const particles::ParticleView& particles, std::size_t first, std::size_t count, const AxisMaps& maps,
           Places& places, bool check_lossless, std::array<Lossless, geometry::kDimsMax>& lossless) {
-  if (std::all_of(maps.begin(), maps.begin() + kAxes, [](const AxisMap& map) { return map.even(); })) {
+  if (std::all_of(maps.begin(), maps.begin() + kAxes, [](const AxisMap& map) { return map.linear(); })) {
     check_lossless ? fill_by_value<kAxes, true>(particles, first, count, maps, places, lossless)
                    : fill_by_value<kAxes, false>(particles, first, count, maps, places, lossless);
     return;
@@ -203,13 +202,13 @@ AxisMap AxisMap::of_ids(Id lo, Id hi) {
 // enough.
 double AxisMap::least(std::int32_t q) const {
   if (lossless_) return value(q);
-  if (even()) return std::nextafter(2 * (half_base_ + (q - 1) / scale_), -kInfinity);
+  if (linear()) return std::nextafter(2 * (half_base_ + (q - 1) / scale_), -kInfinity);
   return geometry::value_of_order_bits(lo_ + (static_cast<std::uint64_t>(q) << shift_));
 }
 
 double AxisMap::most(std::int32_t q) const {
   if (lossless_) return value(q);
-  if (even()) return std::nextafter(2 * (half_base_ + (q + 2.0) / scale_), kInfinity);
+  if (linear()) return std::nextafter(2 * (half_base_ + (q + 2.0) / scale_), kInfinity);
   return geometry::value_of_order_bits(std::min(hi_, lo_ + ((static_cast<std::uint64_t>(q) + 1) << shift_) - 1));
 }
 

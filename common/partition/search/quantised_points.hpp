@@ -62,13 +62,13 @@ class AxisMap {
   static AxisMap by_order_bits(double lo, double hi);
   static AxisMap of_ids(Id lo, Id hi);
 
-  bool even() const { return scale_ > 0; }
+  bool linear() const { return scale_ > 0; }  // equal steps of the value
   double half_base() const { return half_base_; }
   double scale() const { return scale_; }
 
   std::int32_t operator()(double value) const {
-    return even() ? static_cast<std::int32_t>((value * 0.5 - half_base_) * scale_)
-                  : of_word(geometry::order_bits(value));
+    return linear() ? static_cast<std::int32_t>((value * 0.5 - half_base_) * scale_)
+                    : of_word(geometry::order_bits(value));
   }
   std::int32_t operator()(Id id) const { return of_word(static_cast<std::uint64_t>(id)); }
 
@@ -83,8 +83,8 @@ class AxisMap {
   unsigned zeros() const { return zeros_; }
   // The coordinate of integer q, if the map is lossless.
   double value(std::int32_t q) const {
-    return even() ? 2 * (half_base_ + q / scale_)
-                  : geometry::value_of_order_bits(lo_ + (static_cast<std::uint64_t>(q) << shift_));
+    return linear() ? 2 * (half_base_ + q / scale_)
+                    : geometry::value_of_order_bits(lo_ + (static_cast<std::uint64_t>(q) << shift_));
   }
   // Every coordinate whose integer is q lies in [least(q), most(q)].
   double least(std::int32_t q) const;

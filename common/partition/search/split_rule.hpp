@@ -29,7 +29,6 @@ class SplitRule {
 
   // The axis order of a node with these extents; nullopt if they leave it open. Local.
   std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;
-  int axes() const { return axes_; }
   // With bands, the axis of every cut.
   std::optional<int> band_axis() const { return band_axis_; }
 

@@ -2,8 +2,6 @@
 // bytes (encode, hash) in cut_tree_codec.cpp.
 #include "common/partition/tree/cut_tree.hpp"
 
-#include <algorithm>
-#include <array>
 #include <limits>
 
 #include "common/base/index.hpp"

@@ -1,6 +1,6 @@
-// Room `tree`: the tree of cuts as a value: the order of keys, classification of positions, encoding and hash. All of
-// it is Local and needs no Comm. The bytes and the hash are a promise to clients (PROTOCOL.md): a change here changes
-// every partition's hash.
+// Room `tree`: the tree of cuts as a value: the order of keys, classification of positions, the bytes of a tree and
+// their hash. All of it is Local and needs no Comm. The bytes and the hash are a promise to clients (PROTOCOL.md): a
+// change here changes every partition's hash.
 //
 // CutTree: P parts as a binary tree of cuts. It is small, replicated on every rank and in clients, and it alone decides
 // which part owns a position.
@@ -17,10 +17,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
-#include <string>
 #include <vector>
 
-#include "common/base/status.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/tree/key.hpp"
 #include "common/partition/tree/method.hpp"
@@ -75,14 +73,9 @@ class CutTree {
   std::vector<geometry::Box> regions(int first, int last) const;
   // XXH3-64 (seed 0) of encode(). Local.
   std::uint64_t hash() const;
-  // Checks the shape, the axis orders, that keys are finite and that every key lies in its own node. Call after
-  // decoding. Local.
-  Status validate() const;
 
-  // The canonical bytes (specified in docs/hash.md), to hash, send or store: equal part sizes are left out, -0.0 is
-  // written as 0.0. decode() validates.
+  // The canonical bytes (specified in docs/hash.md), to hash: equal part sizes are left out, -0.0 is written as 0.0.
   std::vector<std::byte> encode() const;
-  static Result<CutTree> decode(std::span<const std::byte> bytes);
 };
 
 // Inner nodes whose cut axis differs from that of the old tree's node with the same parts; nodes without a

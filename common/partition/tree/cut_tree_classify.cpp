@@ -46,8 +46,8 @@ struct Top {
 };
 
 // Particles that descend together, level by level, so that their dependent loads overlap.
-constexpr std::size_t kBlock = 512;
-using Ties = std::array<std::uint8_t, kBlock>;  // 1: the particle lies on the plane of a cut
+constexpr std::size_t kBatch = 512;
+using Ties = std::array<std::uint8_t, kBatch>;  // 1: the particle lies on the plane of a cut
 
 class Descent {
  public:
@@ -147,8 +147,8 @@ void CutTree::classify(const particles::ParticleView& particles, std::span<std::
     return;
   }
   const Descent descent(*this, particles);
-  for (std::size_t begin = 0; begin < particles.count; begin += kBlock) {
-    const std::size_t end = std::min(begin + kBlock, particles.count);
+  for (std::size_t begin = 0; begin < particles.count; begin += kBatch) {
+    const std::size_t end = std::min(begin + kBatch, particles.count);
     Ties tied{};
     descent.run(begin, end, out.data(), tied);
     // On a cut's plane the tie-break (the other coordinates, then the id) decides: part_of() compares whole keys.

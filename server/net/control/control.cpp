@@ -1,12 +1,10 @@
 #include "server/net/control/control.hpp"
 
 #include <list>
-#include <optional>
 #include <thread>
 #include <type_traits>
 #include <utility>
 
-#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include "common/base/byte_size.hpp"

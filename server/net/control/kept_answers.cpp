@@ -17,6 +17,7 @@
 
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 #include "common/wire/frame.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/sockets/file_thread.hpp"
@@ -29,10 +30,11 @@ constexpr std::size_t kHeadBytes = 16;  // byte count and XXH3-64 of what follow
 
 std::span<const std::byte> bytes_of(std::string_view text) { return std::as_bytes(std::span(text)); }
 
-std::string number_bytes(std::uint64_t value) {
-  const auto bytes = wire::BulkChecksum::encode(value);
+std::string_view text_of(std::span<const std::byte> bytes) {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
 }
+
+std::string number_bytes(std::uint64_t value) { return std::string(text_of(wire::BulkChecksum::encode(value))); }
 
 std::uint64_t number_at(std::string_view bytes) {
   std::array<std::byte, 8> raw{};
@@ -46,25 +48,16 @@ std::uint64_t checksum(std::string_view bytes) {
   return sum.value();
 }
 
-bool write_at(int file, std::span<const std::byte> bytes, std::uint64_t& at) {
-  while (!bytes.empty()) {
-    const ssize_t count = ::pwrite(file, bytes.data(), bytes.size(), static_cast<off_t>(at));
-    if (count < 0 && errno == EINTR) continue;
-    if (count <= 0) return false;
-    bytes = bytes.subspan(static_cast<std::size_t>(count));
-    at += static_cast<std::uint64_t>(count);
-  }
-  return true;
-}
-
 // Writes one frame a member, as it would be sent, then their head: without a copy of the arrays, which may be large.
 bool write_answers(int file, const std::string& scene, const MemberAnswers& answers) {
-  std::uint64_t at = kHeadBytes;
+  std::uint64_t size = 0;
   wire::BulkChecksum sum;
-  const auto write = [&](std::span<const std::byte> bytes) {
-    sum.add(bytes);
-    return write_at(file, bytes, at);
+  const auto write = [&](std::string_view bytes) {
+    sum.add(bytes_of(bytes));
+    size += bytes.size();
+    return write_all(file, bytes);
   };
+  if (::lseek(file, kHeadBytes, SEEK_SET) < 0) return false;
   for (std::size_t member = 0; member < answers.sessions.size(); ++member) {
     std::vector<const wire::Array*> kept;
     std::vector<wire::Array> told;  // the same without their bytes
@@ -82,13 +75,12 @@ bool write_answers(int file, const std::string& scene, const MemberAnswers& answ
                           {"session", answers.sessions[member]},
                           {"answer", answers.json},
                           {"arrays", wire::describe(told)}};
-    if (!write(bytes_of(wire::encode_frame(header, wire::dump_json(json))))) return false;
+    if (!write(wire::encode_frame(header, wire::dump_json(json)))) return false;
     for (const wire::Array* array : kept)
-      if (!write(array->bytes.span())) return false;
+      if (!write(text_of(array->bytes.span()))) return false;
   }
-  const std::string head = number_bytes(at - kHeadBytes) + number_bytes(sum.value());
-  at = 0;
-  return write_at(file, bytes_of(head), at);
+  const std::string head = number_bytes(size) + number_bytes(sum.value());
+  return ::lseek(file, 0, SEEK_SET) == 0 && write_all(file, head);
 }
 
 // Removes the first frame from `frames` and adds it to `answers` as the next member's answer.
@@ -131,17 +123,9 @@ std::string read_own(const std::string& path) {
   const auto file = open_own_file(path, O_RDONLY | O_CLOEXEC);
   if (!file.ok()) return "";
   struct stat info {};
-  std::string bytes;
-  if (::fstat(*file, &info) == 0 && std::difftime(std::time(nullptr), info.st_mtime) <= wire::kDeadlineSecondsMax) {
-    bytes.resize(static_cast<std::size_t>(info.st_size));
-    std::size_t got = 0;
-    for (ssize_t count = 1; got < bytes.size() && count > 0;
-         got += static_cast<std::size_t>(std::max<ssize_t>(count, 0)))
-      count = ::read(*file, bytes.data() + got, bytes.size() - got);
-    bytes.resize(got);
-  }
-  ::close(*file);
-  return bytes;
+  if (::fstat(file->get(), &info) != 0 || std::difftime(std::time(nullptr), info.st_mtime) > wire::kDeadlineSecondsMax)
+    return "";
+  return read_some(file->get(), static_cast<std::size_t>(info.st_size));
 }
 
 }  // namespace
@@ -207,10 +191,8 @@ class KeptAnswers::Files {
     const std::string to = path(scene, which);
     const auto file = open_own_file(to, O_WRONLY | O_CREAT | O_CLOEXEC);
     std::string fault = file.status().message();
-    if (file.ok()) {
-      if (!write_answers(*file, scene, answers)) fault = fmt::format("{}: {}", to, std::strerror(errno));
-      ::close(*file);
-    }
+    if (file.ok() && !write_answers(file->get(), scene, answers))
+      fault = fmt::format("{}: {}", to, std::strerror(errno));
     if (fault.empty()) {
       which = 1 - which;
       return;

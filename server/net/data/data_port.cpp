@@ -6,7 +6,6 @@
 #include <list>
 #include <map>
 #include <mutex>
-#include <optional>
 #include <set>
 #include <type_traits>
 #include <utility>

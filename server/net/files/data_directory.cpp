@@ -1,10 +1,8 @@
 #include "server/net/files/data_directory.hpp"
 
-#include <array>
 #include <cerrno>
 #include <cstring>
 #include <utility>
-#include <vector>
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -14,20 +12,15 @@
 #include "common/auth/proof.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb::net {
 namespace {
 
 constexpr std::size_t kTokenBytes = 32;
+constexpr std::size_t kTokenFileBytesMax = 4096;
 
 std::string reason() { return std::strerror(errno); }
-
-// Content of the file, at most 4 KiB; empty if it can't be read.
-std::string read_small(int file) {
-  std::array<char, 4096> bytes;
-  const ssize_t count = ::pread(file, bytes.data(), bytes.size(), 0);
-  return count <= 0 ? "" : std::string(bytes.data(), static_cast<std::size_t>(count));
-}
 
 // The token in a file that belongs to this user and is closed to all others; else empty.
 std::string private_token(const std::string& path) {
@@ -35,8 +28,8 @@ std::string private_token(const std::string& path) {
   if (!file.ok()) return "";
   struct stat info {};
   std::string token;
-  if (::fstat(*file, &info) == 0 && (info.st_mode & 0077) == 0) token = read_small(*file);
-  ::close(*file);
+  if (::fstat(file->get(), &info) == 0 && (info.st_mode & 0077) == 0)
+    token = read_some(file->get(), kTokenFileBytesMax);
   while (!token.empty() && token.back() == '\n') token.pop_back();
   const std::size_t begin = auth::trusts_network(token) ? auth::kTrustedNetworkPrefix.size() : 0;
   const bool whole = token.size() == begin + 2 * kTokenBytes &&
@@ -91,10 +84,8 @@ OfferedToken::~OfferedToken() {
 Status DataDirectory::leave_clean_marker() const {
   const Status written = write_own_file(join_path(path_, kCleanShutdownFile), "");
   if (!written.ok()) return written;
-  const int directory = ::open(path_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (directory < 0) return {};
-  ::fsync(directory);
-  ::close(directory);
+  const Descriptor directory(::open(path_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (directory.open()) ::fsync(directory.get());
   return {};
 }
 

@@ -1,6 +1,5 @@
 #include "server/net/files/log_sink.hpp"
 
-#include <algorithm>
 #include <chrono>
 #include <climits>
 

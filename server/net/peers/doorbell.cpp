@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "common/auth/proof.hpp"
+#include "common/base/host_port.hpp"
 #include "common/base/tcp_peer.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/files/data_directory.hpp"
@@ -44,7 +45,7 @@ class Silence {
     ticks_ = bytes == std::exchange(bytes_, bytes) ? ticks_ + 1 : 1;
   }
   // Something has come since the last tick.
-  void broken(const Connection& connection) {
+  void heard(const Connection& connection) {
     ticks_ = 0;
     bytes_ = connection.bytes_received();
   }
@@ -96,10 +97,9 @@ Result<asio::ip::tcp::socket> connect_to_any(asio::io_context& context, const st
     asio::io_context waiting;
     asio::ip::tcp::socket socket(waiting);
     error_code error;
-    const std::size_t colon = address.rfind(':');
-    const bool brackets = address.front() == '[';
-    const auto host = asio::ip::make_address(address.substr(brackets ? 1 : 0, colon - (brackets ? 2 : 0)), error);
-    const asio::ip::tcp::endpoint endpoint(host, static_cast<std::uint16_t>(std::stoul(address.substr(colon + 1))));
+    const HostPort parts = split_host_port(address);
+    const asio::ip::tcp::endpoint endpoint(asio::ip::make_address(parts.host, error),
+                                           port_number(parts.port).value_or(0));
     error = asio::error::timed_out;
     socket.async_connect(endpoint, [&error](const error_code& ended) { error = ended; });
     waiting.run_for(duration_of(kConnectSeconds));
@@ -205,7 +205,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
                            frame.status().message().empty() ? "its process ended" : frame.status().message()));
         co_return;
       }
-      peer.silence.broken(*connection);
+      peer.silence.heard(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { peer.goodbye = true; });
       if (frame->header.type == wire::FrameType::notice && !frame->json.empty() && message)
         message(static_cast<int>(index), frame->json);
@@ -352,7 +352,7 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
         if (!goodbye && !finished) lost("rank 0 is lost: its process ended");
         co_return;
       }
-      silence.broken(*connection);
+      silence.heard(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { goodbye = true; });
       if (frame->header.type == wire::FrameType::notice) {
         if (!frame->json.empty() && message) message(0, frame->json);

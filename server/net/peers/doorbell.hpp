@@ -59,7 +59,7 @@ class DoorbellHub {
   static Result<std::unique_ptr<DoorbellHub>> open(IoLoop& loop, HubOptions options, LostHandler lost);
   ~DoorbellHub();
   const DoorbellAddress& address() const;
-  // Any thread but the I/O thread. Errors: deadline_exceeded, naming the ranks that are missing.
+  // Any thread but the I/O thread. Errors: deadline_exceeded, saying how many ranks have come.
   Status wait_connected(double seconds);
   // I/O thread: sends the order `number` to all ranks. `request` is a JSON text.
   void ring(std::uint64_t number, const std::string& request);

@@ -1,7 +1,6 @@
 #include "server/net/sockets/listen.hpp"
 
 #include <cerrno>
-#include <charconv>
 #include <cstring>
 #include <optional>
 #include <utility>
@@ -11,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/host_port.hpp"
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
 #include "common/tls/off_loopback.hpp"
@@ -35,24 +35,6 @@ Status remove_stale(const std::string& path) {
   }
   if (::unlink(path.c_str()) == 0 || errno == ENOENT) return {};
   return {Code::io_error, fmt::format("can't remove the stale socket {}: {}", path, std::strerror(errno))};
-}
-
-struct HostPort {
-  std::string host;
-  std::string port;
-};
-
-Result<HostPort> split(const std::string& where) {
-  const std::size_t colon = where.rfind(':');
-  HostPort parts{where.substr(0, colon), colon == std::string::npos ? "" : where.substr(colon + 1)};
-  if (parts.host.size() > 2 && parts.host.front() == '[' && parts.host.back() == ']')
-    parts.host = parts.host.substr(1, parts.host.size() - 2);
-  unsigned port = 65536;
-  const char* end = parts.port.data() + parts.port.size();
-  const auto [stop, fault] = std::from_chars(parts.port.data(), end, port);
-  if (fault != std::errc() || stop != end || port > 65535 || parts.host.empty())
-    return Status(Code::invalid_argument, fmt::format("'{}' is not HOST:PORT", where), "for example 127.0.0.1:7470");
-  return parts;
 }
 
 }  // namespace
@@ -139,11 +121,13 @@ void LastingListener::close() {
 }
 
 Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& where, Network network) {
-  Result<HostPort> parts = split(where);
-  if (!parts.ok()) return parts.status();
+  const HostPort parts = split_host_port(where);
+  const auto port = port_number(parts.port);
+  if (!port || parts.host.empty())
+    return Status(Code::invalid_argument, fmt::format("'{}' is not HOST:PORT", where), "for example 127.0.0.1:7470");
   error_code error;
   asio::ip::tcp::resolver resolver(context);
-  const auto found = resolver.resolve(parts->host, parts->port, asio::ip::tcp::resolver::passive, error);
+  const auto found = resolver.resolve(parts.host, std::to_string(*port), asio::ip::tcp::resolver::passive, error);
   if (error || found.empty())
     return Status(Code::invalid_argument, fmt::format("--listen {}: no such host: {}", where, error.message()));
   const asio::ip::tcp::endpoint endpoint = found.begin()->endpoint();
@@ -171,9 +155,7 @@ std::string bound_address(const TcpAcceptor& acceptor) {
   error_code error;
   const asio::ip::tcp::endpoint endpoint = acceptor.local_endpoint(error);
   if (error) return "";
-  const std::string host = endpoint.address().to_string();
-  return endpoint.address().is_v6() ? fmt::format("[{}]:{}", host, endpoint.port())
-                                    : fmt::format("{}:{}", host, endpoint.port());
+  return join_host_port(endpoint.address().to_string(), endpoint.port());
 }
 
 bool on_loopback(const TcpAcceptor& acceptor) {

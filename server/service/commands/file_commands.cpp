@@ -2,12 +2,9 @@
 // writes its own output.
 #include <algorithm>
 #include <array>
-#include <cstring>
 #include <filesystem>
 #include <functional>
-#include <limits>
 #include <memory>
-#include <numeric>
 #include <optional>
 
 #include <fmt/format.h>
@@ -17,6 +14,7 @@
 #include "common/io/files/roots.hpp"
 #include "common/io/points.hpp"
 #include "common/layout/layout.hpp"
+#include "common/particles/by_part.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/commands/file_work.hpp"
@@ -192,26 +190,8 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
                {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
 }
 
-// This rank's slots, part after part.
-struct ByPart {
-  std::vector<std::uint64_t> start;  // index in `slot` where each of this rank's parts begins, and the end
-  std::vector<std::uint64_t> slot;
-};
-
-ByPart slots_by_part(const Scene& scene, std::int64_t first, std::int64_t last) {
-  ByPart by;
-  by.start.assign(static_cast<std::size_t>(last - first) + 1, 0);
-  for (const std::int32_t part : scene.part) ++by.start[static_cast<std::size_t>(part - first) + 1];
-  std::partial_sum(by.start.begin(), by.start.end(), by.start.begin());
-  by.slot.resize(scene.part.size());
-  std::vector<std::uint64_t> next(by.start.begin(), by.start.end() - 1);
-  for (std::size_t i = 0; i < scene.part.size(); ++i)
-    by.slot[next[static_cast<std::size_t>(scene.part[i] - first)]++] = i;
-  return by;
-}
-
 // Particles copied for the thread that writes them.
-particles::ParticleSet chosen(const Scene& scene, std::span<const std::uint64_t> slots) {
+particles::ParticleSet chosen(const Scene& scene, std::span<const std::size_t> slots) {
   particles::ParticleSet set;
   set.dims = scene.options.dims;
   set.has_weights = scene.particles.has_weights;
@@ -285,12 +265,10 @@ Result<std::string> read_prefix(const wire::Json& request) {
 // Each rank writes the files of its parts, piece by piece, beside the engine. The scene stays as it is meanwhile: its
 // orders wait for the end of this one (net::OrderQueue). Collective.
 Status write_own_parts(Context& context, const Scene& scene, const std::string& directory,
-                       const std::function<std::string(std::int64_t)>& name_of) {
+                       const std::function<std::string(int)>& name_of) {
   constexpr std::size_t kParticles = 65536;  // in a job of the thread
   constexpr std::size_t kPieces = 64;        // likewise
-  const int ranks = context.comm.size();
-  const std::int64_t begin = layout::part_begin(context.comm.rank(), scene.options.parts, ranks);
-  const std::int64_t end = layout::part_begin(context.comm.rank() + 1, scene.options.parts, ranks);
+  const auto [begin, end] = layout::parts_of_rank(context.comm.rank(), scene.options.parts, context.comm.size());
   constexpr std::uint64_t kBytes = 1024;  // of a copied particle, as text too, and of a part
   const std::uint64_t copied_at_once = std::min<std::uint64_t>(scene.part.size(), 2 * kParticles);
   if (Status room = agree_room(context.comm,
@@ -298,19 +276,18 @@ Status write_own_parts(Context& context, const Scene& scene, const std::string& 
                                fmt::format("the files of {} particles", scene.part.size()));
       !room.ok())
     return room;
-  const ByPart by = slots_by_part(scene, begin, end);
+  const particles::ByPart by = particles::by_part(scene.part.span(), begin, end);
   FileWork work(context.files);
   const auto writer = std::make_shared<PartWriter>(context.roots, directory);
   work.run([writer] { return writer->open(); });
   if (Status opened = finish(context, work, [] { return false; }); !opened.ok())
     return opened;  // all ranks may, or none
-  std::int64_t part = begin;
+  int part = begin;
   std::size_t at = 0;  // of the part's particles, those that are under way
-  return finish(context, work, [&] {
+  return finish(context, work, [&, begin = begin, end = end] {
     const auto pieces = std::make_shared<std::vector<Piece>>();
     for (std::size_t copied = 0; part < end && copied < kParticles && pieces->size() < kPieces;) {
-      const auto index = static_cast<std::size_t>(part - begin);
-      const auto slots = std::span(by.slot).subspan(by.start[index], by.start[index + 1] - by.start[index]);
+      const auto slots = by.of(static_cast<std::size_t>(part - begin));
       const std::size_t count = std::min(kParticles - copied, slots.size() - at);
       const bool last = at + count == slots.size();
       pieces->push_back({at == 0 ? name_of(part) : "", chosen(scene, slots.subspan(at, count)), last});
@@ -330,12 +307,12 @@ Response write_parts(Context& context, Scene& scene, const wire::Json& request) 
   if (!prefix.ok()) return failed(prefix.status());
 
   const int parts = scene.options.parts;
-  const auto name_of = [&](std::int64_t part) {
+  const auto name_of = [&](int part) {
     return fmt::format("{}-{:0{}}.csv", prefix.value(), part, std::to_string(parts - 1).size());
   };
   if (Status made = write_own_parts(context, scene, *directory, name_of); !made.ok()) return failed(std::move(made));
   if (!context.root()) return {};
-  const auto path_of = [&](std::int64_t part) { return (std::filesystem::path(*directory) / name_of(part)).string(); };
+  const auto path_of = [&](int part) { return (std::filesystem::path(*directory) / name_of(part)).string(); };
   const bool listed = static_cast<std::size_t>(parts) * path_of(0).size() <= kListedBytesMax;
   wire::Json files = listed ? wire::Json::array() : wire::Json(nullptr);
   for (int p = 0; p < parts && listed; ++p) files.push_back(path_of(p));

@@ -22,7 +22,7 @@ class FileWork {
   // Runs `job` on the thread, unless an earlier one has failed.
   void run(std::function<Status()> job);
   int unfinished() const;
-  // Waits until at most so many jobs are unfinished; for a moment at most.
+  // Waits until no more than so many jobs are unfinished, but not longer than a moment.
   void wait(int unfinished) const;
   // Why a job has failed, or couldn't be run.
   Status status() const;

@@ -32,20 +32,13 @@ Response counts(Context& context, Scene& s, const wire::Json&) {
 
 Response stats(Context&, Scene& scene, const wire::Json&) {
   const SceneTotals& totals = scene.totals;
-  return done({{"scene", scene.name},
+  wire::Json json = to_json(totals);
+  json.update({{"scene", scene.name},
                {"steps", totals.steps},
                {"repartitions", totals.repartitions},
-               {"bytes", totals.bytes},
-               {"drifted", totals.drifted},
-               {"moved", totals.moved},
-               {"migrated", totals.migrated},
-               {"scanned", totals.scanned},
-               {"searched", totals.searched},
-               {"rounds", totals.rounds},
-               {"reductions", totals.reductions},
                {"skipped", totals.skipped},
-               {"asked", totals.asked},
-               {"seconds", to_json(totals.seconds)}});
+               {"asked", totals.asked}});
+  return done(std::move(json));
 }
 
 // A field of exactly `dims` finite numbers.

@@ -46,10 +46,9 @@ Result<RebalanceRequest> read_request(const wire::Json& request, const Scene& sc
 
 // Number of particles that the new parts would put on another rank. Collective.
 std::uint64_t count_migrated(comm::Comm& comm, std::span<const std::int32_t> part, int parts) {
-  const std::int64_t begin = layout::part_begin(comm.rank(), parts, comm.size());
-  const std::int64_t end = layout::part_begin(comm.rank() + 1, parts, comm.size());
+  const layout::PartRange own = layout::parts_of_rank(comm.rank(), parts, comm.size());
   std::uint64_t leaving = 0;
-  for (const std::int32_t p : part) leaving += static_cast<std::uint64_t>(p < begin || p >= end);
+  for (const std::int32_t p : part) leaving += own.has(p) ? 0U : 1U;
   comm.all_sum({&leaving, 1});
   return leaving;
 }
@@ -62,16 +61,12 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
     return failed(std::move(status));
   const double start = context.clock.seconds();
 
-  partition::PartitionOptions search;
-  search.method = options.method;
-  search.parts = options.parts;
-  search.part_sizes = options.part_sizes;
-  search.cut_tolerance = options.cut_tolerance;
   if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   Status room = agree_room_to_partition(context.comm, scene.particles.count(), options.parts);
   if (!room.ok()) return failed(std::move(room));
   Status time;
-  auto found = partition::partition(context.comm, scene.particles.view(), search, while_in_time(context, time));
+  auto found =
+      partition::partition(context.comm, scene.particles.view(), search_options(options), while_in_time(context, time));
   if (!time.ok()) return failed(std::move(time));
   CHECK(found.ok(), found.status().message());
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found->part.span(), options.part_sizes,

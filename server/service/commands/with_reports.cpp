@@ -6,7 +6,7 @@
 namespace rcb::service {
 namespace {
 
-// Somebody waits for this answer: it is given in any case, at the latest when this goes.
+// Its destructor gives an answer that somebody waits for: the one that was set, or else a failure.
 class Awaited {
  public:
   explicit Awaited(api::TakeAnswer take)

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <limits>
 #include <numeric>
 #include <string>
 #include <vector>
@@ -53,7 +52,8 @@ Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int pa
   constexpr std::uint64_t kBytesAnswered = 24;  // an id and a part, as they come and as they go
   const std::uint64_t bytes = particles * bytes_of_particle + static_cast<std::uint64_t>(parts) * kBytesOfPart +
                               (comm.rank() == 0 ? answered * kBytesAnswered : 0);
-  return room_for(comm, bytes - std::min(bytes, to_be_freed), fmt::format("a partition of {} particles into {} parts", particles, parts));
+  return room_for(comm, bytes - std::min(bytes, to_be_freed),
+                  fmt::format("a partition of {} particles into {} parts", particles, parts));
 }
 
 template <typename Slot>

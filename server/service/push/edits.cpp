@@ -1,18 +1,16 @@
 #include "server/service/push/edits.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <numeric>
-#include <utility>
 
 #include <fmt/format.h>
 
-#include "common/base/axis_names.hpp"
 #include "common/layout/layout.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/push/arrays.hpp"
 #include "server/service/push/find_held.hpp"
+#include "server/service/push/values.hpp"
 
 namespace rcb::service {
 namespace {
@@ -50,31 +48,18 @@ struct Inserted {
 
 // Rank 0's check of what it was sent.
 Status check_inserted(const Inserted& in, const PushSlice& removed) {
-  for (std::size_t a = 0; a < in.dims; ++a) {
-    const auto axis = values_of<double>(in.slice, a);
-    for (std::size_t i = 0; i < axis.size(); ++i)
-      if (!std::isfinite(axis[i]))
-        return {Code::not_finite,
-                fmt::format("inserted particle {} (index, from 0): {} is {}", i, kAxisNames[a], axis[i]),
-                "positions must be finite; the previous step stands"};
-  }
-  if (in.has_weights) {
-    const auto weights = values_of<double>(in.slice, in.dims);
-    for (std::size_t i = 0; i < weights.size(); ++i)
-      if (!(weights[i] >= 0 && std::isfinite(weights[i])))
-        return {Code::invalid_argument,
-                fmt::format("inserted particle {} (index, from 0): weight is {}", i, weights[i]),
-                "weights must be finite and >= 0; the previous step stands"};
-  }
-  if (in.has_ids) {
-    const auto ids = values_of<particles::Id>(in.slice, in.ids());
-    for (std::size_t i = 0; i < ids.size(); ++i)
-      if (ids[i] < 0)
-        return {Code::invalid_argument, fmt::format("inserted particle {} (index, from 0): id is {}", i, ids[i]),
-                "ids are >= 0; the previous step stands"};
-    if (const auto twin = twin_of(ids))
-      return {Code::invalid_argument, fmt::format("id {} is inserted more than once", *twin), "ids must be distinct"};
-  }
+  particles::ParticleView view;
+  view.dims = static_cast<int>(in.dims);
+  view.count = values_of<double>(in.slice, 0).size();
+  for (std::size_t a = 0; a < in.dims; ++a) view.position[a] = values_of<double>(in.slice, a).data();
+  if (in.has_weights) view.weight = values_of<double>(in.slice, in.dims).data();
+  const auto ids = in.has_ids ? values_of<particles::Id>(in.slice, in.ids()) : std::span<const particles::Id>();
+  if (in.has_ids) view.id = ids.data();
+  if (const auto fault = first_fault(view))
+    return {fault->code, fmt::format("inserted particle {} (index, from 0): {}", fault->particle, fault->text),
+            kGoodValues};
+  if (const auto twin = twin_of(ids))
+    return {Code::invalid_argument, fmt::format("id {} is inserted more than once", *twin), "ids must be distinct"};
   if (const auto twin = twin_of(values_of<particles::Id>(removed, 0)))
     return {Code::invalid_argument, fmt::format("id {} is removed more than once", *twin), "ids must be distinct"};
   return {};
@@ -100,8 +85,7 @@ Status reserve_arrivals(Scene& scene, std::uint64_t arriving, int rank) {
 class Arriving {
  public:
   Arriving(const comm::Comm& comm, const Scene& scene, Edits& edits)
-      : begin_(layout::part_begin(comm.rank(), scene.options.parts, comm.size())),
-        end_(layout::part_begin(comm.rank() + 1, scene.options.parts, comm.size())),
+      : own_(layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size())),
         set_(edits.arriving),
         parts_(edits.arriving_part) {
     set_.dims = scene.options.dims;
@@ -110,11 +94,11 @@ class Arriving {
 
   void add(const particles::ParticleSet& piece, std::span<const std::int32_t> part) {
     std::size_t own = 0;
-    for (const std::int32_t p : part) own += is_own(p) ? 1U : 0U;
+    for (const std::int32_t p : part) own += own_.has(p) ? 1U : 0U;
     full_ = full_ || !make_room_for(own);
     if (full_ || own == 0) return;
     for (std::size_t i = 0; i < part.size(); ++i) {
-      if (!is_own(part[i])) continue;
+      if (!own_.has(part[i])) continue;
       for (std::size_t a = 0; a < dims(); ++a) set_.position[a].push_back(piece.position[a][i]);
       set_.id.push_back(piece.id[i]);
       if (set_.has_weights) set_.weight.push_back(piece.weight[i]);
@@ -130,14 +114,13 @@ class Arriving {
 
  private:
   std::size_t dims() const { return static_cast<std::size_t>(set_.dims); }
-  bool is_own(std::int32_t part) const { return part >= begin_ && part < end_; }
   bool make_room_for(std::size_t more) {
     const std::size_t count = set_.id.size() + more;
     bool fits = make_room(set_.id, count) && make_room(parts_, count);
     for (std::size_t a = 0; a < dims(); ++a) fits = fits && make_room(set_.position[a], count);
     return fits && (!set_.has_weights || make_room(set_.weight, count));
   }
-  std::int64_t begin_, end_;
+  layout::PartRange own_;
   particles::ParticleSet& set_;
   Buffer<std::int32_t>& parts_;
   bool full_ = false;

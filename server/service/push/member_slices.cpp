@@ -18,11 +18,10 @@ using api::Moved;
 namespace {
 
 // Number of particles on this rank by the member whose parts they are in.
-std::vector<std::uint64_t> counts_by_member(const Scene& scene, std::int64_t part_begin, std::int64_t part_end,
-                                            int members) {
+std::vector<std::uint64_t> counts_by_member(const Scene& scene, const layout::PartRange& parts, int members) {
   std::vector<std::uint64_t> counts(static_cast<std::size_t>(members), 0);
-  for (std::int64_t p = part_begin; p < part_end; ++p) {
-    const int member = layout::rank_of_part(static_cast<int>(p), scene.options.parts, members);
+  for (int p = parts.begin; p < parts.end; ++p) {
+    const int member = layout::rank_of_part(p, scene.options.parts, members);
     counts[static_cast<std::size_t>(member)] += scene.loads.counts[static_cast<std::size_t>(p)];
   }
   return counts;
@@ -141,9 +140,8 @@ Result<bool> join_member_slices(const comm::Comm& comm, const Scene& scene, std:
   for (const PushSlice& slice : few)
     if (Status status = check_few(scene, slice, members); !status.ok()) return status;
   const auto dims = static_cast<std::size_t>(scene.options.dims);
-  const std::int64_t first_part = layout::part_begin(rank, scene.options.parts, comm.size());
-  const std::int64_t end_part = layout::part_begin(rank + 1, scene.options.parts, comm.size());
-  std::vector<std::uint64_t> missing = counts_by_member(scene, first_part, end_part, members);
+  const auto [first_part, end_part] = layout::parts_of_rank(rank, scene.options.parts, comm.size());
+  std::vector<std::uint64_t> missing = counts_by_member(scene, {first_part, end_part}, members);
   std::vector<std::size_t> slice_of(static_cast<std::size_t>(members), slices.size());  // slices.size(): none
   bool fits = true;
   for (std::size_t s = 0; s < slices.size() && fits; ++s) {
@@ -160,9 +158,8 @@ Result<bool> join_member_slices(const comm::Comm& comm, const Scene& scene, std:
   PushSlice whole{.rank = rank, .count = scene.part.size()};
   if (slices.size() == 1 && slices.front().count == whole.count && slices.front().shared.empty()) return false;
   std::vector<std::size_t> slice_of_part;
-  for (std::int64_t p = first_part; p < end_part; ++p)
-    slice_of_part.push_back(
-        slice_of[static_cast<std::size_t>(layout::rank_of_part(static_cast<int>(p), scene.options.parts, members))]);
+  for (int p = first_part; p < end_part; ++p)
+    slice_of_part.push_back(slice_of[static_cast<std::size_t>(layout::rank_of_part(p, scene.options.parts, members))]);
   std::vector<Feed> feeds;
   for (const PushSlice& slice : slices) {
     auto feed = Feed::open(slice, scene.options.dims);

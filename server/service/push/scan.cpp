@@ -184,8 +184,7 @@ bool bad_weights(const double* weight, std::size_t count) {
 // Updates scene.regions, the regions of this rank's parts, if the cuts have changed.
 void refresh_regions(Scene& scene, int rank, int ranks) {
   if (scene.regions_epoch == scene.epoch) return;
-  const auto begin = static_cast<int>(layout::part_begin(rank, scene.options.parts, ranks));
-  const auto end = static_cast<int>(layout::part_begin(rank + 1, scene.options.parts, ranks));
+  const auto [begin, end] = layout::parts_of_rank(rank, scene.options.parts, ranks);
   scene.regions = Regions(begin, scene.tree.regions(begin, end));
   scene.regions_epoch = scene.epoch;
 }

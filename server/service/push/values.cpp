@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <string>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -28,14 +28,16 @@ bool any_below_zero(const double* values, std::size_t count) {
   return bad;
 }
 
-// Describes what is wrong with particle i; empty if nothing is.
-std::string fault_of(const particles::ParticleView& view, std::size_t i) {
+std::optional<ValueFault> fault_of(const particles::ParticleView& view, std::size_t i) {
   for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
-    if (!std::isfinite(view.position[a][i])) return fmt::format("{} is {}", kAxisNames[a], view.position[a][i]);
+    if (const double x = view.position[a][i]; !std::isfinite(x))
+      return ValueFault{i, Code::not_finite, fmt::format("{} is {}", kAxisNames[a], x)};
   if (view.weight != nullptr && !(view.weight[i] >= 0 && std::isfinite(view.weight[i])))
-    return fmt::format("weight is {}", view.weight[i]);
-  if (view.id != nullptr && view.id[i] < 0) return fmt::format("id is {}", view.id[i]);
-  return {};
+    return ValueFault{i, std::isfinite(view.weight[i]) ? Code::invalid_argument : Code::not_finite,
+                      fmt::format("weight is {}", view.weight[i])};
+  if (view.id != nullptr && view.id[i] < 0)
+    return ValueFault{i, Code::invalid_argument, fmt::format("id is {}", view.id[i])};
+  return std::nullopt;
 }
 
 bool suspicious(const particles::ParticleView& view) {
@@ -48,27 +50,32 @@ bool suspicious(const particles::ParticleView& view) {
 
 }  // namespace
 
+std::optional<ValueFault> first_fault(const particles::ParticleView& view) {
+  if (!suspicious(view)) return std::nullopt;
+  for (std::size_t i = 0; i < view.count; ++i)
+    if (auto fault = fault_of(view, i)) return fault;
+  return std::nullopt;
+}
+
 Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row) {
   std::uint64_t least = kNone;
-  std::size_t least_at = 0;
+  std::optional<ValueFault> fault;
   if (suspicious(view))
     for (std::size_t i = 0; i < view.count; ++i) {
-      if (fault_of(view, i).empty()) continue;
+      auto found = fault_of(view, i);
+      if (!found) continue;
       const std::uint64_t name = first ? first_row + i : static_cast<std::uint64_t>(view.id[i]);
-      if (name < least) least = name, least_at = i;
+      if (name < least) least = name, fault = std::move(found);
     }
   std::uint64_t global_least = least;
   comm.all_min({&global_least, 1});
   if (global_least == kNone) return {};
   Status mine;
-  if (least == global_least) {
-    const std::string fault = fault_of(view, least_at);
-    const bool finite = fault.find("nan") == std::string::npos && fault.find("inf") == std::string::npos;
-    mine = {finite ? Code::invalid_argument : Code::not_finite,
-            first ? fmt::format("particle {} (index, from 0): {}", least, fault)
-                  : fmt::format("particle {}: {}", least, fault),
-            "positions must be finite, weights finite and >= 0, ids >= 0; the previous step stands"};
-  }
+  if (least == global_least)
+    mine = {fault->code,
+            first ? fmt::format("particle {} (index, from 0): {}", least, fault->text)
+                  : fmt::format("particle {}: {}", least, fault->text),
+            kGoodValues};
   return agree_status(comm, mine);
 }
 

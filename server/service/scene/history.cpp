@@ -5,7 +5,6 @@
 #include <mutex>
 #include <utility>
 
-#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 namespace rcb::service {

@@ -73,10 +73,10 @@ class History {
   bool in_memory(std::uint64_t first) const { return first >= total_ - recent_.size(); }
   // Those of the reports [first, last) that are in memory; last <= total().
   FoundReports newest(std::uint64_t first, std::uint64_t last) const;
-  // Finds on the thread of the files what is not lost, calls `take` there, then `then` (see SideThread::post). Errors:
-  // those of SideThread::post; nothing is called then.
+  // Reads reports on the thread for files, where it gives those that aren't lost to `take`; `then` is called
+  // afterwards, as SideThread::post() does. Errors: those of SideThread::post(); then neither is called.
   using Reading = std::function<Status(std::function<void(FoundReports found)> take, SideThread::Job then)>;
-  // Reads the reports [first, last) as they are now; the room must be there when it begins. last <= total().
+  // To read the reports [first, last) of this moment, at once or later, while the room is still there. last <= total().
   Reading reading(std::uint64_t first, std::uint64_t last) const;
 
  private:

@@ -20,40 +20,55 @@ StepSeconds& StepSeconds::operator+=(const StepSeconds& other) {
   return *this;
 }
 
-wire::Json to_json(const StepSeconds& seconds) {
-  return {{"receive", seconds.receive},
-          {"exchange", seconds.exchange},
-          {"search", seconds.search},
-          {"migrate", seconds.migrate},
-          {"total", seconds.total}};
+StepCounts& StepCounts::operator+=(const StepCounts& other) {
+  bytes += other.bytes;
+  drifted += other.drifted;
+  moved += other.moved;
+  migrated += other.migrated;
+  scanned += other.scanned;
+  searched += other.searched;
+  rounds += other.rounds;
+  reductions += other.reductions;
+  seconds += other.seconds;
+  return *this;
+}
+
+wire::Json to_json(const StepCounts& counts) {
+  const StepSeconds& seconds = counts.seconds;
+  return {{"bytes", counts.bytes},
+          {"drifted", counts.drifted},
+          {"moved", counts.moved},
+          {"migrated", counts.migrated},
+          {"scanned", counts.scanned},
+          {"searched", counts.searched},
+          {"rounds", counts.rounds},
+          {"reductions", counts.reductions},
+          {"seconds",
+           {{"receive", seconds.receive},
+            {"exchange", seconds.exchange},
+            {"search", seconds.search},
+            {"migrate", seconds.migrate},
+            {"total", seconds.total}}}};
 }
 
 wire::Json to_json(const StepReport& report) {
-  wire::Json json{{"scene", report.scene},
-                  {"step", report.step},
-                  {"epoch", report.epoch},
-                  {"n", report.n},
-                  {"parts", report.parts},
-                  {"scene_recreated", report.scene_recreated},
-                  {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
-                  {"error", report.error},
-                  {"imbalance", report.imbalance},
-                  {"repartitioned", report.repartitioned},
-                  {"reason", report.reason},
-                  {"axes_flipped", report.axes_flipped},
-                  {"drifted", report.drifted},
-                  {"moved", report.moved},
-                  {"migrated", report.migrated},
-                  {"inserted", report.inserted},
-                  {"removed", report.removed},
-                  {"scanned", report.scanned},
-                  {"searched", report.searched},
-                  {"rounds", report.rounds},
-                  {"reductions", report.reductions},
-                  {"skipped", report.skipped.names()},
-                  {"bytes", report.bytes},
-                  {"way", api::name_of(report.way)},
-                  {"seconds", to_json(report.seconds)}};
+  wire::Json json = to_json(static_cast<const StepCounts&>(report));
+  json.update({{"scene", report.scene},
+               {"step", report.step},
+               {"epoch", report.epoch},
+               {"n", report.n},
+               {"parts", report.parts},
+               {"scene_recreated", report.scene_recreated},
+               {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
+               {"error", report.error},
+               {"imbalance", report.imbalance},
+               {"repartitioned", report.repartitioned},
+               {"reason", report.reason},
+               {"axes_flipped", report.axes_flipped},
+               {"inserted", report.inserted},
+               {"removed", report.removed},
+               {"skipped", report.skipped.names()},
+               {"way", api::name_of(report.way)}});
   if (report.first_id) json["first_id"] = *report.first_id;
   return json;
 }

@@ -43,7 +43,22 @@ class Skips {
 };
 
 // Kept small, since many are kept in memory (history.hpp).
-struct StepReport {
+// What a step did, in numbers; also the sums over all steps of a scene.
+struct StepCounts {
+  std::uint64_t bytes = 0;       // of arrays, as received
+  std::uint64_t drifted = 0;     // particles that moved across a cut into another part
+  std::uint64_t moved = 0;       // particles whose part new cuts changed
+  std::uint64_t migrated = 0;    // particles that changed rank; 0 at the first push
+  std::uint64_t scanned = 0;     // particles whose positions were received and scanned
+  std::uint64_t searched = 0;    // particles in the search for cuts
+  std::uint64_t rounds = 0;      // of the search for cuts; 0: no search
+  std::uint64_t reductions = 0;  // collectives of the search
+  StepSeconds seconds;
+
+  StepCounts& operator+=(const StepCounts& other);
+};
+
+struct StepReport : StepCounts {
   std::string scene;
   std::int64_t step = 0;
   std::uint64_t epoch = 0;
@@ -56,23 +71,15 @@ struct StepReport {
   bool repartitioned = false;
   std::string reason;
   int axes_flipped = 0;
-  std::uint64_t drifted = 0;   // particles that moved across a cut into another part
-  std::uint64_t moved = 0;     // particles whose part new cuts changed
-  std::uint64_t migrated = 0;  // particles that changed rank; 0 at the first push
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted particles, if the service chose their ids
-  std::uint64_t scanned = 0;             // particles whose positions were received and scanned
-  std::uint64_t searched = 0;            // particles in the search for cuts
-  std::uint64_t rounds = 0;              // of the search for cuts; 0: no search
-  std::uint64_t reductions = 0;          // collectives of the search
   Skips skipped;
-  std::uint64_t bytes = 0;  // of arrays, as received
   api::Way way = api::Way::endpoint;
-  StepSeconds seconds;
 };
 
-wire::Json to_json(const StepSeconds& seconds);
+// The counts alone.
+wire::Json to_json(const StepCounts& counts);
 wire::Json to_json(const StepReport& report);
 
 }  // namespace rcb::service

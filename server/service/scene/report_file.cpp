@@ -4,7 +4,6 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
-#include <utility>
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -13,6 +12,7 @@
 
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 
 namespace rcb::service {
 namespace {
@@ -20,34 +20,9 @@ namespace {
 constexpr const char* kSuffix = ".reports";
 constexpr std::uint64_t kRunReports = 256;  // most reports in a run, hence most lines read to find one
 
-class File {
- public:
-  explicit File(int file) : file_(file) {}
-  ~File() {
-    if (file_ >= 0) ::close(file_);
-  }
-  File(const File&) = delete;
-  File& operator=(const File&) = delete;
-  int get() const { return file_; }
-
- private:
-  int file_;
-};
-
 Status failed_to(const char* what, const std::string& path, int fault) {
   return {Code::io_error, fmt::format("can't {} {}: {}", what, path, std::strerror(fault)),
           "make room in the service's data directory"};
-}
-
-// Returns 0, or errno on failure.
-int write_whole(int file, const std::string& text) {
-  for (std::size_t done = 0; done < text.size();) {
-    const ssize_t wrote = ::write(file, text.data() + done, text.size() - done);
-    if (wrote < 0 && errno == EINTR) continue;
-    if (wrote < 0) return errno;
-    done += static_cast<std::size_t>(wrote);
-  }
-  return 0;
 }
 
 }  // namespace
@@ -68,35 +43,30 @@ ReportFile::~ReportFile() {
   if (inode_ != 0) ::unlink(path_.c_str());
 }
 
-Result<int> ReportFile::open_to_append() {
+Result<Descriptor> ReportFile::open_to_append() {
   constexpr int kFlags = O_WRONLY | O_APPEND | O_CLOEXEC;
   if (inode_ != 0) {
-    const auto file = open_own_file(path_, kFlags);
+    auto file = open_own_file(path_, kFlags);
     struct stat found {};
-    if (file.ok() && ::fstat(*file, &found) == 0 && found.st_ino == inode_ &&
+    if (file.ok() && ::fstat(file->get(), &found) == 0 && found.st_ino == inode_ &&
         static_cast<std::uint64_t>(found.st_size) == size_)
-      return *file;
-    if (file.ok()) ::close(*file);
+      return file;
     runs_.clear();
     size_ = count_ = inode_ = 0;
   }
   if (::unlink(path_.c_str()) != 0 && errno != ENOENT && errno != ENOTDIR) return failed_to("replace", path_, errno);
   if (Status made = make_own_directory(std::filesystem::path(path_).parent_path()); !made.ok()) return made;
-  const auto file = open_own_file(path_, kFlags | O_CREAT | O_EXCL);
+  auto file = open_own_file(path_, kFlags | O_CREAT | O_EXCL);
   if (!file.ok()) return file.status();
   struct stat made {};
-  if (::fstat(*file, &made) != 0) {
-    ::close(*file);
-    return failed_to("look at", path_, errno);
-  }
+  if (::fstat(file->get(), &made) != 0) return failed_to("look at", path_, errno);
   inode_ = made.st_ino;
-  return *file;
+  return file;
 }
 
 Status ReportFile::append(std::uint64_t first, const std::vector<std::string>& lines) {
-  const auto opened = open_to_append();
-  if (!opened.ok()) return opened.status();
-  const File file(*opened);
+  const auto file = open_to_append();
+  if (!file.ok()) return file.status();
   std::string text;
   const std::size_t runs_before = runs_.size();
   const std::uint64_t count_before = runs_.empty() ? 0 : runs_.back().count;
@@ -106,11 +76,12 @@ Status ReportFile::append(std::uint64_t first, const std::vector<std::string>& l
     ++runs_.back().count;
     text += lines[k];
   }
-  if (const int fault = write_whole(file.get(), text); fault != 0) {
+  if (!write_all(file->get(), text)) {
+    const int fault = errno;
     runs_.resize(runs_before);
     if (!runs_.empty()) runs_.back().count = count_before;
     // If this fails too, the file is begun anew next time, since its size differs from size_.
-    static_cast<void>(::ftruncate(file.get(), static_cast<off_t>(size_)));
+    static_cast<void>(::ftruncate(file->get(), static_cast<off_t>(size_)));
     return failed_to("write", path_, fault);
   }
   size_ += text.size();
@@ -123,11 +94,10 @@ Status ReportFile::read(std::uint64_t first, std::uint64_t last,
   auto run = std::upper_bound(runs_.begin(), runs_.end(), first,
                               [](std::uint64_t number, const Run& one) { return number < one.first + one.count; });
   if (run == runs_.end() || run->first >= last) return {};
-  const auto opened = open_own_file(path_, O_RDONLY | O_CLOEXEC);
-  if (!opened.ok()) return opened.status();
-  const File file(*opened);
+  const auto file = open_own_file(path_, O_RDONLY | O_CLOEXEC);
+  if (!file.ok()) return file.status();
   for (; run != runs_.end() && run->first < last; ++run)
-    if (Status status = read_run(file.get(), static_cast<std::size_t>(run - runs_.begin()), first, last, visit);
+    if (Status status = read_run(file->get(), static_cast<std::size_t>(run - runs_.begin()), first, last, visit);
         !status)
       return status;
   return {};
@@ -137,13 +107,8 @@ Status ReportFile::read_run(int file, std::size_t index, std::uint64_t first, st
                             const std::function<void(std::uint64_t, std::string_view)>& visit) const {
   const Run& run = runs_[index];
   const std::uint64_t end = index + 1 < runs_.size() ? runs_[index + 1].offset : size_;
-  std::string text(end - run.offset, '\0');
-  for (std::size_t done = 0; done < text.size();) {
-    const ssize_t got = ::pread(file, text.data() + done, text.size() - done, static_cast<off_t>(run.offset + done));
-    if (got < 0 && errno == EINTR) continue;
-    if (got <= 0) return failed_to("read", path_, got < 0 ? errno : EIO);
-    done += static_cast<std::size_t>(got);
-  }
+  const std::string text = read_some(file, end - run.offset, run.offset);
+  if (text.size() < end - run.offset) return failed_to("read", path_, errno);
   std::string_view rest = text;
   for (std::uint64_t number = run.first; number < run.first + run.count && number < last; ++number) {
     const std::size_t newline = rest.find('\n');

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::service {
 
@@ -40,7 +41,7 @@ class ReportFile {
   };
 
   // Opens the file if it is as append() left it; begins it anew if it was changed or removed. Errors: io_error.
-  Result<int> open_to_append();
+  Result<Descriptor> open_to_append();
   Status read_run(int file, std::size_t run, std::uint64_t first, std::uint64_t last,
                   const std::function<void(std::uint64_t number, std::string_view line)>& visit) const;
 

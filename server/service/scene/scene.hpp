@@ -46,20 +46,11 @@ struct SceneOptions {
   std::vector<double> part_sizes;
 };
 
-struct SceneTotals {
+struct SceneTotals : StepCounts {
   std::uint64_t steps = 0;
   std::uint64_t repartitions = 0;  // including the first partition
-  std::uint64_t bytes = 0;
-  std::uint64_t drifted = 0;
-  std::uint64_t moved = 0;
-  std::uint64_t migrated = 0;
-  std::uint64_t scanned = 0;
-  std::uint64_t searched = 0;
-  std::uint64_t rounds = 0;
-  std::uint64_t reductions = 0;
   std::map<std::string, std::uint64_t> skipped;
   std::map<std::string, std::uint64_t> asked;  // by command: queries whose answer took a pass over the particles
-  StepSeconds seconds;
 };
 
 // The slot of each id that this rank holds. Built when it is first needed, then updated with the particles.

@@ -1,10 +1,7 @@
 #include "server/service/step/migration.hpp"
 
 #include <algorithm>
-#include <cstring>
-#include <numeric>
 #include <tuple>
-#include <type_traits>
 #include <utility>
 
 #include "common/comm/comm.hpp"
@@ -14,18 +11,15 @@
 namespace rcb::service {
 namespace {
 
-bool is_own(const comm::Comm& comm, const Scene& scene, std::int32_t part) {
-  return part >= layout::part_begin(comm.rank(), scene.options.parts, comm.size()) &&
-         part < layout::part_begin(comm.rank() + 1, scene.options.parts, comm.size());
+layout::PartRange own_parts(const comm::Comm& comm, const Scene& scene) {
+  return layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
 }
 
 Exports find_exports(const comm::Comm& comm, const Scene& scene) {
-  const int ranks = comm.size();
-  const std::int64_t mine_begin = layout::part_begin(comm.rank(), scene.options.parts, ranks);
-  const std::int64_t mine_end = layout::part_begin(comm.rank() + 1, scene.options.parts, ranks);
+  const layout::PartRange own = own_parts(comm, scene);
   Exports exports;
   for (std::size_t i = 0; i < scene.part.size(); ++i)
-    if (scene.part[i] < mine_begin || scene.part[i] >= mine_end) exports.slots.push_back(i);
+    if (!own.has(scene.part[i])) exports.slots.push_back(i);
   count_by_rank(comm, scene, exports);
   return exports;
 }
@@ -50,15 +44,17 @@ std::uint64_t migrate(comm::Comm& comm, Scene& scene, bool first) {
 std::uint64_t migrate_touched(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> touched) {
   Exports exports;
   exports.slots = std::move(touched);
-  std::erase_if(exports.slots, [&](std::uint64_t slot) { return is_own(comm, scene, scene.part[slot]); });
+  const layout::PartRange own = own_parts(comm, scene);
+  std::erase_if(exports.slots, [&](std::uint64_t slot) { return own.has(scene.part[slot]); });
   count_by_rank(comm, scene, exports);
   return migrate_exports(comm, scene, std::move(exports), false);
 }
 
 std::uint64_t migrate_drifted(comm::Comm& comm, Scene& scene, const Drift& drift, const StepSums& sums) {
   Exports exports;
+  const layout::PartRange own = own_parts(comm, scene);
   for (const std::uint64_t slot : drift.slot)
-    if (!is_own(comm, scene, scene.part[slot])) exports.slots.push_back(slot);
+    if (!own.has(scene.part[slot])) exports.slots.push_back(slot);
   count_by_rank(comm, scene, exports);
   const auto ranks = static_cast<std::size_t>(comm.size());
   std::vector<std::uint64_t> from(ranks);

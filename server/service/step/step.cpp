@@ -15,15 +15,6 @@
 namespace rcb::service {
 namespace {
 
-partition::PartitionOptions options_of(const Scene& scene) {
-  partition::PartitionOptions options;
-  options.method = scene.options.method;
-  options.parts = scene.options.parts;
-  options.part_sizes = scene.options.part_sizes;
-  options.cut_tolerance = scene.options.cut_tolerance;
-  return options;
-}
-
 // The ids and parts of all local particles.
 PartChanges all_changes(const Scene& scene) {
   PartChanges changes;
@@ -93,7 +84,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   scene.ids = staged.ids;
   scene.pushed = true;
   const double start = context.clock.seconds();
-  auto found = partition::partition(context.comm, scene.particles.view(), options_of(scene));
+  auto found = partition::partition(context.comm, scene.particles.view(), search_options(scene.options));
   CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
   report.searched = found->searched;
   report.rounds = found->rounds;
@@ -114,7 +105,7 @@ constexpr int kFullSearchesMax = 7;
 // Searches new cuts; returns them with the particles that they would move. Collective.
 partition::Repartition search(Context& context, Scene& scene, Staged& staged, StepReport& report) {
   partition::RepartitionOptions options;
-  options.partition = options_of(scene);
+  options.partition = search_options(scene.options);
   options.partition.axis_hysteresis = scene.options.axis_hysteresis;
   options.partition.previous = &scene.tree;
   options.incremental = !context.no_skip.incremental && scene.full_searches_left == 0;
@@ -123,14 +114,12 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   };
   if (scene.options.recut == Recut::subtree)
     options.roots = partition::smallest_roots(scene.tree, scene.loads, scene.options.tolerance / 2);
-  const auto part_begin = [&](int rank) {
-    return static_cast<int>(layout::part_begin(rank, scene.options.parts, context.comm.size()));
-  };
-  const partition::OwnParts own{part_begin(context.comm.rank()), part_begin(context.comm.rank() + 1)};
+  const auto own = layout::parts_of_rank(context.comm.rank(), scene.options.parts, context.comm.size());
   // Insertions and removals have changed the slots, so the scan's ranges of blocks are no longer valid.
   const particles::BlockRanges* ranges = staged.edits.any() ? nullptr : staged.ranges();
-  partition::Repartition found = partition::repartition(context.comm, scene.particles.view(), options,
-                                                        {scene.tree, scene.part.span(), scene.loads, own, ranges});
+  partition::Repartition found =
+      partition::repartition(context.comm, scene.particles.view(), options,
+                             {scene.tree, scene.part.span(), scene.loads, {own.begin, own.end}, ranges});
   // After a wasted incremental search the next 1, 3, then kFullSearchesMax repartitions search all particles.
   if (options.incremental)
     scene.full_searches_left = scene.full_searches_last =
@@ -260,15 +249,7 @@ void remember(Scene& scene, const PushRequest& push, const StepReport& report, b
   SceneTotals& totals = scene.totals;
   ++totals.steps;
   totals.repartitions += report.repartitioned ? 1 : 0;
-  totals.bytes += report.bytes;
-  totals.drifted += report.drifted;
-  totals.moved += report.moved;
-  totals.migrated += report.migrated;
-  totals.seconds += report.seconds;
-  totals.scanned += report.scanned;
-  totals.searched += report.searched;
-  totals.rounds += report.rounds;
-  totals.reductions += report.reductions;
+  totals += report;
   for (const std::string& name : report.skipped.names()) ++totals.skipped[name];
   if (!scene.asked) ++totals.skipped["questions"];
   scene.asked = false;
@@ -276,6 +257,15 @@ void remember(Scene& scene, const PushRequest& push, const StepReport& report, b
 }
 
 }  // namespace
+
+partition::PartitionOptions search_options(const SceneOptions& options) {
+  partition::PartitionOptions search;
+  search.method = options.method;
+  search.parts = options.parts;
+  search.part_sizes = options.part_sizes;
+  search.cut_tolerance = options.cut_tolerance;
+  return search;
+}
 
 std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b) {
   CHECK(a.size() == b.size(), "assignments of different length");

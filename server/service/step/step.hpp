@@ -20,6 +20,9 @@ struct PartChanges {
 // but the first, `staged` holds the positions before the step, whose memory may be used again.
 StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
 
+// What a search for all of a scene's cuts is asked. Local.
+partition::PartitionOptions search_options(const SceneOptions& options);
+
 struct NewCuts {
   partition::CutTree tree;
   std::uint64_t rounds = 0;

@@ -19,6 +19,7 @@
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/drift.hpp"
 #include "tests/bench/worker.hpp"
+#include "tests/support/ranges_of.hpp"
 
 namespace rcb::bench {
 namespace {
@@ -117,10 +118,10 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
   }
   const auto view = held.scene.particles.view();
   const partition::LoadSummary loads = partition::summarise_loads(comm, view, part.span(), {}, cell.parts);
-  const partition::OwnParts own{static_cast<int>(layout::part_begin(comm.rank(), cell.parts, comm.size())),
-                                static_cast<int>(layout::part_begin(comm.rank() + 1, cell.parts, comm.size()))};
+  const auto [first, last] = layout::parts_of_rank(comm.rank(), cell.parts, comm.size());
+  const partition::OwnParts own{first, last};
   // As a step makes them while the positions arrive.
-  const particles::BlockRanges blocks = particles::ranges_of(view);
+  const particles::BlockRanges blocks = testing::ranges_of(view);
   std::vector<Repartition> found(std::size(kWays));
   std::vector<std::vector<double>> seconds(std::size(kWays));
   for (int repeat = -1; repeat < repeats; ++repeat)

@@ -117,6 +117,11 @@ std::string refusal(const R& result) {
 
 inline bool has(const std::string& text, std::string_view part) { return text.find(part) != std::string::npos; }
 
+// The whole file.
+inline Result<Points> read_points(const std::string& path, const ReadOptions& options) {
+  return read_points_slice(path, options, 0, 1);
+}
+
 // Slices 0..of-1 one after the other.
 inline Points joined(const std::string& path, const ReadOptions& options, int of) {
   Points all;

@@ -52,7 +52,7 @@ TEST(Foreign, IsNamed) {
   const testing::Directory directory;
   for (const Known& known : kKnown) {
     const std::string path = directory.write(known.file, known.content);
-    for (const Status& status : {read_points(path, {}).status(), read_points_slice(path, {}, 1, 3).status(),
+    for (const Status& status : {testing::read_points(path, {}).status(), read_points_slice(path, {}, 1, 3).status(),
                                  open_trajectory(path, {}).status()}) {
       EXPECT_EQ(status.code(), Code::invalid_argument) << known.file;
       EXPECT_NE(status.message().find(path + ": is "), std::string::npos) << status.message();

@@ -23,6 +23,7 @@ using testing::Directory;
 using testing::has;
 using testing::joined;
 using testing::npy;
+using testing::read_points;
 using testing::refusal;
 
 constexpr std::string_view kMeaningful = "0123456789,; \n\r\t#\"'-+.eEdDnNaAxX(){}:L";  // to some format

@@ -14,6 +14,7 @@ using testing::Directory;
 using testing::expect_same;
 using testing::has;
 using testing::joined;
+using testing::read_points;
 using testing::refusal;
 using Column = std::vector<double>;
 
@@ -124,7 +125,8 @@ TEST_F(Hdf5, AFileThatKillsItsReaderIsDamaged) {
   const std::string good = testing::contents(directory_ / "a.h5");
   const std::size_t heap = good.find("HEAP");
   ASSERT_NE(heap, std::string::npos);
-  for (const std::size_t field : {std::size_t{8}, std::size_t{24}}) {  // the size of the heap of names, and where it lies
+  for (const std::size_t field :
+       {std::size_t{8}, std::size_t{24}}) {  // the size of the heap of names, and where it lies
     std::string bad = good;
     bad.replace(heap + field, 8, 8, '\xFF');
     directory_.write("a.h5", bad);

@@ -16,6 +16,7 @@ using testing::joined;
 using testing::npy;
 using testing::npy_with_header;
 using testing::NpyKind;
+using testing::read_points;
 using testing::refusal;
 using Column = std::vector<double>;
 

@@ -19,6 +19,7 @@ namespace {
 namespace fs = std::filesystem;
 using testing::contents;
 using testing::Directory;
+using testing::read_points;
 
 // outside/secret, and root/{points.csv, sub/deep.csv} with links of all kinds.
 class RootsTest : public ::testing::Test {

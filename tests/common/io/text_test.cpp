@@ -14,6 +14,7 @@ using testing::Directory;
 using testing::expect_same;
 using testing::has;
 using testing::joined;
+using testing::read_points;
 using testing::refusal;
 using Column = std::vector<double>;
 

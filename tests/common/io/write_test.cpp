@@ -14,6 +14,7 @@ namespace {
 using testing::contents;
 using testing::Directory;
 using testing::has;
+using testing::read_points;
 using testing::refusal;
 using Column = std::vector<double>;
 

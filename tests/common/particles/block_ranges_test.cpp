@@ -47,22 +47,5 @@ TEST(BlockRanges, NothingIsInsideItsOwnBounds) {
   EXPECT_FALSE(range_of(std::vector<double>{-kInfinity}).strictly_inside(-kInfinity, kInfinity));
 }
 
-TEST(BlockRanges, EachBlockHasItsOwn) {
-  ParticleSet set;
-  set.dims = 2;
-  set.resize(2 * kBlock + 3);
-  for (std::size_t i = 0; i < set.count(); ++i) {
-    set.position[0][i] = static_cast<double>(i);
-    set.position[1][i] = -static_cast<double>(i);
-  }
-  const BlockRanges ranges = ranges_of(set.view());
-  ASSERT_EQ(ranges.of[0].size(), 3U);
-  EXPECT_TRUE(ranges.of[2].empty());
-  EXPECT_EQ(ranges.of[0][1].lo, 64);
-  EXPECT_EQ(ranges.of[0][1].hi, 127);
-  EXPECT_EQ(ranges.of[1][2].lo, -130);
-  EXPECT_EQ(ranges.of[1][2].hi, -128);
-}
-
 }  // namespace
 }  // namespace rcb::particles

@@ -47,7 +47,6 @@ TEST(Endpoint, FilesLieTogetherAndApartFromOthers) {
   EXPECT_EQ(data_directory(endpoint), data_directory(parse_endpoint("unix:/a/./c/../b").value()));
   EXPECT_EQ(log_path(endpoint), data_directory(endpoint) + "/rcbd.log");
   EXPECT_EQ(token_path(endpoint), data_directory(endpoint) + "/token");
-  EXPECT_EQ(marker_path(endpoint), data_directory(endpoint) + "/clean-shutdown");
 }
 
 TEST(Endpoint, ATokenThatIsNotSharedIsTold) {

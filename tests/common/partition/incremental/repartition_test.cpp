@@ -13,6 +13,7 @@
 #include "common/partition/incremental/recut.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/on_ranks.hpp"
+#include "tests/support/ranges_of.hpp"
 #include "tests/support/scenes.hpp"
 
 namespace rcb::partition {
@@ -104,7 +105,7 @@ std::uint64_t check(Case trial) {
     std::vector<std::int32_t> part;
     const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part, trial.seed % 2 == 0);
     const particles::ParticleView view = share.particles.view();
-    const particles::BlockRanges blocks = particles::ranges_of(view);
+    const particles::BlockRanges blocks = testing::ranges_of(view);
     const auto& sizes = trial.options.part_sizes;
     RepartitionOptions options{trial.options, {}, true};
     options.partition.previous = &before;

@@ -37,7 +37,8 @@ TEST(AxisMap, RisesWithTheCoordinateAndKnowsItsBounds) {
   for (const std::vector<double>& set : sets())
     for (const AxisMap& map :
          {AxisMap::by_value(set.front(), set.back()), AxisMap::by_order_bits(set.front(), set.back())}) {
-      SCOPED_TRACE(::testing::Message() << "from " << set.front() << " to " << set.back() << (map.even() ? " even" : ""));
+      SCOPED_TRACE(::testing::Message() << "from " << set.front() << " to " << set.back()
+                                        << (map.linear() ? " linear" : ""));
       std::int32_t last = 0;
       for (const double x : set) {
         const std::int32_t q = map(x);

@@ -156,60 +156,6 @@ TEST(CutTree, CountsFlippedAxes) {
   EXPECT_EQ(axes_flipped(CutTree{}, new_tree), 0);
 }
 
-TEST(CutTree, DecodesWhatItEncoded) {
-  for (const int parts : {1, 2, 17})
-    for (const int dims : {1, 2, 3}) {
-      CutTree tree = tree_of(Shape::signed_zero, dims, 9, parts);
-      if (parts == 17) {
-        tree.part_sizes.assign(17, 1.0);
-        tree.part_sizes[3] = 2;
-      }
-      const Result<CutTree> got = CutTree::decode(tree.encode());
-      ASSERT_TRUE(got.ok()) << got.status().message();
-      EXPECT_EQ(got->cuts, tree.cuts);
-      EXPECT_EQ(got->dims, dims);
-      EXPECT_EQ(got->parts, parts);
-      EXPECT_EQ(got->part_sizes, tree.part_sizes);
-      EXPECT_EQ(got->encode(), tree.encode());
-    }
-}
-
-TEST(CutTree, RefusesDamagedBytes) {
-  const std::vector<std::byte> good = tree_of(Shape::lattice, 3, 60, 9).encode();
-  for (std::size_t size = 0; size < good.size(); ++size)
-    EXPECT_FALSE(CutTree::decode(std::span(good).first(size)).ok()) << size;
-  std::vector<std::byte> longer = good;
-  longer.push_back(std::byte{0});
-  EXPECT_FALSE(CutTree::decode(longer).ok());
-  // Any other bytes are refused or are a sound tree that says the same again.
-  Random random(kTreeSeed);
-  for (int i = 0; i < 20000; ++i) {
-    std::vector<std::byte> bytes = good;
-    for (std::uint64_t k = random.below(3) + 1; k > 0; --k)
-      bytes[random.below(bytes.size())] = static_cast<std::byte>(random.next());
-    const Result<CutTree> got = CutTree::decode(bytes);
-    if (!got.ok()) {
-      EXPECT_EQ(got.status().code(), Code::invalid_argument);
-      continue;
-    }
-    EXPECT_TRUE(got->validate().ok());
-    EXPECT_EQ(got->encode(), bytes);
-  }
-}
-
-TEST(CutTree, RefusesHugeCountsWithoutAllocating) {
-  std::vector<std::byte> bytes = example().encode();
-  for (std::size_t at = 16; at < 20; ++at) bytes[at] = std::byte{0x7F};
-  EXPECT_FALSE(CutTree::decode(bytes).ok());
-}
-
-TEST(CutTree, ValidateFindsAKeyOutsideItsNode) {
-  CutTree tree = tree_of(Shape::uniform, 2, 100, 4);
-  ASSERT_TRUE(tree.validate().ok());
-  tree.cuts[1].key.at = {1000, 1000, 0};
-  EXPECT_FALSE(tree.validate().ok());
-}
-
 TEST(Method, NamesRoundTrip) {
   for (const Method method :
        {Method::rcb, Method::bands_x, Method::bands_y, Method::bands_z, Method::equal_boxes, Method::file_order}) {

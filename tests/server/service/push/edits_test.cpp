@@ -1,5 +1,6 @@
 // Few moved, none moved, inserted and removed: random sequences against a plain model of the particles, and against the
 // plan that a client derives. One answer on any rank count, in either order, and the cuts of a cold start at the end.
+#include <limits>
 #include <map>
 #include <mutex>
 #include <numeric>
@@ -65,8 +66,8 @@ class Walk {
     return deed;
   }
 
-  // The report, on rank 0.
-  Json push(const Deed& deed, bool first = false) {
+  // The answer, on rank 0.
+  Response send(const Deed& deed, bool first = false) {
     ++step_;
     Json request{{"command", "push"},
                  {"scene", scene_},
@@ -84,7 +85,12 @@ class Walk {
     request["plan"] = {{"version", plan_.version()}, {"checksum", wire::hex64(plan_.checksum())}};
     if (!first) request["base_step"] = step_ - 1;
     std::vector<PushSlice> slices = slices_of(deed, first, request);
-    Response response = service_.execute(request, comm_.rank() == 0 ? std::move(slices) : std::vector<PushSlice>{});
+    return service_.execute(request, comm_.rank() == 0 ? std::move(slices) : std::vector<PushSlice>{});
+  }
+
+  // The report, on rank 0.
+  Json push(const Deed& deed, bool first = false) {
+    Response response = send(deed, first);
     std::uint64_t ok = comm_.rank() == 0 && !response.status.ok() ? 0 : 1;
     comm_.all_min({&ok, 1});
     EXPECT_EQ(ok, 1U) << response.status.message();
@@ -373,6 +379,35 @@ TEST(Changes, AllMayGoAndOthersCome) {
     walk.push(walk.choose(random, true));
     walk.check();
   });
+}
+
+TEST(Changes, WhatIsInsertedHasGoodValues) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  struct Bad {
+    Particle particle;
+    std::vector<std::int64_t> ids;
+    Code code;
+    std::string words;
+  };
+  for (const Bad& bad :
+       {Bad{{{0, nan, 0}, 1}, {}, Code::not_finite, "inserted particle 1 (index, from 0): y is nan"},
+        Bad{{{}, nan}, {}, Code::not_finite, "inserted particle 1 (index, from 0): weight is nan"},
+        Bad{{{}, -1}, {}, Code::invalid_argument, "inserted particle 1 (index, from 0): weight is -1"},
+        Bad{{{}, 1}, {7, -2}, Code::invalid_argument, "inserted particle 1 (index, from 0): id is -2"}})
+    on_ranks([&](comm::Comm& comm) {
+      Service service(comm, kClock);
+      Walk walk(comm, service, "bad", 2, true, comm.size() % 2 == 0);
+      Random random(4);
+      walk.begin(random, 20, {{"parts", 3}, {"tolerance", 0.5}});
+      Deed deed{.moved = "none"};
+      deed.inserted = {{{0.5, 0.5, 0}, 1}, bad.particle};
+      deed.inserted_ids = bad.ids;
+      const Response refused = walk.send(deed);
+      walk.check();
+      if (comm.rank() != 0) return;
+      EXPECT_EQ(refused.status.code(), bad.code) << refused.status.message();
+      EXPECT_EQ(refused.status.message(), bad.words);
+    });
 }
 
 TEST(Changes, ManyAtOnceGoRoundInPieces) {
