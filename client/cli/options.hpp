@@ -66,13 +66,15 @@ Kind output_file(Format format);
 
 inline constexpr const char* kToleranceHelp = "repartition at this error; inf: never";
 inline constexpr const char* kHysteresisHelp =
-    "a repartition turns a cut to another axis where the part is longer along that one by this factor; 1: always";
+    "a repartition keeps a cut's axis until another axis is longer by more than this factor; 1: the longest axis "
+    "always";
 inline constexpr const char* kPolicyHelp =
     "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes";
 inline constexpr const char* kRecutHelp =
     "what a repartition cuts anew: all, or subtree, the least that brings the error below half the tolerance";
 inline constexpr const char* kPartSizesHelp = "a share for each part, such as 1,2,3";
-inline constexpr const char* kStepSecondsHelp = "the solver's computing time for one step; used by the policy cost";
+inline constexpr const char* kStepSecondsHelp =
+    "the solver's computing time since its last push; used by the policy cost";
 inline constexpr const char* kCutToleranceHelp =
     "end a search once no part can be off its target by more than this fraction; 0: exact";
 inline constexpr const char* kGhostWidthHelp =

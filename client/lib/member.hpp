@@ -90,8 +90,8 @@ class MemberScene {
 
   // Pushes this member's particles, in any order. positions: count may be 0.
   //   ids  [count]; every id of the scene belongs to exactly one member, also those that this step removes
-  // Errors: deadline_exceeded and aborted name the member at fault; base_lost: the service has lost the scene, which
-  // had weights: push this step with weights.
+  // Errors: aborted and deadline_exceeded name the member at fault (if it names none: push this step again, it may be
+  // committed); base_lost: the service has lost the scene, which had weights: push this step with weights.
   Result<MemberStep> step(const Positions& positions, std::span<const std::int64_t> ids,
                           const MemberStepOptions& options = {});
   // As those of Scene.

@@ -75,16 +75,17 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOp
   number("--parts", typed.parts, fmt::format("{}", d.parts), "parts that the service cuts the points into");
   number("--tolerance", typed.tolerance, fmt::format("{}", d.tolerance),
          "load error at which the service repartitions; inf: never after step 0");
-  app.add_option("--policy", options.policy,
-                 "repartition at the tolerance, or, as cost, when imbalance has cost more than that takes")
+  app.add_option(
+         "--policy", options.policy,
+         "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes")
       ->check(CLI::IsMember({"tolerance", "cost"}))
       ->default_str(d.policy);
   app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
       ->type_name("NAME")
       ->default_str(d.scene);
-  app.add_option(
-         "--endpoint", options.endpoint,
-         "where the service is: unix:PATH, HOST:PORT or file:PATH (default: $RCBD_ENDPOINT, then this user's socket)")
+  app.add_option("--endpoint", options.endpoint,
+                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
+                 "socket, then 127.0.0.1:7470)")
       ->type_name("E");
   app.add_option("--trajectory", options.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");

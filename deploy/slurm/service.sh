@@ -1,7 +1,7 @@
 #!/bin/bash
 # A service on the machines of its own job; solvers find it by the file WHERE, in a folder that all machines have:
 #   sbatch --nodes=2 --ntasks=16 --export=ALL,WHERE=$HOME/rcbd.where deploy/slurm/service.sh
-# It has a rank for each task. `scancel JOB`, and `rcbctl down --endpoint file:$WHERE`, end it cleanly.
+# It has one rank per task, so --ntasks-per-node=1 gives one on each machine. `scancel JOB`, and `rcbctl down --endpoint file:$WHERE`, end it cleanly.
 #SBATCH --job-name=rcbd
 #SBATCH --output=rcbd-%j.out
 #SBATCH --requeue

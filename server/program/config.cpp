@@ -59,14 +59,13 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_LISTEN")
       ->type_name("HOST:PORT");
   app.add_flag("--trusted-network", config.trusted_network,
-               "nobody on the network is to be feared: nothing that travels between machines is encrypted, so anybody "
-               "there can read and alter positions and commands. Without this, connections from other machines are by "
-               "TLS 1.3")
+               "you trust every network between machines: nothing is encrypted. Without this, clients' connections "
+               "from other machines are encrypted by TLS 1.3")
       ->envname("RCBD_TRUSTED_NETWORK");
   app.add_flag(
          "--trusted-interconnect", config.trusted_interconnect,
-         "the same of the network between ranks on different machines alone, where MPI doesn't encrypt; such ranks "
-         "need one of the two")
+         "you trust the network between the service's machines, on which MPI's messages are not encrypted; ranks on "
+         "several machines require this or --trusted-network")
       ->envname("RCBD_TRUSTED_INTERCONNECT");
   app.add_option(
          "--interface", config.interface,
@@ -91,7 +90,7 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_BULK_BYTES")
       ->transform(CLI::Validator(check_bytes, ""));
   app.add_option("--silence-seconds", config.silence_seconds,
-                 "a rank that says nothing for so long is given up as dead")
+                 "a rank that gives no sign of life for so long counts as dead; the service then ends")
       ->envname("RCBD_SILENCE_SECONDS")
       ->check(CLI::Range(4.0, 3600.0))
       ->capture_default_str();

@@ -142,7 +142,7 @@ class SlurmTest(MachinesTest):
     def both(self, steps):
         return self.submit("--nodes=2", "--ntasks=4", os.path.join(SCRIPTS, "both.sh"), "slope_mpi", "--points", "1000",
                            "--steps", steps, "--interval", "0.3", "--parts", "6", "--check",
-                           OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
+                           RANKS_PER_NODE="2", OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
 
     def folders_of_both(self):
         return [name for name in os.listdir(self.hosts.shared) if name.startswith("rcbd-")]

@@ -97,7 +97,8 @@ void add_compare_command(CLI::App& app, Context& context) {
   add_file_options(*command, options->file);
   add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
   add_value(*command, "--ranks", options->ranks, kind::rank_count(),
-            "an embedded service of so many MPI ranks (default: the running one)");
+            "start a temporary service with this many ranks (default: use the running service, or a temporary one if "
+            "there is none)");
   add_value(*command, "--ghost-width", options->ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
   add_value(*command, "--save", options->save, kind::output_file(kind::Format::json),
             "also write what --json prints to this file");

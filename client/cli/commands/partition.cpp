@@ -181,11 +181,12 @@ void add_partition_command(CLI::App& app, Context& context) {
   add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z")
       ->capture_default_str();
   add_value(*command, "--ranks", options->ranks, kind::rank_count(),
-            "an embedded service of so many MPI ranks (default: the running one)");
+            "start a temporary service with this many ranks (default: use the running service, or a temporary one if "
+            "there is none)");
   add_list(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
   add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
-  add_value(*command, "--out", options->out, kind::text("DIR"), "a folder for one CSV a part");
+  add_value(*command, "--out", options->out, kind::text("DIR"), "a folder for one CSV per part");
   command->add_flag("--replace", options->replace, kReplaceFilesHelp);
   add_value(*command, "--assign", options->assign, kind::output_file(kind::Format::npy),
             "the part of each point, int32, in input order");

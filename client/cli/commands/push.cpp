@@ -280,8 +280,7 @@ void add_push_commands(CLI::App& app, Context& context) {
   file->required(false);
   CLI::Option* unmoved = command->add_flag("--unmoved", push_options->unmoved, "nothing moved; no FILE");
   unmoved->excludes(file);
-  command
-      ->add_flag("--subset", push_options->subset, "FILE holds the particles that moved alone, and their ids: id,x,y,z")
+  command->add_flag("--subset", push_options->subset, "FILE holds only the particles that moved: columns id,x,y,z")
       ->needs(file);
   add_value(*command, "--insert", push_options->inserted.path, kind::text("FILE"),
             "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
@@ -301,11 +300,11 @@ void add_push_commands(CLI::App& app, Context& context) {
                         [replay_options, &context] { return Replay(*replay_options, context).run(); });
   add_value(*command, "NAME", replay_options->name, kind::text("NAME"), "the scene")->required();
   add_value(*command, "FILES", replay_options->files, kind::text("FILE..."),
-            "a file a step, or .npy of shape (steps, n, dims)")
+            "one file per step, or a .npy of shape (steps, n, dims)")
       ->required()
       ->expected(-1);
   command->add_flag("--replace", replay_options->replace, "drop a scene of that name first");
-  add_value(*command, "--parts", replay_options->parts, kind::part_count(), "number of parts (default: one a rank)");
+  add_value(*command, "--parts", replay_options->parts, kind::part_count(), "number of parts (default: one per rank)");
   add_value(*command, "--tolerance", replay_options->tolerance, kind::tolerance(), kToleranceHelp)
       ->capture_default_str();
   add_value(*command, "--axis-hysteresis", replay_options->axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
@@ -313,7 +312,7 @@ void add_push_commands(CLI::App& app, Context& context) {
   add_value(*command, "--policy", replay_options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
   add_value(*command, "--recut", replay_options->recut, kind::recut(), kRecutHelp)->capture_default_str();
   add_value(*command, "--step-seconds", replay_options->step_seconds, kind::number_from_zero("SECONDS"),
-            std::string(kStepSecondsHelp) + ", said with each step");
+            std::string(kStepSecondsHelp) + "; the same at each step");
   add_value(*command, "--dims", replay_options->file.dims, kind::dimensions(), kDimsHelp);
   add_value(*command, "--weights", replay_options->file.weights, kind::text("COLUMN"), kWeightsHelp);
   add_value(*command, "--history", replay_options->history, kind::output_file(kind::Format::csv),

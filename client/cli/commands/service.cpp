@@ -124,7 +124,8 @@ Status down(double deadline, const Context& context) {
 
 void add_up_options(CLI::App& command, UpOptions& options) {
   add_value(command, "-n,--ranks", options.ranks, kind::rank_count(),
-            "MPI ranks (default: those that the machines have room for; on one machine one a core, at most 8)");
+            "MPI ranks (default: in a Slurm or PBS job one per task, with --hosts or --hostfile the sum of what they "
+            "say, else one per core, at most 8)");
   CLI::Option* list = add_value(
       command, "--hosts", options.hosts.list, kind::text("A:4,B:4"),
       "machines and the ranks on each, this one first (default: those of the Slurm or PBS job, else this one)");
@@ -135,7 +136,7 @@ void add_up_options(CLI::App& command, UpOptions& options) {
   add_value(command, "--publish", options.publish, kind::text("FILE"),
             "write where the service is to FILE once it answers; clients take file:FILE for an endpoint");
   add_value(command, "--data-dir", options.data_dir, kind::text("DIR"),
-            "for log, token and what lasts (default: one an endpoint)");
+            "for the log, the token and older step reports (default: one per endpoint)");
   add_value(command, "--deadline", options.deadline, kind::positive_number("SECONDS"),
             "how long to wait for its first answer")
       ->capture_default_str();
@@ -148,12 +149,11 @@ void add_up_options(CLI::App& command, UpOptions& options) {
             "a folder below which commands may read and write files; may be given more than once (default: on a Unix "
             "socket the working directory, over TCP none)");
   command.add_flag("--trusted-network", options.trusted_network,
-                   "nobody on the network is to be feared: nothing that travels between machines is encrypted, and "
-                   "anybody there can read and alter positions and commands (default: clients' connections from other "
-                   "machines are by TLS 1.3)");
+                   "you trust every network between machines: nothing is encrypted (default: clients' connections from "
+                   "other machines are encrypted by TLS 1.3)");
   command.add_flag("--trusted-interconnect", options.trusted_interconnect,
-                   "the same of the network between ranks on several machines alone, where MPI doesn't encrypt; "
-                   "such ranks need one of the two");
+                   "you trust the network between the service's machines, on which MPI's messages are not encrypted; "
+                   "ranks on several machines require this or --trusted-network");
   add_value(command, "--keep-reports", options.keep_reports, kind::whole_number("K", 1, kKeepReportsMax),
             "step reports kept in memory, of all scenes together; older ones go to files (default: 100000)");
   add_value(command, "--log-level", options.log_level,
@@ -167,13 +167,13 @@ void add_up_options(CLI::App& command, UpOptions& options) {
 
 void add_service_commands(CLI::App& app, Context& context) {
   auto up_options = std::make_shared<UpOptions>();
-  CLI::App* command =
-      add_command(app, context,
-                  {"up", "Starts a service on the endpoint and waits until it answers",
-                   "  rcbctl up -n 8\n  rcbctl up --endpoint unix:$HOME/run/rcbd.sock --data-dir $HOME/run/rcbd\n"
-                   "  rcbctl up --hosts a:4,b:4 --endpoint a:7470 --trusted-network --publish $HOME/rcbd.where",
-                   kServiceGroup},
-                  [up_options, &context] { return up(*up_options, context); });
+  CLI::App* command = add_command(
+      app, context,
+      {"up", "Starts a service on the endpoint and waits until it answers",
+       "  rcbctl up -n 8\n  rcbctl up --endpoint unix:$HOME/run/rcbd.sock --data-dir $HOME/run/rcbd\n"
+       "  rcbctl up --hosts a:4,b:4 --endpoint a:7470 --trusted-interconnect --data-dir ~/rcbd --publish ~/rcbd.where",
+       kServiceGroup},
+      [up_options, &context] { return up(*up_options, context); });
   add_up_options(*command, *up_options);
 
   auto deadline = std::make_shared<double>(30);

@@ -78,8 +78,8 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
 }  // namespace
 
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
-  CLI::Option* file =
-      add_value(command, "FILE", options.path, kind::text("FILE"), "CSV or text, .xyz, .npy, or FILE.h5:/path");
+  CLI::Option* file = add_value(command, "FILE", options.path, kind::text("FILE"),
+                                "CSV or text, .xyz, .npy, or FILE.h5:/path; a column named id is taken as ids");
   add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
   add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
   return file->required();

@@ -76,14 +76,18 @@ void declare(CLI::App& app, Options& o) {
   app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
       ->check(tolerance());
   app.add_option("--scene", o.scene, "name of the scene; one of that name is replaced")->type_name("NAME");
-  app.add_option("--endpoint", o.endpoint, "where the service is: unix:PATH, HOST:PORT or file:PATH")->type_name("E");
+  app.add_option("--endpoint", o.endpoint,
+                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
+                 "socket, then 127.0.0.1:7470)")
+      ->type_name("E");
   app.add_option("--trajectory", o.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");
   app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));
   app.add_flag(
       "!--no-outlive", o.outlive,
       "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
-  app.add_flag("--check", o.check, "after every step ask the service whose each point is, and hold it against this");
+  app.add_flag("--check", o.check,
+               "after every step ask the service which process each point belongs to, and fail where another holds it");
   app.add_flag("--json", o.json, "one JSON document on standard output instead of the summary");
   app.add_option("--unit-weight", o.slope.unit_weight, "of the sediment, submerged, N/m^3")->group("Physics");
   app.add_option("--friction-angle", o.slope.friction_angle, "of the sediment, degrees")->group("Physics");

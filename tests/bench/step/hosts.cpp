@@ -43,7 +43,8 @@ CLI::App* add_hosts(CLI::App& app, HostsOptions& options) {
                                      "model of docs/scale.md (as root)");
   const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
   list(command->add_option("--hosts", options.hosts, "numbers of machines, a rank on each"));
-  list(command->add_option("--latency", options.latency, "round trips, in milliseconds"));
+  list(command->add_option("--latency", options.latency,
+                           "round trips between machines, in milliseconds; l in docs/scale.md is half of one"));
   list(command->add_option("--bandwidth", options.bandwidth, "of a link, in Gbit/s"));
   command->add_option("--points", options.points, "particles, uniform in a cube")->capture_default_str();
   command->add_option("--repeats", options.repeats, "timed steps of each kind")->capture_default_str();

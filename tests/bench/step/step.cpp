@@ -341,7 +341,8 @@ Status check(const StepBenchOptions& options) {
 }  // namespace
 
 CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
-  auto* command = app.add_subcommand("step", "time of a step in which nothing much happens, against bare sockets");
+  auto* command = app.add_subcommand(
+      "step", "time of a step in which all particles move and no new cuts are needed, beside bare sockets");
   const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
   list(command->add_option("--scenes", options.scenes,
                            "moving (3-D), moving-2d, moving-shuffled (rows in random order)"));
