@@ -1,6 +1,7 @@
 // MemberScene: keeps the seat over lost connections and pushes a member's contribution to a step.
 #include "client/lib/member.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -17,10 +18,14 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   if (connection == session().generation()) return {};
   wire::Json request{
       {"scene", name}, {"member", options.member}, {"members", options.members}, {"follow", options.follow}};
-  // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it.
-  if (seat > 0) request["generation"] = seat + 1;
+  // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it. Where
+  // an answer was lost, the seat may have the generation that was asked for last.
+  const std::uint64_t asked_before = asked;
+  if (seat > 0) request["generation"] = asked = std::max(seat, asked) + 1;
   const std::string service_before = known.instance;
   const auto json = open_or_make_anew(session(), request, known, retry);
+  // Busy: another process has taken the seat. Higher and higher numbers would take it from that one.
+  if (json.status().code() == Code::busy) asked = asked_before;
   if (!json) return json.status();
   const auto found = json->find("membership");
   if (found == json->end()) return odd_member_answer("the service knows no members");

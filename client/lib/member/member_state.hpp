@@ -80,6 +80,7 @@ struct MemberScene::State {
   KnownScene known;
   std::uint64_t connection = 0;  // the one that holds the seat
   std::uint64_t seat = 0;        // generation of the seat; 0: never had it
+  std::uint64_t asked = 0;       // the last generation asked for
   int dims = 3;
   std::uint64_t n = 0;  // particles of the scene; 0: not known yet
   bool weights = false;

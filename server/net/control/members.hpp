@@ -84,6 +84,8 @@ class MemberGroups {
   // the scene".
   void leave(const std::string& scene, const Connection* connection, const std::string& why);
   void leave_all(const Connection* connection);
+  // leave() for an open that failed: the generation that join() gave counts as never taken.
+  void give_back_seat(const std::string& scene, const Connection* connection);
   // leave() for a member that has closed the scene. Once all members have, the kept answers are dropped, since nobody
   // can ask for them.
   void close(const std::string& scene, const Connection* connection);
@@ -110,6 +112,7 @@ class MemberGroups {
   struct Seat {
     std::string client;
     std::uint64_t generation = 0;            // 0: never taken
+    std::uint64_t generation_before = 0;     // that of whoever had the seat before
     const Connection* connection = nullptr;  // null: free
     std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
   };
