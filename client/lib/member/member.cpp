@@ -172,7 +172,8 @@ Result<MemberScene> MemberScene::open(Client& client, const std::string& name, c
 
 Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
-  pushing_directly = false;
+  pushing_directly = pushing_few = false;
+  pushed.reset();
   if (Status status = take_seat(retry); !status) return status;
   const bool lacks_weights = lost && weights && with.weights.empty() && positions.count > 0;
   const bool tried_before = unanswered.begin(step);
@@ -183,7 +184,10 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
   }
   unanswered.answered();
   auto result = read(*answer, step, with, retry);
-  if (!result) places.forget();  // the step is committed, but its changes aren't known
+  if (!result) {  // the step is committed, but its changes aren't known
+    places.forget();
+    up_to_date = false;
+  }
   return result;
 }
 

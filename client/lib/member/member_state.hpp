@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "client/lib/member.hpp"
+#include "client/lib/member/id_sum.hpp"
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/lost_scene.hpp"
@@ -88,9 +89,11 @@ struct MemberScene::State {
   std::optional<std::int64_t> last_step;
   UnansweredStep unanswered;
   std::uint64_t epoch = 0;  // after last_step
-  // False if a step or new cuts came that this member was told nothing of. Then it can't name a step as the base of its
+  // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
-  bool up_to_date = true;
+  bool up_to_date = false;
+  std::optional<IdSum> pushed;  // the ids of the current push, with follow; none: it goes to the ranks
+  std::optional<IdSum> held;    // what this member holds if it hands over as it was told last; none: not known
   // After last_step, with follow:
   MemberPlaces places;
   wire::Json plan;
