@@ -218,7 +218,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
       state_->places.forget();
       return true;
     }
-    if (state_->pushing_few && status.code() == Code::base_lost) return state_->send_all = true;
+    if (state_->pushing_few && !state_->send_all && status.code() == Code::base_lost) return state_->send_all = true;
     if (status.code() != Code::aborted) return false;
     // This member or another lost its connection. That one reconnects, and all members push again.
     const bool data_lost = session.data_lost();

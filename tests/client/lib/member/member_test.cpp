@@ -348,6 +348,43 @@ TEST(MemberScene, ALostSceneIsMadeAnewOrFoundAndPushedByIds) {
   }
 }
 
+// Once, and not again and again until the deadline, whatever the step before was.
+TEST(MemberScene, WeightsOfALostSceneAreAskedForAlsoAfterAStepOfFew) {
+  const std::vector<std::int64_t> told{5, 900};
+  int asked = 0;
+  FakeService service([&asked](Peer& peer, int number) {
+    peer.greet(2, number == 0 ? "first" : "second");
+    const auto open = peer.receive();
+    Json seat = seat_reply(4 + number, number == 0 ? 6 : -1);
+    seat["weights"] = number == 0;
+    peer.reply(*open, seat);
+    for (int step = 7; number == 0 && step < 9; ++step) {
+      const auto begin = peer.receive();
+      EXPECT_EQ(begin->json["moved"], step == 7 ? "all" : "none");
+      if (step == 7) peer.receive();
+      peer.reply(*begin, report(step), news());
+    }
+    if (number == 0) return;
+    while (const auto begin = peer.receive()) {
+      if (begin->json["command"] != "push.begin") return static_cast<void>(peer.reply(*begin, Json::object()));
+      if (++asked == 3) return;
+      peer.fail(*begin, {Code::unsupported, "members push all their particles"});
+    }
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint(), .outlive = true});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    MemberStepOptions unmoved;
+    unmoved.unmoved = true;
+    ASSERT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds).ok());
+    ASSERT_TRUE(scene->step(Positions::axes(kAxes, 2), told, unmoved).ok());
+    const Status status = scene->step(Positions::axes(kAxes, 2), told).status();
+    EXPECT_EQ(status.code(), Code::base_lost) << status.message();
+  }
+  service.stop();
+  EXPECT_EQ(asked, 1);
+}
+
 // Weights are the solver's to bring: every member says so by the same rule, so that none waits for another.
 TEST(MemberScene, WeightsOfALostSceneAreAskedFor) {
   FakeService service([](Peer& peer, int number) {
