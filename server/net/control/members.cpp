@@ -49,6 +49,10 @@ bool MemberPush::awaits(const Connection* connection) const {
   });
 }
 
+bool MemberPush::begun() const {
+  return std::any_of(contributions.begin(), contributions.end(), [](const auto& one) { return one != nullptr; });
+}
+
 bool MemberPush::to_ranks() const {
   return std::any_of(contributions.begin(), contributions.end(),
                      [](const auto& one) { return one && one->slices.terms().to_ranks(); });

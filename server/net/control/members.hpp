@@ -55,6 +55,8 @@ struct MemberPush {
   bool ordered = false;
   bool over = false;  // every contribution is answered
 
+  // Whether there is any contribution: that of the first member may have been withdrawn.
+  bool begun() const;
   // Whether the contributions come straight to the ranks: all of them do, or none.
   bool to_ranks() const;
   // Whether this connection has begun a contribution that isn't complete, so that its slices must come next.
@@ -148,6 +150,8 @@ class MemberGroups {
                                const MemberPush* step) const;
   // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.
   void withdraw_direct(MemberPush& step, std::size_t because_of);
+  // Takes out a member's contribution, which is answered with `why`.
+  void withdraw(MemberPush& step, std::size_t member, const Status& why);
   // For the direct path, when all members have begun: the counts of the members must add up to each rank's particles.
   Status check_counts(const MemberPush& step) const;
   std::shared_ptr<MemberPush> open_step(const std::string& scene, std::int64_t step, const Group& group);
