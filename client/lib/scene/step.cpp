@@ -290,7 +290,8 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   const std::int64_t step = again ? *unanswered_.number() : options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
   const StepRequest original = ask;
   const std::optional<std::int64_t> base = last_step_;
-  if (!base) ask.moved = StepRequest::Moved::all;
+  // Which positions the others had before, only a Scene knows that has heard of a step.
+  if (!base || (!answered_ && ask.moved == StepRequest::Moved::rows)) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
   first_ = !has_particles() || (again && first_);
