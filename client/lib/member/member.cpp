@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -75,6 +76,18 @@ Status MemberScene::State::open() {
     return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();
   };
   return session().retry_until_deadline(retry, once, mend).status();
+}
+
+void MemberScene::State::forget_if_replaced() {
+  const std::uint64_t now = client->run_of(name);
+  if (std::exchange(run, now) == now) return;
+  known = client->known(name);
+  if (known.options.is_object()) dims = known.options.value("dims", dims);
+  n = epoch = 0;
+  weights = lost = up_to_date = false;
+  last_step.reset();
+  unanswered = {};
+  places.forget();
 }
 
 Status MemberScene::State::check(const Positions& positions, std::span<const std::int64_t> ids,
@@ -193,6 +206,7 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
 
 Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const std::int64_t> ids,
                                      const MemberStepOptions& options) {
+  state_->forget_if_replaced();
   if (Status status = state_->check(positions, ids, options); !status) return status;
   Retry retry(options.deadline_seconds);
   std::optional<std::int64_t> step = options.step;

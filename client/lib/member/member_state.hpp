@@ -28,9 +28,11 @@ inline Status odd_member_answer(const std::string& why) {
 
 struct MemberScene::State {
   State(std::shared_ptr<Client::State> of, std::string scene, const MemberOptions& terms)
-      : client(std::move(of)), name(std::move(scene)), options(terms) {
-    if (const auto made = client->created.find(name); made != client->created.end()) known = made->second;
-  }
+      : client(std::move(of)),
+        name(std::move(scene)),
+        options(terms),
+        known(client->known(name)),
+        run(client->run_of(name)) {}
 
   ~State() {
     if (connection_held()) arrays.unshare(session(), Deadline(kCloseSeconds));
@@ -42,6 +44,8 @@ struct MemberScene::State {
   bool connection_held() const { return session().connected() && connection == session().generation(); }
 
   Status open();
+  // Forgets the scene if this client has created another one in its place.
+  void forget_if_replaced();
   // Takes the seat on the current connection, unless it is held already.
   Status take_seat(const Retry& retry);
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
@@ -79,6 +83,7 @@ struct MemberScene::State {
   std::string name;
   MemberOptions options;
   KnownScene known;
+  std::uint64_t run;             // Client::State::runs
   std::uint64_t connection = 0;  // the one that holds the seat
   std::uint64_t seat = 0;        // generation of the seat; 0: never had it
   std::uint64_t asked = 0;       // the last generation asked for

@@ -260,6 +260,7 @@ Status Scene::State::check_plan_order(const Positions& positions, const layout::
 }
 
 Result<StepResult> Scene::State::step(StepRequest ask) {
+  forget_if_replaced();
   forget_lost_if_replaced(ask);
   // If the scene has no particles, those pushed are sent as insertions.
   Insertion all;
@@ -369,9 +370,9 @@ Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
 
 Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, std::int64_t step,
                                                        std::optional<std::int64_t> base, const Retry& retry) {
-  const std::uint64_t held_on = generation_;
+  const bool was_held = held();
   if (Status status = hold(retry); !status) return status;
-  if (held_on != generation_)
+  if (!was_held)
     if (Status fits = check(ask); !fits) return fits;
   if (base_unknown_ && ask.moved != StepRequest::Moved::all)
     return Status(
