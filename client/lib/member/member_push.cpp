@@ -112,7 +112,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"order", "id"},
                    {"plan", nullptr},
                    {"dtype", single ? "<f4" : "<f8"},
-                   {"weights", !with.weights.empty()},
+                   {"weights", !with.weights.empty() || (lost && weights && positions.count == 0)},
                    {"ids", !pushing_directly && !pushing_few},
                    {"changes", with.want_changes},
                    {"places", *direct},

@@ -101,6 +101,8 @@ struct Scene::State {
   // All particles with ids and weights, from what the caller gives and what is kept here. `rows` is the buffer for
   // positions that were given in layout order. Errors: base_lost, which says what is missing.
   Result<StepRequest> with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const;
+  // Then the scene that is made anew has weights, too, for the particles that come later.
+  bool lost_empty_with_weights() const { return lost_ && has_weights_ && count_ == 0; }
   bool in_lost_order(const StepRequest& ask) const;
   StepRequest by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const;
   Status base_lost(const std::string& why) const;

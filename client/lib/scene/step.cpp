@@ -130,7 +130,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                              : some ? "some"
                                     : "none"},
                    {"dtype", single ? "<f4" : "<f8"},
-                   {"weights", !options.weights.empty()},
+                   {"weights", !options.weights.empty() || lost_empty_with_weights()},
                    {"ids", send_ids},
                    {"changes", plan_.has_value()},
                    {"inserted", ask.inserted()},
