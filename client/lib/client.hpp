@@ -43,7 +43,7 @@ struct ConnectOptions {
   std::string token;
   Path path = Path::automatic;
   // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. May be
-  // empty.
+  // empty. It must not throw, nor call the client.
   std::function<void(const std::string&)> on_notice;
   // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
   // again; if false, one new connection is tried, and a lost scene is an error.

@@ -272,13 +272,16 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
     ask.options.inserted = &all;
     ask.moved = StepRequest::Moved::all;
   }
-  if (Status status = check(ask); !status) return status;
+  Status fits = check(ask);
   const StepOptions& options = ask.options;
   Retry retry(options.deadline_seconds);
-  const bool again = unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
-  if (unanswered_ && !again)
+  const bool again = fits && unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
+  if (unanswered_ && !again) {  // before it is said what doesn't fit: that may be a scene which is not known yet
     if (Status status = unanswered_.settle(session(), name_, retry, [&] { return needs_unanswered(retry); }); !status)
       return status;
+    fits = check(ask);
+  }
+  if (!fits) return fits;
   if (!again && !options.step && last_step_ && *last_step_ == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
   if (!has_particles() && !ask.whole())

@@ -428,6 +428,27 @@ TEST(Step, AFirstPushThatWasLateMustBeHeardOfFirst) {
   expect_parts(*next, caller, 1, 20, 5, false);
 }
 
+// It is answered as the call that it is, not as one that doesn't fit a scene of which nothing was told.
+TEST(Step, AnotherSizeThanAFirstPushThatWasLateIsToldOfIt) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  std::atomic<bool> cut{true};
+  fake.fault = [&cut](int push) {
+    if (push == 0) return FakeScene::Fault::close_after_commit;
+    return cut ? FakeScene::Fault::close_before_commit : FakeScene::Fault::none;
+  };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}}, fewer{400, 2, {}, {}, {}};
+  StepOptions late = wanting();
+  late.deadline_seconds = 0.2;
+  EXPECT_FALSE(session.scene->step(caller.at(0, true), late).ok());
+  cut = false;
+  const Status status = session.scene->step(fewer.at(0, true), wanting()).status();
+  EXPECT_EQ(status.code(), Code::stale_step) << status.message();
+  const auto again = session.scene->step(caller.at(0, true), wanting());
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(session.scene->step(fewer.at(1, true), wanting()).status().code(), Code::invalid_argument);
+}
+
 // While the connection was gone another client pushed: rows that moved since this client's step would be put among
 // that one's positions.
 TEST(Step, OthersStepsBehindALostConnectionAreNoBase) {
