@@ -43,7 +43,7 @@ struct ConnectOptions {
   std::string token;
   Path path = Path::automatic;
   // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. May be
-  // empty.
+  // empty. It must not throw, nor call the client.
   std::function<void(const std::string&)> on_notice;
   // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
   // again; if false, one new connection is tried, and a lost scene is an error.
@@ -165,8 +165,9 @@ struct StepOptions {
   // Computing time of the solver since its last push, on its slowest process; the policy "cost" decides by it.
   std::optional<double> step_seconds;
   // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged
-  // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, all rows are sent.
-  // Not with positions in the order of the plan, nor with new weights.
+  // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, and until this
+  // Scene has had its first answer, all rows are sent. Not with positions in the order of the plan, nor with new
+  // weights.
   std::optional<std::span<const std::uint64_t>> moved;
   std::span<const std::int64_t> removed;  // ids, distinct, of particles in the scene
   const Insertion* inserted = nullptr;

@@ -138,6 +138,20 @@ class Usage(unittest.TestCase):
                      ("assign", "s", "--out", "/dev/null"), ("assign", "s", "--out", "./a.b/part")):
             self.assertEqual(run(*args, endpoint=NOWHERE).returncode, 3, args)
 
+    def test_the_points_are_not_overwritten(self):
+        with tempfile.TemporaryDirectory() as folder:
+            points = os.path.join(folder, "p.npy")
+            np.save(points, np.zeros((4, 3)))
+            with open(points, "rb") as file:
+                before = file.read()
+            os.link(points, os.path.join(folder, "link.npy"))
+            os.symlink(points, os.path.join(folder, "p.json"))
+            for option, name in (("--assign", "p.npy"), ("--assign", "link.npy"), ("--cuts", "p.json")):
+                self.refuse("partition", points, "--parts", 2, option, os.path.join(folder, name),
+                            says=[option, name, "overwrite"])
+            with open(points, "rb") as file:
+                self.assertEqual(file.read(), before)
+
     def test_nothing_is_left_of_it(self):
         with tempfile.TemporaryDirectory() as folder:
             run("partition", "f.csv", "--parts", 0, "--ranks", 2, "--out", "out", cwd=folder)

@@ -1,6 +1,9 @@
 // partition: partitions one file, once.
 #include <algorithm>
+#include <filesystem>
 #include <numeric>
+#include <system_error>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -36,6 +39,11 @@ Status check(const PartitionOptions& options) {
     return {Code::usage,
             fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
             "give one size a part, such as --parts 3 --part-sizes 1,2,3"};
+  for (const auto& [option, path] : {std::pair("--assign", options.assign), {"--cuts", options.cuts}}) {
+    std::error_code missing;
+    if (!path.empty() && std::filesystem::equivalent(path, options.file.path, missing))
+      return {Code::usage, fmt::format("{} {} would overwrite the points", option, path), "give it another name"};
+  }
   return {};
 }
 

@@ -20,6 +20,7 @@
 #include <boost/asio/local/stream_protocol.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/asio/write.hpp>
+#include <boost/system/system_error.hpp>
 #include <fmt/format.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -42,6 +43,16 @@ constexpr std::size_t kTransferMax = 4U << 20U;        // bytes asked of the ker
 constexpr std::uint64_t kGrowthBytesMax = 64U << 20U;  // memory reserved before its bytes have come
 constexpr std::size_t kInboxMax = 64;                  // frames received that nobody has read yet
 constexpr int kPollRoundsMax = 64;
+
+bool no_descriptors(const error_code& error) {
+  return error == asio::error::no_descriptors || error == boost::system::errc::too_many_files_open_in_system;
+}
+
+Status no_descriptors_left(const Endpoint& endpoint) {
+  return {Code::unavailable,
+          fmt::format("no connection to {}: this process has no file descriptors left", endpoint.text()),
+          kDescriptorsHint};
+}
 
 // Like asio::transfer_all, in larger pieces.
 struct TransferLarge {
@@ -112,7 +123,7 @@ struct Connection::State {
   asio::awaitable<void> read_frames();
 };
 
-// True if connected, false if nobody listens there.
+// True if connected, false if nobody listens there. Errors: deadline_exceeded, unavailable (no descriptor is left).
 Result<bool> Connection::State::connect(const Address& address, const Deadline& deadline) {
   error_code ignored;
   socket.close(ignored);
@@ -124,6 +135,7 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
     CHECK(outcome.has_value(), "a closed socket still connects");
     return Status(Code::deadline_exceeded, fmt::format("{} did not take the connection in time", endpoint.text()));
   }
+  if (no_descriptors(*outcome)) return no_descriptors_left(endpoint);
   return !*outcome;
 }
 
@@ -338,7 +350,13 @@ Connection::~Connection() = default;
 
 Result<std::unique_ptr<Connection>> Connection::open(const Endpoint& endpoint, const Deadline& deadline,
                                                      NoticeHandler on_notice) {
-  auto state = std::make_unique<State>();
+  std::unique_ptr<State> state;
+  try {
+    state = std::make_unique<State>();
+  } catch (const boost::system::system_error& fault) {
+    if (no_descriptors(fault.code())) return no_descriptors_left(endpoint);
+    return Status(Code::unavailable, fmt::format("no connection to {}: {}", endpoint.text(), fault.what()));
+  }
   state->endpoint = endpoint;
   state->on_notice = std::move(on_notice);
   if (Status status = state->open(deadline); !status) return status;

@@ -55,6 +55,9 @@ struct Frame {
 using Bytes = std::span<const std::byte>;
 using NoticeHandler = std::function<void(const std::string&)>;
 
+// What an `unavailable` says that lies with this process, whoever listens.
+inline constexpr const char* kDescriptorsHint = "close files, or raise the limit: ulimit -n";
+
 class Connection {
  public:
   // Nothing is said yet. Errors: unavailable, deadline_exceeded, not_authorised (another user serves the socket).

@@ -1,7 +1,9 @@
 // MemberScene: keeps the seat over lost connections and pushes a member's contribution to a step.
 #include "client/lib/member.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -17,10 +19,14 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   if (connection == session().generation()) return {};
   wire::Json request{
       {"scene", name}, {"member", options.member}, {"members", options.members}, {"follow", options.follow}};
-  // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it.
-  if (seat > 0) request["generation"] = seat + 1;
+  // The service may not have noticed yet that the previous connection was lost: a higher generation displaces it. Where
+  // an answer was lost, the seat may have the generation that was asked for last.
+  const std::uint64_t asked_before = asked;
+  if (seat > 0) request["generation"] = asked = std::max(seat, asked) + 1;
   const std::string service_before = known.instance;
   const auto json = open_or_make_anew(session(), request, known, retry);
+  // Busy: another process has taken the seat. Higher and higher numbers would take it from that one.
+  if (json.status().code() == Code::busy) asked = asked_before;
   if (!json) return json.status();
   const auto found = json->find("membership");
   if (found == json->end()) return odd_member_answer("the service knows no members");
@@ -70,6 +76,18 @@ Status MemberScene::State::open() {
     return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();
   };
   return session().retry_until_deadline(retry, once, mend).status();
+}
+
+void MemberScene::State::forget_if_replaced() {
+  const std::uint64_t now = client->run_of(name);
+  if (std::exchange(run, now) == now) return;
+  known = client->known(name);
+  if (known.options.is_object()) dims = known.options.value("dims", dims);
+  n = epoch = 0;
+  weights = lost = up_to_date = false;
+  last_step.reset();
+  unanswered = {};
+  places.forget();
 }
 
 Status MemberScene::State::check(const Positions& positions, std::span<const std::int64_t> ids,
@@ -167,7 +185,8 @@ Result<MemberScene> MemberScene::open(Client& client, const std::string& name, c
 
 Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
-  pushing_directly = false;
+  pushing_directly = pushing_few = false;
+  pushed.reset();
   if (Status status = take_seat(retry); !status) return status;
   const bool lacks_weights = lost && weights && with.weights.empty() && positions.count > 0;
   const bool tried_before = unanswered.begin(step);
@@ -178,12 +197,16 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
   }
   unanswered.answered();
   auto result = read(*answer, step, with, retry);
-  if (!result) places.forget();  // the step is committed, but its changes aren't known
+  if (!result) {  // the step is committed, but its changes aren't known
+    places.forget();
+    up_to_date = false;
+  }
   return result;
 }
 
 Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const std::int64_t> ids,
                                      const MemberStepOptions& options) {
+  state_->forget_if_replaced();
   if (Status status = state_->check(positions, ids, options); !status) return status;
   Retry retry(options.deadline_seconds);
   std::optional<std::int64_t> step = options.step;
@@ -209,7 +232,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
       state_->places.forget();
       return true;
     }
-    if (state_->pushing_few && status.code() == Code::base_lost) return state_->send_all = true;
+    if (state_->pushing_few && !state_->send_all && status.code() == Code::base_lost) return state_->send_all = true;
     if (status.code() != Code::aborted) return false;
     // This member or another lost its connection. That one reconnects, and all members push again.
     const bool data_lost = session.data_lost();

@@ -74,6 +74,13 @@ Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& js
   for (std::size_t i = 0; i < leave_id->size(); ++i) result.leave.push_back({(*leave_id)[i], (*leave_to)[i]});
   for (std::size_t i = 0; i < enter_id->size(); ++i)
     result.enter.push_back({(*enter_id)[i], (*enter_from)[i], (*enter_part)[i]});
+  held = pushed;
+  if (held) {
+    for (const std::int64_t id : removed) held->take(id);
+    for (const std::int64_t id : result.inserted_ids) held->add(id);
+    for (const Leaving& leaving : result.leave) held->take(leaving.id);
+    for (const Entering& entering : result.enter) held->add(entering.id);
+  }
   return read_places(answer, json, removed, result);
 }
 

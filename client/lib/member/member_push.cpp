@@ -95,8 +95,10 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   if (!direct) return direct.status();
   const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
   pushing_directly = rows != nullptr;
-  // Only a push of all particles by ids tells their places, which the direct path needs.
-  send_all = send_all || (*direct && !pushing_directly);
+  if (options.follow && !*direct) pushed.emplace(ids);
+  // Only a push of all particles by ids tells their places, which the direct path needs. And only one of all tells the
+  // service that a particle was not handed over as it has said.
+  send_all = send_all || (*direct ? !pushing_directly : pushed != held);
   const auto moved = moved_rows(with);
   pushing_few = moved.has_value();
   const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count;
@@ -110,7 +112,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"order", "id"},
                    {"plan", nullptr},
                    {"dtype", single ? "<f4" : "<f8"},
-                   {"weights", !with.weights.empty()},
+                   {"weights", !with.weights.empty() || (lost && weights && positions.count == 0)},
                    {"ids", !pushing_directly && !pushing_few},
                    {"changes", with.want_changes},
                    {"places", *direct},

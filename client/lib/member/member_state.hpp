@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "client/lib/member.hpp"
+#include "client/lib/member/id_sum.hpp"
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/lost_scene.hpp"
@@ -27,9 +28,11 @@ inline Status odd_member_answer(const std::string& why) {
 
 struct MemberScene::State {
   State(std::shared_ptr<Client::State> of, std::string scene, const MemberOptions& terms)
-      : client(std::move(of)), name(std::move(scene)), options(terms) {
-    if (const auto made = client->created.find(name); made != client->created.end()) known = made->second;
-  }
+      : client(std::move(of)),
+        name(std::move(scene)),
+        options(terms),
+        known(client->known(name)),
+        run(client->run_of(name)) {}
 
   ~State() {
     if (connection_held()) arrays.unshare(session(), Deadline(kCloseSeconds));
@@ -41,6 +44,8 @@ struct MemberScene::State {
   bool connection_held() const { return session().connected() && connection == session().generation(); }
 
   Status open();
+  // Forgets the scene if this client has created another one in its place.
+  void forget_if_replaced();
   // Takes the seat on the current connection, unless it is held already.
   Status take_seat(const Retry& retry);
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
@@ -78,8 +83,10 @@ struct MemberScene::State {
   std::string name;
   MemberOptions options;
   KnownScene known;
+  std::uint64_t run;             // Client::State::runs
   std::uint64_t connection = 0;  // the one that holds the seat
   std::uint64_t seat = 0;        // generation of the seat; 0: never had it
+  std::uint64_t asked = 0;       // the last generation asked for
   int dims = 3;
   std::uint64_t n = 0;  // particles of the scene; 0: not known yet
   bool weights = false;
@@ -87,9 +94,11 @@ struct MemberScene::State {
   std::optional<std::int64_t> last_step;
   UnansweredStep unanswered;
   std::uint64_t epoch = 0;  // after last_step
-  // False if a step or new cuts came that this member was told nothing of. Then it can't name a step as the base of its
+  // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
-  bool up_to_date = true;
+  bool up_to_date = false;
+  std::optional<IdSum> pushed;  // the ids of the current push, with follow; none: it goes to the ranks
+  std::optional<IdSum> held;    // what this member holds if it hands over as it was told last; none: not known
   // After last_step, with follow:
   MemberPlaces places;
   wire::Json plan;

@@ -124,17 +124,20 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
     request["part_sizes"] = wire::Json::array();
     for (const double size : options.part_sizes) request["part_sizes"].push_back(wire::number_json(size));
   }
-  const wire::Json known = scene_options(request);
+  wire::Json known = scene_options(request);
   if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
     return made.status();
-  state_->created[name] = {known, state_->session->instance()};
+  state_->begin_run(name, std::move(known));
   return {};
 }
 
 Status Client::drop_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
   state_->created.erase(name);
-  return state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault).status();
+  const auto dropped =
+      state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault);
+  if (dropped) state_->begin_run(name, {});
+  return dropped.status();
 }
 
 Status Client::shutdown_service() {
@@ -150,8 +153,11 @@ Result<Reply> Client::call(const std::string& command, const std::string& argume
   if (!request)
     return Status(Code::invalid_argument, fmt::format("arguments of '{}': {}", command, request.status().message()));
   (*request)["command"] = command;
+  const wire::Json begun = command == "scene.create" || command == "scene.drop" ? *request : wire::Json();
   auto frame = state_->session->call(std::move(*request), deadline_seconds);
   if (!frame) return frame.status();
+  if (const auto scene = wire::string_field(begun, "scene", 256); scene)
+    state_->begin_run(*scene, command == "scene.create" ? scene_options(begun) : wire::Json());
   Reply reply{std::move(frame->text), {}};
   reply.arrays.reserve(frame->arrays.size());
   for (wire::Array& array : frame->arrays)

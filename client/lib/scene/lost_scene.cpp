@@ -68,6 +68,14 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
   return opened;
 }
 
+void Client::State::begin_run(const std::string& scene, wire::Json options) {
+  ++runs[scene];
+  if (options.is_object())
+    created[scene] = {std::move(options), session->instance()};
+  else
+    created.erase(scene);
+}
+
 void refresh_options(Session& session, const std::string& scene, KnownScene& known, const Retry& retry) {
   if (!session.connected()) return;
   const auto shown = described(session, {{"command", "scene.show"}, {"scene", scene}}, retry);

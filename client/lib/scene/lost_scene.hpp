@@ -37,6 +37,19 @@ struct Client::State {
   std::unique_ptr<Session> session;
   std::map<std::string, KnownScene> created;  // scenes created and not dropped by this client
   std::map<std::string, int> scenes;          // how many Scene objects there are of each name
+  std::map<std::string, std::uint64_t> runs;  // how often this client has created or dropped a scene of that name
+
+  std::uint64_t run_of(const std::string& scene) const {
+    const auto found = runs.find(scene);
+    return found == runs.end() ? 0 : found->second;
+  }
+  // What it has created; nothing is known of other scenes.
+  KnownScene known(const std::string& scene) const {
+    const auto made = created.find(scene);
+    return made == created.end() ? KnownScene() : made->second;
+  }
+  // To be called when the client has created a scene, with its options, or has dropped it, with none.
+  void begin_run(const std::string& scene, wire::Json options);
 };
 
 }  // namespace rcb::client

@@ -2,6 +2,7 @@
 #include "client/lib/scene/scene.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -58,15 +59,34 @@ Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count)
 Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
-    : client_(std::move(client)), name_(std::move(name)) {
+    : client_(std::move(client)), name_(std::move(name)), scene_(client_->known(name_)), run_(client_->run_of(name_)) {
   ++client_->scenes[name_];
-  if (const auto made = client_->created.find(name_); made != client_->created.end()) scene_ = made->second;
+}
+
+void Scene::State::forget_if_replaced() {
+  const std::uint64_t run = client_->run_of(name_);
+  if (std::exchange(run_, run) == run) return;
+  replaced_ = true;
+  scene_ = client_->known(name_);
+  if (scene_.options.is_object()) dims_ = scene_.options.value("dims", dims_);
+  pushed_ = lost_ = has_ids_ = has_weights_ = false;
+  count_ = epoch_ = 0;
+  last_step_.reset();
+  unanswered_ = {};
+  forget_plan();
+  lost_plan_.reset();
+  ids_.clear();
+  parts_.clear();
+  known_.reset();
+  weights_.clear();
+  began_ = answered_ = told_ = missed_ = base_unknown_ = false;
 }
 
 Result<PlanView> Scene::State::plan(double deadline_seconds) {
   if (!(deadline_seconds > 0))
     return Status(Code::invalid_argument, fmt::format("a deadline of {} seconds", deadline_seconds),
                   "give a number above 0");
+  forget_if_replaced();
   if (!has_particles())
     return Status(Code::not_found, fmt::format("scene '{}' has no positions, hence no plan", name_),
                   "push a first step by rows or axes");
@@ -130,7 +150,7 @@ Result<Scene::State::Description> Scene::State::read_description(const wire::Jso
 }
 
 Status Scene::State::hold(const Retry& retry) {
-  if (generation_ == session().generation()) return {};
+  if (held()) return {};
   const std::string service_before = scene_.instance;
   const auto json = open_or_make_anew(session(), {{"scene", name_}}, scene_, retry);
   const std::string lost = fmt::format("the connection to {} was lost, and now", session().endpoint());
@@ -141,6 +161,7 @@ Status Scene::State::hold(const Retry& retry) {
   const auto found = read_description(*json);
   if (!found) return found.status();
   generation_ = session().generation();
+  replaced_ = false;
   scene_.options = scene_options(*json);
   parts_count_ = found->parts;
   dims_ = found->dims;

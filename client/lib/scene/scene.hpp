@@ -60,8 +60,14 @@ struct Scene::State {
 
   Status open(double deadline_seconds);
   Result<StepResult> step(StepRequest ask);
-  int dims() const { return dims_; }
-  std::optional<std::int64_t> last_step() const { return last_step_; }
+  int dims() {
+    forget_if_replaced();
+    return dims_;
+  }
+  std::optional<std::int64_t> last_step() {
+    forget_if_replaced();
+    return last_step_;
+  }
   Result<PlanView> plan(double deadline_seconds);
   SharedArrays& arrays() { return arrays_; }
 
@@ -85,6 +91,9 @@ struct Scene::State {
   // version: of the layout, as the caller sees it.
   Status check_plan_order(const Positions& positions, const layout::Layout& plan, std::uint64_t version) const;
   bool has_particles() const { return pushed_ || lost_; }
+  // Forgets the scene if this client has created another one in its place, or dropped it.
+  void forget_if_replaced();
+  bool held() const { return !replaced_ && generation_ == session().generation(); }
   // Opens the scene on the current connection, if it isn't open there, and checks that it is still the one pushed to.
   Status hold(const Retry& retry);
   void lose();
@@ -92,6 +101,8 @@ struct Scene::State {
   // All particles with ids and weights, from what the caller gives and what is kept here. `rows` is the buffer for
   // positions that were given in layout order. Errors: base_lost, which says what is missing.
   Result<StepRequest> with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const;
+  // Then the scene that is made anew has weights, too, for the particles that come later.
+  bool lost_empty_with_weights() const { return lost_ && has_weights_ && count_ == 0; }
   bool in_lost_order(const StepRequest& ask) const;
   StepRequest by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const;
   Status base_lost(const std::string& why) const;
@@ -164,6 +175,8 @@ struct Scene::State {
   bool shared_unsupported_ = false;  // the service doesn't take this scene's positions so
   std::string name_;
   KnownScene scene_;
+  std::uint64_t run_ = 0;         // Client::State::runs, when the scene was opened
+  bool replaced_ = false;         // it is another since then, and to be opened again
   std::uint64_t generation_ = 0;  // of the connection on which the scene is open
   int dims_ = 3;
   int parts_count_ = 1;

@@ -130,7 +130,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                              : some ? "some"
                                     : "none"},
                    {"dtype", single ? "<f4" : "<f8"},
-                   {"weights", !options.weights.empty()},
+                   {"weights", !options.weights.empty() || lost_empty_with_weights()},
                    {"ids", send_ids},
                    {"changes", plan_.has_value()},
                    {"inserted", ask.inserted()},
@@ -261,6 +261,7 @@ Status Scene::State::check_plan_order(const Positions& positions, const layout::
 }
 
 Result<StepResult> Scene::State::step(StepRequest ask) {
+  forget_if_replaced();
   forget_lost_if_replaced(ask);
   // If the scene has no particles, those pushed are sent as insertions.
   Insertion all;
@@ -272,13 +273,16 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
     ask.options.inserted = &all;
     ask.moved = StepRequest::Moved::all;
   }
-  if (Status status = check(ask); !status) return status;
+  Status fits = check(ask);
   const StepOptions& options = ask.options;
   Retry retry(options.deadline_seconds);
-  const bool again = unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
-  if (unanswered_ && !again)
+  const bool again = fits && unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
+  if (unanswered_ && !again) {  // before it is said what doesn't fit: that may be a scene which is not known yet
     if (Status status = unanswered_.settle(session(), name_, retry, [&] { return needs_unanswered(retry); }); !status)
       return status;
+    fits = check(ask);
+  }
+  if (!fits) return fits;
   if (!again && !options.step && last_step_ && *last_step_ == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
   if (!has_particles() && !ask.whole())
@@ -291,7 +295,8 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   const std::int64_t step = again ? *unanswered_.number() : options.step.value_or(last_step_ ? *last_step_ + 1 : 0);
   const StepRequest original = ask;
   const std::optional<std::int64_t> base = last_step_;
-  if (!base) ask.moved = StepRequest::Moved::all;
+  // Which positions the others had before, only a Scene knows that has heard of a step.
+  if (!base || (!answered_ && ask.moved == StepRequest::Moved::rows)) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
   first_ = !has_particles() || (again && first_);
@@ -369,9 +374,9 @@ Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
 
 Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, std::int64_t step,
                                                        std::optional<std::int64_t> base, const Retry& retry) {
-  const std::uint64_t held_on = generation_;
+  const bool was_held = held();
   if (Status status = hold(retry); !status) return status;
-  if (held_on != generation_)
+  if (!was_held)
     if (Status fits = check(ask); !fits) return fits;
   if (base_unknown_ && ask.moved != StepRequest::Moved::all)
     return Status(

@@ -30,7 +30,7 @@ void add_inserted(StepResult& result, std::span<const std::int32_t> parts) {
 
 void Scene::State::take_first(const StepRequest& ask) {
   const StepOptions& options = ask.options;
-  has_weights_ = !options.weights.empty();
+  has_weights_ = !options.weights.empty() || lost_empty_with_weights();
   has_ids_ = !options.ids.empty();
   if (options.ids.empty() || options.ids.data() != ids_.data()) ids_.assign(options.ids.begin(), options.ids.end());
   count_ = ask.positions.count;

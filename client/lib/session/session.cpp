@@ -174,7 +174,7 @@ Status Session::connect(const Deadline& deadline) {
       return {};
     }
     connection_.reset();
-    if (status.code() != Code::unavailable) return status;
+    if (status.code() != Code::unavailable || status.hint() == kDescriptorsHint) return status;
   }
   if (const std::string& published = endpoints_.front().published; !published.empty())
     return {Code::unavailable, fmt::format("{} no longer answers", published),

@@ -85,9 +85,14 @@ Status MemberGroups::begin(ContributionBegin begin) {
     return {Code::invalid_argument,
             fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),
             "all members push the same step"};
-  if (step && step->contributions[member])
-    return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
+  if (step && step->contributions[member]) {
+    const PushId& older = step->contributions[member]->slices.terms().id;
+    if (older.session != begin.id.session || older.attempt >= begin.id.attempt)
+      return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
+    withdraw(*step, member, {Code::aborted, "a newer attempt of the same session replaced it"});
+  }
   auto terms = read_terms(begin, info->second, step.get());
+  if (!terms.ok() && step && !step->begun()) abort(step, nullptr, terms.status());
   if (!terms.ok()) return terms.status();
   if (terms->to_ranks() && !group->follow)
     return {Code::unsupported, "members that don't follow their parts push in order \"id\""};
@@ -123,14 +128,16 @@ void MemberGroups::withdraw_direct(MemberPush& step, std::size_t because_of) {
                    fmt::format("step {} of scene '{}': {} pushes by ids, so all members do", step.step, step.scene,
                                name(step.scene, because_of)),
                    "push this step in order \"id\"");
-  for (auto& one : step.contributions) {
-    if (!one) continue;
-    const auto contribution = std::exchange(one, nullptr);
-    contribution->given_up = true;
-    coordinator_.give_back(*contribution);
-    coordinator_.refuse_directly(contribution->slices.terms().id);
-    contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(why));
-  }
+  for (std::size_t member = 0; member < step.contributions.size(); ++member)
+    if (step.contributions[member]) withdraw(step, member, why);
+}
+
+void MemberGroups::withdraw(MemberPush& step, std::size_t member, const Status& why) {
+  const auto contribution = std::exchange(step.contributions[member], nullptr);
+  contribution->given_up = true;
+  coordinator_.give_back(*contribution);
+  if (contribution->slices.terms().to_ranks()) coordinator_.refuse_directly(contribution->slices.terms().id);
+  contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(why));
 }
 
 Status MemberGroups::check_counts(const MemberPush& step) const {
@@ -177,7 +184,7 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
   auto terms = read_push_terms(begin.json, begin.id, info, coordinator_.options().ranks,
                                coordinator_.options().bulk_bytes_max, Pusher::member);
   if (!terms.ok()) return terms.status();
-  if (step != nullptr && terms->to_ranks() && !step->to_ranks())
+  if (step != nullptr && step->begun() && terms->to_ranks() && !step->to_ranks())
     return Status(Code::stale_plan,
                   fmt::format("other members push step {} of scene '{}' by ids, so all do", begin.id.step, step->scene),
                   "push this step in order \"id\"");

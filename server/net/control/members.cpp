@@ -2,6 +2,7 @@
 #include "server/net/control/members.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -46,6 +47,10 @@ bool MemberPush::awaits(const Connection* connection) const {
   return std::any_of(contributions.begin(), contributions.end(), [connection](const auto& contribution) {
     return contribution && contribution->connection.get() == connection && !contribution->ready();
   });
+}
+
+bool MemberPush::begun() const {
+  return std::any_of(contributions.begin(), contributions.end(), [](const auto& one) { return one != nullptr; });
 }
 
 bool MemberPush::to_ranks() const {
@@ -125,7 +130,7 @@ Result<Membership> MemberGroups::join(const std::string& scene, Membership wante
   }
   seat.connection = connection;
   seat.client = client;
-  seat.generation = wanted.generation;
+  seat.generation_before = std::exchange(seat.generation, wanted.generation);
   return wanted;
 }
 
@@ -142,6 +147,16 @@ void MemberGroups::leave(const std::string& scene, const Connection* connection,
   const auto in_use = [](const Seat& seat) { return seat.connection != nullptr || !seat.former.empty(); };
   if (!coordinator_.snapshot().contains(scene) && std::none_of(group->seats.begin(), group->seats.end(), in_use))
     groups_.erase(scene);
+}
+
+void MemberGroups::give_back_seat(const std::string& scene, const Connection* connection) {
+  std::optional<std::size_t> member;
+  if (const Group* group = find(scene); group != nullptr)
+    for (std::size_t k = 0; k < group->seats.size(); ++k)
+      if (group->seats[k].connection == connection) member = k;
+  leave(scene, connection, "could not open the scene");
+  if (Group* group = find(scene); group != nullptr && member)
+    group->seats[*member].generation = group->seats[*member].generation_before;
 }
 
 void MemberGroups::close(const std::string& scene, const Connection* connection) {

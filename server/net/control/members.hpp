@@ -55,6 +55,8 @@ struct MemberPush {
   bool ordered = false;
   bool over = false;  // every contribution is answered
 
+  // Whether there is any contribution: that of the first member may have been withdrawn.
+  bool begun() const;
   // Whether the contributions come straight to the ranks: all of them do, or none.
   bool to_ranks() const;
   // Whether this connection has begun a contribution that isn't complete, so that its slices must come next.
@@ -84,6 +86,8 @@ class MemberGroups {
   // the scene".
   void leave(const std::string& scene, const Connection* connection, const std::string& why);
   void leave_all(const Connection* connection);
+  // leave() for an open that failed: the generation that join() gave counts as never taken.
+  void give_back_seat(const std::string& scene, const Connection* connection);
   // leave() for a member that has closed the scene. Once all members have, the kept answers are dropped, since nobody
   // can ask for them.
   void close(const std::string& scene, const Connection* connection);
@@ -110,6 +114,7 @@ class MemberGroups {
   struct Seat {
     std::string client;
     std::uint64_t generation = 0;            // 0: never taken
+    std::uint64_t generation_before = 0;     // that of whoever had the seat before
     const Connection* connection = nullptr;  // null: free
     std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
   };
@@ -145,6 +150,8 @@ class MemberGroups {
                                const MemberPush* step) const;
   // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.
   void withdraw_direct(MemberPush& step, std::size_t because_of);
+  // Takes out a member's contribution, which is answered with `why`.
+  void withdraw(MemberPush& step, std::size_t member, const Status& why);
   // For the direct path, when all members have begun: the counts of the members must add up to each rank's particles.
   Status check_counts(const MemberPush& step) const;
   std::shared_ptr<MemberPush> open_step(const std::string& scene, std::int64_t step, const Group& group);

@@ -320,7 +320,7 @@ awaitable<void> Session::open_scene(Request& request) {
   if (!pending.ok()) fail(request.number, pending.status());
   const bool opened = pending.ok() && (*pending)->answer && (*pending)->answer->status.ok();
   if (fresh && !opened) open_.erase(*scene);
-  if (!opened && *membership) coordinator_->groups().leave(*scene, connection_.get(), "could not open the scene");
+  if (!opened && *membership) coordinator_->groups().give_back_seat(*scene, connection_.get());
 }
 
 awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {

@@ -312,14 +312,17 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   PushRequest& push = members->push;
   const double start = context.clock.seconds();
   members->message.inserted = push.inserted > 0;
-  // By ids and all: known is every particle and the member that pushed it. Else what has changed is found by comparing.
+  // By ids: where all push all, known is every particle and the member that pushed it; where some do, it becomes that.
+  // Else what has changed is found by comparing.
   const bool all = !push.staged && push.moved == Moved::all;
+  const bool some_all = !all && !push.staged && std::count(push.moved_by.begin(), push.moved_by.end(), Moved::all) > 0;
   Whereabouts known;
   InsertedByMembers inserted;
   std::optional<PlacesBefore> before;
-  if (!all) before.emplace(of);
+  if (!all && !some_all) before.emplace(of);
   if (!push.staged && push.moved != Moved::none)
     if (Status merged = merge(context, of, *members, known, inserted); !merged.ok()) return failed(merged);
+  if (some_all) known = held_by_all(context, of, members->message.members, known);
   std::vector<particles::Id> removed;
   if (context.root() && push.edits()) {
     std::vector<std::int32_t> inserted_by, removed_by;
@@ -343,9 +346,9 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   give_back(context, of, push, *staged);
   for (std::size_t i = inserted.id.size(); i < inserted.member.size(); ++i)
     inserted.id.push_back(*report.first_id + static_cast<particles::Id>(i));
-  if (!all && (report.drifted > 0 || report.moved > 0 || edits)) {
+  if (before && (report.drifted > 0 || report.moved > 0 || edits)) {
     known = find_changed(context, of, *before, members->message.members, inserted);
-  } else if (all) {
+  } else if (all || some_all) {
     if (context.root() && edits) {
       take_out(removed, known);
       put_in(inserted, known);
@@ -356,7 +359,7 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   Response response = done({{"report", to_json(report)},
                             {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
                             {"plan", {{"version", of.plan_version}, {"checksum", wire::hex64(of.plan_checksum)}}}});
-  if (members->message.places) response.json["places"] = all ? "all" : "changed";
+  if (members->message.places) response.json["places"] = before ? "changed" : "all";
   response.arrays = member_results(of, members->message, context.comm.size(), known, changes, inserted);
   return response;
 }

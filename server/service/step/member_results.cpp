@@ -70,6 +70,21 @@ void find_all(Context& context, const Scene& scene, bool places, Whereabouts& al
   all.slot = in_order(slots, order);
 }
 
+Whereabouts held_by_all(Context& context, const Scene& scene, int members, const Whereabouts& pushed) {
+  const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
+  const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
+  Whereabouts all;
+  if (!context.root()) return all;
+  std::size_t p = 0;
+  for (const std::uint64_t k : order_by_id(ids)) {
+    while (p < pushed.id.size() && pushed.id[p] < ids[k]) ++p;
+    const bool named = p < pushed.id.size() && pushed.id[p] == ids[k];
+    all.id.push_back(ids[k]);
+    all.member.push_back(named ? pushed.member[p] : layout::rank_of_part(parts[k], scene.options.parts, members));
+  }
+  return all;
+}
+
 Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members,
                          const InsertedByMembers& inserted) {
   Buffer<particles::Id> id_before, id_now;

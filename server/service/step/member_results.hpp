@@ -4,7 +4,7 @@
 // Invariants
 // 1. What member A is told to give to B is what B is told to get from A.
 // 2. Nothing is remembered between steps. A push tells which member has which particles: by the ids it brings or, if it
-//    came straight to the ranks, by the parts before the step.
+//    came straight to the ranks or brought few, by the parts before the step.
 #pragma once
 
 #include <cstdint>
@@ -25,6 +25,10 @@ struct Whereabouts {
 
 // Fills in part and, if `places`, slot of all particles; the caller has filled in id and member. Collective.
 void find_all(Context& context, const Scene& scene, bool places, Whereabouts& all);
+
+// All particles before a step: id, and the member that pushed it or, of those that nobody pushed since they stood
+// still, that of its part. pushed: ascending, on rank 0. Collective.
+Whereabouts held_by_all(Context& context, const Scene& scene, int members, const Whereabouts& pushed);
 
 // A copy of this rank's ids and parts before a step.
 struct PlacesBefore {

@@ -16,6 +16,7 @@
 
 #include "client/launch/launch.hpp"
 #include "client/lib/client.hpp"
+#include "client/lib/member.hpp"
 #include "common/base/random.hpp"
 
 namespace rcb::client {
@@ -202,6 +203,53 @@ TEST(Outlive, AnInsertionAfterARestartBringsAllParticles) {
   EXPECT_TRUE(grown->report.scene_recreated);
   EXPECT_EQ(grown->report.n, 102U);
   EXPECT_EQ(grown->report.way, "shared-memory");
+}
+
+// Nobody has a weight to bring at the restart, and later ones are none of a first push.
+TEST(Outlive, ASceneThatWasEmptyKeepsItsWeights) {
+  Supervised service(2);
+  const std::vector<double> xyz{1, 2, 3, 4, 5, 6}, weights{1, 7};
+  const std::vector<std::int64_t> all{0, 1};
+  const Insertion in{.positions = Positions::rows(xyz.data(), 2, 3), .ids = {}, .weights = weights};
+  const Positions none = Positions::rows(xyz.data(), 0, 3);
+  Random random(1);
+  for (const bool at_once : {true, false}) {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok()) << client.status().message();
+    const auto weights_held = [&](const char* scene) {
+      const auto held = client->call("fetch", "{\"scene\":\"" + std::string(scene) + "\"}");
+      EXPECT_TRUE(held.ok()) << held.status().message();
+      const Array* array = held ? held->find("w") : nullptr;
+      return array == nullptr ? std::vector<double>() : std::vector<double>(array->f8().begin(), array->f8().end());
+    };
+    ASSERT_TRUE(client->create_scene("one", {.parts = 2, .replace = true}).ok());
+    ASSERT_TRUE(client->create_scene("team", {.parts = 2, .replace = true}).ok());
+    auto one = client->open_scene("one");
+    auto team = MemberScene::open(*client, "team", {.follow = true});
+    ASSERT_TRUE(one.ok() && team.ok());
+    MemberStepOptions first, last, inserting;
+    first.weights = weights;
+    last.removed = all;
+    inserting.inserted = &in;
+    ASSERT_TRUE(one->step(Positions::rows(xyz.data(), 2, 3), {.weights = weights}).ok());
+    ASSERT_TRUE(team->step(Positions::rows(xyz.data(), 2, 3), all, first).ok());
+    ASSERT_TRUE(one->step_unmoved({.removed = all}).ok());
+    ASSERT_TRUE(team->step(Positions::rows(xyz.data(), 2, 3), all, last).ok());
+    service.kill_one(random);
+    if (!at_once) {
+      const auto empty = one->step(none);
+      ASSERT_TRUE(empty.ok()) << empty.status().message();
+      EXPECT_TRUE(empty->report.scene_recreated);
+      const auto empty_team = team->step(none, {});
+      ASSERT_TRUE(empty_team.ok()) << empty_team.status().message();
+    }
+    const auto grown = one->step(none, {.inserted = &in});
+    ASSERT_TRUE(grown.ok()) << grown.status().message();
+    EXPECT_EQ(weights_held("one"), weights);
+    const auto grown_team = team->step(none, {}, inserting);
+    ASSERT_TRUE(grown_team.ok()) << grown_team.status().message();
+    EXPECT_EQ(weights_held("team"), weights);
+  }
 }
 
 TEST(Outlive, ARunOfStepsOfEveryKindIsWhatTheSolverBelieves) {

@@ -74,7 +74,12 @@ class FakeScene {
       } else if (command == "scene.create") {
         created.push_back(frame->json);
         empty_now = false;
+        if (frame->json.value("replace", false)) clear();
         peer.reply(*frame, description());
+      } else if (command == "scene.drop") {
+        clear();
+        empty_now = true;
+        peer.reply(*frame, protocol::Json::object());
       } else if (command == "scene.close") {
         peer.reply(*frame, protocol::Json::object());
       } else if (command == "plan") {
@@ -162,6 +167,11 @@ class FakeScene {
   bool restart() {
     ++restarts;
     empty_now = true;
+    clear();
+    return false;
+  }
+
+  void clear() {
     step.reset();
     plan_.reset();
     part_.clear();
@@ -169,7 +179,6 @@ class FakeScene {
     ids_.clear();
     has_ids_ = weights_ = false;
     weights.clear();
-    return false;
   }
 
   void take_weights(const Slices& slices) {

@@ -125,6 +125,75 @@ TEST(MemberScene, ReturnsWithAHigherGenerationAndPushesAgain) {
   EXPECT_LT(begun[0]["attempt"], begun[1]["attempt"]);
 }
 
+// A connection is lost before the service's answer, which has taken the seat: that generation is used up. One that was
+// refused is not, since somebody else has the seat.
+TEST(MemberScene, AsksForNoGenerationTwiceUnlessItWasRefused) {
+  std::vector<Json> opened;
+  FakeService service([&](Peer& peer, int number) {
+    peer.greet(2);
+    auto open = peer.receive();
+    opened.push_back(open->json);
+    if (number == 1) return;
+    if (number == 2) {
+      peer.fail(*open, {Code::busy, "member 1 of scene 's' has had generation 7", ""});
+      open = peer.receive();
+      opened.push_back(open->json);
+    }
+    peer.reply(*open, seat_reply(number == 0 ? 4 : 6, -1));
+    const auto begin = peer.receive();
+    peer.receive();
+    if (number == 0) return;
+    peer.reply(*begin, report(0), news());
+    answer_close(peer);
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    EXPECT_EQ(scene->step(Positions::axes(kAxes, 3), kIds).status().code(), Code::busy);
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
+    EXPECT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(scene->generation(), 6U);
+  }
+  service.stop();
+  ASSERT_EQ(opened.size(), 4U);
+  EXPECT_EQ(opened[1]["generation"], 5);
+  EXPECT_EQ(opened[2]["generation"], 6);
+  EXPECT_EQ(opened[3]["generation"], 6);
+}
+
+// The service takes those that a member doesn't name to be where it last told it to bring them.
+TEST(MemberScene, BringsAllItsParticlesUnlessTheyAreThoseThatItWasTold) {
+  const std::vector<std::int64_t> told{5, 900};
+  std::vector<Json> begun;
+  FakeService service([&](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(4, 6));
+    for (int step = 7; step < 11; ++step) {
+      const auto begin = peer.receive();
+      begun.push_back(begin->json);
+      if (begin->json["slices"] == 1) peer.receive();
+      peer.reply(*begin, report(step), news());
+    }
+    answer_close(peer);
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    MemberStepOptions unmoved;
+    unmoved.unmoved = true;
+    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
+    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
+    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 2), told, unmoved).ok());
+    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
+  }
+  service.stop();
+  ASSERT_EQ(begun.size(), 4U);
+  EXPECT_EQ(begun[0]["moved"], "all") << "an object that has heard of no step knows nothing";
+  EXPECT_EQ(begun[1]["moved"], "all") << "nothing was handed over";
+  EXPECT_EQ(begun[2]["moved"], "none");
+  EXPECT_EQ(begun[3]["moved"], "all");
+}
+
 // A rebalance that came while the connection was gone told nobody who has which particle now.
 TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
   for (const int epoch_now : {3, 4}) {
@@ -154,7 +223,8 @@ TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
       ASSERT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds).ok());
       MemberStepOptions unmoved;
       unmoved.unmoved = true;
-      const auto result = scene->step(Positions::axes(kAxes, 3), kIds, unmoved);
+      const std::vector<std::int64_t> told{5, 900};
+      const auto result = scene->step(Positions::axes(kAxes, 2), told, unmoved);
       EXPECT_TRUE(result.ok()) << result.status().message();
     }
     service.stop();
@@ -276,6 +346,43 @@ TEST(MemberScene, ALostSceneIsMadeAnewOrFoundAndPushedByIds) {
     EXPECT_EQ(begun[1].json["order"], "id");
     EXPECT_EQ(opened.back().json["generation"], 5);
   }
+}
+
+// Once, and not again and again until the deadline, whatever the step before was.
+TEST(MemberScene, WeightsOfALostSceneAreAskedForAlsoAfterAStepOfFew) {
+  const std::vector<std::int64_t> told{5, 900};
+  int asked = 0;
+  FakeService service([&asked](Peer& peer, int number) {
+    peer.greet(2, number == 0 ? "first" : "second");
+    const auto open = peer.receive();
+    Json seat = seat_reply(4 + number, number == 0 ? 6 : -1);
+    seat["weights"] = number == 0;
+    peer.reply(*open, seat);
+    for (int step = 7; number == 0 && step < 9; ++step) {
+      const auto begin = peer.receive();
+      EXPECT_EQ(begin->json["moved"], step == 7 ? "all" : "none");
+      if (step == 7) peer.receive();
+      peer.reply(*begin, report(step), news());
+    }
+    if (number == 0) return;
+    while (const auto begin = peer.receive()) {
+      if (begin->json["command"] != "push.begin") return static_cast<void>(peer.reply(*begin, Json::object()));
+      if (++asked == 3) return;
+      peer.fail(*begin, {Code::unsupported, "members push all their particles"});
+    }
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint(), .outlive = true});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    MemberStepOptions unmoved;
+    unmoved.unmoved = true;
+    ASSERT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds).ok());
+    ASSERT_TRUE(scene->step(Positions::axes(kAxes, 2), told, unmoved).ok());
+    const Status status = scene->step(Positions::axes(kAxes, 2), told).status();
+    EXPECT_EQ(status.code(), Code::base_lost) << status.message();
+  }
+  service.stop();
+  EXPECT_EQ(asked, 1);
 }
 
 // Weights are the solver's to bring: every member says so by the same rule, so that none waits for another.

@@ -5,6 +5,9 @@
 #include <limits>
 #include <random>
 
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include "client/lib/connect/endpoint.hpp"
 #include "common/base/random.hpp"
 #include "tests/client/lib/fake_service.hpp"
@@ -89,6 +92,28 @@ TEST(Connect, NobodyThere) {
   EXPECT_EQ(Client::connect({.endpoint = endpoint}).status().message(), "RCBD_PATH is 'straight'");
   const double nan = std::numeric_limits<double>::quiet_NaN();
   EXPECT_EQ(Client::connect({.endpoint = endpoint, .deadline_seconds = nan}).status().code(), Code::invalid_argument);
+}
+
+TEST(Connect, WithoutADescriptorLeftSaysSo) {
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
+  const int next = ::dup(0);
+  ASSERT_GE(next, 0);
+  ::close(next);
+  int short_of = 0;
+  for (rlim_t more = 0; more < 20; ++more) {
+    const rlimit few{static_cast<rlim_t>(next) + more, before.rlim_max};
+    ::setrlimit(RLIMIT_NOFILE, &few);
+    const Status status = Client::connect({.endpoint = "unix:/nonexistent/socket"}).status();
+    ::setrlimit(RLIMIT_NOFILE, &before);
+    EXPECT_EQ(status.code(), Code::unavailable);
+    if (status.message().find("no service answers") != std::string::npos) break;
+    ++short_of;
+    EXPECT_NE(status.message().find("no file descriptors left"), std::string::npos) << status.message();
+    EXPECT_NE(status.hint().find("ulimit -n"), std::string::npos) << status.hint();
+  }
+  EXPECT_GT(short_of, 0);
+  EXPECT_LT(short_of, 20);
 }
 
 TEST(Connect, ToldNothingNamesAllThatWasTried) {

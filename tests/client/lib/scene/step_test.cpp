@@ -428,6 +428,27 @@ TEST(Step, AFirstPushThatWasLateMustBeHeardOfFirst) {
   expect_parts(*next, caller, 1, 20, 5, false);
 }
 
+// It is answered as the call that it is, not as one that doesn't fit a scene of which nothing was told.
+TEST(Step, AnotherSizeThanAFirstPushThatWasLateIsToldOfIt) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  std::atomic<bool> cut{true};
+  fake.fault = [&cut](int push) {
+    if (push == 0) return FakeScene::Fault::close_after_commit;
+    return cut ? FakeScene::Fault::close_before_commit : FakeScene::Fault::none;
+  };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}}, fewer{400, 2, {}, {}, {}};
+  StepOptions late = wanting();
+  late.deadline_seconds = 0.2;
+  EXPECT_FALSE(session.scene->step(caller.at(0, true), late).ok());
+  cut = false;
+  const Status status = session.scene->step(fewer.at(0, true), wanting()).status();
+  EXPECT_EQ(status.code(), Code::stale_step) << status.message();
+  const auto again = session.scene->step(caller.at(0, true), wanting());
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(session.scene->step(fewer.at(1, true), wanting()).status().code(), Code::invalid_argument);
+}
+
 // While the connection was gone another client pushed: rows that moved since this client's step would be put among
 // that one's positions.
 TEST(Step, OthersStepsBehindALostConnectionAreNoBase) {
@@ -561,6 +582,55 @@ TEST(Step, AnotherSceneObjectGoesOnWhereTheFirstEnded) {
   result = session.scene->step(caller.at(2, true), wanting());
   ASSERT_TRUE(result.ok()) << result.status().message();
   expect_parts(*result, caller, 2, 20, 5, false);
+}
+
+// What the solver has of the others may be of any earlier step.
+TEST(Step, RowsThatMovedAreSentWithAllUntilTheSceneHasHeardOfAStep) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  Session session(fake);
+  StepCaller caller{1000, 3, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  session.open();
+  const std::array<std::uint64_t, 1> moved{3};
+  StepOptions few = wanting();
+  few.moved = moved;
+  const auto result = session.scene->step(caller.at(1, true), few);
+  ASSERT_TRUE(result.ok()) << result.status().message();  // the fake scene has checked every position
+  expect_parts(*result, caller, 1, 20, 5, true);
+}
+
+TEST(Step, AScenesOwnClientMayReplaceOrDropIt) {
+  FakeScene fake = scene_of(3, 5, 3, 20);
+  Session session(fake);
+  StepCaller caller{1000, 3, {}, {}, {}}, fewer{300, 3, {}, {}, {}};
+  for (std::size_t i = 0; i < caller.n; ++i) caller.ids.push_back(static_cast<std::int64_t>(2 * i + 1));
+  std::vector<double> weights(300, 1.5);
+  for (const bool by_call : {false, true}) {
+    for (std::int64_t step = 0; step < 3; ++step)
+      ASSERT_TRUE(session.scene->step(caller.at(step, true), wanting(caller.ids)).ok());
+    const auto version = session.scene->plan()->version;
+    if (by_call)
+      EXPECT_TRUE(session.client->call("scene.create", R"({"scene":"s","parts":5,"replace":true})").ok());
+    else
+      EXPECT_TRUE(session.client->create_scene("s", {.parts = 5, .replace = true}).ok());
+    EXPECT_FALSE(session.scene->last_step().has_value());
+    EXPECT_EQ(session.scene->plan().status().code(), Code::not_found);
+    EXPECT_EQ(session.scene->step_unmoved().status().code(), Code::base_lost);
+    StepOptions first = wanting();
+    first.weights = weights;
+    const auto result = session.scene->step(fewer.at(0, true), first);
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(result->report.step, 0);
+    expect_parts(*result, fewer, 0, 20, 5, true);
+    EXPECT_GT(session.scene->plan()->version, version) << "that of the first scene isn't taken for it";
+    ASSERT_TRUE(session.client->create_scene("s", {.parts = 5, .replace = true}).ok());
+  }
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting(caller.ids)).ok());
+  ASSERT_TRUE(session.client->drop_scene("s").ok());
+  EXPECT_EQ(session.scene->step(caller.at(1, true)).status().code(), Code::not_found);
+  session.end();
+  EXPECT_EQ(fake.weights, std::vector<double>()) << "the last scene has none";
+  EXPECT_EQ(fake.commands.back(), "scene.close") << "it was open to the end";
 }
 
 // The service answers at push.begin and reads on: the client must neither hang nor lose its place in the stream.

@@ -266,6 +266,43 @@ TEST_F(MemberDirect, OneThatPushesByIdsBringsAllToDoSo) {
   EXPECT_EQ(plane_.dropped.size(), 2U);
 }
 
+// A member whose connection to a rank was cut pushes again, long before anybody else notices.
+TEST_F(MemberDirect, ANewerAttemptReplacesTheOlderOfTheSameMember) {
+  join();
+  direct(0, {4, 0, 1});
+  direct(0, {4, 0, 1}, {{"attempt", 3}});
+  refused(0, "aborted", "newer attempt");
+  direct(0, {4, 0, 1}, {{"attempt", 2}});
+  refused(0, "busy", "already");
+  settle();
+  ASSERT_EQ(plane_.opened.size(), 2U);
+  ASSERT_EQ(plane_.dropped.size(), 2U);
+  EXPECT_EQ(plane_.dropped[0], (PushId{"s", kSessions[0], 8, 1}));
+  EXPECT_EQ(plane_.dropped[1], (PushId{"s", kSessions[0], 8, 2}));
+  for (const int rank : {0, 2}) whole(rank, plane_.opened[0].ticket.number);  // too late to matter
+  direct(1, {0, 3, 2});
+  settle();
+  for (const int rank : {1, 2}) whole(rank, plane_.opened[2].ticket.number);
+  EXPECT_EQ(pushed(), 0U);
+  by_ids(0, 5, 4);
+  refused(0, "aborted", "newer attempt");
+  refused(1, "stale_plan", "member 0");
+  by_ids(0, 5, 5);
+  refused(0, "aborted", "newer attempt");
+  by_ids(1, 5);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
+  ASSERT_EQ(pushed(), 1U);
+  EXPECT_EQ(engine_.pushed[0]["counts"], Json({10}));
+  // One that doesn't fit ends the step where it leaves nobody in it.
+  direct(0, {4, 0, 1}, {{"base_step", 8}}, 9);
+  direct(0, {4, 0, 1}, {{"base_step", 7}, {"attempt", 2}}, 9);
+  refused(0, "aborted", "newer attempt");
+  refused(0, "base_lost", "step 7");
+  direct(0, {4, 0, 1}, {{"base_step", 8}}, 10);
+  settle();
+  EXPECT_EQ(plane_.opened.back().ticket.terms.id.step, 10);
+}
+
 TEST_F(MemberDirect, OneBringsFewAndAnotherInserts) {
   join();
   direct(0, {2, 0, 0}, {{"moved", "some"}, {"n", 7}, {"removed", 1}, {"slices", 1}});

@@ -328,6 +328,27 @@ TEST(Session, APushThatWaitsForItsTurnGivesWayToMembersThatCameMeanwhile) {
   EXPECT_NE(refused.message().find("2 members"), std::string::npos) << refused.message();
 }
 
+TEST(Session, AMembersOpenThatFailsTakesNoGeneration) {
+  TestService service;
+  Client member = service.client("member");
+  member.call("scene.create", {{"scene", "s"}});
+  Json seat{{"scene", "s"}, {"member", 0}, {"members", 1}};
+  EXPECT_EQ(member.call("scene.open", seat).code(), "");
+  Client again = service.client("member");
+  seat["generation"] = 2;
+  service.engine().hold();
+  seat["deadline_seconds"] = 0.1;
+  EXPECT_EQ(again.call("scene.open", seat).code(), "deadline_exceeded");
+  service.engine().release();
+  seat.erase("deadline_seconds");
+  const Received opened = again.call("scene.open", seat);
+  EXPECT_EQ(opened.code(), "") << opened.message();
+  const Received refused = member.call("scene.open", seat);
+  EXPECT_EQ(refused.code(), "invalid_argument") << "it held the seat: " << refused.message();
+  Client third = service.client("member");
+  EXPECT_EQ(third.call("scene.open", seat).code(), "busy") << "one that was opened is taken";
+}
+
 TEST(Session, TheHoldEndsWithTheConnection) {
   TestService service;
   Client bert = service.client("bert", kBert);

@@ -43,19 +43,20 @@ std::vector<PushSlice> shares(const Particles& particles, const Split& split) {
 }
 
 Response push_members(comm::Comm& comm, service::Service& service, const Particles& particles, std::int64_t step,
-                      const Split& split, bool follow) {
-  const Json request{{"command", "push.members"},
-                     {"scene", "m"},
-                     {"session", "members"},
-                     {"step", step},
-                     {"n", particles.count()},
-                     {"order", "id"},
-                     {"weights", !particles.weights.empty()},
-                     {"ids", true},
-                     {"changes", true},
-                     {"members", split.size()},
-                     {"moved_by", std::vector<std::string>(split.size(), "all")},
-                     {"follow", follow}};
+                      const Split& split, bool follow, const Json& more = Json::object()) {
+  Json request{{"command", "push.members"},
+               {"scene", "m"},
+               {"session", "members"},
+               {"step", step},
+               {"n", particles.count()},
+               {"order", "id"},
+               {"weights", !particles.weights.empty()},
+               {"ids", true},
+               {"changes", true},
+               {"members", split.size()},
+               {"moved_by", std::vector<std::string>(split.size(), "all")},
+               {"follow", follow}};
+  request.update(more);
   return service.execute(request, comm.rank() == 0 ? shares(particles, split) : std::vector<PushSlice>());
 }
 
@@ -145,6 +146,51 @@ TEST(Members, OfIdsByRow) {
 
 TEST(Members, OfOwnIdsAndWeights) {
   for (const int members : {1, 2, 3, 5}) same_scene(members, true, true);
+}
+
+// Two members have not exchanged what they were told to; the third has, and then nothing of it moved.
+TEST(Members, WhatWasNotHandedOverIsNamedAgainThoughAnotherPushesFew) {
+  on_ranks({1, 2, 3}, [](comm::Comm& comm) {
+    const SteadyClock clock;
+    service::Service service(comm, clock);
+    Driver driver(comm, service, "m");
+    driver.create({{"parts", 3}, {"dims", 2}});
+    const Particles particles = random_particles(kSharesSeed, 60, 2);
+    Split split = random_split(kSharesSeed, 60, 3);
+    push_members(comm, service, particles, 0, split, true);
+    const Response assigned = driver.ask("assign");
+    std::map<std::int64_t, std::int32_t> parts;
+    std::uint64_t counts[2] = {0, 0};  // of the third member, and of the others
+    if (comm.rank() == 0) {
+      const auto part = values<std::int32_t>(assigned.arrays[1]);
+      Split held(3);
+      for (std::size_t k = 0; k < 3; ++k)
+        for (const std::size_t row : split[k]) {
+          parts[static_cast<std::int64_t>(row)] = part[row];
+          const std::size_t keeper = part[row] == 2 ? 2 : k == 2 ? static_cast<std::size_t>(part[row]) : k;
+          held[keeper].push_back(row);
+          ++counts[keeper == 2 ? 0 : 1];
+        }
+      split = held;
+    }
+    comm.all_max(counts);
+    Split pushed = split;
+    pushed[2].clear();
+    for (std::int64_t step = 1; step < 3; ++step) {
+      const Json some{{"ids", false},
+                      {"base_step", step - 1},
+                      {"moved", "some"},
+                      {"moved_by", {"all", "all", "none"}},
+                      {"counts", {counts[1]}}};
+      const Response answer = push_members(comm, service, particles, step, pushed, true, some);
+      ASSERT_TRUE(answer.status.ok()) << answer.status.message();
+      Split next = split;
+      if (comm.rank() == 0) exchange_particles(particles, answer, parts, 3, next);
+      if (comm.rank() == 0) {
+        EXPECT_NE(next, split);
+      }
+    }
+  });
 }
 
 TEST(Members, AFaultLeavesTheSceneAsItWas) {
