@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <deque>
 #include <exception>
 #include <optional>
+#include <thread>
 #include <tuple>
 #include <utility>
 
@@ -125,18 +127,26 @@ struct Connection::State {
 
 // True if connected, false if nobody listens there. Errors: deadline_exceeded, unavailable (no descriptor is left).
 Result<bool> Connection::State::connect(const Address& address, const Deadline& deadline) {
-  error_code ignored;
-  socket.close(ignored);
-  std::optional<error_code> outcome;
-  socket.async_connect(address, [&outcome](const error_code& error) { outcome = error; });
-  if (!run([&] { return outcome.has_value(); }, deadline)) {
-    socket.close(ignored);
-    run([&] { return outcome.has_value(); }, Deadline(1));  // the cancelled handler refers to `outcome`
-    CHECK(outcome.has_value(), "a closed socket still connects");
-    return Status(Code::deadline_exceeded, fmt::format("{} did not take the connection in time", endpoint.text()));
+  constexpr std::chrono::milliseconds kPause(10);
+  error_code error;
+  for (;; std::this_thread::sleep_for(kPause)) {
+    socket.close(error);
+    std::optional<error_code> outcome;
+    socket.async_connect(address, [&outcome](const error_code& ended) { outcome = ended; });
+    if (!run([&] { return outcome.has_value(); }, deadline)) {
+      socket.close(error);
+      run([&] { return outcome.has_value(); }, Deadline(1));  // the cancelled handler refers to `outcome`
+      CHECK(outcome.has_value(), "a closed socket still connects");
+      break;
+    }
+    if (no_descriptors(*outcome)) return no_descriptors_left(endpoint);
+    if (*outcome) return false;
+    // Where too many others wait at a Unix socket Linux says "try again", which Asio takes for success.
+    socket.remote_endpoint(error);
+    if (error != asio::error::not_connected) return true;
+    if (deadline.left_seconds() <= 0) break;
   }
-  if (no_descriptors(*outcome)) return no_descriptors_left(endpoint);
-  return !*outcome;
+  return Status(Code::deadline_exceeded, fmt::format("{} did not take the connection in time", endpoint.text()));
 }
 
 Status Connection::State::open(const Deadline& deadline) {

@@ -116,6 +116,29 @@ TEST(Connect, WithoutADescriptorLeftSaysSo) {
   EXPECT_LT(short_of, 20);
 }
 
+TEST(Connect, WhereManyWaitAtASocketItWaitsToo) {
+  const TemporaryDirectory directory;
+  const std::string path = directory.path() + "/s";
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::copy(path.begin(), path.end(), address.sun_path);
+  const auto* const at = reinterpret_cast<const sockaddr*>(&address);
+  const int listener = ::socket(AF_UNIX, SOCK_STREAM, 0);
+  ASSERT_EQ(::bind(listener, at, sizeof address), 0);
+  ASSERT_EQ(::listen(listener, 0), 0);
+  std::vector<int> waiting;
+  int connected = 0;
+  while (connected == 0) {
+    waiting.push_back(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0));
+    connected = ::connect(waiting.back(), at, sizeof address);
+  }
+  EXPECT_EQ(errno, EAGAIN);
+  const Status status = Client::connect({.endpoint = "unix:" + path, .deadline_seconds = 0.05}).status();
+  EXPECT_EQ(status.code(), Code::deadline_exceeded) << status.message();
+  for (const int socket : waiting) ::close(socket);
+  ::close(listener);
+}
+
 TEST(Connect, ToldNothingNamesAllThatWasTried) {
   const TemporaryDirectory directory;
   const Variable runtime("XDG_RUNTIME_DIR", directory.path().c_str());
