@@ -28,7 +28,7 @@ namespace rcb::client {
 
 // How positions come to the ranks: from memory that these share with the solver, over sockets straight to each of them
 // (direct), or all through the endpoint (gateway). automatic: as the environment's RCBD_PATH says (auto, shared,
-// direct, gateway); by default through shared memory where the service is on this host, else large pushes directly if
+// direct, gateway); by default through shared memory with the ranks on this machine, else large pushes directly if
 // the ranks' own addresses answer. Where a push can't take `shared`, it takes another; `direct` fails where it can't.
 enum class Path { automatic, shared, direct, gateway };
 

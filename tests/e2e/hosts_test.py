@@ -57,6 +57,14 @@ class HostsTest(MachinesTest):
         addresses = [one["addresses"][0] for one in self.ctl("status", "--json")["hosts"]]
         self.assertEqual([re.sub(":.*", "", address) for address in addresses],
                          [f"10.77.0.{k}" for k in (1, 1, 2, 2, 3)])
+        # The ranks of a solver's own machine read its memory, though the endpoint is TCP.
+        for name, way in (("a", "shared-memory"), ("c", "shared-memory"), ("d", "endpoint")):
+            done = self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 40, "--parts", 6, "--json",
+                           RCBD_PATH="shared")
+            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+            reports = json.loads(done.stdout)["reports"]
+            self.assertEqual([report["way"] for report in reports], ["endpoint"] + 40 * [way], name)
+            self.assertEqual([(report["error"], report["repartitioned"]) for report in reports], alone)
         slope = ["--points", 1000, "--steps", 6, "--interval", 0.3, "--parts", 6, "--json"]
         alone = None
         for name in "abcd":
