@@ -123,7 +123,7 @@ class Session {
   // Sends whole frames to the endpoint and waits for the answer.
   Result<Frame> exchange_frames(std::uint64_t request, std::string frames, const std::string& what,
                                 const Deadline& deadline);
-  // Sends `begin` (whole frames) to the endpoint and the slices over data(). data() must not be null.
+  // Sends `begin` (whole frames) to the endpoint and the slices over data().
   Result<Frame> exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
                                   const std::vector<std::span<const std::uint64_t>>& rows,
                                   std::span<const Column> columns, const std::string& what, const Deadline& deadline);

@@ -130,7 +130,8 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
                                          std::span<const Column> columns, const std::string& what,
                                          const Deadline& deadline) {
   if (!connection_) return lost_connection();
-  CHECK(data_ != nullptr, "a push to the ranks without connections to them");
+  // Lost when memory was taken back from the ranks, for one.
+  if (data_ == nullptr) return Status(Code::aborted, "the connections to the ranks were lost");
   const std::array<Bytes, 1> frames{std::as_bytes(std::span(begin))};
   if (connection_->write(frames, deadline)) {
     const auto answered = [this] { return connection_->has_frame(); };
