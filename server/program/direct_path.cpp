@@ -35,12 +35,13 @@ Result<std::string> listen_at(net::DataPort& port, const std::string& place, int
 // Where this rank listens for clients on its own machine, if no endpoint is a Unix socket there. Only this user can
 // connect to a socket, even in /tmp, and nobody else can guess or take its name.
 std::string listen_for_this_machine(net::DataPort& port, int rank) {
+  const std::string name = fmt::format("/rcbd-{}.{}", auth::random_hex(8), rank);
   const std::string job = job_folder();
-  const std::string path =
-      fmt::format("{}/rcbd-{}.{}", is_own_directory(job) ? job : "/tmp", auth::random_hex(8), rank);
-  const Status status = port.listen_unix(path);
-  if (!status.ok()) spdlog::warn("clients on this machine reach rank {} over TCP alone: {}", rank, status.message());
-  return status.ok() ? "unix:" + path : "";
+  if (is_own_directory(job) && port.listen_unix(job + name).ok()) return "unix:" + job + name;
+  const Status status = port.listen_unix("/tmp" + name);
+  if (status.ok()) return "unix:/tmp" + name;
+  spdlog::warn("clients on this machine reach rank {} over TCP alone: {}", rank, status.message());
+  return "";
 }
 
 }  // namespace

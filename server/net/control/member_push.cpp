@@ -92,10 +92,11 @@ Status MemberGroups::begin(ContributionBegin begin) {
     withdraw(*step, member, {Code::aborted, "a newer attempt of the same session replaced it"});
   }
   auto terms = read_terms(begin, info->second, step.get());
-  if (!terms.ok() && step && !step->begun()) abort(step, nullptr, terms.status());
-  if (!terms.ok()) return terms.status();
-  if (terms->to_ranks() && !group->follow)
-    return {Code::unsupported, "members that don't follow their parts push in order \"id\""};
+  Status refused = terms.status();
+  if (refused.ok() && terms->to_ranks() && !group->follow)
+    refused = {Code::unsupported, "members that don't follow their parts push in order \"id\""};
+  if (!refused.ok() && step && !step->begun()) abort(step, nullptr, refused);
+  if (!refused.ok()) return refused;
   if (step && step->to_ranks() && !terms->to_ranks()) withdraw_direct(*step, member);
   if (!step) step = open_step(scene, begin.id.step, *group);
   auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
@@ -106,6 +107,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   contribution->held = std::move(begin.held);
   contribution->round = step;
   contribution->member = static_cast<int>(member);
+  contribution->end = begin.end;
   step->contributions[member] = contribution;
   if (begin.end < step->end) {
     step->end = begin.end;
@@ -138,6 +140,11 @@ void MemberGroups::withdraw(MemberPush& step, std::size_t member, const Status& 
   coordinator_.give_back(*contribution);
   if (contribution->slices.terms().to_ranks()) coordinator_.refuse_directly(contribution->slices.terms().id);
   contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(why));
+  // Its deadline is the others' no more.
+  step.end = TimePoint::max();
+  for (const auto& one : step.contributions)
+    if (one) step.end = std::min(step.end, one->end);
+  coordinator_.arm(step.front.lock(), std::min(step.end, now() + duration_of(wire::kDeadlineSecondsMax)));
 }
 
 Status MemberGroups::check_counts(const MemberPush& step) const {

@@ -159,17 +159,21 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
 
   // In a folder of its own: to a socket that other users can reach they could send descriptors whose end, in the kernel,
   // holds up whoever closes the connection.
-  Status listen_here() {
-    std::string folder = options.folder + "/doorbell-XXXXXX";
+  Status listen_in(std::string folder) {
+    folder += "/doorbell-XXXXXX";
     if (::mkdtemp(folder.data()) == nullptr)
-      return {Code::io_error, fmt::format("no folder in {} can be made: {}", options.folder, std::strerror(errno))};
+      return {Code::io_error, fmt::format("{} can't be made: {}", folder, std::strerror(errno))};
     address.path = folder + "/socket";
     auto listening = listen_unix(loop.context(), address.path);
+    if (!listening.ok()) remove_files();
     if (!listening.ok()) return listening.status();
     listener.emplace(std::move(*listening));
     accept(listener->acceptor);
     return {};
   }
+
+  // Not every file system takes sockets, and not every path is short enough for one.
+  Status listen_here() { return listen_in(options.folder).ok() ? Status() : listen_in("/tmp"); }
 
   void remove_files() {
     if (listener) listener->name.remove();

@@ -294,9 +294,11 @@ std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) 
 void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged) {
   if (push.moved == Moved::none) return;  // the kept memory stays for a later push
   scene.spare = {};
-  if (push.from_memory(context.comm.rank()) || staged.joined) scene.spare = std::move(staged.arrays.position);
+  // A slice's buffers go back to the listener that received it. What was read or joined here stays here.
+  const bool read_here = push.from_memory(context.comm.rank()) && push.members() == 0;
+  if (read_here || staged.joined) scene.spare = std::move(staged.arrays.position);
   Spare spare{scene.name, {}};
-  if (push.staged) {
+  if (push.staged && !read_here) {
     for (auto& axis : staged.arrays.position)
       if (axis.capacity() > 0) spare.buffers.push_back(axis.release_as<std::byte>());
     if (spare.buffers.empty()) return;

@@ -104,6 +104,16 @@ TEST_F(Bells, RingAlikeEverywhereAndLeaveNoFile) {
   EXPECT_EQ(std::filesystem::status(folder).permissions(), std::filesystem::perms::owner_all);
   alone->reset();
   EXPECT_TRUE(std::filesystem::is_empty(directory_.path()));
+  // Where there can't be a socket it is elsewhere.
+  const std::string deep = directory_.path() + "/" + std::string(100, 'd');
+  std::filesystem::create_directory(deep);
+  for (const std::string& unfit : {deep, directory_.path() + "/none"}) {
+    auto elsewhere = DoorbellHub::open(loop_, {.ranks = 2, .folder = unfit}, [](const std::string&) {});
+    ASSERT_TRUE(elsewhere.ok()) << elsewhere.status().message();
+    EXPECT_TRUE((*elsewhere)->address().path.starts_with("/tmp/doorbell-"));
+  }
+  EXPECT_TRUE(std::filesystem::is_empty(deep));
+  std::filesystem::remove(deep);
   start(4);
   EXPECT_TRUE(std::filesystem::is_empty(directory_.path()));
   std::vector<std::string> expected;
