@@ -95,6 +95,9 @@ TEST(Connect, NobodyThere) {
 }
 
 TEST(Connect, WithoutADescriptorLeftSaysSo) {
+#ifdef __SANITIZE_ADDRESS__
+  GTEST_SKIP() << "the sanitizer needs a descriptor to look at an object, and takes it for none";
+#endif
   rlimit before{};
   ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
   const int next = ::dup(0);

@@ -301,6 +301,11 @@ TEST_F(MemberDirect, ANewerAttemptReplacesTheOlderOfTheSameMember) {
   direct(0, {4, 0, 1}, {{"base_step", 8}}, 10);
   settle();
   EXPECT_EQ(plane_.opened.back().ticket.terms.id.step, 10);
+  for (const int rank : {0, 2}) whole(rank, plane_.opened.back().ticket.number);
+  direct(1, {0, 3, 2}, {{"base_step", 8}}, 10);
+  settle();
+  for (const int rank : {1, 2}) whole(rank, plane_.opened.back().ticket.number);
+  for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
 }
 
 TEST_F(MemberDirect, OneBringsFewAndAnotherInserts) {
