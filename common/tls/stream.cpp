@@ -22,8 +22,9 @@ constexpr std::size_t kBatchBytes = std::size_t{64} << 10U;
 // nobody may keep the I/O thread of a service by sending such.
 constexpr std::size_t kReadableBytes = std::size_t{1} << 20U;
 
+// A peer may renew its keys so often, and once more for each so many bytes of data.
 constexpr std::uint64_t kRenewalsMin = 16;
-constexpr std::uint64_t kRenewalBytes = std::uint64_t{1} << 20U;  // for each renewal more
+constexpr std::uint64_t kRenewalBytes = std::uint64_t{1} << 20U;
 
 bool would_block() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }
 

@@ -4,8 +4,8 @@
 // Invariants
 // 1. Nothing older than TLS 1.3 is spoken; no session is resumed, so that every connection shows a certificate.
 // 2. A peer whose first byte isn't TLS's is sent nothing, so that its caller can still answer it without TLS.
-// 3. A call takes a bounded number of bytes from the socket, whatever comes, and a peer renews its keys at most once a
-//    MiB of data, since a renewal takes as long as the decryption of many bytes.
+// 3. A call takes a bounded number of bytes from the socket, whatever comes, and a peer may renew its keys 16 times
+//    and then once per MiB of data, since a renewal takes as long as the decryption of many bytes.
 // 4. Whose certificate it is isn't judged here: whoever uses certificate() must (common/auth).
 #pragma once
 
@@ -91,9 +91,9 @@ class Stream {
   std::size_t readable_ = 0;    // bytes that this call may still take from the socket
   std::uint64_t received_ = 0;  // bytes of data
   std::uint64_t renewals_ = 0;  // of the peer's keys
-  std::string outgoing_;      // encrypted, to be sent
-  std::size_t flushed_ = 0;   // of outgoing_
-  std::size_t accepted_ = 0;  // bytes of the caller's that are in outgoing_, and not yet reported as written
+  std::string outgoing_;        // encrypted, to be sent
+  std::size_t flushed_ = 0;     // of outgoing_
+  std::size_t accepted_ = 0;    // bytes of the caller's that are in outgoing_, and not yet reported as written
   std::string why_;
 };
 

@@ -61,7 +61,7 @@ struct Push {
   bool by_id = false;  // order "id": one slice with all particles; else one for each rank, in the layout's order
   Way way = Way::endpoint;
   std::vector<SharedArray> shared;  // by shared memory, instead of slices
-  std::vector<int> by_socket;       // by shared memory: the ranks, ascending, whose slices come over sockets all the same
+  std::vector<int> by_socket;  // by shared memory: the ranks, ascending, whose slices come over sockets all the same
   bool weights = false;
   bool ids = false;
   bool changes = false;     // the answer is to name the particles that changed their part

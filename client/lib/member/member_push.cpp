@@ -23,7 +23,6 @@ std::optional<std::span<const std::uint64_t>> MemberScene::State::moved_rows(con
   return with.unmoved ? std::span<const std::uint64_t>() : with.moved;
 }
 
-// Whether few positions would be copied for nothing if the ranks on this host read them from shared memory.
 bool MemberScene::State::mostly_here(const std::vector<std::vector<std::uint64_t>>& rows,
                                      const Positions& positions) const {
   std::size_t apart = 0;
@@ -52,10 +51,8 @@ Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vec
     if (memory) {
       begin["path"] = "shared";
       begin["memory"] = std::move(*memory);
-      if (session().ranks_apart().empty())
-        return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, retry.deadline());
-      return session().exchange_apart(request, std::move(begin), edits.bytes, lists,
-                                      columns_of(positions, with.weights), what, retry.deadline());
+      return session().exchange_shared(request, std::move(begin), edits.bytes, lists,
+                                       columns_of(positions, with.weights), what, retry.deadline());
     }
     if (memory.status().code() == Code::aborted) return memory.status();
     share_unsupported = true;

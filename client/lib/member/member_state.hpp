@@ -59,8 +59,10 @@ struct MemberScene::State {
   // Asks for the answer to a step that was committed before the service was lost, when the member can't push that step
   // again. Errors: base_lost, if there is none.
   Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
-  // By the sockets of the ranks, or from memory that is shared with them. rows: by rank, of all particles.
+  // Whether few positions would be copied for nothing if the ranks on this machine read them from shared memory. rows:
+  // by rank, of all particles, here and below.
   bool mostly_here(const std::vector<std::vector<std::uint64_t>>& rows, const Positions& positions) const;
+  // By the sockets of the ranks, or from memory that is shared with them.
   Result<Frame> push_to_ranks(wire::Json begin, const std::vector<std::vector<std::uint64_t>>& rows,
                               const Positions& positions, const MemberStepOptions& with, const std::string& what,
                               const Retry& retry);

@@ -178,6 +178,7 @@ bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) 
     const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
     return apart == 0 || (pushed_ && (path == Path::shared || (large && few_copies)));
   };
+  // Where the connections to the ranks are opened it may turn out that more of them are apart.
   return worth_while() && session().can_share(retry.deadline()) && worth_while();
 }
 
@@ -209,10 +210,8 @@ Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask
   begin["order"] = by_id_ ? "id" : "plan";
   begin["memory"] = std::move(*memory);
   begin["slices"] = edits.count;
-  if (session().ranks_apart().empty())
-    return session().exchange_frames(request, request_frame(request, begin) + edits.bytes, what, deadline);
-  return session().exchange_apart(request, std::move(begin), edits.bytes, std::move(rows),
-                                  columns_of(ask.positions, ask.options.weights), what, deadline);
+  return session().exchange_shared(request, std::move(begin), edits.bytes, std::move(rows),
+                                   columns_of(ask.positions, ask.options.weights), what, deadline);
 }
 
 Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns,

@@ -213,13 +213,14 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
     for (const wire::Json& address : *data)
       data_addresses_.push_back(address.is_string() ? address.get<std::string>() : std::string());
   const auto local = reply->find("local");
+  const std::string here = machine_key();
   for (std::size_t rank = 0; rank < data_addresses_.size(); ++rank) {
     const bool is_unix = data_addresses_[rank].starts_with("unix:");
     local_addresses_.push_back(is_unix ? data_addresses_[rank] : "");
     if (is_unix || local == reply->end() || !local->is_array() || rank >= local->size()) continue;
     const auto machine = wire::string_field((*local)[rank], "machine", kMachineBytesMax);
     const auto address = wire::string_field((*local)[rank], "address", kSocketPathMax + 5);
-    if (machine && address && *machine == machine_key() && address->starts_with("unix:"))
+    if (machine && address && *machine == here && address->starts_with("unix:"))
       local_addresses_[rank] = *address;
   }
   return {};

@@ -113,8 +113,8 @@ class Session {
   std::vector<int> ranks_apart() const;
   // Numbers name the memory that this session shares.
   std::int64_t next_memory() { return next_memory_++; }
-  // Shares the memory with every rank on this host, under this number. Errors: too_large and unsupported (a rank refuses it),
-  // aborted (a rank was lost).
+  // Shares the memory with every rank on this host, under this number. Errors: too_large and unsupported (a rank
+  // refuses it), aborted (a rank was lost).
   Status share(const SharedMemory& memory, std::int64_t number, const Deadline& deadline);
   void unshare(std::int64_t number, const Deadline& deadline);
   // The error of a push that must go directly when data() is null. If the service has addresses for its ranks, a rank
@@ -127,10 +127,11 @@ class Session {
   Result<Frame> exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
                                   const std::vector<std::span<const std::uint64_t>>& rows,
                                   std::span<const Column> columns, const std::string& what, const Deadline& deadline);
-  // Likewise for a push from shared memory in layout order: slices go to the ranks that don't share it. edits: frames.
-  Result<Frame> exchange_apart(std::uint64_t request, wire::Json begin, const std::string& edits,
-                               std::vector<std::span<const std::uint64_t>> rows, std::span<const Column> columns,
-                               const std::string& what, const Deadline& deadline);
+  // Likewise for a push from shared memory: the ranks that don't share it get slices of these rows, in layout order.
+  // edits: frames.
+  Result<Frame> exchange_shared(std::uint64_t request, wire::Json begin, const std::string& edits,
+                                std::vector<std::span<const std::uint64_t>> rows, std::span<const Column> columns,
+                                const std::string& what, const Deadline& deadline);
   Path path() const { return options_.path; }
   // True once after a push whose direct path broke; the next push takes another path, or new connections.
   bool data_lost();

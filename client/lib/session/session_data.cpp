@@ -158,10 +158,12 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
   return answer;
 }
 
-Result<Frame> Session::exchange_apart(std::uint64_t request, wire::Json begin, const std::string& edits, RankRows rows,
-                                      std::span<const Column> columns, const std::string& what,
-                                      const Deadline& deadline) {
-  begin["sockets"] = ranks_apart();
+Result<Frame> Session::exchange_shared(std::uint64_t request, wire::Json begin, const std::string& edits, RankRows rows,
+                                       std::span<const Column> columns, const std::string& what,
+                                       const Deadline& deadline) {
+  const std::vector<int> apart = ranks_apart();
+  if (apart.empty()) return exchange_frames(request, request_frame(request, begin) + edits, what, deadline);
+  begin["sockets"] = apart;
   for (int rank = 0; rank < ranks_; ++rank)
     if (shares_with(rank)) rows[static_cast<std::size_t>(rank)] = {};
   return exchange_directly(request, request_frame(request, begin) + edits, slice_json(begin), rows, columns, what,

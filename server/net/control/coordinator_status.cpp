@@ -2,7 +2,8 @@
 #include <algorithm>
 #include <chrono>
 #include <filesystem>
-#include <map>
+#include <string_view>
+#include <unordered_map>
 #include <utility>
 
 #include <fmt/format.h>

@@ -113,8 +113,9 @@ awaitable<Status> Session::hello() {
     // Over a Unix socket the client is of the service's user, who may read the token anyway.
     if (is_unix(entrance_.endpoint) && !std::all_of(data.begin(), data.end(), is_unix))
       reply["data_token"] = options.credentials.token;
-    for (const LocalAddress& local : coordinator_->local_addresses())
-      reply["local"].push_back({{"address", local.address}, {"machine", local.machine}});
+    if (!is_unix(entrance_.endpoint))  // else `data` has the Unix sockets of this machine's ranks
+      for (const LocalAddress& local : coordinator_->local_addresses())
+        reply["local"].push_back({{"address", local.address}, {"machine", local.machine}});
   }
   Door::let_in(*connection_, *hello, std::move(reply));
   co_return Status();

@@ -157,8 +157,8 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
     asio::co_spawn(loop.context(), accept_all(loop.context(), acceptor, std::move(take)), asio::detached);
   }
 
-  // In a folder of its own: to a socket that other users can reach they could send descriptors whose end, in the kernel,
-  // holds up whoever closes the connection.
+  // In a folder of its own: to a socket that other users can reach they could send descriptors whose end, in the
+  // kernel, holds up whoever closes the connection.
   Status listen_in(std::string folder) {
     folder += "/doorbell-XXXXXX";
     if (::mkdtemp(folder.data()) == nullptr)

@@ -29,7 +29,9 @@ class LargeJson : public asio::execution_context::service {
   static constexpr std::uint64_t kWithoutPlaceBytes = std::uint64_t{1} << 20U;
 
   explicit LargeJson(asio::execution_context& context, SideThread::Start start = {})
-      : service(context), thread_(std::in_place, wire::kJsonBytesMax * kTextsMax + kWithoutPlaceBytes * wire::kSessionsMax, std::move(start)) {}
+      : service(context),
+        thread_(std::in_place, wire::kJsonBytesMax * kTextsMax + kWithoutPlaceBytes * wire::kSessionsMax,
+                std::move(start)) {}
   static LargeJson& of(asio::io_context& context) { return asio::use_service<LargeJson>(context); }
 
   // A place among the texts in memory, held by its copies.

@@ -271,9 +271,9 @@ Status write_own_parts(Context& context, const Scene& scene, const std::string& 
   const auto [begin, end] = layout::parts_of_rank(context.comm.rank(), scene.options.parts, context.comm.size());
   constexpr std::uint64_t kBytes = 1024;  // of a copied particle, as text too, and of a part
   const std::uint64_t copied_at_once = std::min<std::uint64_t>(scene.part.size(), 2 * kParticles);
-  if (Status room = agree_room(context.comm,
-                               scene.part.size() * 8 + (copied_at_once + static_cast<std::uint64_t>(end - begin)) * kBytes,
-                               fmt::format("the files of {} particles", scene.part.size()));
+  if (Status room = agree_room(
+          context.comm, scene.part.size() * 8 + (copied_at_once + static_cast<std::uint64_t>(end - begin)) * kBytes,
+          fmt::format("the files of {} particles", scene.part.size()));
       !room.ok())
     return room;
   const particles::ByPart by = particles::by_part(scene.part.span(), begin, end);

@@ -324,12 +324,13 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
     if (Status merged = merge(context, of, *members, known, inserted); !merged.ok()) return failed(merged);
   // Once the step has changed anything it must not lack memory for the answer.
   constexpr std::uint64_t kBytesGathered = 64;
-  if (some_all)
+  if (some_all) {
     if (Status room = agree_room(context.comm, context.root() ? of.n * kBytesGathered : 0,
                                  fmt::format("what the members hold of {} particles", of.n));
         !room.ok())
       return failed(std::move(room));
-  if (some_all) known = held_by_all(context, of, members->message.members, known);
+    known = held_by_all(context, of, members->message.members, known);
+  }
   std::vector<particles::Id> removed;
   if (context.root() && push.edits()) {
     std::vector<std::int32_t> inserted_by, removed_by;

@@ -34,9 +34,9 @@ Response quality(Context& context, Scene& s, const wire::Json& request) {
   if (!width.ok()) return failed(width.status());
   constexpr std::uint64_t kBytesOfPart = 1024;
   constexpr std::uint64_t kReaches = std::uint64_t{32} << 20U;  // ranges of parts that are near a part's particles
-  if (Status room = agree_room(context.comm,
-                               s.part.size() * 8 + static_cast<std::uint64_t>(s.options.parts) * kBytesOfPart + kReaches,
-                               fmt::format("the quality of {} parts", s.options.parts));
+  if (Status room = agree_room(
+          context.comm, s.part.size() * 8 + static_cast<std::uint64_t>(s.options.parts) * kBytesOfPart + kReaches,
+          fmt::format("the quality of {} parts", s.options.parts));
       !room.ok())
     return failed(std::move(room));
   Status time;

@@ -8,19 +8,28 @@
 
 namespace rcb::service {
 
+namespace {
+
+// False if there is no memory for it; then there is none.
+bool build_index(Scene& scene) try {
+  IdIndex& index = scene.index;
+  index.slot.clear();
+  index.slot.reserve(scene.particles.count());
+  for (std::size_t i = 0; i < scene.particles.count(); ++i) index.slot.emplace(scene.particles.id[i], i);
+  index.plan_version = scene.plan_version;
+  return true;
+} catch (const std::bad_alloc&) {
+  scene.index = {};
+  return false;
+}
+
+}  // namespace
+
 Status make_index(comm::Comm& comm, Scene& scene) {
   Status made;
-  IdIndex& index = scene.index;
-  if (index.plan_version != scene.plan_version) try {
-      index.slot.clear();
-      index.slot.reserve(scene.particles.count());
-      for (std::size_t i = 0; i < scene.particles.count(); ++i) index.slot.emplace(scene.particles.id[i], i);
-      index.plan_version = scene.plan_version;
-    } catch (const std::bad_alloc&) {
-      index = {};
-      made = {Code::too_large,
-              fmt::format("rank {} has no memory to find {} particles by id", comm.rank(), scene.particles.count())};
-    }
+  if (scene.index.plan_version != scene.plan_version && !build_index(scene))
+    made = {Code::too_large,
+            fmt::format("rank {} has no memory to find {} particles by id", comm.rank(), scene.particles.count())};
   return agree_status(comm, made);
 }
 

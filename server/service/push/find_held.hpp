@@ -42,16 +42,16 @@ class Pieces {
   std::uint64_t first_ = 0;
 };
 
-// Makes the index of each rank's ids, where it isn't there: it is built once, in a scene that needs it, and then updated
-// with the particles. Collective. Errors: too_large.
+// Makes the index of each rank's ids, where it isn't there: it is built once, in a scene that needs it, and then
+// updated with the particles. Collective. Errors: too_large.
 Status make_index(comm::Comm& comm, Scene& scene);
 
 // What to answer where no rank has this id.
 Status not_held(particles::Id id, const char* doing);
 
 // Calls found(index in the piece, slot) for each of the distinct ids in this array of the slice that this rank holds,
-// after look() has fetched what else it needs of the piece. Errors: not_found, naming the first id that no rank holds; too_large.
-// Collective.
+// after look() has fetched what else it needs of the piece. Errors: not_found, naming the first id that no rank holds;
+// those of make_index(). Collective.
 template <typename Look, typename Found>
 Status find_held(comm::Comm& comm, Scene& scene, const PushSlice& slice, std::size_t array, std::uint64_t count,
                  const char* doing, const Look& look, const Found& found) {

@@ -223,8 +223,8 @@ Status read_shared(const Context& context, Scene& scene, const PushRequest& push
   return {};
 }
 
-// Once a step has changed anything it must not lack memory for new cuts or for particles that change rank. So there must
-// be room for the most that a rank may get of either before it is known whether it is needed. Local.
+// Once a step has changed anything it must not lack memory for new cuts or for particles that change rank. So there
+// must be room for the most that a rank may get of either before it is known whether it is needed. Local.
 Status room_for_step(const comm::Comm& comm, const Scene& scene, const PushRequest& push, const Staged& staged) {
   const std::uint64_t mean = scene.n / static_cast<std::uint64_t>(comm.size());
   const std::uint64_t most = std::max<std::uint64_t>(scene.particles.count(), mean) + push.inserted;

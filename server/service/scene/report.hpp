@@ -42,7 +42,6 @@ class Skips {
   std::uint8_t bits_ = 0;
 };
 
-// Kept small, since many are kept in memory (history.hpp).
 // What a step did, in numbers; also the sums over all steps of a scene.
 struct StepCounts {
   std::uint64_t bytes = 0;       // of arrays, as received
@@ -58,6 +57,7 @@ struct StepCounts {
   StepCounts& operator+=(const StepCounts& other);
 };
 
+// Kept small, since many are kept in memory (history.hpp).
 struct StepReport : StepCounts {
   std::string scene;
   std::int64_t step = 0;

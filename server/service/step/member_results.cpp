@@ -75,6 +75,8 @@ Whereabouts held_by_all(Context& context, const Scene& scene, int members, const
   const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
   Whereabouts all;
   if (!context.root()) return all;
+  all.id.reserve(ids.size());
+  all.member.reserve(ids.size());
   std::size_t p = 0;
   for (const std::uint64_t k : order_by_id(ids)) {
     while (p < pushed.id.size() && pushed.id[p] < ids[k]) ++p;

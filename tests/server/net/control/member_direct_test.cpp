@@ -347,9 +347,7 @@ TEST_F(MemberDirect, OneBringsFewAndAnotherInserts) {
 
 TEST_F(MemberDirect, SharedMemoryAndSlicesInOneStep) {
   join();
-  const auto array = [](const char* name) {
-    return Json{{"name", name}, {"number", 1}, {"offset", 0}, {"stride", 8}};
-  };
+  const auto array = [](const char* name) { return Json{{"name", name}, {"number", 1}, {"offset", 0}, {"stride", 8}}; };
   const Json memory{array("x"), array("y"), array("row")};
   direct(0, {4, 0, 1}, {{"path", "shared"}, {"memory", memory}, {"sockets", {2, 1}}});
   refused(0, "invalid_argument", "sockets");

@@ -149,7 +149,8 @@ TEST_F(Bells, ADeadRankIsMissed) {
 
 TEST_F(Bells, ADeadCoordinatorIsMissed) {
   auto hub_loop = std::make_unique<IoLoop>();
-  auto opened = DoorbellHub::open(*hub_loop, {.ranks = 2, .silence_seconds = 6, .folder = directory_.path()}, [](const std::string&) {});
+  auto opened = DoorbellHub::open(*hub_loop, {.ranks = 2, .silence_seconds = 6, .folder = directory_.path()},
+                                  [](const std::string&) {});
   ASSERT_TRUE(opened.ok());
   hub_loop->start();
   Rank rank;
