@@ -201,6 +201,7 @@ Status Supervisor::await_first_answer(Job& job) {
     if (wait(kProbeSeconds) == Events::Event::stop)
       return {Code::aborted, "the service was told to end while it started"};
     if (const auto end = job.poll()) {
+      if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");
       return {Code::aborted, reason(end->text),
               fmt::format("{}the whole log: {}",
@@ -287,14 +288,14 @@ bool Supervisor::is_silent(Job& job) {
 // Waits until the service ends or is silent for too long. why: the reason of a death.
 Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
   for (;;) {
-    const double left = options_.embedded ? -1 : std::max(0.0, silence_.due() - clock_.seconds());
-    if (wait(left) == Events::Event::stop) return Outcome::stopped;
     if (const auto end = job.poll()) {
       why = reason(end->text);
       std::error_code unseen;  // a marker that can't be looked for: one that is started again can be ended again
       return end->clean || std::filesystem::exists(marker_, unseen) ? Outcome::ended : Outcome::died;
     }
-    if (options_.embedded || clock_.seconds() < silence_.due()) continue;
+    const double left = options_.embedded ? -1 : std::max(0.0, silence_.due() - clock_.seconds());
+    if (wait(left) == Events::Event::stop) return Outcome::stopped;
+    if (options_.embedded || clock_.seconds() < silence_.due() || job.poll()) continue;
     if (Status status = keep_place(); !status) {
       if (is_displaced(status)) return Outcome::displaced;
       if (status.message() != last_complaint_) log_.note(status.message());

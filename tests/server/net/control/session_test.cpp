@@ -470,7 +470,7 @@ TEST(Session, ALargeRequestThatDoesNotComeFreesItsPlace) {
 
 TEST(Session, WhoSendsALargeRequestSlowlyHoldsUpOnlyLargerOnes) {
   ControlOptions options = TestService::defaults();
-  options.frame_seconds = 1000;
+  options.frame_seconds = options.notice_seconds = 1000;
   TestService service(options);
   std::vector<Client> slow;
   for (int i = 0; i < 6; ++i) {  // more than there are places
