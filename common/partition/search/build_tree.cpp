@@ -74,15 +74,14 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
   quantise();
   lay_out_roots();
   Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
-  std::vector<Question> asked;
+  std::vector<CutRequest> wanted;
   while (!level_.empty() && !abandoned()) {
     stopped_ = go_on && !go_on();
     if (stopped_) break;
     order_axes();
-    asked.clear();
-    for (const Node& node : level_) asked.push_back(question(node));
-    selector.select(asked, spans_);
-    split(asked);
+    wanted.clear();
+    for (const Node& node : level_) wanted.push_back(request_of(node));
+    split(wanted, selector.select(wanted, spans_));
     level_.swap(next_);
     spans_.swap(next_spans_);
   }
@@ -187,69 +186,70 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   return extents;
 }
 
-Question TreeBuilder::question(const Node& node) const {
-  Question ask;
-  ask.axes = node.axes;
-  ask.bounds = node.bounds;
-  ask.coincident = node.coincident;
-  ask.id_first = node.id_first;
-  ask.id_last = node.id_last;
-  ask.count = node.count;
-  ask.weight = node.weight;
+CutRequest TreeBuilder::request_of(const Node& node) const {
+  CutRequest wanted;
+  wanted.axes = node.axes;
+  wanted.bounds = node.bounds;
+  wanted.coincident = node.coincident;
+  wanted.id_first = node.id_first;
+  wanted.id_last = node.id_last;
+  wanted.count = node.count;
+  wanted.weight = node.weight;
   const auto [index, first, last] = node.range;
-  ask.left_size = rule_.size(first, node.range.middle());
-  ask.size = rule_.size(first, last);
+  wanted.left_size = rule_.size(first, node.range.middle());
+  wanted.size = rule_.size(first, last);
   if (options_.cut_tolerance > 0) {
-    ask.rank = floor_share(node.count, ask.left_size, ask.size);
-    ask.slack = slack_of(node);
+    wanted.rank = floor_share(node.count, wanted.left_size, wanted.size);
+    wanted.slack = slack_of(node);
   } else {
-    ask.rank = rule_.quota(first, node.range.middle());
+    wanted.rank = rule_.quota(first, node.range.middle());
   }
-  if (interior_ != nullptr) add_interior(node.range, ask);
-  ask.search = !ask.failed && !node.bounds.empty() && (scale_ || ask.rank < ask.below + ask.count);
-  return ask;
+  if (interior_ != nullptr) add_interior(node.range, wanted);
+  wanted.search = !wanted.unanswerable && !node.bounds.empty() && (scale_ || wanted.rank < wanted.below + wanted.count);
+  return wanted;
 }
 
-void TreeBuilder::add_interior(const NodeRange& range, Question& ask) const {
-  ask.below = interior_->count(range.first, range.middle());
+void TreeBuilder::add_interior(const NodeRange& range, CutRequest& wanted) const {
+  wanted.below = interior_->count(range.first, range.middle());
   const std::uint64_t beyond = interior_->count(range.middle(), range.last);
   // If the cut axis flipped, hardly any interior particle stays: not worth a search.
-  if (ends(range) || (ask.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && ask.below + beyond > 0)) {
-    ask.failed = true;
+  if (ends(range) || (wanted.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && wanted.below + beyond > 0)) {
+    wanted.unanswerable = true;
     return;
   }
   if (!scale_) {
-    const std::uint64_t most = ask.below + ask.count;
-    ask.failed = ask.rank < ask.below || ask.rank > most || (ask.rank == most && beyond > 0);
+    const std::uint64_t most = wanted.below + wanted.count;
+    wanted.unanswerable = wanted.rank < wanted.below || wanted.rank > most || (wanted.rank == most && beyond > 0);
     return;
   }
-  const u128 own = ask.weight;
-  ask.weight_below = interior_->weight(range.first, range.middle());
-  ask.weight += interior_->weight(range.first, range.last);
-  if (ask.bounds.empty()) {
-    ask.failed = ask.below + beyond > 0;
+  const u128 own = wanted.weight;
+  wanted.weight_below = interior_->weight(range.first, range.middle());
+  wanted.weight += interior_->weight(range.first, range.last);
+  if (wanted.bounds.empty()) {
+    wanted.unanswerable = wanted.below + beyond > 0;
     return;
   }
-  const u128 threshold = threshold_of(ask);
-  ask.failed = threshold == 0 ? ask.below > 0 : threshold <= ask.weight_below || threshold > ask.weight_below + own;
+  const u128 threshold = threshold_of(wanted);
+  wanted.unanswerable =
+      threshold == 0 ? wanted.below > 0 : threshold <= wanted.weight_below || threshold > wanted.weight_below + own;
 }
 
-bool TreeBuilder::cut_still_valid(const NodeRange& range, const Question& answer) const {
-  if (answer.failed) return false;
+bool TreeBuilder::cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const {
+  if (wanted.unanswerable || found.failed) return false;
   const geometry::Box left = interior_->box(range.first, range.middle());
   const geometry::Box right = interior_->box(range.middle(), range.last);
   if (left.empty(axes_) && right.empty(axes_)) return true;
   if (!interior_->brackets.empty() && interior_->brackets[at(range.node)].whole) {
     const KeyBracket& bracket = interior_->brackets[at(range.node)];
-    return answer.search && !answer.right_empty && answer.axes == bracket.axes &&
-           words_of(bracket.least, at(axes_)) <= answer.lowest_relied_on &&
-           answer.highest_relied_on <= words_of(bracket.most, at(axes_));
+    return wanted.search && !found.right_empty && wanted.axes == bracket.axes &&
+           words_of(bracket.least, at(axes_)) <= found.lowest_relied_on &&
+           found.highest_relied_on <= words_of(bracket.most, at(axes_));
   }
-  const auto axis = at(answer.axes[0]);
+  const auto axis = at(wanted.axes[0]);
   const bool any_left = !left.empty(axes_);
-  if (answer.right_empty && !right.empty(axes_)) return false;
-  if (answer.search && any_left && geometry::order_bits(left.hi[axis]) >= answer.lowest_relied_on[0]) return false;
-  return answer.right_empty || right.empty(axes_) || answer.highest_relied_on[0] < geometry::order_bits(right.lo[axis]);
+  if (found.right_empty && !right.empty(axes_)) return false;
+  if (wanted.search && any_left && geometry::order_bits(left.hi[axis]) >= found.lowest_relied_on[0]) return false;
+  return found.right_empty || right.empty(axes_) || found.highest_relied_on[0] < geometry::order_bits(right.lo[axis]);
 }
 
 void TreeBuilder::leave_uncut(std::size_t node) {
@@ -274,30 +274,30 @@ u128 TreeBuilder::slack_of(const Node& node) const {
   return static_cast<u128>(std::min(level_tolerance_, 1.0) * share * load);
 }
 
-void TreeBuilder::split(std::span<const Question> answers) {
+void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutFound> found) {
   next_.clear();
   next_spans_.clear();
   for (std::size_t n = 0; n < level_.size(); ++n) {
     const Node& node = level_[n];
-    const Question& answer = answers[n];
-    if (interior_ != nullptr && !cut_still_valid(node.range, answer)) {
+    const CutFound& own = found[n];
+    if (interior_ != nullptr && !cut_still_valid(node.range, wanted[n], own)) {
       leave_uncut(n);
       continue;
     }
     Cut& cut = result_.tree.cuts[at(node.range.node)];
     cut = {};
-    cut.axes = answer.axes;
-    cut.right_empty = answer.right_empty;
+    cut.axes = wanted[n].axes;
+    cut.right_empty = own.right_empty;
     if (!cut.right_empty) {
-      for (std::size_t w = 0; w < at(axes_); ++w) cut.key.at[w] = geometry::value_of_order_bits(answer.key[w]);
-      cut.key.id = static_cast<Id>(answer.key[at(axes_)]);
+      for (std::size_t w = 0; w < at(axes_); ++w) cut.key.at[w] = geometry::value_of_order_bits(own.key[w]);
+      cut.key.id = static_cast<Id>(own.key[at(axes_)]);
     }
     Node left = node;
     Node right = node;
     left.range = node.range.left();
     right.range = node.range.right();
-    if (!scale_) left.count = answer.right_empty ? node.count : answer.left_count - answer.below;
-    if (scale_) left.weight = answer.right_empty ? node.weight : answer.left_weight - answer.weight_below;
+    if (!scale_) left.count = own.right_empty ? node.count : own.left_count - wanted[n].below;
+    if (scale_) left.weight = own.right_empty ? node.weight : own.left_weight - wanted[n].weight_below;
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};

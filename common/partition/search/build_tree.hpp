@@ -101,18 +101,18 @@ class TreeBuilder {
   Extents extents_of(const Node& node) const;
   // The exact extents of these nodes; notes which are coincident. Collective (one reduction).
   std::vector<Point> measure(std::span<const std::size_t> nodes);
-  Question question(const Node& node) const;
-  // Adds the interior particles to a question, and marks it failed if the quantised points alone can't answer it.
-  void add_interior(const NodeRange& range, Question& ask) const;
+  CutRequest request_of(const Node& node) const;
+  // Adds the interior particles to a request, and marks it where the quantised points alone can't answer it.
+  void add_interior(const NodeRange& range, CutRequest& wanted) const;
   // True if all interior particles stay on their side of the cut found.
-  bool cut_still_valid(const NodeRange& range, const Question& answer) const;
+  bool cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const;
   void leave_uncut(std::size_t node);
   bool ends(const NodeRange& range) const {
     return start_ != nullptr && !start_->ends.empty() && start_->ends[at(range.node)] != 0;
   }
   u128 slack_of(const Node& node) const;
-  // Makes the level's cuts from the answers, and the next level's nodes.
-  void split(std::span<const Question> answers);
+  // Makes the level's cuts, and the next level's nodes.
+  void split(std::span<const CutRequest> wanted, std::span<const CutFound> found);
   // Takes nodes without any particle out of the next level: their cuts, and those below, follow from the rule alone.
   // With many more parts than particles most nodes are such.
   void settle_empty();

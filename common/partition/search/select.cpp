@@ -1,5 +1,5 @@
-// The search itself: rounds, brackets, and the division of the quantised points. The last candidates are gathered in
-// select_candidates.cpp.
+// The search itself: rounds, brackets, and the division of the quantised points. Where integers no longer separate
+// them, select_words.cpp goes on; the last candidates are gathered in select_candidates.cpp.
 #include "common/partition/search/select.hpp"
 
 #include <algorithm>
@@ -18,9 +18,7 @@ using Wide = boost::multiprecision::uint512_t;
 constexpr std::size_t kBinsMin = 64;
 constexpr std::size_t kWeightedBinsMax = 256;  // with weights, where a cell has four words
 constexpr int kRoundsMax = 3;                  // before the integers are replaced by a key word
-constexpr unsigned kKeyBits = 31;
-constexpr std::uint64_t kGatherAlways = 8;  // so few candidates aren't worth a histogram
-constexpr std::uint64_t kNone = ~std::uint64_t{0};
+constexpr std::uint64_t kGatherAlways = 8;     // so few candidates aren't worth a histogram
 
 }  // namespace
 
@@ -34,21 +32,23 @@ std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> val
   return messages;
 }
 
-u128 threshold_of(const Question& ask) {
-  const Wide wanted = Wide(ask.weight) * ask.left_size;
-  return static_cast<u128>(Wide((wanted + ask.size - 1) / ask.size));
+u128 threshold_of(const CutRequest& wanted) {
+  const Wide load = Wide(wanted.weight) * wanted.left_size;
+  return static_cast<u128>(Wide((load + wanted.size - 1) / wanted.size));
 }
 
-void Selector::select(std::span<Question> nodes, std::span<Span> spans) {
+std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes, std::span<Span> spans) {
   nodes_ = nodes;
   spans_ = spans;
   chunks_ = nodes.empty() ? 1 : spans.size() / nodes.size();
+  found_.assign(nodes.size(), CutFound{});
   states_.assign(nodes.size(), State{});
   neighbours_.clear();
   for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
   for (count_round(); any(Phase::count) || any(Phase::next_word); count_round()) next_word();
   gather_candidates();
   find_neighbours();
+  return std::move(found_);
 }
 
 bool Selector::any(Phase phase) const {
@@ -63,16 +63,17 @@ std::vector<std::size_t> Selector::in_phase(Phase phase) const {
 }
 
 void Selector::start(std::size_t node) {
-  Question& ask = nodes_[node];
+  const CutRequest& ask = nodes_[node];
   State& state = states_[node];
   for (Span& span : spans_of(node)) {
     span.middle = span.first;
     span.upper = span.last;
   }
   if (!ask.search) {
-    ask.right_empty = true;
-    ask.left_count = ask.below + ask.count;
-    ask.left_weight = ask.weight;
+    CutFound& all_left = found_[node];
+    all_left.right_empty = true;
+    all_left.left_count = ask.below + ask.count;
+    all_left.left_weight = ask.weight;
     for (Span& span : spans_of(node)) span.middle = span.last;
     return;
   }
@@ -233,14 +234,14 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
 }
 
 // With slack: cuts between two bins, if that is near enough to the target.
-bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& found) {
-  Question& ask = nodes_[node];
+bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& cell) {
+  const CutRequest& ask = nodes_[node];
   const State& state = states_[node];
   if (ask.slack == 0 || state.tie_break) return false;
   const u128 wanted =
       weighted() ? static_cast<u128>(Wide(Wide(ask.weight) * ask.left_size / ask.size)) : u128{ask.rank};
   const u128 before = weighted() ? state.weight_below : state.below;
-  const u128 after = before + (weighted() ? found.weight : found.count);
+  const u128 after = before + (weighted() ? cell.weight : cell.count);
   const auto off = [wanted](u128 got) { return got < wanted ? wanted - got : got - wanted; };
   const bool take = off(after) < off(before);
   // Behind the last bin the integer may not fit in 32 bits.
@@ -248,11 +249,11 @@ bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, cons
   const auto top = static_cast<std::uint64_t>(ask.bounds.hi[axis_of(node)]);
   if (off(take ? after : before) > ask.slack || beyond > top) return false;
   const auto q = static_cast<std::int32_t>(beyond);
-  ask.left_count = state.below + (take ? found.count : 0);
-  ask.left_weight = state.weight_below + (take ? found.weight : 0);
-  ask.key = {};
+  CutFound& found = found_[node];
+  found.left_count = state.below + (take ? cell.count : 0);
+  found.left_weight = state.weight_below + (take ? cell.weight : 0);
   const Key key = key_between(maps_[axis_of(node)].first_value(q), static_cast<int>(axes_));
-  for (std::size_t w = 0; w < axes_; ++w) ask.key[w] = geometry::order_bits(key.at[w]);
+  for (std::size_t w = 0; w < axes_; ++w) found.key[w] = geometry::order_bits(key.at[w]);
   note_pass(node, 2 * sizeof(QuantisedPoint));
   for (Span& span : spans_of(node)) span.middle = span.upper = split(span.open(), axis_of(node), q);
   states_[node].phase = Phase::done;
@@ -274,214 +275,17 @@ void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool f
   state.hi = hi;
 }
 
-void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) {
-  const std::size_t from = states_[node].word;
-  note_pass(node, 2 * sizeof(QuantisedPoint) + (axes_ - from + (states_[node].by_id ? 1 : 0)) * sizeof(double));
-  const auto look = [bounds](std::size_t word, std::uint64_t own) {
-    bounds[2 * word] = std::min(bounds[2 * word], own);
-    bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
-  };
-  bool any_lossless = false;
-  for (std::size_t w = from; w < axes_; ++w) any_lossless |= lossless(node, w);
-  for (const Span& span : spans_of(node)) {
-    const std::span<const QuantisedPoint> open = span.open();
-    if (open.empty()) continue;
-    QBounds integers;
-    if (any_lossless) widen(integers, open);
-    std::array<const double*, geometry::kDimsMax> x{};
-    std::array<double, geometry::kDimsMax> first{};
-    std::array<bool, geometry::kDimsMax> same{true, true, true};
-    for (std::size_t w = from; w < axes_; ++w) {
-      const auto axis = static_cast<std::size_t>(nodes_[node].axes[w]);
-      if (lossless(node, w)) {
-        look(w, static_cast<std::uint64_t>(integers.lo[axis] >> zeros_of(node, w)));
-        look(w, static_cast<std::uint64_t>(integers.hi[axis] >> zeros_of(node, w)));
-        continue;
-      }
-      x[w] = particles_.position[axis] + span.base;
-      first[w] = x[w][open[0].index];
-      look(w, geometry::order_bits(first[w]));
-    }
-    // Mostly all coordinates are equal, or the search would not have come here: one pass finds that out.
-    if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
-      for (const QuantisedPoint& point : open) {
-        same[0] &= x[0][point.index] == first[0];
-        same[1] &= x[1][point.index] == first[1];
-        same[2] &= x[2][point.index] == first[2];
-      }
-    } else {
-      for (std::size_t w = from; w < axes_; ++w)
-        for (std::size_t i = 0; i < open.size() && x[w] != nullptr; ++i) same[w] &= x[w][open[i].index] == first[w];
-    }
-    for (std::size_t w = from; w < axes_; ++w)
-      for (std::size_t i = 0; i < open.size() && !same[w]; ++i) look(w, geometry::order_bits(x[w][open[i].index]));
-    const Id* const id = particles_.id + span.base;
-    for (std::size_t i = 0; i < open.size() && states_[node].by_id; ++i)
-      look(axes_, static_cast<std::uint64_t>(id[open[i].index]));
-  }
-}
-
-// A key word with one value only is decided; the integers are replaced by the first one with more. On a lossless axis
-// its bounds are the node's; others are measured among the open quantised points.
-void Selector::next_word() {
-  std::vector<std::size_t> measured;
-  for (const std::size_t node : in_phase(Phase::next_word)) {
-    State& state = states_[node];
-    if (!state.tie_break) {
-      state.uniform = state.lo == state.hi;
-      state.uniform_value = state.lo;
-    }
-    // A single integer decides the word if it determines the coordinate.
-    const bool decided = state.tie_break ? state.shift == 0 : state.word == 0 && lossless(node, 0);
-    if (state.lo == state.hi && decided) state.word += state.words;
-    state.words = 1;
-    CHECK(state.word < words_, "two particles have the same id");
-    if (state.word > 0 && lossless(node, state.word)) {
-      const WordValues own = steps_of(node, state.word);
-      const std::uint64_t both =
-          lossless(node, state.word + 1) ? own.count * steps_of(node, state.word + 1).count : ~std::uint64_t{0};
-      if (both <= std::uint64_t{1} << kKeyBits) {
-        state.words = 2;
-        enter(node, 0, both - 1);
-      } else {
-        enter(node, own.first, own.first + own.count - 1);
-      }
-    } else if (state.word == axes_ && !state.by_id) {
-      const auto [least, greatest] = known_ids(node);
-      enter(node, least, greatest);
-    } else {
-      measured.push_back(node);
-    }
-  }
-  if (measured.empty()) return;
-  // The least value of every word and the complement of the greatest, so that one minimum gives both.
-  Buffer<std::uint64_t> bounds(measured.size() * words_ * 2);
-  std::fill(bounds.begin(), bounds.end(), kNone);
-  for (std::size_t m = 0; m < measured.size(); ++m) {
-    const std::span<std::uint64_t> own = bounds.span().subspan(m * words_ * 2, words_ * 2);
-    measure_words(measured[m], own);
-    if (states_[measured[m]].by_id) continue;
-    const auto [least, greatest] = known_ids(measured[m]);
-    own[2 * axes_] = least;
-    own[2 * axes_ + 1] = ~greatest;
-  }
-  reductions_ += all_min_in_messages(comm_, bounds.span());
-  for (std::size_t m = 0; m < measured.size(); ++m) {
-    State& state = states_[measured[m]];
-    const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
-    const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
-    // All have one coordinate, hence one integer, which restore() can put back.
-    if (axes_ > 0 && !state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
-      state.uniform = true;
-      state.uniform_value = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
-    }
-    while (lo() == hi()) {
-      CHECK(state.word + 1 < words_, "two particles have the same id");
-      ++state.word;
-    }
-    enter(measured[m], lo(), hi());
-  }
-}
-
-std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
-  if (!ids_) {
-    std::array<std::uint64_t, 2> least{kNone, kNone};
-    for (std::size_t i = 0; i < particles_.count; ++i) {
-      const auto id = static_cast<std::uint64_t>(particles_.id[i]);
-      least[0] = std::min(least[0], id);
-      least[1] = std::min(least[1], ~id);
-    }
-    bytes_moved_ += particles_.count * sizeof(Id);
-    comm_.all_min(least);
-    ++reductions_;
-    ids_ = {least[0], ~least[1]};
-  }
-  const Question& ask = nodes_[node];
-  return {std::max((*ids_)[0], static_cast<std::uint64_t>(ask.id_first)),
-          std::min((*ids_)[1], static_cast<std::uint64_t>(ask.id_last))};
-}
-
-void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
-  State& state = states_[node];
-  state.by_id = state.word == axes_;
-  state.base = lo;
-  state.shift = shift_to(hi - lo, kKeyBits);
-  state.lo = 0;
-  state.hi = static_cast<std::int32_t>((hi - lo) >> state.shift);
-  state.rounds = 0;
-  state.phase = Phase::count;
-  write_words(node);
-}
-
-Selector::WordValues Selector::steps_of(std::size_t node, std::size_t word) const {
-  const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
-  const unsigned zeros = zeros_of(node, word);
-  const std::int32_t first = nodes_[node].bounds.lo[axis] >> zeros;
-  const std::int32_t last = nodes_[node].bounds.hi[axis] >> zeros;
-  return {axis, zeros, static_cast<std::uint64_t>(first), static_cast<std::uint64_t>(last - first) + 1};
-}
-
-// Replaces the integers by two key words as one number.
-void Selector::write_both(Span& span, std::size_t axis, const WordValues& one, const WordValues& other) {
-  const auto factor = static_cast<std::uint32_t>(other.count);
-  const auto base = static_cast<std::uint32_t>(one.first) * factor + static_cast<std::uint32_t>(other.first);
-  for (QuantisedPoint& point : span.open())
-    point.q[axis] = static_cast<std::int32_t>(static_cast<std::uint32_t>(point.q[one.axis] >> one.zeros) * factor +
-                                              static_cast<std::uint32_t>(point.q[other.axis] >> other.zeros) - base);
-}
-
-void Selector::write_words(std::size_t node) {
-  State& state = states_[node];
-  const std::size_t axis = axis_of(node);
-  const unsigned zeros = zeros_of(node, state.word);
-  const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
-  note_pass(node, 2 * sizeof(QuantisedPoint) + (lossless(node, state.word) ? 0 : sizeof(double)));
-  for (Span& span : spans_of(node)) {
-    if (!state.tie_break) {
-      span.tie_break = span.middle;
-      span.tie_break_last = span.upper;
-    }
-    if (state.words == 2)
-      write_both(span, axis, steps_of(node, state.word), steps_of(node, state.word + 1));
-    else if (lossless(node, state.word))
-      for (QuantisedPoint& point : span.open())
-        point.q[axis] = (point.q[from] >> zeros) - static_cast<std::int32_t>(state.base);
-    else
-      for (QuantisedPoint& point : span.open())
-        point.q[axis] =
-            static_cast<std::int32_t>((word_of(node, state.word, span.base + point.index) - state.base) >> state.shift);
-  }
-  state.tie_break = true;
-}
-
-// Puts the quantised coordinates of the cut axis back in place.
-void Selector::restore(std::size_t node) {
-  const State& state = states_[node];
-  if (!state.tie_break) return;
-  const std::size_t axis = axis_of(node);
-  for (Span& span : spans_of(node)) {
-    bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
-                    static_cast<std::size_t>(span.tie_break_last - span.tie_break);
-    for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
-      const std::size_t particle = span.base + point.index;
-      point.q[axis] = state.uniform ? state.uniform_value
-                      : axes_ == 0  ? maps_[0](particles_.id[particle])
-                                    : maps_[axis](particles_.position[axis][particle]);
-    }
-  }
-}
-
 // The right side has the quantised points whose key isn't less than the cut's.
 void Selector::divide(std::size_t node) {
-  const Question& ask = nodes_[node];
+  const CutFound& found = found_[node];
   restore(node);
   for (Span& span : spans_of(node)) {
-    if (ask.right_empty) {
+    if (found.right_empty) {
       span.middle = span.upper = span.last;
       continue;
     }
     span.middle = std::partition(span.middle, span.upper, [&](const QuantisedPoint& point) {
-      return key_words(node, span.base + point.index) < ask.key;
+      return key_words(node, span.base + point.index) < found.key;
     });
     span.upper = span.middle;
   }

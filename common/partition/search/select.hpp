@@ -41,9 +41,10 @@ inline constexpr std::size_t kMessageWordsMax = kMessageBytesMax / sizeof(std::u
 // Comm::all_min in messages of at most kMessageBytesMax; returns their number. Collective.
 std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> values);
 
-struct Question {
-  // Asked
-  bool search = true;  // false: nothing goes right
+// A cut that is wanted.
+struct CutRequest {
+  bool unanswerable = false;  // by the quantised points alone; then all else is unspecified
+  bool search = true;         // false: nothing goes right, or it is unanswerable
   AxisOrder axes{0, 1, 2};
   QBounds bounds;           // of the quantised points' integers, all ranks
   bool coincident = false;  // all of these lie in one place: only ids tell them apart
@@ -63,12 +64,13 @@ struct Question {
   u128 size = 1;
   // The left side may have so many particles (so much weight) more or less than wanted. 0: exact.
   u128 slack = 0;
+};
 
-  // Answered
-  bool failed = false;  // the answer depends on interior particles; the rest is unspecified
+struct CutFound {
+  bool failed = false;  // it depends on interior particles; the rest is unspecified
   bool right_empty = false;
   KeyWords key{};  // smallest key of the right side
-  // The least and the greatest key that the answer depends on. It holds if on the cut axis the left parts' interior
+  // The least and the greatest key that the cut depends on. It holds if on the cut axis the left parts' interior
   // particles lie below the former and the right parts' above the latter.
   KeyWords lowest_relied_on{};
   KeyWords highest_relied_on{};
@@ -77,7 +79,7 @@ struct Question {
 };
 
 // With weights: the left side's target, rounded up. The cut lies before or behind the particle whose prefix reaches it.
-u128 threshold_of(const Question& ask);
+u128 threshold_of(const CutRequest& wanted);
 
 class Selector {
  public:
@@ -93,9 +95,9 @@ class Selector {
         limits_(limits),
         cell_words_(scale == nullptr ? 1 : 4) {}
 
-  // Collective.
+  // The cuts of a level's nodes. Collective.
   //   spans  [nodes * chunks], each node's quantised points; on return middle == upper, where the right side begins
-  void select(std::span<Question> nodes, std::span<Span> spans);
+  std::vector<CutFound> select(std::span<const CutRequest> nodes, std::span<Span> spans);
 
   std::uint64_t rounds() const { return rounds_; }
   std::uint64_t reductions() const { return reductions_; }
@@ -153,7 +155,7 @@ class Selector {
   bool take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& cell);
   void narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool few);
   void next_word();
-  // What is known of the ids of a node's particles: the bounds of all particles' ids, and what the question tells.
+  // What is known of the ids of a node's particles: the bounds of all particles' ids, and what the request tells.
   // Collective (one reduction, the first time).
   std::array<std::uint64_t, 2> known_ids(std::size_t node);
   // For each key word from the node's current one on: the least value among the open quantised points, and the
@@ -217,7 +219,8 @@ class Selector {
   const SearchLimits& limits_;
   std::size_t cell_words_;  // words of a histogram's cell: a count; with weights also three limbs
 
-  std::span<Question> nodes_;
+  std::span<const CutRequest> nodes_;
+  std::vector<CutFound> found_;  // [nodes]
   std::span<Span> spans_;
   std::size_t chunks_ = 1;
   std::vector<State> states_;

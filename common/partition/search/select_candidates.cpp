@@ -71,17 +71,19 @@ void Selector::gather_group(std::span<const std::size_t> group) {
 }
 
 void Selector::pick(std::span<const Candidate> candidates) {
-  Question& node = nodes_[candidates[0].node];
-  node.left_count = node.rank;
-  node.key = node.lowest_relied_on = node.highest_relied_on =
-      candidates[node.rank - states_[candidates[0].node].below].key;
+  const std::size_t node = candidates[0].node;
+  const std::uint64_t rank = nodes_[node].rank;
+  CutFound& found = found_[node];
+  found.left_count = rank;
+  found.key = found.lowest_relied_on = found.highest_relied_on = candidates[rank - states_[node].below].key;
 }
 
 // The left side takes the prefix with the weight nearest to the wanted one; on a tie, and among prefixes of the same
 // weight, the shortest.
 void Selector::pick_weighted(std::span<const Candidate> candidates) {
   const std::size_t index = candidates[0].node;
-  Question& node = nodes_[index];
+  const CutRequest& node = nodes_[index];
+  CutFound& found = found_[index];
   const State& state = states_[index];
   u128 before = state.weight_below;
   std::size_t crossing = 0;
@@ -89,22 +91,22 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     before += candidates[crossing++].weight;
   CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
   const u128 after = before + candidates[crossing].weight;
-  node.lowest_relied_on = node.highest_relied_on = candidates[crossing].key;
+  found.lowest_relied_on = found.highest_relied_on = candidates[crossing].key;
   const Wide wanted = Wide(node.weight) * node.left_size;
   if (Wide(after) * node.size - wanted < wanted - Wide(before) * node.size) {
-    node.left_weight = after;
+    found.left_weight = after;
     if (crossing + 1 < candidates.size())
-      node.key = node.highest_relied_on = candidates[crossing + 1].key;
+      found.key = found.highest_relied_on = candidates[crossing + 1].key;
     else
       look_beside(
           {.node = index, .weighted_before_bound = false, .from_start = false, .bound = candidates[crossing].key});
     return;
   }
-  node.left_weight = before;
+  found.left_weight = before;
   while (crossing > 0 && candidates[crossing - 1].weight == 0) --crossing;
   if (crossing > 0 || state.below == 0) {
-    node.key = candidates[crossing].key;
-    node.lowest_relied_on = candidates[crossing > 0 ? crossing - 1 : 0].key;
+    found.key = candidates[crossing].key;
+    found.lowest_relied_on = candidates[crossing > 0 ? crossing - 1 : 0].key;
   } else if (state.weight_below == 0) {
     look_beside({.node = index, .weighted_before_bound = false, .from_start = true, .bound = {}});
   } else {
@@ -127,21 +129,22 @@ void Selector::find_neighbours() {
     std::size_t b = 0;
     for (Neighbour& neighbour : neighbours_) {
       if (!neighbour.weighted_before_bound) continue;
-      Question& ask = nodes_[neighbour.node];
-      CHECK(found[b] != 0 || ask.below > 0, "weight lies below the bracket");
-      ask.failed = found[b] == 0;
-      neighbour.bound = ask.lowest_relied_on = keys[b++];
+      CutFound& cut = found_[neighbour.node];
+      CHECK(found[b] != 0 || nodes_[neighbour.node].below > 0, "weight lies below the bracket");
+      cut.failed = found[b] == 0;
+      neighbour.bound = cut.lowest_relied_on = keys[b++];
     }
   }
   const std::vector<std::uint8_t> found = nearest(neighbours_, false, keys);
   for (std::size_t n = 0; n < neighbours_.size(); ++n) {
     const std::size_t node = neighbours_[n].node;
-    nodes_[node].right_empty = found[n] == 0;
-    nodes_[node].key = keys[n];
-    nodes_[node].highest_relied_on = std::max(nodes_[node].highest_relied_on, keys[n]);
+    CutFound& cut = found_[node];
+    cut.right_empty = found[n] == 0;
+    cut.key = keys[n];
+    cut.highest_relied_on = std::max(cut.highest_relied_on, keys[n]);
     if (neighbours_[n].from_start) {
-      nodes_[node].lowest_relied_on = keys[n];
-      nodes_[node].failed = nodes_[node].below > 0;
+      cut.lowest_relied_on = keys[n];
+      cut.failed = nodes_[node].below > 0;
     }
     states_[node].phase = Phase::done;
     for (Span& span : spans_of(node)) {

@@ -1,0 +1,212 @@
+// Where integers no longer separate the open quantised points: they are replaced by one key word after the other.
+#include <algorithm>
+
+#include "common/base/check.hpp"
+#include "common/partition/search/select.hpp"
+
+namespace rcb::partition {
+namespace {
+
+constexpr unsigned kKeyBits = 31;
+constexpr std::uint64_t kNone = ~std::uint64_t{0};
+
+}  // namespace
+
+void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) {
+  const std::size_t from = states_[node].word;
+  note_pass(node, 2 * sizeof(QuantisedPoint) + (axes_ - from + (states_[node].by_id ? 1 : 0)) * sizeof(double));
+  const auto look = [bounds](std::size_t word, std::uint64_t own) {
+    bounds[2 * word] = std::min(bounds[2 * word], own);
+    bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
+  };
+  bool any_lossless = false;
+  for (std::size_t w = from; w < axes_; ++w) any_lossless |= lossless(node, w);
+  for (const Span& span : spans_of(node)) {
+    const std::span<const QuantisedPoint> open = span.open();
+    if (open.empty()) continue;
+    QBounds integers;
+    if (any_lossless) widen(integers, open);
+    std::array<const double*, geometry::kDimsMax> x{};
+    std::array<double, geometry::kDimsMax> first{};
+    std::array<bool, geometry::kDimsMax> same{true, true, true};
+    for (std::size_t w = from; w < axes_; ++w) {
+      const auto axis = static_cast<std::size_t>(nodes_[node].axes[w]);
+      if (lossless(node, w)) {
+        look(w, static_cast<std::uint64_t>(integers.lo[axis] >> zeros_of(node, w)));
+        look(w, static_cast<std::uint64_t>(integers.hi[axis] >> zeros_of(node, w)));
+        continue;
+      }
+      x[w] = particles_.position[axis] + span.base;
+      first[w] = x[w][open[0].index];
+      look(w, geometry::order_bits(first[w]));
+    }
+    // Mostly all coordinates are equal, or the search would not have come here: one pass finds that out.
+    if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
+      for (const QuantisedPoint& point : open) {
+        same[0] &= x[0][point.index] == first[0];
+        same[1] &= x[1][point.index] == first[1];
+        same[2] &= x[2][point.index] == first[2];
+      }
+    } else {
+      for (std::size_t w = from; w < axes_; ++w)
+        for (std::size_t i = 0; i < open.size() && x[w] != nullptr; ++i) same[w] &= x[w][open[i].index] == first[w];
+    }
+    for (std::size_t w = from; w < axes_; ++w)
+      for (std::size_t i = 0; i < open.size() && !same[w]; ++i) look(w, geometry::order_bits(x[w][open[i].index]));
+    const Id* const id = particles_.id + span.base;
+    for (std::size_t i = 0; i < open.size() && states_[node].by_id; ++i)
+      look(axes_, static_cast<std::uint64_t>(id[open[i].index]));
+  }
+}
+
+// A key word with one value only is decided; the integers are replaced by the first one with more. On a lossless axis
+// its bounds are the node's; others are measured among the open quantised points.
+void Selector::next_word() {
+  std::vector<std::size_t> measured;
+  for (const std::size_t node : in_phase(Phase::next_word)) {
+    State& state = states_[node];
+    if (!state.tie_break) {
+      state.uniform = state.lo == state.hi;
+      state.uniform_value = state.lo;
+    }
+    // A single integer decides the word if it determines the coordinate.
+    const bool decided = state.tie_break ? state.shift == 0 : state.word == 0 && lossless(node, 0);
+    if (state.lo == state.hi && decided) state.word += state.words;
+    state.words = 1;
+    CHECK(state.word < words_, "two particles have the same id");
+    if (state.word > 0 && lossless(node, state.word)) {
+      const WordValues own = steps_of(node, state.word);
+      const std::uint64_t both =
+          lossless(node, state.word + 1) ? own.count * steps_of(node, state.word + 1).count : ~std::uint64_t{0};
+      if (both <= std::uint64_t{1} << kKeyBits) {
+        state.words = 2;
+        enter(node, 0, both - 1);
+      } else {
+        enter(node, own.first, own.first + own.count - 1);
+      }
+    } else if (state.word == axes_ && !state.by_id) {
+      const auto [least, greatest] = known_ids(node);
+      enter(node, least, greatest);
+    } else {
+      measured.push_back(node);
+    }
+  }
+  if (measured.empty()) return;
+  // The least value of every word and the complement of the greatest, so that one minimum gives both.
+  Buffer<std::uint64_t> bounds(measured.size() * words_ * 2);
+  std::fill(bounds.begin(), bounds.end(), kNone);
+  for (std::size_t m = 0; m < measured.size(); ++m) {
+    const std::span<std::uint64_t> own = bounds.span().subspan(m * words_ * 2, words_ * 2);
+    measure_words(measured[m], own);
+    if (states_[measured[m]].by_id) continue;
+    const auto [least, greatest] = known_ids(measured[m]);
+    own[2 * axes_] = least;
+    own[2 * axes_ + 1] = ~greatest;
+  }
+  reductions_ += all_min_in_messages(comm_, bounds.span());
+  for (std::size_t m = 0; m < measured.size(); ++m) {
+    State& state = states_[measured[m]];
+    const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
+    const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
+    // All have one coordinate, hence one integer, which restore() can put back.
+    if (axes_ > 0 && !state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
+      state.uniform = true;
+      state.uniform_value = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
+    }
+    while (lo() == hi()) {
+      CHECK(state.word + 1 < words_, "two particles have the same id");
+      ++state.word;
+    }
+    enter(measured[m], lo(), hi());
+  }
+}
+
+std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
+  if (!ids_) {
+    std::array<std::uint64_t, 2> least{kNone, kNone};
+    for (std::size_t i = 0; i < particles_.count; ++i) {
+      const auto id = static_cast<std::uint64_t>(particles_.id[i]);
+      least[0] = std::min(least[0], id);
+      least[1] = std::min(least[1], ~id);
+    }
+    bytes_moved_ += particles_.count * sizeof(Id);
+    comm_.all_min(least);
+    ++reductions_;
+    ids_ = {least[0], ~least[1]};
+  }
+  const CutRequest& ask = nodes_[node];
+  return {std::max((*ids_)[0], static_cast<std::uint64_t>(ask.id_first)),
+          std::min((*ids_)[1], static_cast<std::uint64_t>(ask.id_last))};
+}
+
+void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
+  State& state = states_[node];
+  state.by_id = state.word == axes_;
+  state.base = lo;
+  state.shift = shift_to(hi - lo, kKeyBits);
+  state.lo = 0;
+  state.hi = static_cast<std::int32_t>((hi - lo) >> state.shift);
+  state.rounds = 0;
+  state.phase = Phase::count;
+  write_words(node);
+}
+
+Selector::WordValues Selector::steps_of(std::size_t node, std::size_t word) const {
+  const auto axis = static_cast<std::size_t>(nodes_[node].axes[word]);
+  const unsigned zeros = zeros_of(node, word);
+  const std::int32_t first = nodes_[node].bounds.lo[axis] >> zeros;
+  const std::int32_t last = nodes_[node].bounds.hi[axis] >> zeros;
+  return {axis, zeros, static_cast<std::uint64_t>(first), static_cast<std::uint64_t>(last - first) + 1};
+}
+
+// Replaces the integers by two key words as one number.
+void Selector::write_both(Span& span, std::size_t axis, const WordValues& one, const WordValues& other) {
+  const auto factor = static_cast<std::uint32_t>(other.count);
+  const auto base = static_cast<std::uint32_t>(one.first) * factor + static_cast<std::uint32_t>(other.first);
+  for (QuantisedPoint& point : span.open())
+    point.q[axis] = static_cast<std::int32_t>(static_cast<std::uint32_t>(point.q[one.axis] >> one.zeros) * factor +
+                                              static_cast<std::uint32_t>(point.q[other.axis] >> other.zeros) - base);
+}
+
+void Selector::write_words(std::size_t node) {
+  State& state = states_[node];
+  const std::size_t axis = axis_of(node);
+  const unsigned zeros = zeros_of(node, state.word);
+  const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
+  note_pass(node, 2 * sizeof(QuantisedPoint) + (lossless(node, state.word) ? 0 : sizeof(double)));
+  for (Span& span : spans_of(node)) {
+    if (!state.tie_break) {
+      span.tie_break = span.middle;
+      span.tie_break_last = span.upper;
+    }
+    if (state.words == 2)
+      write_both(span, axis, steps_of(node, state.word), steps_of(node, state.word + 1));
+    else if (lossless(node, state.word))
+      for (QuantisedPoint& point : span.open())
+        point.q[axis] = (point.q[from] >> zeros) - static_cast<std::int32_t>(state.base);
+    else
+      for (QuantisedPoint& point : span.open())
+        point.q[axis] =
+            static_cast<std::int32_t>((word_of(node, state.word, span.base + point.index) - state.base) >> state.shift);
+  }
+  state.tie_break = true;
+}
+
+// Puts the quantised coordinates of the cut axis back in place.
+void Selector::restore(std::size_t node) {
+  const State& state = states_[node];
+  if (!state.tie_break) return;
+  const std::size_t axis = axis_of(node);
+  for (Span& span : spans_of(node)) {
+    bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
+                    static_cast<std::size_t>(span.tie_break_last - span.tie_break);
+    for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
+      const std::size_t particle = span.base + point.index;
+      point.q[axis] = state.uniform ? state.uniform_value
+                      : axes_ == 0  ? maps_[0](particles_.id[particle])
+                                    : maps_[axis](particles_.position[axis][particle]);
+    }
+  }
+}
+
+}  // namespace rcb::partition
