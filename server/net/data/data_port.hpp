@@ -4,15 +4,10 @@
 // are read straight into the memory that the engine takes over; and clients on this host hand over memory that they
 // share with the rank, from which later pushes are read.
 //
-// Invariants
+// Invariants (more stand with the parts: incoming_slices.hpp, shared_memories.hpp)
 // 1. A slice is received only for a push that the coordinator has opened, from one connection, in order of its slots.
 //    Slices of another, unknown or ended push are read and dropped; a slice that comes before its push is opened stays
 //    unread for at most `unknown_seconds`.
-// 2. Memory is reserved when a push is opened, of the size that the coordinator has admitted; the kernel provides pages
-//    as bytes arrive.
-// 3. An opened push ends with one report: the slice is complete, or why it won't be. Reports before that say how many
-//    bytes have come.
-// 4. Memory that a client shares is kept as long as the connection that brought it, and as long as an order reads it.
 // Everything but recycle() runs on the I/O thread.
 #pragma once
 

@@ -1,0 +1,103 @@
+// IncomingSlices: the pushes that the coordinator has opened, whose slices are being received, and their memory.
+//
+// Invariants
+// 1. Memory is reserved when a push is opened, of the size that the coordinator has admitted; the kernel provides pages
+//    as bytes arrive.
+// 2. An opened push ends with one report: the slice is complete, or why it won't be. Reports before that say how many
+//    bytes have come.
+// Everything but recycle() runs on the I/O thread.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/base/buffer.hpp"
+#include "common/base/status.hpp"
+#include "server/net/push/data_plane.hpp"
+#include "server/net/sockets/connection.hpp"
+
+namespace rcb::net {
+
+struct Incoming {
+  PushTicket ticket;
+  std::vector<Buffer<std::byte>> arrays;   // each of the whole slice's size
+  std::uint64_t have = 0;                  // particles complete so far
+  const Connection* connection = nullptr;  // the one that brings the slice
+  std::uint64_t connection_bytes = 0;      // received on it before this slice
+  std::uint64_t told_bytes = 0;            // bytes of the slice reported so far
+  bool over = false;                       // reported or dropped
+};
+
+class IncomingSlices {
+ public:
+  using Report = std::function<void(const SliceReport& report)>;
+
+  explicit IncomingSlices(int rank) : rank_(rank) {}
+  void set_report(Report report) { report_ = std::move(report); }
+
+  void open(PushTicket ticket);
+  void drop(const PushId& id);
+  // Null if there is no such push.
+  std::shared_ptr<Incoming> find(const PushId& id) const;
+  // Ends a push that hasn't ended yet; ok: its slice is complete.
+  void end(const std::shared_ptr<Incoming>& push, const Status& status);
+  // Ends the pushes whose slices this connection was bringing.
+  void lose(const Connection& connection, const std::string& why);
+  // Reports the bytes that have come if they are at least `more` above the last report.
+  void tell(Incoming& push, std::uint64_t more);
+  void tell_all();
+  // The slice of the order's push; empty if there is none.
+  std::vector<Slice> take(std::uint64_t number);
+
+  // Of the pushes that have ended, the latest are remembered.
+  void remember_ended(const PushId& id);
+  bool has_ended(const PushId& id) const { return ended_.contains(id); }
+
+  // Any thread. Keeps `buffers` for the scene's next slice and frees those kept so far; if empty, it only frees.
+  void recycle(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
+    pool_.put(scene, std::move(buffers));
+  }
+
+ private:
+  // Slice buffers that the engine gave back, kept for the next push, by scene.
+  class Pool {
+   public:
+    void put(const std::string& scene, std::vector<Buffer<std::byte>> buffers) {
+      const std::lock_guard lock(mutex_);
+      if (buffers.empty())
+        kept_.erase(scene);
+      else
+        kept_[scene] = std::move(buffers);
+    }
+    // A kept buffer, or an empty one.
+    Buffer<std::byte> take(const std::string& scene) {
+      const std::lock_guard lock(mutex_);
+      const auto found = kept_.find(scene);
+      Buffer<std::byte> buffer;
+      if (found == kept_.end() || found->second.empty()) return buffer;
+      buffer.swap(found->second.back());
+      found->second.pop_back();
+      return buffer;
+    }
+
+   private:
+    std::mutex mutex_;
+    std::map<std::string, std::vector<Buffer<std::byte>>> kept_;
+  };
+
+  int rank_;
+  Report report_;
+  std::map<std::uint64_t, std::shared_ptr<Incoming>> pushes_;  // by the push's number
+  std::set<PushId> ended_;
+  std::deque<PushId> ended_in_turn_;  // in order; may name pushes that were opened again since
+  Pool pool_;
+};
+
+}  // namespace rcb::net
