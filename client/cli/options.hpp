@@ -80,7 +80,6 @@ inline constexpr const char* kCutToleranceHelp =
 inline constexpr const char* kGhostWidthHelp =
     "distance within which a point of another part is a ghost (default: 2 (box volume / points)^(1/dims))";
 inline constexpr const char* kAllHelp = "show every part, however many";
-inline constexpr const char* kReplaceFilesHelp = "remove the files of other parts from DIR";
 
 // Formats the pages of --help.
 std::shared_ptr<CLI::Formatter> help_format();

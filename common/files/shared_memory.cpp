@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <linux/magic.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/vfs.h>
 #include <unistd.h>
@@ -47,6 +48,11 @@ Result<SharedMemory> SharedMemory::create(std::size_t bytes) {
   made.descriptor_ = Descriptor(::memfd_create("rcbd", MFD_CLOEXEC | MFD_ALLOW_SEALING));
   const int memfd = made.descriptor();
   if (memfd < 0) return failed("memfd_create");
+  // A file that grows beyond the limit of this process ends it by a signal, unless it cares for that one.
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_FSIZE, &limit) == 0 && bytes > limit.rlim_cur)
+    return Status(Code::io_error, fmt::format("memory of {} bytes can't be shared: files may have {} (ulimit -f)",
+                                              bytes, limit.rlim_cur));
   if (::ftruncate(memfd, static_cast<off_t>(bytes)) != 0) return failed("the size of a memfd");
   if (::fcntl(memfd, F_ADD_SEALS, kSizeSeals | F_SEAL_SEAL) != 0) return failed("the seals of a memfd");
   void* const at = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, memfd, 0);

@@ -34,18 +34,16 @@ Status read_counts(wire::FieldReader& fields, int ranks, Push& push) {
 }
 
 // Errors: invalid_argument.
-Result<std::vector<int>> read_ranks(const wire::Json& request, const char* name, int ranks) {
-  std::vector<int> list;
-  const auto found = request.find(name);
-  if (found == request.end()) return list;
-  bool fits = found->is_array() && found->size() <= static_cast<std::size_t>(ranks);
-  for (std::size_t k = 0; fits && k < found->size(); ++k) {
-    const wire::Json& rank = (*found)[k];
-    fits = rank.is_number_integer() && rank >= 0 && rank < ranks && (list.empty() || rank > list.back());
-    if (fits) list.push_back(rank.get<int>());
+Status read_sockets(wire::FieldReader& fields, int ranks, Push& push) {
+  for (const double rank : fields.numbers("sockets", static_cast<std::size_t>(ranks))) {
+    if (!(rank >= 0 && rank < ranks) || rank != std::floor(rank) ||
+        (!push.by_socket.empty() && rank <= push.by_socket.back()))
+      return {Code::invalid_argument, "field 'sockets': expected a list of ranks, ascending"};
+    push.by_socket.push_back(static_cast<int>(rank));
   }
-  if (fits) return list;
-  return Status(Code::invalid_argument, fmt::format("field '{}': expected a list of ranks, ascending", name));
+  if (push.by_id && !push.by_socket.empty())
+    return {Code::invalid_argument, "field 'sockets': slices for ranks are in order \"plan\""};
+  return fields.status();
 }
 
 }  // namespace
@@ -143,11 +141,7 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
     auto shared = read_shared(request);
     if (!shared.ok()) return shared.status();
     push.shared = std::move(*shared);
-    auto by_socket = read_ranks(request, "sockets", ranks);
-    if (!by_socket.ok()) return by_socket.status();
-    if (push.by_id && !by_socket->empty())
-      return Status(Code::invalid_argument, "field 'sockets': slices for ranks are in order \"plan\"");
-    push.by_socket = std::move(*by_socket);
+    if (Status status = read_sockets(fields, ranks, push); !status.ok()) return status;
   }
   if (push.by_id || !fields.has("plan")) return push;
   const auto plan = read_plan(request);

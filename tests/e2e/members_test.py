@@ -169,6 +169,26 @@ class Members(ServiceTest):
         self.push_all(team, 0, halves, self.walk[0], attempt=1)
         self.assertEqual(self.state("late")[0]["step"], 0)
 
+    def test_one_that_was_started_again_with_the_service_counts_from_zero(self):
+        """In both orders: the others know that it is step 7."""
+        halves = np.array_split(np.arange(600), 2)
+        for scene, order in (("knows", (1, 0)), ("guesses", (0, 1))):
+            self.create(scene)
+            team = self.team(scene, 2)
+            steps = (0, 7)
+            team[order[0]].start(steps[order[0]], halves[order[0]], self.walk[0])
+            wait_for(lambda: self.control.ask("scene.show", scene=scene)[0]["open_step"] == steps[order[0]])
+            team[order[1]].start(steps[order[1]], halves[order[1]], self.walk[0])
+            if order[0] == 1:
+                self.refused(team[0], "invalid_argument", "the others push step 7")
+            else:
+                self.refused(team[0], "aborted", "member 1", "step 7")
+                wait_for(lambda: self.control.ask("scene.show", scene=scene)[0]["open_step"] == 7)
+            team[0].start(7, halves[0], self.walk[0], attempt=1)
+            for one in team:
+                self.assertEqual(one.finish()[0]["report"]["step"], 7)
+            self.assertIsNone(self.control.ask("scene.show", scene=scene)[0]["open_step"])
+
     def test_a_step_beyond_its_deadline_goes_on(self):
         with Service(2) as service:
             control = Client(service.endpoint[5:])
@@ -275,6 +295,20 @@ class Members(ServiceTest):
         self.addCleanup(stranger.close)
         stranger.start(0, halves[1], self.walk[0])
         self.refused(stranger, "stale_step", "0")
+
+    def test_no_answer_is_given_again_after_a_later_step(self):
+        self.create("later")
+        halves = np.array_split(np.arange(600), 2)
+        team = self.team("later", 2)
+        self.push_all(team, 0, halves, self.walk[0])
+        for one in team:
+            one.ask("scene.close", scene="later")
+            one.close()
+        self.control.push("later", 1, self.walk[1])  # the members had no part in it
+        back = Member(self.path, "later", 1, 2, session=team[1].session)
+        self.addCleanup(back.close)
+        back.start(0, halves[1], self.walk[0], attempt=5)
+        self.refused(back, "stale_step", "step 0")
 
     def test_what_members_push_wrong(self):
         self.create("wrong")

@@ -141,6 +141,27 @@ class People(ServiceTest):
             self.service.json("partition", self.file, "--parts", 3, "--out", folder, "--replace", *ranks)
             self.assertEqual(set(os.listdir(folder)), {f"part-{p}.csv" for p in range(3)} | foreign)
 
+    def test_files_of_others_are_not_overwritten(self):
+        folder = os.path.join(self.dir, "mine")
+        os.mkdir(folder)
+        points = os.path.join(folder, "part-0.csv")
+        np.savetxt(points, np.random.default_rng(1).random((40, 3)), "%.6f", ",")
+        before = open(points).read()
+        os.symlink(points, os.path.join(self.dir, "same.csv"))
+        for file in (points, os.path.join(self.dir, "same.csv")):
+            failure = self.service.failure("partition", file, "--parts", 3, "--out", folder, "--replace")
+            self.assertIn("would overwrite the points", failure["message"])
+        self.assertEqual(open(points).read(), before)
+        self.service.json("replay", "arrays", self.walk, "--parts", 2)
+        array = os.path.join(folder, "positions.npy")
+        np.save(array, np.zeros(3))
+        failure = self.service.failure("export", "arrays", folder, "--format", "npy")
+        self.assertIn("positions.npy", failure["message"])
+        self.assertEqual(len(np.load(array)), 3)
+        for replace in (["--replace"], []):  # then they are an export's
+            self.service.json("export", "arrays", folder, "--format", "npy", *replace)
+            self.assertNotEqual(len(np.load(array)), 3)
+
     def test_replay_replaces_when_told_so(self):
         before = self.service.json("scene", "show", "few")
         failure = self.service.failure("replay", "few", self.walk, "--parts", 3)

@@ -144,9 +144,11 @@ void add_export_command(CLI::App& app, Context& context) {
   add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
   add_value(*command, "DIR", options->directory, kind::text("DIR"), "made if missing")->required();
   add_list(*command, "--format", options->formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
-           "csv (a file a part), npy, vtk; several with commas between")
+           "csv (part-0.csv, ...), npy (positions.npy, id.npy, part.npy, weight.npy), vtk (NAME.vtk); several with "
+           "commas between")
       ->default_str("csv");
-  command->add_flag("--replace", options->replace, kReplaceFilesHelp);
+  command->add_flag("--replace", options->replace,
+                    "remove the files of other parts from DIR, and overwrite arrays that no export wrote");
 }
 
 }  // namespace rcb::cli

@@ -39,11 +39,14 @@ Status check(const PartitionOptions& options) {
     return {Code::usage,
             fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
             "give one size a part, such as --parts 3 --part-sizes 1,2,3"};
-  for (const auto& [option, path] : {std::pair("--assign", options.assign), {"--cuts", options.cuts}}) {
-    std::error_code missing;
+  std::error_code missing;
+  for (const auto& [option, path] : {std::pair("--assign", options.assign), {"--cuts", options.cuts}})
     if (!path.empty() && std::filesystem::equivalent(path, options.file.path, missing))
       return {Code::usage, fmt::format("{} {} would overwrite the points", option, path), "give it another name"};
-  }
+  const std::filesystem::path points = std::filesystem::canonical(options.file.path, missing);
+  if (!options.out.empty() && !missing && std::filesystem::equivalent(points.parent_path(), options.out, missing) &&
+      std::ranges::count(part_file_names(options.parts), points.filename().string()) > 0)
+    return {Code::usage, fmt::format("--out {} would overwrite the points", options.out), "name another folder"};
   return {};
 }
 
@@ -195,7 +198,7 @@ void add_partition_command(CLI::App& app, Context& context) {
   add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
   add_value(*command, "--out", options->out, kind::text("DIR"), "a folder for one CSV per part");
-  command->add_flag("--replace", options->replace, kReplaceFilesHelp);
+  command->add_flag("--replace", options->replace, "remove the files of other parts from DIR");
   add_value(*command, "--assign", options->assign, kind::output_file(kind::Format::npy),
             "the part of each point, int32, in input order");
   add_value(*command, "--cuts", options->cuts, kind::output_file(kind::Format::json), "the cuts and regions");

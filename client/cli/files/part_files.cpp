@@ -23,6 +23,19 @@ bool is_export_name(const std::string& name) {
                      [](char c) { return c >= '0' && c <= '9'; });
 }
 
+// An array that an export would overwrite, although none has written it: those stand together. Empty: there is none.
+std::string array_of_others(const std::string& directory, const std::vector<std::string>& written) {
+  std::string found;
+  bool all = true;
+  for (const char* name : {"positions.npy", "id.npy", "part.npy"}) {
+    if (std::ranges::count(written, name) == 0) return {};
+    const bool there = access(join_path(directory, name).c_str(), F_OK) == 0;
+    if (there) found = name;
+    all &= there;
+  }
+  return all ? "" : found;
+}
+
 bool same_kind(const std::string& name, const std::vector<std::string>& written) {
   return std::any_of(written.begin(), written.end(),
                      [&name](const std::string& other) { return other.ends_with(name.substr(name.rfind('.'))); });
@@ -48,6 +61,9 @@ Result<LeftoverFiles> LeftoverFiles::find(const std::string& directory, const st
       names.push_back(name);
   if (fault && fault != std::errc::no_such_file_or_directory)
     return Status(Code::io_error, fmt::format("{}: {}", directory, fault.message()));
+  if (const std::string array = array_of_others(directory, written); !array.empty() && !replace)
+    return Status(Code::already_exists, fmt::format("{} holds {}, and not by an export", directory, array),
+                  "--replace overwrites it; or name another folder");
   LeftoverFiles left;
   std::sort(names.begin(), names.end());
   for (const std::string& name : names) left.paths_.push_back(join_path(directory, name));

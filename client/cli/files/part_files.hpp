@@ -18,7 +18,8 @@ std::vector<std::string> part_file_names(int parts);
 class LeftoverFiles {
  public:
   // Finds the files in `directory` that an export may have written, except those of `written` (to be written). Errors:
-  // already_exists, if there are some and `replace` is false; io_error.
+  // already_exists, if there are some and `replace` is false; io_error. Likewise if arrays of an export would be
+  // overwritten that stand there without the others, so that no export has written them.
   static Result<LeftoverFiles> find(const std::string& directory, const std::vector<std::string>& written,
                                     bool replace);
   // To be called after the new files are complete. Errors: io_error.

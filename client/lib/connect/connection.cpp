@@ -131,6 +131,15 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
   error_code error;
   for (;; std::this_thread::sleep_for(kPause)) {
     socket.close(error);
+    // Not left to Asio, whose sockets programs that the solver starts would inherit, and keep connected.
+    const auto protocol = address.protocol();
+    const int made = ::socket(protocol.family(), SOCK_STREAM | SOCK_CLOEXEC, protocol.protocol());
+    if (made < 0 && (errno == EMFILE || errno == ENFILE)) return no_descriptors_left(endpoint);
+    if (made < 0) return false;
+    if (socket.assign(protocol, made, error); error) {
+      ::close(made);
+      return false;
+    }
     std::optional<error_code> outcome;
     socket.async_connect(address, [&outcome](const error_code& ended) { outcome = ended; });
     if (!run([&] { return outcome.has_value(); }, deadline)) {

@@ -183,6 +183,13 @@ Result<MemberScene> MemberScene::open(Client& client, const std::string& name, c
   return MemberScene(std::move(state));
 }
 
+std::optional<std::int64_t> MemberScene::State::open_step(const Retry& retry) {
+  const auto shown = session().call_once({{"command", "scene.show"}, {"scene", name}}, retry);
+  const auto json = shown ? shown->json() : Result<wire::Json>(shown.status());
+  if (!json || !json->contains("open_step") || !json->at("open_step").is_number_integer()) return std::nullopt;
+  return json->at("open_step").get<std::int64_t>();
+}
+
 Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   pushing_directly = pushing_few = false;
@@ -224,6 +231,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
   const bool first = !state_->last_step;
   state_->send_all = false;
+  const bool counts_from_zero = first && !options.step && !unanswered;
   Session& session = state_->session();
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
   const auto mend = [&](const Status& status) {
@@ -233,6 +241,12 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
       return true;
     }
     if (state_->pushing_few && !state_->send_all && status.code() == Code::base_lost) return state_->send_all = true;
+    if (counts_from_zero && status.code() == Code::invalid_argument) {
+      const std::optional<std::int64_t> open = state_->open_step(retry);
+      if (!open || *open <= *step) return false;
+      step = open;
+      return true;
+    }
     if (status.code() != Code::aborted) return false;
     // This member or another lost its connection. That one reconnects, and all members push again.
     const bool data_lost = session.data_lost();

@@ -94,8 +94,8 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   pushing_directly = rows != nullptr;
   if (options.follow && !*direct) pushed.emplace(ids);
   // Only a push of all particles by ids tells their places, which the direct path needs. And only one of all tells the
-  // service that a particle was not handed over as it has said.
-  send_all = send_all || (*direct ? !pushing_directly : pushed != held);
+  // service that a particle was not handed over as it has said, or, without `follow`, who has it.
+  send_all = send_all || !options.follow || (*direct ? !pushing_directly : pushed != held);
   const auto moved = moved_rows(with);
   pushing_few = moved.has_value();
   const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count;

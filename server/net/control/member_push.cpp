@@ -73,7 +73,9 @@ Status MemberGroups::begin(ContributionBegin begin) {
   const auto info = coordinator_.snapshot().find(scene);
   if (info == coordinator_.snapshot().end()) return coordinator_.unknown_scene(scene);
   if (info->second.step && begin.id.step <= *info->second.step) {
-    if (group->last && answer_again(*group->last, group->delivery.get(), member, begin)) return {};
+    if (begin.id.step == *info->second.step && group->last &&
+        answer_again(*group->last, group->delivery.get(), member, begin))
+      return {};
     return {
         Code::stale_step,
         fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
@@ -81,6 +83,12 @@ Status MemberGroups::begin(ContributionBegin begin) {
   }
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
+  // A process that was started again together with the service counts from 0; the others know which step it is.
+  if (step && !info->second.step && begin.id.step > step->step) {
+    abort(step, nullptr,
+          {Code::aborted, fmt::format("member {} pushes step {}, which is later", member, begin.id.step)});
+    step = nullptr;
+  }
   if (step && step->step != begin.id.step)
     return {Code::invalid_argument,
             fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),

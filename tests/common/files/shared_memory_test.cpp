@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 namespace rcb {
@@ -32,6 +33,20 @@ TEST(SharedMemory, WhatOneWritesTheOtherReads) {
   const SharedMemory moved = std::move(*made);
   EXPECT_EQ(moved.bytes()[0], std::byte{7});
   EXPECT_NE(::ftruncate(moved.descriptor(), 0), 0) << "its size is sealed";
+}
+
+// Beyond the limit the system would end this program by a signal.
+TEST(SharedMemory, MoreThanAFileMayHaveIsRefused) {
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_FSIZE, &before), 0);
+  const rlimit little{kBytes, before.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &little), 0);
+  const auto more = SharedMemory::create(kBytes + 1);
+  const bool as_much = SharedMemory::create(kBytes).ok();
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
+  ASSERT_FALSE(more.ok());
+  EXPECT_NE(more.status().message().find("ulimit -f"), std::string::npos) << more.status().message();
+  EXPECT_TRUE(as_much);
 }
 
 TEST(SharedMemory, OnlyWhatCannotShrinkIsMapped) {

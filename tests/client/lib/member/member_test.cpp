@@ -194,6 +194,72 @@ TEST(MemberScene, BringsAllItsParticlesUnlessTheyAreThoseThatItWasTold) {
   EXPECT_EQ(begun[3]["moved"], "all");
 }
 
+// Its process was started again together with the service, and the others know which step it is.
+TEST(MemberScene, AFreshOneTakesTheStepThatTheOthersPush) {
+  std::vector<Json> begun;
+  FakeService service([&](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(1, -1));
+    for (const bool refuse : {true, false}) {
+      const auto begin = peer.receive();
+      begun.push_back(begin->json);
+      peer.receive();
+      if (!refuse) {
+        peer.reply(*begin, report(7), news());
+        break;
+      }
+      peer.fail(*begin, {Code::invalid_argument, "member 1 pushes step 0, the others push step 7"});
+      const auto show = peer.receive();
+      EXPECT_EQ(show->json["command"], "scene.show");
+      peer.reply(*show, {{"open_step", 7}});
+    }
+    answer_close(peer);
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
+    EXPECT_TRUE(result.ok()) << result.status().message();
+  }
+  service.stop();
+  ASSERT_EQ(begun.size(), 2U);
+  EXPECT_EQ(begun[0]["step"], 0);
+  EXPECT_EQ(begun[1]["step"], 7);
+}
+
+// The service takes particles that nobody names to be with the members that keep their parts.
+TEST(MemberScene, WithoutFollowItBringsAllItsParticles) {
+  std::vector<Json> begun;
+  FakeService service([&](Peer& peer, int) {
+    peer.greet(2);
+    Json seat = seat_reply(4, -1);
+    seat["membership"]["follow"] = false;
+    peer.reply(*peer.receive(), seat);
+    for (int step = 0; step < 3; ++step) {
+      const auto begin = peer.receive();
+      begun.push_back(begin->json);
+      if (begin->json["slices"] == 1) peer.receive();
+      peer.reply(*begin, report(step));
+    }
+    answer_close(peer);
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3});
+    MemberStepOptions options;
+    for (int step = 0; step < 3; ++step) {
+      options.unmoved = step == 1;
+      options.moved.reset();
+      if (step == 2) options.moved.emplace();
+      const auto result = scene->step(Positions::axes(kAxes, 3), kIds, options);
+      EXPECT_TRUE(result.ok()) << result.status().message();
+    }
+  }
+  service.stop();
+  ASSERT_EQ(begun.size(), 3U);
+  for (const Json& begin : begun) EXPECT_EQ(begin["moved"], "all");
+}
+
 // A rebalance that came while the connection was gone told nobody who has which particle now.
 TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
   for (const int epoch_now : {3, 4}) {

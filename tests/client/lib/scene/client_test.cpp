@@ -4,8 +4,13 @@
 #include <csignal>
 #include <limits>
 #include <random>
+#include <set>
 
+#include <fcntl.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include "client/lib/connect/endpoint.hpp"
@@ -117,6 +122,38 @@ TEST(Connect, WithoutADescriptorLeftSaysSo) {
   }
   EXPECT_GT(short_of, 0);
   EXPECT_LT(short_of, 20);
+}
+
+// Or they would keep a dead solver's connection open.
+TEST(Connect, ProgramsThatTheSolverStartsInheritNoSocket) {
+  FakeService service([](Peer& peer, int) {
+    peer.greet(1);
+    peer.receive();
+  });
+  const auto sockets = [] {
+    std::set<int> found;
+    for (int descriptor = 0; descriptor < 1024; ++descriptor) {
+      struct stat info {};
+      if (::fstat(descriptor, &info) == 0 && S_ISSOCK(info.st_mode)) found.insert(descriptor);
+    }
+    return found;
+  };
+  const std::set<int> before = sockets();
+  const auto client = Client::connect({.endpoint = service.endpoint()});
+  ASSERT_TRUE(client.ok());
+  int inherited = 0;
+  int of_client = 0;
+  for (const int descriptor : sockets()) {
+    sockaddr_un peer{};
+    socklen_t size = sizeof peer;
+    if (before.contains(descriptor) || ::getpeername(descriptor, reinterpret_cast<sockaddr*>(&peer), &size) != 0 ||
+        size <= sizeof peer.sun_family)
+      continue;  // the service's own end has no name at the other side
+    ++of_client;
+    inherited += (::fcntl(descriptor, F_GETFD) & FD_CLOEXEC) == 0 ? 1 : 0;
+  }
+  EXPECT_EQ(of_client, 1);
+  EXPECT_EQ(inherited, 0);
 }
 
 TEST(Connect, WhereManyWaitAtASocketItWaitsToo) {
