@@ -135,6 +135,9 @@ class Liars(Actor):
 
     def start(self):
         self.control = self.connect()
+        self.push_first()
+
+    def push_first(self):
         self.drop_all(self.control)
         self.dims, self.parts = int(self.rng.integers(1, 4)), int(self.rng.integers(1, 8))
         self.points = self.rng.random((300, self.dims))
@@ -148,7 +151,7 @@ class Liars(Actor):
         after = self.ask(self.control, "scene.show", scene=self.scene)[0]
         self.count({True: "believed", False: "refused", None: "given up"}[answered])
         if answered is not False:
-            return self.start()
+            return self.push_first()
         before.pop("members"), after.pop("members")
         self.expect(before == after, "a push that was refused changed the scene", before, after)
 
