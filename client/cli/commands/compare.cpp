@@ -69,6 +69,7 @@ void print(const CompareOptions& options, const Json& result) {
 }
 
 Status compare(const CompareOptions& options, const Context& context) {
+  if (Status status = check_not_overwritten("--save", options.save, {&options.file.path, 1}); !status) return status;
   auto session = Session::open(context, options.ranks);
   if (!session) return session.status();
   auto loaded = load_scene(*session, options.file, {{"parts", options.parts}, {"tolerance", "inf"}});

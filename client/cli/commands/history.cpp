@@ -198,7 +198,7 @@ void add_history_command(CLI::App& app, Context& context) {
   CLI::Option* plot = add_value(*command, "--plot", options->plot, kind::output_file(kind::Format::svg),
                                 "draw error against step, repartitions as red dots (SVG, by gnuplot)");
   add_value(*command, "--with", options->with, kind::text("NAME"), "another scene in the same figure; may be repeated")
-      ->expected(1)
+      ->allow_extra_args(false)
       ->needs(plot);
 }
 

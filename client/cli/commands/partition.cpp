@@ -39,14 +39,14 @@ Status check(const PartitionOptions& options) {
     return {Code::usage,
             fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
             "give one size a part, such as --parts 3 --part-sizes 1,2,3"};
-  std::error_code missing;
   for (const auto& [option, path] : {std::pair("--assign", options.assign), {"--cuts", options.cuts}})
-    if (!path.empty() && std::filesystem::equivalent(path, options.file.path, missing))
-      return {Code::usage, fmt::format("{} {} would overwrite the points", option, path), "give it another name"};
+    if (Status status = check_not_overwritten(option, path, {&options.file.path, 1}); !status) return status;
+  std::error_code missing;
   const std::filesystem::path points = std::filesystem::canonical(options.file.path, missing);
   if (!options.out.empty() && !missing && std::filesystem::equivalent(points.parent_path(), options.out, missing) &&
-      std::ranges::count(part_file_names(options.parts), points.filename().string()) > 0)
-    return {Code::usage, fmt::format("--out {} would overwrite the points", options.out), "name another folder"};
+      is_part_file_name(points.filename().string()))
+    return {Code::usage, fmt::format("--out {} would overwrite or remove the points", options.out),
+            "name another folder"};
   return {};
 }
 

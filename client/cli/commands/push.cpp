@@ -81,19 +81,15 @@ Status no_points(const std::string& file, const std::string& scene) {
           "push a file that holds some; was this one written to its end?"};
 }
 
-// Reads as many columns as the scene has dimensions, unless the options say otherwise.
-Result<io::Points> read_for_scene(FileOptions file, int dims, const std::string& scene) {
-  if (file.dims != 0) return read_single(file);
-  const auto natural = [file] { return read_single(file); };
-  file.dims = dims;
+Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::string& scene) {
   auto points = read_single(file);
-  if (points) return points;
-  if (const auto own = natural(); own && own->dims != dims)
-    return Status(Code::invalid_argument,
-                  fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, own->dims,
-                              own->dims == 1 ? "" : "s", scene, dims),
-                  fmt::format("create the scene with --dims {}, or give a file with more columns", own->dims));
-  return points;
+  if (!points || file.dims != 0 || points->dims == dims || points->count == 0) return points;
+  return Status(Code::invalid_argument,
+                fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, points->dims,
+                            points->dims == 1 ? "" : "s", scene, dims),
+                points->dims > dims
+                    ? fmt::format("--dims {} takes the first {} columns of positions", dims, dims)
+                    : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
 Status push(const PushOptions& options, const Context& context) {
@@ -166,6 +162,7 @@ class Replay {
       : options_(options), context_(context), progress_("replay " + options.name) {}
 
   Status run() {
+    if (Status status = check_not_overwritten("--history", options_.history, options_.files); !status) return status;
     auto client = connect_persistent(context_);
     if (!client) return client.status();
     const double start = clock_.seconds();
@@ -200,6 +197,7 @@ class Replay {
       step.step = static_cast<std::int64_t>(tally_.reports.size());
       step.step_seconds = options_.step_seconds;
       step.weights = points->weight;
+      step.ids = points->id;
       const CompactPositions sent(*points);
       auto result = scene_->step(sent.positions(), step);
       if (!result)

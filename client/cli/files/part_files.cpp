@@ -14,14 +14,8 @@
 namespace rcb::cli {
 namespace {
 
-// "part-07.csv", or "weight.npy", which an export writes only if the scene has weights.
-bool is_export_name(const std::string& name) {
-  constexpr std::string_view kBegin = "part-", kEnd = ".csv";
-  if (name == "weight.npy") return true;
-  if (name.size() <= kBegin.size() + kEnd.size() || !name.starts_with(kBegin) || !name.ends_with(kEnd)) return false;
-  return std::all_of(name.begin() + kBegin.size(), name.end() - kEnd.size(),
-                     [](char c) { return c >= '0' && c <= '9'; });
-}
+// Or "weight.npy", which an export writes only if the scene has weights.
+bool is_export_name(const std::string& name) { return name == "weight.npy" || is_part_file_name(name); }
 
 // An array that an export would overwrite, although none has written it: those stand together. Empty: there is none.
 std::string array_of_others(const std::string& directory, const std::vector<std::string>& written) {
@@ -42,6 +36,13 @@ bool same_kind(const std::string& name, const std::vector<std::string>& written)
 }
 
 }  // namespace
+
+bool is_part_file_name(const std::string& name) {
+  constexpr std::string_view kBegin = "part-", kEnd = ".csv";
+  if (name.size() <= kBegin.size() + kEnd.size() || !name.starts_with(kBegin) || !name.ends_with(kEnd)) return false;
+  return std::all_of(name.begin() + kBegin.size(), name.end() - kEnd.size(),
+                     [](char c) { return c >= '0' && c <= '9'; });
+}
 
 std::vector<std::string> part_file_names(int parts) {
   std::vector<std::string> names;

@@ -14,6 +14,8 @@
 namespace rcb::cli {
 
 std::vector<std::string> part_file_names(int parts);
+// "part-07.csv" and its like, for any number of parts.
+bool is_part_file_name(const std::string& name);
 
 class LeftoverFiles {
  public:

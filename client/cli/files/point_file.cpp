@@ -97,6 +97,14 @@ Result<io::Points> read_single(const FileOptions& options) {
   return (*reader)->frame(0);
 }
 
+Status check_not_overwritten(const char* option, const std::string& written, std::span<const std::string> read) {
+  std::error_code missing;
+  for (const std::string& points : read)
+    if (!written.empty() && std::filesystem::equivalent(written, points, missing))
+      return {Code::usage, fmt::format("{} {} would overwrite the points", option, written), "give it another name"};
+  return {};
+}
+
 client::Positions positions_of(const io::Points& points) {
   client::Positions positions;
   positions.count = points.count;

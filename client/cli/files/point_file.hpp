@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -30,6 +31,8 @@ CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 
 // The only frame of a point file or trajectory. Errors: those of io; invalid_argument if there are more frames.
 Result<io::Points> read_single(const FileOptions& options);
+// Refuses an option whose file is one of those that are read.
+Status check_not_overwritten(const char* option, const std::string& written, std::span<const std::string> read);
 client::Positions positions_of(const io::Points& points);
 // "FILE" or "FILE.h5:/path", absolute.
 std::string absolute_path(const std::string& path);

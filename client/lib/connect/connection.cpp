@@ -23,6 +23,7 @@
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/asio/write.hpp>
 #include <boost/system/system_error.hpp>
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -131,15 +132,11 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
   error_code error;
   for (;; std::this_thread::sleep_for(kPause)) {
     socket.close(error);
-    // Not left to Asio, whose sockets programs that the solver starts would inherit, and keep connected.
-    const auto protocol = address.protocol();
-    const int made = ::socket(protocol.family(), SOCK_STREAM | SOCK_CLOEXEC, protocol.protocol());
-    if (made < 0 && (errno == EMFILE || errno == ENFILE)) return no_descriptors_left(endpoint);
-    if (made < 0) return false;
-    if (socket.assign(protocol, made, error); error) {
-      ::close(made);
-      return false;
-    }
+    socket.open(address.protocol(), error);
+    if (no_descriptors(error)) return no_descriptors_left(endpoint);
+    if (error) return false;
+    // Programs that the solver starts would inherit it, and keep it connected when the solver has gone.
+    ::fcntl(socket.native_handle(), F_SETFD, FD_CLOEXEC);
     std::optional<error_code> outcome;
     socket.async_connect(address, [&outcome](const error_code& ended) { outcome = ended; });
     if (!run([&] { return outcome.has_value(); }, deadline)) {

@@ -162,18 +162,21 @@ MemberScene::MemberScene(MemberScene&&) noexcept = default;
 MemberScene& MemberScene::operator=(MemberScene&&) noexcept = default;
 MemberScene::~MemberScene() = default;
 Result<std::span<double>> MemberScene::position_rows(std::size_t count) {
-  return state_->arrays.rows<double>(count, state_->dims);
+  return state_->arrays.rows<double>(count, state_->dims_now());
 }
 Result<std::vector<std::span<double>>> MemberScene::position_axes(std::size_t count) {
-  return state_->arrays.axes<double>(count, state_->dims);
+  return state_->arrays.axes<double>(count, state_->dims_now());
 }
 Result<std::span<float>> MemberScene::position_rows_f4(std::size_t count) {
-  return state_->arrays.rows<float>(count, state_->dims);
+  return state_->arrays.rows<float>(count, state_->dims_now());
 }
 Result<std::vector<std::span<float>>> MemberScene::position_axes_f4(std::size_t count) {
-  return state_->arrays.axes<float>(count, state_->dims);
+  return state_->arrays.axes<float>(count, state_->dims_now());
 }
-std::optional<std::int64_t> MemberScene::last_step() const { return state_->last_step; }
+std::optional<std::int64_t> MemberScene::last_step() const {
+  state_->forget_if_replaced();
+  return state_->last_step;
+}
 std::uint64_t MemberScene::generation() const { return state_->seat; }
 
 Result<MemberScene> MemberScene::open(Client& client, const std::string& name, const MemberOptions& options) {

@@ -46,6 +46,10 @@ struct MemberScene::State {
   Status open();
   // Forgets the scene if this client has created another one in its place.
   void forget_if_replaced();
+  int dims_now() {
+    forget_if_replaced();
+    return dims;
+  }
   // Takes the seat on the current connection, unless it is held already.
   Status take_seat(const Retry& retry);
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;

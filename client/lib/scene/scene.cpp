@@ -221,6 +221,10 @@ Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& 
   const auto checksum_text = wire::string_field(*named, "checksum", 16);
   if (!version || !checksum_text) return odd_answer("plan", "no version or checksum");
   const std::span slot_ids(reinterpret_cast<const std::int64_t*>(slot_id->bytes.data()), slot_id->bytes.size() / 8);
+  if (!has_ids_ &&
+      std::ranges::any_of(ids, [&](std::int64_t id) { return id < 0 || std::uint64_t(id) >= slot_ids.size(); }))
+    return wrong("the push gives ids, and the scene's particles have none but the numbers of their rows",
+                 "leave the ids out (of a file: its column \"id\"), or make the scene anew");
   std::vector<std::int64_t> sorted;  // if the caller gave no ids, rows are in ascending id
   if (has_ids_ && ids.empty()) {
     sorted.assign(slot_ids.begin(), slot_ids.end());

@@ -120,7 +120,7 @@ std::string request_frame(std::uint64_t request, const wire::Json& json) {
 Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {}
 
 Session::~Session() {
-  if (!connection_) return;
+  if (!connected()) return;
   WholeFrames goodbye(frame_of(wire::FrameType::goodbye, 0, wire::Json::object()));
   static_cast<void>(connection_->write(goodbye.next(false), Deadline(kGoodbyeSeconds)));
 }

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include "client/lib/client.hpp"
 #include "client/lib/connect/connection.hpp"
@@ -56,7 +57,8 @@ class Session {
   static Result<std::unique_ptr<Session>> open(const ConnectOptions& options);
   ~Session();  // says goodbye
 
-  bool connected() const { return connection_ != nullptr; }
+  // Not so in a process that was forked off the one that connected: what it sends would mix with the other's.
+  bool connected() const { return connection_ != nullptr && process_ == ::getpid(); }
   // Rises with every new connection.
   std::uint64_t generation() const { return generation_; }
   // Identifies the run of the service at the last connection; if it changes, all scenes were lost.
@@ -180,6 +182,7 @@ class Session {
   std::string number_;
   int ranks_ = 0;
   std::string instance_, first_instance_;
+  pid_t process_ = ::getpid();
   bool told_goodbye_ = false;  // the service said goodbye: it was told to end
   std::uint64_t generation_ = 0;
   std::uint64_t next_request_ = 1;
