@@ -42,7 +42,8 @@ int run_other_rank(const RankSetup& setup) {
                      .executed =
                          [&] {
                            if (++executed % kExecutedReportEvery == 0) loop.post([&] { doorbell->tell(word()); });
-                         }});
+                         },
+                     .progress = [&mpi] { mpi.progress(); }});
   auto ordered = [&engine, &port](std::uint64_t number, wire::Json request) {
     CHECK(engine.push(order_from(port, number, std::move(request))), "the engine's queue is full");
   };

@@ -36,7 +36,8 @@ class Rank0 {
   explicit Rank0(const RankSetup& setup)
       : setup_(setup),
         engine_(kQueueOrders,
-                {.spare = [this](service::Spare spare) { port_->recycle(spare.scene, std::move(spare.buffers)); }}) {}
+                {.spare = [this](service::Spare spare) { port_->recycle(spare.scene, std::move(spare.buffers)); },
+                 .progress = [this] { setup_.mpi.progress(); }}) {}
 
   // Local. Opens the endpoints, and where the other ranks connect.
   Status open();

@@ -7,6 +7,11 @@ namespace rcb::ranks {
 
 namespace {
 
+// How often MPI is called after an order, and how long.
+constexpr std::chrono::milliseconds kPauseLeast(1);
+constexpr std::chrono::milliseconds kPauseMost(100);
+constexpr std::chrono::milliseconds kProgressMost = std::chrono::minutes(5);
+
 bool is_shutdown(const EngineOrder& order) { return order.request.value("command", "") == "shutdown"; }
 
 }  // namespace
@@ -20,10 +25,22 @@ bool EngineLoop::push(EngineOrder order) {
   return true;
 }
 
+template <typename Filled>
+void EngineLoop::wait(std::unique_lock<std::mutex>& lock, const Filled& filled) {
+  auto pause = kPauseLeast;
+  for (auto waited = pause; handlers_.progress && waited < kProgressMost; waited += pause) {
+    if (filled_.wait_for(lock, pause, filled)) return;
+    lock.unlock();
+    handlers_.progress();
+    lock.lock();
+    pause = std::min(2 * pause, kPauseMost);
+  }
+  filled_.wait(lock, filled);
+}
+
 EngineLoop::Queued EngineLoop::next() {
   std::unique_lock lock(mutex_);
-  // No deadline: an idle engine may sleep for ever. The I/O thread ends the process if the other ranks are lost.
-  filled_.wait(lock, [this] { return !queue_.empty(); });
+  wait(lock, [this] { return !queue_.empty(); });
   Queued next = std::move(queue_.front());
   queue_.pop_front();
   return next;
@@ -64,8 +81,8 @@ class EngineLoop::OrdersBehind final : public service::WaitingOrders {
     const double deadline = loop_.deadline_running_.load(std::memory_order_relaxed);
     {
       std::unique_lock lock(loop_.mutex_);
-      // The order `newest` will arrive, since rank 0 has sent it. No deadline, as in next().
-      loop_.filled_.wait(lock, [&] { return !loop_.queue_.empty() && loop_.queue_.back().order.number >= newest; });
+      // The order `newest` will arrive, since rank 0 has sent it.
+      loop_.wait(lock, [&] { return !loop_.queue_.empty() && loop_.queue_.back().order.number >= newest; });
     }
     // One at a time: if one of them gives way itself, it executes orders behind it from the queue.
     while (auto order = loop_.next_up_to(newest)) loop_.execute(service_, std::move(*order));

@@ -9,6 +9,8 @@
 // 2. Every rank's queue holds the same orders, in the same sequence, apart from those for rank 0 alone. So collectives
 //    match.
 // 3. The order {"command":"shutdown"} ends run() on every rank; nothing is executed after it.
+// 4. An order that is done here may not be so elsewhere: MPI says that a message is sent as soon as it has a copy, and
+//    sends the rest of it only when it is called. So it is called for some minutes more.
 #pragma once
 
 #include <atomic>
@@ -45,6 +47,7 @@ class EngineLoop {
   struct Handlers {
     std::function<void(service::Spare)> spare;  // takes back memory for a scene's next slice (service.hpp)
     std::function<void()> executed;             // after every order
+    std::function<void()> progress;             // lets MPI send what it still holds
   };
   explicit EngineLoop(std::size_t capacity, Handlers handlers = {})
       : capacity_(capacity), handlers_(std::move(handlers)) {}
@@ -65,6 +68,9 @@ class EngineLoop {
   };
   // The orders queued behind a running command that gives way.
   class OrdersBehind;
+  // No deadline: an idle engine may sleep for ever. The I/O thread ends the process if the other ranks are lost.
+  template <typename Filled>
+  void wait(std::unique_lock<std::mutex>& lock, const Filled& filled);
   Queued next();
   std::optional<Queued> next_up_to(std::uint64_t newest);
   void execute(service::Service& service, Queued queued);

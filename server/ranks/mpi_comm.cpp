@@ -265,4 +265,12 @@ void MpiComm::exchange(std::span<const std::span<const std::byte>> send,
 
 void MpiComm::barrier() { must(MPI_Barrier(comm_), "MPI_Barrier"); }
 
+// A call moves on one fragment or so of each message.
+void MpiComm::progress() {
+  constexpr int kCalls = 32;
+  int any = 0;
+  for (int k = 0; k < kCalls; ++k)
+    must(MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, comm_, &any, MPI_STATUS_IGNORE), "MPI_Iprobe");
+}
+
 }  // namespace rcb::ranks

@@ -57,6 +57,8 @@ class MpiComm final : public comm::Comm {
   void exchange(std::span<const std::span<const std::byte>> send,
                 std::span<const std::span<std::byte>> receive) override;
   void barrier() override;
+  // Sends on what MPI still holds of messages that it has taken for sent. Local.
+  void progress();
 
  private:
   void reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name);

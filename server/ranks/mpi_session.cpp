@@ -49,6 +49,7 @@ Status MpiSession::allocate_shared_memory() {
 int MpiSession::rank() const { return state_->comm.rank(); }
 int MpiSession::size() const { return state_->comm.size(); }
 comm::Comm& MpiSession::comm() { return state_->comm; }
+void MpiSession::progress() { state_->comm.progress(); }
 
 std::string MpiSession::share(const std::string& text) {
   std::uint64_t bytes = text.size();

@@ -28,6 +28,7 @@ class MpiSession {
   int rank() const;    // Local.
   int size() const;    // Local.
   comm::Comm& comm();  // Local.
+  void progress();     // Local; of comm()'s messages (mpi_comm.hpp)
   // Collective. Returns rank 0's text on every rank.
   std::string share(const std::string& text);
   // Collective. Returns every rank's text, by rank, on every rank.

@@ -302,8 +302,8 @@ class Members(ServiceTest):
         team = self.team("later", 2)
         self.push_all(team, 0, halves, self.walk[0])
         for one in team:
-            one.ask("scene.close", scene="later")
             one.close()
+        wait_for(lambda: "e2e" not in self.control.ask("scene.show", scene="later")[0]["members"])
         self.control.push("later", 1, self.walk[1])  # the members had no part in it
         back = Member(self.path, "later", 1, 2, session=team[1].session)
         self.addCleanup(back.close)

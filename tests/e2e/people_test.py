@@ -147,10 +147,21 @@ class People(ServiceTest):
         points = os.path.join(folder, "part-0.csv")
         np.savetxt(points, np.random.default_rng(1).random((40, 3)), "%.6f", ",")
         before = open(points).read()
-        os.symlink(points, os.path.join(self.dir, "same.csv"))
+        for name in ("same.csv", "same.json"):
+            os.symlink(points, os.path.join(self.dir, name))
         for file in (points, os.path.join(self.dir, "same.csv")):
             failure = self.service.failure("partition", file, "--parts", 3, "--out", folder, "--replace")
+            self.assertIn("would overwrite or remove the points", failure["message"])
+            failure = self.service.failure("compare", file, "--parts", 3, "--save", os.path.join(self.dir, "same.json"))
             self.assertIn("would overwrite the points", failure["message"])
+            failure = self.service.failure("replay", "over", file, file, "--history", file)
+            self.assertIn("would overwrite the points", failure["message"])
+            # With fewer parts it would be removed.
+            os.rename(points, os.path.join(folder, "part-7.csv"))
+            failure = self.service.failure("partition", os.path.join(folder, "part-7.csv"), "--parts", 3, "--out", folder,
+                                           "--replace")
+            self.assertIn("remove the points", failure["message"])
+            os.rename(os.path.join(folder, "part-7.csv"), points)
         self.assertEqual(open(points).read(), before)
         self.service.json("replay", "arrays", self.walk, "--parts", 2)
         array = os.path.join(folder, "positions.npy")
@@ -161,6 +172,38 @@ class People(ServiceTest):
         for replace in (["--replace"], []):  # then they are an export's
             self.service.json("export", "arrays", folder, "--format", "npy", *replace)
             self.assertNotEqual(len(np.load(array)), 3)
+
+    def test_rows_with_ids_may_come_in_any_order(self):
+        """By replay, too."""
+        points, ids = self.rng.random((500, 3)), self.rng.permutation(500) + 1000
+        files = []
+        for k in range(3):
+            order = self.rng.permutation(500)
+            files.append(os.path.join(self.dir, f"shuffled-{k}.csv"))
+            np.savetxt(files[-1], np.column_stack([ids, points])[order], "%d,%.17g,%.17g,%.17g", header="id,x,y,z",
+                       comments="")
+        self.service.json("replay", "ids", *files, "--parts", 4)
+        self.assertEqual([report["drifted"] for report in self.service.json("history", "ids")][1:], [0, 0])
+        self.service.json("scene", "create", "rows", "--parts", 2)
+        self.service.json("push", "rows", self.save("rows.npy", points))
+        failure = self.service.failure("push", "rows", files[0])
+        self.assertIn("numbers of their rows", failure["message"])
+
+    def test_columns_that_could_be_anything_are_refused(self):
+        wide = self.save("wide.npy", self.rng.random((20, 4)))
+        self.service.json("scene", "create", "wide", "--parts", 2)
+        self.assertIn("4 columns", self.service.failure("push", "wide", wide)["message"])
+        self.service.json("push", "wide", wide, "--dims", 3)
+        self.service.json("scene", "create", "flat", "--parts", 2, "--dims", 2)
+        failure = self.service.failure("push", "flat", self.file)
+        self.assertIn("--dims 2", failure["hint"])
+
+    def test_a_figure_of_three_scenes(self):
+        figure = os.path.join(self.dir, "three.svg")
+        self.service.json("history", "few", "--with", "many", "--with", "lattice", "--plot", figure)
+        text = open(figure).read()
+        for name in ("few", "many", "lattice"):
+            self.assertIn(name, text)
 
     def test_replay_replaces_when_told_so(self):
         before = self.service.json("scene", "show", "few")

@@ -39,6 +39,13 @@ class Protocol(Refusals, ServiceTest):
             tree, first = judge.partition(walk[0], 5)
             self.assertEqual(len(part), 200)
 
+    def test_a_checksum_of_no_arrays(self):
+        with self.client() as client:
+            for _ in range(3):
+                client.number += 1
+                client.socket.sendall(frame(REQUEST, client.number, {"command": "scene.list"}, b"", 1))
+                self.assertIn("scenes", client.answer()[0])
+
     def test_a_step_is_applied_once(self):
         points = np.random.default_rng(1).random((50, 3))
         session = "00000000000000aa"

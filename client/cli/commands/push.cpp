@@ -1,5 +1,6 @@
 // push, replay: steps from files.
 #include <algorithm>
+#include <numeric>
 
 #include <fmt/format.h>
 
@@ -140,6 +141,23 @@ Status push(const PushOptions& options, const Context& context) {
   return show(context, report, [&] { print_report(report); });
 }
 
+// Puts rows that have ids in the order of these: files may differ in theirs.
+void sort_by_id(io::Points& points) {
+  std::vector<std::size_t> order(points.id.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::ranges::sort(order, {}, [&](std::size_t row) { return points.id[row]; });
+  const auto sort = [&order](auto& values) {
+    if (values.empty()) return;
+    auto sorted = values;
+    for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = values[order[k]];
+    values = std::move(sorted);
+  };
+  if (order.empty()) return;
+  for (auto& axis : points.position) sort(axis);
+  sort(points.weight);
+  sort(points.id);
+}
+
 // Sums over a replay so far.
 struct Tally {
   Json reports = Json::array();
@@ -190,6 +208,7 @@ class Replay {
     for (std::uint64_t k = 0; k < frames; ++k) {
       auto points = (*reader)->frame(k);
       if (!points) return points.status();
+      sort_by_id(*points);
       if (!scene_ && points->count == 0) return no_points(path, options_.name);
       if (!scene_)
         if (Status status = open(client, *points); !status) return status;

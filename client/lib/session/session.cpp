@@ -140,8 +140,8 @@ Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
 
 Status Session::ensure(const Deadline& deadline) {
   // Unexpected frames are left over from an earlier call, or the service's goodbye: either way, connect anew.
-  if (connection_ && connection_->has_frame()) drop_connection();
-  return connection_ ? Status{} : connect(deadline.within(options_.deadline_seconds));
+  if (connected() && connection_->has_frame()) drop_connection();
+  return connected() ? Status{} : connect(deadline.within(options_.deadline_seconds));
 }
 
 void Session::drop_connection() {
@@ -194,6 +194,7 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   auto connection = Connection::open(endpoint, deadline, options_.on_notice);
   if (!connection) return connection.status();
   connection_ = std::move(*connection);
+  process_ = ::getpid();
   endpoint_text_ = endpoint.text();
   data_.reset();
   data_addresses_.clear();

@@ -144,7 +144,8 @@ awaitable<Status> Session::serve(Frame frame) {
                      fmt::format("a client doesn't send frames of type {}", static_cast<int>(frame.header.type)));
   auto command = wire::string_field(frame.json, "command", 64);
   if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
-  if (frame.header.bulk_bytes > 0) {
+  const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
+  if (frame.header.bulk_bytes > 0 || checked) {
     // The bulk is dropped, since no other command takes arrays; but a frame whose specs contradict its size ends the
     // session.
     if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok())

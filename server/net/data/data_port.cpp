@@ -125,7 +125,8 @@ struct DataPort::State : std::enable_shared_from_this<State> {
     const auto command = wire::string_field(frame.json, "command", 64);
     const bool request = frame.header.type == wire::FrameType::request && command.ok();
     if (request && (*command == "memory.share" || *command == "memory.drop")) {
-      const Status taken = memories.take_frame(*connection, frame, session, *command == "memory.share");
+      Status taken = memories.take_frame(*connection, frame, session, *command == "memory.share");
+      if (taken.ok()) taken = co_await connection->skip_bulk(frame, 0);  // which may have a checksum all the same
       co_await connection->flush();  // who doesn't read the answers isn't read either
       co_return taken;
     }

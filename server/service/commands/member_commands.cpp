@@ -259,6 +259,11 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, Where
   const bool all = push.moved == Moved::all;
   Buffer<particles::Id> scene_ids;
   if (scene.pushed && scene.ids && all) {
+    constexpr std::uint64_t kBytesGathered = 24;
+    if (Status room = agree_room(context.comm, context.root() ? scene.n * kBytesGathered : 0,
+                                 fmt::format("the ids of {} particles", scene.n));
+        !room.ok())
+      return room;
     scene_ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
     std::sort(scene_ids.begin(), scene_ids.end());
   }

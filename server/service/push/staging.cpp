@@ -142,6 +142,11 @@ Status distribute(Context& context, const Scene& scene, const PushRequest& push,
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
   Buffer<std::uint64_t> places;
   if (push.by_id && scene.pushed) {
+    constexpr std::uint64_t kBytesOrdered = 32;  // ids, in order too, their places, and an array in that order
+    if (Status room = agree_room(comm, context.root() ? scene.n * kBytesOrdered : 0,
+                                 fmt::format("the order of {} particles by id", scene.n));
+        !room.ok())
+      return room;
     const auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
     if (context.root()) places = places_by_id(scene, plan_ids);
   }

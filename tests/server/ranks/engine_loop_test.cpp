@@ -3,6 +3,8 @@
 #include "server/ranks/engine_loop.hpp"
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <mutex>
 #include <optional>
@@ -13,6 +15,7 @@
 #include <gtest/gtest.h>
 
 #include "common/base/random.hpp"
+#include "common/comm/self_comm.hpp"
 #include "server/api/commands.hpp"
 #include "tests/support/on_ranks.hpp"
 
@@ -123,6 +126,22 @@ TEST(EngineLoop, WhatMayLastGivesWay) {
     if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("error"); });
     EXPECT_EQ(queue.done, expected);
   });
+}
+
+// What MPI has taken for sent may still be here, and others wait for it.
+TEST(EngineLoop, AnIdleOneCallsMpiAllTheSame) {
+  std::atomic<int> calls = 0;
+  EngineLoop loop(10, {.progress = [&] { ++calls; }});
+  comm::SelfComm comm;
+  const SteadyClock clock;
+  service::Service service(comm, clock);
+  std::thread engine([&] { loop.run(service); });
+  for (const int more : {5, 10}) {
+    const int before = calls;
+    while (calls < before + more) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    EXPECT_TRUE(loop.push({.number = 1, .request = {{"command", more == 10 ? "shutdown" : "scene.list"}}}));
+  }
+  engine.join();
 }
 
 // The ranks' queues are filled while they run, each at its own pace.

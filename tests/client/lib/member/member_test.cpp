@@ -194,6 +194,26 @@ TEST(MemberScene, BringsAllItsParticlesUnlessTheyAreThoseThatItWasTold) {
   EXPECT_EQ(begun[3]["moved"], "all");
 }
 
+TEST(MemberScene, OfAReplacedSceneItsArraysHaveTheNewDimensions) {
+  FakeService service([](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(1, 6));
+    peer.reply(*peer.receive(), {{"scene", "s"}, {"dims", 3}});
+    answer_close(peer);
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    EXPECT_EQ(scene->position_rows(10)->size(), 20U);
+    EXPECT_EQ(scene->last_step(), 6);
+    EXPECT_TRUE(client->create_scene("s", {.parts = 4, .dims = 3, .replace = true}).ok());
+    EXPECT_EQ(scene->position_rows(10)->size(), 30U);
+    EXPECT_EQ(scene->position_axes(10)->size(), 3U);
+    EXPECT_FALSE(scene->last_step());
+  }
+  service.stop();
+}
+
 // Its process was started again together with the service, and the others know which step it is.
 TEST(MemberScene, AFreshOneTakesTheStepThatTheOthersPush) {
   std::vector<Json> begun;

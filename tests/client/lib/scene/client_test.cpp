@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <csignal>
 #include <limits>
+#include <optional>
 #include <random>
 #include <set>
 
@@ -11,6 +12,7 @@
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include "client/lib/connect/endpoint.hpp"
@@ -122,6 +124,42 @@ TEST(Connect, WithoutADescriptorLeftSaysSo) {
   }
   EXPECT_GT(short_of, 0);
   EXPECT_LT(short_of, 20);
+}
+
+// A process that a solver forks off has its client, too, and ends with all destructors.
+TEST(Connect, AForkedCopySaysNothing) {
+  std::vector<protocol::Json> asked;
+  FakeService service([&](Peer& peer, int) {
+    peer.greet(1);
+    const auto open = peer.receive();
+    peer.reply(*open, {{"scene", "s"}, {"dims", 2}, {"parts", 2}, {"n", 0}, {"epoch", 0}, {"step", nullptr}});
+    while (const auto request = peer.receive()) {
+      if (request->type == protocol::FrameType::goodbye) break;
+      asked.push_back(request->json);
+      peer.reply(*request, protocol::Json::object());
+    }
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok());
+    std::optional<Scene> scene;
+    if (auto opened = client->open_scene("s"); opened.ok()) scene.emplace(std::move(*opened));
+    ASSERT_TRUE(scene.has_value());
+    const pid_t child = ::fork();
+    if (child == 0) {
+      scene.reset();
+      { const Client gone = std::move(*client); }
+      ::_exit(0);
+    }
+    int ended = -1;
+    ASSERT_EQ(::waitpid(child, &ended, 0), child);
+    EXPECT_EQ(ended, 0);
+    EXPECT_TRUE(client->call("status", "{}").ok());
+  }
+  service.stop();
+  ASSERT_EQ(asked.size(), 2U);
+  EXPECT_EQ(asked[0]["command"], "status");
+  EXPECT_EQ(asked[1]["command"], "scene.close");
 }
 
 // Or they would keep a dead solver's connection open.
