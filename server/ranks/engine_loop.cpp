@@ -9,8 +9,8 @@ namespace {
 
 // How often MPI is called after an order, and how long.
 constexpr std::chrono::milliseconds kPauseLeast(1);
-constexpr std::chrono::milliseconds kPauseMost(100);
-constexpr std::chrono::milliseconds kProgressMost = std::chrono::minutes(5);
+constexpr std::chrono::milliseconds kPauseMost(1000);
+constexpr std::chrono::milliseconds kProgressMost = std::chrono::minutes(2);
 
 bool is_shutdown(const EngineOrder& order) { return order.request.value("command", "") == "shutdown"; }
 

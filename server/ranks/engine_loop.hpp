@@ -10,7 +10,7 @@
 //    match.
 // 3. The order {"command":"shutdown"} ends run() on every rank; nothing is executed after it.
 // 4. An order that is done here may not be so elsewhere: MPI says that a message is sent as soon as it has a copy, and
-//    sends the rest of it only when it is called. So it is called for some minutes more.
+//    sends the rest of it only when it is called. So it is called for two minutes more.
 #pragma once
 
 #include <atomic>

@@ -267,7 +267,7 @@ void MpiComm::barrier() { must(MPI_Barrier(comm_), "MPI_Barrier"); }
 
 // A call moves on one fragment or so of each message.
 void MpiComm::progress() {
-  constexpr int kCalls = 32;
+  constexpr int kCalls = 16;
   int any = 0;
   for (int k = 0; k < kCalls; ++k)
     must(MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, comm_, &any, MPI_STATUS_IGNORE), "MPI_Iprobe");
