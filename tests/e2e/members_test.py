@@ -188,6 +188,16 @@ class Members(ServiceTest):
             for one in team:
                 self.assertEqual(one.finish()[0]["report"]["step"], 7)
             self.assertIsNone(self.control.ask("scene.show", scene=scene)[0]["open_step"])
+        self.create("hasty")
+        team = self.team("hasty", 2)
+        team[0].start(0, halves[0], self.walk[0])
+        begun = team[0].begun
+        team[0].start(1, halves[0], self.walk[1])  # which is refused, and ends nothing
+        self.refused(team[0], "invalid_argument", "the others push step 0")
+        team[0].begun = begun
+        team[1].start(0, halves[1], self.walk[0])
+        for one in team:
+            self.assertEqual(one.finish()[0]["report"]["step"], 0)
 
     def test_a_step_beyond_its_deadline_goes_on(self):
         with Service(2) as service:

@@ -84,7 +84,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
   // A process that was started again together with the service counts from 0; the others know which step it is.
-  if (step && !info->second.step && begin.id.step > step->step) {
+  if (step && !step->ordered && !step->contributions[member] && !info->second.step && begin.id.step > step->step) {
     abort(step, nullptr,
           {Code::aborted, fmt::format("member {} pushes step {}, which is later", member, begin.id.step)});
     step = nullptr;
