@@ -1,7 +1,6 @@
 // partition: partitions one file, once.
 #include <algorithm>
 #include <filesystem>
-#include <numeric>
 #include <system_error>
 #include <utility>
 
@@ -63,9 +62,7 @@ Status write_assignment(const PartitionOptions& options, Session& session, const
   if (points->id.empty()) return io::write_npy(options.assign, part);
   if (points->id.size() != part.size())
     return {Code::aborted, options.file.path + " changed while it was partitioned", "run it again"};
-  std::vector<std::size_t> row(part.size());
-  std::iota(row.begin(), row.end(), std::size_t{0});
-  std::sort(row.begin(), row.end(), [&](std::size_t a, std::size_t b) { return points->id[a] < points->id[b]; });
+  const std::vector<std::size_t> row = rows_by_id(*points);
   std::vector<std::int32_t> by_row(part.size());
   for (std::size_t k = 0; k < row.size(); ++k) by_row[row[k]] = part[k];
   return io::write_npy(options.assign, by_row);

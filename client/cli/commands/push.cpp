@@ -1,6 +1,5 @@
 // push, replay: steps from files.
 #include <algorithm>
-#include <numeric>
 
 #include <fmt/format.h>
 
@@ -141,18 +140,15 @@ Status push(const PushOptions& options, const Context& context) {
   return show(context, report, [&] { print_report(report); });
 }
 
-// Puts rows that have ids in the order of these: files may differ in theirs.
+// Puts rows that have ids in the order of these, since each file may have an order of its own.
 void sort_by_id(io::Points& points) {
-  std::vector<std::size_t> order(points.id.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  std::ranges::sort(order, {}, [&](std::size_t row) { return points.id[row]; });
-  const auto sort = [&order](auto& values) {
-    if (values.empty()) return;
+  if (std::ranges::is_sorted(points.id)) return;
+  const std::vector<std::size_t> rows = rows_by_id(points);
+  const auto sort = [&rows](auto& values) {
     auto sorted = values;
-    for (std::size_t k = 0; k < order.size(); ++k) sorted[k] = values[order[k]];
+    for (std::size_t k = 0; k < values.size(); ++k) sorted[k] = values[rows[k]];
     values = std::move(sorted);
   };
-  if (order.empty()) return;
   for (auto& axis : points.position) sort(axis);
   sort(points.weight);
   sort(points.id);

@@ -14,10 +14,11 @@
 namespace rcb::cli {
 namespace {
 
-// Or "weight.npy", which an export writes only if the scene has weights.
+// A part's file, or "weight.npy", which an export writes only if the scene has weights.
 bool is_export_name(const std::string& name) { return name == "weight.npy" || is_part_file_name(name); }
 
-// An array that an export would overwrite, although none has written it: those stand together. Empty: there is none.
+// An export writes three arrays at least. Where only some of them are there, another program has written them: the name
+// of one, or nothing.
 std::string array_of_others(const std::string& directory, const std::vector<std::string>& written) {
   std::string found;
   bool all = true;

@@ -1,6 +1,8 @@
 #include "client/cli/files/point_file.hpp"
 
+#include <algorithm>
 #include <filesystem>
+#include <numeric>
 #include <random>
 
 #include <fcntl.h>
@@ -103,6 +105,13 @@ Status check_not_overwritten(const char* option, const std::string& written, std
     if (!written.empty() && std::filesystem::equivalent(written, points, missing))
       return {Code::usage, fmt::format("{} {} would overwrite the points", option, written), "give it another name"};
   return {};
+}
+
+std::vector<std::size_t> rows_by_id(const io::Points& points) {
+  std::vector<std::size_t> rows(points.id.size());
+  std::iota(rows.begin(), rows.end(), std::size_t{0});
+  std::ranges::sort(rows, {}, [&](std::size_t row) { return points.id[row]; });
+  return rows;
 }
 
 client::Positions positions_of(const io::Points& points) {

@@ -33,6 +33,8 @@ CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 Result<io::Points> read_single(const FileOptions& options);
 // Refuses an option whose file is one of those that are read.
 Status check_not_overwritten(const char* option, const std::string& written, std::span<const std::string> read);
+// The rows in ascending order of their ids.
+std::vector<std::size_t> rows_by_id(const io::Points& points);
 client::Positions positions_of(const io::Points& points);
 // "FILE" or "FILE.h5:/path", absolute.
 std::string absolute_path(const std::string& path);

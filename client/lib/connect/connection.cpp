@@ -145,7 +145,6 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
       CHECK(outcome.has_value(), "a closed socket still connects");
       break;
     }
-    if (no_descriptors(*outcome)) return no_descriptors_left(endpoint);
     if (*outcome) return false;
     // Where too many others wait at a Unix socket Linux says "try again", which Asio takes for success.
     socket.remote_endpoint(error);

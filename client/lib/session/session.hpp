@@ -182,7 +182,7 @@ class Session {
   std::string number_;
   int ranks_ = 0;
   std::string instance_, first_instance_;
-  pid_t process_ = ::getpid();
+  pid_t process_ = 0;          // the one that made the connection
   bool told_goodbye_ = false;  // the service said goodbye: it was told to end
   std::uint64_t generation_ = 0;
   std::uint64_t next_request_ = 1;

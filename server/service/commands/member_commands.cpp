@@ -259,8 +259,8 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, Where
   const bool all = push.moved == Moved::all;
   Buffer<particles::Id> scene_ids;
   if (scene.pushed && scene.ids && all) {
-    constexpr std::uint64_t kBytesGathered = 24;
-    if (Status room = agree_room(context.comm, context.root() ? scene.n * kBytesGathered : 0,
+    constexpr std::uint64_t kBytesOfId = 24;  // as it comes, and as it is kept
+    if (Status room = agree_room(context.comm, context.root() ? scene.n * kBytesOfId : 0,
                                  fmt::format("the ids of {} particles", scene.n));
         !room.ok())
       return room;

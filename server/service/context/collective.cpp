@@ -26,15 +26,11 @@ Status agree_status(comm::Comm& comm, const Status& here) {
   return {static_cast<Code>(header[0]), text.substr(0, header[1]), text.substr(header[1])};
 }
 
-namespace {
-
 Status room_for(const comm::Comm& comm, std::uint64_t bytes, const std::string& what) {
   Buffer<std::byte> probe;
   if (probe.try_reserve(bytes)) return {};
   return {Code::too_large, fmt::format("rank {} has no memory for {}", comm.rank(), what)};
 }
-
-}  // namespace
 
 Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what) {
   return agree_status(comm, room_for(comm, bytes, what));

@@ -26,6 +26,9 @@ Status agree_status(comm::Comm& comm, const Status& here);
 // the kernel counts them, but no page is touched. Collective. Errors: too_large, which tells what the memory is for.
 Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what);
 
+// The same of this rank alone. Local.
+Status room_for(const comm::Comm& comm, std::uint64_t bytes, const std::string& what);
+
 // Likewise for what a partition of this rank's particles and its migration take, and the answer, which rank 0 gathers:
 // `answered` particles.
 Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered = 0);

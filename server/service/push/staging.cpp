@@ -139,14 +139,13 @@ Status distribute(Context& context, const Scene& scene, const PushRequest& push,
   if (context.root()) ready = check_slices(context, scene, push);
   if (ready.ok() && !reserve(staged.arrays, mine, !scene.pushed))
     ready = {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
+  const bool in_order = push.by_id && scene.pushed;
+  constexpr std::uint64_t kBytesInOrder = 32;  // ids, sorted ones too, their places, and an array in that order
+  if (ready.ok() && in_order && context.root())
+    ready = room_for(comm, scene.n * kBytesInOrder, fmt::format("the order of {} particles by id", scene.n));
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
   Buffer<std::uint64_t> places;
-  if (push.by_id && scene.pushed) {
-    constexpr std::uint64_t kBytesOrdered = 32;  // ids, in order too, their places, and an array in that order
-    if (Status room = agree_room(comm, context.root() ? scene.n * kBytesOrdered : 0,
-                                 fmt::format("the order of {} particles by id", scene.n));
-        !room.ok())
-      return room;
+  if (in_order) {
     const auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
     if (context.root()) places = places_by_id(scene, plan_ids);
   }
