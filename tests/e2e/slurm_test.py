@@ -56,7 +56,9 @@ class SlurmTest(MachinesTest):
     def up(self, *args):
         """Submits a service, and waits until it says where it is."""
         job = self.submit(*args, os.path.join(SCRIPTS, "service.sh"))
-        self.hosts.wait_for(lambda: self.published() is not None, "the service")
+        # Longer than a start that fails takes to say why, and than srun waits where Slurm first refuses it a step.
+        self.hosts.wait_for(lambda: self.published() is not None or self.hosts.state(job) == "", "the service", 150)
+        self.assertIsNotNone(self.published(), f"the service's job has ended: {self.service_log()}\n{self.hosts.logs()}")
         return job
 
     def status(self, name="c"):

@@ -4,6 +4,7 @@ node on each. Ends with this process. Needs root, and the packages slurm-wlm and
 
     tests/hosts/slurm.py 3 -- COMMAND   runs COMMAND on machine a of a, b and c, where sbatch and squeue work
 """
+import contextlib
 import os
 import shutil
 import subprocess
@@ -111,11 +112,13 @@ class Cluster(Hosts):
             time.sleep(0.1)
 
     def logs(self):
-        texts = []
-        for name in sorted(os.listdir(self.folder)):
-            if name.endswith(".log"):
-                with open(os.path.join(self.folder, name), errors="replace") as file:
-                    texts.append(f"{name}:\n{file.read()[-1500:]}")
+        """What tells most about jobs that don't go as they should comes first: reports of failed tests are cut short."""
+        texts = [self.slurm("squeue", "-o", "%i %j %T %r %N %S"), self.slurm("scontrol", "-o", "show", "nodes")]
+        outputs = [os.path.join(self.shared, name) for name in sorted(os.listdir(self.shared)) if name.endswith(".out")]
+        daemons = [f"{program}-{name}.log" for program in ("slurmctld", "slurmd", "munged") for name in self.names]
+        for path in outputs + [os.path.join(self.folder, name) for name in daemons]:
+            with contextlib.suppress(OSError), open(path, errors="replace") as file:
+                texts.append(f"{os.path.basename(path)}:\n{file.read()[-1500:]}")
         return "\n".join(texts)
 
     def close(self):
