@@ -36,11 +36,10 @@ bool by_socket(const net::DataPort& data, const wire::Json& push) {
 // The same in order "plan": the push says how many of its rows are on each rank.
 api::Slice shared_slice_by_slot(const net::DataPort& data, const wire::Json& push) {
   api::Slice slice = shared_slice(data, push);
-  const auto counts = push.find("counts");
-  if (counts == push.end() || !counts->is_array()) return slice;  // of a step that is committed already
+  const wire::Json& counts = push.at("counts");
   for (int rank = 0; rank <= data.rank(); ++rank) {
     slice.first_row += slice.count;
-    slice.count = counts->at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
+    slice.count = counts.at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
   }
   return slice;
 }
@@ -103,8 +102,8 @@ void Bridge::send_to_all(net::Order order, net::OrderQueue::Done done, net::Orde
 
 void Bridge::send_to_rank_0(net::Order order, net::OrderQueue::Done done) {
   ranks::EngineOrder out;
-  out.number = ++number_;
   out.slices = staged_slices(data_, order.request);
+  out.number = ++number_;
   for (api::Slice& slice : order.slices) out.slices.push_back(std::move(slice));
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;

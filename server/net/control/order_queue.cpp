@@ -2,6 +2,9 @@
 
 #include <utility>
 
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
 #include "server/api/commands.hpp"
 
 namespace rcb::net {
@@ -56,19 +59,30 @@ void OrderQueue::release() {
   for (Waiting& one : std::exchange(waiting_, {})) {
     for (const auto& scene : {reading_, changing_})
       if (scene) passed_over.insert(*scene);
-    const std::uint64_t bytes = one.order.text.size();
-    if (credits_.room(bytes) && (one.kind == Kind::brief || long_one_may_start(one)) &&
+    if (credits_.room(one.order.text.size()) && (one.kind == Kind::brief || long_one_may_start(one)) &&
         !passed_over.contains(one.scene)) {
-      if (one.kind == Kind::long_reading) reading_ = one.scene;
-      if (one.kind == Kind::long_changing) changing_ = one.scene;
-      credits_.sent(bytes);
-      send_(std::move(one.order), std::move(one.done), one.kind);
+      send(std::move(one));
     } else {
       if (one.kind != Kind::long_reading) passed_over.insert(one.scene);
       left.push_back(std::move(one));
     }
   }
   waiting_ = std::move(left);
+}
+
+// Whatever is wrong with one order concerns neither those behind it nor whoever made room for it.
+void OrderQueue::send(Waiting one) {
+  const std::uint64_t bytes = one.order.text.size();
+  const Done done = one.done;
+  try {
+    send_(std::move(one.order), std::move(one.done), one.kind);
+  } catch (const std::exception& fault) {
+    spdlog::error("an order can't be sent: {}", fault.what());
+    return done({.status = {Code::internal, fmt::format("an internal fault: {}", fault.what())}});
+  }
+  credits_.sent(bytes);
+  if (one.kind == Kind::long_reading) reading_ = one.scene;
+  if (one.kind == Kind::long_changing) changing_ = one.scene;
 }
 
 }  // namespace rcb::net

@@ -28,7 +28,8 @@ class OrderQueue {
  public:
   using Done = std::function<void(Answer)>;
   enum class Kind { brief, long_reading, long_changing };
-  // Sends an order to all ranks. After the answer to a long order its sender calls long_order_ended().
+  // Sends an order to all ranks, or throws and sends nothing. After the answer to a long order its sender calls
+  // long_order_ended().
   using Send = std::function<void(Order order, Done done, Kind kind)>;
   OrderQueue(Credits credits, Send send) : credits_(std::move(credits)), send_(std::move(send)) {}
 
@@ -50,6 +51,7 @@ class OrderQueue {
   bool long_one_may_start(const Waiting& one) const;
   // Sends what may be sent.
   void release();
+  void send(Waiting one);
 
   Credits credits_;
   Send send_;

@@ -199,7 +199,7 @@ awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
   if (push->closed) co_return;  // aborted since it was complete
   const PushTerms& terms = push->slices.terms();
   Request request{push->request, api::find_command("push.begin"), "push", std::move(push->begin), 0, push->end};
-  request.deadline_seconds = std::chrono::duration<double>(push->end - push->started).count();
+  request.deadline_seconds = std::max(std::chrono::duration<double>(push->end - push->started).count(), 0.0);
   request.json["command"] = "push";
   request.json["session"] = terms.id.session;
   if (push->number != 0) request.json["staged"] = push->number;

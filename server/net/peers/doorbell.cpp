@@ -75,6 +75,16 @@ class SharedCondition {
   std::condition_variable changed_;
 };
 
+// What a rank has said and can't be taken is missing ever after, which no other rank would know.
+template <typename Take>
+void or_lost(const LostHandler& lost, const std::string& from, Take take) {
+  try {
+    take();
+  } catch (const std::exception& fault) {
+    lost(fmt::format("an internal fault in what {} said: {}", from, fault.what()));
+  }
+}
+
 // Listens for ranks on other machines: on the interface that is named, else on all, and lists where that is.
 Result<TcpAcceptor> listen_for_ranks(asio::io_context& context, const std::string& interface,
                                      std::vector<std::string>& addresses) {
@@ -212,7 +222,7 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
       peer.silence.heard(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { peer.goodbye = true; });
       if (frame->header.type == wire::FrameType::notice && !frame->json.empty() && message)
-        message(static_cast<int>(index), frame->json);
+        or_lost(lost, name_of(index), [&] { message(static_cast<int>(index), frame->json); });
     }
   }
 
@@ -358,10 +368,10 @@ struct Doorbell::State : std::enable_shared_from_this<State> {
       }
       silence.heard(*connection);
       if (frame->header.type == wire::FrameType::goodbye) gathering.change([&] { goodbye = true; });
-      if (frame->header.type == wire::FrameType::notice) {
-        if (!frame->json.empty() && message) message(0, frame->json);
-      }
-      if (frame->header.type == wire::FrameType::request) ordered(frame->header.request, std::move(frame->json));
+      or_lost(lost, "rank 0", [&] {
+        if (frame->header.type == wire::FrameType::notice && !frame->json.empty() && message) message(0, frame->json);
+        if (frame->header.type == wire::FrameType::request) ordered(frame->header.request, std::move(frame->json));
+      });
     }
   }
 

@@ -43,8 +43,8 @@ struct IoLoop::State {
     timer.expires_after(duration_of(seconds));
     timer.async_wait([this, &timer, seconds, task](error_code error) {
       if (error) return;
+      tick(timer, seconds, task);  // first, since the task may throw
       (*task)();
-      tick(timer, seconds, task);
     });
   }
 

@@ -212,24 +212,27 @@ void put_in(const InsertedByMembers& inserted, Whereabouts& to) {
 
 // What members insert into a scene that has no particles yet are further particles of theirs. Those without ids get the
 // integers above all others.
-void add_to_shares(std::vector<PushSlice>& slices, bool have_ids, InsertedByMembers& inserted) {
-  particles::Id next = 0;
+Status add_to_shares(std::vector<PushSlice>& slices, bool have_ids, InsertedByMembers& inserted) {
+  std::uint64_t next = 0;
   std::stable_sort(slices.begin(), slices.end(), [](const auto& a, const auto& b) { return a.member < b.member; });
   for (const PushSlice& slice : slices)
     if (slice.rank >= 0)
-      for (const particles::Id id : ids_of(slice)) next = std::max(next, id + 1);
+      for (const particles::Id id : ids_of(slice)) next = std::max(next, static_cast<std::uint64_t>(id) + 1);
   for (PushSlice& slice : slices) {
     if (slice.rank != wire::kInsertedSlice) continue;
     slice.rank = 0;
     if (!have_ids) {
+      const Result<particles::Id> first = first_of_ids(next, slice.count);
+      if (!first.ok()) return first.status();
       std::vector<particles::Id> ids(slice.count);
-      std::iota(ids.begin(), ids.end(), next);
-      next += static_cast<particles::Id>(slice.count);
+      std::iota(ids.begin(), ids.end(), *first);
+      next += slice.count;
       slice.arrays.push_back(make_array("id", "<i8", std::span<const particles::Id>(ids)));
     }
     inserted.id.append(ids_of(slice));
     for (std::uint64_t i = 0; i < slice.count; ++i) inserted.member.push_back(slice.member);
   }
+  return {};
 }
 
 // The first push: all members' particles, with those that they insert and without those that they remove, since a
@@ -238,12 +241,15 @@ Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, Where
                   InsertedByMembers& inserted) {
   std::vector<std::int32_t> removed_by;
   const auto removed = removed_ids(take_joined(slices, wire::kRemovedSlice, removed_by));
-  add_to_shares(slices, push.inserted_ids, inserted);
+  if (Status status = add_to_shares(slices, push.inserted_ids, inserted); !status.ok()) return status;
   for (const PushSlice& slice : slices)
     if (slice.arrays.size() != slices.front().arrays.size() || slice.arrays.back().name != "id")
       return {Code::invalid_argument, "inserted particles must have the arrays of the others"};
   if (Status status = join_shares(slices, push.n + push.inserted, joined); !status.ok()) return status;
-  if (removed.empty() || take_out(removed, joined, slices.empty() ? nullptr : &slices.front().arrays)) {
+  const bool inserted_here = std::ranges::any_of(
+      inserted.id, [&removed](particles::Id id) { return std::ranges::binary_search(removed, id); });
+  if (removed.empty() ||
+      (!inserted_here && take_out(removed, joined, slices.empty() ? nullptr : &slices.front().arrays))) {
     for (PushSlice& slice : slices) slice.count = joined.id.size();
     return {};
   }

@@ -130,12 +130,11 @@ class Arriving {
 // Gives them their ids, or checks those they bring. Collective.
 Status insert(comm::Comm& comm, Scene& scene, const Inserted& in, Edits& edits) {
   const std::uint64_t next = id_next(comm, scene);
-  constexpr std::uint64_t kEnd = std::uint64_t{1} << 63U;
   edits.id_next = next;
   if (!in.has_ids && edits.inserted > 0) {
-    if (next > kEnd - edits.inserted)
-      return {Code::invalid_argument, "no ids are left above the greatest ever used", "choose the ids yourself"};
-    edits.first_id = static_cast<std::int64_t>(next);
+    const Result<particles::Id> first = first_of_ids(next, edits.inserted);
+    if (!first.ok()) return first.status();
+    edits.first_id = *first;
   }
   if (in.has_ids)
     if (Status made = make_index(comm, scene); !made.ok()) return made;
@@ -192,6 +191,13 @@ void share_removed_parts(comm::Comm& comm, const Scene& scene, Edits& edits) {
 }
 
 }  // namespace
+
+Result<particles::Id> first_of_ids(std::uint64_t next, std::uint64_t count) {
+  constexpr std::uint64_t kEnd = std::uint64_t{1} << 63U;
+  if (next > kEnd - count)
+    return Status(Code::invalid_argument, "no ids are left above the greatest ever used", "choose the ids yourself");
+  return static_cast<particles::Id>(next);
+}
 
 Result<Edits> prepare_edits(Context& context, Scene& scene, const api::Push& push) {
   Edits edits;

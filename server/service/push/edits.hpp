@@ -30,6 +30,9 @@ struct Edits {
   bool any() const { return inserted > 0 || removed > 0; }
 };
 
+// The first of `count` consecutive ids from `next` on. Errors: invalid_argument, if there aren't as many.
+Result<particles::Id> first_of_ids(std::uint64_t next, std::uint64_t count);
+
 // Takes the slices of inserted and removed particles out of context.slices (rank 0) and checks them. Collective.
 Result<Edits> prepare_edits(Context& context, Scene& scene, const api::Push& push);
 

@@ -2,6 +2,7 @@
 #include "server/net/control/order_queue.hpp"
 
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -28,7 +29,9 @@ class OrderQueueTest : public ::testing::Test {
   using Names = std::vector<std::string>;
 
   std::vector<std::string> sent, dropped;
+  std::string faulty;  // the command whose orders can't be sent
   OrderQueue queue{Credits(1, 8, 1000), [this](const Order& order, const OrderQueue::Done&, OrderQueue::Kind kind) {
+                     if (order.request["command"] == faulty) throw std::runtime_error("a bug");
                      sent.push_back(order.request["command"].get<std::string>() + " " +
                                     order.request["scene"].get<std::string>() +
                                     (kind == OrderQueue::Kind::brief ? "" : " long"));
@@ -77,6 +80,20 @@ TEST_F(OrderQueueTest, WhatNobodyWaitsForIsAnsweredAtOnce) {
   EXPECT_EQ(dropped, (Names{"assign a aborted"}));  // the first has been sent: the engine answers it
   queue.long_order_ended(OrderQueue::Kind::long_reading);
   EXPECT_EQ(gone(), (Names{"compare a long", "assign a"}));
+}
+
+// It is answered, takes none of the credits, and isn't taken for one that lasts; those behind it go out.
+TEST_F(OrderQueueTest, AnOrderThatCannotBeSentConcernsNoOther) {
+  faulty = "quality";
+  add("compare", "a");
+  for (int i = 0; i < 500; ++i) add("quality", "b");
+  add("push", "b");
+  queue.long_order_ended(OrderQueue::Kind::long_reading);
+  EXPECT_EQ(dropped, Names(500, "quality b internal"));
+  EXPECT_EQ(gone(), (Names{"compare a long", "push b"}));
+  faulty.clear();
+  add("quality", "b");
+  EXPECT_EQ(gone(), (Names{"quality b long"}));
 }
 
 TEST_F(OrderQueueTest, WhatIsGivenUpHoldsUpNothing) {

@@ -2,6 +2,7 @@
 // one client's push of the same leaves, on any number of ranks; and each is told the places of what is then its own.
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <map>
 #include <set>
 
@@ -379,7 +380,8 @@ TEST(MemberChanges, AFirstPushMayInsertAndRemove) {
     Driver team(comm, service, "m"), single(comm, other, "m");
     for (Driver* driver : {&team, &single}) driver->create({{"parts", 4}, {"dims", 2}});
     const Particles all = random_particles(3, 40, 2);
-    const auto push = [&](std::vector<std::int64_t> removed, bool chosen_ids) {
+    // above: the ids of the particles that are there are above it by 0 to 29.
+    const auto push = [&](std::vector<std::int64_t> removed, bool chosen_ids, std::int64_t above = 10) {
       std::vector<PushSlice> slices;
       for (int member = 0; member < 3; ++member) {
         std::vector<std::size_t> own, inserted;
@@ -387,7 +389,8 @@ TEST(MemberChanges, AFirstPushMayInsertAndRemove) {
         for (std::size_t row = 0; row < 40; ++row) {
           if (static_cast<int>(row % 3) != member) continue;
           (row < 30 ? own : inserted).push_back(row);
-          (row < 30 ? ids : inserted_ids).push_back(static_cast<std::int64_t>(row < 30 ? 10 + row : 500 + row));
+          if (row < 30) ids.push_back(above + static_cast<std::int64_t>(row));
+          if (row >= 30) inserted_ids.push_back(static_cast<std::int64_t>(500 + row));
         }
         slices.push_back(slice_of_rows(all, 0, member, own));
         slices.back().arrays.push_back(array_of("id", "<i8", ids));
@@ -410,9 +413,18 @@ TEST(MemberChanges, AFirstPushMayInsertAndRemove) {
                          {"inserted_ids", !chosen_ids}};
       return service.execute(request, comm.rank() == 0 ? std::move(slices) : std::vector<PushSlice>());
     };
-    const Response refused = push({13, 9}, false);
-    if (comm.rank() == 0) {
-      EXPECT_EQ(refused.status.code(), Code::not_found) << refused.status.message();
+    // That one isn't there; those are what the same push inserts; no ids are left for what it inserts.
+    const auto code_of = [&](const Response& refused) { return comm.rank() == 0 ? refused.status.code() : Code::ok; };
+    const Code not_found = comm.rank() == 0 ? Code::not_found : Code::ok;
+    EXPECT_EQ(code_of(push({13, 9}, false)), not_found);
+    EXPECT_EQ(code_of(push({13, 535}, false)), not_found);
+    EXPECT_EQ(code_of(push({13, 40}, true)), not_found);
+    constexpr std::int64_t kLast = std::numeric_limits<std::int64_t>::max();
+    for (const std::int64_t above : {kLast - 29, kLast - 38}) {
+      const Response refused = push({}, true, above);
+      if (comm.rank() == 0) {
+        EXPECT_EQ(refused.status.message(), "no ids are left above the greatest ever used");
+      }
     }
     for (const bool chosen_ids : {false, true}) {
       for (Driver* driver : {&team, &single}) driver->create({{"parts", 4}, {"dims", 2}, {"replace", true}});
