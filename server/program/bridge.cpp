@@ -36,10 +36,11 @@ bool by_socket(const net::DataPort& data, const wire::Json& push) {
 // The same in order "plan": the push says how many of its rows are on each rank.
 api::Slice shared_slice_by_slot(const net::DataPort& data, const wire::Json& push) {
   api::Slice slice = shared_slice(data, push);
-  const wire::Json& counts = push.at("counts");
+  const auto counts = push.find("counts");
+  if (counts == push.end() || counts->empty()) return slice;  // of a step that is committed already
   for (int rank = 0; rank <= data.rank(); ++rank) {
     slice.first_row += slice.count;
-    slice.count = counts.at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
+    slice.count = counts->at(static_cast<std::size_t>(rank)).get<std::uint64_t>();
   }
   return slice;
 }

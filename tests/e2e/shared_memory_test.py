@@ -344,16 +344,17 @@ class SharedMemory(Refusals, ServiceTest):
             self.refused("aborted", client.step, "s", 2, rows)
         self.settles(before)
 
-    def test_a_step_that_is_there_already_needs_all_its_fields_too(self):
+    def test_a_step_that_is_there_already_is_told_whatever_its_counts_are(self):
         n = len(self.walk[0])
         with SharedClient(self.path) as client:
             client.ask("scene.create", scene="again", parts=4)
             rows = client.positions(n)
             rows[:] = self.walk[0]
-            plan = client.step("again", 0, rows)[0]["plan"]
-            for counts in ([], [n], [0] * (len(client.links) + 1)):
-                self.refused("invalid_argument", client.step, "again", 0, rows, order="plan", moved="all", counts=counts,
-                             plan={name: plan[name] for name in ("version", "checksum")})
+            again = {"order": "plan", "moved": "all", "plan": client.step("again", 0, rows)[0]["plan"]}
+            for counts in ({}, {"counts": []}):
+                self.assertTrue(client.step("again", 0, rows, **again, **counts)[0]["repeated"])
+            for counts in ([n], [0] * (len(client.links) + 1), [-1] * len(client.links)):
+                self.refused("invalid_argument", client.step, "again", 0, rows, counts=counts, **again)
             self.assertEqual(client.step("again", 1, rows)[0]["report"]["step"], 1)
 
     def test_descriptors_that_nobody_asked_for_are_closed(self):

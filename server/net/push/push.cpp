@@ -87,6 +87,8 @@ Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Push
   if (scene.step && scene.ids && terms.by_id)
     return {Code::unsupported, "the scene's ids aren't 0..n-1, so they name no rows of the memory",
             "push in order \"plan\", or by another path"};
+  if (!terms.by_id && terms.counts.size() != static_cast<std::size_t>(terms.ranks))
+    return {Code::invalid_argument, "field 'counts': the numbers of rows on each rank, where 'row' lists them"};
   auto expected = expected_arrays(terms, 0);
   if (!terms.by_id) expected.emplace_back("row", "<u8");
   bool match = terms.shared.size() == expected.size();
@@ -165,9 +167,6 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
     return Status(Code::invalid_argument, "a push without slices for the ranks can't go to them",
                   "push by the path \"gateway\"");
   if (Status counted = check_slice_count(terms); !counted.ok()) return counted;
-  // Of any step: each rank finds its rows by it.
-  if (terms.from_memory() && !terms.by_id && terms.counts.size() != static_cast<std::size_t>(ranks))
-    return Status(Code::invalid_argument, "field 'counts': the numbers of rows on each rank, where 'row' lists them");
   if (terms.from_memory() && !repeated)
     if (Status shared = check_shared(terms, scene, pusher); !shared.ok()) return shared;
   if (pusher == Pusher::member)

@@ -441,16 +441,20 @@ std::string large_request(std::uint64_t number, std::size_t bytes, bool numbers)
 }
 
 TEST(Session, LargeRequestsHoldUpNobodyElse) {
-  TestService service;
-  std::vector<Client> large;
-  for (int i = 0; i < 6; ++i) {  // more than there are places
-    large.push_back(service.client("large", kAnna));
-    std::thread([&] { large.back().send_bytes(large_request(9, std::size_t{1} << 20U, true)); }).join();
+  constexpr int kTries = 10;  // on a busy machine all may be parsed before the other comes
+  bool before_them = false;
+  for (int i = 0; i < kTries && !before_them; ++i) {
+    TestService service;
+    Client other = service.client("other", kBert);
+    std::vector<Client> large;
+    for (int k = 0; k < 6; ++k) large.push_back(service.client("large", kAnna));  // more than there are places
+    const std::string request = large_request(9, std::size_t{1} << 20U, true);
+    for (Client& one : large) one.send_bytes(request);
+    EXPECT_EQ(other.call("status").type, FrameType::reply);
+    before_them = service.engine().executed().size() < large.size();
+    for (Client& one : large) EXPECT_EQ(one.receive_but_notices().request, 9U);
   }
-  Client other = service.client("other", kBert);
-  EXPECT_EQ(other.call("status").type, FrameType::reply);
-  EXPECT_LT(service.engine().executed().size(), 6U) << "they were parsed first";
-  for (Client& one : large) EXPECT_EQ(one.receive_but_notices().request, 9U);
+  EXPECT_TRUE(before_them) << "they were parsed first";
 }
 
 TEST(Session, ALargeRequestThatDoesNotComeFreesItsPlace) {
