@@ -12,14 +12,16 @@ namespace rcb::particles {
 
 using Id = std::int64_t;  // 0 .. 2^63-1
 
-// A view of particles stored elsewhere. All arrays have `count` entries.
+// A view of particles stored elsewhere. All arrays have `count` entries, but `id` where `id_slot` isn't null.
 struct ParticleView {
   int dims = 3;
   std::size_t count = 0;
   std::array<const double*, geometry::kDimsMax> position{};  // axes >= dims are null
   const Id* id = nullptr;
-  const double* weight = nullptr;  // null: all weights are 1
+  const std::uint64_t* id_slot = nullptr;  // where each particle's id stands in `id`; null: in order
+  const double* weight = nullptr;          // null: all weights are 1
 
+  Id id_of(std::size_t i) const { return id[id_slot == nullptr ? i : id_slot[i]]; }
   geometry::Point point(std::size_t i) const {
     geometry::Point p{};
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) p[a] = position[a][i];

@@ -164,17 +164,29 @@ Status Session::wait(Retry& retry, const Status& why, const std::string& what) c
 Status Session::connect(const Deadline& deadline) {
   if (!endpoints_.front().published.empty())  // started again, it may be elsewhere
     if (auto now = endpoints_to_try(options_.endpoint)) endpoints_ = std::move(*now);
-  for (const Endpoint& endpoint : endpoints_) {
-    const Status status = connect_to(endpoint, deadline);
-    if (status) {
-      endpoints_ = {Endpoint(endpoint)};
-      if (generation_++ == 0) first_instance_ = instance_;
-      told_goodbye_ = false;
-      return {};
+  // A service that takes a connection and ends it may have too many.
+  Status lost;
+  bool taken = false;
+  Retry retry(deadline.left_seconds());
+  do {
+    taken = false;
+    for (const Endpoint& endpoint : endpoints_) {
+      connection_.reset();
+      const Status status = connect_to(endpoint, deadline);
+      if (status) {
+        endpoints_ = {Endpoint(endpoint)};
+        if (generation_++ == 0) first_instance_ = instance_;
+        told_goodbye_ = false;
+        return {};
+      }
+      const bool answered = std::exchange(connection_, nullptr) != nullptr;
+      if (status.code() == Code::deadline_exceeded && !lost) return lost;
+      if (status.code() != Code::unavailable || status.hint() == kDescriptorsHint) return status;
+      if (answered) lost = status;
+      taken = taken || answered;
     }
-    connection_.reset();
-    if (status.code() != Code::unavailable || status.hint() == kDescriptorsHint) return status;
-  }
+  } while (taken && retry.wait(fmt::format("a connection to {}", joined(endpoints_)), options_.on_notice));
+  if (taken) return lost;
   if (const std::string& published = endpoints_.front().published; !published.empty())
     return {Code::unavailable, fmt::format("{} no longer answers", published),
             fmt::format("it was at {}; one that is started elsewhere writes the file anew", endpoints_.front().text())};

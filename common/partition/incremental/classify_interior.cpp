@@ -209,16 +209,22 @@ class Pass {
 void OwnInterior::reserve(const particles::ParticleView& of, std::size_t room) {
   boundary.dims = of.dims;
   boundary.has_weights = of.weight != nullptr;
-  boundary.resize(room);
-  boundary.resize(0);
+  for (std::size_t a = 0; a < static_cast<std::size_t>(of.dims); ++a) boundary.position[a].reserve(room);
   slot.reserve(room);
   part.reserve(room);
+}
+
+particles::ParticleView OwnInterior::view(const particles::ParticleView& of) const {
+  particles::ParticleView view = boundary.view();
+  view.count = slot.size();
+  view.id = of.id;
+  view.id_slot = slot.data();
+  return view;
 }
 
 void OwnInterior::finish(const particles::ParticleView& of, std::size_t boundary_max) {
   too_many = slot.size() > boundary_max;
   if (too_many) return;
-  copy_of(of.id, slot, boundary.id);
   if (boundary.has_weights) copy_of(of.weight, slot, boundary.weight);
 }
 

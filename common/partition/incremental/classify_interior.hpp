@@ -24,12 +24,14 @@ void copy_of(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
 
 struct OwnInterior {
   bool too_many = false;              // the pass stopped at boundary_max: the rest is meaningless
-  particles::ParticleSet boundary;    // the boundary particles, copied
+  particles::ParticleSet boundary;    // the boundary particles, copied, but without ids: few searches need these
   Buffer<std::uint64_t> slot;         // their slots, ascending
   Buffer<std::int32_t> part;          // and their current parts
   std::vector<geometry::Box> boxes;   // [own parts]: the exact boxes of the interior particles; empty: none
   std::vector<std::uint64_t> counts;  // [parts]: of a guess: this rank's particles; else empty
 
+  // The boundary particles, copied from these.
+  particles::ParticleView view(const particles::ParticleView& of) const;
   // Makes room for so many boundary particles.
   void reserve(const particles::ParticleView& of, std::size_t room);
   // Copies what the pass hasn't: after it, to keep these scattered reads out of its loop.

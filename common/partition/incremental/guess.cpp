@@ -209,7 +209,6 @@ class SampleWalk {
     const auto axis = at(axes[0]);
     const double all = size_prefix_[at(node.range.last)] - size_prefix_[at(node.range.first)];
     const double share = (size_prefix_[at(node.range.middle())] - size_prefix_[at(node.range.first)]) / all;
-    const std::span<const double> x = std::span(x_[axis]).subspan(own.first, own.size());
     double load = 0;
     double squares = 0;
     for (std::size_t i = own.first; i < own.last; ++i) {
@@ -223,6 +222,8 @@ class SampleWalk {
         sigmas * std::sqrt(found.variance) + options_.limits.bracket_margin * load / static_cast<double>(own.size());
     const double wanted = load * share;
     double before = take_near(own, axis, wanted - margin, wanted + margin);
+    near_x_.clear();
+    for (const Valued& one : near_) near_x_.push_back(one.x);
     // One component of the key after the other, until few are near, or these differ.
     for (std::size_t word = 0; narrow(before, wanted - margin, wanted + margin) && word < at(dims()); ++word)
       for (Valued& one : near_) {
@@ -248,7 +249,7 @@ class SampleWalk {
     found.bounded = true;
     std::size_t on = 0;
     std::size_t within = 0;
-    for (const double value : x) {
+    for (const double value : near_x_) {  // no other is in the bracket
       on += value == found.cut.at[0] ? 1U : 0U;
       within += value >= found.keys.least.at[0] && value <= found.keys.most.at[0] ? 1U : 0U;
     }
@@ -376,6 +377,7 @@ class SampleWalk {
   std::vector<std::int32_t> bin_;
   std::vector<std::uint32_t> beyond_;
   std::vector<Valued> near_;
+  std::vector<double> near_x_;
   std::array<double, at(kBins)> bins_;
 };
 

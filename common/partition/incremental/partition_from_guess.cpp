@@ -116,7 +116,7 @@ class FirstPartition {
     result_.traffic.reads += particles_.count;
     result_.traffic.bytes +=
         particles_.count * (point + (roots_[0].parts() == options_.parts ? 1 : 2) * sizeof(std::int32_t)) +
-        own.slot.size() * 2 * (point + sizeof(particles::Id));
+        own.slot.size() * 2 * (point + sizeof(std::uint64_t));
     LoadSummary loads = loads_of(own);
     auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
                                  std::move(loads.loads), most_of(n_), result_.searched);
@@ -132,7 +132,7 @@ class FirstPartition {
                       .interior = &*interior,
                       .ends = guess->ends,
                       .failed_max = n_};
-    TreeBuilder builder(comm_, own.boundary.view(), options_, start);
+    TreeBuilder builder(comm_, own.view(particles_), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
     rule_ = builder.rule();

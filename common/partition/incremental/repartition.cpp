@@ -95,7 +95,7 @@ class Repartitioning {
                       .scale = scale_,
                       .interior = &*interior,
                       .failed_max = most};
-    TreeBuilder builder(comm_, own.boundary.view(), options_, start);
+    TreeBuilder builder(comm_, own.view(particles_), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
     failed_ = builder.uncut();

@@ -129,7 +129,7 @@ std::vector<std::size_t> TreeBuilder::sampled_slots() const {
   std::vector<std::size_t> slots;
   if (options_.cut_tolerance > 0) {
     for (std::size_t i = 0; i < particles_.count; ++i)
-      if (mix64(static_cast<std::uint64_t>(particles_.id[i])) % 64 == 0 && roots_.of(i) != Roots::kNone)
+      if (mix64(static_cast<std::uint64_t>(particles_.id_of(i))) % 64 == 0 && roots_.of(i) != Roots::kNone)
         slots.push_back(i);
     return slots;
   }

@@ -292,7 +292,7 @@ void Selector::divide(std::size_t node) {
 }
 
 std::uint64_t Selector::word_of(std::size_t node, std::size_t word, std::size_t particle) const {
-  if (word == axes_) return static_cast<std::uint64_t>(particles_.id[particle]);
+  if (word == axes_) return static_cast<std::uint64_t>(particles_.id_of(particle));
   return geometry::order_bits(particles_.position[static_cast<std::size_t>(nodes_[node].axes[word])][particle]);
 }
 

@@ -53,9 +53,8 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
     }
     for (std::size_t w = from; w < axes_; ++w)
       for (std::size_t i = 0; i < open.size() && !same[w]; ++i) look(w, geometry::order_bits(x[w][open[i].index]));
-    const Id* const id = particles_.id + span.base;
     for (std::size_t i = 0; i < open.size() && states_[node].by_id; ++i)
-      look(axes_, static_cast<std::uint64_t>(id[open[i].index]));
+      look(axes_, static_cast<std::uint64_t>(particles_.id_of(span.base + open[i].index)));
   }
 }
 
@@ -125,7 +124,7 @@ std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
   if (!ids_) {
     std::array<std::uint64_t, 2> least{kNone, kNone};
     for (std::size_t i = 0; i < particles_.count; ++i) {
-      const auto id = static_cast<std::uint64_t>(particles_.id[i]);
+      const auto id = static_cast<std::uint64_t>(particles_.id_of(i));
       least[0] = std::min(least[0], id);
       least[1] = std::min(least[1], ~id);
     }
@@ -203,7 +202,7 @@ void Selector::restore(std::size_t node) {
     for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
       const std::size_t particle = span.base + point.index;
       point.q[axis] = state.uniform ? state.uniform_value
-                      : axes_ == 0  ? maps_[0](particles_.id[particle])
+                      : axes_ == 0  ? maps_[0](particles_.id_of(particle))
                                     : maps_[axis](particles_.position[axis][particle]);
     }
   }

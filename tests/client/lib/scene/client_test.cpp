@@ -101,6 +101,24 @@ TEST(Connect, NobodyThere) {
   EXPECT_EQ(Client::connect({.endpoint = endpoint, .deadline_seconds = nan}).status().code(), Code::invalid_argument);
 }
 
+// As a service does with the oldest of too many that haven't said hello, or one that is just ending.
+TEST(Connect, WhoIsSentAwayComesAgain) {
+  int patience = 3;
+  FakeService service([&](Peer& peer, int number) {
+    const Status status{Code::unavailable, "too many connections", "try again"};
+    if (number >= patience) {
+      if (peer.greet(1)) peer.receive();
+    } else if (peer.send(protocol::FrameType::welcome, 0, Peer::welcome()) && number > 0) {
+      peer.send(protocol::FrameType::failure, 0, protocol::failure_json(status));
+    }
+  });
+  EXPECT_TRUE(Client::connect({.endpoint = service.endpoint()}).ok());
+  patience = std::numeric_limits<int>::max();
+  const Status status = Client::connect({.endpoint = service.endpoint(), .deadline_seconds = 0.3}).status();
+  EXPECT_EQ(status.code(), Code::unavailable);
+  EXPECT_EQ(status.message(), "too many connections");
+}
+
 TEST(Connect, WithoutADescriptorLeftSaysSo) {
 #ifdef __SANITIZE_ADDRESS__
   GTEST_SKIP() << "the sanitizer needs a descriptor to look at an object, and takes it for none";
