@@ -19,6 +19,7 @@
 
 #include "client/launch/log_tail.hpp"
 #include "common/base/clock.hpp"
+#include "common/base/signals.hpp"
 #include "common/files/lock_file.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
@@ -67,7 +68,7 @@ void guard_by_signals(int lifeline_fd, int notify_fd) {
     struct sigaction action {};
     action.sa_handler = on_signal;
     sigfillset(&action.sa_mask);
-    sigaction(number, &action, nullptr);
+    handle_unless_ignored(number, action);
   }
 }
 

@@ -32,6 +32,8 @@ namespace rcb::client {
 // the ranks' own addresses answer. Where a push can't take `shared`, it takes another; `direct` fails where it can't.
 enum class Path { automatic, shared, direct, gateway };
 
+// Deadlines, here and below: within them attempts begin, and the service is told to answer. The call itself returns
+// later by at most 2 s or 5 %, whichever is more, so that what the service answers at the deadline still arrives.
 struct ConnectOptions {
   // unix:PATH, HOST:PORT or file:PATH (what `rcbctl up --publish` writes); empty: RCBD_ENDPOINT, else the default
   // socket, else 127.0.0.1:7470.

@@ -17,6 +17,7 @@
 
 #include "client/lib/connect/endpoint.hpp"
 #include "common/base/clock.hpp"
+#include "common/base/signals.hpp"
 
 namespace rcb::solvers {
 namespace {
@@ -31,8 +32,8 @@ void catch_interrupts() {
   struct sigaction action {};
   action.sa_handler = [](int) { interrupt_seen = 1; };
   action.sa_flags = static_cast<int>(SA_RESETHAND | SA_RESTART);
-  sigaction(SIGINT, &action, nullptr);
-  sigaction(SIGTERM, &action, nullptr);
+  handle_unless_ignored(SIGINT, action);
+  handle_unless_ignored(SIGTERM, action);
 }
 
 // A progress line, rewritten at every step; only on a terminal.

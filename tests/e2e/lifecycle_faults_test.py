@@ -169,6 +169,14 @@ class Places(unittest.TestCase):
                     self.assertEqual(up.wait(60), 0, up.stderr.read())
             self.assertEqual(processes_of(self.dir), [])
 
+    def test_signals_that_are_ignored_end_no_start(self):
+        with self.up("trap '' HUP INT") as up:
+            self.assertTrue(wait_for(lambda: any("mpirun" in line for _, line in processes_of(self.dir))))
+            for number in (signal.SIGHUP, signal.SIGINT):
+                up.send_signal(number)
+            self.assertEqual(up.wait(60), 0, up.stderr.read())
+        self.assertEqual(run("down", endpoint=f"unix:{self.dir}/s").returncode, 0)
+
     def test_told_to_end_before_the_launcher_has_seen_that_it_runs(self):
         with self.up("true", "--foreground") as up:
             wait_for(lambda: any("rcbd --" in line for _, line in processes_of(self.dir)), 60)

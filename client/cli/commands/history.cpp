@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/files/point_file.hpp"
 #include "client/cli/print/curve.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/plot.hpp"
@@ -140,6 +141,7 @@ Result<Curve> curve_of(client::Client& client, const std::string& scene) {
 }
 
 Status history(const HistoryOptions& options, const Context& context) {
+  if (Status status = check_written_once({"--csv", options.csv}, {"--plot", options.plot}); !status) return status;
   auto client = connect(context);
   if (!client) return client.status();
   std::vector<Curve> curves;

@@ -38,7 +38,10 @@ Status check(const PartitionOptions& options) {
     return {Code::usage,
             fmt::format("--part-sizes has {} sizes for {} parts", options.part_sizes.size(), options.parts),
             "give one size a part, such as --parts 3 --part-sizes 1,2,3"};
-  for (const auto& [option, path] : {std::pair("--assign", options.assign), {"--cuts", options.cuts}})
+  const std::pair assign("--assign", options.assign);
+  const std::pair cuts("--cuts", options.cuts);
+  if (Status status = check_written_once(assign, cuts); !status.ok()) return status;
+  for (const auto& [option, path] : {assign, cuts})
     if (Status status = check_not_overwritten(option, path, {&options.file.path, 1}); !status) return status;
   std::error_code missing;
   const std::filesystem::path points = std::filesystem::canonical(options.file.path, missing);

@@ -8,6 +8,7 @@
 #include "client/cli/app.hpp"
 #include "client/cli/print/output.hpp"
 #include "common/base/clock.hpp"
+#include "common/base/signals.hpp"
 
 namespace rcb::cli {
 namespace {
@@ -108,7 +109,7 @@ void add_watch_command(CLI::App& app, Context& context) {
                                   [options, &context] {
                                     struct sigaction action {};
                                     action.sa_handler = [](int) { g_interrupted = 1; };
-                                    sigaction(SIGINT, &action, nullptr);
+                                    handle_unless_ignored(SIGINT, action);
                                     return Watcher(*options, context).run();
                                   });
   add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();

@@ -7,6 +7,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -33,6 +34,9 @@ CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 Result<io::Points> read_single(const FileOptions& options);
 // Refuses an option whose file is one of those that are read.
 Status check_not_overwritten(const char* option, const std::string& written, std::span<const std::string> read);
+// Refuses two options, given with the files that they write, if both write one.
+Status check_written_once(const std::pair<const char*, std::string>& one,
+                          const std::pair<const char*, std::string>& other);
 // The rows in ascending order of their ids.
 std::vector<std::size_t> rows_by_id(const io::Points& points);
 client::Positions positions_of(const io::Points& points);

@@ -39,7 +39,7 @@ double Retry::seconds_since_loss() const {
 }
 
 std::string Retry::tried() const {
-  return fmt::format("tried {} time{} in {:.1f} s", failures_, failures_ == 1 ? "" : "s", seconds_since_loss());
+  return failures_ == 1 ? "tried once" : fmt::format("tried {} times in {:.1f} s", failures_, seconds_since_loss());
 }
 
 bool Retry::wait(const std::string& what, const NoticeHandler& tell) {
