@@ -55,8 +55,8 @@ class Direct(Client):
                              part.T.astype("<f8").tobytes(), flags=first % 2))
         return out
 
-    def push_directly(self, scene, step, points, attempt=0):
-        self.begin(scene, step, points, attempt)
+    def push_directly(self, scene, step, points, attempt=0, **more):
+        self.begin(scene, step, points, attempt, **more)
         for rank, link in enumerate(self.links):
             for data in self.slice_frames(rank, points):
                 link.socket.sendall(data)
@@ -68,7 +68,7 @@ class Direct(Client):
         super().close()
 
 
-class DataPath(ServiceTest):
+class DataPath(Refusals, ServiceTest):
     ranks = 3
 
     @classmethod
@@ -222,6 +222,18 @@ class DataPath(ServiceTest):
                 link.socket.sendall(b"".join(holder.slice_frames(rank, points)))
             self.assertEqual(holder.answer()[0]["report"]["step"], 0)
             self.assertEqual(other.push_directly("held", 1, points)[0]["report"]["step"], 1)
+            # Before it is looked at, too: for a deadline that is none, and for lack of a seat.
+            self.refused("invalid_argument", other.push_directly, "held", 2, points, deadline_seconds=1e9)
+            self.assertEqual(other.push_directly("held", 2, points, 1)[0]["report"]["step"], 2)
+            plan = other.plan("held", len(points))
+            seated = [Client(self.path) for _ in range(254)]
+            with Direct(self.path) as late:
+                late.plan = lambda *_: plan  # it may not ask
+                self.assertIn("sessions are open", self.refused("busy", late.push_directly, "held", 3, points))
+                for client in seated:
+                    client.close()
+                self.assertTrue(wait_for(lambda: self.service.json("status")["sessions"] < 10))
+                self.assertEqual(late.push_directly("held", 3, points, 1)[0]["report"]["step"], 3)
 
     def test_over_tcp_and_by_the_gateway_alone(self):
         with socket.socket() as probe:

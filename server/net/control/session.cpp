@@ -157,6 +157,7 @@ awaitable<Status> Session::serve(Frame frame) {
                                               wire::kDeadlineSecondsDefault);
   const api::CommandInfo* info = command.ok() ? api::find_command(*command) : nullptr;
   if (info == nullptr || !deadline.ok()) {
+    if (info != nullptr) refuse_slices(*command, frame.json);
     fail(frame.header.request, !command.ok() ? command.status()
                                : info == nullptr
                                    ? Status(Code::unsupported, fmt::format("unknown command '{}'", *command),
@@ -169,8 +170,19 @@ awaitable<Status> Session::serve(Frame frame) {
   if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())
     co_await dispatch(request);
   else
-    fail(request.number, admitted);
+    refuse(request, admitted);
   co_return Status();
+}
+
+void Session::refuse(const Request& request, const Status& why) {
+  refuse_slices(request.command, request.json);
+  fail(request.number, why);
+}
+
+void Session::refuse_slices(const std::string& command, const Json& begin) {
+  if (command != "push.begin" || !may_bring_slices(begin)) return;
+  if (const Result<PushId> id = read_push_id(begin, number_); id.ok() && id->step >= 0)
+    coordinator_->refuse_directly(*id);
 }
 
 Status Session::admit_size(Request& request, std::size_t bytes) {
@@ -196,7 +208,7 @@ OrderOptions Session::options_of(const Request& request) const {
 
 awaitable<void> Session::dispatch(Request& request) {
   if (const Status allowed = check_allowed(request); !allowed.ok()) {
-    fail(request.number, allowed);
+    refuse(request, allowed);
     co_return;
   }
   // Requests that a client sent before it left still come in; those that only read are dropped.
@@ -205,7 +217,7 @@ awaitable<void> Session::dispatch(Request& request) {
   if (answer_here(request)) co_return;
   if (request.command == "shutdown") co_return co_await shut_down(request);
   if (coordinator_->shutting_down()) {
-    fail(request.number, {Code::unavailable, "the service is shutting down"});
+    refuse(request, {Code::unavailable, "the service is shutting down"});
     co_return;
   }
   if (request.command == "push.begin") co_return co_await push_begin(request);

@@ -102,6 +102,9 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> nap(Timer& timer, const Request& request, TimePoint& notice_at, std::string what);
 
   void fail(std::uint64_t request, const Status& why);
+  // The same; of a push, its slices for the ranks are dropped.
+  void refuse(const Request& request, const Status& why);
+  void refuse_slices(const std::string& command, const wire::Json& begin);
 
   std::shared_ptr<Coordinator> coordinator_;
   std::shared_ptr<Connection> connection_;

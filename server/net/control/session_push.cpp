@@ -61,10 +61,7 @@ awaitable<void> Session::push_begin(Request& request) {
   }
   coordinator_->gate(id->scene).wake();
   coordinator_->erase_gate_if_unused(id->scene);
-  if (!status.ok()) {
-    if (id->step >= 0 && may_bring_slices(request.json)) coordinator_->refuse_directly(*id);
-    fail(request.number, status);
-  }
+  if (!status.ok()) refuse(request, status);
   if (push && push->slices.terms().direct())
     co_await begin_directly(push);
   else if (push && push->slices.whole())
