@@ -23,16 +23,20 @@ bool asked(const Json& begin, const char* name) {
 }
 
 // A copy of the arrays for one member: changes and places only if its push.begin asked for them, and what was inserted
-// only if it inserted any.
-std::vector<wire::Array> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
+// only if it inserted any. Nothing if there is no memory for them.
+std::optional<std::vector<wire::Array>> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
   const auto inserted = wire::integer_field_or(begin, "inserted", 0, wire::kParticlesMax, 0);
   const bool inserts = inserted.ok() && *inserted > 0;
   std::vector<wire::Array> copy;
-  for (const wire::Array& array : arrays)
-    if ((asked(begin, "changes") || !array.name.starts_with("changed_")) &&
-        (asked(begin, "places") || !array.name.starts_with("place_")) &&
-        (inserts || !array.name.starts_with("inserted_")))
-      copy.push_back(array);
+  for (const wire::Array& array : arrays) {
+    if ((!asked(begin, "changes") && array.name.starts_with("changed_")) ||
+        (!asked(begin, "places") && array.name.starts_with("place_")) ||
+        (!inserts && array.name.starts_with("inserted_")))
+      continue;
+    wire::Array& own = copy.emplace_back(wire::Array{array.name, array.dtype, array.shape, {}});
+    if (!own.bytes.try_reserve(array.bytes.size())) return std::nullopt;
+    own.bytes.assign(array.bytes.span());
+  }
   return copy;
 }
 
@@ -239,8 +243,10 @@ bool MemberGroups::answer_again(const MemberAnswers& answers, Delivery* delivery
 void MemberGroups::send(const MemberAnswers& answers, const Delivery::To& to) {
   Json json = answers.json;
   if (to.repeated) json["repeated"] = true;
-  const Status sent = to.connection->send_message(FrameType::reply, to.request, std::move(json),
-                                                  copy_for(to.begin, answers.arrays[to.member]));
+  auto arrays = copy_for(to.begin, answers.arrays[to.member]);
+  const Status sent =
+      arrays ? to.connection->send_message(FrameType::reply, to.request, std::move(json), std::move(*arrays))
+             : Status(Code::busy, "the step is committed, and there is no memory for its answer", "push it again");
   if (!sent.ok()) to.connection->send(FrameType::failure, to.request, wire::failure_json(sent));
 }
 

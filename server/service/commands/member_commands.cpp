@@ -111,8 +111,11 @@ Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Whereabouts&
   std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.member < b.member; });
   Buffer<particles::Id> ids;
   Buffer<std::int32_t> members;
-  if (!ids.try_reserve(n) || !members.try_reserve(n) || !joined.id.try_reserve(n) || !joined.member.try_reserve(n))
+  Buffer<std::uint64_t> to_order;  // only asked for
+  if (!to_order.try_reserve(2 * n) || !ids.try_reserve(n) || !members.try_reserve(n) || !joined.id.try_reserve(n) ||
+      !joined.member.try_reserve(n))
     return {Code::too_large, fmt::format("no memory for {} particles", n)};
+  to_order = {};
   for (const PushSlice& slice : slices) {
     ids.append(ids_of(slice));
     for (std::uint64_t i = 0; i < slice.count; ++i) members.push_back(slice.member);

@@ -42,11 +42,10 @@ Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int pa
 
 Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered,
                          std::uint64_t to_be_freed) {
-  // Searched; on several ranks leaving and arriving, too.
-  const std::uint64_t bytes_of_particle = comm.size() > 1 ? 64 : 24;
-  constexpr std::uint64_t kBytesOfPart = 1024;  // of the widest level of the tree
-  constexpr std::uint64_t kBytesAnswered = 24;  // an id and a part, as they come and as they go
-  const std::uint64_t bytes = particles * bytes_of_particle + static_cast<std::uint64_t>(parts) * kBytesOfPart +
+  constexpr std::uint64_t kBytesOfParticle = 64;  // where it is searched, changes part, leaves and arrives
+  constexpr std::uint64_t kBytesOfPart = 1024;    // of the widest level of the tree
+  constexpr std::uint64_t kBytesAnswered = 24;    // an id and a part, as they come and as they go
+  const std::uint64_t bytes = particles * kBytesOfParticle + static_cast<std::uint64_t>(parts) * kBytesOfPart +
                               (comm.rank() == 0 ? answered * kBytesAnswered : 0);
   return room_for(comm, bytes - std::min(bytes, to_be_freed),
                   fmt::format("a partition of {} particles into {} parts", particles, parts));

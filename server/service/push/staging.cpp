@@ -325,6 +325,8 @@ Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push) 
   if (!edits.ok()) return edits.status();
   staged.edits = std::move(*edits);
   if (push.moved == Moved::none) {
+    if (push.edits())
+      if (Status room = agree_status(comm, room_for_step(comm, scene, push, staged)); !room.ok()) return room;
     staged.seconds = context.received_seconds + context.clock.seconds() - start;
     return staged;
   }

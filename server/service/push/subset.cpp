@@ -43,6 +43,9 @@ Status receive_by_id(Context& context, Scene& scene, std::uint64_t count, partic
     if (ids[k] <= ids[k - 1])
       good = {Code::invalid_argument, fmt::format("id {} follows id {}", ids[k], ids[k - 1]),
               "in order \"id\" moved particles come in ascending id, each once"};
+  // As they come, which at worst doubles them, and for putting them in order.
+  const std::uint64_t most = std::min<std::uint64_t>(count, scene.particles.count());
+  if (good.ok()) good = room_for(comm, most * (16 * (dims + 2) + 16), fmt::format("{} moved particles", most));
   if (Status status = agree_status(comm, good); !status.ok()) return status;
   std::array<Buffer<double>, 3> piece;
   Status found = find_held(
