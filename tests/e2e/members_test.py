@@ -150,6 +150,10 @@ class Members(ServiceTest):
             self.control.push("seats", 0, self.walk[0])
         self.assertEqual(caught.exception.args[0], "busy")
         self.assertIn("2 members", caught.exception.args[1])
+        with self.assertRaises(Refused) as caught:
+            self.control.ask("load", scene="seats", path=self.save("theirs.npy", self.walk[0]))
+        self.assertEqual(caught.exception.args[0], "busy")
+        self.assertIn("2 members", caught.exception.args[1])
         for one in team:
             one.ask("scene.close", scene="seats")
         third = Member(self.path, "seats", 2, 3)

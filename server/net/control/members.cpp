@@ -88,6 +88,12 @@ std::string MemberGroups::holders(const std::string& scene) const {
   return any ? fmt::format("{} member{}", group->seats.size(), group->seats.size() == 1 ? "" : "s") : "";
 }
 
+Status MemberGroups::check_free(const std::string& scene) const {
+  const std::string members = holders(scene);
+  if (members.empty()) return {};
+  return {Code::busy, fmt::format("scene '{}' is pushed by {}", scene, members), "try again when they have closed it"};
+}
+
 Result<Membership> MemberGroups::join(const std::string& scene, Membership wanted, const Connection* connection,
                                       const std::string& client) {
   const auto members = static_cast<std::size_t>(wanted.members);

@@ -95,6 +95,8 @@ class MemberGroups {
   bool knows(const std::string& scene, const Connection* connection) const;
   // "4 members" if any seat of the scene is taken; else "".
   std::string holders(const std::string& scene) const;
+  // Errors: busy, if members hold the scene, so that others may not push it.
+  Status check_free(const std::string& scene) const;
 
   // Begins a contribution. The gate must hold no other push, and no change of the scene may be under way. A step that
   // is committed already is answered again. Errors: what is wrong with the push.begin.

@@ -284,6 +284,8 @@ awaitable<void> Session::scene_change(Request& request) {
                     "step's report tells"
                   : "try again when it is closed");
   }
+  // A file's particles are a push, too.
+  if (turn.ok() && request.command == "load") turn = coordinator_->groups().check_free(*scene);
   if (!turn.ok()) {
     fail(request.number, turn);
     coordinator_->gate(*scene).wake();

@@ -22,9 +22,7 @@ Status foreign_memory() { return {Code::not_authorised, "a push from shared memo
 }  // namespace
 
 Status Session::push_conflict(const SceneGate& gate, const PushId& id) {
-  if (const std::string holders = coordinator_->groups().holders(id.scene); !holders.empty())
-    return {Code::busy, fmt::format("scene '{}' is pushed by {}", id.scene, holders),
-            "try again when they have closed it"};
+  if (Status free = coordinator_->groups().check_free(id.scene); !free.ok()) return free;
   if (!gate.push) return {};
   const PushId& open = gate.push->slices.terms().id;
   if (open.session == id.session) {
