@@ -204,15 +204,16 @@ Status Supervisor::await_first_answer(Job& job) {
       if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");
       return {Code::aborted, reason(end->text),
-              fmt::format("{}the whole log: {}",
-                          by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "", log_.path())};
+              fmt::format("{}{}", by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "",
+                          // That of a service for one command goes with it.
+                          options_.embedded ? "rcbctl up keeps a log" : "the whole log: " + log_.path())};
     }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && ask_service(job, kProbeDeadlineSeconds) == Answer::heard) return {};
   }
   return {Code::deadline_exceeded,
           fmt::format("the service did not answer within {} s of its start", options_.ready_seconds),
-          "its log: " + log_.path()};
+          options_.embedded ? "rcbctl up keeps a log" : "its log: " + log_.path()};
 }
 
 // Watches and restarts the service until it has ended for good.

@@ -30,6 +30,20 @@ void advance(std::vector<double>& xyz) {
 }
 """
 
+# One member, and the regions of two parts.
+C_SOLVER = """
+int main() {
+  void* handle = nullptr;
+  double xyz[24] = {}, lo[6], hi[6];
+  std::int64_t ids[8], leave = 0, enter = 0;
+  for (int k = 0; k < 8; ++k) xyz[3 * k] = ids[k] = k;
+  if (rcb_create("wrapped", 2, 0.1) || rcb_open("wrapped", 0, 1, &handle)) return 1;
+  if (rcb_step(handle, xyz, ids, 8, &leave, &enter) || rcb_regions(handle, "wrapped", lo, hi)) return 1;
+  std::printf("left: %d entered: %d x: %g %g %g %g\\n", int(leave), int(enter), lo[0], hi[0], lo[3], hi[3]);
+  rcb_close(handle);
+}
+"""
+
 # What the parallel solver has and the page on coupling doesn't show.
 PARALLEL_SOLVER = """
 #include <cmath>
@@ -70,8 +84,11 @@ class Documents(ServiceTest):
         self.assertGreater(sum(report["repartitioned"] for report in history), 1)
 
     def test_the_wrapper_for_c(self):
-        main = "int main() { return rcb_create(nullptr, 1, 0); }"
-        self.compile("c++", block("docs/coupling.md", "cpp", 1) + main)
+        program = self.compile("c++", block("docs/coupling.md", "cpp", 1) + C_SOLVER)
+        done = run(program=program, endpoint=self.service.endpoint)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        # Eight places on a line, which is cut between the fourth and the fifth.
+        self.assertEqual(done.stdout.split(), ["left:", "0", "entered:", "0", "x:", "-inf", "4", "4", "inf"])
 
     def test_the_readme_program(self):
         program = self.compile("c++", SOLVER + block("README.md", "cpp"))

@@ -107,25 +107,45 @@ Status write_files(const Fetched& set, const ExportOptions& options, int parts, 
   return status;
 }
 
+// A scene, and its particles in the same parts.
+struct Exported {
+  Json shown;
+  Answer particles;
+  LeftoverFiles left;
+};
+
+Result<Exported> fetch_scene(client::Client& client, const ExportOptions& options) {
+  constexpr int kTries = 10;
+  for (int k = 0; k < kTries; ++k) {
+    auto shown = ask(client, "scene.show", {{"scene", options.name}});
+    if (!shown) return shown.status();
+    auto left = LeftoverFiles::find(options.directory, file_names(options, *shown), options.replace);
+    if (!left) return left.status();
+    auto answer = ask_arrays(client, "fetch", {{"scene", options.name}});
+    if (!answer) return answer.status();
+    if (answer->json.at("epoch") == shown->at("epoch"))
+      return Exported{std::move(*shown), std::move(*answer), std::move(*left)};
+  }
+  return Status(Code::aborted, fmt::format("the parts of scene '{}' changed while they were read", options.name),
+                "ask again");
+}
+
 Status export_scene(const ExportOptions& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
-  auto shown = ask(*client, "scene.show", {{"scene", options.name}});
-  if (!shown) return shown.status();
-  const auto left = LeftoverFiles::find(options.directory, file_names(options, *shown), options.replace);
-  if (!left) return left.status();
-  auto answer = ask_arrays(*client, "fetch", {{"scene", options.name}});
-  if (!answer) return answer.status();
-  auto set = fetched(answer->reply);
+  auto exported = fetch_scene(*client, options);
+  if (!exported) return exported.status();
+  const auto& [shown, answer, left] = *exported;
+  auto set = fetched(answer.reply);
   if (!set) return set.status();
   Json files = Json::array();
-  if (Status status = write_files(*set, options, shown->at("parts").get<int>(), files); !status) return status;
-  if (Status status = left->remove(); !status) return status;
+  if (Status status = write_files(*set, options, shown.at("parts").get<int>(), files); !status) return status;
+  if (Status status = left.remove(); !status) return status;
   if (context.json) {
     print_json({{"scene", options.name},
-                {"n", answer->json.at("n")},
-                {"step", answer->json.at("step")},
-                {"epoch", answer->json.at("epoch")},
+                {"n", answer.json.at("n")},
+                {"step", answer.json.at("step")},
+                {"epoch", answer.json.at("epoch")},
                 {"files", files}});
     return {};
   }
