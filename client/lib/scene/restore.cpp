@@ -56,7 +56,7 @@ void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
   const bool same_ids = ids.empty() || ids_.empty() || std::equal(ids.begin(), ids.end(), ids_.begin(), ids_.end());
   if (ask.positions.count == count_ && same_ids) return;
   ids_.clear();
-  has_ids_ = false;
+  has_ids_ = rows_assumed_ = false;
   weights_.clear();
   known_.reset();
   told_ = answered_ = began_ = false;

@@ -75,11 +75,16 @@ void Scene::State::forget_if_replaced() {
   unanswered_ = {};
   forget_plan();
   lost_plan_.reset();
-  ids_.clear();
-  parts_.clear();
-  known_.reset();
+  forget_rows();
   weights_.clear();
   began_ = answered_ = told_ = missed_ = base_unknown_ = false;
+}
+
+void Scene::State::forget_rows() {
+  ids_.clear();
+  rows_assumed_ = false;
+  parts_.clear();
+  known_.reset();
 }
 
 Result<PlanView> Scene::State::plan(double deadline_seconds) {
@@ -245,7 +250,10 @@ Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& 
   parts_ = std::move(by_row);
   parts_count_ = static_cast<int>(*parts);
   plan_ = std::move(*plan);
-  if (ids.data() != ids_.data()) ids_.assign(ids.begin(), ids.end());
+  if (ids.data() != ids_.data()) {
+    ids_.assign(ids.begin(), ids.end());
+    rows_assumed_ = !sorted.empty();
+  }
   return {};
 }
 

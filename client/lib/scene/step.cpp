@@ -67,14 +67,15 @@ Status Scene::State::check(const StepRequest& ask) const {
                  "give one weight a particle, or none");
   if (has_particles() && !options.weights.empty() && !has_weights_)
     return wrong("weights, and the scene has none", "weights must be there from the first push on");
-  if ((began_ || answered_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
+  if (!rows_assumed_ && (began_ || answered_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
     for (std::size_t row = 0; row < options.ids.size(); ++row)
       if (const std::int64_t known = ids_.empty() ? static_cast<std::int64_t>(row) : ids_[row];
           options.ids[row] != known)
         return wrong(fmt::format("row {} has id {}, at first it had {}", row, options.ids[row], known),
                      "ids belong to rows, which insertions and removals alone change; leave them out after the first "
                      "push");
-  if (has_particles() && has_ids_ && ids_.empty() && options.ids.empty() && count_ > 0 && ask.whole())
+  const bool rows_unknown = ids_.empty() || (rows_assumed_ && !positions.in_plan_order());
+  if (has_particles() && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none",
                  "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
   if (options.step && *options.step < 0)
@@ -91,6 +92,10 @@ Status Scene::State::ready(std::uint64_t count, std::span<const std::int64_t> id
     plan_.reset();
     if (with_plan) plan_ = layout::Layout::blocks(count, session().ranks(), ids);
     return {};
+  }
+  if (rows_assumed_ && !ids.empty()) {  // now the caller says it
+    forget_rows();
+    plan_.reset();
   }
   if (plan_ && plan_->ranks() != session().ranks()) plan_.reset();  // restarted with another number of ranks
   return plan_ || !with_plan ? Status{} : fetch_plan(ids_by_row(ids), retry);

@@ -33,6 +33,7 @@ void Scene::State::take_first(const StepRequest& ask) {
   has_weights_ = !options.weights.empty() || lost_empty_with_weights();
   has_ids_ = !options.ids.empty();
   if (options.ids.empty() || options.ids.data() != ids_.data()) ids_.assign(options.ids.begin(), options.ids.end());
+  rows_assumed_ = false;
   count_ = ask.positions.count;
   pushed_ = began_ = true;
   lost_ = false;
