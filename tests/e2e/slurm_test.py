@@ -6,7 +6,6 @@ from machines import *
 from slurm import Cluster, missing
 
 ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
-SCRIPTS = os.path.join(ROOT, "deploy", "slurm")
 
 
 class SlurmTest(MachinesTest):
@@ -19,6 +18,8 @@ class SlurmTest(MachinesTest):
         self.machines(count, Cluster)
         os.remove(os.path.join(self.bin, os.path.basename(MPIRUN)))  # the scripts call Open MPI's
         self.where = os.path.join(self.hosts.shared, "where")
+        shutil.copytree(os.path.join(ROOT, "deploy"), os.path.join(self.hosts.shared, "deploy"))  # as for the programs
+        self.scripts = os.path.join(self.hosts.shared, "deploy", "slurm")
         self.settings = {"RCBD_BIN_DIR": self.bin, "WHERE": self.where}
 
     def submit(self, *args, **more):
@@ -55,7 +56,7 @@ class SlurmTest(MachinesTest):
 
     def up(self, *args):
         """Submits a service, and waits until it says where it is."""
-        job = self.submit(*args, os.path.join(SCRIPTS, "service.sh"))
+        job = self.submit(*args, os.path.join(self.scripts, "service.sh"))
         # Longer than a start that fails takes to say why, and than srun waits where Slurm first refuses it a step.
         self.hosts.wait_for(lambda: self.published() is not None or self.hosts.state(job) == "", "the service", 150)
         self.assertIsNotNone(self.published(), f"the service's job has ended: {self.service_log()}\n{self.hosts.logs()}")
@@ -76,7 +77,7 @@ class SlurmTest(MachinesTest):
     def test_a_service_and_solvers_in_jobs_of_their_own(self):
         self.cluster(3)
         # The solver is there first, and waits.
-        solver = self.submit("--nodelist=c", os.path.join(SCRIPTS, "solver.sh"), "two_spheres", "--steps", "30",
+        solver = self.submit("--nodelist=c", os.path.join(self.scripts, "solver.sh"), "two_spheres", "--steps", "30",
                              "--parts", "6", "--json")
         service = self.up("--nodelist=a,b", "--ntasks=5")
         self.assertEqual(self.published()["job"], service)
@@ -110,7 +111,7 @@ class SlurmTest(MachinesTest):
         service = self.up("--nodes=2", "--ntasks=4", "--exclude=d")
         hosts = {one["host"] for one in self.status("d")["hosts"]}
         self.assertEqual(len(hosts), 2)
-        solver = self.submit("--nodelist=d", os.path.join(SCRIPTS, "solver.sh"), "two_spheres", "--steps", "1000",
+        solver = self.submit("--nodelist=d", os.path.join(self.scripts, "solver.sh"), "two_spheres", "--steps", "1000",
                              "--parts", "5", "--json")
         self.hosts.wait_for(lambda: self.status("d")["steps"] > 50, "the solver's first steps")
         dead = max(hosts - {"a"})  # the controller is on a
@@ -142,7 +143,7 @@ class SlurmTest(MachinesTest):
         self.nothing_is_left()
 
     def both(self, steps):
-        return self.submit("--nodes=2", "--ntasks=4", os.path.join(SCRIPTS, "both.sh"), "slope_mpi", "--points", "1000",
+        return self.submit("--nodes=2", "--ntasks=4", os.path.join(self.scripts, "both.sh"), "slope_mpi", "--points", "1000",
                            "--steps", steps, "--interval", "0.3", "--parts", "6", "--check",
                            RANKS_PER_NODE="2", OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
 
@@ -173,7 +174,6 @@ class SlurmTest(MachinesTest):
 
     def test_the_page_on_clusters_is_true_to_the_letter(self):
         self.cluster(3)
-        os.symlink(os.path.join(ROOT, "deploy"), os.path.join(self.hosts.shared, "deploy"))
         with open(os.path.join(ROOT, "docs", "cluster.md")) as page:
             blocks = re.findall(r"^```\n(.*?)^```$", page.read(), re.M | re.S)
         named, slurm = ([line.split("$ ", 1) for line in block.splitlines()] for block in blocks)

@@ -17,6 +17,8 @@
 namespace rcb::io {
 namespace {
 
+constexpr const char* kOpenFiles = "/proc/self/fd";
+
 std::string name_beside(const std::string& name) {
   static std::atomic<unsigned> number{0};
   return fmt::format("{}.{}-{}.part", name, ::getpid(), number++);
@@ -39,40 +41,51 @@ Result<OutputFile> OutputFile::create(const std::string& path) {
     }
     beside = name_beside(target);
   }
-  const int flags = beside.empty() ? O_WRONLY : O_WRONLY | O_CREAT | O_EXCL;
-  Descriptor file(::open((beside.empty() ? target : beside).c_str(), flags | O_CLOEXEC | O_NOCTTY, 0666));
-  if (!file.open()) {
+  OutputFile out(Descriptor(), std::move(target), std::move(beside), path);
+  if (!out.regular()) out.file_ = Descriptor(::open(out.name_.c_str(), O_WRONLY | O_CLOEXEC | O_NOCTTY));
+  if (out.regular() ? !out.open_beside() : !out.file_.open()) {
     const int error = errno;
     return Status(Code::io_error, fmt::format("{}: can't be written: {}", path, std::strerror(error)),
                   error == ENOENT ? "make its directory first" : "check the directory's permissions and space");
   }
-  return OutputFile(Descriptor(), std::move(target), std::move(beside), path, std::move(file));
+  return out;
 }
 
 Result<OutputFile> OutputFile::create_in(const Folder& folder, const std::string& name) {
-  std::string beside = name_beside(name);
-  const std::string path = folder.path() + "/" + name;
-  Descriptor kept(::fcntl(folder.descriptor(), F_DUPFD_CLOEXEC, 0));
-  const int flags = O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC;
-  Descriptor file(kept.open() ? ::openat(kept.get(), beside.c_str(), flags, 0666) : -1);
-  if (file.open()) return OutputFile(std::move(kept), name, std::move(beside), path, std::move(file));
-  return Status(Code::io_error, fmt::format("{}: can't be written: {}", path, std::strerror(errno)),
+  OutputFile out(Descriptor(::fcntl(folder.descriptor(), F_DUPFD_CLOEXEC, 0)), name, name_beside(name),
+                 folder.path() + "/" + name);
+  if (out.folder_.open() && out.open_beside()) return out;
+  return Status(Code::io_error, fmt::format("{}: can't be written: {}", out.path_, std::strerror(errno)),
                 "check the directory's permissions and space");
 }
 
-OutputFile::OutputFile(Descriptor folder, std::string name, std::string beside, std::string path, Descriptor file)
-    : folder_(std::move(folder)),
-      name_(std::move(name)),
-      beside_(std::move(beside)),
-      path_(std::move(path)),
-      file_(std::move(file)) {}
+OutputFile::OutputFile(Descriptor folder, std::string name, std::string beside, std::string path)
+    : folder_(std::move(folder)), name_(std::move(name)), beside_(std::move(beside)), path_(std::move(path)) {}
 
 OutputFile::~OutputFile() {
   if (file_.open()) remove();
 }
 
+bool OutputFile::open_beside() {
+  constexpr mode_t kMode = 0666;
+  const std::size_t slash = beside_.rfind('/');
+  const std::string parent = slash == std::string::npos ? "." : beside_.substr(0, slash + 1);
+  if (::access(kOpenFiles, X_OK) == 0)
+    file_ = Descriptor(::openat(folder(), parent.c_str(), O_TMPFILE | O_WRONLY | O_CLOEXEC, kMode));
+  nameless_ = file_.open();
+  if (!nameless_)
+    file_ = Descriptor(
+        ::openat(folder(), beside_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC | O_NOCTTY, kMode));
+  return file_.open();
+}
+
+bool OutputFile::give_name() const {
+  const std::string open = fmt::format("{}/{}", kOpenFiles, file_.get());
+  return ::linkat(AT_FDCWD, open.c_str(), folder(), beside_.c_str(), AT_SYMLINK_FOLLOW) == 0;
+}
+
 void OutputFile::remove() const {
-  if (!beside_.empty()) ::unlinkat(folder(), beside_.c_str(), 0);
+  if (!beside_.empty() && !nameless_) ::unlinkat(folder(), beside_.c_str(), 0);
 }
 
 int OutputFile::folder() const { return folder_.open() ? folder_.get() : AT_FDCWD; }
@@ -92,6 +105,8 @@ Status OutputFile::write_at_begin(std::string_view bytes) {
 }
 
 Status OutputFile::commit() {
+  if (nameless_ && !give_name()) return failed("named");
+  nameless_ = false;
   const bool closed = file_.close();
   if (closed && (beside_.empty() || ::renameat(folder(), beside_.c_str(), folder(), name_.c_str()) == 0)) return {};
   const Status status = failed(closed ? "renamed" : "closed");

@@ -1,5 +1,6 @@
 // OutputFile: written to a temporary file beside its name and renamed at the end, so that no reader finds half a file.
-// What exists and is no regular file (a terminal, a pipe) is written directly.
+// Where the file system can do it, that file has no name until then, so that nothing of it stays when the process is
+// killed. What exists and is no regular file (a terminal, a pipe) is written directly.
 #pragma once
 
 #include <string>
@@ -28,9 +29,12 @@ class OutputFile {
   bool regular() const { return !beside_.empty(); }
 
  private:
-  OutputFile(Descriptor folder, std::string name, std::string beside, std::string path, Descriptor file);
+  OutputFile(Descriptor folder, std::string name, std::string beside, std::string path);
+  // Opens the temporary file. False: see errno.
+  bool open_beside();
   Status failed(const char* what) const;
   int folder() const;  // for openat(2)
+  bool give_name() const;
   void remove() const;
 
   Descriptor folder_;   // an open folder in which the names are; none: the working directory
@@ -38,6 +42,7 @@ class OutputFile {
   std::string beside_;  // the temporary file; empty: written directly
   std::string path_;    // for messages
   Descriptor file_;
+  bool nameless_ = false;  // the temporary file has no name yet
 };
 
 // Writes a whole file.

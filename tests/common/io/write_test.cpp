@@ -1,11 +1,16 @@
 // What is written is read back bit for bit; a file appears whole or not at all.
 #include <array>
+#include <csignal>
 #include <limits>
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "common/base/random.hpp"
+#include "common/io/files/output_file.hpp"
 #include "tests/common/io/files.hpp"
 
 namespace rcb::io {
@@ -88,6 +93,30 @@ TEST(Write, TrajectoryAppearsAtItsEnd) {
   EXPECT_EQ(directory.file_count(), 1U);
   { auto given_up = TrajectoryWriter::create(directory / "u.npy", 2, 2); }
   EXPECT_EQ(directory.file_count(), 1U);
+}
+
+// Nor does anything stay of what a process that is killed has written.
+TEST(Write, UntilItIsWholeAFileHasNoName) {
+  const Directory directory;
+  if (!Descriptor(::open((directory / "").c_str(), O_TMPFILE | O_WRONLY, 0600)).open())
+    GTEST_SKIP() << "this file system has no files without a name";
+  const pid_t writer = ::fork();
+  if (writer == 0) {
+    auto file = OutputFile::create(directory / "killed.csv");
+    if (file.ok()) static_cast<void>(file->write("half"));
+    ::kill(::getpid(), SIGKILL);
+  }
+  int status = 0;
+  ASSERT_EQ(::waitpid(writer, &status, 0), writer);
+  EXPECT_TRUE(WIFSIGNALED(status));
+  EXPECT_EQ(directory.file_count(), 0U);
+  auto file = OutputFile::create(directory / "whole.csv");
+  ASSERT_TRUE(file.ok());
+  EXPECT_TRUE(file->write("whole").ok());
+  EXPECT_EQ(directory.file_count(), 0U);
+  EXPECT_TRUE(file->commit().ok());
+  EXPECT_EQ(directory.file_count(), 1U);
+  EXPECT_EQ(contents(directory / "whole.csv"), "whole");
 }
 
 TEST(Write, Refusals) {
