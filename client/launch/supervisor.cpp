@@ -65,6 +65,7 @@ class Supervisor {
   std::string where(Job& job) const;
   bool is_silent(Job& job);
   Answer ask_service(Job& job, double deadline_seconds);
+  std::string log_hint(const char* name) const;
   Outcome start_again(Job& job, std::string why);
   bool pause(double seconds);
   Status start(Job& job, bool restarted);
@@ -204,16 +205,19 @@ Status Supervisor::await_first_answer(Job& job) {
       if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");
       return {Code::aborted, reason(end->text),
-              fmt::format("{}{}", by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "",
-                          // That of a service for one command goes with it.
-                          options_.embedded ? "rcbctl up keeps a log" : "the whole log: " + log_.path())};
+              (by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "") + log_hint("the whole log")};
     }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && ask_service(job, kProbeDeadlineSeconds) == Answer::heard) return {};
   }
   return {Code::deadline_exceeded,
           fmt::format("the service did not answer within {} s of its start", options_.ready_seconds),
-          options_.embedded ? "rcbctl up keeps a log" : "its log: " + log_.path()};
+          log_hint("its log")};
+}
+
+// The log of a service for one command is removed with it.
+std::string Supervisor::log_hint(const char* name) const {
+  return options_.embedded ? "rcbctl up keeps a log" : fmt::format("{}: {}", name, log_.path());
 }
 
 // Watches and restarts the service until it has ended for good.

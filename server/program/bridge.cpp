@@ -77,19 +77,20 @@ Bridge::Bridge(net::IoLoop& loop, ranks::EngineLoop& engine, net::DoorbellHub& d
       doorbells_(doorbells),
       data_(data),
       queue_(net::Credits(ranks - 1, kOrdersAheadMax, kBytesAheadMax),
-             [this](net::Order order, net::OrderQueue::Done done, net::OrderQueue::Kind kind) {
+             [this](net::Order&& order, net::OrderQueue::Done&& done, net::OrderQueue::Kind kind) {
                send_to_all(std::move(order), std::move(done), kind);
              }) {}
 
 void Bridge::submit(net::Order order, std::function<void(net::Answer)> done) {
   const auto* command = api::find_command(order.request.value("command", ""));
   if (command != nullptr && command->runs_on == api::RunsOn::root)
-    send_to_rank_0(std::move(order), std::move(done));
+    send_to_rank_0(std::move(order), {}, std::move(done));
   else
     queue_.add(std::move(order), std::move(done));
 }
 
-void Bridge::send_to_all(net::Order order, net::OrderQueue::Done done, net::OrderQueue::Kind kind) {
+void Bridge::send_to_all(net::Order&& order, net::OrderQueue::Done&& done, net::OrderQueue::Kind kind) {
+  std::vector<api::Slice> slices = staged_slices(data_, order.request);
   if (kind != net::OrderQueue::Kind::brief)
     done = [this, kind, done = std::move(done)](net::Answer answer) {
       done(std::move(answer));
@@ -97,14 +98,14 @@ void Bridge::send_to_all(net::Order order, net::OrderQueue::Done done, net::Orde
     };
   const std::string text = std::move(order.text);
   // First this rank's engine, so that it wakes up while the other ranks are notified.
-  send_to_rank_0(std::move(order), std::move(done));
-  doorbells_.ring(number_, text);
+  send_to_rank_0(std::move(order), std::move(slices), std::move(done));
+  ring(text);
 }
 
-void Bridge::send_to_rank_0(net::Order order, net::OrderQueue::Done done) {
+void Bridge::send_to_rank_0(net::Order order, std::vector<api::Slice> slices, net::OrderQueue::Done done) noexcept {
   ranks::EngineOrder out;
-  out.slices = staged_slices(data_, order.request);
   out.number = ++number_;
+  out.slices = std::move(slices);
   for (api::Slice& slice : order.slices) out.slices.push_back(std::move(slice));
   out.request = std::move(order.request);
   out.received_seconds = order.received_seconds;

@@ -32,8 +32,10 @@ class Bridge final : public net::Engine {
   void executed(int rank, std::uint64_t orders) { queue_.executed(rank, orders); }
 
  private:
-  void send_to_all(net::Order order, net::OrderQueue::Done done, net::OrderQueue::Kind kind);
-  void send_to_rank_0(net::Order order, net::OrderQueue::Done done);
+  void send_to_all(net::Order&& order, net::OrderQueue::Done&& done, net::OrderQueue::Kind kind);
+  // A rank that lacked an order would keep the others waiting for ever: what fails in here ends the process.
+  void send_to_rank_0(net::Order order, std::vector<api::Slice> slices, net::OrderQueue::Done done) noexcept;
+  void ring(const std::string& text) noexcept { doorbells_.ring(number_, text); }
 
   net::IoLoop& loop_;
   ranks::EngineLoop& engine_;

@@ -55,10 +55,9 @@ void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
   const auto& ids = ask.options.ids;
   const bool same_ids = ids.empty() || ids_.empty() || std::equal(ids.begin(), ids.end(), ids_.begin(), ids_.end());
   if (ask.positions.count == count_ && same_ids) return;
-  ids_.clear();
-  has_ids_ = rows_assumed_ = false;
+  forget_rows();
+  has_ids_ = false;
   weights_.clear();
-  known_.reset();
   told_ = answered_ = began_ = false;
   lost_plan_.reset();
   count_ = ask.positions.count;

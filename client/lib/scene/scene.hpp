@@ -129,7 +129,7 @@ struct Scene::State {
   Result<bool> needs_unanswered(const Retry& retry);
   // Makes sure that the layout is there; fetches it if it is missing.
   Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
-  void forget_rows();
+  void forget_rows();  // which particle is in which row, and their parts
   // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
   Status fetch_plan(std::span<const std::int64_t> ids, const Retry& retry);
   Result<Frame> push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
@@ -191,7 +191,7 @@ struct Scene::State {
   UnansweredStep unanswered_;
   std::optional<layout::Layout> plan_;
   std::vector<std::int64_t> ids_;    // by row, once the scene has them; empty: id = row
-  bool rows_assumed_ = false;        // the caller hasn't said whose its rows are: ids_ is in ascending order
+  bool rows_assumed_ = false;        // ids_ was taken in ascending order: the caller hasn't said whose its rows are
   std::vector<std::int32_t> parts_;  // by row
   // By row, the parts last told to the caller; none: these are parts_.
   std::optional<std::vector<std::int32_t>> known_;

@@ -164,7 +164,7 @@ Status Session::wait(Retry& retry, const Status& why, const std::string& what) c
 Status Session::connect(const Deadline& deadline) {
   if (!endpoints_.front().published.empty())  // started again, it may be elsewhere
     if (auto now = endpoints_to_try(options_.endpoint)) endpoints_ = std::move(*now);
-  // A service that takes a connection and ends it may have too many.
+  // A service that takes a connection and ends it may have too many: then once more. lost: how the last one ended.
   Status lost;
   bool taken = false;
   Retry retry(deadline.left_seconds());
@@ -179,11 +179,11 @@ Status Session::connect(const Deadline& deadline) {
         told_goodbye_ = false;
         return {};
       }
-      const bool answered = std::exchange(connection_, nullptr) != nullptr;
-      if (status.code() == Code::deadline_exceeded && !lost) return lost;
+      const bool was_taken = std::exchange(connection_, nullptr) != nullptr;
+      if (status.code() == Code::deadline_exceeded && !lost.ok()) return lost;
       if (status.code() != Code::unavailable || status.hint() == kDescriptorsHint) return status;
-      if (answered) lost = status;
-      taken = taken || answered;
+      if (was_taken) lost = status;
+      taken = taken || was_taken;
     }
   } while (taken && retry.wait(fmt::format("a connection to {}", joined(endpoints_)), options_.on_notice));
   if (taken) return lost;
@@ -233,8 +233,7 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
     if (is_unix || local == reply->end() || !local->is_array() || rank >= local->size()) continue;
     const auto machine = wire::string_field((*local)[rank], "machine", kMachineBytesMax);
     const auto address = wire::string_field((*local)[rank], "address", kSocketPathMax + 5);
-    if (machine && address && *machine == here && address->starts_with("unix:"))
-      local_addresses_[rank] = *address;
+    if (machine && address && *machine == here && address->starts_with("unix:")) local_addresses_[rank] = *address;
   }
   return {};
 }

@@ -42,8 +42,7 @@ Result<OutputFile> OutputFile::create(const std::string& path) {
     beside = name_beside(target);
   }
   OutputFile out(Descriptor(), std::move(target), std::move(beside), path);
-  if (!out.regular()) out.file_ = Descriptor(::open(out.name_.c_str(), O_WRONLY | O_CLOEXEC | O_NOCTTY));
-  if (out.regular() ? !out.open_beside() : !out.file_.open()) {
+  if (!out.open()) {
     const int error = errno;
     return Status(Code::io_error, fmt::format("{}: can't be written: {}", path, std::strerror(error)),
                   error == ENOENT ? "make its directory first" : "check the directory's permissions and space");
@@ -54,7 +53,7 @@ Result<OutputFile> OutputFile::create(const std::string& path) {
 Result<OutputFile> OutputFile::create_in(const Folder& folder, const std::string& name) {
   OutputFile out(Descriptor(::fcntl(folder.descriptor(), F_DUPFD_CLOEXEC, 0)), name, name_beside(name),
                  folder.path() + "/" + name);
-  if (out.folder_.open() && out.open_beside()) return out;
+  if (out.folder_.open() && out.open()) return out;
   return Status(Code::io_error, fmt::format("{}: can't be written: {}", out.path_, std::strerror(errno)),
                 "check the directory's permissions and space");
 }
@@ -66,17 +65,16 @@ OutputFile::~OutputFile() {
   if (file_.open()) remove();
 }
 
-bool OutputFile::open_beside() {
-  constexpr mode_t kMode = 0666;
+bool OutputFile::open() {
+  const auto open_at = [this](const std::string& path, int flags) {
+    file_ = Descriptor(::openat(folder(), path.c_str(), O_WRONLY | O_CLOEXEC | O_NOCTTY | flags, 0666));
+    return file_.open();
+  };
+  if (!regular()) return open_at(name_, 0);
   const std::size_t slash = beside_.rfind('/');
   const std::string parent = slash == std::string::npos ? "." : beside_.substr(0, slash + 1);
-  if (::access(kOpenFiles, X_OK) == 0)
-    file_ = Descriptor(::openat(folder(), parent.c_str(), O_TMPFILE | O_WRONLY | O_CLOEXEC, kMode));
-  nameless_ = file_.open();
-  if (!nameless_)
-    file_ = Descriptor(
-        ::openat(folder(), beside_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC | O_NOCTTY, kMode));
-  return file_.open();
+  nameless_ = ::access(kOpenFiles, X_OK) == 0 && open_at(parent, O_TMPFILE);
+  return nameless_ || open_at(beside_, O_CREAT | O_EXCL | O_NOFOLLOW);
 }
 
 bool OutputFile::give_name() const {

@@ -30,8 +30,7 @@ class OutputFile {
 
  private:
   OutputFile(Descriptor folder, std::string name, std::string beside, std::string path);
-  // Opens the temporary file. False: see errno.
-  bool open_beside();
+  bool open();  // false: see errno
   Status failed(const char* what) const;
   int folder() const;  // for openat(2)
   bool give_name() const;

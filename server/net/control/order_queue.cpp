@@ -73,12 +73,11 @@ void OrderQueue::release() {
 // Whatever is wrong with one order concerns neither those behind it nor whoever made room for it.
 void OrderQueue::send(Waiting one) {
   const std::uint64_t bytes = one.order.text.size();
-  const Done done = one.done;
   try {
     send_(std::move(one.order), std::move(one.done), one.kind);
   } catch (const std::exception& fault) {
     spdlog::error("an order can't be sent: {}", fault.what());
-    return done({.status = {Code::internal, fmt::format("an internal fault: {}", fault.what())}});
+    return one.done({.status = {Code::internal, fmt::format("an internal fault: {}", fault.what())}});
   }
   credits_.sent(bytes);
   if (one.kind == Kind::long_reading) reading_ = one.scene;

@@ -28,9 +28,9 @@ class OrderQueue {
  public:
   using Done = std::function<void(Answer)>;
   enum class Kind { brief, long_reading, long_changing };
-  // Sends an order to all ranks, or throws and sends nothing. After the answer to a long order its sender calls
-  // long_order_ended().
-  using Send = std::function<void(Order order, Done done, Kind kind)>;
+  // Sends an order to all ranks, or throws before it has sent or taken anything. After the answer to a long order its
+  // sender calls long_order_ended().
+  using Send = std::function<void(Order&& order, Done&& done, Kind kind)>;
   OrderQueue(Credits credits, Send send) : credits_(std::move(credits)), send_(std::move(send)) {}
 
   void add(Order order, Done done);

@@ -111,11 +111,11 @@ Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Whereabouts&
   std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.member < b.member; });
   Buffer<particles::Id> ids;
   Buffer<std::int32_t> members;
-  Buffer<std::uint64_t> to_order;  // only asked for
+  Buffer<std::uint64_t> to_order;  // what putting them in order takes: asked for, and given back
   if (!to_order.try_reserve(2 * n) || !ids.try_reserve(n) || !members.try_reserve(n) || !joined.id.try_reserve(n) ||
       !joined.member.try_reserve(n))
     return {Code::too_large, fmt::format("no memory for {} particles", n)};
-  to_order = {};
+  to_order.release();
   for (const PushSlice& slice : slices) {
     ids.append(ids_of(slice));
     for (std::uint64_t i = 0; i < slice.count; ++i) members.push_back(slice.member);
