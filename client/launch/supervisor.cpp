@@ -217,7 +217,7 @@ Status Supervisor::await_first_answer(Job& job) {
 
 // The log of a service for one command is removed with it.
 std::string Supervisor::log_hint(const char* name) const {
-  return options_.embedded ? "rcbctl up keeps a log" : fmt::format("{}: {}", name, log_.path());
+  return options_.embedded ? "a service that rcbctl up starts keeps its log" : fmt::format("{}: {}", name, log_.path());
 }
 
 // Watches and restarts the service until it has ended for good.

@@ -110,7 +110,9 @@ Status check_not_overwritten(const char* option, const std::string& written, std
 Status check_written_once(const std::pair<const char*, std::string>& one,
                           const std::pair<const char*, std::string>& other) {
   std::error_code unknown;
-  const auto place = [&unknown](const std::string& path) { return std::filesystem::weakly_canonical(path, unknown); };
+  const auto place = [&unknown](const std::string& path) {
+    return std::filesystem::weakly_canonical(std::filesystem::absolute(path, unknown), unknown);
+  };
   if (one.second.empty() || other.second.empty() || place(one.second) != place(other.second)) return {};
   return {Code::usage, fmt::format("{} and {} would write one file, {}", one.first, other.first, one.second),
           "give them two names"};
