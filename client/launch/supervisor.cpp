@@ -199,8 +199,11 @@ Status Supervisor::start(Job& job, bool restarted) {
 Status Supervisor::await_first_answer(Job& job) {
   const double deadline = clock_.seconds() + options_.ready_seconds;
   while (clock_.seconds() < deadline) {
-    if (wait(kProbeSeconds) == Events::Event::stop)
-      return {Code::aborted, "the service was told to end while it started"};
+    if (wait(kProbeSeconds) == Events::Event::stop) {
+      if (options_.embedded || !job.ready()) return {Code::aborted, "the service was told to end while it started"};
+      stop(job);  // others may know already that it is up
+      return {};
+    }
     if (const auto end = job.poll()) {
       if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");

@@ -178,18 +178,22 @@ class Places(unittest.TestCase):
         self.assertEqual(run("down", endpoint=f"unix:{self.dir}/s").returncode, 0)
 
     def test_told_to_end_before_the_launcher_has_seen_that_it_runs(self):
-        with self.up("true", "--foreground") as up:
-            wait_for(lambda: any("rcbd --" in line for _, line in processes_of(self.dir)), 60)
-            up.send_signal(signal.SIGSTOP)
-            try:
-                wait_for(lambda: run("status", endpoint=f"unix:{self.dir}/s").returncode == 0, 60)
-                with Client(f"unix:{self.dir}/s") as client:
-                    client.ask("shutdown")
-                wait_for(lambda: not any("rcbd --" in line for _, line in processes_of(self.dir)), 60)
-            finally:
-                up.send_signal(signal.SIGCONT)
-            self.assertEqual(up.wait(60), 0, up.stderr.read())
-        self.assertEqual(processes_of(self.dir), [])
+        def shut_down(_):
+            with Client(f"unix:{self.dir}/s") as client:
+                client.ask("shutdown")
+            wait_for(lambda: not any("rcbd --" in line for _, line in processes_of(self.dir)), 60)
+
+        for end in (shut_down, lambda up: up.send_signal(signal.SIGHUP)):
+            with self.up("true", "--foreground") as up:
+                wait_for(lambda: any("rcbd --" in line for _, line in processes_of(self.dir)), 60)
+                up.send_signal(signal.SIGSTOP)
+                try:
+                    wait_for(lambda: run("status", endpoint=f"unix:{self.dir}/s").returncode == 0, 60)
+                    end(up)
+                finally:
+                    up.send_signal(signal.SIGCONT)
+                self.assertEqual(up.wait(60), 0, up.stderr.read())
+            self.assertEqual(processes_of(self.dir), [])
 
     def test_a_users_own_file_where_a_lock_belongs(self):
         with open(os.path.join(self.dir, "s.lock"), "w") as file:
