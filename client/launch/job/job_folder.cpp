@@ -93,9 +93,13 @@ JobFolder::JobFolder(JobFolder&& other) noexcept
     : path_(std::exchange(other.path_, "")), lock_(std::move(other.lock_)) {}
 
 JobFolder::~JobFolder() {
-  std::error_code ignored;
+  if (path_.empty()) return;
   try {
-    if (!path_.empty()) fs::remove_all(path_, ignored);
+    std::error_code error;
+    // The note goes last: by it the next sweep finds what can't be removed now, such as without a descriptor left.
+    for (const std::string& name : names_in(path_, error))
+      if (name != kOwnerFile && !error) fs::remove_all(join_path(path_, name), error);
+    if (!error) fs::remove_all(path_, error);
   } catch (const std::bad_alloc&) {  // the next sweep removes it
   }
 }
