@@ -78,24 +78,31 @@ class BracketGuess {
 
   Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, std::size_t axis, double old,
                   double wanted) {
-    left_.clear();
-    right_.clear();
+    left_.resize(own.size());
+    right_.resize(own.size());
+    std::size_t lefts = 0;
     // The load below the old cut is that of the left parts, plus what the node has gained there, minus what they have
     // lost, both estimated from the sample.
-    double gained = 0;
-    double stayed_left = 0;
-    for (const std::uint32_t k : own) {
-      const double x = sample_.x(axis, k);
-      (x < old ? left_ : right_).push_back(x);
-      const std::int32_t part = sample_.part[k];
-      const bool mine = part >= range.first && part < range.last;
-      stayed_left += mine && part < range.middle() ? 1 : 0;
-      gained += !mine && x < old ? 1 : 0;
+    std::size_t gained_left = 0;
+    std::size_t stayed_left = 0;
+    for (std::size_t i = 0; i < own.size(); ++i) {  // without branches: which side it is can't be predicted
+      const double x = sample_.x(axis, own[i]);
+      const bool left = x < old;
+      left_[lefts] = x;
+      right_[i - lefts] = x;
+      lefts += left ? 1U : 0U;
+      const std::int32_t part = sample_.part[own[i]];
+      const bool mine = (part >= range.first) & (part < range.last);
+      stayed_left += mine & (part < range.middle()) ? 1U : 0U;
+      gained_left += !mine & left ? 1U : 0U;
     }
+    left_.resize(lefts);
+    right_.resize(own.size() - lefts);
+    const auto gained = static_cast<double>(gained_left);
     const auto had = [&](int first, int last) {
       return static_cast<double>(sampled_prefix_[at(last)] - sampled_prefix_[at(first)]);
     };
-    const double lost = had(range.first, range.middle()) - stayed_left;
+    const double lost = had(range.first, range.middle()) - static_cast<double>(stayed_left);
     const double load_of_one = prefix_.back() / static_cast<double>(sample_.count());
     if (own.empty() || !(load_of_one > 0)) return {};
     const double excess = (load(range.first, range.middle()) - wanted * share(range)) / load_of_one + gained - lost;

@@ -20,21 +20,20 @@ class GuessedPass {
         part_(part),
         boundary_max_(boundary_max),
         tables_(guess, roots, particles.dims),
-        out_(out) {}
+        out_(out),
+        boundary_(out) {}
 
   void run() {
-    Axes x = particles_.position;
-    for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
+    const Axes x = axes_of(particles_);
     std::size_t begin = 0;
-    for (; begin < particles_.count && listed_ <= boundary_max_; begin += kBlock) {
+    for (; begin < particles_.count && boundary_.size() <= boundary_max_; begin += kBlock) {
       const std::size_t count = std::min(kBlock, particles_.count - begin);
-      make_room(listed_ + kBlock);
       run_block({x[0] + begin, x[1] + begin, x[2] + begin}, begin, count);
     }
     // If it stopped early, the result will not be used, but the rest of `part` must be valid parts all the same. With
     // several roots they are.
     for (std::size_t i = begin; i < particles_.count && !tables_.several; ++i) part_[i] = 0;
-    resize(listed_);
+    boundary_.finish();
     for (std::size_t leaf = 0; leaf < tables_.leaves; ++leaf) {
       out_.boxes[at(tables_.part[leaf])] = tables_.box[leaf];
       out_.counts[at(tables_.part[leaf])] = counts_[leaf];
@@ -53,19 +52,7 @@ class GuessedPass {
       const auto k = at(std::countr_zero(found.unsure));
       found.boundary |= (settle(begin + k, found.leaf(k), by_key[j]) ? 0ULL : 1ULL) << k;
     }
-    if (found.boundary == 0) return;
-    BoundaryList to{{}, out_.slot.data() + listed_, out_.part.data() + listed_};
-    for (std::size_t a = 0; a < axes(); ++a) to.position[a] = out_.boundary.position[a].data() + listed_;
-    listed_ += list_boundary(x, particles_.dims, begin, part, count, found.boundary, to);
-  }
-
-  void resize(std::size_t count) {
-    out_.slot.resize(count);
-    out_.part.resize(count);
-    for (std::size_t a = 0; a < axes(); ++a) out_.boundary.position[a].resize(count);
-  }
-  void make_room(std::size_t count) {
-    if (count > out_.slot.size()) resize(std::max(count, 2 * out_.slot.size()));
+    if (found.boundary != 0) boundary_.append(x, begin, part, count, found.boundary);
   }
 
   // True if a particle is interior; then its leaf's box grows to hold it. leaf: the one that its rounded coordinates
@@ -94,7 +81,7 @@ class GuessedPass {
   std::size_t boundary_max_;
   GuessTables tables_;
   OwnInterior& out_;
-  std::size_t listed_ = 0;  // boundary particles so far
+  BoundaryList boundary_;
   std::array<std::uint64_t, GuessTables::kLeaves> counts_{};
 };
 

@@ -8,6 +8,7 @@
 #include <bit>
 
 #include "common/base/cpu.hpp"
+#include "common/partition/incremental/boundary_list.hpp"
 #include "common/partition/search/four_points.hpp"
 
 namespace rcb::partition {
@@ -15,6 +16,7 @@ namespace {
 
 using particles::kBlock;
 constexpr std::size_t kLanes = 4;
+constexpr std::size_t kAhead = 16 * kBlock;  // particles that are prefetched ahead of branches that depend on data
 
 // One cache line. Lanes beyond the last axis are unbounded.
 struct alignas(64) Bounds {
@@ -30,25 +32,29 @@ class Pass {
       : particles_(particles),
         blocks_(blocks),
         part_(part),
-        inner_(inner),
+        own_parts_(inner.size()),
         first_(own.first),
         boundary_max_(boundary_max),
-        out_(out) {
+        x_(axes_of(particles)),
+        boundary_(out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
     none.hi.fill(geometry::Box::kInfinity);
+    inner_.assign(own_parts_ + 1, none);
     for (std::size_t a = 0; a < axes(); ++a) std::swap(none.lo[a], none.hi[a]);
-    bounds_.assign(inner.size() + 1, none);
+    box_.assign(own_parts_ + 1, none);
+    inner_.back() = none;
+    for (std::size_t p = 0; p < own_parts_; ++p) {
+      std::copy_n(inner[p].lo.begin(), axes(), inner_[p].lo.begin());
+      std::copy_n(inner[p].hi.begin(), axes(), inner_[p].hi.begin());
+    }
   }
 
   // Grows the boxes with some thousand particles from everywhere first. Otherwise sorted arrays would be slow: each
   // particle would lie outside of the box of those before it.
   void seed() {
     const std::size_t stride = std::max<std::size_t>(particles_.count / 4096, 1);
-    for (std::size_t i = 0; i < particles_.count; i += stride) look(i);
-    out_.boundary.resize(0);
-    out_.slot.clear();
-    out_.part.clear();
+    for (std::size_t i = 0; i < particles_.count; i += stride) (void)take_in(i);
   }
 
   void run() {
@@ -60,8 +66,8 @@ class Pass {
 
   geometry::Box box(std::size_t p) const {
     geometry::Box box;
-    std::copy_n(bounds_[p].lo.begin(), axes(), box.lo.begin());
-    std::copy_n(bounds_[p].hi.begin(), axes(), box.hi.begin());
+    std::copy_n(box_[p].lo.begin(), axes(), box.lo.begin());
+    std::copy_n(box_[p].hi.begin(), axes(), box.hi.begin());
     return box;
   }
 
@@ -69,57 +75,53 @@ class Pass {
   std::size_t axes() const { return static_cast<std::size_t>(particles_.dims); }
   // The index of a part's bounds. Parts of other ranks share the last one, which stays empty.
   std::size_t index_of(std::int32_t part) const {
-    return std::min<std::size_t>(static_cast<std::uint32_t>(part - first_), inner_.size());
-  }
-  std::size_t index(std::size_t i) const { return index_of(part_[i]); }
-
-  // Looks at a particle outside of its part's box: if it is interior, the box grows, else it joins the boundary
-  // particles.
-  void look(std::size_t i) {
-    const std::size_t p = index(i);
-    bool inside = p < inner_.size();
-    for (std::size_t a = 0; a < axes() && inside; ++a)
-      inside = particles_.position[a][i] > inner_[p].lo[a] && particles_.position[a][i] < inner_[p].hi[a];
-    if (!inside) {
-      out_.slot.push_back(i);
-      out_.part.push_back(part_[i]);
-      for (std::size_t a = 0; a < axes(); ++a) out_.boundary.position[a].push_back(particles_.position[a][i]);
-      return;
-    }
-    for (std::size_t a = 0; a < axes(); ++a) {
-      bounds_[p].lo[a] = std::min(bounds_[p].lo[a], particles_.position[a][i]);
-      bounds_[p].hi[a] = std::max(bounds_[p].hi[a], particles_.position[a][i]);
-    }
+    return std::min<std::size_t>(static_cast<std::uint32_t>(part - first_), own_parts_);
   }
 
-  using Axes = std::array<const double*, geometry::kDimsMax>;
+  // True if a particle is interior; then its part's box grows to hold it. Without branches but one, since most that lie
+  // outside of their box are boundary particles.
+  bool take_in(std::size_t i) {
+    const std::size_t p = index_of(part_[i]);
+    bool inside = true;
+    for (std::size_t a = 0; a < x_.size(); ++a) inside &= (x_[a][i] > inner_[p].lo[a]) & (x_[a][i] < inner_[p].hi[a]);
+    for (std::size_t a = 0; a < x_.size() && inside; ++a) {
+      box_[p].lo[a] = std::min(box_[p].lo[a], x_[a][i]);
+      box_[p].hi[a] = std::max(box_[p].hi[a], x_[a][i]);
+    }
+    return inside;
+  }
 
   template <bool kAvx2>
   void run_blocks() {
-    // Axes >= dims read the first axis; their lanes are unbounded.
-    Axes x = particles_.position;
-    for (std::size_t a = axes(); a < x.size(); ++a) x[a] = x[0];
-    for (std::size_t begin = 0; begin < particles_.count && out_.slot.size() <= boundary_max_; begin += kBlock) {
+    for (std::size_t begin = 0; begin < particles_.count && boundary_.size() <= boundary_max_; begin += kBlock) {
       const std::size_t count = std::min(kBlock, particles_.count - begin);
       const std::int32_t* const part = part_.data() + begin;
       std::int32_t other = 0;
       for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
-      if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index(begin))) continue;
-      const Axes at{x[0] + begin, x[1] + begin, x[2] + begin};
-      std::uint64_t beyond =
-          other == 0 ? beyond_same<kAvx2>(at, bounds_[index(begin)], count) : beyond_own<kAvx2>(at, part, count);
-      for (; beyond != 0; beyond &= beyond - 1) look(begin + static_cast<std::size_t>(std::countr_zero(beyond)));
+      if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index_of(part[0]))) continue;
+      const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
+      for (const double* axis : x)
+        for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kAhead + i);
+      const std::uint64_t beyond =
+          other == 0 ? beyond_same<kAvx2>(x, box_[index_of(part[0])], count) : beyond_own<kAvx2>(x, part, count);
+      std::uint64_t interior = 0;
+      for (std::uint64_t left = beyond; left != 0; left &= left - 1) {
+        const auto k = static_cast<std::size_t>(std::countr_zero(left));
+        interior |= std::uint64_t{take_in(begin + k) ? 1U : 0U} << k;
+      }
+      if (beyond != interior) boundary_.append(x, begin, part, count, beyond & ~interior);
     }
+    boundary_.finish();
   }
 
   // True if the ranges of a block of part p show that all its particles are interior; then p's box grows by the block.
   bool stays(std::size_t block, std::size_t p) {
-    bool inside = p < inner_.size();
+    bool inside = true;
     for (std::size_t a = 0; a < axes() && inside; ++a)
       inside = blocks_->of[a][block].strictly_inside(inner_[p].lo[a], inner_[p].hi[a]);
     for (std::size_t a = 0; a < axes() && inside; ++a) {
-      bounds_[p].lo[a] = std::min(bounds_[p].lo[a], blocks_->of[a][block].lo);
-      bounds_[p].hi[a] = std::max(bounds_[p].hi[a], blocks_->of[a][block].hi);
+      box_[p].lo[a] = std::min(box_[p].lo[a], blocks_->of[a][block].lo);
+      box_[p].hi[a] = std::max(box_[p].hi[a], blocks_->of[a][block].hi);
     }
     return inside;
   }
@@ -141,7 +143,7 @@ class Pass {
     if constexpr (kAvx2) return beyond_own_avx2(x, part, count);
 #endif
     std::uint64_t beyond = 0;
-    for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, bounds_[index_of(part[i])], i) << i;
+    for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box_[index_of(part[i])], i) << i;
     return beyond;
   }
   static std::uint64_t is_beyond(const Axes& x, const Bounds& box, std::size_t i) {
@@ -170,8 +172,8 @@ class Pass {
   // Four particles at a time, each with all axes in one vector.
   [[gnu::target("avx2")]] std::uint64_t beyond_own_avx2(const Axes& x, const std::int32_t* part,
                                                         std::size_t count) const {
-    const Bounds* const bounds = bounds_.data();
-    const auto last = static_cast<std::uint32_t>(inner_.size());
+    const Bounds* const bounds = box_.data();
+    const auto last = static_cast<std::uint32_t>(own_parts_);
     std::uint64_t beyond = 0;
     std::size_t i = 0;
     for (; i + kLanes <= count; i += kLanes) {
@@ -183,11 +185,11 @@ class Pass {
         in[k] = _mm256_and_pd(_mm256_cmp_pd(point[k], _mm256_load_pd(box.lo.data()), _CMP_GE_OQ),
                               _mm256_cmp_pd(point[k], _mm256_load_pd(box.hi.data()), _CMP_LE_OQ));
       }
-      // Mostly all are inside.
-      const __m256d all = _mm256_and_pd(_mm256_and_pd(in[0], in[1]), _mm256_and_pd(in[2], in[3]));
-      if (_mm256_movemask_pd(all) == 0xF) continue;
-      for (std::size_t k = 0; k < kLanes; ++k)
-        beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(in[k]) != 0xF) << (i + k);
+      // A particle is inside if it is on all axes: transposed, so that one mask tells it of all four, without a branch.
+      const __m256d xy = _mm256_and_pd(_mm256_unpacklo_pd(in[0], in[1]), _mm256_unpackhi_pd(in[0], in[1]));
+      const __m256d zw = _mm256_and_pd(_mm256_unpacklo_pd(in[2], in[3]), _mm256_unpackhi_pd(in[2], in[3]));
+      const __m256d all = _mm256_and_pd(_mm256_permute2f128_pd(xy, zw, 0x20), _mm256_permute2f128_pd(xy, zw, 0x31));
+      beyond |= static_cast<std::uint64_t>(_mm256_movemask_pd(all) ^ 0xF) << i;
     }
     for (; i < count; ++i) beyond |= is_beyond(x, bounds[index_of(part[i])], i) << i;
     return beyond;
@@ -197,11 +199,13 @@ class Pass {
   const particles::ParticleView& particles_;
   const particles::BlockRanges* blocks_;
   std::span<const std::int32_t> part_;
-  std::span<const geometry::Box> inner_;
+  std::size_t own_parts_;
   std::int32_t first_;
   std::size_t boundary_max_;
-  OwnInterior& out_;
-  std::vector<Bounds> bounds_;  // [own parts + 1]: of the interior particles so far
+  Axes x_;
+  BoundaryList boundary_;
+  std::vector<Bounds> inner_;  // [own parts + 1]: inner regions
+  std::vector<Bounds> box_;    // [own parts + 1]: of the interior particles so far
 };
 
 }  // namespace

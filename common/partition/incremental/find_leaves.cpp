@@ -311,27 +311,6 @@ template <bool kLess>
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(leaf.data() + j), found);
   }
 }
-
-// `which` has no bits beyond full eights.
-[[gnu::target(RCB_AVX512)]] std::size_t list_in_avx512(const Axes& x, int dims, std::size_t slot,
-                                                       const std::int32_t* part, std::uint64_t which,
-                                                       const BoundaryList& to) {
-  std::size_t listed = 0;
-  Words slots =
-      _mm512_add_epi64(_mm512_set1_epi64(static_cast<std::int64_t>(slot)), _mm512_set_epi64(7, 6, 5, 4, 3, 2, 1, 0));
-  for (std::size_t i = 0; which >> i != 0; i += 8) {
-    const auto eight = static_cast<__mmask8>(which >> i);
-    for (std::size_t a = 0; a < at(dims); ++a)
-      _mm512_storeu_pd(to.position[a] + listed, _mm512_maskz_compress_pd(eight, _mm512_loadu_pd(x[a] + i)));
-    _mm512_storeu_si512(to.slot + listed, _mm512_maskz_compress_epi64(eight, slots));
-    const __m256i parts = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i));
-    _mm256_storeu_si256(reinterpret_cast<__m256i*>(to.part + listed), _mm256_maskz_compress_epi32(eight, parts));
-    listed += at(std::popcount(unsigned{eight}));
-    slots = _mm512_add_epi64(slots, _mm512_set1_epi64(8));
-    if (i == 56) break;
-  }
-  return listed;
-}
 #endif
 
 }  // namespace
@@ -361,21 +340,6 @@ void find_leaves_by_key(const GuessTables& tables, const Axes& x, const particle
   if (has_avx2()) return find_keys_in_avx2(tables, x, id, part, which, leaf);
 #endif
   find_keys_one_by_one(tables, x, id, part, which, leaf);
-}
-
-std::size_t list_boundary(const Axes& x, int dims, std::size_t slot, const std::int32_t* part, std::size_t count,
-                          std::uint64_t which, const BoundaryList& to) {
-#if defined(__x86_64__)
-  if (has_avx512() && count == kBlock) return list_in_avx512(x, dims, slot, part, which, to);
-#endif
-  std::size_t listed = 0;
-  for (; which != 0; which &= which - 1, ++listed) {
-    const auto k = at(std::countr_zero(which));
-    to.slot[listed] = slot + k;
-    to.part[listed] = part[k];
-    for (std::size_t a = 0; a < at(dims); ++a) to.position[a][listed] = x[a][k];
-  }
-  return listed;
 }
 
 }  // namespace rcb::partition

@@ -6,11 +6,11 @@
 #include <cstdint>
 
 #include "common/particles/block_ranges.hpp"
+#include "common/partition/incremental/boundary_list.hpp"
 #include "common/partition/incremental/guess_tables.hpp"
 
 namespace rcb::partition {
 
-using Axes = std::array<const double*, geometry::kDimsMax>;
 using BlockLeaves = std::array<std::int32_t, particles::kBlock>;
 
 // The particles of a block, one bit each.
@@ -34,15 +34,5 @@ FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* 
 // for a boundary particle.
 void find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, const std::int32_t* part,
                         std::uint64_t which, BlockLeaves& leaf);
-
-// Appends the coordinates, slots and parts of those particles of a block whose bits are set in `which`; `to` has room
-// for a block. Returns how many they are.
-struct BoundaryList {
-  std::array<double*, geometry::kDimsMax> position;
-  std::uint64_t* slot;
-  std::int32_t* part;
-};
-std::size_t list_boundary(const Axes& x, int dims, std::size_t slot, const std::int32_t* part, std::size_t count,
-                          std::uint64_t which, const BoundaryList& to);
 
 }  // namespace rcb::partition

@@ -123,24 +123,33 @@ class Repartitioning {
                                    : TreeBuilder(comm_, particles_, options_, start))
                                 .build();
     if (whole) part = std::move(found.part);
-    // Counted first: growing lists would take twice their memory.
-    std::size_t changed = 0;
-    for (std::size_t i = 0; i < particles_.count; ++i) changed += part[i] == current_.part[i] ? 0U : 1U;
-    result_.delta.slot.resize(0);
-    result_.delta.part.resize(0);
-    result_.delta.slot.reserve(changed);
-    result_.delta.part.reserve(changed);
-    for (std::size_t i = 0; i < particles_.count; ++i) {
-      if (part[i] == current_.part[i]) continue;
-      result_.delta.slot.push_back(i);
-      result_.delta.part.push_back(part[i]);
-    }
+    tell_changes(part.span());
     take(std::move(found), failed_);
     if (whole) result_.looked_at = n_;
     for (const NodeRange& root : failed_)
       if (!whole)
         result_.looked_at +=
             std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
+  }
+
+  // Without branches: half of the particles may have changed, in no order. Counted first, since growing lists would
+  // take twice their memory.
+  void tell_changes(std::span<const std::int32_t> part) {
+    PartDelta& delta = result_.delta;
+    std::size_t changed = 0;
+    const std::int32_t* const before = current_.part.data();
+    for (std::size_t i = 0; i < part.size(); ++i) changed += part[i] == before[i] ? 0U : 1U;
+    delta.slot.resize(changed + 1);  // what hasn't changed is written behind the last, too
+    delta.part.resize(changed + 1);
+    std::uint64_t* const slot = delta.slot.data();
+    std::int32_t* const now = delta.part.data();
+    for (std::size_t i = 0, told = 0; i < part.size(); ++i) {
+      slot[told] = i;
+      now[told] = part[i];
+      told += part[i] == before[i] ? 0U : 1U;
+    }
+    delta.slot.resize(changed);
+    delta.part.resize(changed);
   }
 
   // Takes the cuts below these roots, and the counts of their parts.

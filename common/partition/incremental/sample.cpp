@@ -19,12 +19,13 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
   const auto axes = static_cast<std::size_t>(particles.dims);
   // The message holds one array after the other.
   const std::size_t bytes_of_one = (axes + 1) * sizeof(double) + sizeof(particles::Id) + sizeof(std::int32_t);
-  Buffer<std::byte> mine;
-  mine.reserve(slots.size() * bytes_of_one);
+  Buffer<std::byte> mine(slots.size() * bytes_of_one);
+  std::byte* to = mine.data();
   const auto send = [&](const auto* from, auto otherwise) {
     for (const std::size_t slot : slots) {
       const auto value = from == nullptr ? otherwise : from[slot];
-      mine.append(std::as_bytes(std::span(&value, 1)));
+      std::memcpy(to, &value, sizeof(value));
+      to += sizeof(value);
     }
   };
   for (std::size_t a = 0; a < axes; ++a) send(particles.position[a], 0.0);

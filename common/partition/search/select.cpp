@@ -20,6 +20,11 @@ constexpr std::size_t kWeightedBinsMax = 256;  // with weights, where a cell has
 constexpr int kRoundsMax = 3;                  // before the integers are replaced by a key word
 constexpr std::uint64_t kGatherAlways = 8;     // so few candidates aren't worth a histogram
 
+// Counts that share the words of a message.
+using Count8 = std::uint8_t __attribute__((may_alias));
+using Count16 = std::uint16_t __attribute__((may_alias));
+using Count32 = std::uint32_t __attribute__((may_alias));
+
 }  // namespace
 
 std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> values) {
@@ -127,14 +132,20 @@ void Selector::note_pass(std::size_t node, std::size_t bytes) {
   for (const Span& span : spans_of(node)) bytes_moved_ += bytes * span.open().size();
 }
 
-Selector::BinSum Selector::cell(std::size_t at, std::size_t bin) const {
-  if (!weighted()) {
-    const auto bits = static_cast<unsigned>(64 / per_word_);
-    const std::uint64_t word = message_[at + bin / per_word_] >> (bits * static_cast<unsigned>(bin % per_word_));
-    return {per_word_ == 1 ? word : word & ((std::uint64_t{1} << bits) - 1), 0};
+// Calls apply() with the counts of the message's cells from word `at` on.
+template <typename Apply>
+void Selector::with_counts(std::size_t at, const Apply& apply) {
+  std::uint64_t* const words = &message_[at];
+  switch (per_word_) {
+    case 8:
+      return apply(reinterpret_cast<Count8*>(words));
+    case 4:
+      return apply(reinterpret_cast<Count16*>(words));
+    case 2:
+      return apply(reinterpret_cast<Count32*>(words));
+    default:
+      return apply(words);
   }
-  const std::uint64_t* words = &message_[at + bin * cell_words_];
-  return {words[0], comm::value_of_limbs(std::span<const std::uint64_t, comm::kLimbs>(words + 1, comm::kLimbs))};
 }
 
 // Carries are propagated at once, so that no limb overflows, however many particles are added.
@@ -145,15 +156,23 @@ void Selector::add_weight(std::size_t at, u128 weight) {
 
 std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t at, BinSum& found) {
   State& state = states_[node];
-  for (std::size_t bin = 0; bin < bins; ++bin) {
-    found = cell(at, bin);
-    const bool holds = weighted() ? state.weight_below + found.weight >= state.threshold
-                                  : state.below + found.count > nodes_[node].rank;
-    if (holds) return bin;
-    state.below += found.count;
-    state.weight_below += found.weight;
+  std::size_t bin = 0;
+  if (weighted()) {
+    for (; bin < bins; ++bin) {
+      const std::uint64_t* const words = &message_[at + bin * cell_words_];
+      found = {words[0], comm::value_of_limbs(std::span<const std::uint64_t, comm::kLimbs>(words + 1, comm::kLimbs))};
+      if (state.weight_below + found.weight >= state.threshold) return bin;
+      state.below += found.count;
+      state.weight_below += found.weight;
+    }
+  } else {
+    with_counts(at, [&](const auto* counts) {
+      for (; bin < bins && state.below + counts[bin] <= nodes_[node].rank; ++bin) state.below += counts[bin];
+      if (bin < bins) found = {counts[bin], 0};
+    });
   }
-  CHECK(false, "no bin holds the wanted key");
+  CHECK(bin < bins, "a bin holds the wanted key");
+  return bin;
 }
 
 // Histograms of the integers on the cut axis, with as many bins as fit in one message for all nodes. Where no count can
@@ -207,14 +226,15 @@ void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, st
       }
     return;
   }
-  const auto bits = static_cast<unsigned>(64 / per_word_);
   bins_.resize(bins);
   for (const Span& span : spans_of(node)) {
     if (span.open().empty()) continue;
     std::fill(bins_.begin(), bins_.end(), 0);
     count_bins(span.open(), axis, lo, shift, bins_.span());
-    for (std::size_t b = 0; b < bins; ++b)
-      message_[at + b / per_word_] += std::uint64_t{bins_[b]} << (bits * static_cast<unsigned>(b % per_word_));
+    with_counts(at, [&](auto* counts) {
+      using Count = std::remove_cvref_t<decltype(counts[0])>;
+      for (std::size_t b = 0; b < bins; ++b) counts[b] = static_cast<Count>(counts[b] + bins_[b]);
+    });
   }
 }
 

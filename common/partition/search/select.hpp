@@ -174,7 +174,8 @@ class Selector {
   void restore(std::size_t node);
   void sum_message();
   void enter(std::size_t node, std::uint64_t lo, std::uint64_t hi);
-  BinSum cell(std::size_t at, std::size_t bin) const;
+  template <typename Apply>
+  void with_counts(std::size_t at, const Apply& apply);
   void add_weight(std::size_t at, u128 weight);
   // Finds the bin that holds the wanted key, and adds what lies before it to `below` and `weight_below`.
   std::size_t crossing(std::size_t node, std::size_t bins, std::size_t at, BinSum& found);
