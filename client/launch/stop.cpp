@@ -25,24 +25,18 @@ constexpr double kForceSeconds = 30;
 constexpr double kKillSeconds = 5;
 constexpr double kLookSeconds = 0.05;
 
-// Whether the service runs on this machine, so that its process numbers are valid here.
-bool is_local(const std::string& endpoint) {
-  return endpoint.starts_with("unix:") || endpoint.starts_with("127.") || endpoint.starts_with("localhost:") ||
-         endpoint.starts_with("[::1]:");
-}
-
 // The known processes of a service on this machine: its supervisor, if it has one, first; then mpirun and rank 0.
 class Running {
  public:
-  Running(std::string endpoint, pid_t rank0) : endpoint_(std::move(endpoint)) {
+  Running(std::string endpoint, const ProcessId& rank0) : endpoint_(std::move(endpoint)) {
     const auto holder = endpoint_holder(endpoint_);
     if (holder && holder->process.exists() && process_info(holder->process.pid).name == kSupervisorName)
       add(holder->process);
-    if (rank0 <= 1 || !is_local(endpoint_) || !process_info(rank0).name.starts_with("rcbd")) return;
-    const pid_t parent = process_info(rank0).parent;
+    if (rank0.pid <= 1 || !process_info(rank0.pid).name.starts_with("rcbd")) return;
+    const pid_t parent = process_info(rank0.pid).parent;
     const std::string name = process_info(parent).name;
     if (name == "mpirun" || name == "orterun" || name == "prterun") add(ProcessId::of(parent));
-    add(ProcessId::of(rank0));
+    add(rank0);
   }
 
   const std::string& endpoint() const { return endpoint_; }
@@ -123,7 +117,7 @@ Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) 
 
 // The supervisor lives, but the service doesn't answer: it hangs, or is about to be restarted.
 Result<Stopped> stop_silent(const EndpointNote& holder) {
-  const Running running(holder.endpoint, holder.program == "rcbd" ? holder.process.pid : -1);
+  const Running running(holder.endpoint, holder.program == "rcbd" ? holder.process : ProcessId{});
   if (!running.known())
     return Status(Code::unavailable,
                   fmt::format("{} is served by {}, which can't be reached", holder.endpoint, describe(holder)));

@@ -1,6 +1,7 @@
 #include "common/files/process_id.hpp"
 
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <sstream>
 
@@ -40,6 +41,14 @@ ProcessId ProcessId::parse(const std::string& text) {
   char more = 0;
   if (std::sscanf(text.c_str(), "%d.%llu%c", &pid, &start, &more) != 2 || pid <= 0) return {};
   return {pid, start};
+}
+
+std::string process_space() {
+  std::string boot;
+  std::ifstream("/proc/sys/kernel/random/boot_id") >> boot;
+  std::error_code fault;
+  const std::string space = std::filesystem::read_symlink("/proc/self/ns/pid", fault).string();
+  return boot.empty() || space.empty() ? "" : fmt::format("{} {}", boot, space);
 }
 
 }  // namespace rcb

@@ -25,4 +25,8 @@ struct ProcessId {
   static ProcessId parse(const std::string& text);
 };
 
+// Where this process's pid and start time are valid: on this machine since its boot, in this PID namespace. Empty if it
+// can't be told.
+std::string process_space();
+
 }  // namespace rcb

@@ -173,7 +173,7 @@ class Auth(Refusals, unittest.TestCase):
             self.assertEqual(service.ctl("status").returncode, 0, "a client that connects again reads the new one")
             done = service.ctl("status", env={"RCBD_TOKEN": old})
             self.assertEqual(done.returncode, 4)
-            self.assertIn("every start of the service makes a new token", done.stderr)
+            self.assertIn("each start by hand makes a new one", done.stderr)
 
     def test_silence_locks_nobody_out(self):
         for tcp in (None, f"127.0.0.1:{free_port()}"):

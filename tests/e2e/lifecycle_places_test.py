@@ -1,6 +1,7 @@
 """One service an endpoint, whose sockets are its own; places that another user has made are refused; and after a kill
 nothing stays."""
 import fcntl
+import itertools
 import threading
 
 from support import *
@@ -39,6 +40,38 @@ class Places(unittest.TestCase):
             with open(f"/proc/{pid}/environ") as file:
                 found += [entry.split("=", 1)[1] for entry in file.read().split("\0") if entry.startswith("RCBD_JOB_FOLDER=")]
         return set(found)
+
+    @only_root
+    def test_a_process_with_the_same_number_in_another_container_is_another(self):
+        """Two services in PID namespaces of their own, started alike, so that their ranks have the same numbers."""
+        shells = {}
+
+        def said(shell, line):
+            print(f"{line}; echo; echo ended", file=shells[shell].stdin, flush=True)
+            return "".join(itertools.takewhile(lambda said: said != "ended\n", shells[shell].stdout))
+
+        def ctl(shell, of, *arguments):
+            return said(shell, f"{RCBCTL} --endpoint unix:{self.dir}/{of} " + " ".join(map(str, arguments)) + " 2>&1")
+
+        def number_of_rank(name):
+            shells[name] = subprocess.Popen(["unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "sh"], text=True,
+                                            stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=self.dir)
+            for end in (shells[name].wait, shells[name].stdout.close, shells[name].stdin.close):
+                self.addCleanup(end)
+            self.assertIn("endpoint", ctl(name, name, "up", "-n", 1, "--data-dir", f"{self.dir}/data-{name}"))
+            return json.loads(ctl(name, name, "status", "--json"))["pid"]
+        of_x = number_of_rank("x")
+        for _ in range(5):  # mpirun's threads take numbers, too
+            if number_of_rank("y") == of_x:
+                break
+            ctl("y", "y", "down")
+        else:
+            self.fail("no two ranks had one number")
+        ctl("x", "x", "scene", "create", "precious", "--parts", 2)
+        self.assertIn("stopped", ctl("x", "y", "down"))
+        self.assertIn("precious", ctl("x", "x", "scene", "list"))
+        self.assertIn("died 0 times", said("x", f"echo died $(grep -c 'has died' {self.dir}/data-x/rcbd.log) times"))
+        ctl("x", "x", "down")
 
     def test_of_two_ups_at_once_one_wins(self):
         for _ in range(3):

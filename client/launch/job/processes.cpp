@@ -11,7 +11,15 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "common/wire/field_reader.hpp"
+
 namespace rcb::launch {
+namespace {
+
+constexpr std::size_t kTextBytesMax = 256;
+
+}  // namespace
+
 ProcessInfo process_info(pid_t pid) {
   ProcessInfo info;
   std::ifstream in(fmt::format("/proc/{}/status", pid));
@@ -22,12 +30,15 @@ ProcessInfo process_info(pid_t pid) {
   return info;
 }
 
-pid_t rank0_of(client::Client& client, double deadline_seconds) {
+ProcessId rank0_of(client::Client& client, double deadline_seconds) {
   const auto status = client.call("status", "{}", deadline_seconds);
-  if (!status) return -1;
+  if (!status) return {};
   const auto json = nlohmann::json::parse(status->json, nullptr, false);
-  if (!json.is_object() || !json.contains("pid") || !json["pid"].is_number_integer()) return -1;
-  return json["pid"].get<pid_t>();
+  if (!json.is_object() || !json.contains("process")) return {};
+  wire::FieldReader fields(json["process"]);
+  const std::string space = fields.text("space", kTextBytesMax);
+  const ProcessId rank0 = ProcessId::parse(fields.text("id", kTextBytesMax));
+  return fields.status().ok() && !space.empty() && space == process_space() && rank0.exists() ? rank0 : ProcessId{};
 }
 
 Process::Process(const ProcessId& id) : id_(id), handle_(static_cast<int>(syscall(SYS_pidfd_open, id.pid, 0))) {

@@ -18,8 +18,9 @@ struct ProcessInfo {
 // Empty if there is no such process.
 ProcessInfo process_info(pid_t pid);
 
-// The process number of rank 0, as told by the service; -1 if it doesn't tell.
-pid_t rank0_of(client::Client& client, double deadline_seconds);
+// Rank 0, as told by the service; pid -1 if it doesn't tell, or runs where this process can't see it: on another machine
+// or in another PID namespace, where the same number may be any other process.
+ProcessId rank0_of(client::Client& client, double deadline_seconds);
 
 class Process {
  public:

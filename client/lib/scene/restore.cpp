@@ -118,9 +118,11 @@ Status Scene::State::restore(const StepRequest& whole, const Retry& retry) {
   const bool told = told_;
   by_id_ = shared_ = by_shared_memory(ask, retry);
   if (Status status = ready(count_, ask.options.ids, retry, !by_id_); !status) return status;
-  const auto answer = push(ask, step, std::nullopt, retry);
+  const auto frame = push(ask, step, std::nullopt, retry);
+  if (!frame) return frame.status();
+  auto answer = read_answer(*frame, step, true);
   if (!answer) return answer.status();
-  const auto finished = finish(*answer, step, ask, true, retry);
+  const auto finished = finish(*frame, std::move(*answer), nullptr, ask, retry);
   known_ = known;
   told_ = told;
   return finished.status();

@@ -201,13 +201,20 @@ Status Scene::State::hold(const Retry& retry) {
           advice};
 }
 
+Result<Frame> Scene::State::ask_plan(const Retry& retry) const {
+  return session().call_once({{"command", "plan"}, {"scene", name_}}, retry);
+}
+
 Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& retry) {
-  const auto frame = session().call_once({{"command", "plan"}, {"scene", name_}}, retry);
-  if (!frame) return frame.status();
-  const auto json = frame->json();
+  const auto answer = ask_plan(retry);
+  return answer ? take_plan(*answer, ids) : answer.status();
+}
+
+Status Scene::State::take_plan(const Frame& answer, std::span<const std::int64_t> ids) {
+  const auto json = answer.json();
   if (!json) return json.status();
-  const wire::Array* slot_id = wire::find_array(frame->arrays, "id");
-  const wire::Array* slot_part = wire::find_array(frame->arrays, "part");
+  const wire::Array* slot_id = wire::find_array(answer.arrays, "id");
+  const wire::Array* slot_part = wire::find_array(answer.arrays, "part");
   const auto parts = wire::integer_field_or(*json, "parts", 1, wire::kPartsMax, parts_count_);
   if (slot_id == nullptr || slot_id->dtype != "<i8" || slot_part == nullptr || slot_part->dtype != "<i4" ||
       slot_id->bytes.size() / 8 != slot_part->bytes.size() / 4 || !parts)

@@ -132,6 +132,8 @@ struct Scene::State {
   void forget_rows();  // which particle is in which row, and their parts
   // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
   Status fetch_plan(std::span<const std::int64_t> ids, const Retry& retry);
+  Result<Frame> ask_plan(const Retry& retry) const;
+  Status take_plan(const Frame& answer, std::span<const std::int64_t> ids);
   Result<Frame> push(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
   // Whether the step can be pushed from shared memory, and is to be.
   bool by_shared_memory(const StepRequest& ask, const Retry& retry);
@@ -141,13 +143,27 @@ struct Scene::State {
                             const Deadline& deadline);
   Result<Frame> send(wire::Json begin, const RankRows& rows, std::vector<Column> columns, const StepRequest& ask,
                      const std::string& what, const Deadline& deadline);
+  // What the answer to a push says.
+  struct Answer {
+    wire::Json json;
+    StepReport report;
+    bool first;          // the scene had no positions
+    bool repeated;       // it is that of an earlier attempt
+    bool step_follows;   // on the step that this Scene knows as the last one
+    bool epoch_follows;  // on the epoch that it knows
+    bool follows;        // layout and parts follow from those known
+  };
   // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
-  Result<Committed> finish(const Frame& answer, std::int64_t step, const StepRequest& ask, bool tried_before,
+  Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
+  // plan: null if it isn't needed, or is fetched later.
+  Result<Committed> finish(const Frame& frame, Answer answer, const Frame* plan, const StepRequest& ask,
                            const Retry& retry);
   // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
   // known.
   Result<StepResult> complete(const StepRequest& ask, Committed done, Retry& retry);
   Status fetch_plan_of_step(const StepRequest& ask, Retry& retry);
+  // By row, after a step.
+  std::span<const std::int64_t> ids_of_rows(const StepRequest& ask) const;
   // The service now has the scene's first positions, or those that replace lost ones.
   void take_first(const StepRequest& ask);
   void keep_weights(std::span<const double> weights);

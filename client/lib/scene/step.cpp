@@ -409,13 +409,25 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
   if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;
   const bool tried_before = unanswered_.begin(step);
-  const auto answer = push(sent, step, base, retry);
-  if (!answer) {
-    unanswered_.failed(answer.status().code(), tried_before);
-    return answer.status();
+  const auto frame = push(sent, step, base, retry);
+  if (!frame) {
+    unanswered_.failed(frame.status().code(), tried_before);
+    return frame.status();
+  }
+  auto answer = read_answer(*frame, step, tried_before);
+  // What else has to be asked comes before anything here changes: until then the step can be pushed once more.
+  std::optional<Frame> plan;
+  if (answer && asked && !(answer->follows && plan_)) {
+    auto told = ask_plan(retry);
+    if (!told)
+      return Status(told.status().code(),
+                    fmt::format("step {} is committed, but its parts are not known: {}", step, told.status().message()),
+                    told.status().hint());
+    plan = std::move(*told);
   }
   unanswered_.answered();
-  return finish(*answer, step, sent, tried_before, retry);
+  if (!answer) return answer.status();
+  return finish(*frame, std::move(*answer), plan ? &*plan : nullptr, sent, retry);
 }
 
 }  // namespace rcb::client

@@ -39,41 +39,46 @@ void Scene::State::take_first(const StepRequest& ask) {
   lost_ = false;
 }
 
-// The step is committed: an error here doesn't undo it.
-Result<Scene::State::Committed> Scene::State::finish(const Frame& answer, std::int64_t step, const StepRequest& ask,
-                                                     bool tried_before, const Retry& retry) {
-  const StepOptions& options = ask.options;
-  const auto json = answer.json();
+Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::int64_t step, bool tried_before) const {
+  const auto json = frame.json();
   if (!json) return json.status();
   const auto found = json->find("report");
   if (found == json->end()) return Status(Code::protocol_error, "answer to a push: no 'report'");
   auto report = read_report(*found);
   if (!report) return report.status();
-  const auto repeated = wire::bool_field_or(*json, "repeated", false);
-  if (repeated && *repeated && !tried_before)
+  if (report->parts == 0) report->parts = parts_count_;
+  const auto said = wire::bool_field_or(*json, "repeated", false);
+  const bool repeated = said && *said;
+  if (repeated && !tried_before)
     return Status(Code::stale_step,
                   fmt::format("step {} of scene '{}' was pushed by another Scene of this client", step, name_),
                   "use one Scene for each scene of a client");
   const bool first = !pushed_;
-  // If the answer to the first push was lost, the scene is found with its particles; which rows they are is known here
-  // alone.
-  if (first || (first_ && tried_before && repeated && *repeated)) take_first(ask);
-  if (!options.weights.empty()) keep_weights(options.weights);
-  if (restored_) mark_recreated(*report);
-  if (report->parts == 0) report->parts = parts_count_;
   // A step in between that this Scene knows nothing of may have changed parts without changing the layout.
   const auto before = wire::integer_field_or(*json, "previous_step", 0, kStepMax, last_step_.value_or(-1));
   const bool step_follows = first || (!missed_ && before && *before == last_step_.value_or(-1));
-  last_step_ = std::max(step, last_step_.value_or(step));
+  const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
+  const bool follows = !repeated && epoch_follows && step_follows && report->parts == parts_count_;
+  return Answer{*json, std::move(*report), first, repeated, step_follows, epoch_follows, follows};
+}
+
+// The step is committed: an error here doesn't undo it.
+Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer answer, const Frame* plan,
+                                                     const StepRequest& ask, const Retry& retry) {
+  const StepOptions& options = ask.options;
+  StepReport& report = answer.report;
+  // If the answer to the first push was lost, the scene is found with its particles; which rows they are is known here
+  // alone.
+  if (answer.first || (first_ && answer.repeated)) take_first(ask);
+  if (!options.weights.empty()) keep_weights(options.weights);
+  if (restored_) mark_recreated(report);
+  last_step_ = std::max(report.step, last_step_.value_or(report.step));
   missed_ = base_unknown_ = false;
   answered_ = true;
-
-  const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
-  epoch_ = report->epoch;
+  epoch_ = report.epoch;
   Committed done;
-  const bool follows = !(repeated && *repeated) && epoch_follows && step_follows && report->parts == parts_count_;
-  if (!epoch_follows) refresh_options(session(), name_, scene_, retry);
-  parts_count_ = report->parts;
+  if (!answer.epoch_follows) refresh_options(session(), name_, scene_, retry);
+  parts_count_ = report.parts;
   scene_.options["parts"] = parts_count_;
   const bool asked = options.want_parts || options.want_changes;
   if (plan_ && !asked && told_ && !known_) known_ = parts_;
@@ -82,21 +87,29 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& answer, std::i
     if (!found_rows) return found_rows.status();
     done.edit = std::move(*found_rows);
     if (ids_.empty()) ids_.assign(options.ids.begin(), options.ids.end());
-    edit_rows(ask, done.edit, *report, answer, follows, done.result);
+    edit_rows(ask, done.edit, report, frame, answer.follows, done.result);
   }
   // Without a layout and where nothing is asked, it is fetched when it is needed.
-  if (plan_ || asked) done.plan_needed = !follows || !plan_ || !apply(answer, *json, first, done.result.changes);
+  if (plan_ || asked)
+    done.plan_needed = !answer.follows || !plan_ || !apply(frame, answer.json, answer.first, done.result.changes);
   if (done.plan_needed) plan_.reset();
-  done.result.report = std::move(*report);
+  if (done.plan_needed && plan != nullptr) {
+    if (Status status = take_plan(*plan, ids_of_rows(ask)); !status) return status;
+    done.plan_needed = false;
+  }
+  done.result.report = std::move(report);
   return done;
+}
+
+std::span<const std::int64_t> Scene::State::ids_of_rows(const StepRequest& ask) const {
+  return ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(ask.options.ids);
 }
 
 Status Scene::State::fetch_plan_of_step(const StepRequest& ask, Retry& retry) {
   const auto once = [&]() -> Result<bool> {
     if (Status status = hold(retry); !status) return status;
     if (lost_) return base_lost("they are to be pushed again");
-    const auto ids = ask.edits() ? std::span<const std::int64_t>(ids_) : ids_by_row(ask.options.ids);
-    if (Status status = fetch_plan(ids, retry); !status) return status;
+    if (Status status = fetch_plan(ids_of_rows(ask), retry); !status) return status;
     return true;
   };
   return session().retry_until_deadline(retry, once, [](const Status&) { return false; }).status();

@@ -12,6 +12,7 @@
 
 #include "common/base/nearest.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/process_id.hpp"
 #include "server/net/control/coordinator.hpp"
 #include "server/net/control/session.hpp"
 #include "server/net/files/process_memory.hpp"
@@ -123,6 +124,7 @@ awaitable<void> Coordinator::look_at_log() {
 }
 
 Json Coordinator::status_json() const {
+  static const Json own_process{{"id", ProcessId::self().text()}, {"space", process_space()}};
   Json memory = Json::array({resident_bytes()});
   for (std::size_t rank = 1; rank < memory_bytes_.size(); ++rank)
     memory.push_back(memory_bytes_[rank] == 0 ? Json() : Json(memory_bytes_[rank]));
@@ -131,6 +133,7 @@ Json Coordinator::status_json() const {
   return {{"version", options_.version},
           {"ranks", options_.ranks},
           {"pid", ::getpid()},
+          {"process", own_process},
           {"uptime_seconds", seconds_since(started_)},
           {"endpoints", endpoints_},
           {"encryption", encryption_},

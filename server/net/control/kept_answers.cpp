@@ -118,14 +118,17 @@ Status decode_member(std::string_view& frames, std::string& scene, MemberAnswers
   return {};
 }
 
-// Content of a file of this user that is younger than the longest deadline; else empty.
+// What the head of a file says that it holds, with the head, if the file is this user's and younger than the longest
+// deadline; else empty. Whatever else is in the file may be of any size.
 std::string read_own(const std::string& path) {
   const auto file = open_own_file(path, O_RDONLY | O_CLOEXEC);
   if (!file.ok()) return "";
   struct stat info {};
   if (::fstat(file->get(), &info) != 0 || std::difftime(std::time(nullptr), info.st_mtime) > wire::kDeadlineSecondsMax)
     return "";
-  return read_some(file->get(), static_cast<std::size_t>(info.st_size));
+  std::string bytes = read_some(file->get(), kHeadBytes);
+  if (bytes.size() < kHeadBytes || number_at(bytes) > static_cast<std::uint64_t>(info.st_size)) return bytes;
+  return bytes + read_some(file->get(), number_at(bytes));
 }
 
 }  // namespace

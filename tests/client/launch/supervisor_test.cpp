@@ -67,7 +67,7 @@ class Supervised : public testing::Test {
   EndpointNote note() const { return endpoint_holder(options_.endpoint).value_or(EndpointNote{}); }
   pid_t rank0() const {
     auto client = reach(options_.endpoint, "test", 1);
-    return client.ok() ? rank0_of(*client, 1) : -1;
+    return client.ok() ? rank0_of(*client, 1).pid : -1;
   }
 
   fs::path folder_;

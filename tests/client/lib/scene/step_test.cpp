@@ -310,6 +310,31 @@ TEST(Step, WhatFollowsAStepThatWasLateIsNotTakenForIt) {
     }
 }
 
+// A committed step whose parts could not be fetched has no answer yet: the same once more is answered as that step.
+TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.fault = [&fake](int push) {
+    if (push == 1) fake.epoch += 3;  // by others, so that the answer doesn't lead to the parts
+    return FakeScene::Fault::none;
+  };
+  bool closing = true;
+  fake.close_at = [&closing](const std::string& command, int) { return command == "plan" && closing; };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
+  StepOptions one{.step = 1, .want_parts = true, .deadline_seconds = 0.5};
+  ASSERT_FALSE(session.scene->step(caller.at(1, true), one).ok());
+  closing = false;
+  one.deadline_seconds = 30;
+  const auto result = session.scene->step(caller.at(1, true), one);
+  ASSERT_TRUE(result.ok()) << result.status().message();
+  EXPECT_EQ(result->report.step, 1);
+  for (std::size_t row = 0; row < caller.n; ++row)
+    ASSERT_EQ(result->parts[row], wandering(static_cast<std::int64_t>(row), 1, 20, 5));
+  session.end();
+  EXPECT_EQ(fake.commits, 2);
+}
+
 // The caller of few may have gone back to the step before, so that more has changed since the late one than it says.
 TEST(Step, FewAfterAStepThatWasLateAreSentWithAll) {
   FakeScene fake = scene_of(2, 5, 3, 20);
