@@ -127,6 +127,8 @@ struct Scene::State {
   std::uint64_t content_of(const StepRequest& ask) const;
   // Asks whether the unanswered step of an earlier call was committed; true if so, and the caller needs its answer.
   Result<bool> needs_unanswered(const Retry& retry);
+  // The number of the scene's last step, as the service says; none: it has had no step.
+  Result<std::optional<std::int64_t>> step_in_force(const Retry& retry);
   // Makes sure that the layout is there; fetches it if it is missing.
   Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
   void forget_rows();  // which particle is in which row, and their parts

@@ -365,15 +365,21 @@ Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
   if (Status status = hold(retry); !status) return status;
   if (lost_) return false;
   // The ranks answer this after whatever of the step was still under way.
+  const auto step = step_in_force(retry);
+  if (!step) return step.status();
+  if (*step == unanswered_.number() && unanswered_.needed()) return true;
+  // The caller pushes something else, so it may build on the step before.
+  if (*step == unanswered_.number() || *step != last_step_) missed_ = base_unknown_ = true;
+  last_step_ = *step;
+  return false;
+}
+
+Result<std::optional<std::int64_t>> Scene::State::step_in_force(const Retry& retry) {
   const auto json = described(session(), {{"command", "scene.show"}, {"scene", name_}}, retry);
   if (!json) return json.status();
   const auto found = read_description(*json);
   if (!found) return found.status();
-  if (found->step == unanswered_.number() && unanswered_.needed()) return true;
-  // The caller pushes something else, so it may build on the step before.
-  if (found->step == unanswered_.number() || found->step != last_step_) missed_ = base_unknown_ = true;
-  last_step_ = found->step;
-  return false;
+  return found->step;
 }
 
 Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, std::int64_t step,
@@ -412,6 +418,10 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   const auto frame = push(sent, step, base, retry);
   if (!frame) {
     unanswered_.failed(frame.status().code(), tried_before);
+    if (frame.status().code() == Code::stale_step) {  // another session has pushed that number: go on behind it
+      if (const auto others = step_in_force(retry); others.ok()) last_step_ = *others;
+      missed_ = base_unknown_ = true;
+    }
     return frame.status();
   }
   auto answer = read_answer(*frame, step, tried_before);

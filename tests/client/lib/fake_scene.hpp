@@ -17,6 +17,8 @@ class FakeScene {
   enum class Fault {
     none,
     stale,                // forgets the client's plan and says so
+    late,                 // reads the push, and says only that it wasn't done in time
+    taken,                // commits, as if another session had pushed this number, and says so
     close_before_commit,  // reads the push, then closes
     close_after_commit,   // commits, then closes without an answer
     close_in_answer,      // commits and sends half of the answer
@@ -150,6 +152,10 @@ class FakeScene {
     slices_read += static_cast<int>(slices.size());
     if (now == Fault::die_before_commit) return restart();
     if (now == Fault::close_before_commit) return false;
+    if (now == Fault::late) {
+      peer.fail(begin, {Code::deadline_exceeded, "it was late"});
+      return true;
+    }
     if (step == number) {
       peer.reply(begin, {{"report", report(number, 0)}, {"plan", plan_->json()}, {"repeated", true}});
       return true;
@@ -256,6 +262,10 @@ class FakeScene {
     first_of_recreated_ = first && restarts > 0;
     if (now == Fault::die_after_commit) return restart();
     if (now == Fault::close_after_commit) return false;
+    if (now == Fault::taken) {
+      peer.fail(begin, {Code::stale_step, "another session's"});
+      return true;
+    }
     if (now == Fault::late_after_commit) {
       peer.fail(begin, {Code::deadline_exceeded, "it goes on"});
       return true;

@@ -335,6 +335,29 @@ TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
   EXPECT_EQ(fake.commits, 2);
 }
 
+// Then it was not committed, so nothing waits for its answer; and the next one is a number further.
+TEST(Step, WhoseNumberAnotherSessionTookGoesOnBehindIt) {
+  for (const bool first : {true, false}) {
+    FakeScene fake = scene_of(2, 5, 3, 20);
+    fake.fault = [first](int push) {
+      const int late = first ? 0 : 1;
+      return push == late ? FakeScene::Fault::late : push == late + 1 ? FakeScene::Fault::taken : FakeScene::Fault::none;
+    };
+    Session session(fake);
+    StepCaller caller{500, 2, {}, {}, {}};
+    const std::int64_t number = first ? 0 : 1;
+    if (!first) {
+      ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
+    }
+    ASSERT_FALSE(session.scene->step(caller.at(number, true), wanting()).ok());
+    EXPECT_EQ(session.scene->step(caller.at(number, true), wanting()).status().code(), Code::stale_step);
+    const auto next = session.scene->step(caller.at(number + 1, true), wanting());
+    ASSERT_TRUE(next.ok()) << next.status().message();
+    EXPECT_EQ(next->report.step, number + 1);
+    ASSERT_TRUE(session.scene->plan().ok());
+  }
+}
+
 // The caller of few may have gone back to the step before, so that more has changed since the late one than it says.
 TEST(Step, FewAfterAStepThatWasLateAreSentWithAll) {
   FakeScene fake = scene_of(2, 5, 3, 20);
