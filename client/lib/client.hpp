@@ -234,7 +234,7 @@ class Client {
 
   Status create_scene(const std::string& name, const SceneOptions& options);
   // The scene stays open as long as the Scene lives, which must not outlive the Client. One Scene for each scene: a
-  // step number that another one of this client has pushed is refused (stale_step).
+  // step number that another one of this client has pushed is refused (stale_step). None beside a MemberScene (busy).
   Result<Scene> open_scene(const std::string& name);
   Status drop_scene(const std::string& name);
   Status shutdown_service();

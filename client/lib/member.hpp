@@ -14,7 +14,7 @@
 // decides. Lost connections and a restarted service are handled as for a Scene: the first member to reconnect creates
 // the scene again, and all push by ids. A member that had no answer yet to a step committed before the crash gets it
 // from the restarted service. A restarted process opens the scene and goes on from the last step. Thread-safety: as a
-// Client's. A Client has one MemberScene of a scene.
+// Client's. A Client has one MemberScene of a scene, and then no Scene of it (busy).
 #pragma once
 
 #include <cstdint>

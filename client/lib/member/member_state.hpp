@@ -32,9 +32,12 @@ struct MemberScene::State {
         name(std::move(scene)),
         options(terms),
         known(client->known(name)),
-        run(client->run_of(name)) {}
+        run(client->run_of(name)) {
+    ++client->seats[name];
+  }
 
   ~State() {
+    --client->seats[name];
     if (connection_held()) arrays.unshare(session(), Deadline(kCloseSeconds));
     if (connection_held())
       static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name}}, Retry(kCloseSeconds)));

@@ -37,6 +37,7 @@ struct Client::State {
   std::unique_ptr<Session> session;
   std::map<std::string, KnownScene> created;  // scenes created and not dropped by this client
   std::map<std::string, int> scenes;          // how many Scene objects there are of each name
+  std::map<std::string, int> seats;           // and MemberScene objects
   std::map<std::string, std::uint64_t> runs;  // how often this client has created or dropped a scene of that name
 
   std::uint64_t run_of(const std::string& scene) const {
@@ -47,6 +48,14 @@ struct Client::State {
   KnownScene known(const std::string& scene) const {
     const auto made = created.find(scene);
     return made == created.end() ? KnownScene() : made->second;
+  }
+  // A connection opens a scene once, as a member or for all particles: the end of either would end both.
+  static Status refuse_other_kind(const std::map<std::string, int>& others, const std::string& scene,
+                                  const char* kind) {
+    const auto found = others.find(scene);
+    if (found == others.end() || found->second == 0) return {};
+    return {Code::busy, fmt::format("this client has scene '{}' open as a {}", scene, kind),
+            "open it with another client, or after that one has ended"};
   }
   // To be called when the client has created a scene, with its options, or has dropped it, with none.
   void begin_run(const std::string& scene, wire::Json options);

@@ -114,6 +114,7 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
 
 Result<Scene> Client::open_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
+  if (Status status = State::refuse_other_kind(state_->seats, name, "MemberScene"); !status) return status;
   auto state = std::make_unique<Scene::State>(state_, name);
   if (Status status = state->open(wire::kDeadlineSecondsDefault); !status) return status;
   return Scene(std::move(state));

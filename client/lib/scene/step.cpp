@@ -277,8 +277,11 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
     ask.options.inserted = &all;
     ask.moved = StepRequest::Moved::all;
   }
-  Status fits = check(ask);
   const StepOptions& options = ask.options;
+  // Another client may have made it anew, with other dimensions.
+  if (replaced_ && options.deadline_seconds > 0)
+    if (Status status = open(options.deadline_seconds); !status) return status;
+  Status fits = check(ask);
   Retry retry(options.deadline_seconds);
   const bool again = fits && unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
   if (unanswered_ && !again) {  // before it is said what doesn't fit: that may be a scene which is not known yet

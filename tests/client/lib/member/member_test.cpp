@@ -63,6 +63,7 @@ TEST(MemberScene, SendsItsOwnParticlesWithTheirIdsAndReadsWhatMoves) {
     ASSERT_TRUE(client.ok()) << client.status().message();
     auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
     ASSERT_TRUE(scene.ok()) << scene.status().message();
+    EXPECT_EQ(client->open_scene("s").status().code(), Code::busy) << "its end would be the member's";
     EXPECT_EQ(scene->generation(), 4U);
     EXPECT_EQ(scene->last_step(), 6);
     const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with_changes());
