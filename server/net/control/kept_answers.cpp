@@ -126,9 +126,9 @@ std::string read_own(const std::string& path) {
   struct stat info {};
   if (::fstat(file->get(), &info) != 0 || std::difftime(std::time(nullptr), info.st_mtime) > wire::kDeadlineSecondsMax)
     return "";
-  std::string bytes = read_some(file->get(), kHeadBytes);
-  if (bytes.size() < kHeadBytes || number_at(bytes) > static_cast<std::uint64_t>(info.st_size)) return bytes;
-  return bytes + read_some(file->get(), number_at(bytes));
+  const std::string head = read_some(file->get(), kHeadBytes);
+  if (head.size() < kHeadBytes || number_at(head) > static_cast<std::uint64_t>(info.st_size)) return head;
+  return read_some(file->get(), kHeadBytes + number_at(head));
 }
 
 }  // namespace

@@ -278,6 +278,13 @@ TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
 }
 
+TEST(KeptAnswers, WhatTheHeadDoesNotTellIsNotRead) {
+  const Directory directory;
+  Kept(directory.path(), false).keep("s", answers_of(3));
+  fs::resize_file(directory.file("answers.s.0"), std::uintmax_t{1} << 42U);  // takes no room on the disk
+  expect_step(Kept(directory.path(), true).before("s"), 3);
+}
+
 TEST(KeptAnswers, WhatIsNotOursOrNotWholeIsNotBelieved) {
   const std::uint64_t seed = std::random_device{}();
   SCOPED_TRACE("seed " + std::to_string(seed));
