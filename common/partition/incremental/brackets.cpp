@@ -16,6 +16,7 @@ constexpr double kInfinity = geometry::Box::kInfinity;
 constexpr std::uint64_t kSampleOfPart = 128;
 constexpr std::uint64_t kSampleMin = 4096;
 constexpr std::uint64_t kSampleMax = 8192;
+constexpr double kFewOfSide = 8;  // a place within this fraction of a side is sorted out by a heap
 
 // Descends from a root and guesses the new cuts; each node gets the sampled particles that the guessed cuts above leave
 // it.
@@ -119,10 +120,14 @@ class BracketGuess {
     const double place = is_left ? before - 1 : -before;
     if (place >= static_cast<double>(side.size())) return is_left ? -kInfinity : kInfinity;
     const auto nth = side.begin() + static_cast<std::ptrdiff_t>(place);
-    if (is_left)
-      std::nth_element(side.begin(), nth, side.end(), std::greater<>());
-    else
-      std::nth_element(side.begin(), nth, side.end());
+    const auto select = [&](const auto& nearer) {
+      // Mostly few are wanted: then hardly any of the others is nearer than those, which is soon seen.
+      if (place * kFewOfSide < static_cast<double>(side.size()))
+        std::partial_sort(side.begin(), nth + 1, side.end(), nearer);
+      else
+        std::nth_element(side.begin(), nth, side.end(), nearer);
+    };
+    is_left ? select(std::greater<>()) : select(std::less<>());
     return *nth;
   }
 

@@ -36,7 +36,7 @@ struct GuessLimits {
 // Tuning of the search; the tree does not depend on it.
 struct SearchLimits {
   std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles per chunk, indexed with 32 bits
-  std::uint64_t gather_max = 512;                     // candidates of a node that are gathered at once, >= 1
+  std::uint64_t gather_max = 64;                      // candidates of a node that are gathered at once, >= 1
   std::uint64_t bins_max = 2048;                      // of a histogram; a power of two >= 2
   // Incremental search: a bracket extends this many standard deviations of a sampled count, plus this many sampled
   // particles, to either side. If brackets, or nodes that failed, hold more than 1 / boundary_divisor of all particles,
