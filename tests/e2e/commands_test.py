@@ -197,6 +197,19 @@ class Commands(ServiceTest):
         self.service.json("export", "s", out, "--format", "csv,npy,vtk")
         self.assertGreaterEqual(len(os.listdir(out)), 3)
 
+    def test_ids_that_no_double_holds_are_exported_exactly(self):
+        ids = [2 ** 53, 2 ** 53 + 1, 2 ** 63 - 1]
+        table, out = self.named("large_ids.csv"), self.named("large_ids")
+        with open(table, "w") as file:
+            file.write("id,x,y,z\n" + "".join(f"{id},{k},0,0\n" for k, id in enumerate(ids)))
+        self.service.json("scene", "create", "large_ids", "--parts", 2)
+        self.service.json("push", "large_ids", table)
+        self.service.json("export", "large_ids", out, "--format", "npy,vtk")
+        self.assertEqual(np.load(os.path.join(out, "id.npy")).tolist(), ids)
+        with open(os.path.join(out, "large_ids.vtk"), "rb") as file:
+            values = file.read().split(b"SCALARS id vtktypeint64 1\nLOOKUP_TABLE default\n")[1]
+        self.assertEqual(np.frombuffer(values[:24], ">i8").tolist(), ids)
+
     def test_human_output_keeps_the_streams_apart(self):
         for args in (("status",), ("counts", "s"), ("cuts", "s"), ("history", "s"), ("quality", "s"), ("stats", "s")):
             done = self.service.ctl(*args)

@@ -47,8 +47,8 @@ std::string vtk_text(const Fetched& set, const std::string& scene) {
   }
   out += fmt::format("\nPOINT_DATA {}\nSCALARS part int 1\nLOOKUP_TABLE default\n", n);
   for (const std::int32_t part : set.part) append_big(out, part);
-  out += "\nSCALARS id double 1\nLOOKUP_TABLE default\n";
-  for (const std::int64_t id : set.id) append_big(out, static_cast<double>(id));
+  out += "\nSCALARS id vtktypeint64 1\nLOOKUP_TABLE default\n";  // VTK reads it into 64 bits on every system
+  for (const std::int64_t id : set.id) append_big(out, id);
   if (!set.weight.empty()) {
     out += "\nSCALARS weight double 1\nLOOKUP_TABLE default\n";
     for (const double weight : set.weight) append_big(out, weight);
