@@ -24,6 +24,7 @@ namespace {
 constexpr double kForceSeconds = 30;
 constexpr double kKillSeconds = 5;
 constexpr double kLookSeconds = 0.05;
+constexpr double kAskSeconds = 2;
 
 // The known processes of a service on this machine: its supervisor, if it has one, first; then mpirun and rank 0.
 class Running {
@@ -101,6 +102,17 @@ Status end_by_force(const Running& running) {
       "end them by hand (kill -9)"};
 }
 
+// Of a service elsewhere, whose processes can't be seen: true when it doesn't answer any more.
+bool await_silence(const std::string& endpoint, double seconds) {
+  const SteadyClock clock;
+  const double deadline = clock.seconds() + seconds;
+  for (double left = seconds; left > 0; left = deadline - clock.seconds()) {
+    if (reach(endpoint, "rcbctl down", std::min(left, kAskSeconds)).status().code() == Code::unavailable) return true;
+    usleep(static_cast<useconds_t>(1e6 * kLookSeconds));
+  }
+  return false;
+}
+
 Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) {
   const SteadyClock clock;
   const double end = clock.seconds() + deadline_seconds;
@@ -110,8 +122,13 @@ Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) 
   // A service that ends may close the connection before its answer is read.
   if (!told && told.code() != Code::unavailable && told.code() != Code::deadline_exceeded) return told;
   running.signal_all(SIGCONT);  // stopped processes could not end
-  if (!running.await_end(left()))
-    if (Status ended = end_by_force(running); !ended) return ended;
+  const bool ended = running.known() ? running.await_end(left()) : await_silence(running.endpoint(), left());
+  if (!ended && !running.known())
+    return Status(Code::deadline_exceeded,
+                  fmt::format("the service at {} was told to end, and still answers", running.endpoint()),
+                  "wait, or end it on its own machine: rcbctl down");
+  if (!ended)
+    if (Status forced = end_by_force(running); !forced) return forced;
   return Stopped{running.endpoint(), "stopped " + running.endpoint()};
 }
 

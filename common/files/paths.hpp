@@ -18,7 +18,7 @@ namespace rcb {
 
 // Files in the data directory.
 inline constexpr std::string_view kTokenFile = "token";                   // 64 hex digits, mode 0600
-inline constexpr std::string_view kCleanShutdownFile = "clean-shutdown";  // left by a service that ended on command
+inline constexpr std::string_view kCleanShutdownFile = "clean-shutdown";  // left by a service that is told to end
 inline constexpr std::string_view kLogFile = "rcbd.log";                  // the launcher writes rcbd's stderr here
 inline constexpr std::string_view kLockFile = "lock";                     // a LockFile whose note is an EndpointNote
 

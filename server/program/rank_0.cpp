@@ -156,6 +156,8 @@ net::ControlOptions Rank0::control_options(const ConnectionLimits& limits) const
   options.sessions_max = limits.sessions;
   options.waiting_max = limits.waiting;
   options.files_over_tcp = !setup_.config.files_below.empty();
+  // At once, since a rank that is stuck may keep the service from ending cleanly.
+  options.told_to_end = [path = data_->path()] { (void)net::leave_end_marker(path); };
   return options;
 }
 
@@ -270,8 +272,8 @@ void Rank0::finish() {
   loop_.stop();
   setup_.mpi.finish(kFinalizeSeconds);
   // A failure is harmless (a full disk, say): the exit code tells a clean end, too.
-  const Status marked = data_->leave_clean_marker();
-  if (!marked.ok()) spdlog::warn("no clean-shutdown marker: {}", marked.message());
+  const Status marked = net::leave_end_marker(data_->path());
+  if (!marked.ok()) spdlog::warn("no end marker: {}", marked.message());
   spdlog::info("ended cleanly");
   end_in_order();
 }

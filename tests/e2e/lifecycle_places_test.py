@@ -1,7 +1,9 @@
 """One service an endpoint, whose sockets are its own; places that another user has made are refused; and after a kill
 nothing stays."""
+import contextlib
 import fcntl
 import itertools
+import socket
 import threading
 
 from support import *
@@ -72,6 +74,30 @@ class Places(unittest.TestCase):
         self.assertIn("precious", ctl("x", "x", "scene", "list"))
         self.assertIn("died 0 times", said("x", f"echo died $(grep -c 'has died' {self.dir}/data-x/rcbd.log) times"))
         ctl("x", "x", "down")
+
+    @only_root
+    def test_who_is_told_to_end_from_elsewhere_ends_for_good_though_a_rank_is_stuck(self):
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self.endpoint = "127.0.0.1:%d" % listener.getsockname()[1]
+        self.assertEqual(self.up(ranks=3).returncode, 0)
+        token = {"RCBD_TOKEN_FILE": os.path.join(self.dir, "data", "token")}
+        ranks = [rank["pid"] for rank in json.loads(run("status", "--json", endpoint=self.endpoint, env=token).stdout)["hosts"]]
+        os.kill(ranks[1], signal.SIGSTOP)
+        try:
+            # Whose processes this one can't see.
+            down = run("--pid", "--fork", "--mount-proc", RCBCTL, "--endpoint", self.endpoint, "down", program="unshare",
+                       env=token)
+            self.assertEqual(down.returncode, 0, down.stderr)
+            self.assertEqual(run("status", endpoint=self.endpoint, env=token).returncode, 3, "it waits until it is gone")
+            deadline = time.time() + 60
+            while self.named("rcbd-supervisor"):
+                self.assertLess(time.time(), deadline)
+                time.sleep(0.1)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(ranks[1], signal.SIGCONT)
+        with open(os.path.join(self.dir, "data", "rcbd.log")) as log:
+            self.assertNotIn("started again", log.read())
 
     def test_of_two_ups_at_once_one_wins(self):
         for _ in range(3):

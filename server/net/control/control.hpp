@@ -36,6 +36,8 @@ struct ControlOptions {
   int sessions_max = wire::kSessionsMax;
   std::size_t waiting_max = wire::kBeforeHelloMax;  // connections to a listener before their hello
   int orders_max = wire::kOrdersMax;
+  // Called once, on the thread for files, when the service has been told to end; owns what it touches. May be empty.
+  std::function<void()> told_to_end = {};
 };
 
 class Control {

@@ -10,6 +10,7 @@
 #include "common/auth/proof.hpp"
 #include "common/base/wide.hpp"
 #include "server/net/control/session.hpp"
+#include "server/net/sockets/file_thread.hpp"
 
 namespace rcb::net {
 
@@ -332,6 +333,7 @@ void Coordinator::shut_down(const std::string& why, std::function<void()> told) 
   shutdown_callbacks_.push_back(std::move(told));
   if (std::exchange(shutting_down_, true)) return;
   spdlog::info("shutting down: {}", why);
+  if (options_.told_to_end) (void)FileThread::of(context_).run(options_.told_to_end, [] {});
   std::vector<std::shared_ptr<OpenPush>> open;
   for (auto& [name, gate] : gates_) {
     if (gate.push) open.push_back(gate.push);

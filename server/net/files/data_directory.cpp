@@ -81,10 +81,10 @@ OfferedToken::~OfferedToken() {
   if (!path_.empty() && private_token(path_) == token_) ::unlink(path_.c_str());
 }
 
-Status DataDirectory::leave_clean_marker() const {
-  const Status written = write_own_file(join_path(path_, kCleanShutdownFile), "");
+Status leave_end_marker(const std::string& path) {
+  const Status written = write_own_file(join_path(path, kCleanShutdownFile), "");
   if (!written.ok()) return written;
-  const Descriptor directory(::open(path_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  const Descriptor directory(::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
   if (directory.open()) ::fsync(directory.get());
   return {};
 }

@@ -1,12 +1,12 @@
 // Room `files`: what the service has in the file system besides its scenes (data directory, names of sockets, log), and
 // its memory use.
 //
-// DataDirectory: the directory of one service, with lock, token and clean-shutdown marker.
+// DataDirectory: the directory of one service, with lock, token and the marker of a service that was told to end.
 //
 // Invariants
 // 1. While this object lives no other service has the directory: its lock is held by this object or by this rank's
 //    supervisor.
-// 2. The marker is absent from open() to leave_clean_marker().
+// 2. The marker is absent from open() to leave_end_marker().
 #pragma once
 
 #include <optional>
@@ -32,14 +32,16 @@ class DataDirectory {
   // The token of the service before a crash; a new one if the file isn't private or isn't whole, or if the token has
   // another prefix. Errors: io_error.
   Result<std::string> kept_token(std::string_view prefix = {}) const;
-  // Records that the service ended as it was told to; synced to disk. Errors: io_error.
-  Status leave_clean_marker() const;
 
  private:
   explicit DataDirectory(std::string path) : path_(std::move(path)) {}
   std::string path_;
   std::optional<LockFile> lock_;  // none if the supervisor holds it
 };
+
+// Records in a data directory that its service has been told to end, so that nobody starts it again, however it ends
+// then; synced to disk. Errors: io_error.
+Status leave_end_marker(const std::string& path);
 
 // A copy of a service's token at the place where clients on this machine look for it, the default data directory of its
 // endpoint; for services whose own directory lies elsewhere. The destructor removes the copy unless another service has

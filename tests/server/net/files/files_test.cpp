@@ -244,7 +244,7 @@ TEST(DataDirectory, MarkerStandsOnlyAfterACleanEnd) {
   {
     const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
     ASSERT_TRUE(data.ok());
-    EXPECT_TRUE(data->leave_clean_marker().ok());
+    EXPECT_TRUE(leave_end_marker(data->path()).ok());
     EXPECT_TRUE(fs::exists(marker));
   }
   const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
