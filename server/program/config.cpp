@@ -74,9 +74,8 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_INTERFACE")
       ->type_name("NAME");
   app.add_option("--data-dir", config.data_dir,
-                 "directory for lock, token, older step reports and the note that it was told to end [default: one for each "
-                 "endpoint, below "
-                 "$XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
+                 "directory for lock, token, older step reports and the note that it was told to end [default: one for "
+                 "each endpoint, below $XDG_STATE_HOME/rcbd, else ~/.local/state/rcbd]")
       ->envname("RCBD_DATA_DIR")
       ->type_name("DIR");
   add_file_options(app, config);
