@@ -3,10 +3,8 @@
 // Invariants
 // 1. It holds the locks of the endpoint (endpoint_lock.hpp) and of the data directory from start to end, also between
 //    two jobs. The note in the lock says what it is doing.
-// 2. A job is restarted unless it ended cleanly (exit code 0) or had been told to end, however it ended then: the
-// marker,
-//    which may be missing if the disk is full or the data directory was removed. Pauses grow up to a limit; it never
-//    gives up.
+// 2. A job is restarted unless it ended cleanly (exit code 0), or had been told to end: then it leaves a marker in the
+//    data directory, if that is there and has room. Pauses grow up to a limit; it never gives up.
 // 3. A job that fails before it has ever answered isn't restarted: the reason is reported at once.
 // 4. A job that runs but doesn't answer for silence_seconds is killed and counts as dead.
 // 5. Nothing it reads or writes can block it or the job: the job's output comes through a pipe.
