@@ -368,10 +368,12 @@ Status Supervisor::keep_place() {
     auto lock = take_data_directory(note_);
     if (!lock.ok()) return lock.status();
     *data_lock_ = std::move(*lock);
-    if (Status refreshed = log_.refresh(); !refreshed.ok()) return refreshed;
+    (void)log_.refresh();
     log_.note(fmt::format("the data directory {} had been removed, and is made again", options_.data_dir));
   }
-  return log_.refresh();
+  // Where the log belongs there may be something else now: then lines go on into the file that was opened last.
+  (void)log_.refresh();
+  return {};
 }
 
 // Ends the service cleanly within kStopSeconds, if possible; run() kills what is left.

@@ -25,6 +25,9 @@ class Comm {
   virtual ~Comm() = default;
   virtual int rank() const = 0;
   virtual int size() const = 0;
+  // Whether a collective costs a network's latency, so that few large ones are better than many small ones. The same on
+  // all ranks. Local.
+  virtual bool over_network() const { return false; }
 
   // values[i] becomes the sum, minimum or maximum of all ranks' values[i], on every rank. Sums wrap at 2^64.
   virtual void all_sum(std::span<std::uint64_t> values) = 0;

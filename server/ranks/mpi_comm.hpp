@@ -44,6 +44,7 @@ class MpiComm final : public comm::Comm {
 
   int rank() const override { return rank_; }
   int size() const override { return size_; }
+  bool over_network() const override { return apart_; }
   void all_sum(std::span<std::uint64_t> values) override;
   void all_min(std::span<std::uint64_t> values) override;
   void all_max(std::span<std::uint64_t> values) override;

@@ -272,6 +272,19 @@ class Faults(unittest.TestCase):
             self.assertEqual(service.ctl("down").returncode, 0)
             self.assert_nothing_left(service)
 
+    def test_what_stands_in_the_logs_place_keeps_no_service_from_a_restart(self):
+        for make in (os.mkdir, os.mkfifo):
+            with self.subTest(make.__name__), Service(2) as service:
+                log = os.path.join(service.data, "rcbd.log")
+                before = service.processes("rcbd")
+                os.unlink(log)
+                make(log)
+                os.kill(before[0], signal.SIGKILL)
+                self.assertTrue(wait_for(lambda: not set(before) & set(service.processes("rcbd"))))
+                self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0))
+                self.assertEqual(service.ctl("down").returncode, 0)
+                self.assert_nothing_left(service)
+
     def test_removed_sockets_are_made_again(self):
         with Service(2) as service:
             ranks = service.processes("rcbd")

@@ -21,6 +21,7 @@ constexpr int kRoundsMax = 3;                     // before the integers are rep
 constexpr std::uint64_t kGatherAlways = 8;        // so few candidates aren't worth a histogram
 constexpr std::uint64_t kGatheredTogether = 512;  // candidates of all nodes
 constexpr std::uint64_t kSpentFactor = 8;         // so many times as many where only key words would go on
+constexpr std::uint64_t kNetworkFactor = 4;       // and where a collective costs a network's latency
 
 // Counts that share the words of a message.
 using Count8 = std::uint8_t __attribute__((may_alias));
@@ -51,6 +52,7 @@ std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes, std::s
   found_.assign(nodes.size(), CutFound{});
   states_.assign(nodes.size(), State{});
   neighbours_.clear();
+  gather_limit_ = nodes.empty() ? 0 : gather_limit();
   for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
   for (count_round(); any(Phase::count) || any(Phase::next_word); count_round()) next_word();
   gather_candidates();
@@ -94,7 +96,7 @@ void Selector::start(std::size_t node) {
   state.weight_below = ask.weight_below;
   if (!weighted()) {
     state.inside = ask.count;
-    if (state.inside <= gather_limit()) state.phase = Phase::gather;
+    if (state.inside <= gather_limit_) state.phase = Phase::gather;
     return;
   }
   state.threshold = threshold_of(ask);
@@ -104,10 +106,12 @@ void Selector::start(std::size_t node) {
   }
 }
 
-// Up to so many candidates of a node are gathered instead of counted. Each costs every rank about 0.2 us, and a round
-// more of counting one collective.
+// Each candidate costs every rank about 0.2 us, and a round more of counting one collective. With slack the limit is
+// the same everywhere, since the cuts depend on it.
 std::uint64_t Selector::gather_limit() const {
-  return std::min(std::max(kGatheredTogether / states_.size(), kGatherAlways), limits_.gather_max);
+  const bool exact = std::ranges::all_of(nodes_, [](const CutRequest& node) { return node.slack == 0; });
+  const std::uint64_t factor = comm_.over_network() && exact ? kNetworkFactor : 1;
+  return factor * std::min(std::max(kGatheredTogether / nodes_.size(), kGatherAlways), limits_.gather_max);
 }
 
 // Decides how a node goes on after its bracket has changed. Integers that separate little more are replaced by a key
@@ -118,7 +122,7 @@ void Selector::choose_next_phase(std::size_t node, std::uint64_t before) {
   const bool tied = state.rounds > 1 && state.inside > before / 2;
   const bool spent = state.lo == state.hi || (!state.tie_break && (tied || state.rounds >= kRoundsMax));
   const bool cheap = state.lo == state.hi && !state.tie_break && lossless(node, 0) && lossless(node, 1);
-  if (state.inside <= gather_limit() || (spent && !cheap && state.inside <= kSpentFactor * gather_limit()))
+  if (state.inside <= gather_limit_ || (spent && !cheap && state.inside <= kSpentFactor * gather_limit_))
     state.phase = Phase::gather;
   else if (spent)
     state.phase = Phase::next_word;

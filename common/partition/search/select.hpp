@@ -144,6 +144,7 @@ class Selector {
   };
 
   void start(std::size_t node);
+  // Up to so many candidates of a node are gathered instead of counted.
   std::uint64_t gather_limit() const;
   bool any(Phase phase) const;
   std::vector<std::size_t> in_phase(Phase phase) const;
@@ -225,6 +226,7 @@ class Selector {
   std::span<Span> spans_;
   std::size_t chunks_ = 1;
   std::vector<State> states_;
+  std::uint64_t gather_limit_ = 0;
   std::vector<Neighbour> neighbours_;
   std::optional<std::array<std::uint64_t, 2>> ids_;  // the least and the greatest of all particles
   Buffer<std::uint64_t> message_;
