@@ -317,7 +317,7 @@ TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
     if (push == 1) fake.epoch += 3;  // by others, so that the answer doesn't lead to the parts
     return FakeScene::Fault::none;
   };
-  bool closing = true;
+  std::atomic<bool> closing{true};  // the service has a thread of its own
   fake.close_at = [&closing](const std::string& command, int) { return command == "plan" && closing; };
   Session session(fake);
   StepCaller caller{500, 2, {}, {}, {}};
@@ -341,7 +341,9 @@ TEST(Step, WhoseNumberAnotherSessionTookGoesOnBehindIt) {
     FakeScene fake = scene_of(2, 5, 3, 20);
     fake.fault = [first](int push) {
       const int late = first ? 0 : 1;
-      return push == late ? FakeScene::Fault::late : push == late + 1 ? FakeScene::Fault::taken : FakeScene::Fault::none;
+      return push == late       ? FakeScene::Fault::late
+             : push == late + 1 ? FakeScene::Fault::taken
+                                : FakeScene::Fault::none;
     };
     Session session(fake);
     StepCaller caller{500, 2, {}, {}, {}};
