@@ -181,7 +181,7 @@ std::uint64_t MemberScene::generation() const { return state_->seat; }
 
 Result<MemberScene> MemberScene::open(Client& client, const std::string& name, const MemberOptions& options) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  if (Status status = Client::State::refuse_other_kind(client.state_->scenes, name, "Scene"); !status) return status;
+  if (Status status = Client::State::refuse_both(client.state_->scenes, "Scene", name); !status) return status;
   auto state = std::make_unique<State>(client.state_, name, options);
   if (Status status = state->open(); !status) return status;
   return MemberScene(std::move(state));

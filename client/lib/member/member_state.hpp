@@ -33,11 +33,11 @@ struct MemberScene::State {
         options(terms),
         known(client->known(name)),
         run(client->run_of(name)) {
-    ++client->seats[name];
+    client->seats.insert(name);
   }
 
   ~State() {
-    --client->seats[name];
+    client->seats.erase(client->seats.find(name));
     if (connection_held()) arrays.unshare(session(), Deadline(kCloseSeconds));
     if (connection_held())
       static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name}}, Retry(kCloseSeconds)));

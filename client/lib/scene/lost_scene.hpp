@@ -4,7 +4,10 @@
 
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
+
+#include <fmt/format.h>
 
 #include "client/lib/session/session.hpp"
 #include "common/wire/message.hpp"
@@ -36,8 +39,8 @@ void refresh_options(Session& session, const std::string& scene, KnownScene& kno
 struct Client::State {
   std::unique_ptr<Session> session;
   std::map<std::string, KnownScene> created;  // scenes created and not dropped by this client
-  std::map<std::string, int> scenes;          // how many Scene objects there are of each name
-  std::map<std::string, int> seats;           // and MemberScene objects
+  std::multiset<std::string> scenes;          // the names of all Scene objects
+  std::multiset<std::string> seats;           // and of all MemberScene objects
   std::map<std::string, std::uint64_t> runs;  // how often this client has created or dropped a scene of that name
 
   std::uint64_t run_of(const std::string& scene) const {
@@ -49,11 +52,10 @@ struct Client::State {
     const auto made = created.find(scene);
     return made == created.end() ? KnownScene() : made->second;
   }
-  // A connection opens a scene once, as a member or for all particles: the end of either would end both.
-  static Status refuse_other_kind(const std::map<std::string, int>& others, const std::string& scene,
-                                  const char* kind) {
-    const auto found = others.find(scene);
-    if (found == others.end() || found->second == 0) return {};
+  // A connection opens a scene once, as a member or for all particles: the end of either would end both. others: those
+  // of the other kind.
+  static Status refuse_both(const std::multiset<std::string>& others, const char* kind, const std::string& scene) {
+    if (!others.contains(scene)) return {};
     return {Code::busy, fmt::format("this client has scene '{}' open as a {}", scene, kind),
             "open it with another client, or after that one has ended"};
   }

@@ -122,7 +122,7 @@ Status Scene::State::restore(const StepRequest& whole, const Retry& retry) {
   if (!frame) return frame.status();
   auto answer = read_answer(*frame, step, true);
   if (!answer) return answer.status();
-  const auto finished = finish(*frame, std::move(*answer), nullptr, ask, retry);
+  const auto finished = finish(*frame, std::move(*answer), ask, retry);
   known_ = known;
   told_ = told;
   return finished.status();

@@ -60,7 +60,7 @@ Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(dead
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
     : client_(std::move(client)), name_(std::move(name)), scene_(client_->known(name_)), run_(client_->run_of(name_)) {
-  ++client_->scenes[name_];
+  client_->scenes.insert(name_);
 }
 
 void Scene::State::forget_if_replaced() {
@@ -114,17 +114,17 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
 
 Result<Scene> Client::open_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  if (Status status = State::refuse_other_kind(state_->seats, name, "MemberScene"); !status) return status;
+  if (Status status = State::refuse_both(state_->seats, "MemberScene", name); !status) return status;
   auto state = std::make_unique<Scene::State>(state_, name);
-  if (Status status = state->open(wire::kDeadlineSecondsDefault); !status) return status;
+  Retry retry(wire::kDeadlineSecondsDefault);
+  if (Status status = state->open(retry); !status) return status;
   return Scene(std::move(state));
 }
 
 Scene::State::~State() {
   // Another Scene of the same client may have it open, too.
-  const auto scenes = client_->scenes.find(name_);
-  const bool last = --scenes->second == 0;
-  if (last) client_->scenes.erase(scenes);
+  client_->scenes.erase(client_->scenes.find(name_));
+  const bool last = !client_->scenes.contains(name_);
   // On a connection that is gone nothing is open.
   if (!session().connected() || generation_ != session().generation()) return;
   arrays_.unshare(session(), Deadline(kCloseSeconds));
@@ -132,8 +132,7 @@ Scene::State::~State() {
     static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name_}}, Retry(kCloseSeconds)));
 }
 
-Status Scene::State::open(double deadline_seconds) {
-  Retry retry(deadline_seconds);
+Status Scene::State::open(Retry& retry) {
   const auto once = [&]() -> Result<bool> {
     if (Status status = hold(retry); !status) return status;
     return true;

@@ -58,7 +58,8 @@ struct Scene::State {
   State(std::shared_ptr<Client::State> client, std::string name);
   ~State();
 
-  Status open(double deadline_seconds);
+  // Tries until the deadline.
+  Status open(Retry& retry);
   Result<StepResult> step(StepRequest ask);
   int dims() {
     forget_if_replaced();
@@ -149,17 +150,15 @@ struct Scene::State {
   struct Answer {
     wire::Json json;
     StepReport report;
-    bool first;          // the scene had no positions
-    bool repeated;       // it is that of an earlier attempt
-    bool step_follows;   // on the step that this Scene knows as the last one
-    bool epoch_follows;  // on the epoch that it knows
-    bool follows;        // layout and parts follow from those known
+    bool first;                 // the scene had no positions
+    bool repeated;              // it is that of an earlier attempt
+    bool epoch_follows;         // on the epoch that this Scene knows
+    bool follows;               // layout and parts follow from those known
+    std::optional<Frame> plan;  // the answer to `plan`, if it was asked for, too
   };
   // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
   Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
-  // plan: null if it isn't needed, or is fetched later.
-  Result<Committed> finish(const Frame& frame, Answer answer, const Frame* plan, const StepRequest& ask,
-                           const Retry& retry);
+  Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask, const Retry& retry);
   // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
   // known.
   Result<StepResult> complete(const StepRequest& ask, Committed done, Retry& retry);

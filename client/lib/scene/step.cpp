@@ -278,11 +278,11 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
     ask.moved = StepRequest::Moved::all;
   }
   const StepOptions& options = ask.options;
+  Retry retry(options.deadline_seconds);
   // Another client may have made it anew, with other dimensions.
   if (replaced_ && options.deadline_seconds > 0)
-    if (Status status = open(options.deadline_seconds); !status) return status;
+    if (Status status = open(retry); !status) return status;
   Status fits = check(ask);
-  Retry retry(options.deadline_seconds);
   const bool again = fits && unanswered_.is_pushed_again(options.step, [&] { return content_of(ask); });
   if (unanswered_ && !again) {  // before it is said what doesn't fit: that may be a scene which is not known yet
     if (Status status = unanswered_.settle(session(), name_, retry, [&] { return needs_unanswered(retry); }); !status)
@@ -429,18 +429,17 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   }
   auto answer = read_answer(*frame, step, tried_before);
   // What else has to be asked comes before anything here changes: until then the step can be pushed once more.
-  std::optional<Frame> plan;
   if (answer && asked && !(answer->follows && plan_)) {
     auto told = ask_plan(retry);
     if (!told)
       return Status(told.status().code(),
                     fmt::format("step {} is committed, but its parts are not known: {}", step, told.status().message()),
                     told.status().hint());
-    plan = std::move(*told);
+    answer->plan = std::move(*told);
   }
   unanswered_.answered();
   if (!answer) return answer.status();
-  return finish(*frame, std::move(*answer), plan ? &*plan : nullptr, sent, retry);
+  return finish(*frame, std::move(*answer), sent, retry);
 }
 
 }  // namespace rcb::client

@@ -59,12 +59,12 @@ Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::
   const bool step_follows = first || (!missed_ && before && *before == last_step_.value_or(-1));
   const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
   const bool follows = !repeated && epoch_follows && step_follows && report->parts == parts_count_;
-  return Answer{*json, std::move(*report), first, repeated, step_follows, epoch_follows, follows};
+  return Answer{*json, std::move(*report), first, repeated, epoch_follows, follows, std::nullopt};
 }
 
 // The step is committed: an error here doesn't undo it.
-Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer answer, const Frame* plan,
-                                                     const StepRequest& ask, const Retry& retry) {
+Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer answer, const StepRequest& ask,
+                                                     const Retry& retry) {
   const StepOptions& options = ask.options;
   StepReport& report = answer.report;
   // If the answer to the first push was lost, the scene is found with its particles; which rows they are is known here
@@ -93,8 +93,8 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
   if (plan_ || asked)
     done.plan_needed = !answer.follows || !plan_ || !apply(frame, answer.json, answer.first, done.result.changes);
   if (done.plan_needed) plan_.reset();
-  if (done.plan_needed && plan != nullptr) {
-    if (Status status = take_plan(*plan, ids_of_rows(ask)); !status) return status;
+  if (done.plan_needed && answer.plan) {
+    if (Status status = take_plan(*answer.plan, ids_of_rows(ask)); !status) return status;
     done.plan_needed = false;
   }
   done.result.report = std::move(report);
