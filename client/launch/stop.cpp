@@ -48,14 +48,14 @@ class Running {
   void signal_all(int number) const {
     for (const Process& process : processes_) process.signal(number);
   }
-  // True when all processes are gone and nobody listens at the endpoint any more.
+  // True when all processes are gone, and the endpoint, too.
   bool await_end(double seconds) const {
     const SteadyClock clock;
     const double deadline = clock.seconds() + seconds;
     for (const Process& process : processes_)
       while (!process.ended(kLookSeconds))
         if (clock.seconds() > deadline) return false;
-    while (endpoint_.starts_with("unix:") && socket_state(endpoint_.substr(5)) == SocketState::live) {
+    while (endpoint_is_served(deadline - clock.seconds())) {
       if (clock.seconds() > deadline) return false;
       usleep(static_cast<useconds_t>(1e6 * kLookSeconds));
     }
@@ -70,6 +70,14 @@ class Running {
 
  private:
   void add(const ProcessId& id) { processes_.emplace_back(id); }
+  // Of a service elsewhere, whose processes can't be seen, only its answers tell.
+  bool endpoint_is_served(double seconds) const {
+    if (!known())
+      return reach(endpoint_, "rcbctl down", std::clamp(seconds, kLookSeconds, kAskSeconds)).status().code() !=
+             Code::unavailable;
+    return endpoint_.starts_with("unix:") && socket_state(endpoint_.substr(5)) == SocketState::live;
+  }
+
   std::string endpoint_;
   std::vector<Process> processes_;
 };
@@ -90,6 +98,10 @@ std::vector<std::string> remove_leftovers(const std::string& endpoint) {
 
 // Asks the supervisor to end its service; if that doesn't help, kills all processes.
 Status end_by_force(const Running& running) {
+  if (!running.known())
+    return {Code::deadline_exceeded,
+            fmt::format("the service at {} was told to end, and is still there", running.endpoint()),
+            "wait, or end it on its own machine: rcbctl down"};
   running.signal_first(SIGTERM);
   if (running.await_end(kForceSeconds)) return {};
   running.signal_all(SIGKILL);
@@ -102,17 +114,6 @@ Status end_by_force(const Running& running) {
       "end them by hand (kill -9)"};
 }
 
-// Of a service elsewhere, whose processes can't be seen: true when it doesn't answer any more.
-bool await_silence(const std::string& endpoint, double seconds) {
-  const SteadyClock clock;
-  const double deadline = clock.seconds() + seconds;
-  for (double left = seconds; left > 0; left = deadline - clock.seconds()) {
-    if (reach(endpoint, "rcbctl down", std::min(left, kAskSeconds)).status().code() == Code::unavailable) return true;
-    usleep(static_cast<useconds_t>(1e6 * kLookSeconds));
-  }
-  return false;
-}
-
 Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) {
   const SteadyClock clock;
   const double end = clock.seconds() + deadline_seconds;
@@ -122,13 +123,8 @@ Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) 
   // A service that ends may close the connection before its answer is read.
   if (!told && told.code() != Code::unavailable && told.code() != Code::deadline_exceeded) return told;
   running.signal_all(SIGCONT);  // stopped processes could not end
-  const bool ended = running.known() ? running.await_end(left()) : await_silence(running.endpoint(), left());
-  if (!ended && !running.known())
-    return Status(Code::deadline_exceeded,
-                  fmt::format("the service at {} was told to end, and still answers", running.endpoint()),
-                  "wait, or end it on its own machine: rcbctl down");
-  if (!ended)
-    if (Status forced = end_by_force(running); !forced) return forced;
+  if (!running.await_end(left()))
+    if (Status ended = end_by_force(running); !ended) return ended;
   return Stopped{running.endpoint(), "stopped " + running.endpoint()};
 }
 

@@ -304,7 +304,9 @@ Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
     const double left = options_.embedded ? -1 : std::max(0.0, silence_.due() - clock_.seconds());
     if (wait(left) == Events::Event::stop) return Outcome::stopped;
     if (options_.embedded || clock_.seconds() < silence_.due() || job.poll()) continue;
-    if (Status status = keep_place(); !status) {
+    Status status = keep_place();
+    if (status) status = log_.refresh();
+    if (!status) {
       if (is_displaced(status)) return Outcome::displaced;
       if (status.message() != last_complaint_) log_.note(status.message());
       last_complaint_ = status.message();
@@ -333,6 +335,8 @@ Supervisor::Outcome Supervisor::start_again(Job& job, std::string why) {
     if (!pause(seconds)) return Outcome::stopped;
     Status status = keep_place();
     if (is_displaced(status)) return Outcome::displaced;
+    // Where the log belongs there may be something else now: then lines go on into the file that was opened last.
+    (void)log_.refresh();
     if (status) status = start(job, true);
     if (status) {
       tell_state(0);
@@ -354,7 +358,7 @@ void Supervisor::tell_state(double start_at_unix) {
   (void)endpoint_lock_->write(note_.text());  // overwritten in place, so that a full disk doesn't matter
 }
 
-// Creates again what somebody has removed: data directory, locks, log. Errors: why that can't be done; one is that
+// Creates again what somebody has removed: data directory and locks. Errors: why that can't be done; one is that
 // another service has taken the endpoint.
 Status Supervisor::keep_place() {
   if (!endpoint_lock_->in_place()) {
@@ -371,8 +375,6 @@ Status Supervisor::keep_place() {
     (void)log_.refresh();
     log_.note(fmt::format("the data directory {} had been removed, and is made again", options_.data_dir));
   }
-  // Where the log belongs there may be something else now: then lines go on into the file that was opened last.
-  (void)log_.refresh();
   return {};
 }
 

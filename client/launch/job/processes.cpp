@@ -14,12 +14,6 @@
 #include "common/wire/field_reader.hpp"
 
 namespace rcb::launch {
-namespace {
-
-constexpr std::size_t kTextBytesMax = 256;
-
-}  // namespace
-
 ProcessInfo process_info(pid_t pid) {
   ProcessInfo info;
   std::ifstream in(fmt::format("/proc/{}/status", pid));
@@ -36,8 +30,8 @@ ProcessId rank0_of(client::Client& client, double deadline_seconds) {
   const auto json = nlohmann::json::parse(status->json, nullptr, false);
   if (!json.is_object() || !json.contains("process")) return {};
   wire::FieldReader fields(json["process"]);
-  const std::string space = fields.text("space", kTextBytesMax);
-  const ProcessId rank0 = ProcessId::parse(fields.text("id", kTextBytesMax));
+  const std::string space = fields.text("space");
+  const ProcessId rank0 = ProcessId::parse(fields.text("id"));
   return fields.status().ok() && !space.empty() && space == process_space() && rank0.exists() ? rank0 : ProcessId{};
 }
 

@@ -18,8 +18,8 @@ struct ProcessInfo {
 // Empty if there is no such process.
 ProcessInfo process_info(pid_t pid);
 
-// Rank 0, as told by the service; pid -1 if it doesn't tell, or runs where this process can't see it: on another machine
-// or in another PID namespace, where the same number may be any other process.
+// Rank 0, as told by the service; pid -1 if it doesn't tell, or runs where this process can't see it: on another
+// machine or in another PID namespace, where the same number may be any other process.
 ProcessId rank0_of(client::Client& client, double deadline_seconds);
 
 class Process {
