@@ -101,11 +101,7 @@ class Repartitioning {
     failed_ = builder.uncut();
     std::ranges::sort(failed_, {}, &NodeRange::first);
     rule_ = builder.rule();
-    for (std::size_t k = 0; k < part.size(); ++k) {
-      if (part[k] == own.part[k]) continue;
-      result_.delta.slot.push_back(own.slot[k]);
-      result_.delta.part.push_back(part[k]);
-    }
+    tell_changes(part.span(), own.part.span(), [&own](std::size_t k) { return own.slot[k]; });
     take(std::move(found), roots_);
     return true;
   }
@@ -123,7 +119,7 @@ class Repartitioning {
                                    : TreeBuilder(comm_, particles_, options_, start))
                                 .build();
     if (whole) part = std::move(found.part);
-    tell_changes(part.span());
+    tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });
     take(std::move(found), failed_);
     if (whole) result_.looked_at = n_;
     for (const NodeRange& root : failed_)
@@ -132,21 +128,21 @@ class Repartitioning {
             std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
   }
 
-  // Without branches: half of the particles may have changed, in no order. Counted first, since growing lists would
-  // take twice their memory.
-  void tell_changes(std::span<const std::int32_t> part) {
-    PartDelta& delta = result_.delta;
+  // Sets result_.delta to the particles whose part isn't what it was. Without branches: half of them may have changed,
+  // in no order. Counted first, since growing lists would take twice their memory.
+  template <typename SlotOf>
+  void tell_changes(std::span<const std::int32_t> now, std::span<const std::int32_t> before, const SlotOf& slot_of) {
     std::size_t changed = 0;
-    const std::int32_t* const before = current_.part.data();
-    for (std::size_t i = 0; i < part.size(); ++i) changed += part[i] == before[i] ? 0U : 1U;
+    for (std::size_t i = 0; i < now.size(); ++i) changed += now[i] == before[i] ? 0U : 1U;
+    PartDelta& delta = result_.delta;
     delta.slot.resize(changed + 1);  // what hasn't changed is written behind the last, too
     delta.part.resize(changed + 1);
     std::uint64_t* const slot = delta.slot.data();
-    std::int32_t* const now = delta.part.data();
-    for (std::size_t i = 0, told = 0; i < part.size(); ++i) {
-      slot[told] = i;
-      now[told] = part[i];
-      told += part[i] == before[i] ? 0U : 1U;
+    std::int32_t* const part = delta.part.data();
+    for (std::size_t i = 0, told = 0; i < now.size(); ++i) {
+      slot[told] = slot_of(i);
+      part[told] = now[i];
+      told += now[i] == before[i] ? 0U : 1U;
     }
     delta.slot.resize(changed);
     delta.part.resize(changed);
