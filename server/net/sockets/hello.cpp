@@ -75,7 +75,7 @@ Status Door::check_proof(const wire::Json& said, auth::Opening opening, Hello& h
     return {Code::not_authorised, "a token is never said: a client proves that it knows it",
             "whoever listened on the way has it now: start the service again, which makes a new one"};
   if (!asks_for_token()) return {};
-  const char* hint = "the token is in the file 'token' of the service's data directory; each start by hand makes a new one";
+  const char* hint = "it is in the file 'token' of the service's data directory; each start by hand makes a new one";
   const auto client_nonce = wire::string_field(said, "nonce", opening.service_nonce.size());
   const auto proof = wire::string_field(said, "proof", opening.service_nonce.size());
   if (!client_nonce.ok() || !proof.ok() || !auth::is_nonce(*client_nonce))
