@@ -9,7 +9,7 @@
 #include <signal.h>
 #include <unistd.h>
 
-#include "client/launch/job/job_folder.hpp"
+#include "common/files/job_folder.hpp"
 #include "client/launch/job/processes.hpp"
 #include "client/launch/launch.hpp"
 #include "client/launch/reach.hpp"
@@ -38,6 +38,7 @@ class Running {
     const std::string name = process_info(parent).name;
     if (name == "mpirun" || name == "orterun" || name == "prterun") add(ProcessId::of(parent));
     add(rank0);
+    rank0_known_ = true;
   }
 
   const std::string& endpoint() const { return endpoint_; }
@@ -48,7 +49,8 @@ class Running {
   void signal_all(int number) const {
     for (const Process& process : processes_) process.signal(number);
   }
-  // True when all processes are gone, and the endpoint, too.
+  // True when all processes are gone, and the endpoint, too. Where rank 0 was known, whoever serves the endpoint
+  // afterwards is another service.
   bool await_end(double seconds) const {
     const SteadyClock clock;
     const double deadline = clock.seconds() + seconds;
@@ -75,11 +77,12 @@ class Running {
     if (!known())
       return reach(endpoint_, "rcbctl down", std::clamp(seconds, kLookSeconds, kAskSeconds)).status().code() !=
              Code::unavailable;
-    return endpoint_.starts_with("unix:") && socket_state(endpoint_.substr(5)) == SocketState::live;
+    return !rank0_known_ && endpoint_.starts_with("unix:") && socket_state(endpoint_.substr(5)) == SocketState::live;
   }
 
   std::string endpoint_;
   std::vector<Process> processes_;
+  bool rank0_known_ = false;
 };
 
 // Removes what killed services have left: job folders of any endpoint, and the sockets of this one. Returns the paths.
@@ -108,10 +111,15 @@ Status end_by_force(const Running& running) {
   const bool ended = running.await_end(kKillSeconds);
   (void)remove_leftovers(running.endpoint());
   if (ended) return {};
-  return {
-      Code::deadline_exceeded,
-      fmt::format("the service at {} has not ended; processes: {}", running.endpoint(), fmt::join(running.left(), " ")),
-      "end them by hand (kill -9)"};
+  const std::vector<pid_t> left = running.left();
+  if (left.empty())
+    return {Code::deadline_exceeded,
+            fmt::format("the processes of the service at {} have ended, and another still listens there",
+                        running.endpoint()),
+            fmt::format("find it: ss -lxp | grep {}", running.endpoint().substr(running.endpoint().find(':') + 1))};
+  return {Code::deadline_exceeded,
+          fmt::format("the service at {} has not ended; processes: {}", running.endpoint(), fmt::join(left, " ")),
+          "end them by hand (kill -9)"};
 }
 
 Result<Stopped> stop_answering(client::Client& client, double deadline_seconds) {
