@@ -9,7 +9,7 @@
 #include <signal.h>
 #include <unistd.h>
 
-#include "common/files/job_folder.hpp"
+#include "client/launch/job/job_folder.hpp"
 #include "client/launch/job/processes.hpp"
 #include "client/launch/launch.hpp"
 #include "client/launch/reach.hpp"

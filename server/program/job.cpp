@@ -8,7 +8,6 @@
 #include <cstring>
 #include <string>
 #include <string_view>
-#include <utility>
 
 #include <execinfo.h>
 #include <fcntl.h>
@@ -19,15 +18,18 @@
 #include <unistd.h>
 
 #include "common/files/descriptor.hpp"
-#include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
 #include "common/wire/limits.hpp"
 #include "server/net/files/socket_name.hpp"
 
 namespace rcb::server {
-namespace {
 
-constexpr const char* kNoJobFolder = "/tmp";
+std::string job_folder() {
+  const char* folder = std::getenv(kJobFolderVariable);
+  return folder != nullptr && folder[0] == '/' ? folder : "/tmp";
+}
+
+namespace {
 
 char g_job_folder[256];
 bool g_in_order = false;
@@ -61,22 +63,15 @@ void on_hangup(int) {
   ::kill(::getpid(), SIGKILL);
 }
 
-// Whether the folder may be removed with everything in it, as far as its name tells.
-bool is_for_one_job(const std::string& path) {
-  return path.substr(path.rfind('/') + 1).starts_with(kJobFolderPrefix);
-}
-
+// Checks the folder's name first, since the folder is later removed with everything in it.
 void remember_job_folder() {
   const std::string path = job_folder();
-  if (path.size() < sizeof g_job_folder && is_for_one_job(path)) std::strcpy(g_job_folder, path.c_str());
+  if (path.size() < sizeof g_job_folder &&
+      path.substr(path.rfind('/') + 1).starts_with(kJobFolderPrefix))
+    path.copy(g_job_folder, path.size());
 }
 
 }  // namespace
-
-std::string job_folder() {
-  const char* folder = std::getenv(kJobFolderVariable);
-  return folder != nullptr && folder[0] == '/' ? folder : kNoJobFolder;
-}
 
 void remove_traces() noexcept {
   net::SocketName::remove_all();
@@ -111,25 +106,6 @@ void end_at_faults(int rank) {
   action.sa_handler = on_fault;
   action.sa_flags = SA_NODEFER;
   for (const int number : kFaults) ::sigaction(number, &action, nullptr);
-}
-
-Result<std::optional<JobFolder>> use_job_folder() {
-  if (std::getenv(kLauncherHostVariable) == nullptr) return std::optional<JobFolder>();
-  std::optional<JobFolder> own;
-  // Some starters hand the variable to other machines, where there is no such folder.
-  if (!is_for_one_job(job_folder()) || !is_own_directory(job_folder())) {
-    auto folder = JobFolder::make(kNoJobFolder, 1);
-    if (!folder.ok()) return folder.status();
-    const char* session = std::getenv("PMIX_SERVER_TMPDIR");
-    folder->sign_for_rank(session != nullptr ? session : "");
-    own.emplace(std::move(*folder));
-    ::setenv(kJobFolderVariable, own->path().c_str(), 1);
-    remember_job_folder();
-    const char* local_rank = std::getenv("OMPI_COMM_WORLD_LOCAL_RANK");
-    if (local_rank == nullptr || std::string_view(local_rank) == "0") (void)JobFolder::sweep(kNoJobFolder);
-  }
-  ::setenv("OMPI_MCA_btl_vader_backing_directory", job_folder().c_str(), 0);
-  return own;
 }
 
 void raise_open_files_limit() {

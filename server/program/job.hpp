@@ -3,23 +3,15 @@
 #pragma once
 
 #include <cstddef>
-#include <optional>
 #include <string>
 #include <vector>
-
-#include "common/base/status.hpp"
-#include "common/files/job_folder.hpp"
 
 namespace rcb::server {
 
 // From now on this process ends with its mpirun. However it ends, except by SIGKILL, it removes its files: its sockets
-// and the job's folder (Open MPI's session files and the ranks' shared memory), if it is rank 0 or the folder is its
-// own. This holds for a stopped process too: the kernel continues a stopped process group once it is orphaned.
+// and, on rank 0, the job's folder (Open MPI's session files and the ranks' shared memory). This holds for a stopped
+// process too: the kernel continues a stopped process group once it is orphaned.
 void end_with_mpirun(int rank);
-// To be called before MPI_Init, which puts this rank's shared memory into the job's folder from now on. On a machine
-// other than the launcher's, where the job has none yet, this rank gets one of its own until the object is destroyed,
-// and one of the machine's ranks removes what killed jobs have left there. Errors: io_error.
-Result<std::optional<JobFolder>> use_job_folder();
 // From now on a signal that tells of a bug or of destroyed memory (SIGSEGV, SIGABRT and their like) ends this process
 // within seconds, with a line and a backtrace on standard error. To be called after MPI_Init: Open MPI's own handlers
 // allocate memory, and wait for ever where the fault came in the middle of an allocation.
@@ -36,7 +28,7 @@ struct ConnectionLimits {
 // Of what the limit for open files leaves beside those that are open now.
 ConnectionLimits connection_limits(int ranks);
 
-// The job's folder on this machine; /tmp for a job that the launcher didn't start.
+// The job's folder, which the launcher removes at the end; /tmp for a job that it didn't start.
 std::string job_folder();
 
 // Removes these files; for a process that is about to end in disorder. Safe in a signal handler.

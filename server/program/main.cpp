@@ -64,12 +64,6 @@ int run(int argc, char** argv) {
   }
   raise_open_files_limit();
   set_up_signals(ranks::rank_from_environment());
-  const auto folder = use_job_folder();
-  if (!folder.ok()) {
-    std::fprintf(stderr, "on %s: ", host_name().c_str());
-    say_failure(folder.status());
-    return 1;
-  }
   auto mpi = ranks::MpiSession::start(&argc, &argv);
   if (!mpi.ok()) {
     if (ranks::rank_from_environment() == 0) say_failure(mpi.status());

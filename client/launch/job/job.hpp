@@ -15,7 +15,7 @@
 
 #include <sys/types.h>
 
-#include "common/files/job_folder.hpp"
+#include "client/launch/job/job_folder.hpp"
 #include "client/launch/job/programs.hpp"
 #include "common/base/status.hpp"
 

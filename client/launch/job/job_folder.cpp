@@ -1,10 +1,9 @@
-#include "common/files/job_folder.hpp"
+#include "client/launch/job/job_folder.hpp"
 
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <new>
-#include <set>
 #include <utility>
 
 #include <fmt/format.h>
@@ -15,15 +14,14 @@
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
 
-namespace rcb {
+namespace rcb::launch {
 namespace {
 
 namespace fs = std::filesystem;
 
 constexpr const char* kSharedMemory = "/dev/shm";
 constexpr std::string_view kOwnerFile = "owner";
-constexpr std::string_view kSessionField = "open_mpi_session ";  // how a rank's note begins
-constexpr int kMakeTriesMax = 20;
+constexpr int kTriesMax = 20;
 constexpr std::uint64_t kSessionBytes = 16 << 20;
 constexpr std::uint64_t kRankBytes = (4 << 20) + (64 << 10);  // what Open MPI's vader shares of each, and a little more
 
@@ -61,13 +59,6 @@ std::string note_in(const std::string& path) {
   return note;
 }
 
-// The session folder that a rank's note names; empty if it is no such note. Open MPI's are .../ompi.HOST.UID/JOB.
-std::string session_in(const std::string& note) {
-  if (!note.starts_with(kSessionField)) return {};
-  const fs::path path = note.substr(kSessionField.size(), note.find('\n') - kSessionField.size());
-  return path.is_absolute() && path.parent_path().filename().string().starts_with("ompi.") ? path.string() : "";
-}
-
 }  // namespace
 
 Result<JobFolder> JobFolder::make(const std::string& fallback, int ranks) {
@@ -83,7 +74,7 @@ Result<JobFolder> JobFolder::make(const std::string& fallback, int ranks) {
 
 Result<JobFolder> JobFolder::make_in(const std::string& parent) {
   Status status;
-  for (int i = 0; i < kMakeTriesMax; ++i) {
+  for (int i = 0; i < kTriesMax; ++i) {
     std::string path = join_path(parent, prefix() + "XXXXXX");
     if (::mkdtemp(path.data()) == nullptr)
       return Status(Code::io_error, fmt::format("no folder can be made in {}: {}", parent, std::strerror(errno)));
@@ -117,14 +108,8 @@ void JobFolder::sign(const EndpointNote& owner) const {
   (void)lock_.write(owner.text());  // if this fails, only the sockets of a killed job stay
 }
 
-void JobFolder::sign_for_rank(const std::string& session) const {
-  (void)lock_.write(fmt::format("{}{}\n", kSessionField, session));  // if this fails, only Open MPI's files stay
-}
-
 std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
   std::vector<std::string> removed;
-  std::set<std::string> sessions;
-  std::set<std::string> live_sessions;
   for (const std::string& parent : {std::string(kSharedMemory), fallback}) {
     std::error_code ignored;
     for (const std::string& name : names_in(parent, ignored)) {
@@ -135,15 +120,12 @@ std::vector<std::string> JobFolder::sweep(const std::string& fallback) {
       if (!fs::exists(join_path(path, kOwnerFile), unseen)) continue;
       const std::string note = note_in(join_path(path, kOwnerFile));
       const auto lock = LockFile::take(join_path(path, kOwnerFile), note);
-      (lock.ok() ? sessions : live_sessions).insert(session_in(note));
       if (!lock.ok()) continue;  // its owner lives
       remove_rest(note, removed);
       remove_tree(path, removed);
     }
   }
-  for (const std::string& session : sessions)
-    if (!session.empty() && !live_sessions.contains(session)) remove_tree(session, removed);
   return removed;
 }
 
-}  // namespace rcb
+}  // namespace rcb::launch

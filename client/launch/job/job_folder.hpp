@@ -1,11 +1,10 @@
-// JobFolder: a folder that a job has on one of its machines, with a new name each time, for Open MPI's session files and
-// the ranks' shared memory. On the machine where the job was started its launcher has one; on any other each rank.
+// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' shared memory.
 //
 // Invariants
 // 1. It lies in /dev/shm, where neither a full disk nor a removed data directory affects it; if there is no room, in
 //    the fallback folder.
 // 2. While its owner lives, the owner's note in it is locked. A folder whose note isn't locked is left over, and is
-//    removed by the next process that starts or stops a service on that machine, for whatever endpoint (sweep()).
+//    removed by the next process that starts or stops a service, for whatever endpoint (sweep()).
 #pragma once
 
 #include <string>
@@ -15,7 +14,7 @@
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/lock_file.hpp"
 
-namespace rcb {
+namespace rcb::launch {
 
 class JobFolder {
  public:
@@ -28,12 +27,9 @@ class JobFolder {
   const std::string& path() const { return path_; }
   // Writes whose job it is, so that a sweep which finds the folder left over can also remove the endpoint's sockets.
   void sign(const EndpointNote& owner) const;
-  // For a rank's folder. `session`: Open MPI's session folder on this machine, which such a sweep removes, too, unless a
-  // rank that lives has named the same.
-  void sign_for_rank(const std::string& session) const;
 
-  // Removes what killed jobs of this user have left on this machine: their folders in /dev/shm and in `fallback`, their
-  // sockets and Open MPI's files. Returns the paths.
+  // Removes what killed jobs of this user have left: their folders in /dev/shm and in `fallback`, and their sockets.
+  // Returns the paths.
   static std::vector<std::string> sweep(const std::string& fallback);
 
  private:
@@ -43,4 +39,4 @@ class JobFolder {
   LockFile lock_;
 };
 
-}  // namespace rcb
+}  // namespace rcb::launch

@@ -1,5 +1,5 @@
 // What a killed job leaves is found and removed by the next one, whatever its endpoint; what a live one has stays.
-#include "common/files/job_folder.hpp"
+#include "client/launch/job/job_folder.hpp"
 
 #include <algorithm>
 #include <cstring>
@@ -16,7 +16,7 @@
 
 #include "common/files/socket_file.hpp"
 
-namespace rcb {
+namespace rcb::launch {
 namespace {
 
 namespace fs = std::filesystem;
@@ -105,45 +105,6 @@ TEST_F(Folder, WhoeverServesTheEndpointByNowKeepsItsSockets) {
   EXPECT_TRUE(fs::exists(directory_ + "/s"));
 }
 
-// A folder whose process is dead; its note names the session. Returns its path.
-std::string left_by_a_rank(const std::string& directory, const std::string& session) {
-  int ready[2];
-  EXPECT_EQ(::pipe(ready), 0);
-  const pid_t child = ::fork();
-  if (child == 0) {
-    const auto folder = JobFolder::make(directory, 1);
-    if (!folder.ok()) ::_exit(1);
-    folder->sign_for_rank(session);
-    ::_exit(::write(ready[1], folder->path().data(), folder->path().size()) < 0 ? 1 : 0);
-  }
-  ::close(ready[1]);
-  std::string path;
-  for (char c = 0; ::read(ready[0], &c, 1) == 1;) path += c;
-  ::close(ready[0]);
-  EXPECT_EQ(::waitpid(child, nullptr, 0), child);
-  return path;
-}
-
-TEST_F(Folder, OfAKilledRankGoesWithOpenMpisSessionUnlessALiveRankIsInIt) {
-  const std::string shared = directory_ + "/ompi.a.0/jf.1";
-  const std::string dead = directory_ + "/ompi.a.0/jf.2";
-  const std::string no_session = directory_ + "/home/jf.3";
-  for (const std::string& folder : {shared, dead, no_session}) fs::create_directories(folder + "/1");
-  const auto live = JobFolder::make(directory_, 1);
-  ASSERT_TRUE(live.ok());
-  live->sign_for_rank(shared);
-  for (const std::string& session : {shared, dead, no_session, std::string()})
-    EXPECT_TRUE(fs::exists(left_by_a_rank(directory_, session) + "/owner"));
-  const auto removed = JobFolder::sweep(directory_);
-  EXPECT_TRUE(names(removed, dead));
-  EXPECT_FALSE(fs::exists(dead));
-  EXPECT_TRUE(fs::exists(shared + "/1"));
-  EXPECT_TRUE(fs::exists(no_session + "/1")) << "a note that somebody has altered names any folder";
-  EXPECT_TRUE(fs::exists(live->path()));
-  const auto all = JobFolder::sweep(directory_);
-  EXPECT_TRUE(all.empty());
-}
-
 TEST_F(Folder, GoesWithItsOwner) {
   std::string path;
   {
@@ -156,4 +117,4 @@ TEST_F(Folder, GoesWithItsOwner) {
 }
 
 }  // namespace
-}  // namespace rcb
+}  // namespace rcb::launch
