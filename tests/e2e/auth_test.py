@@ -1,10 +1,10 @@
 """Who gets in and what others learn: taken ports, relays, replays, silence before hello, files that aren't the clients'."""
 import contextlib
 import socket
-import threading
 import time
 
 import protocol_client
+from listener import Listener
 from protocol_client import HELLO, REPLY, WELCOME, Client, frame
 from support import *
 
@@ -18,43 +18,6 @@ def free_port():
 def token_of(service):
     with open(os.path.join(service.data, "token")) as file:
         return file.read().strip()
-
-
-class Listener:
-    """Takes a port, or a Unix socket's path, and does with each connection what `script(socket)` says; keeps all bytes
-    that come."""
-
-    def __init__(self, port, script):
-        self.heard, self.script = bytearray(), script
-        address, family = (port, socket.AF_UNIX) if isinstance(port, str) else (("127.0.0.1", port), socket.AF_INET)
-        self.socket = socket.create_server(address, family=family)
-        self.thread = threading.Thread(target=self.serve, daemon=True)
-        self.thread.start()
-
-    def serve(self):
-        while True:
-            try:
-                made, _ = self.socket.accept()
-            except OSError:
-                return
-            made.settimeout(10)
-            with made, contextlib.suppress(OSError, EOFError):
-                self.script(self, made)
-
-    def read(self, made):
-        data = made.recv(65536)
-        if not data:
-            raise EOFError
-        self.heard += data
-        return data
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.socket.shutdown(socket.SHUT_RDWR)
-        self.socket.close()
-        self.thread.join(20)
 
 
 def welcome(authentication, **more):

@@ -6,6 +6,7 @@ import itertools
 import socket
 import threading
 
+from listener import Listener
 from support import *
 
 STRANGER = 12345
@@ -46,34 +47,16 @@ class Places(unittest.TestCase):
     def test_down_waits_for_its_own_service_and_not_for_who_listens_there(self):
         """Through a tunnel, which stays where it is when the service has ended."""
         self.assertEqual(self.up().returncode, 0)
-        tunnel = f"{self.dir}/tunnel"
+        place = f"{self.dir}/tunnel"
 
-        def carry(source, target):
-            with contextlib.suppress(OSError):
-                while got := source.recv(65536):
-                    target.sendall(got)
-                target.shutdown(socket.SHUT_RDWR)
+        def tunnel(listener, made):
+            service = socket.socket(socket.AF_UNIX)
+            service.connect(f"{self.dir}/s")
+            listener.pass_on(made, service)
 
-        def serve(listener, kept):
-            with contextlib.suppress(OSError):
-                while True:
-                    kept.append(listener.accept()[0])
-                    kept.append(socket.socket(socket.AF_UNIX))
-                    with contextlib.suppress(OSError):
-                        kept[-1].connect(f"{self.dir}/s")
-                        for ends in (kept[-2:], kept[:-3:-1]):
-                            threading.Thread(target=carry, args=ends, daemon=True).start()
-
-        with socket.socket(socket.AF_UNIX) as listener:
-            listener.bind(tunnel)
-            listener.listen(8)
-            kept = []
-            threading.Thread(target=serve, args=(listener, kept), daemon=True).start()
-            down = run("down", endpoint=f"unix:{tunnel}")
-            listener.shutdown(socket.SHUT_RDWR)
-            for end in kept:
-                end.close()
-        self.assertEqual((down.returncode, down.stdout.strip()), (0, f"stopped unix:{tunnel}"), down.stderr)
+        with Listener(place, tunnel):
+            down = run("down", endpoint=f"unix:{place}")
+        self.assertEqual((down.returncode, down.stdout.strip()), (0, f"stopped unix:{place}"), down.stderr)
         self.assertTrue(wait_for(lambda: not processes_of(self.dir)))
 
     @only_root

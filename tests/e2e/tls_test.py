@@ -5,6 +5,7 @@ import socket
 import ssl
 import threading
 
+from listener import Listener
 from machines import *
 from protocol_client import Client, described, encrypted, frame
 
@@ -43,34 +44,14 @@ class Sniffer:
         return bytes(self.heard)
 
 
-class Between:
-    """A machine's port on which `script(between, socket)` serves each connection."""
+class Between(Listener):
+    """At a port of a machine."""
 
     def __init__(self, hosts, name, script):
-        self.hosts, self.name, self.heard, self.script = hosts, name, bytearray(), script
+        self.hosts, self.name = hosts, name
         with hosts.network(name):
-            self.socket = socket.create_server((hosts.address(name), 0))
+            super().__init__(socket.create_server((hosts.address(name), 0)), script)
         self.address = "%s:%d" % self.socket.getsockname()
-        self.threads = []
-        self.start(self.serve)
-
-    def start(self, target, *args):
-        self.threads.append(threading.Thread(target=target, args=args, daemon=True))
-        self.threads[-1].start()
-        return self.threads[-1]
-
-    def serve(self):
-        while True:
-            try:
-                made, _ = self.socket.accept()
-            except OSError:
-                return
-            made.settimeout(20)
-            self.start(self.attend, made)
-
-    def attend(self, made):
-        with made, contextlib.suppress(OSError, EOFError):
-            self.script(self, made)
 
     def service(self):
         with self.hosts.network(self.name):
@@ -78,36 +59,6 @@ class Between:
 
     def service_by_tls(self):
         return encrypted(self.service(), "")[0]
-
-    def pass_on(self, client, service):
-        """Both ways, until either ends; keeps what the client has said."""
-        with client, service:
-            back = self.start(self.copy, service, client)
-            self.copy(client, service, self.heard)
-            back.join(30)
-
-    @staticmethod
-    def copy(source, target, kept=None):
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                if kept is not None:
-                    kept += data
-                target.sendall(data)
-        for one in (source, target):
-            with contextlib.suppress(OSError):
-                socket.socket.shutdown(one, socket.SHUT_RDWR)
-
-    def close(self):
-        self.socket.shutdown(socket.SHUT_RDWR)
-        self.socket.close()
-        for thread in self.threads:
-            thread.join(30)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
 
 def of_another(made):
