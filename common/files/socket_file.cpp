@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <ctime>
 #include <filesystem>
 
 #include <sys/socket.h>
@@ -62,6 +63,17 @@ std::vector<std::string> remove_dead_sockets(const std::string& path) {
   for (const std::string& socket : rank_sockets(path))
     if (!endpoint_holder("unix:" + socket)) remove(socket);
   return removed;
+}
+
+void remove_old_dead_sockets(const std::string& folder, const std::string& prefix) {
+  constexpr std::time_t kSeconds = 60;
+  std::error_code ignored;
+  for (const std::string& name : names_in(folder, ignored)) {
+    const std::string path = join_path(folder, name);
+    struct stat info {};
+    if (!name.starts_with(prefix) || ::lstat(path.c_str(), &info) != 0) continue;
+    if (std::time(nullptr) - info.st_mtime > kSeconds && socket_state(path) == SocketState::dead) ::unlink(path.c_str());
+  }
 }
 
 }  // namespace rcb

@@ -20,4 +20,8 @@ SocketState socket_state(const std::string& path);
 // and returns them. The caller holds the endpoint's lock, and no process of its service runs.
 std::vector<std::string> remove_dead_sockets(const std::string& path);
 
+// Removes the sockets FOLDER/PREFIX* on which nobody listens, if they are older than a minute: a younger one may be
+// another process's that is about to listen.
+void remove_old_dead_sockets(const std::string& folder, const std::string& prefix);
+
 }  // namespace rcb

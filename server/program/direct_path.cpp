@@ -11,6 +11,7 @@
 #include "common/auth/proof.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/socket_file.hpp"
 #include "common/tls/identity.hpp"
 #include "server/net/control/control.hpp"
 #include "server/net/peers/host.hpp"
@@ -35,11 +36,14 @@ Result<std::string> listen_at(net::DataPort& port, const std::string& place, int
 // Where this rank listens for clients on its own machine, if no endpoint is a Unix socket there. Only this user can
 // connect to a socket, even in /tmp, and nobody else can guess or take its name.
 std::string listen_for_this_machine(net::DataPort& port, int rank) {
-  const std::string name = fmt::format("/rcbd-{}.{}", auth::random_hex(8), rank);
+  const std::string prefix = "rcbd-";
+  const std::string name = fmt::format("/{}{}.{}", prefix, auth::random_hex(8), rank);
+  const std::string shared = "/tmp";
   const std::string job = job_folder();
-  if (is_own_directory(job) && port.listen_unix(job + name).ok()) return "unix:" + job + name;
-  const Status status = port.listen_unix("/tmp" + name);
-  if (status.ok()) return "unix:/tmp" + name;
+  if (job != shared && is_own_directory(job) && port.listen_unix(job + name).ok()) return "unix:" + job + name;
+  remove_old_dead_sockets(shared, prefix);  // of ranks that were killed where no launcher is that would remove them
+  const Status status = port.listen_unix(shared + name);
+  if (status.ok()) return "unix:" + shared + name;
   spdlog::warn("clients on this machine reach rank {} over TCP alone: {}", rank, status.message());
   return "";
 }

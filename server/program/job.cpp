@@ -76,7 +76,7 @@ void remember_job_folder() {
 void remove_traces() noexcept {
   net::SocketName::remove_all();
   if (g_job_folder[0] == '\0' || ::_Fork() != 0) return;
-  // This removes file names only: ranks still running keep their shared memory until they end.
+  // This removes file names only: what ranks that still run have mapped stays theirs until they end.
   static char program[] = "/bin/rm";
   static char flags[] = "-rf";
   char* const arguments[] = {program, flags, g_job_folder, nullptr};

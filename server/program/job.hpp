@@ -9,7 +9,7 @@
 namespace rcb::server {
 
 // From now on this process ends with its mpirun. However it ends, except by SIGKILL, it removes its files: its sockets
-// and, on rank 0, the job's folder (Open MPI's session files and the ranks' shared memory). This holds for a stopped
+// and, on rank 0, the job's folder (Open MPI's session files). This holds for a stopped
 // process too: the kernel continues a stopped process group once it is orphaned.
 void end_with_mpirun(int rank);
 // From now on a signal that tells of a bug or of destroyed memory (SIGSEGV, SIGABRT and their like) ends this process

@@ -42,7 +42,7 @@ Result<MpiSession> MpiSession::start(int* argc, char*** argv) {
 
 Status MpiSession::allocate_shared_memory() {
   for (const std::string& fault : gather(allocate_shared_segments().message()))
-    if (!fault.empty()) return {Code::io_error, fault, "make room there; a container's /dev/shm grows by --shm-size"};
+    if (!fault.empty()) return {Code::io_error, fault, "make room there"};
   return {};
 }
 

@@ -103,7 +103,7 @@ Status Job::start(bool restarted) {
   folder_.reset();
   address_.clear();
   wait_status_.reset();
-  auto folder = JobFolder::make(fallback_, spec_.ranks);
+  auto folder = JobFolder::make(fallback_);
   if (!folder.ok()) return folder.status();
   folder_.emplace(std::move(*folder));
   EndpointNote owner;

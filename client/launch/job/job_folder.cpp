@@ -22,18 +22,15 @@ namespace fs = std::filesystem;
 constexpr const char* kSharedMemory = "/dev/shm";
 constexpr std::string_view kOwnerFile = "owner";
 constexpr int kTriesMax = 20;
-constexpr std::uint64_t kSessionBytes = 16 << 20;
-constexpr std::uint64_t kRankBytes = (4 << 20) + (64 << 10);  // what Open MPI's vader shares of each, and a little more
+constexpr std::uint64_t kBytes = 16 << 20;  // of Open MPI's session files, and as much again
 
 std::string prefix() { return fmt::format("{}{}-", kJobFolderPrefix, ::geteuid()); }
 
-std::uint64_t bytes_for(int ranks) { return kSessionBytes + static_cast<std::uint64_t>(ranks) * kRankBytes; }
-
 // Also true where that can't be found out: making a folder there tells why.
-bool has_room(const std::string& folder, int ranks) {
+bool has_room(const std::string& folder) {
   struct statvfs info {};
   if (::statvfs(folder.c_str(), &info) != 0) return true;
-  return std::uint64_t{info.f_bavail} * info.f_frsize > bytes_for(ranks);
+  return std::uint64_t{info.f_bavail} * info.f_frsize > kBytes;
 }
 
 void remove_tree(const std::string& path, std::vector<std::string>& removed) {
@@ -61,14 +58,14 @@ std::string note_in(const std::string& path) {
 
 }  // namespace
 
-Result<JobFolder> JobFolder::make(const std::string& fallback, int ranks) {
-  if (has_room(kSharedMemory, ranks))
+Result<JobFolder> JobFolder::make(const std::string& fallback) {
+  if (has_room(kSharedMemory))
     if (auto folder = make_in(kSharedMemory); folder.ok()) return folder;
-  if (!has_room(fallback, ranks))
+  if (!has_room(fallback))
     return Status(Code::io_error,
-                  fmt::format("neither {} nor {} has room for {} MiB, which {} ranks share", kSharedMemory, fallback,
-                              bytes_for(ranks) >> 20U, ranks),
-                  fmt::format("make room there, or let {} be larger (a container's --shm-size)", kSharedMemory));
+                  fmt::format("neither {} nor {} has room for {} MiB, Open MPI's files", kSharedMemory, fallback,
+                              kBytes >> 20U),
+                  "make room there");
   return make_in(fallback);
 }
 

@@ -1,4 +1,4 @@
-// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' shared memory.
+// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' sockets.
 //
 // Invariants
 // 1. It lies in /dev/shm, where neither a full disk nor a removed data directory affects it; if there is no room, in
@@ -19,7 +19,7 @@ namespace rcb::launch {
 class JobFolder {
  public:
   // Errors: io_error.
-  static Result<JobFolder> make(const std::string& fallback, int ranks);
+  static Result<JobFolder> make(const std::string& fallback);
   JobFolder(JobFolder&& other) noexcept;
   JobFolder& operator=(JobFolder&&) = delete;
   ~JobFolder();

@@ -209,11 +209,12 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
     // A scheduler's job may have other machines, where mpirun would put ranks too.
     arguments.insert(arguments.end(), {"--mca", "btl", "vader,self", "--mca", "ras", "^slurm,gridengine,tm", "--mca",
                                        "plm", "^slurm,tm"});
-  // The folder is on this machine alone: on several it is for mpirun's own session, not for the ranks'.
-  if (!spec.folder.empty())
-    arguments.insert(
-        arguments.end(),
-        {"--mca", spec.hosts.several() ? "orte_local_tmpdir_base" : "btl_vader_backing_directory", spec.folder});
+  // Shared memory of System V ends with the last process that has it, however that ends; files would stay where ranks are
+  // killed. Where the system has none of it, Open MPI takes files.
+  arguments.insert(arguments.end(), {"--mca", "shmem_sysv_priority", "100"});
+  // The folder is on this machine alone; where there is no other, TMPDIR names it (job.cpp).
+  if (!spec.folder.empty() && spec.hosts.several())
+    arguments.insert(arguments.end(), {"--mca", "orte_local_tmpdir_base", spec.folder});
   arguments.insert(arguments.end(), {"-n", std::to_string(spec.ranks)});
   if (!spec.command.empty()) {
     arguments.insert(arguments.end(), spec.command.begin(), spec.command.end());

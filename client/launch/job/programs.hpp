@@ -40,7 +40,7 @@ struct JobSpec {
   std::string data_dir;
   int ranks = 1;
   Hosts hosts;                                 // where the ranks run
-  std::string folder;                          // for the ranks' shared memory; empty: Open MPI's default place
+  std::string folder;                          // for Open MPI's session files; empty: its default place
   std::vector<std::string> service_arguments;  // further options of rcbd
   // Another MPI program with its arguments; empty: rcbd on `endpoint` with `data_dir`.
   std::vector<std::string> command;

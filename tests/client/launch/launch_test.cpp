@@ -188,6 +188,7 @@ TEST_F(Launch, MpirunIsCalledAsOneNodeNeedsIt) {
   };
   EXPECT_TRUE(follows("--bind-to", "none"));
   EXPECT_TRUE(follows("btl", "vader,self"));
+  EXPECT_TRUE(follows("shmem_sysv_priority", "100"));
   EXPECT_TRUE(follows("-n", "3"));
   EXPECT_TRUE(follows("--listen", "127.0.0.1:7470"));
   EXPECT_TRUE(follows("--data-dir", "/data"));

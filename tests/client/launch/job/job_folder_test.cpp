@@ -51,10 +51,10 @@ class Folder : public testing::Test {
     EXPECT_EQ(::pipe(ready), 0);
     const pid_t child = ::fork();
     if (child == 0) {
-      auto folder = JobFolder::make(directory_, 1);
+      auto folder = JobFolder::make(directory_);
       if (!folder.ok()) ::_exit(1);
       folder->sign(owner());
-      std::ofstream(folder->path() + "/vader_segment") << "x";
+      std::ofstream(folder->path() + "/session") << "x";
       fs::create_directories(owner().data_dir);
       listen_at(directory_ + "/s");
       listen_at(directory_ + "/s.0");
@@ -66,7 +66,7 @@ class Folder : public testing::Test {
     place_.clear();
     for (char c = 0; ::read(ready[0], &c, 1) == 1 && c != '\n';) place_ += c;
     ::close(ready[0]);
-    EXPECT_TRUE(fs::exists(place_ + "/vader_segment")) << place_;
+    EXPECT_TRUE(fs::exists(place_ + "/session")) << place_;
     return child;
   }
   static void end(pid_t child) {
@@ -108,7 +108,7 @@ TEST_F(Folder, WhoeverServesTheEndpointByNowKeepsItsSockets) {
 TEST_F(Folder, GoesWithItsOwner) {
   std::string path;
   {
-    const auto folder = JobFolder::make(directory_, 1);
+    const auto folder = JobFolder::make(directory_);
     ASSERT_TRUE(folder.ok());
     path = folder->path();
     EXPECT_TRUE(fs::exists(path));
