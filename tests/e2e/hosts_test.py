@@ -1,8 +1,10 @@
 """A service over several machines (tests/hosts): the answers of one machine, solvers on any of them, and machines that
 vanish. Needs root, since the machines are made of network namespaces."""
 import re
+import socket
 
 import judge
+from listener import Listener
 from machines import *
 
 STRANGER = """
@@ -105,6 +107,44 @@ class HostsTest(MachinesTest):
             self.assertLessEqual(ways, {"endpoint", way}, path)
             self.assertIn(way, ways)
         self.down(endpoint=endpoint)
+
+    def ways(self, name, endpoint, *args, **settings):
+        """By which the steps of a solver on that machine travel."""
+        done = self.on(name, os.path.join(self.bin, "two_spheres"), *args, "--json", endpoint=endpoint, **settings)
+        self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+        return {report["way"] for report in json.loads(done.stdout)["reports"]}
+
+    def test_ipv6(self):
+        self.machines(3)  # c has no rank
+        for number, name in enumerate(self.hosts.names, 1):
+            self.hosts.run(name, "ip", "addr", "add", f"fd77::{number}/64", "dev", "eth0", "nodad", check=True)
+        endpoint = "[fd77::1]:7470"
+        self.up("--hosts", "a:2,b:1", "--trusted-interconnect", endpoint=endpoint)
+        self.assertEqual(self.ctl("status", "--json", endpoint=endpoint)["encryption"], ["TLS 1.3"])
+        for name, path, ways in (("a", "shared", {"endpoint", "shared-memory"}), ("b", "direct", {"sockets"}),
+                                 ("c", "direct", {"sockets"}), ("c", "gateway", {"endpoint"})):
+            self.assertEqual(self.ways(name, endpoint, "--steps", 3, RCBD_PATH=path), ways, f"{name} {path}")
+        self.down(endpoint=endpoint)
+
+    def test_where_only_the_endpoint_is_reached(self):
+        """Through a tunnel, from a machine whose packets to the ranks vanish."""
+        self.machines(3)
+        self.up("--hosts", "a:2,b:1", "--trusted-network")
+        many = ["--steps", 2, "--points", 100000]
+        self.assertEqual(self.ways("c", TCP, *many), {"sockets"})
+        self.hosts.run("c", "sh", "-c", "ip addr del 10.77.0.3/24 dev eth0; ip addr add 10.99.0.3/32 dev eth0; "
+                       "ip route add 10.77.0.0/24 dev eth0 via 10.77.0.1 onlink", check=True)
+        with self.hosts.network("c"):
+            here = socket.create_server(("127.0.0.1", 7000))
+
+        def tunnel(listener, made):
+            with self.hosts.network("a"):
+                service = socket.create_connection(("10.77.0.1", 7470))
+            listener.pass_on(made, service)
+
+        with Listener(here, tunnel):
+            self.assertEqual(self.ways("c", "127.0.0.1:7000", *many), {"endpoint"})
+        self.down()
 
     def listening(self, name):
         """The TCP ports at which processes of a machine listen."""
