@@ -10,7 +10,8 @@ beside what the model of docs/scale.md says. Needs root.
     latency               half of a round trip of 8 bytes over one TCP connection, measured at each setting
     bytes on the links    the longer of two: the bytes that the busiest direction of a link carries, counted, at the speed
                           of a TCP connection that has sent for a while, measured at each setting; and the bytes of all
-                          links at that speed without limits, since all machines and the switch are one machine
+                          links at that speed without limits, since all machines and the switch are one machine. Less the
+                          time of the busiest link's bytes within a machine, which the first term has already
     frames                that all links carry, counted, but for those of the chain
     work                  what one costs this machine: the reciprocal of the 8-byte messages a second that it carries if
                           every machine asks every other at once
@@ -40,7 +41,7 @@ STEPS = {"all": "layout", "few": "subset", "none": "unmoved"}  # which particles
 DIMS, PARTS = 3, 8  # of the scene `moving` of rcb_bench step
 SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round trip in ms, Gbit/s
 COUNTED_AT = 0.04  # seconds from machine to machine
-WARM_UP, TIMED = 8 << 20, 16 << 20  # bytes
+CHUNK, TIMED = 8 << 20, 3  # bytes, and how often they are sent after a first time
 ECHO = """
 import os, signal, socket
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)
@@ -143,10 +144,10 @@ class Bench:
             process.wait()
         return seconds / frames
 
-    def wires(self):
-        """(latency, speed) of a TCP connection from a to b."""
+    def wires(self, to="b"):
+        """(latency, speed) of a TCP connection from a to another machine or to itself."""
         with self.hosts.network("a"):
-            made = socket.create_connection((self.hosts.address("b"), 9000))
+            made = socket.create_connection((self.hosts.address(to), 9000))
         with made:
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             trips = []
@@ -155,14 +156,14 @@ class Bench:
                 made.send(b"asked: ?")
                 made.recv(8)
                 trips.append(time.perf_counter() - start)
-            for size in (WARM_UP, TIMED):
-                data = bytes(size - 1) + b"?"
+            latency = min(trips) / 2
+            data, speeds = bytes(CHUNK - 1) + b"?", []
+            for _ in range(1 + TIMED):
                 start = time.perf_counter()
                 made.sendall(data)
                 made.recv(8)
-                seconds = time.perf_counter() - start
-            latency = min(trips) / 2
-            return latency, TIMED / (seconds - 2 * latency)
+                speeds.append(CHUNK / (time.perf_counter() - start - 2 * latency))
+            return latency, statistics.median(speeds[1:])
 
 
 def row(count, told, kind, setting, counted, predicted, seconds):
@@ -187,10 +188,12 @@ def measure(count, told):
         alone = bench.seconds()
         bench.run("rcbctl", "down")
         work = bench.work()
+        _, speed_within = bench.wires("a")
         _, speed_of_all = bench.wires()
         bench.up("--hosts", ",".join(f"{name}:1" for name in hosts.names))
         counted = bench.counted()
-        print(f"{count} machines: {1e6 * work:.1f} us of work a frame, {8e-9 * speed_of_all:.2f} Gbit/s without limits")
+        print(f"{count} machines: {1e6 * work:.1f} us of work a frame, {8e-9 * speed_of_all:.2f} Gbit/s without limits, "
+              f"{8e-9 * speed_within:.2f} within one")
         for kind, (chain, frames, all_links, size) in counted.items():
             print(f"{count} machines, {kind}: {1e3 * alone[kind]:.2f} ms on one, chain {chain}, {frames:.0f} frames, "
                   f"{all_links:.0f} bytes, {size:.0f} on a link", flush=True)
@@ -200,8 +203,8 @@ def measure(count, told):
             seconds = bench.seconds()
             cells = []
             for kind, (chain, frames, all_links, size) in counted.items():
-                predicted = (alone[kind] + chain * latency + max(size / speed, all_links / speed_of_all)
-                             + max(0, frames - chain) * work)
+                carried = max(size / speed, all_links / speed_of_all) - size / speed_within
+                predicted = alone[kind] + chain * latency + max(0, carried) + max(0, frames - chain) * work
                 rows.append(row(count, told, kind, (trip, rate), counted[kind], predicted, seconds[kind]))
                 cells.append(f"{1e3 * predicted:7.1f} {1e3 * seconds[kind]:7.1f} {seconds[kind] / predicted:5.2f}")
             print(f"{count} | {trip} ms | {rate} | {1e3 * latency:.3f} ms, {8e-9 * speed:.2f} | {' | '.join(cells)}",
