@@ -174,6 +174,7 @@ Kind output_file(Format format) {
           CLI::Validator(
               [names](std::string& path) {
                 if (path.empty()) return std::string("it is empty");
+                if (path == "-") return std::string("name a file; one of this name is ./-");
                 const std::string ending = ending_of(path);
                 const bool other = std::any_of(std::begin(kKnownEndings), std::end(kKnownEndings),
                                                [&ending](const char* known) { return ending == known; });

@@ -95,7 +95,8 @@ Status make_directory(const std::string& path) {
   if (!error && fs::is_directory(path, error)) return {};
   return {Code::io_error,
           fmt::format("can't make the directory {}: {}", path, error ? error.message() : "a file is there"),
-          "check the permissions of the directory above it, or name another place"};
+          error == std::errc::file_exists ? "what has this name is no directory: name another place"
+                                          : "check the permissions of the directory above it, or name another place"};
 }
 
 std::string host_name() {

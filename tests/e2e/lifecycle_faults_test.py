@@ -207,6 +207,14 @@ class Places(unittest.TestCase):
         self.assertIn("is not a lock of rcbd's", up.stderr)
         self.assertEqual(text_of(self.dir, "s.lock"), "precious")
 
+    def test_a_mask_that_would_lock_out_the_owner(self):
+        line = f"umask 777; {RCBCTL} up -n 1 --data-dir {self.dir}/data && {RCBCTL} down"
+        done = subprocess.run(["sh", "-c", line], env=dict(os.environ, RCBD_ENDPOINT=f"unix:{self.dir}/s"),
+                              capture_output=True, text=True, timeout=60)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        for path, mode in (("data", 0o700), ("data/rcbd.log", 0o600)):
+            self.assertEqual(os.stat(os.path.join(self.dir, path)).st_mode & 0o777, mode, path)
+
     def test_a_working_directory_that_is_gone(self):
         up = subprocess.run(["sh", "-c", f"mkdir gone; cd gone; rmdir ../gone; {RCBCTL} --endpoint unix:{self.dir}/s up"],
                             cwd=self.dir, capture_output=True, text=True, timeout=60)

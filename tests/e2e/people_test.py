@@ -107,6 +107,19 @@ class People(ServiceTest):
         for solver in ("two_spheres --points 200 --steps 1", "slope --points 200 --steps 1"):
             self.assertEqual(self.shell(f"{solver} --no-service --json > /dev/full").returncode, 1, solver)
 
+    def test_where_output_cannot_go_is_told(self):
+        os.mkfifo(f"{self.dir}/fifo.npy")
+        os.symlink("nowhere", f"{self.dir}/dangling")
+        for line, exit_code, told in (("status >&-", 1, "it is closed"), ("assign few --out -", 2, "one of this name is ./-"),
+                                      (f"assign few --out {self.dir}/fifo.npy", 1, "nobody reads it"),
+                                      (f"export few {self.dir}/dangling", 1, "is no directory")):
+            done = self.shell("rcbctl " + line)
+            self.assertEqual(done.returncode, exit_code, line + done.stderr)
+            self.assertIn(told, done.stderr)
+        self.assertFalse(os.path.exists("-"))
+        done = self.shell(f"cat {self.dir}/fifo.npy | wc -c & sleep 0.3; rcbctl assign few --out {self.dir}/fifo.npy >&2; wait")
+        self.assertEqual((done.returncode, int(done.stdout)), (0, 128 + 4 * 2000), done.stderr)
+
     def test_a_history_that_fails_is_no_whole_document(self):
         for line in ("history few --plot /nonexistent/x.svg --json", "history few --csv /dev/full --json"):
             done = self.shell("rcbctl " + line)

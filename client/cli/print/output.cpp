@@ -1,6 +1,7 @@
 #include "client/cli/print/output.hpp"
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -144,8 +145,11 @@ bool reader_gone() {
 bool output_cut_off() { return std::ferror(stdout) != 0 && reader_gone(); }
 
 Status flush_output() {
-  if ((std::fflush(stdout) == 0 && std::ferror(stdout) == 0) || reader_gone()) return {};
-  return {Code::io_error, "standard output can't be written", "is the disk full?"};
+  const bool flushed = std::fflush(stdout) == 0;
+  const int error = flushed ? 0 : errno;
+  if ((flushed && std::ferror(stdout) == 0) || reader_gone()) return {};
+  return {Code::io_error, "standard output can't be written",
+          error == EBADF ? "it is closed" : "is there room where it goes?"};
 }
 
 Progress::Progress(std::string title) : title_(std::move(title)), terminal_(isatty(STDERR_FILENO) != 0) {}

@@ -45,7 +45,9 @@ Result<OutputFile> OutputFile::create(const std::string& path) {
   if (!out.open()) {
     const int error = errno;
     return Status(Code::io_error, fmt::format("{}: can't be written: {}", path, std::strerror(error)),
-                  error == ENOENT ? "make its directory first" : "check the directory's permissions and space");
+                  error == ENOENT  ? "make its directory first"
+                  : error == ENXIO ? "nobody reads it: start its reader first"
+                                   : "check the directory's permissions and space");
   }
   return out;
 }
@@ -70,7 +72,9 @@ bool OutputFile::open() {
     file_ = Descriptor(::openat(folder(), path.c_str(), O_WRONLY | O_CLOEXEC | O_NOCTTY | flags, 0666));
     return file_.open();
   };
-  if (!regular()) return open_at(name_, 0);
+  // A FIFO that nobody reads would block for ever.
+  if (!regular())
+    return open_at(name_, O_NONBLOCK) && ::fcntl(file_.get(), F_SETFL, O_WRONLY) == 0;
   const std::size_t slash = beside_.rfind('/');
   const std::string parent = slash == std::string::npos ? "." : beside_.substr(0, slash + 1);
   nameless_ = ::access(kOpenFiles, X_OK) == 0 && open_at(parent, O_TMPFILE);

@@ -85,7 +85,7 @@ Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Push
   if (!terms.by_id && !scene.step)
     return {Code::unsupported, "a first push from shared memory is in order \"id\"", hint};
   if (scene.step && scene.ids && terms.by_id)
-    return {Code::unsupported, "the scene's ids aren't 0..n-1, so they name no rows of the memory",
+    return {Code::unsupported, "the scene has ids of its own (scene.show: ids), so they name no rows of the memory",
             "push in order \"plan\", or by another path"};
   if (!terms.by_id && terms.counts.size() != static_cast<std::size_t>(terms.ranks))
     return {Code::invalid_argument, "field 'counts': the numbers of rows on each rank, where 'row' lists them"};
@@ -127,7 +127,9 @@ Status check_share(const wire::Json& request, const api::SceneSummary& scene, co
   if (!terms.base_step)
     return {Code::invalid_argument, "field 'base_step': a member's direct push names the last step"};
   const auto together = std::accumulate(terms.counts.begin(), terms.counts.end(), std::uint64_t{0});
-  if (terms.counts.empty() || (terms.moved != Moved::some && together != terms.n))
+  if (terms.counts.empty())
+    return {Code::invalid_argument, "field 'counts' is missing: the push's particles on each rank, zeros if it has none"};
+  if (terms.moved != Moved::some && together != terms.n)
     return {Code::invalid_argument,
             fmt::format("field 'counts': {} particles together, the push has {}", together, terms.n)};
   for (std::size_t rank = 0; rank < terms.counts.size(); ++rank)
