@@ -197,7 +197,26 @@ def without_shared_memory():
     return 0
 
 
-CASES = {"name": without_its_name, "memory": without_shared_memory}
+def with_low_limits():
+    """Of System V's memory: a segment's size, their number, all pages together."""
+    for limit, value in (("shmmax", 4096), ("shmmni", 2), ("shmall", 2000)):
+        with open(f"/proc/sys/kernel/{limit}") as file:
+            before = file.read()
+        with open(f"/proc/sys/kernel/{limit}", "w") as file:
+            file.write(str(value))
+        with Service(3) as service:
+            assert len(glob.glob("/dev/shm/rcbd-*/vader_segment*")) == 3, (limit, os.listdir("/dev/shm"))
+            with Client(service.endpoint, timeout=60) as client:
+                client.ask("scene.create", scene="s", parts=8)
+                client.push("s", 0, np.random.default_rng(1).random((20_000, 3)))
+        with open(f"/proc/sys/kernel/{limit}", "w") as file:
+            file.write(before)
+    with open("/proc/sysvipc/shm") as file:
+        assert len(file.readlines()) == 1, "segments are left"
+    return 0
+
+
+CASES = {"name": without_its_name, "memory": without_shared_memory, "limits": with_low_limits}
 
 
 class InAnotherPlace(unittest.TestCase):
@@ -207,7 +226,7 @@ class InAnotherPlace(unittest.TestCase):
         if os.geteuid() != 0:
             print("SKIPPED: only root can mount", file=sys.stderr)
             self.skipTest("only root can mount")
-        done = subprocess.run(["unshare", "--mount", "--propagation", "private", sys.executable, __file__, "--case", name],
+        done = subprocess.run(["unshare", "--mount", "--ipc", "--propagation", "private", sys.executable, __file__, "--case", name],
                               capture_output=True, text=True, timeout=240)
         if done.returncode == 77:
             print("SKIPPED: nothing can be mounted here", file=sys.stderr)
@@ -219,6 +238,9 @@ class InAnotherPlace(unittest.TestCase):
 
     def test_no_room_in_shared_memory(self):
         self.run_case("memory")
+
+    def test_low_limits_of_shared_memory(self):
+        self.run_case("limits")
 
 
 if __name__ == "__main__":

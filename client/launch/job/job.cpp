@@ -103,7 +103,7 @@ Status Job::start(bool restarted) {
   folder_.reset();
   address_.clear();
   wait_status_.reset();
-  auto folder = JobFolder::make(fallback_);
+  auto folder = JobFolder::make(fallback_, spec_.ranks);
   if (!folder.ok()) return folder.status();
   folder_.emplace(std::move(*folder));
   EndpointNote owner;
@@ -112,6 +112,7 @@ Status Job::start(bool restarted) {
   owner.data_dir = spec_.data_dir;
   folder_->sign(owner);
   spec_.folder = folder_->path();
+  spec_.memory_in_folder = folder_->holds_memory();
   auto arguments = mpirun_arguments(spec_);
   if (!arguments) return arguments.status();
   std::vector<std::string> environment = job_environment(spec_, restarted);

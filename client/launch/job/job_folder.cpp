@@ -7,6 +7,8 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <sys/ipc.h>
+#include <sys/shm.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
 
@@ -22,15 +24,27 @@ namespace fs = std::filesystem;
 constexpr const char* kSharedMemory = "/dev/shm";
 constexpr std::string_view kOwnerFile = "owner";
 constexpr int kTriesMax = 20;
-constexpr std::uint64_t kBytes = 16 << 20;  // of Open MPI's session files, and as much again
+constexpr std::uint64_t kSessionBytes = 16 << 20;             // Open MPI's session files, and as much again
+constexpr std::uint64_t kRankBytes = (4 << 20) + (64 << 10);  // what Open MPI's vader shares of each, and a little more
 
 std::string prefix() { return fmt::format("{}{}-", kJobFolderPrefix, ::geteuid()); }
 
+// Whether System V's memory can hold what these ranks share: its limits are on a segment, on all, and on their number.
+bool system_v_holds(int ranks) {
+  std::vector<int> segments;
+  for (int rank = 0; rank < ranks && (segments.empty() || segments.back() >= 0); ++rank)
+    segments.push_back(::shmget(IPC_PRIVATE, kRankBytes, IPC_CREAT | 0600));
+  const bool held = segments.empty() || segments.back() >= 0;
+  for (const int segment : segments)
+    if (segment >= 0) ::shmctl(segment, IPC_RMID, nullptr);
+  return held;
+}
+
 // Also true where that can't be found out: making a folder there tells why.
-bool has_room(const std::string& folder) {
+bool has_room(const std::string& folder, std::uint64_t bytes) {
   struct statvfs info {};
   if (::statvfs(folder.c_str(), &info) != 0) return true;
-  return std::uint64_t{info.f_bavail} * info.f_frsize > kBytes;
+  return std::uint64_t{info.f_bavail} * info.f_frsize > bytes;
 }
 
 void remove_tree(const std::string& path, std::vector<std::string>& removed) {
@@ -58,18 +72,20 @@ std::string note_in(const std::string& path) {
 
 }  // namespace
 
-Result<JobFolder> JobFolder::make(const std::string& fallback) {
-  if (has_room(kSharedMemory))
-    if (auto folder = make_in(kSharedMemory); folder.ok()) return folder;
-  if (!has_room(fallback))
-    return Status(Code::io_error,
-                  fmt::format("neither {} nor {} has room for {} MiB, Open MPI's files", kSharedMemory, fallback,
-                              kBytes >> 20U),
-                  "make room there");
-  return make_in(fallback);
+Result<JobFolder> JobFolder::make(const std::string& fallback, int ranks) {
+  const bool memory = !system_v_holds(ranks);
+  const std::uint64_t bytes = kSessionBytes + (memory ? static_cast<std::uint64_t>(ranks) * kRankBytes : 0);
+  if (has_room(kSharedMemory, bytes))
+    if (auto folder = make_in(kSharedMemory, memory); folder.ok()) return folder;
+  if (!has_room(fallback, bytes))
+    return Status(
+        Code::io_error,
+        fmt::format("neither {} nor {} has room for {} MiB, Open MPI's files", kSharedMemory, fallback, bytes >> 20U),
+        memory ? "make room there, or raise kernel.shmmax, shmall and shmmni (ipcs -l)" : "make room there");
+  return make_in(fallback, memory);
 }
 
-Result<JobFolder> JobFolder::make_in(const std::string& parent) {
+Result<JobFolder> JobFolder::make_in(const std::string& parent, bool holds_memory) {
   Status status;
   for (int i = 0; i < kTriesMax; ++i) {
     std::string path = join_path(parent, prefix() + "XXXXXX");
@@ -77,7 +93,7 @@ Result<JobFolder> JobFolder::make_in(const std::string& parent) {
       return Status(Code::io_error, fmt::format("no folder can be made in {}: {}", parent, std::strerror(errno)));
     // Before the note was locked, a sweep may have taken the folder for a left-over one: then try another.
     auto lock = LockFile::take(join_path(path, kOwnerFile), "");
-    if (lock.ok()) return JobFolder(std::move(path), std::move(*lock));
+    if (lock.ok()) return JobFolder(std::move(path), holds_memory, std::move(*lock));
     status = lock.status();
     std::error_code ignored;
     fs::remove_all(path, ignored);
@@ -87,7 +103,7 @@ Result<JobFolder> JobFolder::make_in(const std::string& parent) {
 }
 
 JobFolder::JobFolder(JobFolder&& other) noexcept
-    : path_(std::exchange(other.path_, "")), lock_(std::move(other.lock_)) {}
+    : path_(std::exchange(other.path_, "")), holds_memory_(other.holds_memory_), lock_(std::move(other.lock_)) {}
 
 JobFolder::~JobFolder() {
   if (path_.empty()) return;

@@ -1,4 +1,5 @@
-// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' sockets.
+// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' sockets, and for
+// the memory that ranks share where System V's can't hold it.
 //
 // Invariants
 // 1. It lies in /dev/shm, where neither a full disk nor a removed data directory affects it; if there is no room, in
@@ -19,12 +20,14 @@ namespace rcb::launch {
 class JobFolder {
  public:
   // Errors: io_error.
-  static Result<JobFolder> make(const std::string& fallback);
+  static Result<JobFolder> make(const std::string& fallback, int ranks);
   JobFolder(JobFolder&& other) noexcept;
   JobFolder& operator=(JobFolder&&) = delete;
   ~JobFolder();
 
   const std::string& path() const { return path_; }
+  // Whether the ranks are to share memory through files in it, since the limits of System V's are too low.
+  bool holds_memory() const { return holds_memory_; }
   // Writes whose job it is, so that a sweep which finds the folder left over can also remove the endpoint's sockets.
   void sign(const EndpointNote& owner) const;
 
@@ -33,9 +36,11 @@ class JobFolder {
   static std::vector<std::string> sweep(const std::string& fallback);
 
  private:
-  JobFolder(std::string path, LockFile lock) : path_(std::move(path)), lock_(std::move(lock)) {}
-  static Result<JobFolder> make_in(const std::string& parent);
+  JobFolder(std::string path, bool holds_memory, LockFile lock)
+      : path_(std::move(path)), holds_memory_(holds_memory), lock_(std::move(lock)) {}
+  static Result<JobFolder> make_in(const std::string& parent, bool holds_memory);
   std::string path_;
+  bool holds_memory_;
   LockFile lock_;
 };
 

@@ -210,8 +210,11 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
     arguments.insert(arguments.end(), {"--mca", "btl", "vader,self", "--mca", "ras", "^slurm,gridengine,tm", "--mca",
                                        "plm", "^slurm,tm"});
   // Shared memory of System V ends with the last process that has it, however that ends; files would stay where ranks are
-  // killed. Where the system has none of it, Open MPI takes files.
-  arguments.insert(arguments.end(), {"--mca", "shmem_sysv_priority", "100"});
+  // killed.
+  if (!spec.memory_in_folder)
+    arguments.insert(arguments.end(), {"--mca", "shmem_sysv_priority", "100"});
+  else if (!spec.hosts.several())
+    arguments.insert(arguments.end(), {"--mca", "btl_vader_backing_directory", spec.folder});
   // The folder is on this machine alone; where there is no other, TMPDIR names it (job.cpp).
   if (!spec.folder.empty() && spec.hosts.several())
     arguments.insert(arguments.end(), {"--mca", "orte_local_tmpdir_base", spec.folder});

@@ -41,6 +41,7 @@ struct JobSpec {
   int ranks = 1;
   Hosts hosts;                                 // where the ranks run
   std::string folder;                          // for Open MPI's session files; empty: its default place
+  bool memory_in_folder = false;               // ranks share memory through files, System V's limits being too low
   std::vector<std::string> service_arguments;  // further options of rcbd
   // Another MPI program with its arguments; empty: rcbd on `endpoint` with `data_dir`.
   std::vector<std::string> command;

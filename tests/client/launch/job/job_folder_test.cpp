@@ -51,7 +51,7 @@ class Folder : public testing::Test {
     EXPECT_EQ(::pipe(ready), 0);
     const pid_t child = ::fork();
     if (child == 0) {
-      auto folder = JobFolder::make(directory_);
+      auto folder = JobFolder::make(directory_, 1);
       if (!folder.ok()) ::_exit(1);
       folder->sign(owner());
       std::ofstream(folder->path() + "/session") << "x";
@@ -108,7 +108,7 @@ TEST_F(Folder, WhoeverServesTheEndpointByNowKeepsItsSockets) {
 TEST_F(Folder, GoesWithItsOwner) {
   std::string path;
   {
-    const auto folder = JobFolder::make(directory_);
+    const auto folder = JobFolder::make(directory_, 1);
     ASSERT_TRUE(folder.ok());
     path = folder->path();
     EXPECT_TRUE(fs::exists(path));
