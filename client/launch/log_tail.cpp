@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <fstream>
+#include <span>
 #include <sstream>
 #include <string_view>
 #include <vector>
@@ -12,16 +13,25 @@ namespace {
 
 constexpr std::uint64_t kReadBytesMax = 64 * 1024;
 constexpr std::size_t kLinesMax = 5;
+constexpr std::size_t kMpirunLinesMax = 8;
 
 // mpirun frames its own messages with lines of dashes.
 bool is_rule(std::string_view line) {
   return line.size() >= 20 && std::all_of(line.begin(), line.end(), [](char c) { return c == '-'; });
 }
 
-std::string joined(const std::vector<std::string>& lines) {
+// What Open MPI says outside of frames after it has said in one what is wrong, on which machine.
+bool is_sequel(std::string_view line) {
+  if (line.ends_with("failed to start") || line.starts_with("***")) return true;
+  if (!line.starts_with('[')) return false;
+  for (const std::string_view words : {"] *** ", "] Set MCA parameter", "ORTE_ERROR_LOG", "sent help message"})
+    if (line.find(words) != std::string_view::npos) return true;
+  return false;
+}
+
+std::string joined(std::span<const std::string> lines) {
   std::string text;
-  const std::size_t first = lines.size() > kLinesMax ? lines.size() - kLinesMax : 0;
-  for (std::size_t i = first; i < lines.size(); ++i) text += (text.empty() ? "" : "\n") + lines[i];
+  for (const std::string& line : lines) text += (text.empty() ? "" : "\n") + line;
   return text;
 }
 
@@ -30,22 +40,23 @@ std::string joined(const std::vector<std::string>& lines) {
 std::string telling_lines(const std::string& text) {
   std::istringstream in(text);
   std::vector<std::string> own;
-  std::vector<std::string> of_mpirun;
-  bool in_frame = false;
+  std::vector<std::string> of_mpirun;  // its first message: later ones tell what came of it
+  int rules = 0;
   for (std::string line; std::getline(in, line);) {
     if (is_rule(line)) {
-      in_frame = !in_frame;
+      ++rules;
       continue;
     }
-    // mpirun says so after the frame in which it says which program was missing where.
-    if (!in_frame && line.ends_with("failed to start")) continue;
+    const bool in_frame = rules % 2 == 1;
+    if ((in_frame && rules > 1) || (!in_frame && is_sequel(line))) continue;
     std::vector<std::string>& lines = in_frame ? of_mpirun : own;
     // All ranks tend to write the same line.
     if (line.find_first_not_of(" \t\r") != std::string::npos &&
         std::find(lines.begin(), lines.end(), line) == lines.end())
       lines.push_back(line);
   }
-  return joined(own.empty() ? of_mpirun : own);
+  of_mpirun.resize(std::min(of_mpirun.size(), kMpirunLinesMax));
+  return own.empty() ? joined(of_mpirun) : joined(std::span(own).last(std::min(own.size(), kLinesMax)));
 }
 
 std::string log_tail(const std::string& path) {

@@ -78,7 +78,8 @@ class Supervisor {
   void drain() {
     events_.drain([this](std::string_view bytes) { log_.add(bytes); });
   }
-  std::string reason(const std::string& end);
+  // Adds what the job has said last.
+  std::string with_tail(const std::string& text);
   void tell_state(double start_at_unix);
   void notify(const Status& status);
 
@@ -207,14 +208,14 @@ Status Supervisor::await_first_answer(Job& job) {
     if (const auto end = job.poll()) {
       if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");
-      return {Code::aborted, reason(end->text),
+      return {Code::aborted, with_tail(fmt::format("the service ended ({})", end->text)),
               (by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "") + log_hint("the whole log")};
     }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && ask_service(job, kProbeDeadlineSeconds) == Answer::heard) return {};
   }
   return {Code::deadline_exceeded,
-          fmt::format("the service did not answer within {} s of its start", options_.ready_seconds),
+          with_tail(fmt::format("the service did not answer within {} s of its start", options_.ready_seconds)),
           log_hint("its log")};
 }
 
@@ -297,7 +298,7 @@ bool Supervisor::is_silent(Job& job) {
 Supervisor::Outcome Supervisor::watch(Job& job, std::string& why) {
   for (;;) {
     if (const auto end = job.poll()) {
-      why = reason(end->text);
+      why = with_tail(fmt::format("the service ended ({})", end->text));
       std::error_code unseen;  // a marker that can't be looked for: one that is started again can be ended again
       return end->clean || std::filesystem::exists(marker_, unseen) ? Outcome::ended : Outcome::died;
     }
@@ -395,10 +396,10 @@ void Supervisor::stop(Job& job) {
   }
 }
 
-std::string Supervisor::reason(const std::string& end) {
+std::string Supervisor::with_tail(const std::string& text) {
   drain();
   const std::string tail = log_.tail();
-  return fmt::format("the service ended ({}){}", end, tail.empty() ? "" : ":\n" + tail);
+  return tail.empty() ? text : text + ":\n" + tail;
 }
 
 void Supervisor::notify(const Status& status) {

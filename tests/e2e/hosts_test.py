@@ -300,6 +300,12 @@ class HostsTest(MachinesTest):
                 failed = self.on("a", os.path.join(self.bin, "rcbctl"), "up", *args, "--data-dir", self.data, endpoint=endpoint)
                 self.assertNotEqual(failed.returncode, 0)
                 self.assertIn(says, failed.stderr + self.log())
+        # mpirun may live on, though ranks have failed; the message has what they said.
+        self.hosts.run("b", "mount", "-o", "remount,size=1m", "/tmp", check=True)
+        failed = self.on("a", os.path.join(self.bin, "rcbctl"), "up", "--hosts", "a:2,b:2", "--trusted-network", "--deadline", 8,
+                         "--data-dir", self.data, endpoint=endpoint)
+        self.assertNotEqual(failed.returncode, 0)
+        self.assertRegex(failed.stderr, r"(?m)^\[b:\d+\] PMIX ERROR")
 
 
 if __name__ == "__main__":

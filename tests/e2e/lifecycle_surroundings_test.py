@@ -197,6 +197,15 @@ def without_shared_memory():
     return 0
 
 
+def without_inodes():
+    """/dev/shm takes no more files: the job's folder is in the data directory."""
+    if not mounted("tmpfs", "-o", "nr_inodes=5", "shm", "/dev/shm"):
+        return 77
+    with Service(2) as service:
+        assert glob.glob(os.path.join(service.data, "rcbd-*")), os.listdir(service.data)
+    return 0
+
+
 def with_low_limits():
     """Of System V's memory: a segment's size, their number, all pages together."""
     for limit, value in (("shmmax", 4096), ("shmmni", 2), ("shmall", 2000)):
@@ -216,7 +225,7 @@ def with_low_limits():
     return 0
 
 
-CASES = {"name": without_its_name, "memory": without_shared_memory, "limits": with_low_limits}
+CASES = {"name": without_its_name, "memory": without_shared_memory, "limits": with_low_limits, "inodes": without_inodes}
 
 
 class InAnotherPlace(unittest.TestCase):
@@ -238,6 +247,9 @@ class InAnotherPlace(unittest.TestCase):
 
     def test_no_room_in_shared_memory(self):
         self.run_case("memory")
+
+    def test_no_inodes_in_shared_memory(self):
+        self.run_case("inodes")
 
     def test_low_limits_of_shared_memory(self):
         self.run_case("limits")

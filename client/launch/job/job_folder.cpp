@@ -31,19 +31,25 @@ std::string prefix() { return fmt::format("{}{}-", kJobFolderPrefix, ::geteuid()
 
 // Whether System V's memory can hold what these ranks share: its limits are on a segment, on all, and on their number.
 bool system_v_holds(int ranks) {
-  std::vector<int> segments;
-  for (int rank = 0; rank < ranks && (segments.empty() || segments.back() >= 0); ++rank)
-    segments.push_back(::shmget(IPC_PRIVATE, kRankBytes, IPC_CREAT | 0600));
-  const bool held = segments.empty() || segments.back() >= 0;
-  for (const int segment : segments)
-    if (segment >= 0) ::shmctl(segment, IPC_RMID, nullptr);
+  std::vector<void*> attached;
+  bool held = true;
+  for (int rank = 0; rank < ranks && held; ++rank) {
+    const int segment = ::shmget(IPC_PRIVATE, kRankBytes, IPC_CREAT | 0600);
+    void* const at = segment < 0 ? nullptr : ::shmat(segment, nullptr, 0);
+    held = at != nullptr && at != reinterpret_cast<void*>(-1);
+    if (held) attached.push_back(at);
+    if (segment >= 0) ::shmctl(segment, IPC_RMID, nullptr);  // it goes once nobody has it attached, killed or not
+  }
+  for (void* const at : attached) ::shmdt(at);
   return held;
 }
 
 // Also true where that can't be found out: making a folder there tells why.
 bool has_room(const std::string& folder, std::uint64_t bytes) {
+  constexpr std::uint64_t kFiles = 64;
   struct statvfs info {};
   if (::statvfs(folder.c_str(), &info) != 0) return true;
+  if (info.f_files > 0 && info.f_favail < kFiles) return false;  // some file systems don't count them
   return std::uint64_t{info.f_bavail} * info.f_frsize > bytes;
 }
 
