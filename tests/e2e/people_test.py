@@ -275,6 +275,7 @@ class People(ServiceTest):
         self.assertEqual(failure["message"], "no scene 'fwe'")
         self.assertRegex(failure["hint"], r"^did you mean few\? there are: .*lattice, many")
         self.assertRegex(self.service.failure("watch", "many2")["hint"], r"did you mean many\?")
+        self.assertIn("no scene", self.service.failure("history", "many2", "--first", 0)["message"])
         self.assertNotIn("mean", self.service.failure("stats", "zzzzzz")["hint"])
 
     def test_completion_knows_scenes(self):

@@ -45,12 +45,12 @@ Result<HistoryRead> Client::history(const std::string& scene, const HistoryRange
                                     const std::function<Status(const StepReport&)>& take, double deadline_seconds) {
   if (Status status = wire::check_scene_name(scene); !status) return status;
   HistoryRead read;
-  if (range.first && *range.first == 0) return read;
+  const bool none = range.first && *range.first == 0;
   wire::Json request{{"scene", scene}};
-  if (range.last) request["last"] = std::min(*range.last, kNoLimit);
+  if (none || range.last) request["last"] = none ? 0 : std::min(*range.last, kNoLimit);
   std::uint64_t end = kNoLimit;  // set by the first page: reports of later steps are left out
   for (bool first = true;; first = false) {
-    const std::uint64_t wanted = range.first.value_or(kNoLimit) - (read.reports + read.lost);
+    const std::uint64_t wanted = (none ? kNoLimit : range.first.value_or(kNoLimit)) - (read.reports + read.lost);
     request["count"] =
         std::min({kPageReports, wanted, first ? kPageReports : end - request["from"].get<std::uint64_t>()});
     const auto reply = call("history", request.dump(), deadline_seconds);

@@ -9,6 +9,7 @@
 #include <boost/asio/buffer.hpp>
 #include <fmt/format.h>
 #include <poll.h>
+#include <spdlog/spdlog.h>
 #include <sys/socket.h>
 #include <sys/uio.h>
 
@@ -100,7 +101,11 @@ void Connection::arm() {
       self->socket_.cancel(ignored);  // the reader wakes with an error; the socket can still send why
       self->read_end_ = self->limit_end_ = TimePoint::max();
     }
-    if (self->write_end_ <= time) self->close();
+    if (self->write_end_ <= time) {
+      spdlog::info("a connection is closed: for {} s its other side has read nothing",
+                   std::chrono::duration_cast<std::chrono::seconds>(self->frame_time_).count());
+      self->close();
+    }
     self->arm();
   });
 }
