@@ -5,7 +5,7 @@
 
 namespace rcb::comm {
 
-void Comm::all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all) {
+void Comm::all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& all) {
   std::vector<std::size_t> sizes;
   all_gather(local, all, sizes);
 }

@@ -15,6 +15,8 @@
 #include <span>
 #include <vector>
 
+#include "common/base/buffer.hpp"
+
 namespace rcb::comm {
 
 // Returns whether a long computation may go on, the same on all ranks. Collective. An empty function means yes.
@@ -35,13 +37,13 @@ class Comm {
   virtual void all_max(std::span<std::uint64_t> values) = 0;
 
   // Every rank's bytes, in rank order, on every rank; `sizes` gets the number of bytes of each rank.
-  virtual void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+  virtual void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
                           std::vector<std::size_t>& sizes) = 0;
   // Like all_gather, where nobody asks who sent what and all shares together are small. On very many ranks nothing of
   // it grows with their number.
-  virtual void all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all);
+  virtual void all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& all);
   // Like all_gather, on `root` alone (elsewhere `all` and `sizes` come back empty).
-  virtual void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+  virtual void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
                       std::vector<std::size_t>& sizes) = 0;
   // root's bytes to every rank; all ranks pass the same size.
   virtual void broadcast(std::span<std::byte> bytes, int root) = 0;

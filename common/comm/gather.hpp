@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstring>
 #include <span>
 #include <type_traits>
 #include <vector>
@@ -18,39 +17,33 @@ struct Gathered {
   std::vector<std::size_t> counts;  // values of each rank
 };
 
-template <typename T>
-Gathered<T> as_values(std::span<const std::byte> bytes, std::vector<std::size_t> sizes) {
-  static_assert(std::is_trivially_copyable_v<T>);
-  Gathered<T> gathered{Buffer<T>(bytes.size() / sizeof(T)), std::move(sizes)};
-  if (!bytes.empty()) std::memcpy(gathered.values.data(), bytes.data(), bytes.size());
-  for (std::size_t& count : gathered.counts) count /= sizeof(T);
-  return gathered;
-}
-
 // Every rank's values, on every rank. Collective.
 template <typename T>
 Gathered<T> all_gather_values(Comm& comm, std::span<const T> mine) {
-  std::vector<std::byte> bytes;
-  std::vector<std::size_t> sizes;
-  comm.all_gather(std::as_bytes(mine), bytes, sizes);
-  return as_values<T>(bytes, std::move(sizes));
+  static_assert(std::is_trivially_copyable_v<T>);
+  Buffer<std::byte> bytes;
+  Gathered<T> gathered;
+  comm.all_gather(std::as_bytes(mine), bytes, gathered.counts);
+  for (std::size_t& count : gathered.counts) count /= sizeof(T);
+  gathered.values = bytes.release_as<T>();
+  return gathered;
 }
 
 // The same where all values together are few. Collective.
 template <typename T>
 Buffer<T> all_gather_few_values(Comm& comm, std::span<const T> mine) {
-  std::vector<std::byte> bytes;
+  Buffer<std::byte> bytes;
   comm.all_gather_few(std::as_bytes(mine), bytes);
-  return as_values<T>(bytes, {}).values;
+  return bytes.release_as<T>();
 }
 
 // Every rank's values on rank 0; nothing elsewhere. Collective.
 template <typename T>
 Buffer<T> gather_values(Comm& comm, std::span<const T> mine) {
-  std::vector<std::byte> bytes;
+  Buffer<std::byte> bytes;
   std::vector<std::size_t> sizes;
   comm.gather(std::as_bytes(mine), 0, bytes, sizes);
-  return as_values<T>(bytes, std::move(sizes)).values;
+  return bytes.release_as<T>();
 }
 
 }  // namespace rcb::comm

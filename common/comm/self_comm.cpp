@@ -15,13 +15,13 @@ void copy(std::span<const std::byte> from, std::span<std::byte> to) {
 
 }  // namespace
 
-void SelfComm::all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+void SelfComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
                           std::vector<std::size_t>& sizes) {
-  all.assign(local.begin(), local.end());
+  all.assign(local);
   sizes.assign(1, local.size());
 }
 
-void SelfComm::gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+void SelfComm::gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
                       std::vector<std::size_t>& sizes) {
   CHECK(root == 0, "the only rank");
   all_gather(local, all, sizes);

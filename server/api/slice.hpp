@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/files/shared_memory.hpp"
+#include "common/particles/block_ranges.hpp"
 #include "common/wire/message.hpp"
 #include "server/api/push.hpp"
 
@@ -21,6 +22,7 @@ struct Slice {
   int rank = 0;                          // or kInsertedSlice, kRemovedSlice
   std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
   std::vector<wire::Array> arrays = {};  // x y z (w) (id), or x y z slot
+  particles::BlockRanges ranges = {};    // of the positions, if they were taken as the arrays arrived
   int member = 0;                        // of a parallel solver: the one that sent it
   // Instead of arrays, if the client shares memory:
   std::vector<SharedColumn> shared = {};

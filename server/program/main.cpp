@@ -6,6 +6,8 @@
 #include <cstdlib>
 #include <memory>
 
+#include <malloc.h>
+
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 #include <unistd.h>
@@ -50,6 +52,15 @@ void set_up_signals(int rank) {
   for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
 }
 
+// The memory of one step serves the next one. By default the allocator returns arrays of this size to the kernel at once,
+// which must clear new pages for them at each step.
+void keep_freed_memory() {
+  constexpr int kMappedBytesMin = 32 << 20;
+  constexpr int kKeptBytesMax = 64 << 20;
+  ::mallopt(M_MMAP_THRESHOLD, kMappedBytesMin);
+  ::mallopt(M_TRIM_THRESHOLD, kKeptBytesMax);
+}
+
 int run(int argc, char** argv) {
   const ParsedConfig parsed = parse_config(argc, argv);
   if (!parsed.run) {
@@ -62,6 +73,7 @@ int run(int argc, char** argv) {
     std::fputs(parsed.error.c_str(), stderr);
     return parsed.exit_code;
   }
+  keep_freed_memory();
   raise_open_files_limit();
   set_up_signals(ranks::rank_from_environment());
   auto mpi = ranks::MpiSession::start(&argc, &argv);

@@ -114,7 +114,7 @@ void MpiComm::finish(std::vector<MPI_Request>& requests, const char* name) {
   must(MPI_Waitall(narrow<int>(requests.size()), requests.data(), MPI_STATUSES_IGNORE), name);
 }
 
-void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
                          std::vector<std::size_t>& sizes) {
   const auto ranks = static_cast<std::size_t>(size_);
   sizes.assign(ranks, 0);
@@ -167,7 +167,7 @@ void MpiComm::all_gather(std::span<const std::byte> local, std::vector<std::byte
   }
 }
 
-void MpiComm::all_gather_few(std::span<const std::byte> local, std::vector<std::byte>& all) {
+void MpiComm::all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& all) {
   if (size_ <= tell_all_ranks_max_) return Comm::all_gather_few(local, all);
   const comm::TreePlace place = comm::place_in_tree(rank_, size_, kTreeFanOut);
   std::vector<MPI_Request> requests;
@@ -194,7 +194,7 @@ void MpiComm::all_gather_few(std::span<const std::byte> local, std::vector<std::
   broadcast(all, 0);
 }
 
-void MpiComm::gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+void MpiComm::gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
                      std::vector<std::size_t>& sizes) {
   const bool here = rank_ == root;
   const auto ranks = static_cast<std::size_t>(size_);

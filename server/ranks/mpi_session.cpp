@@ -61,7 +61,7 @@ std::string MpiSession::share(const std::string& text) {
 }
 
 std::vector<std::string> MpiSession::gather(const std::string& text) {
-  std::vector<std::byte> bytes;
+  Buffer<std::byte> bytes;
   std::vector<std::size_t> sizes;
   state_->comm.all_gather(std::as_bytes(std::span(text)), bytes, sizes);
   std::vector<std::string> texts;

@@ -79,7 +79,7 @@ TEST(Comm, SumsWrap) {
   });
 }
 
-void expect_gathered(comm::Comm& comm, int round, const std::vector<std::byte>& all,
+void expect_gathered(comm::Comm& comm, int round, const Buffer<std::byte>& all,
                      const std::vector<std::size_t>& sizes) {
   std::vector<std::byte> expected;
   ASSERT_EQ(sizes.size(), static_cast<std::size_t>(comm.size()));
@@ -88,12 +88,12 @@ void expect_gathered(comm::Comm& comm, int round, const std::vector<std::byte>& 
     EXPECT_EQ(sizes[static_cast<std::size_t>(r)], bytes.size());
     expected.insert(expected.end(), bytes.begin(), bytes.end());
   }
-  EXPECT_EQ(all, expected);
+  EXPECT_EQ(std::vector(all.begin(), all.end()), expected);
 }
 
 TEST(Comm, GathersUnevenAndEmptyShares) {
   on_every_comm([](comm::Comm& comm) {
-    std::vector<std::byte> all(3);  // what is there before must not stay
+    Buffer<std::byte> all(3);  // what is there before must not stay
     std::vector<std::size_t> sizes(9);
     for (int round = 0; round < 7; ++round) {
       const std::vector<std::byte> mine = bytes_of(seed_of(comm.rank(), 0, round), share_size(comm.rank(), round));
@@ -116,7 +116,7 @@ TEST(Comm, GathersUnevenAndEmptyShares) {
 
 TEST(Comm, GathersFewInTheOrderOfTheRanks) {
   on_every_comm([](comm::Comm& comm) {
-    std::vector<std::byte> all(3);
+    Buffer<std::byte> all(3);
     for (int round = 0; round < 7; ++round) {
       std::vector<std::byte> expected;
       for (int r = 0; r < comm.size(); ++r) {
@@ -124,7 +124,7 @@ TEST(Comm, GathersFewInTheOrderOfTheRanks) {
         expected.insert(expected.end(), bytes.begin(), bytes.end());
       }
       comm.all_gather_few(bytes_of(seed_of(comm.rank(), 0, round), share_size(comm.rank(), round)), all);
-      EXPECT_EQ(all, expected);
+      EXPECT_EQ(std::vector(all.begin(), all.end()), expected);
     }
     comm.all_gather_few({}, all);
     EXPECT_TRUE(all.empty());

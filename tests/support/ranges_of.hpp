@@ -10,7 +10,7 @@ namespace rcb::testing {
 inline particles::BlockRanges ranges_of(const particles::ParticleView& view) {
   constexpr std::size_t kBlock = particles::kBlock;
   particles::BlockRanges ranges;
-  ranges.reset(view.dims, view.count);
+  CHECK(ranges.try_reset(view.dims, view.count), "memory");
   for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
     for (std::size_t begin = 0; begin < view.count; begin += kBlock)
       ranges.of[a][begin / kBlock] =

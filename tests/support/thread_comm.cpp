@@ -70,15 +70,15 @@ void ThreadComm::all_max(std::span<std::uint64_t> values) {
   reduce("all_max", values, [](std::uint64_t a, std::uint64_t b) { return std::max(a, b); });
 }
 
-void ThreadComm::collect(std::vector<std::byte>& all, std::vector<std::size_t>& sizes) const {
+void ThreadComm::collect(Buffer<std::byte>& all, std::vector<std::size_t>& sizes) const {
   for (int r = 0; r < size(); ++r) {
     const std::span<const std::byte> bytes = call_of(r).bytes;
-    all.insert(all.end(), bytes.begin(), bytes.end());
+    all.append(bytes);
     sizes.push_back(bytes.size());
   }
 }
 
-void ThreadComm::all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+void ThreadComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
                             std::vector<std::size_t>& sizes) {
   all.clear();
   sizes.clear();
@@ -87,7 +87,7 @@ void ThreadComm::all_gather(std::span<const std::byte> local, std::vector<std::b
   world_.meet();
 }
 
-void ThreadComm::gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+void ThreadComm::gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
                         std::vector<std::size_t>& sizes) {
   all.clear();
   sizes.clear();

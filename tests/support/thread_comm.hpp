@@ -43,9 +43,9 @@ class ThreadComm final : public comm::Comm {
   void all_sum(std::span<std::uint64_t> values) override;
   void all_min(std::span<std::uint64_t> values) override;
   void all_max(std::span<std::uint64_t> values) override;
-  void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
                   std::vector<std::size_t>& sizes) override;
-  void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+  void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override;
   void broadcast(std::span<std::byte> bytes, int root) override;
   void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override;
@@ -58,7 +58,7 @@ class ThreadComm final : public comm::Comm {
   const ThreadWorld::Call& call_of(int rank) const { return world_.calls_[static_cast<std::size_t>(rank)]; }
   template <typename Combine>
   void reduce(const char* name, std::span<std::uint64_t> values, const Combine& combine);
-  void collect(std::vector<std::byte>& all, std::vector<std::size_t>& sizes) const;
+  void collect(Buffer<std::byte>& all, std::vector<std::size_t>& sizes) const;
 
   ThreadWorld& world_;
   int rank_;

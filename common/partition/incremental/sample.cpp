@@ -32,7 +32,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
   send(particles.weight, 1.0);
   send(particles.id, particles::Id{0});
   send(part, std::int32_t{0});
-  std::vector<std::byte> all;
+  Buffer<std::byte> all;
   std::vector<std::size_t> sizes;
   comm.all_gather(mine.span(), all, sizes);
 

@@ -72,6 +72,7 @@ void IncomingSlices::open(PushTicket ticket) {
     if (fits) buffer.resize(terms.n * 8);
     push->arrays.push_back(std::move(buffer));
   }
+  if (terms.moved == Moved::all) fits = fits && push->ranges.try_reset(terms.dims, terms.n);
   ended_.erase(terms.id);  // the client repeats an attempt that had ended
   pushes_[push->ticket.number] = push;
   if (!fits)
@@ -100,6 +101,7 @@ std::vector<Slice> IncomingSlices::take(std::uint64_t number) {
   std::vector<Slice> slices(1);
   slices[0].rank = rank_;
   slices[0].count = terms.n;
+  slices[0].ranges = std::move(push->ranges);
   for (std::size_t a = 0; a < push->arrays.size(); ++a) {
     const bool axis = a < static_cast<std::size_t>(terms.dims);
     const bool weight = !axis && terms.weights && a == static_cast<std::size_t>(terms.dims);

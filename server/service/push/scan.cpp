@@ -93,6 +93,7 @@ class Pass {
   // read(begin, size): the positions of the block of particles that begins there.
   template <typename Read>
   void run_blocks(const Read& read) {
+    ranges_known_ = scan_.ranges.known();
     for (std::size_t a = 0; a < axes(); ++a) scan_.ranges.of[a].resize(particles::blocks_of(view_.count));
     for (std::size_t begin = 0; begin < view_.count; begin += kBlock) {
       const Block block{read(begin, size_at(begin)), size_at(begin)};
@@ -128,7 +129,7 @@ class Pass {
   std::size_t axes() const { return static_cast<std::size_t>(view_.dims); }
   std::size_t size_at(std::size_t begin) const { return std::min(kBlock, view_.count - begin); }
 
-  // True if the block is of one part and strictly within its region. Fills in the block's ranges.
+  // True if the block is of one part and strictly within its region. Fills in the block's ranges if they aren't known.
   bool stays(const Block& block, std::size_t begin) {
     const std::int32_t* const part = part_ + begin;
     std::int32_t other = 0;
@@ -136,7 +137,10 @@ class Pass {
     bool inside = other == 0;
     for (std::size_t a = 0; a < axes(); ++a) {
       Range& range = scan_.ranges.of[a][begin / kBlock];
-      range = other == 0 ? particles::range_of(block.axis(a)) : Range::everything();
+      if (other != 0)
+        range = Range::everything();
+      else if (!ranges_known_)
+        range = particles::range_of(block.axis(a));
       inside = inside && regions_.hold(a, part[0], range);
     }
     return inside;
@@ -153,6 +157,7 @@ class Pass {
   const particles::ParticleView& view_;
   Scan& scan_;
   Pending pending_;
+  bool ranges_known_ = false;
 };
 
 // Staged positions of this many bytes aren't in the cache any more when they are next read. They are written past it,
@@ -191,8 +196,9 @@ void refresh_regions(Scene& scene, int rank, int ranks) {
 
 }  // namespace
 
-Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank, int ranks) {
-  Scan scan;
+Scan scan_positions(Scene& scene, const particles::ParticleView& view, particles::BlockRanges ranges, int rank,
+                    int ranks) {
+  Scan scan{.ranges = std::move(ranges)};
   if (view.count == 0) return scan;
   refresh_regions(scene, rank, ranks);
   Pass pass(scene, view, scan);

@@ -36,9 +36,13 @@ struct Scan {
   particles::BlockRanges ranges;
 };
 
-// Local. view: the new positions (and weights, if any) of the scene's particles, with their ids.
-// Cost: one read of the positions; memory for the drift and under a byte a particle for the blocks' ranges.
-Scan scan_positions(Scene& scene, const particles::ParticleView& view, int rank, int ranks);
+// Local.
+//   view    the new positions (and weights, if any) of the scene's particles, with their ids
+//   ranges  of the blocks' positions, if known
+// Cost: one read of the positions or, with ranges, of those of the blocks that don't lie within their part; memory for
+// the drift and under a byte a particle for the blocks' ranges.
+Scan scan_positions(Scene& scene, const particles::ParticleView& view, particles::BlockRanges ranges, int rank,
+                    int ranks);
 
 // The same, reading the positions of this rank's particles from memory that a client shares into `staged`, which has
 // room for them. Their weights, if any, are there already. One pass over the positions. Local.

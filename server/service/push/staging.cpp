@@ -45,12 +45,9 @@ Status check_slices(const Context& context, const Scene& scene, const PushReques
 }
 
 // For each particle in the layout's order, its index in an array sorted by ascending id.
-Buffer<std::uint64_t> places_by_id(const Scene& scene, const Buffer<particles::Id>& plan_ids) {
+Buffer<std::uint64_t> places_by_id(const Scene& scene, Buffer<particles::Id> plan_ids) {
+  if (!scene.ids) return plan_ids.release_as<std::uint64_t>();
   Buffer<std::uint64_t> places(plan_ids.size());
-  if (!scene.ids) {
-    for (std::size_t k = 0; k < plan_ids.size(); ++k) places[k] = static_cast<std::uint64_t>(plan_ids[k]);
-    return places;
-  }
   Buffer<particles::Id> sorted = plan_ids;
   std::sort(sorted.begin(), sorted.end());
   for (std::size_t k = 0; k < plan_ids.size(); ++k)
@@ -118,6 +115,7 @@ Status check_own_slice(const Context& context, const Scene& scene, const PushReq
 void take_own_slice(Context& context, const PushRequest& push, Staged& staged) {
   std::vector<wire::Array>& arrays = context.slices.front().arrays;
   const auto dims = static_cast<std::size_t>(staged.arrays.dims);
+  staged.scan.ranges = std::move(context.slices.front().ranges);
   for (std::size_t a = 0; a < dims; ++a) staged.arrays.position[a] = arrays[a].bytes.release_as<double>();
   if (push.weights) staged.arrays.weight = arrays[dims].bytes.release_as<double>();
   if (push.ids) staged.arrays.id = arrays[dims + (push.weights ? 1 : 0)].bytes.release_as<particles::Id>();
@@ -133,10 +131,11 @@ bool reserve(particles::ParticleSet& set, std::uint64_t count, bool ids) {
 }
 
 // Sends the slices that rank 0 received to their ranks. Collective.
-Status distribute(Context& context, const Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
+Status distribute(Context& context, Scene& scene, const PushRequest& push, std::uint64_t mine, Staged& staged) {
   comm::Comm& comm = context.comm;
   Status ready;
   if (context.root()) ready = check_slices(context, scene, push);
+  for (std::size_t a = 0; a < scene.spare.size(); ++a) staged.arrays.position[a].swap(scene.spare[a]);
   if (ready.ok() && !reserve(staged.arrays, mine, !scene.pushed))
     ready = {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm.rank(), mine)};
   const bool in_order = push.by_id && scene.pushed;
@@ -146,13 +145,13 @@ Status distribute(Context& context, const Scene& scene, const PushRequest& push,
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
   Buffer<std::uint64_t> places;
   if (in_order) {
-    const auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
-    if (context.root()) places = places_by_id(scene, plan_ids);
+    auto plan_ids = gather_values<particles::Id>(comm, scene.particles.id.span());
+    if (context.root()) places = places_by_id(scene, std::move(plan_ids));
   }
   std::size_t a = 0;
   const auto receive = [&](auto& buffer) {
     Buffer<std::byte>* own = own_piece(context, push, a);
-    if (own == nullptr) buffer.resize(mine);
+    buffer.resize(own == nullptr ? mine : 0);
     scatter_array(context, scene, push, a++, places, std::as_writable_bytes(buffer.span()));
     if (own != nullptr) buffer = own->template release_as<std::remove_reference_t<decltype(buffer[0])>>();
   };
@@ -265,7 +264,7 @@ Status check_later(Context& context, Scene& scene, const PushRequest& push, Stat
     staged.scan = scan_shared(scene, *std::exchange(staged.source, {}), rows_of(scene, push, staged), staged.arrays,
                               comm.rank(), comm.size());
   else if (ready.ok())
-    staged.scan = all ? scan_positions(scene, view, comm.rank(), comm.size())
+    staged.scan = all ? scan_positions(scene, view, std::move(staged.scan.ranges), comm.rank(), comm.size())
                       : scan_subset(scene, view, staged.subset.slot.span(), comm.rank(), comm.size());
   forget_removed(staged.edits, staged.scan.drift);
   staged.sums = sum_scans(comm, scene, staged.scan, !ready.ok() || staged.scan.fault);
@@ -298,11 +297,11 @@ std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks) 
 void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged) {
   if (push.moved == Moved::none) return;  // the kept memory stays for a later push
   scene.spare = {};
-  // A slice's buffers go back to the listener that received it. What was read or joined here stays here.
-  const bool read_here = push.from_memory(context.comm.rank()) && push.members() == 0;
-  if (read_here || staged.joined) scene.spare = std::move(staged.arrays.position);
+  // A slice's buffers go back to the listener that received it. What was read, joined or handed out here stays here.
+  const bool received = push.staged && !(push.from_memory(context.comm.rank()) && push.members() == 0);
+  if (!received || staged.joined) scene.spare = std::move(staged.arrays.position);
   Spare spare{scene.name, {}};
-  if (push.staged && !read_here) {
+  if (received) {
     for (auto& axis : staged.arrays.position)
       if (axis.capacity() > 0) spare.buffers.push_back(axis.release_as<std::byte>());
     if (spare.buffers.empty()) return;

@@ -31,7 +31,7 @@ struct Staged {
   StepSums sums;
 
   // The ranges of the blocks' positions; nullptr if no scan has read all positions.
-  const particles::BlockRanges* ranges() const { return scan.ranges.of[0].empty() ? nullptr : &scan.ranges; }
+  const particles::BlockRanges* ranges() const { return scan.ranges.known() ? &scan.ranges : nullptr; }
 };
 
 // Number of particles that the rank holds before a push of n particles: those of its parts or, at a first push, of its

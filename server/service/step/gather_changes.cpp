@@ -41,7 +41,7 @@ std::vector<particles::Id> window_ends(comm::Comm& comm, const Buffer<particles:
 }
 
 // Merges the ranks' ascending runs of changes into one, with a heap of the runs.
-void merge_runs(const std::vector<std::byte>& bytes, const std::vector<std::size_t>& sizes, PartChanges& all) {
+void merge_runs(const Buffer<std::byte>& bytes, const std::vector<std::size_t>& sizes, PartChanges& all) {
   struct Run {
     particles::Id id;
     const std::byte* ids;
@@ -90,7 +90,7 @@ void gather_changes(comm::Comm& comm, PartChanges& local, std::uint64_t most, Pa
     all.part.reserve(most);
   }
   Buffer<std::byte> packed;
-  std::vector<std::byte> bytes;
+  Buffer<std::byte> bytes;
   std::vector<std::size_t> sizes;
   std::size_t begin = 0;
   for (const particles::Id last : ends) {

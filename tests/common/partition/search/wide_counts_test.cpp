@@ -26,11 +26,11 @@ class FakeComm final : public comm::Comm {
   }
   void all_min(std::span<std::uint64_t>) override {}
   void all_max(std::span<std::uint64_t>) override {}
-  void all_gather(std::span<const std::byte> local, std::vector<std::byte>& all,
+  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
                   std::vector<std::size_t>& sizes) override {
     self_.all_gather(local, all, sizes);
   }
-  void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+  void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override {
     self_.gather(local, root, all, sizes);
   }

@@ -18,7 +18,7 @@ using namespace service;
 class NotingComm final : public ForwardingComm {
  public:
   using ForwardingComm::ForwardingComm;
-  void gather(std::span<const std::byte> local, int root, std::vector<std::byte>& all,
+  void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override {
     comm_.gather(local, root, all, sizes);
     most = std::max<std::uint64_t>(most, all.size() / 12);
