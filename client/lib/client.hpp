@@ -55,14 +55,14 @@ struct ConnectOptions {
 struct SceneOptions {
   int parts = 1;
   int dims = 3;
-  std::string method = "rcb";
-  double tolerance = 0.1;  // >= 0; infinity forbids automatic repartitions
-  double axis_hysteresis = 1.2;
+  std::string method = "rcb";        // or "bands-x", "bands-y", "bands-z"
+  double tolerance = 0.1;            // >= 0; infinity forbids automatic repartitions
+  double axis_hysteresis = 1.2;      // >= 1: a cut keeps its axis until another is longer by this factor
   double cut_tolerance = 0;          // 0 to 1: how far a part may be off its target, as a fraction of it; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
   std::string recut = "all";         // or "subtree": a repartition recuts only what the error requires
-  std::vector<double> part_sizes;
-  bool replace = false;
+  std::vector<double> part_sizes;    // [parts] > 0, in no unit: the share of each; empty: equal shares
+  bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 
 // A view of n positions in the caller's memory; nothing is copied before the send.
@@ -189,8 +189,8 @@ struct RowMove {
 struct StepResult {
   StepReport report;
   std::vector<std::int32_t> parts;  // by row, numbered as after the step
-  // Ascending row: those whose part isn't what the last answer with parts or changes said; at first all rows, and
-  // always the inserted particles.
+  // By ascending row: the rows whose part differs from what this Scene told last (by `parts` or `changes`), at first
+  // all of them. Inserted particles are always among them.
   std::vector<PartChange> changes;
   // Inserted particles take the rows of removed ones, ascending, in the order given. Surplus insertions are appended;
   // if there are fewer, the last rows, ascending, fill the free ones, ascending.
@@ -265,10 +265,11 @@ class Scene {
   ~Scene();
 
   // Pushes one step. Returns when it is committed on all ranks. After an error the previous step stands; only after
-  // deadline_exceeded and unavailable it may be committed all the same. Then the next call settles it: one that pushes
-  // the same is answered as that step, any other becomes the step after it (if that step inserted or removed particles,
-  // or was the first, its answer is needed first: stale_step). Waits until the deadline for a lost service or
-  // connection; if the plan is stale, fetches it once and tries again.
+  // deadline_exceeded and unavailable it may be committed all the same. The next call settles it:
+  // - the same content again: it returns the answer to that step;
+  // - other content: it becomes the step after that one. But if that step was the first, or inserted or removed
+  //   particles, the error is stale_step: push its content again first.
+  // Waits until the deadline for a lost service or connection; if the plan is stale, fetches it once and tries again.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
   // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or the service has lost

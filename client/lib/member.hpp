@@ -43,8 +43,8 @@ struct MemberStepOptions {
       weights;  // [count]; empty: none, or unchanged. Either all members that bring particles give them, or none
   std::optional<double> step_seconds;  // computing time of this member since its last push
   // Rows that moved since this member's last step, distinct, in any order: the positions of the others are unchanged
-  // and need not be sent. Not given: all. With new weights, where the service can't build on that step, and without
-  // `follow`, where only what a member sends tells which particles are its own, all are sent.
+  // and need not be sent. Not given: all. All are sent nevertheless with new weights, where the service can't build on
+  // that step, and without `follow`: then the service knows a member's particles only from what it sends.
   std::optional<std::span<const std::uint64_t>> moved;
   bool unmoved = false;  // no particle has moved: as an empty `moved`
   // Particles among `ids` that go with this step, and new ones that come. Members that insert in the same step either

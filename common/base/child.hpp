@@ -7,8 +7,8 @@
 
 namespace rcb {
 
-// From now on the kernel keeps how a child has ended until somebody waits for it. Where whoever started this process
-// ignores SIGCHLD, as some daemons do and "trap '' CHLD" in a shell, it would not: that is inherited.
+// Resets SIGCHLD to its default. A process that is started with SIGCHLD ignored, as by some daemons or after "trap ''
+// CHLD" in a shell, inherits that, and the kernel would then not keep how its children ended.
 void keep_ended_children();
 
 // How the child ended, as waitpid tells it; 0 if somebody else has reaped it. Nothing if it hasn't ended after so many

@@ -29,7 +29,7 @@ enum class Code : std::uint16_t {
   deadline_exceeded = 13,  // a wait ended without an answer
   aborted = 14,            // the push was given up; the previous step stands
   io_error = 15,           // a file can't be opened, read or written
-  unsupported = 16,        // understood, but not available here
+  unsupported = 16,        // an unknown command, or what this service, endpoint or scene can't do
   internal = 17,           // a bug of ours that the service has survived
   usage = 18,              // wrong command line
 };

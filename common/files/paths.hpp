@@ -22,7 +22,8 @@ inline constexpr std::string_view kCleanShutdownFile = "clean-shutdown";  // lef
 inline constexpr std::string_view kLogFile = "rcbd.log";                  // the launcher writes rcbd's stderr here
 inline constexpr std::string_view kLockFile = "lock";                     // a LockFile whose note is an EndpointNote
 
-// Environment variable that names the job's folder, which holds Open MPI's session files and the ranks' shared memory.
+// Environment variable that names the job's folder, which holds Open MPI's session files, sockets and, where System V's
+// limits are too low, the memory that ranks share.
 inline constexpr const char* kJobFolderVariable = "RCBD_JOB_FOLDER";
 // The name of the machine whose launcher started the job, where rank 0 must be.
 inline constexpr const char* kLauncherHostVariable = "RCBD_LAUNCHER_HOST";

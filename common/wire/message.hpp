@@ -4,8 +4,7 @@
 // 1. Everything a peer sends is checked here before it is used; nothing throws.
 // 2. A parsed message is an object without duplicate keys, at most kJsonDepthMax deep, all of it valid UTF-8.
 // 3. JSON that may hold any text, such as file names, is written by dump_json: nlohmann's own dump() throws on what
-// isn't
-//    UTF-8.
+//    isn't UTF-8.
 #pragma once
 
 #include <cstdint>

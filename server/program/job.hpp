@@ -25,7 +25,7 @@ struct ConnectionLimits {
   int sessions = 0;         // and as many data connections
   std::size_t waiting = 0;  // at each listener, before their hello
 };
-// Of what the limit for open files leaves beside those that are open now.
+// Computed from what the limit for open files leaves beside those that are open now.
 ConnectionLimits connection_limits(int ranks);
 
 // The job's folder, which the launcher removes at the end; /tmp for a job that it didn't start.

@@ -9,8 +9,8 @@
 // 2. Every rank's queue holds the same orders, in the same sequence, apart from those for rank 0 alone. So collectives
 //    match.
 // 3. The order {"command":"shutdown"} ends run() on every rank; nothing is executed after it.
-// 4. An order that is done here may not be so elsewhere: MPI says that a message is sent as soon as it has a copy, and
-//    sends the rest of it only when it is called. So it is called for two minutes more.
+// 4. MPI may report a message as sent while part of it is still in its own buffers, and sends the rest only when it is
+//    called. So an idle engine calls it for two minutes more, at growing intervals.
 #pragma once
 
 #include <atomic>

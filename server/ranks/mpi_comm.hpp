@@ -25,12 +25,13 @@ class MpiComm final : public comm::Comm {
   // Run times of Open MPI's reductions are steady up to 32 KiB (4096 values) and erratic beyond.
   static constexpr std::size_t kReduceValuesMax = 4096;
 
-  // What a rank sends at most, to all others together, for a short message to go straight to every other: beyond that
-  // bytes cost more than latencies. A message costs about as much as so many bytes more.
+  // Between machines a message goes straight to all other ranks while (size - 1) * (bytes + kStraightMessageBytes) is at
+  // most kStraightBytesMax: beyond that bytes cost more than latencies. kStraightMessageBytes is the fixed cost of a
+  // message.
   static constexpr std::size_t kStraightBytesMax = std::size_t{144} << 10U;
   static constexpr std::size_t kStraightMessageBytes = std::size_t{4} << 10U;
 
-  // 8 bytes of each, 32 KiB: as much as the other messages have.
+  // With more ranks all_gather_few() uses a tree: the sizes alone, 8 bytes of each rank, would take more than 32 KiB.
   static constexpr int kTellAllRanksMax = 4096;
   static constexpr int kTreeFanOut = 16;
 

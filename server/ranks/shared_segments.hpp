@@ -1,5 +1,5 @@
 // The files through which the processes of a machine share memory: those in which mpirun tells its ranks about the job,
-// and, on a system without System V's shared memory, those of Open MPI's transport vader.
+// and, where System V's shared memory is missing or its limits are too low, those of Open MPI's transport vader.
 #pragma once
 
 #include "common/base/status.hpp"

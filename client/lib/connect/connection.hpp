@@ -55,7 +55,7 @@ struct Frame {
 using Bytes = std::span<const std::byte>;
 using NoticeHandler = std::function<void(const std::string&)>;
 
-// What an `unavailable` says that lies with this process, whoever listens.
+// The hint of an `unavailable` whose cause is this process's own limit for open files.
 inline constexpr const char* kDescriptorsHint = "close files, or raise the limit: ulimit -n";
 
 class Connection {

@@ -58,9 +58,9 @@ struct MemberScene::State {
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
   // Whether to push directly to the ranks. All members decide alike, unless their Path options differ.
   Result<bool> wants_direct(const Deadline& deadline) const;
-  // One attempt to push a step.
   // Which step the other members are pushing, if they are.
   std::optional<std::int64_t> open_step(const Retry& retry);
+  // One attempt to push a step.
   Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                               const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,

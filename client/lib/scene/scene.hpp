@@ -188,8 +188,8 @@ struct Scene::State {
 
   std::shared_ptr<Client::State> client_;
   SharedArrays arrays_;
-  bool shared_ = false;              // the current attempt takes them
-  bool by_id_ = false;               // and the ranks find the rows by the particles' ids
+  bool shared_ = false;              // the current attempt pushes from arrays_
+  bool by_id_ = false;               // if shared_: the ranks find the rows by the particles' ids
   bool shared_unsupported_ = false;  // the service doesn't take this scene's positions so
   std::string name_;
   KnownScene scene_;
@@ -217,7 +217,7 @@ struct Scene::State {
   bool answered_ = false;                    // a step was answered, so the rows are known
   bool told_ = false;                        // parts were told: changes are relative to them
   bool missed_ = false;                      // a step was committed whose answer this Scene hasn't seen
-  bool base_unknown_ = false;                // and its positions may be others than those that the caller builds on
+  bool base_unknown_ = false;                // if missed_: that step may have changed positions that the caller builds on
   std::vector<double> weights_;              // by row; kept only to restore a lost scene
   std::optional<layout::Layout> lost_plan_;  // the last layout before the loss
   std::uint64_t lost_version_ = 0;           // its version as the caller sees it

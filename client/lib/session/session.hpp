@@ -37,8 +37,8 @@ namespace rcb::client {
 class DataPath;
 struct Column;
 
-inline constexpr double kCloseSeconds = 2;                                        // for the last words of a scene
-inline constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();  // of counters that the service keeps
+inline constexpr double kCloseSeconds = 2;                                        // for scene.close in a destructor
+inline constexpr std::int64_t kLarge = std::numeric_limits<std::int64_t>::max();  // accepted of the service's counters
 
 // A request without arrays, as bytes.
 std::string request_frame(std::uint64_t request, const wire::Json& json);
@@ -57,7 +57,7 @@ class Session {
   static Result<std::unique_ptr<Session>> open(const ConnectOptions& options);
   ~Session();  // says goodbye
 
-  // Not so in a process that was forked off the one that connected: what it sends would mix with the other's.
+  // False in a forked child: what it sends would mix with its parent's.
   bool connected() const { return connection_ != nullptr && process_ == ::getpid(); }
   // Rises with every new connection.
   std::uint64_t generation() const { return generation_; }
@@ -141,7 +141,7 @@ class Session {
   Result<Frame> call(wire::Json request, double deadline_seconds);
   // One attempt of call() on the current connection, for use in retry_until_deadline().
   Result<Frame> call_once(wire::Json request, const Retry& retry);
-  // Of an answer without arrays.
+  // As call_once(), for answers without arrays: their JSON.
   Result<wire::Json> ask_once(wire::Json request, const Retry& retry);
 
  private:

@@ -71,7 +71,7 @@ class GuessedPass {
       if (x >= box.lo[a] && x <= box.hi[a]) continue;
       box.lo[a] = std::min(box.lo[a], x);
       box.hi[a] = std::max(box.hi[a], x);
-      tables_.show(leaf, a);
+      tables_.set_bounds(leaf, a);
     }
     return true;
   }

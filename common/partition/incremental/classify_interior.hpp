@@ -28,7 +28,7 @@ struct OwnInterior {
   Buffer<std::uint64_t> slot;         // their slots, ascending
   Buffer<std::int32_t> part;          // and their current parts
   std::vector<geometry::Box> boxes;   // [own parts]: the exact boxes of the interior particles; empty: none
-  std::vector<std::uint64_t> counts;  // [parts]: of a guess: this rank's particles; else empty
+  std::vector<std::uint64_t> counts;  // [parts], this rank's particles; set by classify_guessed() alone
 
   // The boundary particles, copied from these.
   particles::ParticleView view(const particles::ParticleView& of) const;

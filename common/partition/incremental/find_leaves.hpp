@@ -16,7 +16,7 @@ using BlockLeaves = std::array<std::int32_t, particles::kBlock>;
 // The particles of a block, one bit each.
 struct FoundLeaves {
   std::uint64_t boundary = 0;           // surely not in their leaf's inner region
-  std::uint64_t unsure = 0;             // neither that, nor surely in its box
+  std::uint64_t unsure = 0;             // not decided by rounded coordinates
   std::array<std::uint64_t, 3> bits{};  // of the number of each particle's leaf
 
   std::size_t leaf(std::size_t k) const {

@@ -121,11 +121,11 @@ void GuessTables::add_leaf(std::size_t leaf, const Guess& guess, const Node& nod
   for (std::size_t a = 0; a < at(dims); ++a) {
     inner_lo[a][leaf] = rounded(a, guess.inner[p].lo[a]);
     inner_hi[a][leaf] = rounded(a, guess.inner[p].hi[a]);
-    show(leaf, a);
+    set_bounds(leaf, a);
   }
 }
 
-void GuessTables::show(std::size_t leaf, std::size_t a) {
+void GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
   const double least = box[leaf].lo[a];
   const double most = box[leaf].hi[a];
   float below = rounded(a, least);

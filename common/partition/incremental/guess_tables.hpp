@@ -42,10 +42,10 @@ struct GuessTables {
   GuessTables(const Guess& guess, std::span<const NodeRange> roots, int dims);
 
   float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
-  // Sets lo and hi of a leaf and an axis from box[leaf]. What rounds to between them is in the box; a coordinate equal
-  // to one of the box's bounds does, too, unless it rounds to the same as the next one outside. Neither goes beyond the
-  // inner region, outside of which the whole key may decide.
-  void show(std::size_t leaf, std::size_t a);
+  // Sets lo and hi of a leaf and an axis from box[leaf], so that a coordinate whose rounded value lies between them is
+  // certainly in the box. The reverse need not hold at the box's bounds. Neither goes beyond the inner region, outside
+  // of which the whole key may decide.
+  void set_bounds(std::size_t leaf, std::size_t a);
   // The key words of this node of a level.
   Step step(std::size_t level, std::size_t node) const;
 
@@ -64,7 +64,7 @@ struct GuessTables {
   std::array<double, geometry::kDimsMax> scale{1, 1, 1};
   std::array<geometry::Box, kLeaves> box;  // of the interior particles so far, attained by some of any rank
   int dims = 3;
-  bool several = false;  // roots, or parts in no root
+  bool several = false;  // more than one root, or parts in no root: part[] decides where a particle begins
   std::size_t leaves = 0;
 
  private:

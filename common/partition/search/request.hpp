@@ -29,7 +29,8 @@ struct GuessLimits {
   // With more than this fraction of the sampled particles on its plane, a cut is guessed as a whole key: else all on it
   // would be searched.
   double tied_max = 0.03;
-  // A guess of fewer levels, on average over the particles, isn't tried; a tenth of it below nodes that are left.
+  // The least number of tree levels, averaged over the particles, that a guess must settle to be worth a pass. Below
+  // nodes that an earlier stage left a tenth of it is enough.
   double levels_min = 1.5;
 };
 

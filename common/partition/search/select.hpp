@@ -10,8 +10,8 @@
 // 3. Where integers no longer separate the open points, and these are too many to be gathered, the integers are
 //    replaced until the search ends by the offset of a key word from its least value: key words are the coordinates in
 //    the node's axis order, then the id. Earlier words are decided by then. Each round divides a bracket by at least
-//    64: a word takes at most 3 rounds and 11 further ones, whatever the distribution; one that all open points share
-//    takes none.
+//    64: a word takes at most 3 rounds on quantised integers and 13 on windows of 31 bits of it (6 + 6 + 1), whatever
+//    the distribution; one that all open points share takes none.
 #pragma once
 
 #include <array>

@@ -157,7 +157,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Sets the flag of an order whose answer nobody waits for any more.
   void cancel(std::atomic<bool>& cancelled);
 
-  // The reference stays valid while a push, a change or a queued request uses the gate; tidy() erases an unused one.
+  // The reference stays valid while a push, a change or a queued request uses the gate; erase_gate_if_unused() erases others.
   SceneGate& gate(const std::string& scene) { return gates_[scene]; }
   void erase_gate_if_unused(const std::string& scene);
 
@@ -248,7 +248,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   TimePoint started_ = now();
   std::filesystem::file_time_type started_on_disk_ = std::filesystem::file_time_type::clock::now();
   std::string log_path_;             // as last found; empty: there is none of this service
-  std::shared_ptr<Timer> log_look_;  // until when those who ask wait for the look that is under way; null: none is
+  std::shared_ptr<Timer> log_look_;  // set while the log file is being looked at: those who ask wait for it
 };
 
 }  // namespace rcb::net

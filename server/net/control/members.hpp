@@ -107,9 +107,9 @@ class MemberGroups {
   void abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why);
   // The error at a step's deadline: it names the missing members.
   Status late(const MemberPush& step) const;
-  // To be called after every change of a scene.
   void forget_answers(const std::string& scene) { kept_.forget(scene); }
   void forget_all_answers() { kept_.forget_all(); }
+  // To be called after every change of a scene.
   void scene_changed(const std::string& scene);
 
  private:

@@ -116,7 +116,7 @@ Result<asio::ip::tcp::socket> connect_to_any(asio::io_context& context, const st
     if (!error) {
       asio::ip::tcp::socket connected(context, endpoint.protocol(), socket.release());
       connected.set_option(asio::ip::tcp::no_delay(true), error);
-      end_with_vanished_peer(connected.native_handle());
+      set_keep_alive(connected.native_handle());
       return connected;
     }
     tried += fmt::format("{}{} ({})", tried.empty() ? "" : ", ", address, error.message());

@@ -1,7 +1,7 @@
 // Room `peers`: communication between ranks without MPI: orders, heartbeats, which ranks are silent.
 //
-// Doorbells: rank 0's connections to every other rank, over an abstract Unix socket to those on its machine and over
-// TCP to the others. They carry orders and other short messages, never bulk data.
+// Doorbells: rank 0's connections to every other rank, over a Unix socket to those on its machine and over TCP to the
+// others. They carry orders and other short messages, never bulk data.
 //
 // Invariants
 // 1. Every rank gets the same orders in the same order.
@@ -9,7 +9,8 @@
 //    that is being read. A rank that is silent for `silence_seconds`, or whose connection ends without a goodbye, is
 //    reported as lost, once. Silence is counted in ticks of the waiting rank, so that no rank is lost when the machine
 //    was suspended.
-// 3. The sockets have no name in the file system, so none can be left there, however the ranks end.
+// 3. The Unix socket lies in a folder of its own that only this user can enter, inside the job's folder. It is removed
+//    when all ranks are there; what a killed job leaves goes with the job's folder (client/launch/job/job_folder.hpp).
 // 4. Nothing is heard from a peer before both sides have proved that they know the job's secret, which MPI told them
 //    and which never crosses the connection. When all ranks are there, nobody listens any more.
 #pragma once

@@ -1,5 +1,5 @@
 // Room `sockets`: listeners, connections, the hello and the I/O loop. Converts bytes to frames and back, with a limit
-// on everything. Only this room includes Asio.
+// on everything. Other rooms use Asio through asio.hpp alone.
 //
 // Connection: frames over one stream socket, encrypted or not, with a limit and a deadline on everything a peer can do.
 //

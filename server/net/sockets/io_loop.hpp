@@ -1,4 +1,5 @@
-// IoLoop: a rank's I/O thread. Everything of server/net runs on it; it never calls MPI.
+// IoLoop: a rank's I/O thread, on which the code of server/net runs unless its header says otherwise. It never calls
+// MPI.
 #pragma once
 
 #include <functional>

@@ -16,7 +16,7 @@ namespace rcb::service {
 
 using comm::gather_values;
 
-// No index and no id: greater than all of them, so that a least one over the ranks tells whether there is any.
+// Stands for "none" in a minimum over the ranks: greater than any index or id.
 inline constexpr std::uint64_t kNone = std::numeric_limits<std::uint64_t>::max();
 
 // Returns on every rank the failure of the lowest rank that has one; ok if none has. Collective.

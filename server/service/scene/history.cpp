@@ -22,13 +22,13 @@ bool is_report(const wire::Json& json) {
 
 }  // namespace
 
-// The reports in the file. Those who hold it are the history and the jobs of the room's thread.
+// The reports in the file. Those who hold it are the history and the jobs of the memory's thread.
 class History::Older {
  public:
   Older(std::string scene, const std::string& directory)
       : scene_(std::move(scene)), file_(report_file_path(directory, scene_)) {}
 
-  // On the room's thread.
+  // On the memory's thread.
   void append(std::uint64_t first, const std::vector<std::string>& lines) {
     const std::uint64_t in_file = file_.count();
     if (const Status kept = file_.append(first, lines); !kept.ok())
@@ -37,7 +37,7 @@ class History::Older {
       note_loss({Code::io_error, "the file of older reports was changed or removed, and is begun anew"});
   }
 
-  // On the room's thread.
+  // On the memory's thread.
   std::vector<wire::Json> read(std::uint64_t first, std::uint64_t last) {
     std::vector<wire::Json> found;
     const Status status = file_.read(first, last, [&](std::uint64_t, std::string_view line) {
@@ -82,23 +82,23 @@ void HistoryMemory::make_room() {
   }
 }
 
-History::History(HistoryMemory& room, std::string scene)
-    : room_(room), older_(std::make_shared<Older>(std::move(scene), room.directory_)) {
-  room_.histories_.insert(this);
+History::History(HistoryMemory& memory, std::string scene)
+    : memory_(memory), older_(std::make_shared<Older>(std::move(scene), memory.directory_)) {
+  memory_.histories_.insert(this);
 }
 
 History::~History() {
-  room_.histories_.erase(this);
-  room_.held_ -= recent_.size();
+  memory_.histories_.erase(this);
+  memory_.held_ -= recent_.size();
   // The end of the file takes the disk as well.
-  if (room_.thread_) room_.thread_->post_surely([file = std::move(older_)] {});
+  if (memory_.thread_) memory_.thread_->post_surely([file = std::move(older_)] {});
 }
 
 void History::add(StepReport report) {
   recent_.push_back(std::move(report));
   ++total_;
-  ++room_.held_;
-  room_.make_room();
+  ++memory_.held_;
+  memory_.make_room();
 }
 
 void History::spill(std::size_t count) {
@@ -110,13 +110,13 @@ void History::spill(std::size_t count) {
     bytes += lines.back().size();
   }
   Status posted(Code::io_error, "the service has no directory for them");
-  if (room_.thread_)
-    posted = room_.thread_->post(
+  if (memory_.thread_)
+    posted = memory_.thread_->post(
         [older = older_, first = total_ - recent_.size(), lines = std::move(lines)] { older->append(first, lines); },
         {}, bytes);
   if (!posted.ok()) older_->note_loss(posted);
   recent_.erase(recent_.begin(), recent_.begin() + static_cast<std::ptrdiff_t>(count));
-  room_.held_ -= count;
+  memory_.held_ -= count;
 }
 
 FoundReports History::newest(std::uint64_t first, std::uint64_t last) const {
@@ -132,7 +132,7 @@ FoundReports History::newest(std::uint64_t first, std::uint64_t last) const {
 History::Reading History::reading(std::uint64_t first, std::uint64_t last) const {
   auto found = std::make_shared<FoundReports>(newest(first, last));
   const std::uint64_t upto = std::min(last, total_ - recent_.size());
-  return [older = older_, thread = room_.thread(), first, upto, found](auto take, auto then) -> Status {
+  return [older = older_, thread = memory_.thread(), first, upto, found](auto take, auto then) -> Status {
     const auto read = [older, first, upto, found, take] {
       FoundReports all;
       if (first < upto) all.reports = older->read(first, upto);

@@ -4,9 +4,9 @@
 // Invariants
 // 1. The reports [total() - recent, total()) are in memory. Older ones that the file could not take (in time) or give
 //    back are lost; a disk's fault has no other consequence.
-// 2. All histories of a room together have at most `keep` reports in memory, and kOnTheirWayBytesMax of those that the
+// 2. All histories that share a HistoryMemory together have at most `keep` reports in memory, and kOnTheirWayBytesMax of those that the
 //    disk hasn't taken yet.
-// 3. Files are touched on the room's own thread alone, so that no engine waits for a disk.
+// 3. Files are touched on the HistoryMemory's own thread alone, so that no engine waits for a disk.
 #pragma once
 
 #include <cstddef>
@@ -61,8 +61,8 @@ struct FoundReports {
 
 class History {
  public:
-  // The room must outlive it.
-  History(HistoryMemory& room, std::string scene);
+  // The memory must outlive it.
+  History(HistoryMemory& memory, std::string scene);
   ~History();
   History(const History&) = delete;
   History& operator=(const History&) = delete;
@@ -76,7 +76,7 @@ class History {
   // Reads reports on the thread for files, where it gives those that aren't lost to `take`; `then` is called
   // afterwards, as SideThread::post() does. Errors: those of SideThread::post(); then neither is called.
   using Reading = std::function<Status(std::function<void(FoundReports found)> take, SideThread::Job then)>;
-  // To read the reports [first, last) of this moment, at once or later, while the room is still there. last <= total().
+  // To read the reports [first, last) of this moment, at once or later, while the memory is still there. last <= total().
   Reading reading(std::uint64_t first, std::uint64_t last) const;
 
  private:
@@ -84,7 +84,7 @@ class History {
   class Older;
   void spill(std::size_t count);
 
-  HistoryMemory& room_;
+  HistoryMemory& memory_;
   std::shared_ptr<Older> older_;
   std::deque<StepReport> recent_;
   std::uint64_t total_ = 0;

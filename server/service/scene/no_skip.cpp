@@ -9,7 +9,7 @@ namespace rcb::service {
 namespace {
 
 constexpr std::pair<const char*, bool NoSkip::*> kNames[] = {
-    {"exchange", &NoSkip::exchange}, {"search", &NoSkip::search}, {"warm", &NoSkip::incremental}};
+    {"exchange", &NoSkip::exchange}, {"search", &NoSkip::search}, {"warm", &NoSkip::full_search}};
 
 }  // namespace
 

@@ -11,9 +11,9 @@ namespace rcb::service {
 struct NoSkip {
   bool exchange = false;     // an exchange takes place even if there are no exports
   bool search = false;       // cuts are searched at every step
-  bool incremental = false;  // a search looks at all particles, not only at those near the cuts in force
+  bool full_search = false;  // a search looks at all particles, not only at those near the cuts in force ("warm")
 
-  // names: "exchange", "search" and "warm" (a full search: the field `incremental`), separated by commas; may be empty.
+  // names: "exchange", "search" and "warm", separated by commas; may be empty.
   // Errors: usage.
   static Result<NoSkip> parse(const std::string& names);
 };

@@ -108,7 +108,7 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   options.partition = search_options(scene.options);
   options.partition.axis_hysteresis = scene.options.axis_hysteresis;
   options.partition.previous = &scene.tree;
-  options.incremental = !context.no_skip.incremental && scene.full_searches_left == 0;
+  options.incremental = !context.no_skip.full_search && scene.full_searches_left == 0;
   options.before_search_of_all = [&staged] {
     for (auto& axis : staged.arrays.position) axis.release();  // a full search needs as much memory
   };

@@ -33,7 +33,7 @@ TEST(NoSkip, IsParsed) {
   ASSERT_TRUE(both.ok());
   EXPECT_TRUE(both->exchange && both->search);
   EXPECT_FALSE(NoSkip::parse("exchange")->search);
-  EXPECT_TRUE(NoSkip::parse("warm")->incremental);
+  EXPECT_TRUE(NoSkip::parse("warm")->full_search);
   for (const char* names : {"everything", ",", "search,exchange,x", "Search", " search"})
     EXPECT_FALSE(NoSkip::parse(names).ok()) << names;
   EXPECT_NE(NoSkip::parse("x").status().hint().find("exchange, search"), std::string::npos);
