@@ -18,6 +18,10 @@ CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& tex
   return command;
 }
 
+void add_scene_name(CLI::App& command, std::string& name) {
+  add_value(command, "NAME", name, kind::text("NAME"), "the scene")->required();
+}
+
 Status check_endpoint(const Context& context) {
   if (context.endpoint.empty()) return {};
   if (context.endpoint.starts_with(client::kFilePrefix)) return {};  // the file is read when it is needed
@@ -96,6 +100,15 @@ Status show(const Context& context, const Json& document, const std::function<vo
   else
     for_people();
   return {};
+}
+
+Status ask_and_show(const Context& context, const std::string& command, const Json& arguments,
+                    const std::function<void(const Json& reply)>& for_people) {
+  auto client = connect(context);
+  if (!client) return client.status();
+  const auto reply = ask(*client, command, arguments);
+  if (!reply) return reply.status();
+  return show(context, *reply, [&] { for_people(*reply); });
 }
 
 }  // namespace rcb::cli

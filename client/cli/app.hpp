@@ -55,6 +55,24 @@ inline constexpr const char* kAskGroup = "Questions about a scene";
 // Adds a subcommand whose action is `run`.
 CLI::App* add_command(CLI::App& parent, Context& context, const CommandText& text, std::function<Status()> run);
 
+// A subcommand and the options that it fills in; these live as long as the command.
+template <typename Options>
+struct Added {
+  CLI::App& command;
+  Options& options;
+};
+// Adds one whose action is run(options, context).
+template <typename Options>
+Added<Options> add_command(CLI::App& parent, Context& context, const CommandText& text,
+                           Status (*run)(const Options&, const Context&)) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = add_command(parent, context, text, [options, &context, run] { return run(*options, context); });
+  return {*command, *options};
+}
+
+// Adds the argument NAME: an existing scene.
+void add_scene_name(CLI::App& command, std::string& name);
+
 // One function for each family of commands.
 void add_service_commands(CLI::App& app, Context& context);    // up, down
 void add_status_command(CLI::App& app, Context& context);      // status
@@ -105,6 +123,10 @@ struct Answer {
 };
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
                           double deadline_seconds = 60);
+
+// A whole command: connects, asks, and shows the reply. Errors: those of connect() and ask().
+Status ask_and_show(const Context& context, const std::string& command, const Json& arguments,
+                    const std::function<void(const Json& reply)>& for_people);
 
 // The reply to `cuts`, assembled from its pages. Errors also: aborted, if the cuts kept changing.
 Result<Json> ask_cuts(client::Client& client, const std::string& scene);

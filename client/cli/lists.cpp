@@ -9,27 +9,17 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+// NaN becomes null; if there is no number at all, the whole list is null.
 template <typename T>
 Json list_of(std::span<const std::byte> bytes) {
   Json list = Json::array();
+  bool any = bytes.empty();
   for (std::size_t at = 0; at + sizeof(T) <= bytes.size(); at += sizeof(T)) {
     T value{};
     std::memcpy(&value, bytes.data() + at, sizeof value);
-    list.push_back(value);
-  }
-  return list;
-}
-
-// NaN becomes null; if there is no number at all, the whole list is null.
-template <>
-Json list_of<double>(std::span<const std::byte> bytes) {
-  Json list = Json::array();
-  bool any = bytes.empty();
-  for (std::size_t at = 0; at + sizeof(double) <= bytes.size(); at += sizeof(double)) {
-    double value = 0;
-    std::memcpy(&value, bytes.data() + at, sizeof value);
-    any = any || !std::isnan(value);
-    list.push_back(std::isnan(value) ? Json() : Json(value));
+    const bool is_number = !std::isnan(static_cast<double>(value));
+    any = any || is_number;
+    list.push_back(is_number ? Json(value) : Json());
   }
   return any ? list : Json();
 }

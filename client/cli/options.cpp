@@ -50,14 +50,16 @@ std::optional<std::int64_t> whole_in(const std::string& text) {
   return static_cast<std::int64_t>(*number);
 }
 
-// For CLI11 an empty text means that the value passes.
+// fault_of: what is wrong with a value; for CLI11 an empty text means that it passes.
+Kind checked(const std::string& shown, std::function<std::string(std::string&)> fault_of) {
+  return {shown, CLI::Validator(std::move(fault_of), "")};
+}
+
 Kind number_kind(const std::string& shown, const std::string& wanted, std::function<bool(double)> good) {
-  return {shown, CLI::Validator(
-                     [wanted, good = std::move(good)](std::string& text) {
-                       const auto value = number_in(text);
-                       return value && good(*value) ? std::string() : fmt::format("'{}' is not {}", text, wanted);
-                     },
-                     "")};
+  return checked(shown, [wanted, good = std::move(good)](std::string& text) {
+    const auto value = number_in(text);
+    return value && good(*value) ? std::string() : fmt::format("'{}' is not {}", text, wanted);
+  });
 }
 
 // The extension of a file's name in lower case; "" for none.
@@ -100,13 +102,11 @@ constexpr const char* kKnownEndings[] = {".csv", ".tsv",  ".txt", ".json", ".npy
 }  // namespace
 
 Kind text(const std::string& shown) {
-  return {shown,
-          CLI::Validator([](std::string& value) { return value.empty() ? std::string("it is empty") : std::string(); },
-                         "")};
+  return checked(shown, [](std::string& value) { return std::string(value.empty() ? "it is empty" : ""); });
 }
 
 Kind memory_size() {
-  return {"BYTES", CLI::Validator([](std::string& text) { return read_memory_size(text).status().message(); }, "")};
+  return checked("BYTES", [](std::string& text) { return read_memory_size(text).status().message(); });
 }
 
 Kind number(const std::string& shown) {
@@ -138,17 +138,15 @@ Kind whole_number(const std::string& shown, std::int64_t least, std::int64_t mos
   const std::string wanted = most > static_cast<std::int64_t>(kWholeMax)
                                  ? fmt::format("a whole number of at least {}", least)
                                  : fmt::format("a whole number from {} to {}", least, most);
-  return {shown, CLI::Validator(
-                     [least, most, wanted](std::string& text) {
-                       const auto value = whole_in(text);
-                       const auto number = number_in(text);
-                       if (value ? *value > most : number && *number > kWholeMax)
-                         return fmt::format("'{}' is above {}, the most there is", text, most);
-                       if (!value || *value < least) return fmt::format("'{}' is not {}", text, wanted);
-                       text = std::to_string(*value);
-                       return std::string();
-                     },
-                     "")};
+  return checked(shown, [least, most, wanted](std::string& text) {
+    const auto value = whole_in(text);
+    const auto number = number_in(text);
+    if (value ? *value > most : number && *number > kWholeMax)
+      return fmt::format("'{}' is above {}, the most there is", text, most);
+    if (!value || *value < least) return fmt::format("'{}' is not {}", text, wanted);
+    text = std::to_string(*value);
+    return std::string();
+  });
 }
 
 Kind part_count() { return whole_number("P", 1, wire::kPartsMax); }
@@ -156,12 +154,10 @@ Kind rank_count() { return whole_number("R", 1, kRanksMax); }
 Kind dimensions() { return whole_number("D", 1, 3); }
 
 Kind one_of(const std::string& shown, const std::vector<std::string>& words) {
-  return {shown, CLI::Validator(
-                     [words](std::string& text) {
-                       if (std::find(words.begin(), words.end(), text) != words.end()) return std::string();
-                       return fmt::format("'{}' is none of {}", text, fmt::join(words, ", "));
-                     },
-                     "")};
+  return checked(shown, [words](std::string& text) {
+    if (std::find(words.begin(), words.end(), text) != words.end()) return std::string();
+    return fmt::format("'{}' is none of {}", text, fmt::join(words, ", "));
+  });
 }
 
 Kind method() { return one_of("METHOD", {"rcb", "bands-x", "bands-y", "bands-z"}); }
@@ -170,19 +166,15 @@ Kind recut() { return one_of("WHAT", {"all", "subtree"}); }
 
 Kind output_file(Format format) {
   const FormatNames names = names_of(format);
-  return {fmt::format("F{}", names.ending),
-          CLI::Validator(
-              [names](std::string& path) {
-                if (path.empty()) return std::string("it is empty");
-                if (path == "-") return std::string("name a file; one of this name is ./-");
-                const std::string ending = ending_of(path);
-                const bool other = std::any_of(std::begin(kKnownEndings), std::end(kKnownEndings),
-                                               [&ending](const char* known) { return ending == known; });
-                if (ending == names.ending || !other || (names.is_text && ending == ".txt")) return std::string();
-                return fmt::format("{} is written, and '{}' names another format; end the name in {}", names.name, path,
-                                   names.ending);
-              },
-              "")};
+  return checked(fmt::format("F{}", names.ending), [names](std::string& path) {
+    if (path.empty()) return std::string("it is empty");
+    if (path == "-") return std::string("name a file; one of this name is ./-");
+    const std::string ending = ending_of(path);
+    const bool other = std::ranges::count(kKnownEndings, ending) > 0;
+    if (ending == names.ending || !other || (names.is_text && ending == ".txt")) return std::string();
+    return fmt::format("{} is written, and '{}' names another format; end the name in {}", names.name, path,
+                       names.ending);
+  });
 }
 
 }  // namespace kind

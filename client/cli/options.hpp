@@ -79,6 +79,9 @@ inline constexpr const char* kCutToleranceHelp =
     "end a search once no part can be off its target by more than this fraction; 0: exact";
 inline constexpr const char* kGhostWidthHelp =
     "distance within which a point of another part is a ghost (default: 2 (box volume / points)^(1/dims))";
+inline constexpr const char* kTemporaryRanksHelp =
+    "start a temporary service with this many ranks (default: use the running service, or a temporary one if there is "
+    "none)";
 inline constexpr const char* kAllHelp = "show every part, however many";
 
 // Formats the pages of --help.

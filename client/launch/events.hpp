@@ -13,6 +13,7 @@
 #include <signal.h>
 
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::launch {
 
@@ -22,14 +23,12 @@ class Events {
   using OnOutput = std::function<void(std::string_view bytes)>;
 
   Events() = default;
-  Events(const Events&) = delete;
-  Events& operator=(const Events&) = delete;
   ~Events();
 
   // lifeline_fd: SuperviseOptions::lifeline_fd.
   Status open(int lifeline_fd);
   // Where the job writes its output.
-  int output_fd() const { return output_[1]; }
+  int output_fd() const { return to_write_.get(); }
   // Sleeps until a child has ended, a stop was asked for, or `seconds` have passed (negative: no limit). Reads the
   // job's output meanwhile.
   Event wait(double seconds, const OnOutput& on_output);
@@ -39,8 +38,8 @@ class Events {
  private:
   Event read_signals() const;
 
-  int output_[2] = {-1, -1};  // [1] the job writes, [0] is read
-  int signal_fd_ = -1;
+  Descriptor to_read_, to_write_;  // the pipe for the job's output
+  Descriptor signals_;
   int lifeline_fd_ = -1;
   sigset_t signals_before_{};
   std::string buffer_;  // for output; made once, so that a lack of memory later doesn't stop the reading

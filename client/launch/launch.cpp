@@ -77,11 +77,16 @@ void unguard() {
   g_bond.notify_fd = -1;
 }
 
-struct Started {
-  pid_t supervisor = -1;
-  int lifeline_fd = -1;
-  int notify_fd = -1;
+struct Pipe {
+  Descriptor read;
+  Descriptor write;
 };
+
+Result<Pipe> make_pipe() {
+  int ends[2];
+  if (pipe2(ends, O_CLOEXEC) != 0) return Status(Code::io_error, fmt::format("pipe: {}", std::strerror(errno)));
+  return Pipe{Descriptor(ends[0]), Descriptor(ends[1])};
+}
 
 // Runs in the child: leaves the starter's session, standard streams and open files.
 [[noreturn]] void run_supervisor(SuperviseOptions options, int notify_fd, int lifeline_fd) {
@@ -113,49 +118,42 @@ struct Started {
   _exit(status ? 0 : 1);
 }
 
-Result<Started> fork_supervisor(const SuperviseOptions& options) {
-  int notify[2];
-  int lifeline[2];
-  if (pipe2(notify, O_CLOEXEC) != 0) return Status(Code::io_error, fmt::format("pipe: {}", std::strerror(errno)));
-  if (pipe2(lifeline, O_CLOEXEC) != 0) {
-    const int reason = errno;
-    close(notify[0]);
-    close(notify[1]);
-    return Status(Code::io_error, fmt::format("pipe: {}", std::strerror(reason)));
-  }
+Result<Supervised> fork_supervisor(const SuperviseOptions& options) {
+  auto notify = make_pipe();
+  if (!notify) return notify.status();
+  auto lifeline = make_pipe();
+  if (!lifeline) return lifeline.status();
   std::fflush(nullptr);
   // From here on an interruption goes through the handler, which ends the child if it exists already: it waits for the
   // end of `notify`, so it is held up until this process no longer has that open for writing.
   sigset_t all, before;
   sigfillset(&all);
   sigprocmask(SIG_SETMASK, &all, &before);
-  guard_by_signals(lifeline[1], notify[0]);
+  guard_by_signals(lifeline->write.get(), notify->read.get());
   const pid_t child = fork();
   if (child == 0) {
-    close(lifeline[1]);
-    close(notify[0]);
-    run_supervisor(options, notify[1], lifeline[0]);
+    lifeline->write.close();
+    notify->read.close();
+    run_supervisor(options, notify->write.get(), lifeline->read.get());
   }
   const int reason = errno;
-  close(notify[1]);
-  close(lifeline[0]);
+  notify->write.close();
+  lifeline->read.close();
   sigprocmask(SIG_SETMASK, &before, nullptr);
   if (child < 0) {
     unguard();
-    close(notify[0]);
-    close(lifeline[1]);
     return Status(Code::io_error, fmt::format("fork: {}", std::strerror(reason)));
   }
-  return Started{child, lifeline[1], notify[0]};
+  return Supervised{child, std::move(lifeline->write), std::move(notify->read)};
 }
 
 // Ends the supervisor and waits for it.
-void end(const Started& started) {
+void end(Supervised& supervised) {
   unguard();
-  close(started.lifeline_fd);
-  await_end(started.notify_fd, static_cast<int>(kEndSeconds * 1000));
-  close(started.notify_fd);
-  waitpid(started.supervisor, nullptr, WNOHANG);
+  supervised.lifeline.close();
+  await_end(supervised.notify.get(), static_cast<int>(kEndSeconds * 1000));
+  supervised.notify.close();
+  waitpid(supervised.process, nullptr, WNOHANG);
 }
 
 Status failure_from(const std::string& text) {
@@ -171,19 +169,19 @@ Status failure_from(const std::string& text) {
 }
 
 // What the supervisor reports about the start: ok if the service answers.
-Status await_verdict(const Started& started, double deadline_seconds, const Progress& progress) {
+Status await_verdict(const Supervised& started, double deadline_seconds, const Progress& progress) {
   const SteadyClock clock;
   const double begin = clock.seconds();
   std::string text;
   for (;;) {
     const double waited = clock.seconds() - begin;
     if (waited > deadline_seconds) return {Code::deadline_exceeded, "the launcher did not say how the start went"};
-    pollfd fd{started.notify_fd, POLLIN, 0};
+    pollfd fd{started.notify.get(), POLLIN, 0};
     const int ready = poll(&fd, 1, static_cast<int>(kProgressSeconds * 1000));
     if (ready == 0 && progress) progress(waited);
     if (ready <= 0) continue;
     char bytes[4096];
-    const ssize_t got = read(started.notify_fd, bytes, sizeof bytes);
+    const ssize_t got = read(started.notify.get(), bytes, sizeof bytes);
     if (got > 0) text.append(bytes, static_cast<std::size_t>(got));
     if (!text.empty() && text[0] == kReady) return {};
     if (got > 0) continue;
@@ -236,9 +234,7 @@ Status start_detached(SuperviseOptions options, const Progress& progress) {
   }
   unguard();
   const char bye = 'd';
-  const bool told = write(started->lifeline_fd, &bye, 1) == 1;
-  close(started->lifeline_fd);
-  close(started->notify_fd);
+  const bool told = write(started->lifeline.get(), &bye, 1) == 1;
   if (!told) return {Code::unavailable, "the service ended as soon as it had started", log_path(options.data_dir)};
   return {};
 }
@@ -260,23 +256,15 @@ Result<Embedded> Embedded::start(int ranks, const Progress& progress) {
     rmdir(directory->c_str());
     return started.status();
   }
-  service.lifeline_fd_ = started->lifeline_fd;
-  service.notify_fd_ = started->notify_fd;
-  service.supervisor_ = started->supervisor;
-  if (Status status = await_verdict(*started, options.ready_seconds + kGraceSeconds, progress); !status) return status;
+  service.supervised_ = std::move(*started);
+  if (Status status = await_verdict(service.supervised_, options.ready_seconds + kGraceSeconds, progress); !status)
+    return status;
   return service;
 }
 
-Embedded::Embedded(Embedded&& other) noexcept
-    : directory_(std::move(other.directory_)),
-      endpoint_(std::move(other.endpoint_)),
-      lifeline_fd_(std::exchange(other.lifeline_fd_, -1)),
-      notify_fd_(std::exchange(other.notify_fd_, -1)),
-      supervisor_(std::exchange(other.supervisor_, -1)) {}
-
 Embedded::~Embedded() {
-  if (supervisor_ <= 0) return;
-  end({supervisor_, lifeline_fd_, notify_fd_});
+  if (!supervised_.lifeline.open()) return;
+  end(supervised_);
   std::error_code ignored;
   std::filesystem::remove_all(directory_, ignored);  // if the supervisor couldn't
 }

@@ -11,6 +11,7 @@
 
 #include "client/launch/supervisor.hpp"
 #include "common/base/status.hpp"
+#include "common/files/descriptor.hpp"
 
 namespace rcb::launch {
 
@@ -21,12 +22,19 @@ using Progress = std::function<void(double seconds)>;
 // interrupted during the call, nothing of it is left. Errors: the service's own reason; deadline_exceeded.
 Status start_detached(SuperviseOptions options, const Progress& progress);
 
+// A supervisor, and the pipes to it. When the first is closed, it ends its service; its own end closes the other.
+struct Supervised {
+  pid_t process = -1;
+  Descriptor lifeline;
+  Descriptor notify;
+};
+
 // A service that ends with this object or with this program, however that ends, and leaves nothing behind.
 class Embedded {
  public:
   // Starts it in a folder of its own under TMPDIR (or /tmp, if TMPDIR is too long for a socket's path or not safe).
   static Result<Embedded> start(int ranks, const Progress& progress);
-  Embedded(Embedded&& other) noexcept;
+  Embedded(Embedded&&) = default;
   Embedded& operator=(Embedded&&) = delete;
   ~Embedded();
 
@@ -39,9 +47,7 @@ class Embedded {
 
   std::string directory_;
   std::string endpoint_;
-  int lifeline_fd_ = -1;
-  int notify_fd_ = -1;
-  pid_t supervisor_ = -1;
+  Supervised supervised_;
 };
 
 struct Stopped {

@@ -8,6 +8,9 @@
 #include <string_view>
 #include <vector>
 
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 namespace rcb::launch {
 namespace {
 
@@ -27,12 +30,6 @@ bool is_sequel(std::string_view line) {
   for (const std::string_view words : {"] *** ", "] Set MCA parameter", "ORTE_ERROR_LOG", "sent help message"})
     if (line.find(words) != std::string_view::npos) return true;
   return false;
-}
-
-std::string joined(std::span<const std::string> lines) {
-  std::string text;
-  for (const std::string& line : lines) text += (text.empty() ? "" : "\n") + line;
-  return text;
 }
 
 }  // namespace
@@ -56,7 +53,8 @@ std::string telling_lines(const std::string& text) {
       lines.push_back(line);
   }
   of_mpirun.resize(std::min(of_mpirun.size(), kMpirunLinesMax));
-  return own.empty() ? joined(of_mpirun) : joined(std::span(own).last(std::min(own.size(), kLinesMax)));
+  const auto told = own.empty() ? std::span(of_mpirun) : std::span(own).last(std::min(own.size(), kLinesMax));
+  return fmt::format("{}", fmt::join(told, "\n"));
 }
 
 std::string log_tail(const std::string& path) {

@@ -89,11 +89,7 @@ class Running {
 std::vector<std::string> remove_leftovers(const std::string& endpoint) {
   std::vector<std::string> removed = JobFolder::sweep("");
   if (!endpoint.starts_with("unix:")) return removed;
-  EndpointNote note;
-  note.process = ProcessId::self();
-  note.program = "rcbctl down";
-  note.endpoint = endpoint;
-  const auto lock = take_endpoint(note);
+  const auto lock = take_endpoint({.process = ProcessId::self(), .program = "rcbctl down", .endpoint = endpoint});
   if (lock.ok())
     for (const std::string& path : remove_dead_sockets(endpoint.substr(5))) removed.push_back(path);
   return removed;

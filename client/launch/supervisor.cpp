@@ -72,12 +72,8 @@ class Supervisor {
   void stop(Job& job);
   Status keep_place();
   bool is_displaced(const Status& status) const { return status.code() == Code::busy && !endpoint_lock_->in_place(); }
-  Events::Event wait(double seconds) {
-    return events_.wait(seconds, [this](std::string_view bytes) { log_.add(bytes); });
-  }
-  void drain() {
-    events_.drain([this](std::string_view bytes) { log_.add(bytes); });
-  }
+  Events::Event wait(double seconds) { return events_.wait(seconds, keep_output_); }
+  void drain() { events_.drain(keep_output_); }
   // Adds what the job has said last.
   std::string with_tail(const std::string& text);
   void tell_state(double start_at_unix);
@@ -94,6 +90,7 @@ class Supervisor {
   std::optional<LockFile> endpoint_lock_;
   std::optional<LockFile> data_lock_;
   Events events_;
+  const Events::OnOutput keep_output_ = [this](std::string_view bytes) { log_.add(bytes); };
   double started_ = 0;
   std::string last_complaint_;
   std::string last_fault_;
@@ -101,10 +98,10 @@ class Supervisor {
 };
 
 Status Supervisor::open() {
-  note_.process = ProcessId::self();
-  note_.program = "rcbctl up";
-  note_.endpoint = options_.endpoint;
-  note_.data_dir = options_.data_dir;
+  note_ = {.process = ProcessId::self(),
+           .program = "rcbctl up",
+           .endpoint = options_.endpoint,
+           .data_dir = options_.data_dir};
   auto endpoint = take_endpoint(note_);
   if (!endpoint.ok()) return endpoint.status();
   endpoint_lock_.emplace(std::move(*endpoint));
@@ -154,13 +151,11 @@ Status Supervisor::run_job() {
 Status Supervisor::serve(Job& job) {
   Status status = start(job, false);
   if (status) status = await_first_answer(job);
-  if (!status) {
-    job.kill();
-    notify(status);
-    return status;
+  if (status) {
+    status = publish();
+    if (!status) stop(job);
   }
-  if (status = publish(); !status) {
-    stop(job);
+  if (!status) {
     job.kill();
     notify(status);
     return status;

@@ -84,16 +84,9 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOp
   app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
       ->type_name("NAME")
       ->default_str(d.scene);
-  app.add_option("--endpoint", options.endpoint,
-                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
-                 "socket, then 127.0.0.1:7470)")
-      ->type_name("E");
-  app.add_option("--trajectory", options.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
-      ->type_name("F.npy");
+  add_place_options(app, options.endpoint, options.trajectory);
   number("--deadline", typed.deadline, fmt::format("{}", d.deadline_seconds), "seconds that one push may take");
-  app.add_flag(
-      "!--no-outlive", options.outlive,
-      "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
+  add_outlive_option(app, options.outlive);
   app.add_flag("--no-service", options.no_service, "only the physics: nothing is pushed, no service is needed");
   app.add_flag("--json", options.json, "one JSON document on standard output instead of the summary");
   typed.numbers.resize(program.numbers.size());
@@ -146,13 +139,7 @@ Status understand(const Program& program, const TypedOptions& typed, RunOptions&
   return {};
 }
 
-int fail(const Program& program, bool json, const Status& status) {
-  const int code = exit_code(status.code());
-  if (json) fmt::print("{}\n", failure_document(status));
-  fmt::print(stderr, "{}: {}{}{}\n", program.name, status.message(),
-             status.hint().empty() ? "" : "\n  hint: ", status.hint());
-  return code;
-}
+int fail(const Program& program, bool json, const Status& status) { return tell_failure(program.name, json, status); }
 
 struct Service {
   client::Client client;
@@ -167,12 +154,8 @@ Result<std::unique_ptr<Service>> open_service(const Program& program, const RunO
   connect.on_notice = [name = program.name](const std::string& text) { say_notice(name, text); };
   auto client = client::Client::connect(connect);
   if (!client) return client.status();
-  client::SceneOptions create;
-  create.parts = options.parts;
-  create.dims = 3;
-  create.tolerance = options.tolerance;
-  create.policy = options.policy;
-  create.replace = true;
+  const client::SceneOptions create{
+      .parts = options.parts, .tolerance = options.tolerance, .policy = options.policy, .replace = true};
   if (Status status = client->create_scene(options.scene, create); !status.ok()) return status;
   auto scene = client->open_scene(options.scene);
   if (!scene) return scene.status();
@@ -253,6 +236,28 @@ int run_command_line(const Program& program, int argc, char** argv) {
 Status flush_output() {
   if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return {};
   return {Code::io_error, fmt::format("standard output can't be written: {}", std::strerror(errno))};
+}
+
+int tell_failure(const std::string& program, bool json, const Status& status) {
+  if (json) fmt::print("{}\n", failure_document(status));
+  fmt::print(stderr, "{}: {}{}{}\n", program, status.message(),
+             status.hint().empty() ? "" : "\n  hint: ", status.hint());
+  return exit_code(status.code());
+}
+
+void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajectory) {
+  app.add_option("--endpoint", endpoint,
+                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
+                 "socket, then 127.0.0.1:7470)")
+      ->type_name("E");
+  app.add_option("--trajectory", trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
+      ->type_name("F.npy");
+}
+
+void add_outlive_option(CLI::App& app, bool& outlive) {
+  app.add_flag(
+      "!--no-outlive", outlive,
+      "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
 }
 
 void say_notice(const std::string& program, const std::string& text) {

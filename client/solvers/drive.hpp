@@ -13,6 +13,10 @@
 #include "client/solvers/scenes.hpp"
 #include "client/solvers/step_loop.hpp"
 
+namespace CLI {
+class App;
+}
+
 namespace rcb::solvers {
 
 struct RunOptions {
@@ -53,12 +57,18 @@ std::string summary(const Program& program, const RunOptions& options, double in
 
 // The JSON document of a failed run, as rcbctl writes it.
 std::string failure_document(const Status& status);
+// Tells a failure on stderr, with json also its document on stdout. Returns the exit code.
+int tell_failure(const std::string& program, bool json, const Status& status);
 
 // Whether all that was printed on standard output got there. Errors: io_error.
 Status flush_output();
 
 // Prints on stderr what a push waits for, in place of the progress line if there is one.
 void say_notice(const std::string& program, const std::string& text);
+
+// Options that a solver of several processes has too: --endpoint and --trajectory; --no-outlive.
+void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajectory);
+void add_outlive_option(CLI::App& app, bool& outlive);
 
 // Reads a number (-.5, 1e3, inf, ...); NaN is refused.
 Result<double> parse_number(const std::string& text);

@@ -38,7 +38,7 @@ class FieldReader {
     return has(name) ? keep(string_field(json_, name, length_max), std::move(otherwise)) : otherwise;
   }
   // false if absent
-  bool flag(const char* name) { return keep(bool_field_or(json_, name, false), false); }
+  bool flag(const char* name) { return keep(bool_field(json_, name), false); }
   // One of these words; the first if absent.
   std::string word(const char* name, std::initializer_list<const char*> words);
   // Empty if absent.

@@ -98,11 +98,16 @@ Result<std::string> string_field(const Json& json, const char* name, std::size_t
   return text;
 }
 
-Result<bool> bool_field_or(const Json& json, const char* name, bool otherwise) {
+Result<bool> bool_field(const Json& json, const char* name) {
   const Json* value = field(json, name);
-  if (value == nullptr) return otherwise;
+  if (value == nullptr) return false;
   if (!value->is_boolean()) return unexpected(name, "true or false", value);
   return value->get<bool>();
+}
+
+bool is_true(const Json& json, const char* name) {
+  const Json* value = field(json, name);
+  return value != nullptr && value->is_boolean() && value->get<bool>();
 }
 
 Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char* name, std::size_t count_max) {

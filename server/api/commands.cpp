@@ -82,8 +82,7 @@ void keep_known_fields(wire::Json& request, const CommandInfo& command) {
 
 bool changes_scene(const wire::Json& request, const CommandInfo& command) {
   if (command.effect == Effect::reads) return false;
-  const auto dry_run = wire::bool_field_or(request, "dry_run", false);
-  return !(dry_run.ok() && *dry_run);  // the service refuses a wrong type
+  return !wire::is_true(request, "dry_run");  // the service refuses a wrong type
 }
 
 }  // namespace rcb::api

@@ -14,8 +14,6 @@ namespace rcb::api {
 
 namespace {
 
-constexpr std::int64_t kLargest = std::numeric_limits<std::int64_t>::max();
-
 Status read_counts(wire::FieldReader& fields, int ranks, Push& push) {
   const std::size_t slices = push.by_id ? 1 : static_cast<std::size_t>(ranks);
   const std::vector<double> counts = fields.numbers("counts", static_cast<std::size_t>(ranks));
@@ -73,8 +71,8 @@ Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
   for (const wire::Json& entry : *memory) {
     if (!entry.is_object()) return odd;
     wire::FieldReader fields(entry);
-    arrays.push_back({fields.text("name", 8), fields.integer("number", 0, kLargest),
-                      static_cast<std::uint64_t>(fields.integer("offset", 0, kLargest / 2)),
+    arrays.push_back({fields.text("name", 8), fields.integer("number", 0, wire::kIntegerMax),
+                      static_cast<std::uint64_t>(fields.integer("offset", 0, wire::kIntegerMax / 2)),
                       static_cast<std::uint64_t>(fields.integer("stride", 1, wire::kSharedStrideMax))});
     if (!fields.ok()) return fields.status();
   }
@@ -92,7 +90,7 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
   else if (fields.has("session"))
     fields.fail({number.status().code(), "field 'session': " + number.status().message()});
   id.step = fields.integer("step", 0, wire::kStepMax);
-  id.attempt = fields.integer_or("attempt", 0, kLargest, 0);
+  id.attempt = fields.integer_or("attempt", 0, wire::kIntegerMax, 0);
   if (!fields.ok()) return fields.status();
   return id;
 }
@@ -102,7 +100,7 @@ Result<PlanId> read_plan(const wire::Json& request) {
   if (found == request.end() || !found->is_object())
     return Status(Code::invalid_argument, "field 'plan': expected an object with 'version' and 'checksum'");
   wire::FieldReader fields(*found);
-  const std::int64_t version = fields.integer("version", 0, kLargest);
+  const std::int64_t version = fields.integer("version", 0, wire::kIntegerMax);
   const std::string text = fields.text("checksum", 16);
   if (!fields.ok()) return fields.status();
   const auto checksum = wire::parse_hex64(text);

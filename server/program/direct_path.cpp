@@ -9,12 +9,12 @@
 #include <spdlog/spdlog.h>
 
 #include "common/auth/proof.hpp"
+#include "common/base/host_port.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
 #include "common/tls/identity.hpp"
 #include "server/net/control/control.hpp"
-#include "server/net/peers/host.hpp"
 
 namespace rcb::server {
 namespace {
@@ -27,7 +27,7 @@ Result<std::string> listen_at(net::DataPort& port, const std::string& place, int
     return Status(Code::unsupported,
                   fmt::format("rank {} is on another machine, and clients here push by way of rank 0", rank));
   if (!is_unix || !elsewhere.empty())
-    return port.listen_tcp(elsewhere.empty() ? place + ":0" : net::with_port(elsewhere, 0));
+    return port.listen_tcp(elsewhere.empty() ? place + ":0" : join_host_port(elsewhere, 0));
   const std::string address = fmt::format("{}.{}", place, rank);
   if (Status status = port.listen_unix(address.substr(5)); !status.ok()) return status;
   return address;

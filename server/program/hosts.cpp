@@ -13,11 +13,10 @@
 namespace rcb::server {
 
 Hosts find_hosts(ranks::MpiSession& mpi) {
-  const net::Host here = net::Host::here();
   Hosts hosts;
   std::string key_of_root;
   for (const std::string& text :
-       mpi.gather(wire::Json{{"name", here.name}, {"key", here.key}, {"pid", ::getpid()}}.dump())) {
+       mpi.gather(wire::Json{{"name", host_name()}, {"key", machine_key()}, {"pid", ::getpid()}}.dump())) {
     const wire::Json one = wire::Json::parse(text);
     const std::string key = one.at("key").get<std::string>();
     if (hosts.ranks.empty()) key_of_root = key;

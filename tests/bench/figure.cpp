@@ -87,20 +87,14 @@ std::string range_of_milliseconds(const Json& rows, int ranks) {
 std::string script(const Json& rows, int ranks, const std::vector<int>& parts, const std::string& output) {
   const auto panels = static_cast<double>(std::max<std::size_t>(1, parts.size()));
   const double width = panels * kPanelWidth + kKeyWidth;
-  std::string text = fmt::format(
-      "set terminal svg size {},520 noenhanced font 'sans-serif,13' background '#ffffff'\n"
-      "set output '{}'\n"
-      "set border 3 linecolor '#444444'\n"
-      "set tics nomirror textcolor '#222222'\n"
-      "set grid linecolor '#dddddd' linetype 1 linewidth 0.5\n"
-      "set logscale xy\n"
-      "set format x '%g'\n"
-      "set format y '%.0e'\n"
-      "set yrange [{}:100]\n"
-      "set ytics 100 add ('0' {})\n"
-      "set xrange {}\n"
-      "set xlabel 'milliseconds of one partition'\n",
-      width, output, kErrorFloor / 3, kErrorFloor, range_of_milliseconds(rows, ranks));
+  std::string text = figure_head(width, output) + fmt::format(
+                                                      "set format x '%g'\n"
+                                                      "set format y '%.0e'\n"
+                                                      "set yrange [{}:100]\n"
+                                                      "set ytics 100 add ('0' {})\n"
+                                                      "set xrange {}\n"
+                                                      "set xlabel 'milliseconds of one partition'\n",
+                                                      kErrorFloor / 3, kErrorFloor, range_of_milliseconds(rows, ranks));
   text += fmt::format(
       "set multiplot layout 1,{} margins {:.3f},{:.3f},0.13,0.84 spacing {:.3f} title "
       "'run time against largest relative error of a part, {} rank(s); a point: one set of points at one tolerance "
@@ -128,7 +122,25 @@ std::string script(const Json& rows, int ranks, const std::vector<int>& parts, c
 
 }  // namespace
 
-Status run_gnuplot(const std::string& script_path) {
+std::string figure_head(double width, const std::string& output) {
+  return fmt::format(
+      "set terminal svg size {},520 noenhanced font 'sans-serif,13' background '#ffffff'\n"
+      "set output '{}'\n"
+      "set border 3 linecolor '#444444'\n"
+      "set tics nomirror textcolor '#222222'\n"
+      "set grid linecolor '#dddddd' linetype 1 linewidth 0.5\n"
+      "set logscale xy\n",
+      width, output);
+}
+
+Status check_output(const std::string& path) {
+  if (path.find_first_of("'\n\\") == std::string::npos) return {};
+  return {Code::invalid_argument, path + ": a quote, backslash or line break in the figure's name"};
+}
+
+Status plot(const std::string& script, const std::string& output) {
+  const std::string script_path = (output.ends_with(".svg") ? output.substr(0, output.size() - 4) : output) + ".gp";
+  if (Status status = write_file(script_path, script); !status.ok()) return status;
   std::string program = "gnuplot";
   std::string argument = script_path;
   std::array<char*, 3> argv{program.data(), argument.data(), nullptr};
@@ -144,8 +156,7 @@ Status run_gnuplot(const std::string& script_path) {
 }
 
 Status draw(const Json& document, const std::string& path) {
-  if (path.find_first_of("'\n\\") != std::string::npos)
-    return {Code::invalid_argument, path + ": a quote, backslash or line break in the figure's name"};
+  if (Status status = check_output(path); !status.ok()) return status;
   const Json& rows = document["rows"];
   const int ranks = ranks_drawn(rows);
   std::vector<int> parts;
@@ -153,9 +164,7 @@ Status draw(const Json& document, const std::string& path) {
     if (row["ranks"] == ranks && std::find(parts.begin(), parts.end(), row["parts"]) == parts.end())
       parts.push_back(row["parts"]);
   if (parts.empty()) return {Code::invalid_argument, "there is nothing to draw"};
-  const std::string script_path = (path.ends_with(".svg") ? path.substr(0, path.size() - 4) : path) + ".gp";
-  if (Status status = write_file(script_path, script(rows, ranks, parts, path)); !status.ok()) return status;
-  return run_gnuplot(script_path);
+  return plot(script(rows, ranks, parts, path), path);
 }
 
 }  // namespace rcb::bench

@@ -12,7 +12,12 @@ namespace rcb::bench {
 // (SVG) and, beside it with .gp for its ending, what gnuplot was told. Errors: not_found without gnuplot, io_error.
 Status draw(const Json& document, const std::string& path);
 
-// Runs a script that names its own output. Errors: not_found without gnuplot, deadline_exceeded, internal.
-Status run_gnuplot(const std::string& script_path);
+// What every figure of a bench begins with.
+std::string figure_head(double width, const std::string& output);
+// Writes the script beside its output, with .gp for .svg, and runs it. Errors: io_error, not_found without gnuplot,
+// deadline_exceeded, internal.
+Status plot(const std::string& script, const std::string& output);
+// Whether gnuplot's script can name this output. Errors: invalid_argument.
+Status check_output(const std::string& path);
 
 }  // namespace rcb::bench

@@ -12,6 +12,7 @@
 #include "tests/bench/dynamic/dynamic_peers.hpp"
 #include "tests/bench/figure.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/drift.hpp"
@@ -25,9 +26,6 @@
 namespace rcb::bench {
 namespace {
 
-constexpr int kPartsMax = 1 << 20;
-constexpr int kRanksMax = 256;
-constexpr int kRepeatsMax = 1000;
 constexpr double kPointsMax = 2e9;  // a rank's count is an int for the peers
 
 const std::vector<std::string> kMethods{"rcb", "bands-x", "bands-y", "bands-z", "read", "RCB", "RIB", "HSFC", "MJ"};
@@ -44,25 +42,18 @@ struct Options {
   std::string figure;
 };
 
-Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench --help"}; }
-
 Status check(Options& options) {
-  for (const int parts : options.parts)
-    if (parts < 1 || parts > kPartsMax) return usage(fmt::format("--parts {}: give 1 to {}", parts, kPartsMax));
-  for (const int ranks : options.ranks)
-    if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
-  if (options.repeats < 1 || options.repeats > kRepeatsMax)
-    return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
-  for (const double points : options.points)
-    if (!(points >= 1 && points <= kPointsMax) || points != std::floor(points))
-      return usage(fmt::format("--points {}: give whole numbers from 1 to {}", points, kPointsMax));
-  for (const double tolerance : options.cut_tolerances)
-    if (!(tolerance >= 0 && tolerance <= 1)) return usage(fmt::format("--cut-tolerances {}: give 0 to 1", tolerance));
-  for (const std::string& scene : options.scenes)
-    if (find_scene_kind(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
-  for (const std::string& method : options.methods)
-    if (std::find(kMethods.begin(), kMethods.end(), method) == kMethods.end())
-      return usage(fmt::format("--methods {}: there is no such method", method));
+  OptionCheck check("rcb_bench");
+  check.between("--parts", options.parts, 1, kPartsMax);
+  check.between("--ranks", options.ranks, 1, kRanksMax);
+  check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
+  check.whole("--points", options.points, 1, kPointsMax);
+  check.between("--cut-tolerances", options.cut_tolerances, 0, 1);
+  check.known("--scenes", options.scenes, [](const std::string& scene) { return find_scene_kind(scene) != nullptr; });
+  check.known("--methods", options.methods, [](const std::string& method) {
+    return std::find(kMethods.begin(), kMethods.end(), method) != kMethods.end();
+  });
+  if (!check.status().ok()) return check.status();
   // The exact run is never left out.
   std::sort(options.cut_tolerances.begin(), options.cut_tolerances.end());
   auto& tolerances = options.cut_tolerances;
@@ -130,13 +121,11 @@ Status run(const std::string& bench, Options& options) {
 }
 
 void add_options(CLI::App& command, Options& options) {
-  const auto list = [](CLI::Option* option) { return option->delimiter(',')->capture_default_str(); };
-  list(command.add_option("--parts", options.parts, "numbers of parts"));
-  list(command.add_option("--ranks", options.ranks, "numbers of MPI ranks, one job each"));
-  list(command.add_option("--scenes", options.scenes, "scenes (default: all of this bench)"));
-  list(command.add_option(
-      "--methods", options.methods,
-      "ours: rcb, bands-x, -y, -z; peers: RCB, RIB, HSFC, MJ; read: the floor, each coordinate read once"));
+  add_list(command, "--parts", options.parts, "numbers of parts");
+  add_list(command, "--ranks", options.ranks, "numbers of MPI ranks, one job each");
+  add_list(command, "--scenes", options.scenes, "scenes (default: all of this bench)");
+  add_list(command, "--methods", options.methods,
+           "ours: rcb, bands-x, -y, -z; peers: RCB, RIB, HSFC, MJ; read: the floor, each coordinate read once");
   command.add_option("--repeats", options.repeats, "timed runs of each contender")->capture_default_str();
   command.add_option("--json", options.json, "write the result to this file");
 }
@@ -160,15 +149,7 @@ std::string footer() {
          "  rcb_bench hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json\n";
 }
 
-int fail(const Status& status) {
-  fmt::print(stderr, "rcb_bench: {}\n", status.message());
-  if (!status.hint().empty()) fmt::print(stderr, "  {}\n", status.hint());
-  return exit_code(status.code());
-}
-
-int ended(const Status& status) { return status.ok() ? 0 : fail(status); }
-
-int run_program(int argc, char** argv) {
+int drive(int argc, char** argv) {
   CLI::App app("Times the partitioner beside its peers: starts mpirun itself, runs the contenders in turn.",
                "rcb_bench");
   app.set_version_flag("--version", std::string("rcb_bench " RCB_VERSION " (" RCB_COMMIT "), " + describe_peers()));
@@ -179,13 +160,9 @@ int run_program(int argc, char** argv) {
   of_static.methods = kMethods;
   auto* statics = app.add_subcommand("static", "time of one partition against its error, for every method and peer");
   add_options(*statics, of_static);
-  statics
-      ->add_option("--cut-tolerances", of_static.cut_tolerances,
-                   "our cut tolerances; 0, the exact run, is always there")
-      ->delimiter(',')
-      ->capture_default_str();
-  statics
-      ->add_option("--points", of_static.points, "numbers of points of every scene, instead of its own number")
+  add_list(*statics, "--cut-tolerances", of_static.cut_tolerances,
+           "our cut tolerances; 0, the exact run, is always there");
+  statics->add_option("--points", of_static.points, "numbers of points of every scene, instead of its own number")
       ->delimiter(',');
   statics->add_option("--figure", of_static.figure,
                       "draw run time against error as SVG (its gnuplot source beside it)");
@@ -195,9 +172,7 @@ int run_program(int argc, char** argv) {
   of_scaling.repeats = 3;
   auto* scaling = app.add_subcommand("scaling", "time and memory per particle for more particles, parts and ranks");
   add_options(*scaling, of_scaling);
-  scaling->add_option("--points", of_scaling.points, "numbers of points; all parts are run with the first")
-      ->delimiter(',')
-      ->capture_default_str();
+  add_list(*scaling, "--points", of_scaling.points, "numbers of points; all parts are run with the first");
   DynamicOptions of_dynamic;
   const auto* dynamic = add_dynamic(app, of_dynamic);
   StepBenchOptions of_step;
@@ -212,21 +187,16 @@ int run_program(int argc, char** argv) {
   const auto* idle = add_idle(app, of_idle);
   HostsOptions of_hosts;
   const auto* hosts = add_hosts(app, of_hosts);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::Success& done) {
-    return app.exit(done);
-  } catch (const CLI::ParseError& error) {
-    return fail(usage(error.what()));
-  }
-  if (hosts->parsed()) return ended(run_hosts(of_hosts, start_document("hosts", of_hosts.repeats)));
-  if (idle->parsed()) return ended(run_idle(of_idle, start_document("idle", 1)));
-  if (drift->parsed()) return ended(run_drift(of_drift, start_document("drift", of_drift.repeats)));
-  if (step->parsed()) return ended(run_step(of_step, start_document("step", of_step.repeats)));
-  if (memory->parsed()) return ended(run_memory(of_memory, start_document("memory", 1)));
-  if (skips->parsed()) return ended(run_skips(of_skips, start_document("skips", of_skips.repeats)));
-  if (dynamic->parsed()) return ended(run_dynamic(of_dynamic, start_document("dynamic", of_dynamic.repeats)));
-  return ended(statics->parsed() ? run("static", of_static) : run("scaling", of_scaling));
+  return run_program(app, argc, argv, [&] {
+    if (hosts->parsed()) return run_hosts(of_hosts, start_document("hosts", of_hosts.repeats));
+    if (idle->parsed()) return run_idle(of_idle, start_document("idle", 1));
+    if (drift->parsed()) return run_drift(of_drift, start_document("drift", of_drift.repeats));
+    if (step->parsed()) return run_step(of_step, start_document("step", of_step.repeats));
+    if (memory->parsed()) return run_memory(of_memory, start_document("memory", 1));
+    if (skips->parsed()) return run_skips(of_skips, start_document("skips", of_skips.repeats));
+    if (dynamic->parsed()) return run_dynamic(of_dynamic, start_document("dynamic", of_dynamic.repeats));
+    return statics->parsed() ? run("static", of_static) : run("scaling", of_scaling);
+  });
 }
 
 }  // namespace
@@ -237,7 +207,7 @@ int main(int argc, char** argv) {
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kWorkerWord) return rcb::bench::run_worker(argc, argv);
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kPeerWord) return rcb::bench::run_peer_worker(argc, argv);
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kDriftWord) return rcb::bench::run_drift_worker(argc, argv);
-    return rcb::bench::run_program(argc, argv);
+    return rcb::bench::drive(argc, argv);
   } catch (const std::exception& error) {
     fmt::print(stderr, "rcb_bench: {}\n", error.what());
     return 1;

@@ -1,13 +1,12 @@
 """rcb_bench dynamic on a short run: every setting sees the same motion, and what the rows say holds together. No time is
 asserted."""
-import json
 import os
-import subprocess
 import tempfile
 import unittest
 import xml.dom.minidom
 
-BENCH = os.path.join(os.environ["RCBD_BIN_DIR"], "rcb_bench")
+from measuring import expect_refused, measure
+
 STEPS = 30
 COUNTS = ("repartitions", "drifted", "moved", "migrated")
 ERRORS = ("error", "error_max", "error_before_mean", "error_before_max")
@@ -15,21 +14,15 @@ SECONDS = ("seconds", "seconds_min", "seconds_max", "seconds_search", "seconds_m
            "seconds_client", "seconds_first", "seconds_lost", "seconds_both", "seconds_balancing")
 
 
-def bench(*arguments, timeout=200):
-    return subprocess.run([BENCH, *arguments], capture_output=True, text=True, timeout=timeout)
-
-
 class Dynamic(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         with tempfile.TemporaryDirectory() as folder:
-            path, figure = os.path.join(folder, "result.json"), os.path.join(folder, "figure.svg")
-            done = bench("dynamic", "--points", "403", "--steps", str(STEPS), "--parts", "4", "--ranks", "2", "--repeats",
-                         "2", "--tolerances", "0,0.05,inf", "--axis-hysteresis", "1.2,1", "--json", path, "--figure", figure)
-            assert done.returncode == 0, done.stderr
+            figure = os.path.join(folder, "figure.svg")
+            cls.document, done = measure("dynamic", "--points", "403", "--steps", str(STEPS), "--parts", "4", "--ranks", "2",
+                                         "--repeats", "2", "--tolerances", "0,0.05,inf", "--axis-hysteresis", "1.2,1",
+                                         "--figure", figure)
             cls.text = done.stdout
-            with open(path) as file:
-                cls.document = json.load(file)
             xml.dom.minidom.parse(figure)
             with open(os.path.join(folder, "figure.gp")) as file:
                 cls.script = file.read()
@@ -105,15 +98,16 @@ class Dynamic(unittest.TestCase):
             self.assertIn(word, self.script)
 
 
+def two_spheres(*arguments):
+    """The rows of the policy tolerance, and what was printed."""
+    document, done = measure("dynamic", "--scenes", "two_spheres", "--points", "2003", "--ranks", "2", "--repeats", "1",
+                             "--no-peers", *arguments)
+    return [row for row in document["rows"] if row["policy"] == "tolerance"], done.stdout
+
+
 class Hysteresis(unittest.TestCase):
     def test_it_keeps_particles_where_they_are(self):
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "result.json")
-            done = bench("dynamic", "--scenes", "two_spheres", "--points", "2003", "--steps", "40", "--ranks", "2",
-                         "--repeats", "1", "--tolerances", "0", "--axis-hysteresis", "1.2,1", "--no-peers", "--json", path)
-            self.assertEqual(done.returncode, 0, done.stderr)
-            with open(path) as file:
-                rows = [row for row in json.load(file)["rows"] if row["policy"] == "tolerance"]
+        rows, _ = two_spheres("--steps", "40", "--tolerances", "0", "--axis-hysteresis", "1.2,1")
         self.assertEqual([row["axis_hysteresis"] for row in rows], [1.2, 1])
         self.assertEqual([row["repartitions"] for row in rows], [40, 40])
         self.assertLess(rows[0]["moved"], rows[1]["moved"])  # the spheres' longest axis turns as they collide
@@ -121,14 +115,8 @@ class Hysteresis(unittest.TestCase):
 
 class Recut(unittest.TestCase):
     def test_subtrees_hold_the_tolerance_too(self):
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "result.json")
-            done = bench("dynamic", "--scenes", "two_spheres", "--points", "2003", "--steps", "60", "--ranks", "2", "--repeats",
-                         "1", "--tolerances", "0.05", "--recut", "all,subtree", "--no-peers", "--json", path)
-            self.assertEqual(done.returncode, 0, done.stderr)
-            self.assertIn("rcbd rcb, recut subtree", done.stdout)
-            with open(path) as file:
-                whole, part = [row for row in json.load(file)["rows"] if row["policy"] == "tolerance"]
+        (whole, part), text = two_spheres("--steps", "60", "--tolerances", "0.05", "--recut", "all,subtree")
+        self.assertIn("rcbd rcb, recut subtree", text)
         self.assertEqual([whole["recut"], part["recut"]], ["all", "subtree"])
         self.assertLess(part["error_max"], 0.05)
         self.assertNotEqual(part["moved"], whole["moved"])  # other cuts; not fewer particles as a rule
@@ -136,11 +124,9 @@ class Recut(unittest.TestCase):
 
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in (["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--recut", "some"], ["--parts", "0"], ["--repeats", "0"],
-                          ["--points", "1.5"], ["--ranks", "x"]):
-            done = bench("dynamic", *arguments)
-            self.assertEqual(done.returncode, 2, arguments)
-            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+        expect_refused(self, "rcb_bench", *(["dynamic", *words] for words in (
+            ["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--recut", "some"],
+            ["--parts", "0"], ["--repeats", "0"], ["--points", "1.5"], ["--ranks", "x"])))
 
 
 if __name__ == "__main__":

@@ -1,28 +1,18 @@
 """rcb_bench memory on a small scene: the phases are what they say, and what is told of memory holds together."""
-import json
-import os
-import subprocess
-import tempfile
 import unittest
 
-BENCH = os.path.join(os.environ["RCBD_BIN_DIR"], "rcb_bench")
+from measuring import expect_refused, measure
+
 N = 300_000
 PHASES = ["first push", "moving", "repartition", "moving again", "scattered", "moving at last"]
-
-
-def bench(*arguments, timeout=200):
-    return subprocess.run([BENCH, "memory", *arguments], capture_output=True, text=True, timeout=timeout)
 
 
 class Memory(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "result.json")
-            # A limit that no service keeps: told, after everything was measured and written.
-            cls.done = bench("--points", str(N), "--ranks", "2", "--parts", "4", "--most", "0.5", "--json", path)
-            with open(path) as file:
-                cls.rows = json.load(file)["rows"]
+        # A limit that no service keeps: told, after everything was measured and written.
+        document, cls.done = measure("memory", "--points", str(N), "--ranks", "2", "--parts", "4", "--most", "0.5", code=1)
+        cls.rows = document["rows"]
 
     def test_every_path_has_every_phase(self):
         for path in ("direct", "gateway"):
@@ -56,11 +46,8 @@ class Memory(unittest.TestCase):
 
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in (["--points", "1.5"], ["--ranks", "0"], ["--paths", "nowhere"], ["--parts", "1"],
-                          ["--most", "0"]):
-            done = bench(*arguments)
-            self.assertEqual(done.returncode, 2, arguments)
-            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+        expect_refused(self, "rcb_bench", *(["memory", *words] for words in (
+            ["--points", "1.5"], ["--ranks", "0"], ["--paths", "nowhere"], ["--parts", "1"], ["--most", "0"])))
 
 
 if __name__ == "__main__":

@@ -1,32 +1,21 @@
 """rcb_bench skips on few points: the two sides of every case say the same, and the report shows what was saved. No time is
 asserted."""
-import json
 import os
 import subprocess
-import tempfile
 import unittest
 
-BIN = os.environ["RCBD_BIN_DIR"]
-BENCH = os.path.join(BIN, "rcb_bench")
+from measuring import BIN, expect_refused, measure
+
 SKIPS = ["dimension", "weights", "ids", "motion", "exchange", "search", "far from cuts", "ties",
          "double precision", "questions"]
 N = 6000
 
 
-def bench(*arguments, timeout=200):
-    return subprocess.run([BENCH, *arguments], capture_output=True, text=True, timeout=timeout)
-
-
 class Skips(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "result.json")
-            done = bench("skips", "--points", str(N), "--parts", "6", "--ranks", "3", "--repeats", "2", "--json", path)
-            assert done.returncode == 0, done.stderr
-            cls.text = done.stdout
-            with open(path) as file:
-                cls.document = json.load(file)
+        cls.document, done = measure("skips", "--points", str(N), "--parts", "6", "--ranks", "3", "--repeats", "2")
+        cls.text = done.stdout
         rows = cls.document["rows"]
         cls.pairs = list(zip(rows[::2], rows[1::2]))
 
@@ -92,22 +81,14 @@ class Skips(unittest.TestCase):
         self.assertGreater(off["reductions"], 0)
 
     def test_one_skip_alone(self):
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "result.json")
-            done = bench("skips", "--scenes", "exchange", "--points", "1000", "--ranks", "1", "--repeats", "1", "--json",
-                         path)
-            self.assertEqual(done.returncode, 0, done.stderr)
-            with open(path) as file:
-                self.assertEqual({row["scene"] for row in json.load(file)["rows"]}, {"exchange"})
+        document, _ = measure("skips", "--scenes", "exchange", "--points", "1000", "--ranks", "1", "--repeats", "1")
+        self.assertEqual({row["scene"] for row in document["rows"]}, {"exchange"})
 
 
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in (["--scenes", "nothing"], ["--parts", "0"], ["--ranks", "x"], ["--repeats", "0"],
-                          ["--points", "1.5"]):
-            done = bench("skips", *arguments)
-            self.assertEqual(done.returncode, 2, arguments)
-            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+        expect_refused(self, "rcb_bench", *(["skips", *words] for words in (
+            ["--scenes", "nothing"], ["--parts", "0"], ["--ranks", "x"], ["--repeats", "0"], ["--points", "1.5"])))
 
     def test_the_service_refuses_a_skip_that_it_does_not_know(self):
         for names in ("everything", "search,everything"):

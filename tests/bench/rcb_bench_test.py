@@ -1,5 +1,4 @@
 """rcb_bench measures what it says: small runs of both benches, judged from their JSON. No time is asserted."""
-import json
 import math
 import os
 import signal
@@ -9,23 +8,11 @@ import time
 import unittest
 import xml.dom.minidom
 
-BENCH = os.path.join(os.environ["RCBD_BIN_DIR"], "rcb_bench")
+from measuring import BIN, bench, expect_refused, measure
+
 FIELDS = {"scene", "n", "dims", "parts", "ranks", "tool", "method", "work", "cut_tolerance", "seconds", "seconds_min",
           "seconds_max", "error", "empty_parts", "ratio"}
 PEERS = {"Zoltan RCB", "Zoltan RIB", "Zoltan HSFC", "Zoltan2 MJ"}
-
-
-def bench(*arguments, timeout=120):
-    return subprocess.run([BENCH, *arguments], capture_output=True, text=True, timeout=timeout)
-
-
-def measure(*arguments):
-    with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "result.json")
-        done = bench(*arguments, "--json", path)
-        assert done.returncode == 0, done.stderr
-        with open(path) as file:
-            return json.load(file), done.stdout
 
 
 def quota_error(n, parts):
@@ -36,8 +23,9 @@ def quota_error(n, parts):
 class Static(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.document, cls.text = measure("static", "--points", "20001", "--parts", "7,8", "--ranks", "1,3", "--repeats",
-                                         "2", "--scenes", "uniform,half-coincident,plane")
+        cls.document, done = measure("static", "--points", "20001", "--parts", "7,8", "--ranks", "1,3", "--repeats",
+                                     "2", "--scenes", "uniform,half-coincident,plane")
+        cls.text = done.stdout
 
     def ours(self):
         return [row for row in self.document["rows"] if row["tool"] == "rcbd"]
@@ -110,14 +98,14 @@ class Static(unittest.TestCase):
 
 class Sizes(unittest.TestCase):
     def test_several_numbers_of_points(self):
-        document, text = measure("static", "--points", "3e4,20000", "--parts", "8", "--ranks", "2", "--repeats", "2",
+        document, done = measure("static", "--points", "3e4,20000", "--parts", "8", "--ranks", "2", "--repeats", "2",
                                  "--scenes", "uniform,plane", "--methods", "rcb,read")
         cells = {(row["scene"], row["n"]) for row in document["rows"]}
         self.assertEqual(cells, {(scene, n) for scene in ("uniform", "plane") for n in (20000, 30000)})
         self.assertEqual({entry["n"] for entry in document["summary"]}, {20000, 30000})
         rcb = [next(row for row in document["rows"] if row["work"] == "partition" and row["method"] == "rcb" and
                     (row["scene"], row["n"], row["cut_tolerance"]) == ("plane", n, 0)) for n in (30000, 20000)]
-        line = next(line for line in text.partition("nanoseconds a point")[2].splitlines() if line.startswith("plane"))
+        line = next(line for line in done.stdout.partition("nanoseconds a point")[2].splitlines() if line.startswith("plane"))
         nanoseconds = [1e9 * row["seconds"] / row["n"] for row in rcb]
         self.assertEqual(line.split()[:4], ["plane", "8"] + [f"{value:.1f}" for value in nanoseconds])
         self.assertEqual(line.split()[4], f"{max(nanoseconds) / nanoseconds[0]:.2f}")
@@ -126,7 +114,7 @@ class Sizes(unittest.TestCase):
 @unittest.skipIf(os.geteuid() != 0, "machines are made of network namespaces, which only root may")
 class Hosts(unittest.TestCase):
     def test_what_is_counted_and_predicted(self):
-        document, text = measure("hosts", "--hosts", "2", "--latency", "1", "--bandwidth", "1", "--points", "5000",
+        document, done = measure("hosts", "--hosts", "2", "--latency", "1", "--bandwidth", "1", "--points", "5000",
                                  "--repeats", "2")
         self.assertEqual(document["bench"], "hosts")
         rows = {row["moved"]: row for row in document["rows"]}
@@ -137,7 +125,7 @@ class Hosts(unittest.TestCase):
         for row in rows.values():
             self.assertEqual([row["latency"], row["bandwidth"], row["ranks"]], [0.0005, 1.25e8, 2])
             self.assertAlmostEqual(row["ratio"]["model"], row["seconds"] / row["seconds_predicted"])
-        self.assertIn("2 | 1.0 ms | 1.0", text)
+        self.assertIn("2 | 1.0 ms | 1.0", done.stdout)
 
 
 class Scaling(unittest.TestCase):
@@ -169,13 +157,10 @@ class Figure(unittest.TestCase):
 
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in ([], ["nonsense"], ["static", "--scenes", "nowhere"], ["static", "--parts", "0"],
-                          ["static", "--ranks", "x"], ["static", "--methods", "magic"], ["scaling", "--points", "1.5"],
-                          ["static", "--repeats", "0"], ["static", "--cut-tolerances", "-1"], ["hosts", "--hosts", "1"],
-                          ["hosts", "--latency", "-1"], ["hosts", "--bandwidth", "0"]):
-            done = bench(*arguments)
-            self.assertEqual(done.returncode, 2, arguments)
-            self.assertTrue(done.stderr.startswith("rcb_bench: "), done.stderr)
+        expect_refused(self, "rcb_bench", [], ["nonsense"], ["static", "--scenes", "nowhere"], ["static", "--parts", "0"],
+                       ["static", "--ranks", "x"], ["static", "--methods", "magic"], ["scaling", "--points", "1.5"],
+                       ["static", "--repeats", "0"], ["static", "--cut-tolerances", "-1"], ["hosts", "--hosts", "1"],
+                       ["hosts", "--latency", "-1"], ["hosts", "--bandwidth", "0"])
 
     def test_unwritable_json(self):
         done = bench("static", "--points", "1000", "--parts", "2", "--ranks", "1", "--repeats", "1", "--scenes", "plane",
@@ -185,8 +170,9 @@ class Refusals(unittest.TestCase):
 
     def test_interrupted_run_leaves_nothing(self):
         with tempfile.TemporaryDirectory() as folder:
-            process = subprocess.Popen([BENCH, "static", "--ranks", "3", "--scenes", "uniform"], stderr=subprocess.PIPE,
-                                       stdout=subprocess.DEVNULL, text=True, env={**os.environ, "TMPDIR": folder})
+            process = subprocess.Popen([os.path.join(BIN, "rcb_bench"), "static", "--ranks", "3", "--scenes", "uniform"],
+                                       stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
+                                       env={**os.environ, "TMPDIR": folder})
             for line in process.stderr:
                 if line.startswith("ranks 3"):
                     break
@@ -215,13 +201,13 @@ class Refusals(unittest.TestCase):
 
 class Drift(unittest.TestCase):
     def test_few_searched_and_all_searched_agree(self):
-        document, text = measure("drift", "--scenes", "plane", "--parts", "8", "--ranks", "2", "--repeats", "1")
+        document, done = measure("drift", "--scenes", "plane", "--parts", "8", "--ranks", "2", "--repeats", "1")
         row, = document["rows"]
         ways = {way["way"]: way for way in row["ways"]}
         self.assertEqual(len(ways), 4)
         self.assertAlmostEqual(row["crossed"], 0.01, delta=0.002)
         for name in ways:
-            self.assertIn(name, text)
+            self.assertIn(name, done.stdout)
         for warm, cold in (("warm", "cold"), ("warm, pure rule", "cold, pure rule")):
             self.assertEqual(ways[warm]["hash"], ways[cold]["hash"])
             self.assertEqual(ways[warm]["moved"], ways[cold]["moved"])
@@ -239,7 +225,7 @@ class Drift(unittest.TestCase):
 
 class Idle(unittest.TestCase):
     def test_cpu_and_latency_are_told(self):
-        document, text = measure("idle", "--ranks", "2", "--seconds", "0.5", "--queries", "20", "--points", "1000")
+        document, done = measure("idle", "--ranks", "2", "--seconds", "0.5", "--queries", "20", "--points", "1000")
         row, = document["rows"]
         self.assertEqual([row["ranks"], row["n"], row["work"]], [2, 1000, "idle"])
         self.assertGreaterEqual(row["processes"], 3)  # the ranks and their launcher
@@ -248,7 +234,7 @@ class Idle(unittest.TestCase):
         self.assertAlmostEqual(row["share_of_a_core"], row["seconds_cpu"] / row["seconds"])
         self.assertEqual(set(row["seconds_of_a_query"]), {"status", "error", "counts", "owner", "box"})
         for name, query in row["seconds_of_a_query"].items():
-            self.assertIn(name + " ms", text)
+            self.assertIn(name + " ms", done.stdout)
             self.assertTrue(0 < query["median"] <= query["most"])
 
     def test_bad_arguments(self):

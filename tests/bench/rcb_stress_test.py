@@ -1,26 +1,15 @@
 """rcb_stress --quick: all of ours is right. Nothing is asserted about peers: how they break is their release's affair."""
-import json
-import os
-import subprocess
-import tempfile
+import functools
 import unittest
 
-STRESS = os.path.join(os.environ["RCBD_BIN_DIR"], "rcb_stress")
-
-
-def stress(*arguments, timeout=280):
-    return subprocess.run([STRESS, *arguments], capture_output=True, text=True, timeout=timeout)
+from measuring import expect_refused, measure, run
 
 
 class Quick(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "stress.json")
-            cls.done = stress("--quick", "--timeout", "5", "--json", path)
-            assert cls.done.returncode == 0, cls.done.stderr
-            with open(path) as file:
-                cls.rows = json.load(file)["rows"]
+        document, cls.done = measure("--quick", "--timeout", "5", run=functools.partial(run, "rcb_stress"))
+        cls.rows = document["rows"]
 
     def test_ours_is_exact_and_the_same_everywhere(self):
         ours = [row for row in self.rows if row["tool"] == "rcbd"]
@@ -44,11 +33,8 @@ class Quick(unittest.TestCase):
 
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
-        for arguments in (["--scenes", "nowhere"], ["--parts", "0"], ["--points", "1.5"], ["--methods", "magic"],
-                          ["--ranks", "0"], ["--timeout", "0"], ["more"]):
-            done = stress(*arguments)
-            self.assertEqual(done.returncode, 2, arguments)
-            self.assertTrue(done.stderr.startswith("rcb_stress: "), done.stderr)
+        expect_refused(self, "rcb_stress", ["--scenes", "nowhere"], ["--parts", "0"], ["--points", "1.5"],
+                       ["--methods", "magic"], ["--ranks", "0"], ["--timeout", "0"], ["more"])
 
 
 if __name__ == "__main__":

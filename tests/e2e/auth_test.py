@@ -9,17 +9,6 @@ from protocol_client import HELLO, REPLY, WELCOME, Client, frame
 from support import *
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def token_of(service):
-    with open(os.path.join(service.data, "token")) as file:
-        return file.read().strip()
-
-
 def welcome(authentication, **more):
     return frame(WELCOME, 0, {"server": "rcbd", "protocol": 1, "authentication": authentication,
                               "limits": {"hello_seconds": 5}, **more})
@@ -48,7 +37,7 @@ class Auth(Refusals, unittest.TestCase):
         port = free_port()
         endpoint = f"127.0.0.1:{port}"
         with Service(1, tcp=endpoint) as service:
-            token = token_of(service)
+            token = token_of(service.data)
             service.json("scene", "create", "s", "--parts", 2)
         nonce = "5" * 64
         for greeting, reply in ((welcome("none"), {}), (welcome("token"), {}),
@@ -76,7 +65,7 @@ class Auth(Refusals, unittest.TestCase):
 
     def test_relays_and_replays_prove_nothing(self):
         with Service(2, tcp=f"127.0.0.1:{free_port()}") as service:
-            token = token_of(service)
+            token = token_of(service.data)
             with Client(service.endpoint, token=token) as client:
                 ranks = client.hello["data"]
                 self.assertEqual(len(ranks), 2)
@@ -118,7 +107,7 @@ class Auth(Refusals, unittest.TestCase):
     def test_every_start_has_a_token_of_its_own(self):
         endpoint = f"127.0.0.1:{free_port()}"
         with Service(1, tcp=endpoint) as service:
-            old = token_of(service)
+            old = token_of(service.data)
             with Client(endpoint, token=old) as client:
                 for pid, line in processes_of(service.dir):
                     if line.split()[0].endswith("/rcbd"):
@@ -129,10 +118,10 @@ class Auth(Refusals, unittest.TestCase):
             while service.ctl("status").returncode != 0:
                 self.assertLess(time.time(), deadline)
                 time.sleep(0.2)
-            self.assertEqual(token_of(service), old, "after a crash its clients go on")
+            self.assertEqual(token_of(service.data), old, "after a crash its clients go on")
             self.assertEqual(service.ctl("down").returncode, 0)
             self.assertEqual(service.ctl("up", "-n", 1, "--data-dir", service.data).returncode, 0)
-            self.assertNotEqual(token_of(service), old)
+            self.assertNotEqual(token_of(service.data), old)
             self.assertEqual(service.ctl("status").returncode, 0, "a client that connects again reads the new one")
             done = service.ctl("status", env={"RCBD_TOKEN": old})
             self.assertEqual(done.returncode, 4)
@@ -141,7 +130,7 @@ class Auth(Refusals, unittest.TestCase):
     def test_silence_locks_nobody_out(self):
         for tcp in (None, f"127.0.0.1:{free_port()}"):
             with self.subTest(tcp=tcp), Service(2, tcp=tcp) as service, contextlib.ExitStack() as stack:
-                token = token_of(service) if tcp else None
+                token = token_of(service.data) if tcp else None
                 address = service.endpoint
                 with Client(address, token=token) as client:
                     listeners = [address, *client.hello["data"]]
@@ -157,10 +146,8 @@ class Auth(Refusals, unittest.TestCase):
                 self.assertEqual(service.ctl("status").returncode, 0)
                 self.assertEqual(solver.wait(200), 0, solver.stderr.read())
                 solver.stderr.close()
-                done = service.ctl("replay", "late", self.points, "--parts", 3, env={"RCBD_PATH": "direct"})
-                self.assertEqual(done.returncode, 0, done.stderr)
-                with open(os.path.join(service.data, "rcbd.log")) as log:
-                    self.assertLess(len(log.read().splitlines()), 100, "a line for each who said nothing")
+                service.ctl("replay", "late", self.points, "--parts", 3, env={"RCBD_PATH": "direct"}, check=True)
+                self.assertLess(len(text_of(service.data, "rcbd.log").splitlines()), 100, "a line for each who said nothing")
                 self.assertEqual(service.ctl("down").returncode, 0)
 
     def test_places_are_kept_for_the_owner(self):
@@ -180,16 +167,14 @@ class Auth(Refusals, unittest.TestCase):
                 done = run("up", "-n", 1, "--data-dir", data, *option, endpoint="192.0.2.1:17499")
                 self.assertEqual(done.returncode, 1)
                 self.assertIn("can't listen on 192.0.2.1", done.stderr)
-                with open(os.path.join(data, "token")) as token:
-                    self.assertEqual(token.read().startswith("trusted-network-"), bool(option))
+                self.assertEqual(text_of(data, "token").startswith("trusted-network-"), bool(option))
 
     def test_files_of_others_are_out_of_reach(self):
         root, outside = os.path.join(self.dir, "root"), os.path.join(self.dir, "outside")
         os.makedirs(root), os.makedirs(outside)
         np.save(os.path.join(root, "points.npy"), np.random.default_rng(1).random((50, 3)))
         for name in (os.path.join(outside, "secret.csv"), os.path.join(root, "words.csv")):
-            with open(name, "w") as file:
-                file.write("1,2,3\n1,hunter2,3\n")
+            write_text(name, "1,2,3\n1,hunter2,3\n")
         os.symlink(os.path.join(outside, "secret.csv"), os.path.join(root, "link.csv"))
         os.symlink(outside, os.path.join(root, "out"))
 
@@ -221,14 +206,13 @@ class Auth(Refusals, unittest.TestCase):
         done = run("partition", os.path.join(root, "link.csv"), "--parts", 2, "--ranks", 2)
         self.assertIn("hunter2", done.stderr, "and tells its user what is wrong with the user's own file")
         out = os.path.join(outside, "parts")
-        done = run("partition", os.path.join(root, "points.npy"), "--parts", 2, "--ranks", 2, "--out", out)
-        self.assertEqual(done.returncode, 0, done.stderr)
+        run("partition", os.path.join(root, "points.npy"), "--parts", 2, "--ranks", 2, "--out", out, check=True)
         self.assertEqual(len(os.listdir(out)), 2)
 
         # Over TCP: nowhere, unless the option says so.
         for option in ([], ["--files-below", root]):
             with (Service(1, tcp=f"127.0.0.1:{free_port()}", options=option, cwd=root) as service,
-                  Client(service.endpoint, token=token_of(service)) as client):
+                  Client(service.endpoint, token=token_of(service.data)) as client):
                 attack(client)
                 path = os.path.join(root, "points.npy")
                 if option:

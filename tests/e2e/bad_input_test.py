@@ -19,8 +19,7 @@ class BadInput(ServiceTest):
     @classmethod
     def text(cls, name, content):
         path = os.path.join(cls.dir, name)
-        with open(path, "w") as file:
-            file.write(content)
+        write_text(path, content)
         return path
 
     def setUp(self):

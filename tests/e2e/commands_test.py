@@ -50,8 +50,7 @@ class Commands(ServiceTest):
     def test_insert_into_a_scene_with_weights(self):
         some, more = self.named("some.csv"), self.named("more.csv")
         for name, rows in ((some, "0,0,0,1\n1,1,1,2\n"), (more, ".5,.5,.5,4\n")):
-            with open(name, "w") as file:
-                file.write("x,y,z,w\n" + rows)
+            write_text(name, "x,y,z,w\n" + rows)
         self.service.json("scene", "create", "w", "--parts", 2, "--replace")
         self.service.json("push", "w", some, "--weights", "w")
         self.assertIn("--weights", self.service.failure("push", "w", "--insert", more)["hint"])
@@ -200,8 +199,7 @@ class Commands(ServiceTest):
     def test_ids_that_no_double_holds_are_exported_exactly(self):
         ids = [2 ** 53, 2 ** 53 + 1, 2 ** 63 - 1]
         table, out = self.named("large_ids.csv"), self.named("large_ids")
-        with open(table, "w") as file:
-            file.write("id,x,y,z\n" + "".join(f"{id},{k},0,0\n" for k, id in enumerate(ids)))
+        write_text(table, "id,x,y,z\n" + "".join(f"{id},{k},0,0\n" for k, id in enumerate(ids)))
         self.service.json("scene", "create", "large_ids", "--parts", 2)
         self.service.json("push", "large_ids", table)
         self.service.json("export", "large_ids", out, "--format", "npy,vtk")
@@ -212,8 +210,7 @@ class Commands(ServiceTest):
 
     def test_human_output_keeps_the_streams_apart(self):
         for args in (("status",), ("counts", "s"), ("cuts", "s"), ("history", "s"), ("quality", "s"), ("stats", "s")):
-            done = self.service.ctl(*args)
-            self.assertEqual(done.returncode, 0)
+            done = self.service.ctl(*args, check=True)
             self.assertTrue(done.stdout.strip(), args)
             self.assertEqual(done.stderr, "", args)
         wrong = self.service.ctl("counts", "nobody")
@@ -227,8 +224,7 @@ class Commands(ServiceTest):
                 self.assertEqual((done.returncode, done.stderr), (0, ""), (program, flag))
         for command in ("up", "down", "status", "partition", "compare", "scene", "push", "replay", "error", "counts",
                         "cuts", "history", "stats", "owner", "box", "assign", "quality", "rebalance", "export", "watch"):
-            done = run(command, "--help")
-            self.assertEqual(done.returncode, 0, command)
+            done = run(command, "--help", check=True)
             self.assertIn(command, done.stdout)
 
     def test_scene_is_not_replaced_under_a_client(self):

@@ -1,5 +1,4 @@
 """Pushes by every path and in every order give the same scene; a push that breaks half-way is given up everywhere."""
-import socket
 import time
 
 from protocol_client import REQUEST, Client, Refused, frame
@@ -19,12 +18,9 @@ class Direct(Client):
 
     def __init__(self, path, **kwargs):
         super().__init__(path, **kwargs)
-        self.links = []
-        for rank, address in enumerate(self.hello["data"]):
-            assert address.startswith("unix:")
-            link = Client(address[5:], session=self.session)
-            assert link.hello["rank"] == rank
-            self.links.append(link)
+        self.link_ranks()
+        assert all(address.startswith("unix:") for address in self.hello["data"])
+        assert [link.hello["rank"] for link in self.links] == list(range(len(self.links)))
 
     def plan(self, scene, n):
         """(rows of each rank, the plan's name)."""
@@ -62,11 +58,6 @@ class Direct(Client):
                 link.socket.sendall(data)
         return self.answer()
 
-    def close(self):
-        for link in self.links:
-            link.close()
-        super().close()
-
 
 class DataPath(Refusals, ServiceTest):
     ranks = 3
@@ -100,8 +91,7 @@ class DataPath(Refusals, ServiceTest):
         folder = os.path.join(self.service.dir, "walk.npy")
         np.save(folder, self.walk)
         for path in ("shared", "direct", "gateway"):
-            done = self.service.ctl("replay", path + "-lib", folder, "--parts", 7, env={"RCBD_PATH": path})
-            self.assertEqual(done.returncode, 0, done.stderr)
+            self.service.ctl("replay", path + "-lib", folder, "--parts", 7, env={"RCBD_PATH": path}, check=True)
             self.assertEqual(self.state(path + "-lib"), self.state("by-id"))
 
     def test_what_breaks_is_given_up_and_the_next_step_works(self):
@@ -236,23 +226,18 @@ class DataPath(Refusals, ServiceTest):
                 self.assertEqual(late.push_directly("held", 3, points, 1)[0]["report"]["step"], 3)
 
     def test_over_tcp_and_by_the_gateway_alone(self):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
         file = os.path.join(self.service.dir, "tcp.npy")
         np.save(file, self.walk[:2])
-        with Service(2, tcp=f"127.0.0.1:{port}") as service:
+        with Service(2, tcp=f"127.0.0.1:{free_port()}") as service:
             for path in ("direct", "auto"):
-                done = service.ctl("replay", path, file, "--parts", 3, env={"RCBD_PATH": path})
-                self.assertEqual(done.returncode, 0, done.stderr)
+                service.ctl("replay", path, file, "--parts", 3, env={"RCBD_PATH": path}, check=True)
             self.assertEqual(service.json("scene", "show", "auto")["plan"],
                              service.json("scene", "show", "direct")["plan"])
         os.environ["RCBD_GATEWAY_ONLY"] = "1"
         try:
             with Service(2) as service:
                 self.assertFalse(os.path.exists(service.endpoint[5:] + ".0"))
-                done = service.ctl("replay", "auto", file, "--parts", 3)
-                self.assertEqual(done.returncode, 0, done.stderr)
+                service.ctl("replay", "auto", file, "--parts", 3, check=True)
                 done = service.ctl("replay", "direct", file, "--parts", 3, env={"RCBD_PATH": "direct"})
                 self.assertEqual(done.returncode, 3)
                 self.assertIn("--gateway-only", done.stderr)

@@ -8,8 +8,7 @@ ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
 
 
 def block(document, language, number=0):
-    with open(os.path.join(ROOT, document)) as file:
-        return re.findall(r"^```" + language + r"\n(.*?)^```", file.read(), re.S | re.M)[number]
+    return re.findall(r"^```" + language + r"\n(.*?)^```", text_of(ROOT, document), re.S | re.M)[number]
 
 
 # What a solver has and the README doesn't show.
@@ -61,8 +60,7 @@ void advance(std::vector<Particle>& mine) {
 class Documents(ServiceTest):
     def compile(self, compiler, text):
         source, program = os.path.join(self.dir, "solver.cpp"), os.path.join(self.dir, "solver")
-        with open(source, "w") as file:
-            file.write(text)
+        write_text(source, text)
         build = os.path.dirname(BIN)
         libraries = [os.path.join(build, f"librcb_{name}.a")
                      for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls",
@@ -76,8 +74,7 @@ class Documents(ServiceTest):
 
     def test_the_parallel_program(self):
         program = self.compile("mpicxx", block("docs/coupling.md", "cpp") + PARALLEL_SOLVER)
-        done = run(3, program, program=MPIRUN, endpoint=self.service.endpoint)
-        self.assertEqual(done.returncode, 0, done.stderr)
+        run(3, program, program=MPIRUN, endpoint=self.service.endpoint, check=True)
         history = self.service.json("history", "jet")
         self.assertEqual([report["step"] for report in history], list(range(201)))
         self.assertEqual({report["n"] for report in history}, {3000})
@@ -85,15 +82,13 @@ class Documents(ServiceTest):
 
     def test_the_wrapper_for_c(self):
         program = self.compile("c++", block("docs/coupling.md", "cpp", 1) + C_SOLVER)
-        done = run(program=program, endpoint=self.service.endpoint)
-        self.assertEqual(done.returncode, 0, done.stderr)
+        done = run(program=program, endpoint=self.service.endpoint, check=True)
         # Eight places on a line, which is cut between the fourth and the fifth.
         self.assertEqual(done.stdout.split(), ["left:", "0", "entered:", "0", "x:", "-inf", "4", "4", "inf"])
 
     def test_the_readme_program(self):
         program = self.compile("c++", SOLVER + block("README.md", "cpp"))
-        done = run(program=program, endpoint=self.service.endpoint)
-        self.assertEqual(done.returncode, 0, done.stderr)
+        done = run(program=program, endpoint=self.service.endpoint, check=True)
         self.assertIn("has reached the tolerance", done.stdout)
         history = self.service.json("history", "jet")
         self.assertEqual([report["step"] for report in history], list(range(201)))
@@ -102,7 +97,7 @@ class Documents(ServiceTest):
         points = os.path.join(self.dir, "positions.csv")
         np.savetxt(points, np.random.default_rng(1).random((100, 3)), delimiter=",", header="x,y,z", comments="")
         commands = re.findall(r"^\$ rcbctl (.*?)(?: +#.*)?$", re.search(
-            r"## A first session\n\n```\n(.*?)^```", open_text("README.md"), re.S | re.M).group(1), re.M)
+            r"## A first session\n\n```\n(.*?)^```", text_of(ROOT, "README.md"), re.S | re.M).group(1), re.M)
         self.assertEqual(len(commands), 7)
         for command in commands:
             words = command.replace("positions.csv", points).replace("jet", "first").split()
@@ -110,22 +105,15 @@ class Documents(ServiceTest):
                 continue  # the test has its own service
             if "--plot" in words:
                 words[-1] = os.path.join(self.dir, words[-1])
-            done = self.service.ctl(*words)
-            self.assertEqual(done.returncode, 0, (command, done.stderr))
+            self.service.ctl(*words, check=True)
 
     def test_the_protocol_pages_client(self):
         client = os.path.join(self.dir, "client.py")
-        with open(client, "w") as file:
-            file.write(block("common/wire/PROTOCOL.md", "python"))
+        write_text(client, block("common/wire/PROTOCOL.md", "python"))
         done = subprocess.run(["/usr/bin/python3", client, self.service.endpoint[5:]], capture_output=True, text=True,
                               timeout=60)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("first positions", done.stdout)
-
-
-def open_text(name):
-    with open(os.path.join(ROOT, name)) as file:
-        return file.read()
 
 
 if __name__ == "__main__":

@@ -32,8 +32,7 @@ class Golden(unittest.TestCase):
     maxDiff = None
 
     def test_session(self):
-        with open(GOLDEN) as file:
-            expected = file.read()
+        expected = text_of(GOLDEN)
         with tempfile.TemporaryDirectory() as folder, Service(2) as service:
             write_inputs(folder)
             actual = ""
@@ -43,8 +42,7 @@ class Golden(unittest.TestCase):
                 actual += f"[exit {done.returncode}]\n\n" if done.returncode else "\n"
             actual = masked(actual.replace(service.dir, "SERVICE"), folder)
         if os.environ.get("RCB_GOLDEN_WRITE"):
-            with open(GOLDEN, "w") as file:
-                file.write(actual)
+            write_text(GOLDEN, actual)
         if actual != expected:
             self.fail("\n".join(difflib.unified_diff(expected.splitlines(), actual.splitlines(), "golden", "now",
                                                      lineterm="")))

@@ -49,8 +49,7 @@ class HostsTest(MachinesTest):
         alone = None
         for name in "abcd":
             done = self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 40, "--parts", 6, "--json",
-                           RCBD_PATH="direct")
-            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+                           RCBD_PATH="direct", check=True)
             result = json.loads(done.stdout)
             steps = [(report["error"], report["repartitioned"]) for report in result["reports"]]
             alone = alone or steps
@@ -62,16 +61,14 @@ class HostsTest(MachinesTest):
         # The ranks of a solver's own machine read its memory, though the endpoint is TCP.
         for name, way in (("a", "shared-memory"), ("c", "shared-memory"), ("d", "endpoint")):
             done = self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 40, "--parts", 6, "--json",
-                           RCBD_PATH="shared")
-            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+                           RCBD_PATH="shared", check=True)
             reports = json.loads(done.stdout)["reports"]
             self.assertEqual([report["way"] for report in reports], ["endpoint"] + 40 * [way], name)
             self.assertEqual([(report["error"], report["repartitioned"]) for report in reports], alone)
         slope = ["--points", 1000, "--steps", 6, "--interval", 0.3, "--parts", 6, "--json"]
         alone = None
         for name in "abcd":
-            done = self.on(name, os.path.join(self.bin, "slope"), *slope)
-            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+            done = self.on(name, os.path.join(self.bin, "slope"), *slope, check=True)
             steps = [(report["error"], report["repartitioned"]) for report in json.loads(done.stdout)["reports"]]
             alone = alone or steps
             self.assertEqual(steps, alone)
@@ -92,8 +89,7 @@ class HostsTest(MachinesTest):
         for path, first, way in (("direct", "sockets", "sockets"), ("shared", "endpoint", "shared-memory"),
                                  ("gateway", "endpoint", "endpoint")):
             done = self.on("a", os.path.join(self.bin, "two_spheres"), "--steps", 60, "--parts", 6, "--json", endpoint=endpoint,
-                           RCBD_PATH=path, RCBD_TOKEN_FILE="")
-            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+                           RCBD_PATH=path, RCBD_TOKEN_FILE="", check=True)
             reports = json.loads(done.stdout)["reports"]
             self.assertEqual([report["way"] for report in reports], [first] + 60 * [way], path)
             steps = [(report["error"], report["drifted"], report["migrated"]) for report in reports]
@@ -101,8 +97,7 @@ class HostsTest(MachinesTest):
             self.assertEqual(steps, alone)
             done = self.on("a", os.path.join(self.bin, "mpirun"), 3, os.path.join(self.bin, "slope_mpi"), "--points", 1000,
                            "--steps", 6, "--interval", 0.3, "--parts", 6, "--check", "--json", endpoint=endpoint,
-                           RCBD_PATH=path, RCBD_TOKEN_FILE="")
-            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+                           RCBD_PATH=path, RCBD_TOKEN_FILE="", check=True)
             ways = {report["way"] for report in json.loads(done.stdout)["reports"]}
             self.assertLessEqual(ways, {"endpoint", way}, path)
             self.assertIn(way, ways)
@@ -110,8 +105,7 @@ class HostsTest(MachinesTest):
 
     def ways(self, name, endpoint, *args, **settings):
         """By which the steps of a solver on that machine travel."""
-        done = self.on(name, os.path.join(self.bin, "two_spheres"), *args, "--json", endpoint=endpoint, **settings)
-        self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}\n{self.log()}")
+        done = self.on(name, os.path.join(self.bin, "two_spheres"), *args, "--json", endpoint=endpoint, **settings, check=True)
         return {report["way"] for report in json.loads(done.stdout)["reports"]}
 
     def test_ipv6(self):
@@ -176,8 +170,7 @@ class HostsTest(MachinesTest):
     def test_a_pbs_job_has_its_machines_in_a_file(self):
         self.machines(2)
         nodes = os.path.join(self.hosts.shared, "nodes")
-        with open(nodes, "w") as file:
-            file.write("a\na\nb\n")
+        write_text(nodes, "a\na\nb\n")
         self.up("--trusted-network", PBS_NODEFILE=nodes, PBS_JOBID="7.a")
         self.assertEqual([one["host"] for one in self.ctl("status", "--json")["hosts"]], ["a", "a", "b"])
         self.down()
@@ -191,24 +184,19 @@ class HostsTest(MachinesTest):
         self.assertIn("no service has written it", waiting.stderr)
         self.up("--hosts", "a:1,b:1", "--trusted-network", "--publish", file)
         for name in "abc":
-            done = self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 5, "--parts", 3, "--json", endpoint=endpoint,
-                           RCBD_TOKEN_FILE="")
-            self.assertEqual(done.returncode, 0, f"on {name}: {done.stdout}{done.stderr}")
-        with open(file) as written:
-            text = written.read()
+            self.on(name, os.path.join(self.bin, "two_spheres"), "--steps", 5, "--parts", 3, "--json", endpoint=endpoint,
+                    RCBD_TOKEN_FILE="", check=True)
+        text = text_of(file)
         job = json.loads(text)["job"]
-        with open(os.path.join(self.data, "token")) as token:
-            self.assertNotIn(token.read().strip(), text)
+        self.assertNotIn(token_of(self.data), text)
         self.ctl("down", endpoint=endpoint, name="b")
         self.assertTrue(wait_for(lambda: not os.path.exists(file)), "the file is left")
-        with open(file, "w") as left:  # as one whose host has lost its power
-            left.write(text)
+        write_text(file, text)  # as one whose host has lost its power
         stale = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint, RCBD_TOKEN_FILE="")
         self.assertEqual(stale.returncode, 3, stale.stderr)
         self.assertIn(f"the service that wrote {file} (job {job} on host a) no longer answers", stale.stderr)
         for foreign in ("{}", text.replace(job, "1\\n2")):
-            with open(file, "w") as other:
-                other.write(foreign)
+            write_text(file, foreign)
             refused = self.on("c", os.path.join(self.bin, "rcbctl"), "status", endpoint=endpoint)
             self.assertIn("is no file that", refused.stderr)
 

@@ -16,7 +16,6 @@ from outliving_client import OutlivingClient
 from protocol_client import Client, Refused
 from support import *
 
-MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 KILLS_EACH = 4  # of one service: its supervisor waits twice as long after each quick failure
 OPTIONS = argparse.Namespace(kills=4, ranks=4, seed=random.randrange(1 << 32))
 SECONDS = 240  # for one run of a solver

@@ -9,19 +9,13 @@ from support import *
 REAL_RCBD = os.path.abspath(os.path.join(BIN, "rcbd"))
 
 
-def text_of(*path):
-    with open(os.path.join(*path)) as file:
-        return file.read()
-
-
 class PreparedService(Service):
     """Before its rcbd starts, each rank runs a line of shell."""
 
     def __init__(self, ranks, line, **kwargs):
         self.programs = tempfile.mkdtemp(prefix="rcb-e2e-bin-")
         program = os.path.join(self.programs, "rcbd")
-        with open(program, "w") as file:
-            file.write(f"#!/bin/sh\n{line.format(programs=self.programs)}\nexec {REAL_RCBD} \"$@\"\n")
+        write_text(program, f"#!/bin/sh\n{line.format(programs=self.programs)}\nexec {REAL_RCBD} \"$@\"\n")
         os.chmod(program, 0o755)
         super().__init__(ranks, env={"RCBD_BIN_DIR": self.programs}, **kwargs)
 
@@ -40,8 +34,7 @@ class FailingService(PreparedService):
 
     def failures(self):
         """In a row, as the supervisor's note says."""
-        with open(f"{self.endpoint[5:]}.lock") as note:
-            return int(re.search(r"^failures (\d+)$", note.read(), re.M)[1])
+        return int(re.search(r"^failures (\d+)$", text_of(f"{self.endpoint[5:]}.lock"), re.M)[1])
 
     def fail(self):
         open(self.broken, "w").close()
@@ -84,8 +77,7 @@ class ProcessLimits(unittest.TestCase, Refusals):
             self.assertIn("ulimit -n", text_of(service.data, "rcbd.log"))
             for client in clients:
                 client.socket.close()
-            done = service.ctl("export", "s", os.path.join(service.dir, "out"))
-            self.assertEqual(done.returncode, 0, done.stderr)
+            service.ctl("export", "s", os.path.join(service.dir, "out"), check=True)
 
     def test_memory(self):
         with PreparedService(2, "ulimit -v 1000000") as service, Client(service.endpoint) as client:
@@ -127,8 +119,7 @@ class Places(unittest.TestCase):
     def test_what_stands_where_an_endpoint_is_to_be_published_stays(self):
         data, target, link, pipe = (os.path.join(self.dir, name) for name in ("data.csv", "target", "link", "pipe"))
         for path in (data, target):
-            with open(path, "w") as file:
-                file.write("1,2,3\n")
+            write_text(path, "1,2,3\n")
         os.symlink(target, link)
         os.mkfifo(pipe)
         for path in (data, link, pipe):
@@ -200,8 +191,7 @@ class Places(unittest.TestCase):
             self.assertEqual(processes_of(self.dir), [])
 
     def test_a_users_own_file_where_a_lock_belongs(self):
-        with open(os.path.join(self.dir, "s.lock"), "w") as file:
-            file.write("precious")
+        write_text(os.path.join(self.dir, "s.lock"), "precious")
         up = run("up", "-n", 1, "--data-dir", self.dir + "/data", endpoint=f"unix:{self.dir}/s")
         self.assertEqual(up.returncode, 1, up.stderr)
         self.assertIn("is not a lock of rcbd's", up.stderr)
@@ -237,10 +227,6 @@ class ClosedStreams(unittest.TestCase):
 
 
 class Faults(unittest.TestCase):
-    def assert_nothing_left(self, service):
-        self.assertTrue(wait_for(lambda: not processes_of(service.dir)), processes_of(service.dir))
-        self.assertEqual([name for name in os.listdir(service.dir) if name.startswith("s")], [])
-
     def test_down_ends_a_supervisor_that_waits(self):
         with FailingService(2) as service:
             service.fail()
@@ -261,10 +247,9 @@ class Faults(unittest.TestCase):
                           program=MPIRUN)
             self.assertNotEqual(by_hand.returncode, 0)
             self.assertIn("is served already, by pid", by_hand.stderr)
-            down = service.ctl("down")
-            self.assertEqual(down.returncode, 0, down.stderr)
+            down = service.ctl("down", check=True)
             self.assertIn("which starts it again", down.stdout)
-            self.assert_nothing_left(service)
+            service.assert_nothing_left()
             self.assertEqual(service.ctl("down").returncode, 3)
 
     def test_a_removed_data_directory_is_made_again(self):
@@ -278,7 +263,7 @@ class Faults(unittest.TestCase):
             # A clean end needs no marker either.
             shutil.rmtree(service.data)
             self.assertEqual(service.ctl("down").returncode, 0)
-            self.assert_nothing_left(service)
+            service.assert_nothing_left()
 
     def test_what_stands_in_the_logs_place_keeps_no_service_from_a_restart(self):
         for make in (os.mkdir, os.mkfifo):
@@ -291,7 +276,7 @@ class Faults(unittest.TestCase):
                 self.assertTrue(wait_for(lambda: not set(before) & set(service.processes("rcbd"))))
                 self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0))
                 self.assertEqual(service.ctl("down").returncode, 0)
-                self.assert_nothing_left(service)
+                service.assert_nothing_left()
 
     def test_removed_sockets_are_made_again(self):
         with Service(2) as service:

@@ -101,9 +101,8 @@ class Places(unittest.TestCase):
         os.kill(ranks[1], signal.SIGSTOP)
         try:
             # Whose processes this one can't see.
-            down = run("--pid", "--fork", "--mount-proc", RCBCTL, "--endpoint", self.endpoint, "down", program="unshare",
-                       env=token)
-            self.assertEqual(down.returncode, 0, down.stderr)
+            run("--pid", "--fork", "--mount-proc", RCBCTL, "--endpoint", self.endpoint, "down", program="unshare",
+                env=token, check=True)
             self.assertEqual(run("status", endpoint=self.endpoint, env=token).returncode, 3, "it waits until it is gone")
             deadline = time.time() + 60
             while self.named("rcbd-supervisor"):
@@ -112,8 +111,7 @@ class Places(unittest.TestCase):
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(ranks[1], signal.SIGCONT)
-        with open(os.path.join(self.dir, "data", "rcbd.log")) as log:
-            self.assertNotIn("started again", log.read())
+        self.assertNotIn("started again", text_of(self.dir, "data", "rcbd.log"))
 
     def test_of_two_ups_at_once_one_wins(self):
         for _ in range(3):
@@ -162,17 +160,15 @@ class Places(unittest.TestCase):
         for name in ("rcbctl", "rcbd"):  # that user may not get to the folder of this checkout
             shutil.copy(os.path.join(BIN, name), self.dir)
         program = [*namespace, os.path.join(self.dir, "rcbctl")]
-        up = run(*program[1:], "up", "-n", 1, "--data-dir", f"{self.dir}/data", program=program[0], endpoint=self.endpoint,
-                 env={"TMPDIR": self.dir, "RCBD_BIN_DIR": self.dir})
-        self.assertEqual(up.returncode, 0, up.stderr)
+        run(*program[1:], "up", "-n", 1, "--data-dir", f"{self.dir}/data", program=program[0], endpoint=self.endpoint,
+            env={"TMPDIR": self.dir, "RCBD_BIN_DIR": self.dir}, check=True)
         self.assertEqual(run(*program[1:], "down", program=program[0], endpoint=self.endpoint).returncode, 0)
 
     def test_a_foreign_lock_on_the_folder_is_no_obstacle(self):
         folder = os.open(self.dir, os.O_RDONLY)
         try:
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            up = self.up()
-            self.assertEqual(up.returncode, 0, up.stderr)
+            self.up(check=True)
         finally:
             os.close(folder)
 
@@ -209,8 +205,7 @@ class Places(unittest.TestCase):
     def test_what_was_killed_altogether_is_removed_by_down(self):
         self.assertEqual(self.up(ranks=2).returncode, 0)
         folders = self.kill_all()
-        down = run("down", endpoint=self.endpoint)
-        self.assertEqual(down.returncode, 0, down.stderr)
+        down = run("down", endpoint=self.endpoint, check=True)
         for name in (f"{self.dir}/s", f"{self.dir}/s.0", f"{self.dir}/s.1", *folders):
             self.assertIn(name, down.stdout)
             self.assertFalse(os.path.exists(name), name)
@@ -227,8 +222,7 @@ class Places(unittest.TestCase):
     def test_a_folder_of_another_user_is_refused(self):
         theirs = os.path.join(self.dir, "theirs")
         precious = os.path.join(self.dir, "precious")
-        with open(precious, "w") as file:
-            file.write("precious")
+        write_text(precious, "precious")
         os.mkdir(theirs)
         os.symlink(precious, os.path.join(theirs, "rcbd.log"))
         os.symlink(precious, os.path.join(theirs, "lock"))
@@ -237,8 +231,7 @@ class Places(unittest.TestCase):
             up = self.up(data)
             self.assertNotEqual(up.returncode, 0)
             self.assertIn(f"{theirs} belongs to user {STRANGER}", up.stderr)
-        with open(precious) as file:
-            self.assertEqual(file.read(), "precious")
+        self.assertEqual(text_of(precious), "precious")
         self.assertEqual(sorted(os.listdir(theirs)), ["lock", "rcbd.log"])
         # Files in a folder of our own that lead elsewhere.
         os.mkdir(os.path.join(self.dir, "ours"), 0o700)

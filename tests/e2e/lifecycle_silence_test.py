@@ -29,10 +29,6 @@ def held_thread(tid):
 
 
 class Silence(unittest.TestCase):
-    def assert_nothing_left(self, service):
-        self.assertTrue(wait_for(lambda: not processes_of(service.dir)), processes_of(service.dir))
-        self.assertEqual([name for name in os.listdir(service.dir) if name.startswith("s")], [])
-
     def test_a_stopped_mpirun_or_supervisor_stops_nobody(self):
         for name in ("mpirun", "rcbd-supervisor"):
             with self.subTest(name), Service(2) as service:
@@ -40,9 +36,8 @@ class Silence(unittest.TestCase):
                 os.kill(victim, signal.SIGSTOP)
                 refused(service, 3000)
                 self.assertEqual(service.ctl("status").returncode, 0)
-                down = service.ctl("down")
-                self.assertEqual(down.returncode, 0, down.stderr)
-                self.assert_nothing_left(service)
+                service.ctl("down", check=True)
+                service.assert_nothing_left()
 
     def test_a_death_behind_a_stopped_mpirun_is_noticed(self):
         with Service(2, options=("--answer-seconds", 3)) as service:
@@ -58,8 +53,7 @@ class Silence(unittest.TestCase):
             os.kill(victim, signal.SIGSTOP)
             self.assertTrue(wait_for(lambda: not os.path.exists(f"/proc/{victim}"), 60))
             self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
-            with open(os.path.join(service.data, "rcbd.log")) as log:
-                self.assertIn("it has not answered for", log.read())
+            self.assertIn("it has not answered for", text_of(service.data, "rcbd.log"))
 
     def test_status_tells_what_has_been_at_work_for_long(self):
         with Service(2) as service, Client(service.endpoint) as client:
@@ -93,8 +87,7 @@ class Silence(unittest.TestCase):
             client.send({"command": "assign", "scene": "a", "deadline_seconds": 1})
             self.assertTrue(wait_for(lambda: victim not in service.processes("rcbd"), 60))
             self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
-            with open(os.path.join(service.data, "rcbd.log")) as log:
-                self.assertIn("past its deadline", log.read())
+            self.assertIn("past its deadline", text_of(service.data, "rcbd.log"))
 
     def test_a_rank_killed_during_a_commit(self):
         """The others wait for it inside the step when it dies: nothing of the step is seen afterwards."""
@@ -122,9 +115,8 @@ class Silence(unittest.TestCase):
     def test_down_ends_what_hangs(self):
         with Service(1) as service:
             os.kill(service.processes("rcbd")[0], signal.SIGSTOP)
-            down = service.ctl("down", "--deadline", 5)
-            self.assertEqual(down.returncode, 0, down.stderr)
-            self.assert_nothing_left(service)
+            service.ctl("down", "--deadline", 5, check=True)
+            service.assert_nothing_left()
 
     def test_a_removed_socket_is_made_again(self):
         with Service(2, options=("--answer-seconds", 3)) as service:
@@ -133,7 +125,7 @@ class Silence(unittest.TestCase):
                     os.remove(os.path.join(service.dir, name))
             self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
             self.assertEqual(service.ctl("down").returncode, 0)
-            self.assert_nothing_left(service)
+            service.assert_nothing_left()
 
 
 if __name__ == "__main__":

@@ -10,11 +10,6 @@ from support import *
 FAR_SECONDS = 3600  # what is noticed only after so long isn't noticed in a test
 
 
-def text_of(path):
-    with open(path) as file:
-        return file.read()
-
-
 def started_again(service, ranks):
     """Waits until other ranks answer."""
     if not wait_for(lambda: not set(ranks) & set(service.processes("rcbd")) and service.ctl("status").returncode == 0, 60):
@@ -209,17 +204,14 @@ def without_inodes():
 def with_low_limits():
     """Of System V's memory: a segment's size, their number, all pages together."""
     for limit, value in (("shmmax", 4096), ("shmmni", 2), ("shmall", 2000)):
-        with open(f"/proc/sys/kernel/{limit}") as file:
-            before = file.read()
-        with open(f"/proc/sys/kernel/{limit}", "w") as file:
-            file.write(str(value))
+        before = text_of(f"/proc/sys/kernel/{limit}")
+        write_text(f"/proc/sys/kernel/{limit}", str(value))
         with Service(3) as service:
             assert len(glob.glob("/dev/shm/rcbd-*/vader_segment*")) == 3, (limit, os.listdir("/dev/shm"))
             with Client(service.endpoint, timeout=60) as client:
                 client.ask("scene.create", scene="s", parts=8)
                 client.push("s", 0, np.random.default_rng(1).random((20_000, 3)))
-        with open(f"/proc/sys/kernel/{limit}", "w") as file:
-            file.write(before)
+        write_text(f"/proc/sys/kernel/{limit}", before)
     with open("/proc/sysvipc/shm") as file:
         assert len(file.readlines()) == 1, "segments are left"
     return 0

@@ -183,8 +183,7 @@ class ChangingFile(unittest.TestCase):
             path = os.path.join(folder, "p.csv")
             text = "".join(f"{k},{k % 7}.5,{k % 11}.25\n" for k in range(rows))
             for k in range(12):
-                with open(path, "w") as file:
-                    file.write(text)
+                write_text(path, text)
                 client.ask("scene.create", scene="cut", parts=2, replace=True)
                 cut = threading.Timer(0.004 * k, os.truncate, (path, len(text) // 2))
                 cut.start()

@@ -37,12 +37,10 @@ class LinksTest(MachinesTest):
     def ended(self, solver):
         """What its run has found."""
         self.assertEqual(solver.wait(timeout=240), 0, self.heard() + self.log())
-        with open(self.found) as found:
-            return json.load(found)
+        return json.loads(text_of(self.found))
 
     def heard(self):
-        with open(self.told) as told:
-            return told.read()
+        return text_of(self.told)
 
     def step_of(self, scene="two_spheres"):
         done = self.on("a", os.path.join(self.bin, "rcbctl"), "scene", "show", scene, "--json")
@@ -76,8 +74,7 @@ class LinksTest(MachinesTest):
         instance = self.up_on_three()
         walk = np.random.default_rng(3).random((3, 3000, 3))
         walk[1:] = walk[0] + 0.01 * walk[1:]  # some change their rank
-        with open(os.path.join(self.data, "token")) as file:
-            known = {"token": file.read().strip(), "timeout": 240}
+        known = {"token": token_of(self.data), "timeout": 240}
         with self.hosts.network("a"):
             client, watcher = PushClient(TCP, "direct", **known), PushClient(TCP, **known)
         self.addCleanup(client.close)

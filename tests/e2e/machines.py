@@ -24,12 +24,15 @@ class MachinesTest(unittest.TestCase):
             shutil.copy(os.path.join(BIN, program), self.bin)
         shutil.copy(MPIRUN, self.bin)
 
-    def on(self, name, *args, endpoint=TCP, timeout=120, **more):
+    def on(self, name, *args, endpoint=TCP, timeout=120, check=False, **more):
         """The program's end, run on a machine."""
         settings = {"RCBD_ENDPOINT": endpoint, "RCBD_BIN_DIR": self.bin, "RCBD_TOKEN_FILE": os.path.join(self.data, "token")}
         environment = self.hosts.environment(**settings | more)
-        return self.hosts.run(name, *args, env=environment, capture_output=True, text=True, timeout=timeout,
+        done = self.hosts.run(name, *args, env=environment, capture_output=True, text=True, timeout=timeout,
                               cwd=self.hosts.shared)
+        if check:
+            self.assertEqual(done.returncode, 0, f"on {name}: {args}: {done.stdout}{done.stderr}\n{self.log()}")
+        return done
 
     def ctl(self, *args, name="a", **kwargs):
         done = self.on(name, os.path.join(self.bin, "rcbctl"), *args, **kwargs)
@@ -41,8 +44,7 @@ class MachinesTest(unittest.TestCase):
 
     def log(self):
         try:
-            with open(os.path.join(self.data, "rcbd.log")) as file:
-                return file.read()
+            return text_of(self.data, "rcbd.log")
         except OSError:
             return ""
 

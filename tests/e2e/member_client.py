@@ -52,8 +52,7 @@ class DirectMember(Member):
 
     def __init__(self, path, scene, member, members, **kwargs):
         super().__init__(path, scene, member, members, follow=True, **kwargs)
-        self.links = [Client(place, session=self.session, token=self.token, listener=f"rank {rank}")
-                      for rank, place in enumerate(self.hello["data"])]
+        self.link_ranks(token=self.token)
         self.places = None  # of each id its rank and slot
         self.removed = ()  # in this step
 
@@ -110,8 +109,3 @@ class DirectMember(Member):
         self.places.update(zip(news["place_id"].tolist(), zip(news["place_rank"].tolist(), news["place_slot"].tolist())))
         self.step, self.epoch, self.plan = answer["report"]["step"], answer["report"]["epoch"], answer["plan"]
         return answer, news
-
-    def close(self):
-        for link in self.links:
-            link.close()
-        super().close()

@@ -12,14 +12,13 @@ RANKS, PARTS, POINTS = 3, 7, 900
 LISTS = ("changed_id", "changed_part", "leave_id", "leave_to", "enter_id", "enter_from", "enter_part")
 
 
-class MembersDirect(unittest.TestCase):
+class MembersDirect(ServiceTest):
+    ranks = RANKS
     create, state, refused = members_test.Members.create, members_test.Members.state, members_test.Members.refused
 
     @classmethod
     def setUpClass(cls):
-        cls.service = Service(RANKS)
-        cls.addClassCleanup(cls.service.stop)
-        cls.path = cls.service.endpoint[5:]
+        super().setUpClass()
         rng = np.random.default_rng(11)
         points = rng.random((POINTS, 3)) * [2, 1, 1]
         cls.walk = [points]

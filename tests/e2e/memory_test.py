@@ -52,8 +52,7 @@ class Memory(Refusals, unittest.TestCase):
         said = self.too_large(client, "load", scene="big", path=sparse(os.path.join(service.dir, "big.npy"), 3_000_000))
         self.assertIn("at most 67108864", said)
         text = os.path.join(service.dir, "big.csv")
-        with open(text, "w") as file:
-            file.write("x,y,z\n" + "0,0,0\n" * (65 * MIB // 6))
+        write_text(text, "x,y,z\n" + "0,0,0\n" * (65 * MIB // 6))
         self.too_large(client, "load", scene="big", path=text)
         client.ask("load", scene="big", path=sparse(os.path.join(service.dir, "fits.npy"), 1_000_000))
 

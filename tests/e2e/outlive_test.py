@@ -1,25 +1,12 @@
 """What a solver meets that keeps its scene: a service that is started again, and another client that changes the parts."""
-import time
-
 import ranks
 from member_client import Member
 from protocol_client import Client, Refused
 from support import *
 
-MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 
-
-def wait_for(condition, seconds=60):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        try:
-            found = condition()
-            if found:
-                return found
-        except (OSError, EOFError, Refused):
-            pass
-        time.sleep(0.02)
-    raise AssertionError("it hasn't come about")
+def wait_for(condition):
+    return awaited(condition, 60, (OSError, EOFError, Refused))
 
 
 class Outlive(unittest.TestCase):

@@ -2,7 +2,6 @@
 announced and never come."""
 import struct
 import threading
-import time
 import unittest.mock
 
 from protocol_client import REPLY, REQUEST, Client, Refused, xxh3
@@ -15,9 +14,8 @@ def rank_pids(service):
     for pid, _ in processes_of(service.data):
         with open(f"/proc/{pid}/environ", "rb") as file:
             entries = dict(entry.partition(b"=")[::2] for entry in file.read().split(b"\0"))
-        with open(f"/proc/{pid}/comm") as file:
-            if file.read().strip() == "rcbd" and b"OMPI_COMM_WORLD_RANK" in entries:
-                pids[int(entries[b"OMPI_COMM_WORLD_RANK"])] = pid
+        if process_name(pid) == "rcbd" and b"OMPI_COMM_WORLD_RANK" in entries:
+            pids[int(entries[b"OMPI_COMM_WORLD_RANK"])] = pid
     return pids
 
 
@@ -32,17 +30,6 @@ class Stopped:
 
     def __exit__(self, *_):
         os.kill(self.pid, signal.SIGCONT)
-
-
-def awaited(condition, seconds=20):
-    """Asks until it holds; a hang is a failure."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.05)
-    raise AssertionError(f"not within {seconds} s")
 
 
 class Overload(ServiceTest):

@@ -31,8 +31,7 @@ class Partition(unittest.TestCase):
         self.assertEqual(result["n"], len(points))
         self.assertEqual(result["dims"], points.shape[1])
         self.assertEqual(self.hashes.setdefault((name, parts, method), result["hash"]), result["hash"], where)
-        with open(cuts) as file:
-            self.check_cuts(json.load(file), tree, result, where)
+        self.check_cuts(json.loads(text_of(cuts)), tree, result, where)
 
     def check_cuts(self, document, tree, result, where):
         self.assertEqual(document["hash"], result["hash"])
@@ -79,8 +78,7 @@ class Partition(unittest.TestCase):
         out = os.path.join(self.dir, "out")
         assign = os.path.join(self.dir, "embedded.npy")
         done = run("partition", csv, "--parts", 5, "--ranks", 3, "--out", out, "--assign", assign, "--json",
-                   endpoint="unix:/nonexistent/socket")
-        self.assertEqual(done.returncode, 0, done.stderr)
+                   endpoint="unix:/nonexistent/socket", check=True)
         result = json.loads(done.stdout)
         self.assertEqual(result["ranks"], 3)
         _, expected = judge.partition(points, 5)
@@ -96,27 +94,21 @@ class Partition(unittest.TestCase):
 
     def test_a_part_without_points_is_a_file_that_can_be_read(self):
         csv = os.path.join(self.dir, "two.csv")
-        with open(csv, "w") as file:
-            file.write("x,y\n1,2\n3,4\n")
+        write_text(csv, "x,y\n1,2\n3,4\n")
         out = os.path.join(self.dir, "two")
-        done = run("partition", csv, "--parts", 3, "--ranks", 2, "--out", out, "--json")
-        self.assertEqual(done.returncode, 0, done.stderr)
+        done = run("partition", csv, "--parts", 3, "--ranks", 2, "--out", out, "--json", check=True)
         counts = json.loads(done.stdout)["counts"]
         self.assertEqual(sorted(counts), [0, 1, 1])
         for count, name in zip(counts, sorted(os.listdir(out))):
-            with open(os.path.join(out, name)) as file:
-                lines = file.read().splitlines()
+            lines = text_of(out, name).splitlines()
             self.assertEqual((lines[0], len(lines)), ("x,y,id", 1 + count))
-            again = run("partition", os.path.join(out, name), "--parts", 1, "--ranks", 1, "--json")
-            self.assertEqual(again.returncode, 0, again.stderr)
+            again = run("partition", os.path.join(out, name), "--parts", 1, "--ranks", 1, "--json", check=True)
             self.assertEqual(json.loads(again.stdout)["n"], count)
 
     def test_no_point(self):
         empty = os.path.join(self.dir, "empty.csv")
-        with open(empty, "w") as file:
-            file.write("x,y,z\n")
-        done = run("partition", empty, "--parts", 3, "--ranks", 2, "--json")
-        self.assertEqual(done.returncode, 0, done.stderr)
+        write_text(empty, "x,y,z\n")
+        done = run("partition", empty, "--parts", 3, "--ranks", 2, "--json", check=True)
         result = json.loads(done.stdout)
         self.assertEqual((result["n"], result["counts"], result["error"], result["imbalance"]), (0, [0, 0, 0], 0, 1))
         self.assertIn("no points", done.stderr)
@@ -128,8 +120,7 @@ class Partition(unittest.TestCase):
         np.savetxt(csv, np.column_stack([points, weight]), delimiter=",", header="x,y,z,w", comments="", fmt="%.17g")
         hashes = set()
         for ranks in (1, 3):
-            done = run("partition", csv, "--parts", 6, "--ranks", ranks, "--weights", "w", "--json")
-            self.assertEqual(done.returncode, 0, done.stderr)
+            done = run("partition", csv, "--parts", 6, "--ranks", ranks, "--weights", "w", "--json", check=True)
             result = json.loads(done.stdout)
             self.assertAlmostEqual(sum(result["loads"]), weight.sum())
             self.assertLess(result["error"], 6 * 7 / weight.sum() * 6)
@@ -137,8 +128,7 @@ class Partition(unittest.TestCase):
         self.assertEqual(len(hashes), 1)
         sizes = [1, 2, 0.5, 4]
         done = run("partition", os.path.join(self.dir, "uniform.npy"), "--parts", 4, "--ranks", 2, "--part-sizes",
-                   ",".join(map(str, sizes)), "--json")
-        self.assertEqual(done.returncode, 0, done.stderr)
+                   ",".join(map(str, sizes)), "--json", check=True)
         self.assertEqual(json.loads(done.stdout)["counts"], judge.quotas(len(points), 4, sizes))
 
 

@@ -140,8 +140,7 @@ class People(ServiceTest):
         self.service.json("export", "out", folder)
         foreign = {"notes.txt", "part-a.csv", "part-3.csv.bak", "my-part-1.csv"}
         for name in foreign:
-            with open(os.path.join(folder, name), "w") as file:
-                file.write("mine\n")
+            write_text(os.path.join(folder, name), "mine\n")
         self.service.json("rebalance", "out", "--parts", 5)
         failure = self.service.failure("export", "out", folder)
         self.assertIn("part-00.csv", failure["message"])

@@ -107,6 +107,8 @@ def proof(role, token, listener, service_nonce, client_nonce, session, certifica
 class Client:
     """One connection, opened with hello unless told otherwise. `token` is for TCP; `listener` is "endpoint" or "rank R"."""
 
+    links = ()
+
     def __init__(self, address, session=None, hello=True, timeout=30, token=None, listener="endpoint"):
         self.socket = connected(address, timeout)
         self.token, self.listener = token, listener
@@ -200,7 +202,14 @@ class Client:
         self.number = number + 1
         return answer
 
+    def link_ranks(self, **options):
+        """A connection to each rank, for as long as this one lasts."""
+        self.links = [Client(place, session=self.session, listener=f"rank {rank}", **options)
+                      for rank, place in enumerate(self.hello["data"])]
+
     def close(self):
+        for link in self.links:
+            link.close()
         self.socket.close()
 
     def __enter__(self):

@@ -30,16 +30,10 @@ class PushClient(Client):
 
     def __init__(self, address, way="by-id", **kwargs):
         super().__init__(address, **kwargs)
-        self.way, self.links, self.attempts = way, [], 0
+        self.way, self.attempts = way, 0
         if way == "direct":
             kwargs.pop("session", None)
-            self.links = [Client(place, session=self.session, listener=f"rank {rank}", **kwargs)
-                          for rank, place in enumerate(self.hello["data"])]
-
-    def close(self):
-        for link in self.links:
-            link.close()
-        super().close()
+            self.link_ranks(**kwargs)
 
     def layout(self, scene, step):
         """(the rows of `step` that each rank holds, in slot order; the plan's name)."""

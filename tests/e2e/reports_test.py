@@ -57,10 +57,8 @@ class Reports(ServiceTest):
 
     def test_plot(self):
         figure = os.path.join(self.dir, "h.svg")
-        done = self.service.ctl("history", "spheres-0.1", "--plot", figure)
-        self.assertEqual(done.returncode, 0, done.stderr)
-        with open(figure) as file:
-            self.assertIn("<svg", file.read())
+        self.service.ctl("history", "spheres-0.1", "--plot", figure, check=True)
+        self.assertIn("<svg", text_of(figure))
 
     def test_replay_of_random_walks(self):
         rng = np.random.default_rng(5)

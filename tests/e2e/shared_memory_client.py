@@ -20,14 +20,8 @@ def memfd(size, seals=F_SEAL_SHRINK | F_SEAL_GROW):
 class SharedClient(Client):
     def __init__(self, address, **kwargs):
         super().__init__(address, **kwargs)
-        self.links = [Client(place, session=self.session, listener=f"rank {rank}")
-                      for rank, place in enumerate(self.hello["data"])]
+        self.link_ranks()
         self.attempts, self.memories = 0, 0
-
-    def close(self):
-        for link in self.links:
-            link.close()
-        super().close()
 
     def share(self, descriptor, size, number=1, descriptors=None):
         """Shares a memfd with every rank."""

@@ -30,8 +30,7 @@ class SlurmTest(MachinesTest):
 
     def output(self, job, name):
         try:
-            with open(os.path.join(self.hosts.shared, f"{name}-{job}.out")) as file:
-                return file.read()
+            return text_of(self.hosts.shared, f"{name}-{job}.out")
         except OSError:
             return ""
 
@@ -49,8 +48,7 @@ class SlurmTest(MachinesTest):
 
     def published(self):
         try:
-            with open(self.where) as file:
-                return json.load(file)
+            return json.loads(text_of(self.where))
         except OSError:
             return None
 
@@ -69,8 +67,7 @@ class SlurmTest(MachinesTest):
 
     def service_log(self):
         try:
-            with open(self.where + ".data.0/rcbd.log") as file:
-                return file.read()
+            return text_of(self.where + ".data.0/rcbd.log")
         except OSError:
             return ""
 
@@ -174,8 +171,7 @@ class SlurmTest(MachinesTest):
 
     def test_the_page_on_clusters_is_true_to_the_letter(self):
         self.cluster(3)
-        with open(os.path.join(ROOT, "docs", "cluster.md")) as page:
-            blocks = re.findall(r"^```\n(.*?)^```$", page.read(), re.M | re.S)
+        blocks = re.findall(r"^```\n(.*?)^```$", text_of(ROOT, "docs", "cluster.md"), re.M | re.S)
         named, slurm = ([line.split("$ ", 1) for line in block.splitlines()] for block in blocks)
         self.assertEqual([name for name, _ in named], ["a", "a", "c", "a"])
 
@@ -202,8 +198,7 @@ class SlurmTest(MachinesTest):
         points = os.path.join(self.hosts.shared, "points.npy")
         np.save(points, np.random.default_rng(1).random((1000, 3)))
         script = os.path.join(self.hosts.shared, "one.sh")
-        with open(script, "w") as file:
-            file.write(f"#!/bin/sh\n{self.bin}/rcbctl partition {points} --parts 8 --ranks 6 --json\n")
+        write_text(script, f"#!/bin/sh\n{self.bin}/rcbctl partition {points} --parts 8 --ranks 6 --json\n")
         job = self.submit("--nodes=2", "--ntasks=4", "--output=one-%j.out", script)
         self.ended(job)
         text = self.output(job, "one")

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -18,14 +19,18 @@ RCBCTL = os.path.join(BIN, "rcbctl")
 MPIRUN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "support", "mpirun")
 
 
-def run(*args, endpoint=None, timeout=120, program=RCBCTL, cwd=None, env=None):
-    """Runs a program to its end; a hang is a failure. Returns the finished process with text output."""
+def run(*args, endpoint=None, timeout=120, program=RCBCTL, cwd=None, env=None, check=False):
+    """Runs a program to its end; a hang is a failure, with `check` any exit code but 0 too. Returns the finished process
+    with text output."""
     environment = dict(os.environ, **(env or {}))
     environment.pop("RCBD_ENDPOINT", None)
     if endpoint:
         environment["RCBD_ENDPOINT"] = endpoint
-    return subprocess.run([program, *map(str, args)], capture_output=True, text=True, timeout=timeout,
+    done = subprocess.run([program, *map(str, args)], capture_output=True, text=True, timeout=timeout,
                           cwd=cwd, env=environment, stdin=subprocess.DEVNULL)
+    if check and done.returncode != 0:
+        raise AssertionError(f"{done.args}: exit {done.returncode}: {done.stdout}{done.stderr}")
+    return done
 
 
 class Service:
@@ -36,18 +41,13 @@ class Service:
         self.endpoint = tcp or "unix:" + os.path.join(self.dir, "s")
         self.data = os.path.join(self.dir, "data")
         self.ranks = ranks
-        up = run("up", "-n", ranks, "--data-dir", self.data, *options, endpoint=self.endpoint, cwd=cwd, env=env)
-        if up.returncode != 0:
-            raise RuntimeError(f"rcbctl up: {up.stdout}{up.stderr}")
+        run("up", "-n", ranks, "--data-dir", self.data, *options, endpoint=self.endpoint, cwd=cwd, env=env, check=True)
 
     def ctl(self, *args, **kwargs):
         return run(*args, endpoint=self.endpoint, **kwargs)
 
     def json(self, *args, **kwargs):
-        done = self.ctl(*args, "--json", **kwargs)
-        if done.returncode != 0:
-            raise RuntimeError(f"rcbctl {args}: exit {done.returncode}: {done.stdout}{done.stderr}")
-        return json.loads(done.stdout)
+        return json.loads(self.ctl(*args, "--json", check=True, **kwargs).stdout)
 
     def failure(self, *args, **kwargs):
         """The failure document of a command that must fail, with its exit code checked against the document."""
@@ -64,6 +64,12 @@ class Service:
     def processes(self, name):
         """The service's running processes of that name: rcbd-supervisor, mpirun, rcbd; the lowest number first."""
         return sorted(pid for pid, _ in processes_of(self.dir) if process_name(pid) == name)
+
+    def assert_nothing_left(self):
+        if not wait_for(lambda: not processes_of(self.dir)):
+            raise AssertionError(f"left: {processes_of(self.dir)}")
+        if left := [name for name in os.listdir(self.dir) if name.startswith("s")]:
+            raise AssertionError(f"left: {left}")
 
     def stop(self):
         down = self.ctl("down")
@@ -162,6 +168,26 @@ def process_name(pid):
         return ""
 
 
+def text_of(*path):
+    with open(os.path.join(*path)) as file:
+        return file.read()
+
+
+def write_text(path, text):
+    with open(path, "w") as file:
+        file.write(text)
+
+
+def token_of(data):
+    return text_of(data, "token").strip()
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
 def wait_for(condition, seconds=30):
     """Until the condition holds; False where it doesn't within the time, which is a limit and no claim."""
     deadline = time.monotonic() + seconds
@@ -170,6 +196,17 @@ def wait_for(condition, seconds=30):
             return True
         time.sleep(0.05)
     return False
+
+
+def awaited(condition, seconds=20, not_yet=()):
+    """What the condition gives once that is true; exceptions of the kinds `not_yet` are no failures. A hang is one."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        with contextlib.suppress(*not_yet):
+            if found := condition():
+                return found
+        time.sleep(0.02)
+    raise AssertionError(f"not within {seconds} s")
 
 
 def fill_disk(folder, files=0):
@@ -182,6 +219,6 @@ def fill_disk(folder, files=0):
             open(os.path.join(folder, f"fill.{i}"), "a").close()
 
 
-__all__ = ["BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "fill_disk", "hard_scenes", "json", "np",
-           "os", "process_name", "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile",
-           "time", "unittest", "wait_for"]
+__all__ = ["BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk", "free_port", "hard_scenes",
+           "json", "np", "os", "process_name", "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys",
+           "tempfile", "text_of", "time", "token_of", "unittest", "wait_for", "write_text"]

@@ -69,16 +69,12 @@ def of_another(made):
 
 
 class TlsTest(Refusals, MachinesTest):
-    def token(self):
-        with open(os.path.join(self.data, "token")) as file:
-            return file.read().strip()
-
     def status(self, name, endpoint=TCP, **more):
         return self.on(name, os.path.join(self.bin, "rcbctl"), "status", "--json", endpoint=endpoint, **more)
 
     def client(self, name, address=TCP, **more):
         with self.hosts.network(name):
-            return Client(address, token=self.token(), **more)
+            return Client(address, token=token_of(self.data), **more)
 
     def connection(self, name, address=TCP, timeout=60):
         host, port = address.rsplit(":", 1)
@@ -105,7 +101,7 @@ class TlsTest(Refusals, MachinesTest):
             heard = sniffer.close()
         encryption = self.ctl("status", "--json", name="b")["encryption"]
         self.assertIn(f"encryption  {encryption[0]}", self.ctl("status", name="b"))
-        token = self.token()
+        token = token_of(self.data)
         self.down()
         self.assertGreater(len(heard), 5 * points.nbytes * 0.9, "else it proves nothing")
         self.assertNotIn(token.removeprefix("trusted-network-").encode(), heard)
@@ -259,9 +255,8 @@ class TlsTest(Refusals, MachinesTest):
             for _ in range(200):
                 for place in places:
                     stack.enter_context(self.connection("b", place)).sendall(client_hello[:50])
-            done = self.on("b", os.path.join(self.bin, "two_spheres"), "--points", 3000, "--steps", 5, "--json",
-                           RCBD_PATH="direct")
-            self.assertEqual(done.returncode, 0, done.stderr)
+            self.on("b", os.path.join(self.bin, "two_spheres"), "--points", 3000, "--steps", 5, "--json",
+                    RCBD_PATH="direct", check=True)
         for place in places:
             with self.connection("b", place) as plain:
                 plain.sendall(frame(2, 1, {"protocol": 1, "client": "old", "session": "0" * 16}))
@@ -301,12 +296,12 @@ class TlsTest(Refusals, MachinesTest):
     def test_a_token_of_another_network_is_explained(self):
         self.machines(2)
         self.up("-n", 1)
-        plain = self.status("b", RCBD_TOKEN_FILE="", RCBD_TOKEN="trusted-network-" + self.token())
+        plain = self.status("b", RCBD_TOKEN_FILE="", RCBD_TOKEN="trusted-network-" + token_of(self.data))
         self.assertEqual(plain.returncode, 1)
         self.assertIn("TLS 1.3 is spoken here", plain.stderr)
         self.down()
         self.up("-n", 1, "--trusted-network")
-        wants_tls = self.status("b", RCBD_TOKEN_FILE="", RCBD_TOKEN=self.token().removeprefix("trusted-network-"))
+        wants_tls = self.status("b", RCBD_TOKEN_FILE="", RCBD_TOKEN=token_of(self.data).removeprefix("trusted-network-"))
         self.assertEqual(wants_tls.returncode, 1)
         self.assertIn("doesn't speak TLS", wants_tls.stderr)
         self.assertIn("--trusted-network", wants_tls.stderr)
@@ -320,10 +315,9 @@ class TlsTest(Refusals, MachinesTest):
                 self.up("-n", 2, endpoint=every)
                 for name, where in (("a", "127.0.0.1:7470"), ("a", TCP), ("b", TCP)):
                     done = self.on(name, os.path.join(self.bin, "two_spheres"), "--points", 3000, "--steps", 3, "--json",
-                                   endpoint=where, RCBD_PATH="direct")
-                    self.assertEqual(done.returncode, 0, f"{name} {where}: {done.stderr}")
+                                   endpoint=where, RCBD_PATH="direct", check=True)
                     self.assertEqual({one["way"] for one in json.loads(done.stdout)["reports"]}, {"sockets"})
-                with self.hosts.network("a"), Client("127.0.0.1:7470", token=self.token()) as client:
+                with self.hosts.network("a"), Client("127.0.0.1:7470", token=token_of(self.data)) as client:
                     self.assertEqual(client.certificate, "")
                 with self.client("b") as client:
                     self.assertNotEqual(client.certificate, "")
@@ -354,9 +348,8 @@ class TlsTest(Refusals, MachinesTest):
 
     def test_without_tls_and_trust_nobody_else_may_connect(self):
         self.machines(1)
-        config = os.path.join(self.hosts.shared, "openssl.cnf")
-        with open(config, "w") as file:  # no provider has ciphers, hashes or keys
-            file.write("openssl_conf = all\n[all]\nproviders = some\n[some]\nbase = on\n[on]\nactivate = 1\n")
+        config = os.path.join(self.hosts.shared, "openssl.cnf")  # no provider has ciphers, hashes or keys
+        write_text(config, "openssl_conf = all\n[all]\nproviders = some\n[some]\nbase = on\n[on]\nactivate = 1\n")
         for where in (TCP, "0.0.0.0:7470"):
             done = self.on("a", os.path.join(self.bin, "rcbctl"), "up", "-n", 1, "--data-dir", self.data, endpoint=where,
                            OPENSSL_CONF=config)

@@ -88,22 +88,19 @@ Status compare(const CompareOptions& options, const Context& context) {
 }  // namespace
 
 void add_compare_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<CompareOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"compare", "Each way of dividing a file of points, side by side",
-                                   "  rcbctl compare points.csv --parts 8\n"
-                                   "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json",
-                                   kFileGroup},
-                                  [options, &context] { return compare(*options, context); });
-  add_file_options(*command, options->file);
-  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
-  add_value(*command, "--ranks", options->ranks, kind::rank_count(),
-            "start a temporary service with this many ranks (default: use the running service, or a temporary one if "
-            "there is none)");
-  add_value(*command, "--ghost-width", options->ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
-  add_value(*command, "--save", options->save, kind::output_file(kind::Format::json),
+  auto [command, options] = add_command(app, context,
+                                        {"compare", "Each way of dividing a file of points, side by side",
+                                         "  rcbctl compare points.csv --parts 8\n"
+                                         "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json",
+                                         kFileGroup},
+                                        compare);
+  add_file_options(command, options.file);
+  add_value(command, "--parts", options.parts, kind::part_count(), "number of parts")->required();
+  add_value(command, "--ranks", options.ranks, kind::rank_count(), kTemporaryRanksHelp);
+  add_value(command, "--ghost-width", options.ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
+  add_value(command, "--save", options.save, kind::output_file(kind::Format::json),
             "also write what --json prints to this file");
-  command->add_flag("--all", options->all, kAllHelp);
+  command.add_flag("--all", options.all, kAllHelp);
 }
 
 }  // namespace rcb::cli

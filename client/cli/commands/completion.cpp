@@ -11,25 +11,19 @@
 namespace rcb::cli {
 namespace {
 
-std::vector<const CLI::App*> children(const CLI::App& app) {
-  std::vector<const CLI::App*> list;
-  for (const CLI::App* command : app.get_subcommands(nullptr)) list.push_back(command);
-  return list;
+std::vector<const CLI::App*> children(const CLI::App& app) { return app.get_subcommands(nullptr); }
+
+std::string option_words(const CLI::App& app) {
+  std::string text;
+  for (const CLI::Option* option : app.get_options())
+    for (const std::string& name : option->get_lnames()) text += "--" + name + " ";
+  return text;
 }
 
 std::string words(const CLI::App& app) {
   std::string text;
   for (const CLI::App* command : children(app)) text += command->get_name() + " ";
-  for (const CLI::Option* option : app.get_options())
-    for (const std::string& name : option->get_lnames()) text += "--" + name + " ";
-  return text;
-}
-
-std::string global_words(const CLI::App& app) {
-  std::string text;
-  for (const CLI::Option* option : app.get_options())
-    for (const std::string& name : option->get_lnames()) text += "--" + name + " ";
-  return text;
+  return text + option_words(app);
 }
 
 // Appends the words that may follow each command, as branches of a shell's case.
@@ -42,17 +36,13 @@ void append_cases(const CLI::App& app, const std::string& path, const std::strin
 }
 
 // Commands whose first argument is an existing scene; the script asks the service for the names.
-void append_scene_takers(const CLI::App& app, const std::string& path, std::vector<std::string>& out) {
+std::vector<std::string> scene_takers(const CLI::App& app, const std::string& path = "") {
+  std::vector<std::string> names;
   for (const CLI::App* command : children(app)) {
     const std::string name = path + command->get_name();
-    if (name != "scene create" && command->get_option_no_throw("NAME") != nullptr) out.push_back(name);
-    append_scene_takers(*command, name + " ", out);
+    if (name != "scene create" && command->get_option_no_throw("NAME") != nullptr) names.push_back(name);
+    for (std::string& below : scene_takers(*command, name + " ")) names.push_back(std::move(below));
   }
-}
-
-std::vector<std::string> scene_takers(const CLI::App& app) {
-  std::vector<std::string> names;
-  append_scene_takers(app, "", names);
   return names;
 }
 
@@ -66,7 +56,7 @@ void append_valued(const CLI::App& app, std::set<std::string>& out) {
 
 std::string bash(const CLI::App& app) {
   std::string cases;
-  append_cases(app, "", global_words(app), cases);
+  append_cases(app, "", option_words(app), cases);
   std::set<std::string> valued{"-n"};
   append_valued(app, valued);
   // The script splits the line itself, since the shell splits words at the colon of unix:PATH.

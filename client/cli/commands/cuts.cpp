@@ -186,13 +186,13 @@ Result<Json> ask_cuts(client::Client& client, const std::string& scene) {
 }
 
 void add_cuts_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<CutsOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"cuts", "The cuts in force, each with its whole key, and the region of each part",
-                                   "  rcbctl cuts jet\n  rcbctl cuts jet --json", kAskGroup},
-                                  [options, &context] { return cuts(*options, context); });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
-  command->add_flag("--all", options->all, kAllHelp);
+  auto [command, options] =
+      add_command(app, context,
+                  {"cuts", "The cuts in force, each with its whole key, and the region of each part",
+                   "  rcbctl cuts jet\n  rcbctl cuts jet --json", kAskGroup},
+                  cuts);
+  add_scene_name(command, options.name);
+  command.add_flag("--all", options.all, kAllHelp);
 }
 
 }  // namespace rcb::cli

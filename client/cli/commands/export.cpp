@@ -141,34 +141,33 @@ Status export_scene(const ExportOptions& options, const Context& context) {
   Json files = Json::array();
   if (Status status = write_files(*set, options, shown.at("parts").get<int>(), files); !status) return status;
   if (Status status = left.remove(); !status) return status;
-  if (context.json) {
-    print_json({{"scene", options.name},
-                {"n", answer.json.at("n")},
-                {"step", answer.json.at("step")},
-                {"epoch", answer.json.at("epoch")},
-                {"files", files}});
-    return {};
-  }
-  for (const Json& file : files) print_line(file.get<std::string>());
-  return {};
+  return show(context,
+              {{"scene", options.name},
+               {"n", answer.json.at("n")},
+               {"step", answer.json.at("step")},
+               {"epoch", answer.json.at("epoch")},
+               {"files", files}},
+              [&] {
+                for (const Json& file : files) print_line(file.get<std::string>());
+              });
 }
 
 }  // namespace
 
 void add_export_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<ExportOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"export", "Writes a scene's particles for ParaView and scripts",
-                                   "  rcbctl export jet out\n  rcbctl export jet out --format vtk,npy", kSceneGroup},
-                                  [options, &context] { return export_scene(*options, context); });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "DIR", options->directory, kind::text("DIR"), "made if missing")->required();
-  add_list(*command, "--format", options->formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
+  auto [command, options] =
+      add_command(app, context,
+                  {"export", "Writes a scene's particles for ParaView and scripts",
+                   "  rcbctl export jet out\n  rcbctl export jet out --format vtk,npy", kSceneGroup},
+                  export_scene);
+  add_scene_name(command, options.name);
+  add_value(command, "DIR", options.directory, kind::text("DIR"), "made if missing")->required();
+  add_list(command, "--format", options.formats, kind::one_of("LIST", {"csv", "npy", "vtk"}),
            "csv (part-0.csv, ...), npy (positions.npy, id.npy, part.npy, weight.npy), vtk (NAME.vtk); several with "
            "commas between")
       ->default_str("csv");
-  command->add_flag("--replace", options->replace,
-                    "remove the files of other parts from DIR, and overwrite arrays that no export wrote");
+  command.add_flag("--replace", options.replace,
+                   "remove the files of other parts from DIR, and overwrite arrays that no export wrote");
 }
 
 }  // namespace rcb::cli

@@ -185,21 +185,21 @@ Status history(const HistoryOptions& options, const Context& context) {
 }  // namespace
 
 void add_history_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<HistoryOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"history", "The report of every step",
-                                   "  rcbctl history jet --last 20\n  rcbctl history jet --csv jet.csv --plot jet.svg\n"
-                                   "  rcbctl history static --with dynamic --plot both.svg",
-                                   kAskGroup},
-                                  [options, &context] { return history(*options, context); });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "--last", options->range.last, kind::whole_number("K", 0), "only so many, the newest");
-  add_value(*command, "--first", options->range.first, kind::whole_number("K", 0),
+  auto [command, options] =
+      add_command(app, context,
+                  {"history", "The report of every step",
+                   "  rcbctl history jet --last 20\n  rcbctl history jet --csv jet.csv --plot jet.svg\n"
+                   "  rcbctl history static --with dynamic --plot both.svg",
+                   kAskGroup},
+                  history);
+  add_scene_name(command, options.name);
+  add_value(command, "--last", options.range.last, kind::whole_number("K", 0), "only so many, the newest");
+  add_value(command, "--first", options.range.first, kind::whole_number("K", 0),
             "only so many, the oldest (of those that --last leaves)");
-  add_value(*command, "--csv", options->csv, kind::output_file(kind::Format::csv), "write them to this file");
-  CLI::Option* plot = add_value(*command, "--plot", options->plot, kind::output_file(kind::Format::svg),
+  add_value(command, "--csv", options.csv, kind::output_file(kind::Format::csv), "write them to this file");
+  CLI::Option* plot = add_value(command, "--plot", options.plot, kind::output_file(kind::Format::svg),
                                 "draw error against step, repartitions as red dots (SVG, by gnuplot)");
-  add_value(*command, "--with", options->with, kind::text("NAME"), "another scene in the same figure; may be repeated")
+  add_value(command, "--with", options.with, kind::text("NAME"), "another scene in the same figure; may be repeated")
       ->allow_extra_args(false)
       ->needs(plot);
 }

@@ -135,12 +135,8 @@ Json result_of(const PartitionOptions& options, const Session& session, const Lo
               {"imbalance", shown.at("imbalance")},
               {"counts", shown.at("counts")}};
   if (shown.contains("loads") && shown["loads"].is_array()) result["loads"] = shown["loads"];
-  result["targets"] = shown.at("targets");
-  result["hash"] = shown.at("hash");
-  result["rounds"] = shown.at("rounds");
-  result["reductions"] = shown.at("reductions");
-  result["moved"] = report.at("moved");
-  result["migrated"] = report.at("migrated");
+  for (const char* field : {"targets", "hash", "rounds", "reductions"}) result[field] = shown.at(field);
+  for (const char* field : {"moved", "migrated"}) result[field] = report.at(field);
   result["seconds"] = {{"read", loaded.read_seconds},
                        {"partition", report.at("seconds").at("search")},
                        {"migrate", report.at("seconds").at("migrate")}};
@@ -179,30 +175,27 @@ Status partition(const PartitionOptions& options, const Context& context) {
 }  // namespace
 
 void add_partition_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<PartitionOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"partition", "Partitions a file of points, once",
-                                   "  rcbctl partition points.csv --parts 8 --out parts\n"
-                                   "  rcbctl partition points.npy --parts 6 --ranks 4 --assign part.npy --json\n"
-                                   "  rcbctl partition cloud.csv --parts 3 --part-sizes 1,2,3 --weights mass",
-                                   kFileGroup},
-                                  [options, &context] { return partition(*options, context); });
-  add_file_options(*command, options->file);
-  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
-  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z")
+  auto [command, options] = add_command(app, context,
+                                        {"partition", "Partitions a file of points, once",
+                                         "  rcbctl partition points.csv --parts 8 --out parts\n"
+                                         "  rcbctl partition points.npy --parts 6 --ranks 4 --assign part.npy --json\n"
+                                         "  rcbctl partition cloud.csv --parts 3 --part-sizes 1,2,3 --weights mass",
+                                         kFileGroup},
+                                        partition);
+  add_file_options(command, options.file);
+  add_value(command, "--parts", options.parts, kind::part_count(), "number of parts")->required();
+  add_value(command, "--method", options.method, kind::method(), "rcb, bands-x, bands-y or bands-z")
       ->capture_default_str();
-  add_value(*command, "--ranks", options->ranks, kind::rank_count(),
-            "start a temporary service with this many ranks (default: use the running service, or a temporary one if "
-            "there is none)");
-  add_list(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
-  add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
+  add_value(command, "--ranks", options.ranks, kind::rank_count(), kTemporaryRanksHelp);
+  add_list(command, "--part-sizes", options.part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
+  add_value(command, "--cut-tolerance", options.cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
-  add_value(*command, "--out", options->out, kind::text("DIR"), "a folder for one CSV per part");
-  command->add_flag("--replace", options->replace, "remove the files of other parts from DIR");
-  add_value(*command, "--assign", options->assign, kind::output_file(kind::Format::npy),
+  add_value(command, "--out", options.out, kind::text("DIR"), "a folder for one CSV per part");
+  command.add_flag("--replace", options.replace, "remove the files of other parts from DIR");
+  add_value(command, "--assign", options.assign, kind::output_file(kind::Format::npy),
             "the part of each point, int32, in input order");
-  add_value(*command, "--cuts", options->cuts, kind::output_file(kind::Format::json), "the cuts and regions");
-  command->add_flag("--all", options->all, kAllHelp);
+  add_value(command, "--cuts", options.cuts, kind::output_file(kind::Format::json), "the cuts and regions");
+  command.add_flag("--all", options.all, kAllHelp);
 }
 
 }  // namespace rcb::cli

@@ -29,13 +29,9 @@ struct ReplayOptions {
   std::vector<std::string> files;
   FileOptions file;  // dims and weights of each file
   std::optional<int> parts;
-  double tolerance = 0.1;
-  double axis_hysteresis = 1.2;
-  std::string policy = "tolerance";
-  std::string recut = "all";
+  client::SceneOptions scene;  // but for its parts and dims
   std::optional<double> step_seconds;
   std::string history;
-  bool replace = false;
 };
 
 // Positions that float32 represents exactly are sent as float32: half the bytes, the same values.
@@ -190,9 +186,7 @@ class Replay {
       for (const Json& report : tally_.reports) table += report_csv_line(report);
       if (Status written = io::write_file(options_.history, table); !written) return written;
     }
-    if (!status) return status;
-    print(clock_.seconds() - start);
-    return {};
+    return status ? show_end(clock_.seconds() - start) : status;
   }
 
  private:
@@ -227,15 +221,9 @@ class Replay {
   }
 
   Status open(client::Client& client, const io::Points& points) {
-    parts_ = options_.parts.value_or(client.ranks());
-    client::SceneOptions scene;
-    scene.parts = parts_;
+    client::SceneOptions scene = options_.scene;
+    scene.parts = parts_ = options_.parts.value_or(client.ranks());
     scene.dims = points.dims;
-    scene.tolerance = options_.tolerance;
-    scene.axis_hysteresis = options_.axis_hysteresis;
-    scene.policy = options_.policy;
-    scene.recut = options_.recut;
-    scene.replace = options_.replace;
     if (Status status = client.create_scene(options_.name, scene); !status) return status;
     auto opened = client.open_scene(options_.name);
     if (!opened) return opened.status();
@@ -243,29 +231,30 @@ class Replay {
     return {};
   }
 
-  void print(double seconds) const {
+  Status show_end(double seconds) const {
     const double mean = tally_.reports.empty() ? 0 : tally_.error_sum / static_cast<double>(tally_.reports.size());
-    if (context_.json) {
-      print_json({{"scene", options_.name},
-                  {"steps", tally_.reports.size()},
-                  {"parts", parts_},
-                  {"tolerance", tolerance_json(options_.tolerance)},
-                  {"policy", options_.policy},
-                  {"repartitions", tally_.repartitions},
-                  {"error_mean", mean},
-                  {"error_max", tally_.error_max},
-                  {"seconds", seconds},
-                  {"last", tally_.reports.empty() ? Json() : tally_.reports.back()}});
-      return;
-    }
-    Facts facts;
-    facts.add("scene", fmt::format("{}, {} parts, tolerance {}", options_.name, parts_, options_.tolerance));
-    facts.add("steps", std::to_string(tally_.reports.size()));
-    facts.add("repartitions", fmt::format("{} after the first partition", tally_.repartitions));
-    facts.add("error", fmt::format("mean {}, largest {} (as found when a step arrived)", number(mean),
-                                   number(tally_.error_max)));
-    facts.add("time", fmt::format("{:.3g} s", seconds));
-    facts.print();
+    const double tolerance = options_.scene.tolerance;
+    return show(context_,
+                {{"scene", options_.name},
+                 {"steps", tally_.reports.size()},
+                 {"parts", parts_},
+                 {"tolerance", tolerance_json(tolerance)},
+                 {"policy", options_.scene.policy},
+                 {"repartitions", tally_.repartitions},
+                 {"error_mean", mean},
+                 {"error_max", tally_.error_max},
+                 {"seconds", seconds},
+                 {"last", tally_.reports.empty() ? Json() : tally_.reports.back()}},
+                [&] {
+                  Facts facts;
+                  facts.add("scene", fmt::format("{}, {} parts, tolerance {}", options_.name, parts_, tolerance));
+                  facts.add("steps", std::to_string(tally_.reports.size()));
+                  facts.add("repartitions", fmt::format("{} after the first partition", tally_.repartitions));
+                  facts.add("error", fmt::format("mean {}, largest {} (as found when a step arrived)", number(mean),
+                                                 number(tally_.error_max)));
+                  facts.add("time", fmt::format("{:.3g} s", seconds));
+                  facts.print();
+                });
   }
 
   const ReplayOptions& options_;
@@ -277,58 +266,56 @@ class Replay {
   std::optional<client::Scene> scene_;
 };
 
+Status replay(const ReplayOptions& options, const Context& context) { return Replay(options, context).run(); }
+
 }  // namespace
 
 void add_push_commands(CLI::App& app, Context& context) {
-  auto push_options = std::make_shared<PushOptions>();
-  CLI::App* command =
+  auto [pushes, pushed] =
       add_command(app, context,
                   {"push", "One step from a file",
                    "  rcbctl push jet step0.csv\n  rcbctl push jet step7.npy --step 7\n"
                    "  rcbctl push jet moved.csv --subset\n  rcbctl push jet --insert inflow.csv --remove 17,42",
                    kSceneGroup},
-                  [push_options, &context] { return push(*push_options, context); });
-  add_value(*command, "NAME", push_options->name, kind::text("NAME"), "the scene")->required();
-  CLI::Option* file = add_file_options(*command, push_options->file);
+                  push);
+  add_scene_name(pushes, pushed.name);
+  CLI::Option* file = add_file_options(pushes, pushed.file);
   file->required(false);
-  CLI::Option* unmoved = command->add_flag("--unmoved", push_options->unmoved, "nothing moved; no FILE");
+  CLI::Option* unmoved = pushes.add_flag("--unmoved", pushed.unmoved, "nothing moved; no FILE");
   unmoved->excludes(file);
-  command->add_flag("--subset", push_options->subset, "FILE holds only the particles that moved: columns id,x,y,z")
-      ->needs(file);
-  add_value(*command, "--insert", push_options->inserted.path, kind::text("FILE"),
+  pushes.add_flag("--subset", pushed.subset, "FILE holds only the particles that moved: columns id,x,y,z")->needs(file);
+  add_value(pushes, "--insert", pushed.inserted.path, kind::text("FILE"),
             "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
-  add_list(*command, "--remove", push_options->removed, kind::whole_number("IDS", 0),
+  add_list(pushes, "--remove", pushed.removed, kind::whole_number("IDS", 0),
            "ids of particles to remove, with commas between");
-  add_value(*command, "--step", push_options->step, kind::whole_number("K", 0, wire::kStepMax),
+  add_value(pushes, "--step", pushed.step, kind::whole_number("K", 0, wire::kStepMax),
             "its number (default: the last + 1, 0 at first)");
-  add_value(*command, "--step-seconds", push_options->step_seconds, kind::number_from_zero("SECONDS"),
-            kStepSecondsHelp);
+  add_value(pushes, "--step-seconds", pushed.step_seconds, kind::number_from_zero("SECONDS"), kStepSecondsHelp);
 
-  auto replay_options = std::make_shared<ReplayOptions>();
-  command = add_command(app, context,
-                        {"replay", "Makes a scene and pushes a trajectory into it, steps numbered from 0",
-                         "  rcbctl replay jet run.npy --parts 8 --tolerance 0.1\n"
-                         "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv --replace",
-                         kSceneGroup},
-                        [replay_options, &context] { return Replay(*replay_options, context).run(); });
-  add_value(*command, "NAME", replay_options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "FILES", replay_options->files, kind::text("FILE..."),
+  auto [replays, replayed] =
+      add_command(app, context,
+                  {"replay", "Makes a scene and pushes a trajectory into it, steps numbered from 0",
+                   "  rcbctl replay jet run.npy --parts 8 --tolerance 0.1\n"
+                   "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv --replace",
+                   kSceneGroup},
+                  replay);
+  add_scene_name(replays, replayed.name);
+  add_value(replays, "FILES", replayed.files, kind::text("FILE..."),
             "one file per step, or a .npy of shape (steps, n, dims)")
       ->required()
       ->expected(-1);
-  command->add_flag("--replace", replay_options->replace, "drop a scene of that name first");
-  add_value(*command, "--parts", replay_options->parts, kind::part_count(), "number of parts (default: one per rank)");
-  add_value(*command, "--tolerance", replay_options->tolerance, kind::tolerance(), kToleranceHelp)
+  replays.add_flag("--replace", replayed.scene.replace, "drop a scene of that name first");
+  add_value(replays, "--parts", replayed.parts, kind::part_count(), "number of parts (default: one per rank)");
+  add_value(replays, "--tolerance", replayed.scene.tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
+  add_value(replays, "--axis-hysteresis", replayed.scene.axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
       ->capture_default_str();
-  add_value(*command, "--axis-hysteresis", replay_options->axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
-      ->capture_default_str();
-  add_value(*command, "--policy", replay_options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
-  add_value(*command, "--recut", replay_options->recut, kind::recut(), kRecutHelp)->capture_default_str();
-  add_value(*command, "--step-seconds", replay_options->step_seconds, kind::number_from_zero("SECONDS"),
+  add_value(replays, "--policy", replayed.scene.policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(replays, "--recut", replayed.scene.recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_value(replays, "--step-seconds", replayed.step_seconds, kind::number_from_zero("SECONDS"),
             std::string(kStepSecondsHelp) + "; the same at each step");
-  add_value(*command, "--dims", replay_options->file.dims, kind::dimensions(), kDimsHelp);
-  add_value(*command, "--weights", replay_options->file.weights, kind::text("COLUMN"), kWeightsHelp);
-  add_value(*command, "--history", replay_options->history, kind::output_file(kind::Format::csv),
+  add_value(replays, "--dims", replayed.file.dims, kind::dimensions(), kDimsHelp);
+  add_value(replays, "--weights", replayed.file.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_value(replays, "--history", replayed.history, kind::output_file(kind::Format::csv),
             "also write the step reports to this file");
 }
 

@@ -125,7 +125,7 @@ CLI::App* add_read(CLI::App& app, Context& context, const CommandText& text, std
     print_json(*reply);
     return {};
   });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
+  add_scene_name(*command, options->name);
   return command;
 }
 

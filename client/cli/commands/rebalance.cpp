@@ -38,31 +38,27 @@ void print(const Json& reply, bool dry_run) {
 }
 
 Status rebalance(const RebalanceOptions& options, const Context& context) {
-  auto client = connect(context);
-  if (!client) return client.status();
   Json arguments{{"scene", options.name}, {"dry_run", options.dry_run}, {"force", options.force}};
   if (options.method) arguments["method"] = *options.method;
   if (options.parts) arguments["parts"] = *options.parts;
   if (options.tolerance) arguments["tolerance"] = tolerance_json(*options.tolerance);
-  auto reply = ask(*client, "rebalance", arguments);
-  if (!reply) return reply.status();
-  return show(context, *reply, [&] { print(*reply, options.dry_run); });
+  return ask_and_show(context, "rebalance", arguments, [&](const Json& reply) { print(reply, options.dry_run); });
 }
 
 }  // namespace
 
 void add_rebalance_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<RebalanceOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"rebalance", "Repartitions now; what is changed here holds from then on",
-                                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12", kSceneGroup},
-                                  [options, &context] { return rebalance(*options, context); });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z");
-  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts");
-  add_value(*command, "--tolerance", options->tolerance, kind::tolerance(), kToleranceHelp);
-  command->add_flag("--force", options->force, "change the number of parts even under those who have the scene open");
-  command->add_flag("--dry-run", options->dry_run, "tell error, points to move and quality; change nothing");
+  auto [command, options] =
+      add_command(app, context,
+                  {"rebalance", "Repartitions now; what is changed here holds from then on",
+                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12", kSceneGroup},
+                  rebalance);
+  add_scene_name(command, options.name);
+  add_value(command, "--method", options.method, kind::method(), "rcb, bands-x, bands-y or bands-z");
+  add_value(command, "--parts", options.parts, kind::part_count(), "number of parts");
+  add_value(command, "--tolerance", options.tolerance, kind::tolerance(), kToleranceHelp);
+  command.add_flag("--force", options.force, "change the number of parts even under those who have the scene open");
+  command.add_flag("--dry-run", options.dry_run, "tell error, points to move and quality; change nothing");
 }
 
 }  // namespace rcb::cli

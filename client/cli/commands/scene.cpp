@@ -9,16 +9,7 @@ namespace {
 
 struct CreateOptions {
   std::string name;
-  int parts = 0;
-  int dims = 3;
-  std::string method = "rcb";
-  double tolerance = 0.1;
-  double axis_hysteresis = 1.2;
-  double cut_tolerance = 0;
-  std::string policy = "tolerance";
-  std::string recut = "all";
-  std::vector<double> part_sizes;
-  bool replace = false;
+  client::SceneOptions scene;
 };
 
 void print_scene(const Json& scene) {
@@ -49,45 +40,21 @@ void print_scene(const Json& scene) {
 }
 
 Status create(const CreateOptions& options, const Context& context) {
-  auto client = connect(context);
-  if (!client) return client.status();
+  const client::SceneOptions& scene = options.scene;
   Json arguments{{"scene", options.name},
-                 {"parts", options.parts},
-                 {"dims", options.dims},
-                 {"method", options.method},
-                 {"tolerance", tolerance_json(options.tolerance)},
-                 {"axis_hysteresis", options.axis_hysteresis},
-                 {"cut_tolerance", options.cut_tolerance},
-                 {"policy", options.policy},
-                 {"recut", options.recut},
-                 {"replace", options.replace}};
-  if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
-  auto reply = ask(*client, "scene.create", arguments);
-  if (!reply) return reply.status();
-  return show(context, *reply, [&] {
-    print_line(fmt::format("created {}: {} parts, {} dims", options.name, options.parts, options.dims));
+                 {"parts", scene.parts},
+                 {"dims", scene.dims},
+                 {"method", scene.method},
+                 {"tolerance", tolerance_json(scene.tolerance)},
+                 {"axis_hysteresis", scene.axis_hysteresis},
+                 {"cut_tolerance", scene.cut_tolerance},
+                 {"policy", scene.policy},
+                 {"recut", scene.recut},
+                 {"replace", scene.replace}};
+  if (!scene.part_sizes.empty()) arguments["part_sizes"] = scene.part_sizes;
+  return ask_and_show(context, "scene.create", arguments, [&](const Json&) {
+    print_line(fmt::format("created {}: {} parts, {} dims", options.name, scene.parts, scene.dims));
   });
-}
-
-Status list(const Context& context) {
-  auto client = connect(context);
-  if (!client) return client.status();
-  auto reply = ask(*client, "scene.list", Json::object());
-  if (!reply) return reply.status();
-  if (context.json) {
-    print_json(*reply);
-    return {};
-  }
-  print_scenes(reply->at("scenes"));
-  return {};
-}
-
-Status show(const std::string& name, const Context& context) {
-  auto client = connect(context);
-  if (!client) return client.status();
-  auto reply = ask(*client, "scene.show", {{"scene", name}});
-  if (!reply) return reply.status();
-  return show(context, *reply, [&] { print_scene(*reply); });
 }
 
 Status drop(const std::string& name, const Context& context) {
@@ -106,37 +73,40 @@ void add_scene_commands(CLI::App& app, Context& context) {
   scene->require_subcommand(1);
   scene->footer("Examples:\n  rcbctl scene create jet --parts 8\n  rcbctl scene list\n");
 
-  auto options = std::make_shared<CreateOptions>();
-  CLI::App* command = add_command(*scene, context,
-                                  {"create", "Makes a scene",
-                                   "  rcbctl scene create jet --parts 8\n"
-                                   "  rcbctl scene create jet --parts 3 --part-sizes 1,2,3 --tolerance inf --replace"},
-                                  [options, &context] { return create(*options, context); });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "1 to 64 of letters, digits, . _ -")->required();
-  add_value(*command, "--parts", options->parts, kind::part_count(), "number of parts")->required();
-  add_value(*command, "--dims", options->dims, kind::dimensions(), "1, 2 or 3 dimensions")->capture_default_str();
-  add_value(*command, "--method", options->method, kind::method(), "rcb, bands-x, bands-y or bands-z")
+  auto [creation, options] =
+      add_command(*scene, context,
+                  {"create", "Makes a scene",
+                   "  rcbctl scene create jet --parts 8\n"
+                   "  rcbctl scene create jet --parts 3 --part-sizes 1,2,3 --tolerance inf --replace"},
+                  create);
+  client::SceneOptions& made = options.scene;
+  add_value(creation, "NAME", options.name, kind::text("NAME"), "1 to 64 of letters, digits, . _ -")->required();
+  add_value(creation, "--parts", made.parts, kind::part_count(), "number of parts")->required();
+  add_value(creation, "--dims", made.dims, kind::dimensions(), "1, 2 or 3 dimensions")->capture_default_str();
+  add_value(creation, "--method", made.method, kind::method(), "rcb, bands-x, bands-y or bands-z")
       ->capture_default_str();
-  add_value(*command, "--tolerance", options->tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
-  add_value(*command, "--axis-hysteresis", options->axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
+  add_value(creation, "--tolerance", made.tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
+  add_value(creation, "--axis-hysteresis", made.axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
       ->capture_default_str();
-  add_value(*command, "--cut-tolerance", options->cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
+  add_value(creation, "--cut-tolerance", made.cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
-  add_value(*command, "--policy", options->policy, kind::policy(), kPolicyHelp)->capture_default_str();
-  add_value(*command, "--recut", options->recut, kind::recut(), kRecutHelp)->capture_default_str();
-  add_list(*command, "--part-sizes", options->part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
-  command->add_flag("--replace", options->replace, "drop a scene of that name first");
+  add_value(creation, "--policy", made.policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(creation, "--recut", made.recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_list(creation, "--part-sizes", made.part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
+  creation.add_flag("--replace", made.replace, "drop a scene of that name first");
 
-  add_command(*scene, context, {"list", "All scenes", "  rcbctl scene list --json"},
-              [&context] { return list(context); });
+  add_command(*scene, context, {"list", "All scenes", "  rcbctl scene list --json"}, [&context] {
+    return ask_and_show(context, "scene.list", Json::object(),
+                        [](const Json& reply) { print_scenes(reply.at("scenes")); });
+  });
 
   auto name = std::make_shared<std::string>();
-  command = add_command(*scene, context, {"show", "One scene", "  rcbctl scene show jet"},
-                        [name, &context] { return show(*name, context); });
-  add_value(*command, "NAME", *name, kind::text("NAME"), "the scene")->required();
-  command = add_command(*scene, context, {"drop", "Forgets a scene", "  rcbctl scene drop jet"},
-                        [name, &context] { return drop(*name, context); });
-  add_value(*command, "NAME", *name, kind::text("NAME"), "the scene")->required();
+  CLI::App* command = add_command(*scene, context, {"show", "One scene", "  rcbctl scene show jet"}, [name, &context] {
+    return ask_and_show(context, "scene.show", {{"scene", *name}}, print_scene);
+  });
+  add_scene_name(*command, *name);
+  auto [drops, dropped] = add_command(*scene, context, {"drop", "Forgets a scene", "  rcbctl scene drop jet"}, drop);
+  add_scene_name(drops, dropped);
 }
 
 }  // namespace rcb::cli

@@ -91,8 +91,9 @@ Status up(const UpOptions& options, const Context& context) {
     service.data_dir = std::filesystem::absolute(options.data_dir).lexically_normal().string();
     if (Status status = make_own_directory(service.data_dir); !status) return status;
   }
+  const std::string log = launch::log_path(service.data_dir);
   if (options.foreground) {
-    note(fmt::format("{} ranks on {}; log: {}", service.ranks, service.endpoint, launch::log_path(service.data_dir)));
+    note(fmt::format("{} ranks on {}; log: {}", service.ranks, service.endpoint, log));
     return launch::supervise(service);
   }
   {
@@ -100,18 +101,15 @@ Status up(const UpOptions& options, const Context& context) {
     Status status = launch::start_detached(service, [&progress](double seconds) { progress.seconds(seconds); });
     if (!status) return status;
   }
-  const std::string log = launch::log_path(service.data_dir);
-  if (context.json) {
-    print_json(
-        {{"endpoint", service.endpoint}, {"ranks", service.ranks}, {"data_dir", service.data_dir}, {"log", log}});
-    return {};
-  }
-  Facts facts;
-  facts.add("endpoint", service.endpoint);
-  facts.add("ranks", std::to_string(service.ranks));
-  facts.add("log", log);
-  facts.print();
-  return {};
+  return show(context,
+              {{"endpoint", service.endpoint}, {"ranks", service.ranks}, {"data_dir", service.data_dir}, {"log", log}},
+              [&] {
+                Facts facts;
+                facts.add("endpoint", service.endpoint);
+                facts.add("ranks", std::to_string(service.ranks));
+                facts.add("log", log);
+                facts.print();
+              });
 }
 
 Status down(double deadline, const Context& context) {
@@ -166,21 +164,20 @@ void add_up_options(CLI::App& command, UpOptions& options) {
 }  // namespace
 
 void add_service_commands(CLI::App& app, Context& context) {
-  auto up_options = std::make_shared<UpOptions>();
-  CLI::App* command = add_command(
+  auto [starts, options] = add_command(
       app, context,
       {"up", "Starts a service on the endpoint and waits until it answers",
        "  rcbctl up -n 8\n  rcbctl up --endpoint unix:$HOME/run/rcbd.sock --data-dir $HOME/run/rcbd\n"
        "  rcbctl up --hosts a:4,b:4 --endpoint a:7470 --trusted-interconnect --data-dir ~/rcbd --publish ~/rcbd.where",
        kServiceGroup},
-      [up_options, &context] { return up(*up_options, context); });
-  add_up_options(*command, *up_options);
+      up);
+  add_up_options(starts, options);
 
   auto deadline = std::make_shared<double>(30);
-  command = add_command(app, context,
-                        {"down", "Stops the service cleanly and waits until it is gone",
-                         "  rcbctl down\n  rcbctl down --endpoint unix:$HOME/run/rcbd.sock", kServiceGroup},
-                        [deadline, &context] { return down(*deadline, context); });
+  CLI::App* command = add_command(app, context,
+                                  {"down", "Stops the service cleanly and waits until it is gone",
+                                   "  rcbctl down\n  rcbctl down --endpoint unix:$HOME/run/rcbd.sock", kServiceGroup},
+                                  [deadline, &context] { return down(*deadline, context); });
   add_value(*command, "--deadline", *deadline, kind::positive_number("SECONDS"),
             "how long to wait before it is ended by force")
       ->capture_default_str();

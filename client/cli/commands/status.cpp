@@ -122,21 +122,14 @@ void add_status_command(CLI::App& app, Context& context) {
   add_command(app, context,
               {"status", "What runs: ranks, memory, log; the scenes, their error and who holds them",
                "  rcbctl status\n  rcbctl status --json", kServiceGroup},
-              [&context]() -> Status {
-                auto client = connect(context);
-                if (!client) return client.status();
-                auto reply = ask(*client, "status", Json::object());
-                if (!reply) return reply.status();
-                if (context.json) {
-                  print_json(*reply);
-                  return {};
-                }
-                print_silent(*reply);
-                print_unfinished(*reply);
-                print_facts(*reply);
-                print_line("");
-                print_scenes(reply->value("scenes", Json::array()));
-                return {};
+              [&context] {
+                return ask_and_show(context, "status", Json::object(), [](const Json& reply) {
+                  print_silent(reply);
+                  print_unfinished(reply);
+                  print_facts(reply);
+                  print_line("");
+                  print_scenes(reply.value("scenes", Json::array()));
+                });
               });
 }
 

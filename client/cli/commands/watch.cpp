@@ -99,22 +99,23 @@ class Watcher {
   std::uint64_t shown_ = 0;
 };
 
+Status watch(const WatchOptions& options, const Context& context) {
+  struct sigaction action {};
+  action.sa_handler = [](int) { g_interrupted = 1; };
+  handle_unless_ignored(SIGINT, action);
+  return Watcher(options, context).run();
+}
+
 }  // namespace
 
 void add_watch_command(CLI::App& app, Context& context) {
-  auto options = std::make_shared<WatchOptions>();
-  CLI::App* command = add_command(app, context,
-                                  {"watch", "A line a step, as the steps come, until interrupted",
-                                   "  rcbctl watch jet\n  rcbctl watch jet --steps 10 --json", kAskGroup},
-                                  [options, &context] {
-                                    struct sigaction action {};
-                                    action.sa_handler = [](int) { g_interrupted = 1; };
-                                    handle_unless_ignored(SIGINT, action);
-                                    return Watcher(*options, context).run();
-                                  });
-  add_value(*command, "NAME", options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "--steps", options->steps, kind::whole_number("K", 1), "end after so many steps");
-  add_value(*command, "--for", options->seconds, kind::positive_number("SECONDS"), "end after so many seconds");
+  auto [command, options] = add_command(app, context,
+                                        {"watch", "A line a step, as the steps come, until interrupted",
+                                         "  rcbctl watch jet\n  rcbctl watch jet --steps 10 --json", kAskGroup},
+                                        watch);
+  add_scene_name(command, options.name);
+  add_value(command, "--steps", options.steps, kind::whole_number("K", 1), "end after so many steps");
+  add_value(command, "--for", options.seconds, kind::positive_number("SECONDS"), "end after so many seconds");
 }
 
 }  // namespace rcb::cli

@@ -26,19 +26,13 @@ struct AssignOptions {
 };
 
 Status owner(const OwnerOptions& options, const Context& context) {
-  auto client = connect(context);
-  if (!client) return client.status();
   Json arguments{{"scene", options.name}, {"position", options.position}};
   if (options.id) arguments["id"] = *options.id;
-  auto reply = ask(*client, "owner", arguments);
-  if (!reply) return reply.status();
-  if (context.json)
-    print_json(*reply);
-  else if (reply->at("owner").is_null())
-    print_line(fmt::format("parts {} (a particle's id decides: --id)", text_of(*reply, "candidates")));
-  else
-    print_line("part " + text_of(*reply, "owner"));
-  return {};
+  return ask_and_show(context, "owner", arguments, [](const Json& reply) {
+    print_line(reply.at("owner").is_null()
+                   ? fmt::format("parts {} (a particle's id decides: --id)", text_of(reply, "candidates"))
+                   : "part " + text_of(reply, "owner"));
+  });
 }
 
 Status box(const BoxOptions& options, const Context& context) {
@@ -46,15 +40,12 @@ Status box(const BoxOptions& options, const Context& context) {
   if (options.corners.size() % 2 != 0)
     return {Code::usage, fmt::format("a box has two corners, but {} numbers were given", options.corners.size()),
             "rcbctl box NAME LO... HI..., such as: rcbctl box jet 0 0 1 1"};
-  auto client = connect(context);
-  if (!client) return client.status();
   const auto middle = options.corners.begin() + static_cast<std::ptrdiff_t>(dims);
-  auto reply = ask(*client, "box",
-                   {{"scene", options.name},
-                    {"lo", std::vector<double>(options.corners.begin(), middle)},
-                    {"hi", std::vector<double>(middle, options.corners.end())}});
-  if (!reply) return reply.status();
-  return show(context, *reply, [&] { print_line("parts " + text_of(*reply, "parts")); });
+  return ask_and_show(context, "box",
+                      {{"scene", options.name},
+                       {"lo", std::vector<double>(options.corners.begin(), middle)},
+                       {"hi", std::vector<double>(middle, options.corners.end())}},
+                      [](const Json& reply) { print_line("parts " + text_of(reply, "parts")); });
 }
 
 Status assign(const AssignOptions& options, const Context& context) {
@@ -74,34 +65,30 @@ Status assign(const AssignOptions& options, const Context& context) {
 }  // namespace
 
 void add_where_commands(CLI::App& app, Context& context) {
-  auto owner_options = std::make_shared<OwnerOptions>();
-  CLI::App* command =
+  auto [owns, position] =
       add_command(app, context,
                   {"owner", "Which part owns a position",
                    "  rcbctl owner jet 0.5 -.25 1e-3\n  rcbctl owner jet 0.5 0.5 0.5 --id 12", kAskGroup},
-                  [owner_options, &context] { return owner(*owner_options, context); });
-  add_value(*command, "NAME", owner_options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "X", owner_options->position, kind::number("X [Y [Z]]"), "as many coordinates as the scene has")
+                  owner);
+  add_scene_name(owns, position.name);
+  add_value(owns, "X", position.position, kind::number("X [Y [Z]]"), "as many coordinates as the scene has")
       ->required()
       ->expected(1, 3);
-  add_value(*command, "--id", owner_options->id, kind::whole_number("I", 0),
-            "of the particle: decides where positions tie");
+  add_value(owns, "--id", position.id, kind::whole_number("I", 0), "of the particle: decides where positions tie");
 
-  auto box_options = std::make_shared<BoxOptions>();
-  command = add_command(app, context, {"box", "Which parts touch a box", "  rcbctl box jet -1 -1 -1 1 1 1", kAskGroup},
-                        [box_options, &context] { return box(*box_options, context); });
-  add_value(*command, "NAME", box_options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "CORNERS", box_options->corners, kind::number("LO... HI..."), "the low corner, then the high one")
+  auto [touches, corners] =
+      add_command(app, context, {"box", "Which parts touch a box", "  rcbctl box jet -1 -1 -1 1 1 1", kAskGroup}, box);
+  add_scene_name(touches, corners.name);
+  add_value(touches, "CORNERS", corners.corners, kind::number("LO... HI..."), "the low corner, then the high one")
       ->required()
       ->expected(2, 6);
 
-  auto assign_options = std::make_shared<AssignOptions>();
-  command = add_command(app, context,
-                        {"assign", "Writes the part of each particle, in id order (int32)",
-                         "  rcbctl assign jet --out parts.npy", kSceneGroup},
-                        [assign_options, &context] { return assign(*assign_options, context); });
-  add_value(*command, "NAME", assign_options->name, kind::text("NAME"), "the scene")->required();
-  add_value(*command, "--out", assign_options->out, kind::output_file(kind::Format::npy), "the array")->required();
+  auto [assigns, array] = add_command(app, context,
+                                      {"assign", "Writes the part of each particle, in id order (int32)",
+                                       "  rcbctl assign jet --out parts.npy", kSceneGroup},
+                                      assign);
+  add_scene_name(assigns, array.name);
+  add_value(assigns, "--out", array.out, kind::output_file(kind::Format::npy), "the array")->required();
 }
 
 }  // namespace rcb::cli

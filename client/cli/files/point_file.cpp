@@ -148,7 +148,7 @@ Result<TemporaryScene> TemporaryScene::create(Session& session, Json arguments) 
       run_janitor(endpoint, scene.name_, lifeline[0]);
     }
     close(lifeline[0]);
-    scene.lifeline_fd_ = lifeline[1];
+    scene.lifeline_ = Descriptor(lifeline[1]);
     scene.janitor_ = child;
     if (child < 0) return Status(Code::io_error, "no process can be started");
   }
@@ -158,20 +158,14 @@ Result<TemporaryScene> TemporaryScene::create(Session& session, Json arguments) 
   return scene;
 }
 
-TemporaryScene::TemporaryScene(TemporaryScene&& other) noexcept
-    : client_(std::exchange(other.client_, nullptr)),
-      name_(std::move(other.name_)),
-      lifeline_fd_(std::exchange(other.lifeline_fd_, -1)),
-      janitor_(std::exchange(other.janitor_, -1)) {}
-
 TemporaryScene::~TemporaryScene() {
   // An embedded service ends with all its scenes.
-  if (lifeline_fd_ < 0) return;
+  if (!lifeline_.open()) return;
   const char done = 'd';
   const bool dropped = client_ == nullptr || client_->drop_scene(name_).ok();
   // Otherwise the janitor tries on a connection of its own.
-  if (dropped && write(lifeline_fd_, &done, 1) != 1) note("the process that watches the temporary scene has gone");
-  close(lifeline_fd_);
+  if (dropped && write(lifeline_.get(), &done, 1) != 1) note("the process that watches the temporary scene has gone");
+  lifeline_.close();
   if (janitor_ > 0) waitpid(janitor_, nullptr, 0);
 }
 

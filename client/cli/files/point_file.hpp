@@ -13,6 +13,7 @@
 #include <CLI/CLI.hpp>
 
 #include "client/cli/app.hpp"
+#include "common/files/descriptor.hpp"
 #include "common/io/points.hpp"
 
 namespace rcb::cli {
@@ -48,7 +49,7 @@ class TemporaryScene {
  public:
   // arguments: those of scene.create except the name. The session must outlive this object.
   static Result<TemporaryScene> create(Session& session, Json arguments);
-  TemporaryScene(TemporaryScene&& other) noexcept;
+  TemporaryScene(TemporaryScene&&) = default;
   TemporaryScene& operator=(TemporaryScene&&) = delete;
   ~TemporaryScene();
   const std::string& name() const { return name_; }
@@ -58,7 +59,7 @@ class TemporaryScene {
 
   client::Client* client_ = nullptr;
   std::string name_;
-  int lifeline_fd_ = -1;  // to the janitor, the process that drops the scene if this one dies; -1: none
+  Descriptor lifeline_;  // to the janitor, the process that drops the scene if this one dies; none: embedded, or moved
   int janitor_ = -1;
 };
 

@@ -15,6 +15,8 @@
 #include <unistd.h>
 
 #include "common/base/child.hpp"
+#include "common/files/descriptor.hpp"
+#include "common/files/read_write.hpp"
 #include "common/io/files/output_file.hpp"
 
 extern char** environ;
@@ -25,44 +27,19 @@ namespace {
 constexpr double kPlotSeconds = 60;
 constexpr std::array kColours{"#1f5f99", "#e08214", "#3a8f5c", "#7b5ea7", "#666666"};
 
-// A nameless file in memory, for gnuplot's standard streams.
-class MemoryFile {
- public:
-  explicit MemoryFile(const char* name) : fd_(memfd_create(name, MFD_CLOEXEC)) {}
-  ~MemoryFile() {
-    if (fd_ >= 0) close(fd_);
-  }
-  MemoryFile(const MemoryFile&) = delete;
-  MemoryFile& operator=(const MemoryFile&) = delete;
-  int fd() const { return fd_; }
+// A nameless file in memory, for one of gnuplot's standard streams.
+Descriptor memory_file(const char* name) { return Descriptor(memfd_create(name, MFD_CLOEXEC)); }
 
-  bool fill(const std::string& text) const {
-    std::size_t done = 0;
-    while (done < text.size()) {
-      const ssize_t wrote = write(fd_, text.data() + done, text.size() - done);
-      if (wrote <= 0) return false;
-      done += static_cast<std::size_t>(wrote);
-    }
-    return lseek(fd_, 0, SEEK_SET) == 0;
-  }
+std::string content(const Descriptor& file) {
+  const off_t size = lseek(file.get(), 0, SEEK_END);
+  return read_some(file.get(), static_cast<std::size_t>(std::max<off_t>(size, 0)));
+}
 
-  std::string content() const {
-    std::string text;
-    char bytes[65536];
-    for (ssize_t got = 0; (got = pread(fd_, bytes, sizeof bytes, static_cast<off_t>(text.size()))) > 0;)
-      text.append(bytes, static_cast<std::size_t>(got));
-    return text;
-  }
-
-  std::string first_line() const {
-    std::string text = content();
-    text.erase(0, std::min(text.find_first_not_of(" \n\t"), text.size()));
-    return text.substr(0, text.find('\n'));
-  }
-
- private:
-  int fd_;
-};
+// Of the lines that aren't empty.
+std::string first_line(std::string text) {
+  text.erase(0, std::min(text.find_first_not_of(" \n\t"), text.size()));
+  return text.substr(0, text.find('\n'));
+}
 
 // A curve in words.
 std::string title_of(const Curve& curve) {
@@ -129,16 +106,17 @@ std::string script(const std::vector<Curve>& curves) {
 
 // Runs gnuplot and returns the figure.
 Result<std::string> run_gnuplot(const std::string& commands) {
-  const MemoryFile input("gnuplot-input");
-  const MemoryFile output("gnuplot-output");
-  const MemoryFile errors("gnuplot-errors");
-  if (input.fd() < 0 || output.fd() < 0 || errors.fd() < 0 || !input.fill(commands))
+  const Descriptor input = memory_file("gnuplot-input");
+  const Descriptor output = memory_file("gnuplot-output");
+  const Descriptor errors = memory_file("gnuplot-errors");
+  if (!input.open() || !output.open() || !errors.open() || !write_all(input.get(), commands) ||
+      lseek(input.get(), 0, SEEK_SET) != 0)
     return Status(Code::io_error, fmt::format("no memory file for gnuplot: {}", std::strerror(errno)));
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
-  posix_spawn_file_actions_adddup2(&actions, input.fd(), STDIN_FILENO);
-  posix_spawn_file_actions_adddup2(&actions, output.fd(), STDOUT_FILENO);
-  posix_spawn_file_actions_adddup2(&actions, errors.fd(), STDERR_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, input.get(), STDIN_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, output.get(), STDOUT_FILENO);
+  posix_spawn_file_actions_adddup2(&actions, errors.get(), STDERR_FILENO);
   std::string program = "gnuplot";
   std::array<char*, 2> argv{program.data(), nullptr};
   pid_t pid = -1;
@@ -149,8 +127,8 @@ Result<std::string> run_gnuplot(const std::string& commands) {
                   "install it (Debian: apt install gnuplot-nox), or plot the table of --csv yourself");
   const auto status = wait_or_kill(pid, kPlotSeconds);
   if (!status) return Status(Code::deadline_exceeded, fmt::format("gnuplot took more than {} s", kPlotSeconds));
-  if (*status != 0) return Status(Code::internal, "gnuplot failed: " + errors.first_line());
-  return output.content();
+  if (*status != 0) return Status(Code::internal, "gnuplot failed: " + first_line(content(errors)));
+  return content(output);
 }
 
 }  // namespace

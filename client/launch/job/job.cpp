@@ -106,11 +106,7 @@ Status Job::start(bool restarted) {
   auto folder = JobFolder::make(fallback_, spec_.ranks);
   if (!folder.ok()) return folder.status();
   folder_.emplace(std::move(*folder));
-  EndpointNote owner;
-  owner.process = ProcessId::self();
-  owner.endpoint = spec_.endpoint;
-  owner.data_dir = spec_.data_dir;
-  folder_->sign(owner);
+  folder_->sign({.process = ProcessId::self(), .endpoint = spec_.endpoint, .data_dir = spec_.data_dir});
   spec_.folder = folder_->path();
   spec_.memory_in_folder = folder_->holds_memory();
   auto arguments = mpirun_arguments(spec_);

@@ -6,14 +6,17 @@
 #include <new>
 #include <utility>
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/ipc.h>
 #include <sys/shm.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
 
+#include "common/files/descriptor.hpp"
 #include "common/files/own_files.hpp"
 #include "common/files/paths.hpp"
+#include "common/files/read_write.hpp"
 #include "common/files/socket_file.hpp"
 
 namespace rcb::launch {
@@ -68,12 +71,8 @@ void remove_rest(const std::string& text, std::vector<std::string>& removed) {
 }
 
 std::string note_in(const std::string& path) {
-  std::string note(LockFile::kNoteBytes, '\0');
-  FILE* file = std::fopen(path.c_str(), "re");
-  if (file == nullptr) return {};
-  note.resize(std::fread(note.data(), 1, note.size(), file));
-  std::fclose(file);
-  return note;
+  const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  return file.open() ? read_some(file.get(), LockFile::kNoteBytes) : std::string();
 }
 
 }  // namespace

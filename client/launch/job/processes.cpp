@@ -2,7 +2,6 @@
 
 #include <cstdlib>
 #include <fstream>
-#include <utility>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -37,23 +36,17 @@ ProcessId rank0_of(client::Client& client, double deadline_seconds) {
 
 Process::Process(const ProcessId& id) : id_(id), handle_(static_cast<int>(syscall(SYS_pidfd_open, id.pid, 0))) {
   // The number may have been reused before the handle was opened.
-  if (handle_ >= 0 && !id_.exists()) close(std::exchange(handle_, -1));
-}
-
-Process::Process(Process&& other) noexcept : id_(other.id_), handle_(std::exchange(other.handle_, -1)) {}
-
-Process::~Process() {
-  if (handle_ >= 0) close(handle_);
+  if (handle_.open() && !id_.exists()) handle_.close();
 }
 
 bool Process::ended(double seconds) const {
-  if (handle_ < 0) return !id_.exists();
-  pollfd fd{handle_, POLLIN, 0};
+  if (!handle_.open()) return !id_.exists();
+  pollfd fd{handle_.get(), POLLIN, 0};
   return poll(&fd, 1, static_cast<int>(seconds * 1000)) > 0;
 }
 
 void Process::signal(int number) const {
-  if (handle_ >= 0) syscall(SYS_pidfd_send_signal, handle_, number, nullptr, 0);
+  if (handle_.open()) syscall(SYS_pidfd_send_signal, handle_.get(), number, nullptr, 0);
 }
 
 }  // namespace rcb::launch

@@ -7,6 +7,7 @@
 #include <sys/types.h>
 
 #include "client/lib/client.hpp"
+#include "common/files/descriptor.hpp"
 #include "common/files/process_id.hpp"
 
 namespace rcb::launch {
@@ -25,9 +26,6 @@ ProcessId rank0_of(client::Client& client, double deadline_seconds);
 class Process {
  public:
   explicit Process(const ProcessId& id);
-  Process(Process&& other) noexcept;
-  Process& operator=(Process&&) = delete;
-  ~Process();
 
   pid_t pid() const { return id_.pid; }
   // Whether the process has ended; waits at most `seconds` for that.
@@ -36,7 +34,7 @@ class Process {
 
  private:
   ProcessId id_;
-  int handle_ = -1;
+  Descriptor handle_;
 };
 
 }  // namespace rcb::launch

@@ -173,13 +173,6 @@ int default_ranks() {
   return std::clamp(cores, 1, kDefaultRanksMax);
 }
 
-Result<std::string> find_in_path(const std::string& program) {
-  const std::string found = search(path_variable(), program);
-  if (found.empty())
-    return Status(Code::not_found, program + " is not in PATH", "install Open MPI (Debian: apt install openmpi-bin)");
-  return found;
-}
-
 Result<std::string> find_rcbd() {
   const char* named = std::getenv("RCBD_BIN_DIR");
   if (named != nullptr && *named != '\0') {
@@ -199,9 +192,10 @@ Result<std::string> find_rcbd() {
 }
 
 Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
-  auto mpirun = find_in_path("mpirun");
-  if (!mpirun) return mpirun.status();
-  std::vector<std::string> arguments{*mpirun, "--bind-to", "none", "--oversubscribe"};
+  const std::string mpirun = search(path_variable(), "mpirun");
+  if (mpirun.empty())
+    return Status(Code::not_found, "mpirun is not in PATH", "install Open MPI (Debian: apt install openmpi-bin)");
+  std::vector<std::string> arguments{mpirun, "--bind-to", "none", "--oversubscribe"};
   if (geteuid() == 0) arguments.emplace_back("--allow-run-as-root");
   if (spec.hosts.several())
     add_hosts(spec.hosts, arguments);
@@ -209,8 +203,8 @@ Result<std::vector<std::string>> mpirun_arguments(const JobSpec& spec) {
     // A scheduler's job may have other machines, where mpirun would put ranks too.
     arguments.insert(arguments.end(), {"--mca", "btl", "vader,self", "--mca", "ras", "^slurm,gridengine,tm", "--mca",
                                        "plm", "^slurm,tm"});
-  // Shared memory of System V ends with the last process that has it, however that ends; files would stay where ranks are
-  // killed.
+  // Shared memory of System V ends with the last process that has it, however that ends; files would stay where ranks
+  // are killed.
   if (!spec.memory_in_folder)
     arguments.insert(arguments.end(), {"--mca", "shmem_sysv_priority", "100"});
   else if (!spec.hosts.several())

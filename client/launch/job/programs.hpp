@@ -14,8 +14,6 @@ int default_ranks();
 // rcbd in RCBD_BIN_DIR if that is set; else beside this program, then in PATH. Errors: not_found, with the places
 // searched.
 Result<std::string> find_rcbd();
-// Errors: not_found.
-Result<std::string> find_in_path(const std::string& program);
 
 // The machines of a job, as mpirun takes them. All empty: this one.
 struct Hosts {

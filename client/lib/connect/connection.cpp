@@ -92,12 +92,15 @@ struct Connection::State {
   bool reads = false;  // read_frames() has been started
   bool said_goodbye = false;
 
-  void lose(Code code, const std::string& why) {
+  // Returns false.
+  bool lose(Code code, const std::string& why) {
     if (standing.ok()) standing = Status(code, fmt::format("the connection to {} was lost: {}", endpoint.text(), why));
     error_code ignored;
     if (tls) tls->end();
     socket.close(ignored);
+    return false;
   }
+  bool lose(const Status& why) { return lose(why.code(), why.message()); }
 
   // Runs handlers until `done`, the deadline, or until no handler is left. False: not done.
   template <typename Done>
@@ -110,6 +113,17 @@ struct Connection::State {
       if (late) return done();
     }
     return true;
+  }
+
+  // Runs handlers until one of them has set the outcome. False: it hasn't in time, and the socket is closed.
+  bool await(const std::optional<error_code>& outcome, const Deadline& deadline) {
+    const auto ended = [&] { return outcome.has_value(); };
+    if (run(ended, deadline)) return true;
+    error_code ignored;
+    socket.close(ignored);
+    run(ended, Deadline(1));  // the cancelled handler refers to `outcome`
+    CHECK(outcome.has_value(), "a closed socket still waits");
+    return false;
   }
 
   Result<bool> connect(const Address& address, const Deadline& deadline);
@@ -139,12 +153,7 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
     ::fcntl(socket.native_handle(), F_SETFD, FD_CLOEXEC);
     std::optional<error_code> outcome;
     socket.async_connect(address, [&outcome](const error_code& ended) { outcome = ended; });
-    if (!run([&] { return outcome.has_value(); }, deadline)) {
-      socket.close(error);
-      run([&] { return outcome.has_value(); }, Deadline(1));  // the cancelled handler refers to `outcome`
-      CHECK(outcome.has_value(), "a closed socket still connects");
-      break;
-    }
+    if (!await(outcome, deadline)) break;
     if (*outcome) return false;
     // Where too many others wait at a Unix socket Linux says "try again", which Asio takes for success.
     socket.remote_endpoint(error);
@@ -187,13 +196,7 @@ bool Connection::State::wait_for(tls::Next next, const Deadline& deadline) {
   std::optional<error_code> outcome;
   socket.async_wait(next == tls::Next::wait_writable ? Socket::wait_write : Socket::wait_read,
                     [&outcome](const error_code& error) { outcome = error; });
-  const auto ready = [&] { return outcome.has_value(); };
-  if (run(ready, deadline)) return !*outcome;
-  error_code ignored;
-  socket.close(ignored);
-  run(ready, Deadline(1));  // the cancelled handler refers to `outcome`
-  CHECK(outcome.has_value(), "a closed socket still waits");
-  return false;
+  return await(outcome, deadline) && !*outcome;
 }
 
 Status Connection::State::encrypt(const Deadline& deadline) {
@@ -256,10 +259,9 @@ asio::awaitable<bool> Connection::State::fill(void* data, std::size_t size) {
       std::tie(error, got) = co_await read_encrypted(std::as_writable_bytes(std::span(to, size)));
     else
       std::tie(error, got) = co_await socket.async_read_some(asio::buffer(to, size), kAwait);
-    if (error) {
-      lose(Code::unavailable, error == asio::error::eof ? std::string("the service closed it") : error.message());
-      co_return false;
-    }
+    if (error)
+      co_return lose(Code::unavailable,
+                     error == asio::error::eof ? std::string("the service closed it") : error.message());
     to += got;
     size -= got;
   }
@@ -268,15 +270,9 @@ asio::awaitable<bool> Connection::State::fill(void* data, std::size_t size) {
 
 asio::awaitable<bool> Connection::State::read_arrays(Frame& frame, const wire::FrameHeader& header) {
   const auto json = frame.json();
-  if (!json) {
-    lose(json.status().code(), json.status().message());
-    co_return false;
-  }
+  if (!json) co_return lose(json.status());
   const auto specs = wire::array_specs(*json, header.bulk_bytes);
-  if (!specs) {
-    lose(specs.status().code(), specs.status().message());
-    co_return false;
-  }
+  if (!specs) co_return lose(specs.status());
   wire::BulkChecksum sum;
   const bool summed = (header.flags & wire::kFlagBulkChecksum) != 0;
   for (const wire::ArraySpec& spec : *specs) {
@@ -284,10 +280,8 @@ asio::awaitable<bool> Connection::State::read_arrays(Frame& frame, const wire::F
     while (array.bytes.size() < spec.bytes) {
       const std::size_t at = array.bytes.size();
       const std::size_t size = std::min(spec.bytes - at, kGrowthBytesMax);
-      if (!array.bytes.try_reserve(at + size)) {
-        lose(Code::too_large, fmt::format("no memory for an array of {} bytes", spec.bytes));
-        co_return false;
-      }
+      if (!array.bytes.try_reserve(at + size))
+        co_return lose(Code::too_large, fmt::format("no memory for an array of {} bytes", spec.bytes));
       array.bytes.resize(at + size);
       if (!co_await fill(array.bytes.data() + at, size)) co_return false;
     }
@@ -298,8 +292,7 @@ asio::awaitable<bool> Connection::State::read_arrays(Frame& frame, const wire::F
   std::array<std::byte, 8> tail{};
   if (!co_await fill(tail.data(), tail.size())) co_return false;
   if (wire::BulkChecksum::decode(tail) == sum.value()) co_return true;
-  lose(Code::protocol_error, "the checksum of an answer's arrays is wrong");
-  co_return false;
+  co_return lose(Code::protocol_error, "the checksum of an answer's arrays is wrong");
 }
 
 asio::awaitable<bool> Connection::State::read_frame() {
@@ -308,10 +301,7 @@ asio::awaitable<bool> Connection::State::read_frame() {
   const auto header = wire::decode_header(bytes);
   Status status = header.status();
   if (status) status = wire::check_lengths(*header, wire::kReplyJsonBytesMax, ~std::uint64_t{0});
-  if (!status) {
-    lose(status.code(), status.message());
-    co_return false;
-  }
+  if (!status) co_return lose(status);
   Frame frame;
   frame.type = header->type;
   frame.request = header->request;
@@ -321,18 +311,14 @@ asio::awaitable<bool> Connection::State::read_frame() {
     if (!co_await fill(frame.text.data() + at, frame.text.size() - at)) co_return false;
   }
   status = wire::verify_checksum(bytes, frame.text);
-  if (!status) {
-    lose(status.code(), status.message());
-    co_return false;
-  }
+  if (!status) co_return lose(status);
   // Arrays without elements are described in the JSON too, but have no bulk.
   if (header->bulk_bytes > 0 || (header->flags & wire::kFlagBulkChecksum) != 0 ||
       frame.text.find("\"arrays\"") != std::string::npos)
     if (!co_await read_arrays(frame, *header)) co_return false;
   if (frame.type == wire::FrameType::goodbye) {
     said_goodbye = standing.ok();
-    lose(Code::unavailable, "the service said goodbye");
-    co_return false;
+    co_return lose(Code::unavailable, "the service said goodbye");
   }
   if (frame.type == wire::FrameType::notice) {
     const auto json = frame.json();
@@ -340,10 +326,7 @@ asio::awaitable<bool> Connection::State::read_frame() {
     if (text && on_notice) on_notice(*text);
     co_return true;
   }
-  if (inbox.size() >= kInboxMax) {
-    lose(Code::protocol_error, "answers to requests that were not made");
-    co_return false;
-  }
+  if (inbox.size() >= kInboxMax) co_return lose(Code::protocol_error, "answers to requests that were not made");
   inbox.push_back(std::move(frame));
   co_return true;
 }
@@ -405,6 +388,11 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
     return s.standing ? Status(Code::unavailable, outcome->message()) : s.standing;
   }
   return s.standing;
+}
+
+Status Connection::write(const std::string& frames, const Deadline& deadline) {
+  const Bytes piece = std::as_bytes(std::span(frames));
+  return write(std::span(&piece, 1), deadline);
 }
 
 Result<Frame> Connection::read(const Deadline& deadline) {

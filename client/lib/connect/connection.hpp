@@ -16,8 +16,10 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include <sys/uio.h>
@@ -43,12 +45,26 @@ class Deadline {
   Clock::time_point at_;
 };
 
+// The protocol's name of a type of elements.
+template <typename T>
+constexpr const char* dtype_of() {
+  if (std::is_floating_point_v<T>) return sizeof(T) == 8 ? "<f8" : "<f4";
+  return sizeof(T) == 4 ? "<i4" : std::is_signed_v<T> ? "<i8" : "<u8";
+}
+
 struct Frame {
   wire::FrameType type = wire::FrameType::reply;
   std::uint64_t request = 0;
   std::string text;  // JSON, not parsed: some answers are large and only passed on
   std::vector<wire::Array> arrays;
 
+  // The elements of an array; nothing if it isn't there, or has another type.
+  template <typename T>
+  std::optional<std::span<const T>> array(const char* name) const {
+    const wire::Array* const found = wire::find_array(arrays, name);
+    if (found == nullptr || found->dtype != dtype_of<T>()) return std::nullopt;
+    return std::span(reinterpret_cast<const T*>(found->bytes.data()), found->bytes.size() / sizeof(T));
+  }
   Result<wire::Json> json() const { return wire::parse_json(text, wire::kReplyJsonBytesMax, wire::kReplyJsonBytesMax); }
 };
 
@@ -75,6 +91,7 @@ class Connection {
 
   // Returns when the kernel has taken all bytes. Errors: unavailable, deadline_exceeded, protocol_error.
   Status write(std::span<const Bytes> pieces, const Deadline& deadline);
+  Status write(const std::string& frames, const Deadline& deadline);
   // The next frame that isn't a notice. Errors: those of write().
   Result<Frame> read(const Deadline& deadline);
   // Waits until a frame can be read or the connection is lost; false at the deadline, which costs nothing.

@@ -131,7 +131,6 @@ Result<Endpoint> endpoint_to_serve(const std::string& given) {
 }
 
 std::string data_directory(const Endpoint& endpoint) { return data_directory_for(endpoint.text()); }
-std::string log_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kLogFile); }
 std::string token_path(const Endpoint& endpoint) { return join_path(data_directory(endpoint), kTokenFile); }
 
 Result<std::vector<std::string>> tokens_for(const Endpoint& endpoint, const std::string& given, bool this_machine) {

@@ -42,9 +42,8 @@ Result<std::vector<Endpoint>> endpoints_to_try(const std::string& given);
 // Where to start a service: `given`, else RCBD_ENDPOINT, else the default socket.
 Result<Endpoint> endpoint_to_serve(const std::string& given);
 
-// The default data directory of the service at this endpoint, and the files in it.
+// The default data directory of the service at this endpoint, and its token there.
 std::string data_directory(const Endpoint& endpoint);
-std::string log_path(const Endpoint& endpoint);
 std::string token_path(const Endpoint& endpoint);
 
 // The tokens a client may try there, the likeliest first: `given`, else RCBD_TOKEN (the token itself), else the file

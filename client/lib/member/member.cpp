@@ -2,14 +2,12 @@
 #include "client/lib/member.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include "client/lib/member/member_state.hpp"
 #include "client/lib/session/content.hpp"
-#include "common/base/axis_names.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 
@@ -62,10 +60,6 @@ Status MemberScene::State::take_seat(const Retry& retry) {
 
 Status MemberScene::State::open() {
   Retry retry(options.deadline_seconds);
-  const auto once = [&]() -> Result<bool> {
-    if (Status status = take_seat(retry); !status) return status;
-    return true;
-  };
   const auto mend = [&](const Status& status) {
     // Not found: another member, which has created the scene and so knows its options, will create it again. Busy: the
     // service may not have noticed yet that our previous connection, which holds the seat, was lost.
@@ -75,7 +69,8 @@ Status MemberScene::State::open() {
         scene_lost ? fmt::format("scene '{}', which was lost, to be made anew", name) : status.message();
     return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();
   };
-  return session().retry_until_deadline(retry, once, mend).status();
+  return session().retry_until_deadline(
+      retry, [&] { return take_seat(retry); }, mend);
 }
 
 void MemberScene::State::forget_if_replaced() {
@@ -92,18 +87,10 @@ void MemberScene::State::forget_if_replaced() {
 
 Status MemberScene::State::check(const Positions& positions, std::span<const std::int64_t> ids,
                                  const MemberStepOptions& step) const {
-  const auto wrong = [this](const std::string& message, std::string hint) {
-    return Status(Code::invalid_argument, fmt::format("push to scene '{}': {}", name, message), std::move(hint));
-  };
-  if (positions.dims != dims)
-    return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims),
-                 "create the scene with the positions' dims");
+  const auto wrong = [this](const std::string& message, const char* hint) { return wrong_push(name, message, hint); };
+  if (Status status = check_arrays(name, positions, dims); !status) return status;
   if (positions.in_plan_order())
     return wrong("positions in the plan's order", "a member pushes its own particles by rows or axes");
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
-    if (positions.count > 0 && (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
-      return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
-  if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
   if (ids.size() != positions.count)
     return wrong(fmt::format("{} ids for {} particles", ids.size(), positions.count), "give one id a particle");
   if (!step.weights.empty() && step.weights.size() != positions.count)
@@ -118,12 +105,7 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
                                         weights || !step.weights.empty() || !step.inserted->weights.empty());
         !status)
       return status;
-  if (step.step && *step.step < 0) return wrong(fmt::format("step {}", *step.step), "steps are numbered from 0");
-  if (step.step_seconds && !(*step.step_seconds >= 0 && std::isfinite(*step.step_seconds)))
-    return wrong(fmt::format("a step of {} seconds", *step.step_seconds), "give a finite number >= 0, or none");
-  if (!(step.deadline_seconds > 0))
-    return wrong(fmt::format("a deadline of {} seconds", step.deadline_seconds), "give a number above 0");
-  return {};
+  return check_terms(name, step.step, step.step_seconds, step.deadline_seconds);
 }
 
 std::uint64_t MemberScene::State::content_of(const Positions& positions, std::span<const std::int64_t> ids,

@@ -1,24 +1,11 @@
 // The answer to a member's push: the report, what leaves and enters, and the places of the member's particles.
 #include <algorithm>
 
-#include <fmt/format.h>
-
 #include "client/lib/member/member_state.hpp"
 #include "client/lib/scene/step_report.hpp"
 #include "common/wire/field_reader.hpp"
 
 namespace rcb::client {
-namespace {
-
-template <typename T>
-Result<std::span<const T>> column(const Frame& answer, const char* name, const char* dtype) {
-  const wire::Array* array = wire::find_array(answer.arrays, name);
-  if (array == nullptr || array->dtype != dtype) return odd_member_answer(fmt::format("no array '{}' {}", name, dtype));
-  return std::span(reinterpret_cast<const T*>(array->bytes.data()), array->bytes.size() / sizeof(T));
-}
-
-}  // namespace
-
 Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t step, const MemberStepOptions& with,
                                             const Retry& retry) {
   const auto json = answer.json();
@@ -34,20 +21,20 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   last_step = std::max(step, last_step.value_or(step));
   up_to_date = true;
   weights = weights || !with.weights.empty();
-  const auto repeated = wire::bool_field_or(*json, "repeated", false);
+  const auto repeated = wire::bool_field(*json, "repeated");
   lost = lost && repeated && *repeated;  // the answer is one that was kept by the service before the restart
   MemberStep result;
   result.report = std::move(*report);
   if (with.want_changes) {
-    const auto id = column<std::int64_t>(answer, "changed_id", "<i8");
-    const auto part = column<std::int32_t>(answer, "changed_part", "<i4");
+    const auto id = answer.array<std::int64_t>("changed_id");
+    const auto part = answer.array<std::int32_t>("changed_part");
     if (!id || !part || id->size() != part->size())
       return odd_member_answer("its changes are not as the protocol says");
     for (std::size_t i = 0; i < id->size(); ++i) result.changes.push_back({(*id)[i], (*part)[i]});
   }
   n = result.report.n;
   if (with.inserted != nullptr && with.inserted->positions.count > 0) {
-    const auto id = column<std::int64_t>(answer, "inserted_id", "<i8");
+    const auto id = answer.array<std::int64_t>("inserted_id");
     if (!id || id->size() != with.inserted->positions.count)
       return odd_member_answer("not the ids of what was inserted");
     result.inserted_ids.assign(id->begin(), id->end());
@@ -59,11 +46,11 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
 
 Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& json,
                                        std::span<const std::int64_t> removed, MemberStep& result) {
-  const auto leave_id = column<std::int64_t>(answer, "leave_id", "<i8");
-  const auto leave_to = column<std::int32_t>(answer, "leave_to", "<i4");
-  const auto enter_id = column<std::int64_t>(answer, "enter_id", "<i8");
-  const auto enter_from = column<std::int32_t>(answer, "enter_from", "<i4");
-  const auto enter_part = column<std::int32_t>(answer, "enter_part", "<i4");
+  const auto leave_id = answer.array<std::int64_t>("leave_id");
+  const auto leave_to = answer.array<std::int32_t>("leave_to");
+  const auto enter_id = answer.array<std::int64_t>("enter_id");
+  const auto enter_from = answer.array<std::int32_t>("enter_from");
+  const auto enter_part = answer.array<std::int32_t>("enter_part");
   if (!leave_id || !leave_to || !enter_id || !enter_from || !enter_part || leave_id->size() != leave_to->size() ||
       enter_id->size() != enter_from->size() || enter_id->size() != enter_part->size())
     return odd_member_answer("what leaves and enters is not as the protocol says");
@@ -87,16 +74,16 @@ Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& js
 // Keeps the places of the particles if the answer tells all of them; then the next push goes directly to the ranks.
 Status MemberScene::State::read_places(const Frame& answer, const wire::Json& json,
                                        std::span<const std::int64_t> removed, const MemberStep& result) {
-  const auto repeated = wire::bool_field_or(json, "repeated", false);
+  const auto repeated = wire::bool_field(json, "repeated");
   // A repeated answer tells changes relative to a state that this member may not have seen.
   if (wire::find_array(answer.arrays, "place_id") == nullptr || !repeated || *repeated || !json.contains("plan") ||
       n >= MemberPlaces::kSlotsMax) {
     places.forget();
     return {};
   }
-  const auto id = column<std::int64_t>(answer, "place_id", "<i8");
-  const auto rank = column<std::int32_t>(answer, "place_rank", "<i4");
-  const auto slot = column<std::uint64_t>(answer, "place_slot", "<u8");
+  const auto id = answer.array<std::int64_t>("place_id");
+  const auto rank = answer.array<std::int32_t>("place_rank");
+  const auto slot = answer.array<std::uint64_t>("place_slot");
   const auto is_rank = [this](std::int32_t r) { return r >= 0 && r < session().ranks(); };
   const auto is_slot = [this](std::uint64_t s) { return s < n; };
   if (!id || !rank || !slot || id->size() != rank->size() || id->size() != slot->size() ||

@@ -38,7 +38,7 @@ Result<Frame> MemberScene::State::push_to_ranks(wire::Json begin, const std::vec
   begin["epoch"] = epoch;
   begin["base_step"] = *last_step;
   const std::uint64_t request = session().next_request();
-  const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted, dims);
+  const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted);
   begin["slices"] = edits.count;
   begin["counts"] = wire::Json::array();
   for (const auto& mine : rows) begin["counts"].push_back(mine.size());
@@ -131,7 +131,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   if (moved) begin["epoch"] = epoch;
   if (moved && !moved->empty()) begin["counts"] = {moved->size()};
   const std::uint64_t request = session().next_request();
-  const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted, dims);
+  const EditFrames edits = edit_frames(begin, request, with.removed, with.inserted);
   PushSource source(begin, request, moved ? RankRows{*moved} : all_rows(all), std::move(columns), edits.bytes,
                     edits.count);
   return session().exchange(request, source, what, deadline);

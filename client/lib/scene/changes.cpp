@@ -2,7 +2,8 @@
 #include "client/lib/scene/changes.hpp"
 
 #include <algorithm>
-#include <cstring>
+#include <array>
+#include <cmath>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -13,29 +14,19 @@
 namespace rcb::client {
 namespace {
 
-// Appends an array to the bulk of a frame.
-void append(std::string& bytes, const void* values, std::size_t size) {
-  if (size > 0) bytes.append(static_cast<const char*>(values), size);
-}
-
-void append_axis(std::string& bytes, const Positions& positions, std::size_t axis) {
-  for (std::size_t i = 0; i < positions.count; ++i)
-    if (positions.single())
-      append(bytes, positions.axis_f4[axis] + i * positions.stride, sizeof(float));
-    else
-      append(bytes, positions.axis[axis] + i * positions.stride, sizeof(double));
-}
-
 std::string slice_frame(const wire::Json& begin, std::uint64_t request, const char* holds, std::size_t count,
-                        const std::vector<std::pair<std::string, std::string>>& arrays, const std::string& bulk) {
-  wire::Json json{{"command", "push.slice"}, {"holds", holds}, {"count", count}, {"arrays", wire::Json::array()}};
+                        std::span<const Column> columns) {
+  wire::Json json{{"command", "push.slice"}, {"holds", holds}};
   for (const char* name : {"scene", "session", "step", "attempt"}) json[name] = begin.at(name);
-  for (const auto& [name, dtype] : arrays)
-    json["arrays"].push_back({{"name", name}, {"dtype", dtype}, {"shape", {count}}});
-  wire::FrameHeader header;
-  header.request = request;
-  header.bulk_bytes = bulk.size();
-  return wire::encode_frame(header, wire::dump_json(json)) + bulk;
+  std::string frame = slice_head(std::move(json), request, columns, count);
+  for (const Column& column : columns) {
+    const auto* const first = static_cast<const char*>(column.first);
+    if (column.stride == 1)
+      frame.append(first, count * column.bytes);
+    else
+      for (std::size_t i = 0; i < count; ++i) frame.append(first + i * column.stride * column.bytes, column.bytes);
+  }
+  return frame;
 }
 
 // Applies the edit to an array that is indexed by row.
@@ -46,53 +37,69 @@ void move_with(const RowEdit& edit, std::vector<T>& rows, std::span<const T> ins
   rows.resize(edit.moves.new_count);
 }
 
+// whose: " of the inserted", or nothing.
+Status check_axes(const std::string& scene, const Positions& positions, int dims, const char* whose) {
+  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
+    if (positions.count > 0 && !positions.in_plan_order() &&
+        (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
+      return wrong_push(scene, fmt::format("no array for axis {}{}", kAxisNames[a], whose), "give one array an axis");
+  return {};
+}
+
 }  // namespace
 
 EditFrames edit_frames(const wire::Json& begin, std::uint64_t request, std::span<const std::int64_t> removed,
-                       const Insertion* inserted, int dims) {
+                       const Insertion* inserted) {
   EditFrames frames;
+  const auto add = [&](const char* holds, std::size_t count, std::span<const Column> columns) {
+    frames.bytes += slice_frame(begin, request, holds, count, columns);
+    ++frames.count;
+  };
   if (inserted != nullptr && inserted->positions.count > 0) {
-    const Insertion& in = *inserted;
-    std::string bulk;
-    std::vector<std::pair<std::string, std::string>> arrays;
-    for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
-      arrays.emplace_back(kAxisNames[a], in.positions.single() ? "<f4" : "<f8");
-      append_axis(bulk, in.positions, a);
-    }
-    if (!in.weights.empty()) arrays.emplace_back("w", "<f8");
-    append(bulk, in.weights.data(), in.weights.size_bytes());
-    if (!in.ids.empty()) arrays.emplace_back("id", "<i8");
-    append(bulk, in.ids.data(), in.ids.size_bytes());
-    frames.bytes += slice_frame(begin, request, "inserted", in.positions.count, arrays, bulk);
-    ++frames.count;
+    std::vector<Column> columns = columns_of(inserted->positions, inserted->weights);
+    if (!inserted->ids.empty()) columns.push_back({"id", "<i8", inserted->ids.data()});
+    add("inserted", inserted->positions.count, columns);
   }
-  if (!removed.empty()) {
-    std::string bulk;
-    append(bulk, removed.data(), removed.size_bytes());
-    frames.bytes += slice_frame(begin, request, "removed", removed.size(), {{"id", "<i8"}}, bulk);
-    ++frames.count;
-  }
+  if (!removed.empty()) add("removed", removed.size(), std::array{Column{"id", "<i8", removed.data()}});
   return frames;
 }
 
+Status wrong_push(const std::string& scene, const std::string& message, std::string hint) {
+  return {Code::invalid_argument, fmt::format("push to scene '{}': {}", scene, message), std::move(hint)};
+}
+
+Status check_arrays(const std::string& scene, const Positions& positions, int dims) {
+  if (positions.dims != dims)
+    return wrong_push(scene, fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims),
+                      "create the scene with the positions' dims");
+  if (Status status = check_axes(scene, positions, dims, ""); !status) return status;
+  return positions.stride > 0 ? Status() : wrong_push(scene, "a stride of 0", "a stride is at least 1");
+}
+
+Status check_terms(const std::string& scene, std::optional<std::int64_t> step, std::optional<double> step_seconds,
+                   double deadline_seconds) {
+  if (step && *step < 0) return wrong_push(scene, fmt::format("step {}", *step), "steps are numbered from 0");
+  if (step_seconds && !(*step_seconds >= 0 && std::isfinite(*step_seconds)))
+    return wrong_push(scene, fmt::format("a step of {} seconds", *step_seconds), "give a finite number >= 0, or none");
+  if (!(deadline_seconds > 0))
+    return wrong_push(scene, fmt::format("a deadline of {} seconds", deadline_seconds), "give a number above 0");
+  return {};
+}
+
 Status check_insertion(const std::string& scene, const Insertion& in, const Positions& others, int dims, bool weights) {
-  const auto wrong = [&scene](const std::string& message, std::string hint) {
-    return Status(Code::invalid_argument, fmt::format("push to scene '{}': {}", scene, message), std::move(hint));
-  };
   const Positions& positions = in.positions;
   if (positions.dims != dims || positions.in_plan_order())
-    return wrong("the inserted must be rows or axes of the scene's dimensions", "");
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
-    if (positions.count > 0 && (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
-      return wrong(fmt::format("no array for axis {} of the inserted", kAxisNames[a]), "give one array an axis");
+    return wrong_push(scene, "the inserted must be rows or axes of the scene's dimensions", "");
+  if (Status status = check_axes(scene, positions, dims, " of the inserted"); !status) return status;
   if (others.count > 0 && positions.count > 0 && positions.single() != others.single())
-    return wrong("the inserted and the others differ in precision", "give both as double or both as float32");
+    return wrong_push(scene, "the inserted and the others differ in precision",
+                      "give both as double or both as float32");
   if (!in.ids.empty() && in.ids.size() != positions.count)
-    return wrong(fmt::format("{} ids for {} inserted particles", in.ids.size(), positions.count),
-                 "give one id a particle, or none");
+    return wrong_push(scene, fmt::format("{} ids for {} inserted particles", in.ids.size(), positions.count),
+                      "give one id a particle, or none");
   if (in.weights.size() != (weights ? positions.count : 0))
-    return wrong(fmt::format("{} weights for {} inserted particles", in.weights.size(), positions.count),
-                 weights ? "give one weight a particle" : "the scene has no weights");
+    return wrong_push(scene, fmt::format("{} weights for {} inserted particles", in.weights.size(), positions.count),
+                      weights ? "give one weight a particle" : "the scene has no weights");
   return {};
 }
 
@@ -181,9 +188,8 @@ void Scene::State::edit_rows(const StepRequest& ask, RowEdit& edit, const StepRe
   std::vector<std::int32_t>& parts = edit.inserted_part;
   parts.assign(ask.inserted(), -1);
   std::vector<std::int32_t> ranks;
-  const wire::Array* given = wire::find_array(answer.arrays, "inserted_part");
-  if (given != nullptr && given->dtype == "<i4" && given->bytes.size() == 4 * parts.size() && !parts.empty())
-    std::memcpy(parts.data(), given->bytes.data(), given->bytes.size());
+  if (const auto given = answer.array<std::int32_t>("inserted_part"); given && given->size() == parts.size())
+    parts.assign(given->begin(), given->end());
   for (const std::int32_t part : parts) {
     follows = follows && part >= 0 && part < parts_count_;
     if (follows) ranks.push_back(layout::rank_of_part(part, parts_count_, plan_->ranks()));

@@ -11,14 +11,10 @@ namespace rcb::client {
 namespace {
 
 template <typename T>
-std::span<const T> elements(const Array& array, std::string_view dtype) {
-  if (array.dtype != dtype) return {};
+std::span<const T> elements(const Array& array) {
+  if (array.dtype != dtype_of<T>()) return {};
   return {reinterpret_cast<const T*>(array.bytes.data()), array.bytes.size() / sizeof(T)};
 }
-
-}  // namespace
-
-namespace {
 
 template <typename T>
 Positions shaped(std::array<const T*, 3> Positions::*axis, const T* xyz, std::size_t count, int dims) {
@@ -36,14 +32,6 @@ Positions shaped(std::array<const T*, 3> Positions::*axis, std::span<const T* co
   positions.dims = static_cast<int>(std::min<std::size_t>(axes.size(), 4));  // 4 is refused by step()
   positions.count = count;
   for (std::size_t a = 0; a < 3 && a < axes.size(); ++a) (positions.*axis)[a] = axes[a];
-  return positions;
-}
-
-Positions planned(std::uint64_t plan_version, std::size_t count, int dims) {
-  Positions positions;
-  positions.dims = dims;
-  positions.count = count;
-  positions.plan_version = plan_version;
   return positions;
 }
 
@@ -67,24 +55,20 @@ Positions Positions::axes(std::span<const float* const> axes, std::size_t count)
 
 Positions Positions::in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
                                    std::size_t count, int dims) {
-  Positions positions = planned(plan_version, count, dims);
-  positions.by_rank = ranks;
-  return positions;
+  return {.count = count, .dims = dims, .by_rank = ranks, .plan_version = plan_version};
 }
 
 Positions Positions::in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
                                    std::size_t count, int dims) {
-  Positions positions = planned(plan_version, count, dims);
-  positions.by_rank_f4 = ranks;
-  return positions;
+  return {.count = count, .dims = dims, .plan_version = plan_version, .by_rank_f4 = ranks};
 }
 
 bool Positions::single() const { return axis_f4[0] != nullptr || !by_rank_f4.empty(); }
 bool Positions::in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
 
-std::span<const double> Array::f8() const { return elements<double>(*this, "<f8"); }
-std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this, "<i8"); }
-std::span<const std::int32_t> Array::i4() const { return elements<std::int32_t>(*this, "<i4"); }
+std::span<const double> Array::f8() const { return elements<double>(*this); }
+std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this); }
+std::span<const std::int32_t> Array::i4() const { return elements<std::int32_t>(*this); }
 
 const Array* Reply::find(const std::string& name) const {
   for (const Array& array : arrays)

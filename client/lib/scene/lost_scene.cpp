@@ -20,11 +20,8 @@ Result<wire::Json> described(Session& session, wire::Json request, const Retry& 
   if (!answer) return answer.status();
   auto json = answer->json();
   if (!json) return json;
-  const wire::Array* const sizes = wire::find_array(answer->arrays, "part_sizes");
-  if (sizes != nullptr && sizes->dtype == "<f8") {
-    const auto* const first = reinterpret_cast<const double*>(sizes->bytes.data());
-    (*json)["part_sizes"] = std::vector<double>(first, first + sizes->bytes.size() / sizeof(double));
-  }
+  if (const auto sizes = answer->array<double>("part_sizes"))
+    (*json)["part_sizes"] = std::vector<double>(sizes->begin(), sizes->end());
   return json;
 }
 
@@ -58,7 +55,7 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
     create["command"] = "scene.create";
     create["scene"] = arguments.at("scene");
     create["recreated"] = true;
-    if (const auto made = session.ask_once(std::move(create), retry);
+    if (const auto made = session.call_once(std::move(create), retry);
         !made && made.status().code() != Code::already_exists)
       return made.status();
     opened = described(session, std::move(open), retry);

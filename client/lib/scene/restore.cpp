@@ -9,16 +9,20 @@
 namespace rcb::client {
 namespace {
 
-// Copies positions from layout order to row order. T is double or float.
+// The same positions by rows, copied from layout order to `bytes`. T is double or float.
 template <typename T>
-void gather_rows(const layout::Layout& plan, std::span<const std::array<const T*, 3>> by_rank, std::size_t dims,
-                 T* rows) {
+Positions gather_rows(const layout::Layout& plan, std::span<const std::array<const T*, 3>> by_rank,
+                      const Positions& positions, Buffer<std::byte>& bytes) {
+  const auto dims = static_cast<std::size_t>(positions.dims);
+  bytes.resize(positions.count * dims * sizeof(T));
+  T* const rows = reinterpret_cast<T*>(bytes.data());
   for (int rank = 0; rank < plan.ranks(); ++rank) {
     const auto of_rank = plan.rows(rank);
     for (std::size_t a = 0; a < dims; ++a)
       for (std::size_t slot = 0; slot < of_rank.size(); ++slot)
         rows[of_rank[slot] * dims + a] = by_rank[static_cast<std::size_t>(rank)][a][slot];
   }
+  return Positions::rows(rows, positions.count, positions.dims);
 }
 
 }  // namespace
@@ -68,20 +72,10 @@ bool Scene::State::in_lost_order(const StepRequest& ask) const {
 }
 
 StepRequest Scene::State::by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const {
-  const auto dims = static_cast<std::size_t>(dims_);
-  const std::size_t values = static_cast<std::size_t>(count_) * dims;
+  const Positions& given = ask.positions;
   StepRequest out = ask;
-  if (ask.positions.single()) {
-    rows.resize(values * sizeof(float));
-    auto* to = reinterpret_cast<float*>(rows.data());
-    gather_rows(*lost_plan_, ask.positions.by_rank_f4, dims, to);
-    out.positions = Positions::rows(to, count_, dims_);
-  } else {
-    rows.resize(values * sizeof(double));
-    auto* to = reinterpret_cast<double*>(rows.data());
-    gather_rows(*lost_plan_, ask.positions.by_rank, dims, to);
-    out.positions = Positions::rows(to, count_, dims_);
-  }
+  out.positions = given.single() ? gather_rows(*lost_plan_, given.by_rank_f4, given, rows)
+                                 : gather_rows(*lost_plan_, given.by_rank, given, rows);
   return out;
 }
 

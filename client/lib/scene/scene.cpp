@@ -109,7 +109,7 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
     for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
     return view;
   };
-  return session().retry_until_deadline(retry, once, [](const Status&) { return false; });
+  return session().retry_until_deadline(retry, once);
 }
 
 Result<Scene> Client::open_scene(const std::string& name) {
@@ -133,11 +133,7 @@ Scene::State::~State() {
 }
 
 Status Scene::State::open(Retry& retry) {
-  const auto once = [&]() -> Result<bool> {
-    if (Status status = hold(retry); !status) return status;
-    return true;
-  };
-  return session().retry_until_deadline(retry, once, [](const Status&) { return false; }).status();
+  return session().retry_until_deadline(retry, [&] { return hold(retry); });
 }
 
 Result<Scene::State::Description> Scene::State::read_description(const wire::Json& json) {
@@ -213,11 +209,10 @@ Status Scene::State::fetch_plan(std::span<const std::int64_t> ids, const Retry& 
 Status Scene::State::take_plan(const Frame& answer, std::span<const std::int64_t> ids) {
   const auto json = answer.json();
   if (!json) return json.status();
-  const wire::Array* slot_id = wire::find_array(answer.arrays, "id");
-  const wire::Array* slot_part = wire::find_array(answer.arrays, "part");
+  const auto slot_ids = answer.array<std::int64_t>("id");
+  const auto slot_parts = answer.array<std::int32_t>("part");
   const auto parts = wire::integer_field_or(*json, "parts", 1, wire::kPartsMax, parts_count_);
-  if (slot_id == nullptr || slot_id->dtype != "<i8" || slot_part == nullptr || slot_part->dtype != "<i4" ||
-      slot_id->bytes.size() / 8 != slot_part->bytes.size() / 4 || !parts)
+  if (!slot_ids || !slot_parts || slot_ids->size() != slot_parts->size() || !parts)
     return odd_answer("plan", "its arrays or parts are not as the protocol says");
   const auto counts = wire::numbers_field_or_empty(*json, "counts", 1U << 20U);
   const auto named = json->find("plan");
@@ -232,27 +227,25 @@ Status Scene::State::take_plan(const Frame& answer, std::span<const std::int64_t
   const auto version = wire::integer_field(*named, "version", 0, kLarge);
   const auto checksum_text = wire::string_field(*named, "checksum", 16);
   if (!version || !checksum_text) return odd_answer("plan", "no version or checksum");
-  const std::span slot_ids(reinterpret_cast<const std::int64_t*>(slot_id->bytes.data()), slot_id->bytes.size() / 8);
   if (!has_ids_ &&
-      std::ranges::any_of(ids, [&](std::int64_t id) { return id < 0 || std::uint64_t(id) >= slot_ids.size(); }))
+      std::ranges::any_of(ids, [&](std::int64_t id) { return id < 0 || std::uint64_t(id) >= slot_ids->size(); }))
     return wrong("the push gives ids, and the scene's particles have none but the numbers of their rows",
                  "leave the ids out (of a file: its column \"id\"), or make the scene anew");
   std::vector<std::int64_t> sorted;  // if the caller gave no ids, rows are in ascending id
   if (has_ids_ && ids.empty()) {
-    sorted.assign(slot_ids.begin(), slot_ids.end());
+    sorted.assign(slot_ids->begin(), slot_ids->end());
     std::sort(sorted.begin(), sorted.end());
     ids = sorted;
   }
-  auto plan = layout::Layout::full(rank_counts, slot_ids, ids, static_cast<std::uint64_t>(*version));
+  auto plan = layout::Layout::full(rank_counts, *slot_ids, ids, static_cast<std::uint64_t>(*version));
   if (!plan) return plan.status();
   if (wire::hex64(plan->checksum()) != *checksum_text)
     return odd_answer(
         "plan", fmt::format("its checksum is {}, its ids give {}", *checksum_text, wire::hex64(plan->checksum())));
-  const std::span part(reinterpret_cast<const std::int32_t*>(slot_part->bytes.data()), slot_ids.size());
-  std::vector<std::int32_t> by_row(slot_ids.size());
+  std::vector<std::int32_t> by_row(slot_ids->size());
   std::size_t next = 0;
   for (int rank = 0; rank < plan->ranks(); ++rank)
-    for (const std::uint64_t row : plan->rows(rank)) by_row[row] = part[next++];
+    for (const std::uint64_t row : plan->rows(rank)) by_row[row] = (*slot_parts)[next++];
   if (!known_) known_ = std::move(parts_);
   parts_ = std::move(by_row);
   parts_count_ = static_cast<int>(*parts);

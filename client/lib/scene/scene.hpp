@@ -85,7 +85,7 @@ struct Scene::State {
 
   Session& session() const { return *client_->session; }
   static Result<Description> read_description(const wire::Json& json);
-  Status wrong(std::string message, std::string hint) const;
+  Status wrong(const std::string& message, std::string hint) const;
   Status check(const StepRequest& ask) const;
   Status check_positions(const StepRequest& ask) const;
   Status check_edits(const StepRequest& ask) const;

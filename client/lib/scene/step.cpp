@@ -1,6 +1,5 @@
 // Scene::step: check, push, and retry. The answer is read in step_answer.cpp.
 #include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include <fmt/format.h>
@@ -23,22 +22,15 @@ wire::Json plan_json(const layout::Layout& plan) {
 
 }  // namespace
 
-Status Scene::State::wrong(std::string message, std::string hint) const {
-  return {Code::invalid_argument, fmt::format("push to scene '{}': {}", name_, message), std::move(hint)};
+Status Scene::State::wrong(const std::string& message, std::string hint) const {
+  return wrong_push(name_, message, std::move(hint));
 }
 
 Status Scene::State::check_positions(const StepRequest& ask) const {
   const Positions& positions = ask.positions;
-  if (positions.dims != dims_)
-    return wrong(fmt::format("positions of {} dimensions, the scene has {}", positions.dims, dims_),
-                 "create the scene with the positions' dims");
+  if (Status status = check_arrays(name_, positions, dims_); !status) return status;
   if (positions.in_plan_order() && !has_particles())
     return wrong("positions in the plan's order, and there is no plan yet", "push a first step by rows or axes");
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
-    if (positions.count > 0 && !positions.in_plan_order() &&
-        (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
-      return wrong(fmt::format("no array for axis {}", kAxisNames[a]), "give one array an axis");
-  if (positions.stride == 0) return wrong("a stride of 0", "a stride is at least 1");
   if (positions.count > static_cast<std::uint64_t>(wire::kParticlesMax))
     return wrong(fmt::format("{} particles", positions.count),
                  fmt::format("at most {} are taken", wire::kParticlesMax));
@@ -78,12 +70,8 @@ Status Scene::State::check(const StepRequest& ask) const {
   if (has_particles() && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none",
                  "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
-  if (options.step && *options.step < 0)
-    return wrong(fmt::format("step {}", *options.step), "steps are numbered from 0");
-  if (options.step_seconds && !(*options.step_seconds >= 0 && std::isfinite(*options.step_seconds)))
-    return wrong(fmt::format("a step of {} seconds", *options.step_seconds), "give a finite number >= 0, or none");
-  if (!(options.deadline_seconds > 0))
-    return wrong(fmt::format("a deadline of {} seconds", options.deadline_seconds), "give a number above 0");
+  if (Status status = check_terms(name_, options.step, options.step_seconds, options.deadline_seconds); !status)
+    return status;
   return check_edits(ask);
 }
 
@@ -209,7 +197,7 @@ Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask
   auto memory = arrays_.describe(session(), values, deadline);
   if (!memory) return memory.status();
   const std::uint64_t request = session().next_request();
-  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
+  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted);
   begin["command"] = "push.begin";
   begin["path"] = "shared";
   begin["order"] = by_id_ ? "id" : "plan";
@@ -222,7 +210,7 @@ Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask
 Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::vector<Column> columns,
                                  const StepRequest& ask, const std::string& what, const Deadline& deadline) {
   const std::uint64_t request = session().next_request();
-  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted, dims_);
+  const EditFrames edits = edit_frames(begin, request, ask.options.removed, ask.options.inserted);
   std::size_t particles = 0;
   for (const auto& of_rank : rows) particles += of_rank.size();
   const bool large = particles * particle_bytes(columns) >= kDirectBytesMin;

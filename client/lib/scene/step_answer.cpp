@@ -47,7 +47,7 @@ Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::
   auto report = read_report(*found);
   if (!report) return report.status();
   if (report->parts == 0) report->parts = parts_count_;
-  const auto said = wire::bool_field_or(*json, "repeated", false);
+  const auto said = wire::bool_field(*json, "repeated");
   const bool repeated = said && *said;
   if (repeated && !tried_before)
     return Status(Code::stale_step,
@@ -106,13 +106,10 @@ std::span<const std::int64_t> Scene::State::ids_of_rows(const StepRequest& ask) 
 }
 
 Status Scene::State::fetch_plan_of_step(const StepRequest& ask, Retry& retry) {
-  const auto once = [&]() -> Result<bool> {
+  return session().retry_until_deadline(retry, [&]() -> Status {
     if (Status status = hold(retry); !status) return status;
-    if (lost_) return base_lost("they are to be pushed again");
-    if (Status status = fetch_plan(ids_of_rows(ask), retry); !status) return status;
-    return true;
-  };
-  return session().retry_until_deadline(retry, once, [](const Status&) { return false; }).status();
+    return lost_ ? base_lost("they are to be pushed again") : fetch_plan(ids_of_rows(ask), retry);
+  });
 }
 
 Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done, Retry& retry) {
@@ -149,13 +146,13 @@ Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done
 // Updates plan_ and parts_ from the answer alone. If that fails, parts_ is unchanged, and plan_ unusable.
 Status Scene::State::apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes) {
   const Status odd(Code::protocol_error, "answer to a push: its changes don't lead to its plan");
-  const wire::Array* id = wire::find_array(answer.arrays, "changed_id");
-  const wire::Array* part = wire::find_array(answer.arrays, "changed_part");
-  if (id == nullptr || part == nullptr || id->dtype != "<i8" || part->dtype != "<i4") return odd;
-  const std::size_t count = id->bytes.size() / 8;
-  if (part->bytes.size() / 4 != count || count > count_ || (first && count != count_)) return odd;
-  const auto* ids = reinterpret_cast<const std::int64_t*>(id->bytes.data());
-  const auto* new_parts = reinterpret_cast<const std::int32_t*>(part->bytes.data());
+  const auto changed_id = answer.array<std::int64_t>("changed_id");
+  const auto changed_part = answer.array<std::int32_t>("changed_part");
+  if (!changed_id || !changed_part || changed_id->size() != changed_part->size()) return odd;
+  const auto ids = *changed_id;
+  const auto new_parts = *changed_part;
+  const std::size_t count = ids.size();
+  if (count > count_ || (first && count != count_)) return odd;
   std::vector<std::uint64_t> rows(count);
   std::vector<std::int32_t> ranks(count);
   for (std::size_t i = 0; i < count; ++i) {

@@ -28,6 +28,7 @@ bool interleaved(std::span<const Column> columns) {
   return columns.size() == 2 || columns.size() == 3;
 }
 
+// The axes of these rows of one (n, dims) array, axis after axis.
 template <std::size_t kDims, typename T>
 void gather_rows(const void* first, std::span<const std::uint64_t> rows, std::byte* out) {
   const std::size_t count = rows.size();
@@ -37,23 +38,6 @@ void gather_rows(const void* first, std::span<const std::uint64_t> rows, std::by
     const T* from = values + rows[i] * kDims;
     for (std::size_t k = 0; k < kDims; ++k) to[k * count + i] = from[k];
   }
-}
-
-template <typename T>
-void gather_as(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
-  T* out = reinterpret_cast<T*>(to);
-  const T* first = static_cast<const T*>(column.first);
-  if (column.stride == 1)
-    for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i]];
-  else
-    for (std::size_t i = 0; i < rows.size(); ++i) out[i] = first[rows[i] * column.stride];
-}
-
-void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
-  if (column.bytes == 8)
-    gather_as<std::uint64_t>(column, rows, to);
-  else
-    gather_as<std::uint32_t>(column, rows, to);
 }
 
 }  // namespace
@@ -85,14 +69,7 @@ struct DataPath::Link {
     wire::Json json = slice;
     json["rank"] = rank;
     json["first"] = sent;
-    json["count"] = rows.size();
-    json["arrays"] = wire::Json::array();
-    for (const Column& column : columns)
-      json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {rows.size()}}});
-    wire::FrameHeader header;
-    header.request = request;
-    header.bulk_bytes = rows.size() * particle_bytes(columns);
-    head = wire::encode_frame(header, wire::dump_json(json));
+    head = slice_head(std::move(json), request, columns, rows.size());
     pieces.clear();
     piece = 0;
     add(head.data(), head.size());
@@ -101,30 +78,32 @@ struct DataPath::Link {
   }
 
   void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
-    if (std::any_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank == nullptr; }))
-      gathered.resize(rows.size() * particle_bytes(columns));
+    const bool run = consecutive(rows);
+    const auto in_place = [&](const Column& column) { return column.in_place(rank, sent, rows, run); };
+    if (!std::ranges::all_of(columns, in_place)) gather_columns(rows, columns);
+    const std::byte* to = gathered.data();
+    for (const Column& column : columns) {
+      const std::size_t bytes = rows.size() * column.bytes;
+      add(in_place(column) ? in_place(column) : to, bytes);
+      to += bytes;
+    }
+  }
+
+  // One column after another.
+  void gather_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
+    gathered.resize(rows.size() * particle_bytes(columns));
+    std::byte* to = gathered.data();
     if (interleaved(columns)) {
       const bool single = columns[0].bytes == sizeof(float);
       if (columns.size() == 3)
-        (single ? gather_rows<3, float> : gather_rows<3, double>)(columns[0].first, rows, gathered.data());
+        (single ? gather_rows<3, float> : gather_rows<3, double>)(columns[0].first, rows, to);
       else
-        (single ? gather_rows<2, float> : gather_rows<2, double>)(columns[0].first, rows, gathered.data());
-      add(gathered.data(), gathered.size());
+        (single ? gather_rows<2, float> : gather_rows<2, double>)(columns[0].first, rows, to);
       return;
     }
-    const bool run = consecutive(rows);
-    std::byte* to = gathered.data();
     for (const Column& column : columns) {
-      const std::size_t bytes = rows.size() * column.bytes;
-      if (column.by_rank != nullptr) {
-        add(column.of_rank(rank, sent), bytes);
-      } else if (run && column.stride == 1) {
-        add(static_cast<const std::byte*>(column.first) + rows.front() * column.bytes, bytes);
-      } else {
-        gather(column, rows, to);
-        add(to, bytes);
-      }
-      to += bytes;
+      if (column.by_rank == nullptr) gather(column, rows, to);
+      to += rows.size() * column.bytes;
     }
   }
 };

@@ -15,12 +15,26 @@ constexpr std::size_t kPiecesMax = 48;  // the number of pieces in one system ca
 
 Bytes bytes_of(const std::string& text) { return std::as_bytes(std::span(text)); }
 
+template <std::size_t kWidth>
+void gather_wide(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  const std::byte* const first = static_cast<const std::byte*>(column.first);
+  const std::size_t step = column.stride * kWidth;
+  if (step == kWidth)
+    for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * kWidth, first + rows[i] * kWidth, kWidth);
+  else
+    for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * kWidth, first + rows[i] * step, kWidth);
+}
+
 }  // namespace
 
 bool consecutive(std::span<const std::uint64_t> rows) {
   for (std::size_t i = 1; i < rows.size(); ++i)
     if (rows[i] != rows[i - 1] + 1) return false;
   return true;
+}
+
+void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to) {
+  (column.bytes == sizeof(double) ? gather_wide<sizeof(double)> : gather_wide<sizeof(float)>)(column, rows, to);
 }
 
 Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank) {
@@ -55,6 +69,17 @@ std::size_t particle_bytes(std::span<const Column> columns) {
   return bytes;
 }
 
+std::string slice_head(wire::Json slice, std::uint64_t request, std::span<const Column> columns, std::size_t count) {
+  slice["count"] = count;
+  slice["arrays"] = wire::Json::array();
+  for (const Column& column : columns)
+    slice["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
+  wire::FrameHeader header;
+  header.request = request;
+  header.bulk_bytes = count * particle_bytes(columns);
+  return wire::encode_frame(header, wire::dump_json(slice));
+}
+
 PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows rows, std::vector<Column> columns,
                        const std::string& edits, int edit_slices)
     : rows_(std::move(rows)), columns_(std::move(columns)), request_(request), slice_json_(slice_json(begin)) {
@@ -68,17 +93,9 @@ PushSource::PushSource(const wire::Json& begin, std::uint64_t request, RankRows 
 
 // Begins the frame of rank_'s slice.
 void PushSource::begin_slice() {
-  const std::uint64_t count = rows_[static_cast<std::size_t>(rank_)].size();
   wire::Json json = slice_json_;
   json["rank"] = rank_;
-  json["count"] = count;
-  json["arrays"] = wire::Json::array();
-  for (const Column& column : columns_)
-    json["arrays"].push_back({{"name", column.name}, {"dtype", column.dtype}, {"shape", {count}}});
-  wire::FrameHeader header;
-  header.request = request_;
-  header.bulk_bytes = count * particle_bytes(columns_);
-  heads_.push_back(wire::encode_frame(header, wire::dump_json(json)));
+  heads_.push_back(slice_head(std::move(json), request_, columns_, rows_[static_cast<std::size_t>(rank_)].size()));
   batch_.push_back(bytes_of(heads_.back()));
   batch_bytes_ += heads_.back().size();
   in_slice_ = true;
@@ -93,20 +110,13 @@ void PushSource::add_stretch() {
   const std::size_t width = column.bytes;
   const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - width)) / width;
   const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
-  const auto* first = static_cast<const std::byte*>(column.first);
   const std::size_t bytes = rows.size() * width;
-  if (column.by_rank != nullptr) {
-    batch_.emplace_back(column.of_rank(rank_, slot_), bytes);
-  } else if (column.stride == 1 && consecutive(rows)) {
-    batch_.emplace_back(first + rows.front() * width, bytes);
+  if (const std::byte* const values = column.in_place(rank_, slot_, rows, consecutive(rows))) {
+    batch_.emplace_back(values, bytes);
   } else {
     if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytesMax);
     std::byte* to = gathered_.data() + gathered_bytes_;
-    const std::size_t step = column.stride * width;
-    if (width == kElementBytesMax)
-      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * 8, first + rows[i] * step, 8);
-    else
-      for (std::size_t i = 0; i < rows.size(); ++i) std::memcpy(to + i * 4, first + rows[i] * step, 4);
+    gather(column, rows, to);
     batch_.emplace_back(to, bytes);
     gathered_bytes_ += bytes;
   }

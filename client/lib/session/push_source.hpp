@@ -31,13 +31,19 @@ struct Column {
   const void* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the order to be sent
   std::size_t bytes = 8;                 // of one element
 
-  const std::byte* of_rank(int rank, std::uint64_t slot) const {
-    return static_cast<const std::byte*>(by_rank[rank]) + slot * bytes;
+  // Where the values of these rows, a rank's from this slot on, lie side by side in the caller's memory; null if they
+  // don't. run: the rows follow one another.
+  const std::byte* in_place(int rank, std::uint64_t slot, std::span<const std::uint64_t> rows, bool run) const {
+    if (by_rank != nullptr) return static_cast<const std::byte*>(by_rank[rank]) + slot * bytes;
+    return run && stride == 1 ? static_cast<const std::byte*>(first) + rows[0] * bytes : nullptr;
   }
 };
 
 // An axis of the positions, double or float32. by_rank: its arrays by rank, if the positions are in layout order.
 Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank = nullptr);
+
+// Copies the values of these rows of the caller's array `first`.
+void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to);
 
 // The axes, and the weights if there are any.
 std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights);
@@ -51,6 +57,9 @@ RankRows all_rows(const layout::Layout& plan);
 
 // Bytes of one particle in all columns.
 std::size_t particle_bytes(std::span<const Column> columns);
+
+// The head of a slice's frame, before its columns, which hold `count` elements each. slice: its other fields.
+std::string slice_head(wire::Json slice, std::uint64_t request, std::span<const Column> columns, std::size_t count);
 
 class PushSource final : public FrameSource {
  public:

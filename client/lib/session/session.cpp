@@ -49,24 +49,6 @@ std::string frame_of(wire::FrameType type, std::uint64_t request, const wire::Js
   return wire::encode_frame(header, wire::dump_json(json));
 }
 
-// Frames that are there already.
-class WholeFrames final : public FrameSource {
- public:
-  explicit WholeFrames(std::string frames) : frames_(std::move(frames)) {
-    bytes_[0] = std::as_bytes(std::span(frames_));
-  }
-  std::span<const Bytes> next(bool) override {
-    if (sent_) return {};
-    sent_ = true;
-    return bytes_;
-  }
-
- private:
-  std::string frames_;
-  std::array<Bytes, 1> bytes_;
-  bool sent_ = false;
-};
-
 // Reads the welcome. Returns the nonce that a proof of the token must answer; empty if none is required.
 Result<std::string> read_welcome(Connection& link, const Endpoint& endpoint, const Deadline& deadline) {
   const auto frame = link.read(deadline);
@@ -121,8 +103,8 @@ Session::Session(ConnectOptions options) : options_(std::move(options)), number_
 
 Session::~Session() {
   if (!connected()) return;
-  WholeFrames goodbye(frame_of(wire::FrameType::goodbye, 0, wire::Json::object()));
-  static_cast<void>(connection_->write(goodbye.next(false), Deadline(kGoodbyeSeconds)));
+  const std::string goodbye = frame_of(wire::FrameType::goodbye, 0, wire::Json::object());
+  static_cast<void>(connection_->write(goodbye, Deadline(kGoodbyeSeconds)));
 }
 
 Result<std::unique_ptr<Session>> Session::open(const ConnectOptions& options) {
@@ -297,8 +279,8 @@ Result<wire::Json> Session::say_hello(Connection& link, wire::Json more, const D
   wire::Json hello{{"protocol", wire::kProtocolVersion}, {"client", options_.name}, {"session", number_}};
   hello.update(more);
   const std::uint64_t request = next_request();
-  WholeFrames frame(frame_of(wire::FrameType::hello, request, hello));
-  static_cast<void>(link.write(frame.next(false), deadline));  // a failed write is reported by the read below
+  // A failed write is reported by the read below.
+  static_cast<void>(link.write(frame_of(wire::FrameType::hello, request, hello), deadline));
   const auto answer = await_answer(link, request, deadline);
   if (!answer) return answer.status();
   return answer->json();
@@ -332,10 +314,11 @@ Status Session::lost_connection() const {
   return {Code::unavailable, fmt::format("the connection to {} was lost", endpoint_text_), "see rcbctl status"};
 }
 
-Result<Frame> Session::exchange_frames(std::uint64_t request, std::string frames, const std::string& what,
+Result<Frame> Session::exchange_frames(std::uint64_t request, const std::string& frames, const std::string& what,
                                        const Deadline& deadline) {
-  WholeFrames source(std::move(frames));
-  return exchange(request, source, what, deadline);
+  if (!connection_) return lost_connection();
+  static_cast<void>(connection_->write(frames, deadline));
+  return await_answer_to(request, what, deadline);
 }
 
 Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {
@@ -374,13 +357,7 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
     sent_to = instance_;
     return call_once(request, retry);
   };
-  return retry_until_deadline(retry, once, [](const Status&) { return false; });
-}
-
-Result<wire::Json> Session::ask_once(wire::Json request, const Retry& retry) {
-  const auto answer = call_once(std::move(request), retry);
-  if (!answer) return answer.status();
-  return answer->json();
+  return retry_until_deadline(retry, once);
 }
 
 }  // namespace rcb::client

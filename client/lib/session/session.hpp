@@ -66,12 +66,10 @@ class Session {
   // Whether the service was restarted since this session began.
   bool restarted() const { return instance_ != first_instance_; }
   bool outlive() const { return options_.outlive; }
-  // Called while waiting; may be empty.
-  const NoticeHandler& on_notice() const { return options_.on_notice; }
 
   // Runs `once`, with a connection established, and repeats it while it fails by losing the service. Any other error is
-  // passed to `mend`: if that returns true, `once` is repeated. `once` returns a Result and has no retry loop of its
-  // own.
+  // passed to `mend`: if that returns true, `once` is repeated. `once` returns a Result or a Status and has no retry
+  // loop of its own.
   template <typename Once, typename Mend>
   std::invoke_result_t<Once&> retry_until_deadline(Retry& retry, Once&& once, Mend&& mend) {
     for (;;) {
@@ -80,13 +78,18 @@ class Session {
         if (retry.end_of_waiting()) notice(fmt::format("{} answers again", endpoint_text_));
         auto result = once();
         if (result) return result;
-        status = result.status();
+        status = status_of(result);
         const bool lost = status.code() == Code::unavailable && !connected();
         if (!lost && mend(status)) continue;
         if (!lost) return status;
       }
       if (Status over = wait(retry, status, gone()); !over) return over;
     }
+  }
+  // The same where nothing else can be mended.
+  template <typename Once>
+  std::invoke_result_t<Once&> retry_until_deadline(Retry& retry, Once&& once) {
+    return retry_until_deadline(retry, once, [](const Status&) { return false; });
   }
   // Waits until the next attempt is due; if there is none, returns why. why: the error of the last attempt; what:
   // names what is waited for, in notices.
@@ -123,7 +126,7 @@ class Session {
   // may just have died: then the connection is closed too, so that the call is tried again.
   Status no_data();
   // Sends whole frames to the endpoint and waits for the answer.
-  Result<Frame> exchange_frames(std::uint64_t request, std::string frames, const std::string& what,
+  Result<Frame> exchange_frames(std::uint64_t request, const std::string& frames, const std::string& what,
                                 const Deadline& deadline);
   // Sends `begin` (whole frames) to the endpoint and the slices over data().
   Result<Frame> exchange_directly(std::uint64_t request, const std::string& begin, const wire::Json& slice,
@@ -141,11 +144,14 @@ class Session {
   Result<Frame> call(wire::Json request, double deadline_seconds);
   // One attempt of call() on the current connection, for use in retry_until_deadline().
   Result<Frame> call_once(wire::Json request, const Retry& retry);
-  // As call_once(), for answers without arrays: their JSON.
-  Result<wire::Json> ask_once(wire::Json request, const Retry& retry);
 
  private:
   explicit Session(ConnectOptions options);
+  static Status status_of(const Status& status) { return status; }
+  template <typename T>
+  static Status status_of(const Result<T>& result) {
+    return result.status();
+  }
   // Connects again if the connection is gone. Errors: those of open().
   Status ensure(const Deadline& deadline);
   void drop_connection();

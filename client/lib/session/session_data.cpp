@@ -1,6 +1,5 @@
 // Session, part 2: the connections to the ranks themselves, memory shared over them, and pushes that go there.
 #include <algorithm>
-#include <array>
 #include <utility>
 
 #include <fmt/format.h>
@@ -132,8 +131,7 @@ Result<Frame> Session::exchange_directly(std::uint64_t request, const std::strin
   if (!connection_) return lost_connection();
   // Lost when memory was taken back from the ranks, for one.
   if (data_ == nullptr) return Status(Code::aborted, "the connections to the ranks were lost");
-  const std::array<Bytes, 1> frames{std::as_bytes(std::span(begin))};
-  if (connection_->write(frames, deadline)) {
+  if (connection_->write(begin, deadline)) {
     const auto answered = [this] { return connection_->has_frame(); };
     const Status sent = data_->send(slice, request, rows, columns, answered, deadline);
     if (!sent) {

@@ -45,7 +45,7 @@ class UnansweredStep {
   // so.
   Status settle(Session& session, const std::string& scene, Retry& retry,
                 const std::function<Result<bool>()>& was_committed) {
-    const auto needed = session.retry_until_deadline(retry, was_committed, [](const Status&) { return false; });
+    const auto needed = session.retry_until_deadline(retry, was_committed);
     if (!needed) return needed.status();
     if (*needed)
       return {Code::stale_step,

@@ -40,12 +40,10 @@ struct Options {
   bool json = false;
 };
 
-struct Record {
-  std::vector<client::StepReport> reports;
+struct Record : RunRecord {
   std::vector<std::uint64_t> held;  // points by process, after the last step
   std::uint64_t handed_over = 0;    // points, by this process
-  Balance start, end;
-  double seconds_physics = 0, seconds_service = 0, seconds_exchange = 0;
+  double seconds_exchange = 0;
 };
 
 // Reads numbers as the other solvers do: 8.0 and 1e6 are whole, a tolerance may be inf.
@@ -76,16 +74,9 @@ void declare(CLI::App& app, Options& o) {
   app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
       ->check(tolerance());
   app.add_option("--scene", o.scene, "name of the scene; one of that name is replaced")->type_name("NAME");
-  app.add_option("--endpoint", o.endpoint,
-                 "where the service is: unix:PATH, HOST:PORT or file:PATH (default: RCBD_ENDPOINT, then this user's "
-                 "socket, then 127.0.0.1:7470)")
-      ->type_name("E");
-  app.add_option("--trajectory", o.trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
-      ->type_name("F.npy");
+  add_place_options(app, o.endpoint, o.trajectory);
   app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));
-  app.add_flag(
-      "!--no-outlive", o.outlive,
-      "end when the service has gone; else a push waits for it until its deadline, and makes a lost scene anew");
+  add_outlive_option(app, o.outlive);
   app.add_flag("--check", o.check,
                "after every step ask the service which process each point belongs to, and fail where another holds it");
   app.add_flag("--json", o.json, "one JSON document on standard output instead of the summary");
@@ -178,7 +169,7 @@ Status push(Seat& seat, const Options& options, MpiCores& cores, Mpm& mpm, std::
   return options.check ? cores.agree(check_held(seat.client, options, news->report, cores, mpm)) : Status{};
 }
 
-Status run(const Options& options, MpiCores& cores, Record& record, std::uint64_t& substeps) {
+Status run(const Options& options, MpiCores& cores, Record& record) {
   const SteadyClock clock;
   auto share = make_share(options, cores.rank(), cores.size());
   if (Status all = cores.agree(share.status()); !all) return all;
@@ -199,8 +190,8 @@ Status run(const Options& options, MpiCores& cores, Record& record, std::uint64_
       if (Status status = mpm.advance(options.slope.interval, &cores); !status) return status;
     const double advanced = clock.seconds() - start;
     record.seconds_physics += advanced;
-    record.end = cores.sum(mpm.balance());
-    if (step == 0) record.start = record.end;
+    record.physics.end = cores.sum(mpm.balance());
+    if (step == 0) record.physics.start = record.physics.end;
     if (!options.trajectory.empty()) {
       const auto frame = cores.gather_positions(mpm, options.slope.points);
       if (Status all = cores.agree(trajectory ? trajectory->append(frame) : Status{}); !all) return all;
@@ -208,16 +199,14 @@ Status run(const Options& options, MpiCores& cores, Record& record, std::uint64_
     if (Status status = push(**seat, options, cores, mpm, step, advanced, clock, record); !status) return status;
     record.held = cores.gather(mpm.size());
   }
-  substeps = mpm.substeps();
+  record.substeps = mpm.substeps();
   return cores.agree(trajectory ? trajectory->close() : Status{});
 }
 
-void say_end(const Options& options, const MpiCores& cores, const Record& record, std::uint64_t substeps,
-             std::uint64_t handed_over) {
-  const auto repartitions = std::count_if(record.reports.begin(), record.reports.end(),
-                                          [](const auto& report) { return report.repartitioned; });
-  const auto recreations = std::count_if(record.reports.begin(), record.reports.end(),
-                                         [](const auto& report) { return report.scene_recreated; });
+void say_end(const Options& options, const MpiCores& cores, const Record& record, std::uint64_t handed_over) {
+  const auto recreations = record.recreations();
+  const Balance& start = record.physics.start;
+  const Balance& end = record.physics.end;
   if (!options.json) {
     fmt::print(
         "slope_mpi: {} points on {} processes, {} steps of {:g} s in {} substeps, scene {} in {} parts\n"
@@ -225,8 +214,8 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
         "{}"
         "  handed over    {} points\n"
         "  wall clock     {:.3g} s physics, {:.3g} s service, {:.3g} s handing over\n",
-        options.slope.points, cores.size(), options.steps, options.slope.interval, substeps, options.scene,
-        options.parts, repartitions,
+        options.slope.points, cores.size(), options.steps, options.slope.interval, record.substeps, options.scene,
+        options.parts, record.repartitions(),
         recreations > 0 ? fmt::format("  service lost   {}; the scene was made anew\n", recreations) : "", handed_over,
         record.seconds_physics, record.seconds_service, record.seconds_exchange);
     return;
@@ -239,15 +228,15 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
                       {"points", options.slope.points},
                       {"steps", options.steps},
                       {"parts", options.parts},
-                      {"repartitions", repartitions},
+                      {"repartitions", record.repartitions()},
                       {"recreations", recreations},
                       {"reports", std::move(reports)},
                       {"held", record.held},
                       {"handed_over", handed_over},
                       {"checked", options.check},
-                      {"substeps", substeps},
-                      {"momentum", {{"start", record.start.momentum}, {"end", record.end.momentum}}},
-                      {"energy", {{"start", record.start.energy()}, {"end", record.end.energy()}}},
+                      {"substeps", record.substeps},
+                      {"momentum", {{"start", start.momentum}, {"end", end.momentum}}},
+                      {"energy", {{"start", start.energy()}, {"end", end.energy()}}},
                       {"seconds",
                        {{"physics", record.seconds_physics},
                         {"service", record.seconds_service},
@@ -268,23 +257,16 @@ int run_on(MpiCores& cores, int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : exit_code(Code::usage);
   }
   Record record;
-  std::uint64_t substeps = 0;
-  Status status = run(options, cores, record, substeps);
+  Status status = run(options, cores, record);
   const auto handed_over = cores.gather(record.handed_over);
   if (status.ok() && cores.rank() == 0) {
-    say_end(options, cores, record, substeps,
-            std::accumulate(handed_over.begin(), handed_over.end(), std::uint64_t{0}));
+    say_end(options, cores, record, std::accumulate(handed_over.begin(), handed_over.end(), std::uint64_t{0}));
     status = flush_output();
   }
   if (status.ok()) return 0;
   // What can't be done at all is due to the options.
   if (status.code() == Code::invalid_argument) status = {Code::usage, status.message(), status.hint()};
-  if (cores.rank() == 0) {
-    if (options.json) fmt::print("{}\n", failure_document(status));
-    fmt::print(stderr, "slope_mpi: {}{}{}\n", status.message(),
-               status.hint().empty() ? "" : "\n  hint: ", status.hint());
-  }
-  return exit_code(status.code());
+  return cores.rank() == 0 ? tell_failure("slope_mpi", options.json, status) : exit_code(status.code());
 }
 
 }  // namespace

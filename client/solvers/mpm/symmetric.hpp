@@ -15,7 +15,6 @@ namespace rcb::solvers {
 struct Sym3 {
   double xx = 0, yy = 0, zz = 0, xy = 0, xz = 0, yz = 0;
 
-  static constexpr Sym3 identity() { return {1, 1, 1, 0, 0, 0}; }
   double trace() const { return xx + yy + zz; }
   void add_to_diagonal(double value) {
     xx += value;

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "common/base/index.hpp"
+#include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/incremental/classify_guessed.hpp"
 #include "common/partition/incremental/guess.hpp"
 #include "common/partition/incremental/sample.hpp"
@@ -161,30 +162,18 @@ class FirstPartition {
 
   // The exact boxes of the roots' particles, on all ranks. Collective (one reduction).
   void measure_roots(const OwnInterior& own, std::span<const std::int32_t> part, const Interior& interior) {
-    std::vector<std::uint64_t> least(roots_.size() * 2 * geometry::kDimsMax, ~std::uint64_t{0});
+    boxes_.clear();
+    for (const NodeRange& root : roots_) boxes_.push_back(interior.box(root.first, root.last));
     const std::vector<std::int32_t> root_of = roots_of_parts(roots_, options_.parts);
     for (std::size_t k = 0; k < part.size(); ++k) {
       const std::int32_t root = root_of[at(part[k])];
       if (root == Roots::kNone) continue;
-      for (std::size_t a = 0; a < at(axes()); ++a) {
-        const std::uint64_t bits = geometry::order_bits(own.boundary.position[a][k]);
-        std::uint64_t* const words = &least[(at(root) * geometry::kDimsMax + a) * 2];
-        words[0] = std::min(words[0], bits);
-        words[1] = std::min(words[1], ~bits);
-      }
+      geometry::Point position{};
+      for (std::size_t a = 0; a < at(axes()); ++a) position[a] = own.boundary.position[a][k];
+      boxes_[at(root)].extend(position, axes());
     }
-    comm_.all_min(least);
+    extend_by_all(comm_, boxes_, axes());
     ++result_.reductions;
-    boxes_.clear();
-    for (std::size_t r = 0; r < roots_.size(); ++r) {
-      Box& box = boxes_.emplace_back(interior.box(roots_[r].first, roots_[r].last));
-      for (std::size_t a = 0; a < at(axes()); ++a) {
-        const std::uint64_t* const words = &least[(r * geometry::kDimsMax + a) * 2];
-        if (words[0] == ~std::uint64_t{0}) continue;
-        box.lo[a] = std::min(box.lo[a], geometry::value_of_order_bits(words[0]));
-        box.hi[a] = std::max(box.hi[a], geometry::value_of_order_bits(~words[1]));
-      }
-    }
   }
 
   // Cuts the roots by a search among all their particles. Collective.

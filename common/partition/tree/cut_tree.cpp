@@ -113,19 +113,6 @@ std::vector<int> CutTree::parts_touching(const Box& box) const {
   return found;
 }
 
-Box CutTree::region(int part) const {
-  CHECK(part >= 0 && part < parts, "no such part");
-  Box box = Box::unbounded();
-  for (NodeRange range = root(); !range.leaf();) {
-    const Cut& cut = cuts[at(range.node)];
-    const bool right = part >= range.middle();
-    if (right && cut.right_empty) return Box{};
-    if (!cut.right_empty) (right ? box.lo : box.hi)[at(cut.axes[0])] = cut.key.at[0];
-    range = right ? range.right() : range.left();
-  }
-  return box;
-}
-
 std::vector<Box> CutTree::regions(int first, int last) const {
   CHECK(first >= 0 && first <= last && last <= parts, "no such parts");
   std::vector<Box> out(at(last - first));

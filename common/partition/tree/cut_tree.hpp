@@ -66,10 +66,8 @@ class CutTree {
   std::vector<int> candidates(const Point& position) const;
   // Parts whose closed region meets the closed box, ascending. Local.
   std::vector<int> parts_touching(const geometry::Box& box) const;
-  // The box that the cuts leave for a part: infinite where unbounded; empty() on the right side of a cut without a key.
-  // Local.
-  geometry::Box region(int part) const;
-  // Those of the parts [first, last), in one walk of the tree. Local.
+  // The boxes that the cuts leave for the parts [first, last): infinite where unbounded; empty() on the right side of a
+  // cut without a key. Local.
   std::vector<geometry::Box> regions(int first, int last) const;
   // XXH3-64 (seed 0) of encode(). Local.
   std::uint64_t hash() const;

@@ -53,10 +53,8 @@ class Coordinator::OrderReservation {
     order_.held.reset();
     of_->charged_bytes_ -= order_.charged_bytes;
     if (order_.changes.empty()) return;
-    SceneGate& gate = of_->gate(order_.changes);
-    --gate.changes_unfinished;
-    gate.wake();
-    of_->erase_gate_if_unused(order_.changes);
+    --of_->gate(order_.changes).changes_unfinished;
+    of_->wake_queue(order_.changes);
   }
   const OrderOptions& order() const { return order_; }
   TimePoint since() const { return since_; }
@@ -118,6 +116,11 @@ void Coordinator::complete(Answer answer, const std::shared_ptr<OrderReservation
   if (order.then) return order.then(std::move(answer));
   pending->answer = std::move(answer);
   pending->signal.cancel();
+}
+
+void Coordinator::wake_queue(const std::string& scene) {
+  gate(scene).wake();
+  erase_gate_if_unused(scene);
 }
 
 void Coordinator::erase_gate_if_unused(const std::string& scene) {

@@ -17,11 +17,6 @@ using wire::Json;
 
 namespace {
 
-bool asked(const Json& begin, const char* name) {
-  const auto value = wire::bool_field_or(begin, name, false);
-  return value.ok() && *value;
-}
-
 // A copy of the arrays for one member: changes and places only if its push.begin asked for them, and what was inserted
 // only if it inserted any. Nothing if there is no memory for them.
 std::optional<std::vector<wire::Array>> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
@@ -29,8 +24,8 @@ std::optional<std::vector<wire::Array>> copy_for(const Json& begin, const std::v
   const bool inserts = inserted.ok() && *inserted > 0;
   std::vector<wire::Array> copy;
   for (const wire::Array& array : arrays) {
-    if ((!asked(begin, "changes") && array.name.starts_with("changed_")) ||
-        (!asked(begin, "places") && array.name.starts_with("place_")) ||
+    if ((!wire::is_true(begin, "changes") && array.name.starts_with("changed_")) ||
+        (!wire::is_true(begin, "places") && array.name.starts_with("place_")) ||
         (!inserts && array.name.starts_with("inserted_")))
       continue;
     wire::Array& own = copy.emplace_back(wire::Array{array.name, array.dtype, array.shape, {}});
@@ -300,8 +295,8 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     if (!to_ranks) counts[0] += terms.moving();
     if (to_ranks && terms.moved == Moved::some)
       for (std::size_t rank = 0; rank < counts.size(); ++rank) counts[rank] += terms.counts[rank];
-    changes = changes || asked(contribution->begin, "changes");
-    places = places && asked(contribution->begin, "places");
+    changes = changes || wire::is_true(contribution->begin, "changes");
+    places = places && wire::is_true(contribution->begin, "places");
     if (to_ranks) request["staged"].push_back(staged_by(*contribution));
     order.charged_bytes += std::exchange(contribution->charged_bytes, 0);
     for (Slice& slice : contribution->slices.take()) {

@@ -32,7 +32,7 @@ Result<std::optional<Membership>> read_membership(const Json& request) {
   asked.member = static_cast<int>(fields.integer("member", 0, asked.members - 1));
   asked.follow = fields.flag("follow");
   asked.generation =
-      static_cast<std::uint64_t>(fields.integer_or("generation", 1, std::numeric_limits<std::int64_t>::max() - 1, 0));
+      static_cast<std::uint64_t>(fields.integer_or("generation", 1, wire::kIntegerMax - 1, 0));
   if (!fields.ok()) return fields.status();
   return std::optional(asked);
 }

@@ -17,15 +17,10 @@ using wire::Json;
 
 namespace {
 
-bool flag(const Json& request, const char* name) {
-  const auto value = wire::bool_field_or(request, name, false);
-  return value.ok() && *value;  // a wrong type is refused by the service
-}
-
 // Whether this is an unforced rebalance that changes the number of parts, on which clients with the scene open rely.
 bool changes_parts(const std::string& command, const Json& request, const api::Snapshot& snapshot,
                    const std::string& scene) {
-  if (command != "rebalance" || flag(request, "dry_run") || flag(request, "force")) return false;
+  if (command != "rebalance" || wire::is_true(request, "dry_run") || wire::is_true(request, "force")) return false;
   const auto info = snapshot.find(scene);
   if (info == snapshot.end()) return false;
   const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, info->second.parts);
@@ -263,7 +258,7 @@ awaitable<void> Session::scene_change(Request& request) {
     co_return;
   }
   SceneGate& gate = coordinator_->gate(*scene);
-  const bool drops = request.command == "scene.drop" || flag(request.json, "replace");
+  const bool drops = request.command == "scene.drop" || wire::is_true(request.json, "replace");
   const bool waits = request.command != "scene.create" || drops;
   Status turn;
   const auto own_is_open = [this, &gate] {
@@ -288,18 +283,16 @@ awaitable<void> Session::scene_change(Request& request) {
   if (turn.ok() && request.command == "load") turn = coordinator_->groups().check_free(*scene);
   if (!turn.ok()) {
     fail(request.number, turn);
-    coordinator_->gate(*scene).wake();
-    coordinator_->erase_gate_if_unused(*scene);
+    coordinator_->wake_queue(*scene);
     co_return;
   }
   OrderOptions order = options_of(request);
   order.changes = *scene;
   const bool restores =
-      flag(request.json, "recreated") && !flag(request.json, "replace") && !coordinator_->snapshot().contains(*scene);
+      wire::is_true(request.json, "recreated") && !wire::is_true(request.json, "replace") && !coordinator_->snapshot().contains(*scene);
   order.ends_run = request.command == "scene.drop" || (request.command == "scene.create" && !restores);
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
-  coordinator_->gate(*scene).wake();
-  coordinator_->erase_gate_if_unused(*scene);
+  coordinator_->wake_queue(*scene);
   if (!pending.ok()) {
     fail(request.number, pending.status());
     co_return;

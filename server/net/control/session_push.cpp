@@ -57,8 +57,7 @@ awaitable<void> Session::push_begin(Request& request) {
     if (admitted.ok()) push = std::move(*admitted);
     status = admitted.status();
   }
-  coordinator_->gate(id->scene).wake();
-  coordinator_->erase_gate_if_unused(id->scene);
+  coordinator_->wake_queue(id->scene);
   if (!status.ok()) refuse(request, status);
   if (push && push->slices.terms().direct())
     co_await begin_directly(push);
@@ -79,8 +78,7 @@ awaitable<void> Session::begin_contribution(Request& request, const PushId& id) 
   if (status.ok())
     status = coordinator_->groups().begin(
         {id, connection_, client_, request.number, std::move(request.json), request.end, request.held});
-  coordinator_->gate(id.scene).wake();
-  coordinator_->erase_gate_if_unused(id.scene);
+  coordinator_->wake_queue(id.scene);
   if (status.ok()) co_return;
   if (slices) coordinator_->refuse_directly(id);
   fail(request.number, status);

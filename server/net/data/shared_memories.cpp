@@ -1,11 +1,11 @@
 #include "server/net/data/shared_memories.hpp"
 
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 
 #include "common/wire/field_reader.hpp"
+#include "common/wire/limits.hpp"
 #include "server/net/sockets/hello.hpp"
 
 namespace rcb::net {
@@ -19,10 +19,9 @@ constexpr std::uint64_t kAllMemoriesBytesMax = 16;  // and of addresses; in mult
 
 Status SharedMemories::take_frame(Connection& connection, const Frame& frame, const std::string& session, bool share) {
   if (frame.header.bulk_bytes > 0) return {Code::protocol_error, "shared memory comes without arrays"};
-  constexpr std::int64_t kLargest = std::numeric_limits<std::int64_t>::max();
   wire::FieldReader fields(frame.json);
-  const Key key(session, fields.integer("memory", 0, kLargest));
-  const auto bytes = static_cast<std::uint64_t>(share ? fields.integer("bytes", 1, kLargest) : 0);
+  const Key key(session, fields.integer("memory", 0, wire::kIntegerMax));
+  const auto bytes = static_cast<std::uint64_t>(share ? fields.integer("bytes", 1, wire::kIntegerMax) : 0);
   Status status = fields.status();
   Descriptor descriptor = share ? connection.take_descriptor() : Descriptor();  // also where the frame is refused
   if (status.ok() && share) status = this->share(key, bytes, std::move(descriptor), connection);

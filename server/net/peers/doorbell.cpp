@@ -91,12 +91,12 @@ Result<TcpAcceptor> listen_for_ranks(asio::io_context& context, const std::strin
   auto found = addresses_on(interface);
   if (!found.ok()) return found.status();
   const bool one = !interface.empty() && found->size() == 1;
-  auto acceptor = listen_tcp(context, with_port(one ? found->front() : "::", 0), Network::trusted);
+  auto acceptor = listen_tcp(context, join_host_port(one ? found->front() : "::", 0), Network::trusted);
   if (!acceptor.ok() && !one) acceptor = listen_tcp(context, "0.0.0.0:0", Network::trusted);
   if (!acceptor.ok()) return acceptor.status();
   error_code error;
-  const unsigned port = acceptor->local_endpoint(error).port();
-  for (const std::string& address : *found) addresses.push_back(with_port(address, port));
+  const std::uint16_t port = acceptor->local_endpoint(error).port();
+  for (const std::string& address : *found) addresses.push_back(join_host_port(address, port));
   return acceptor;
 }
 

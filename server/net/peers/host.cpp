@@ -46,8 +46,6 @@ bool holds(const std::string& wanted, const asio::ip::address& address) {
 
 }  // namespace
 
-Host Host::here() { return {host_name(), machine_key()}; }
-
 Result<std::vector<std::string>> addresses_on(const std::string& interface) {
   ifaddrs* list = nullptr;
   if (::getifaddrs(&list) != 0)
@@ -72,11 +70,6 @@ Result<std::vector<std::string>> addresses_on(const std::string& interface) {
                                     : fmt::format("no interface of this machine that others reach is '{}'", interface),
                   names.empty() ? "" : fmt::format("there are {}", fmt::join(names, ", ")));
   return found;
-}
-
-std::string with_port(const std::string& address, unsigned port) {
-  return address.find(':') == std::string::npos ? fmt::format("{}:{}", address, port)
-                                                : fmt::format("[{}]:{}", address, port);
 }
 
 }  // namespace rcb::net

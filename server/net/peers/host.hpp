@@ -9,13 +9,6 @@
 
 namespace rcb::net {
 
-struct Host {
-  std::string name;
-  std::string key;  // machine_key()
-
-  static Host here();
-};
-
 // A listener for clients on the machine where it is.
 struct LocalAddress {
   std::string address;  // "unix:PATH"; empty: there is none
@@ -32,8 +25,5 @@ struct RankHost {
 // first. `interface` is the name of one (eth0), an address, or a network (10.0.0.0/8); empty: all. Errors:
 // invalid_argument (none is left), io_error.
 Result<std::vector<std::string>> addresses_on(const std::string& interface);
-
-// "10.0.0.1:7470", "[fe80::1]:7470".
-std::string with_port(const std::string& address, unsigned port);
 
 }  // namespace rcb::net

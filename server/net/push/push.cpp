@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
-#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -117,7 +116,7 @@ Status check_share(const wire::Json& request, const api::SceneSummary& scene, co
             "\"direct\" and \"shared\" without ids"};
   if (!terms.to_ranks() && all) return {};
   if (!scene.step) return {Code::stale_plan, "the scene has no plan yet", "push in order \"id\""};
-  const auto epoch = wire::integer_field(request, "epoch", 0, std::numeric_limits<std::int64_t>::max());
+  const auto epoch = wire::integer_field(request, "epoch", 0, wire::kIntegerMax);
   if (!epoch.ok()) return epoch.status();
   if (static_cast<std::uint64_t>(*epoch) != scene.epoch)
     return {terms.to_ranks() ? Code::stale_plan : Code::base_lost,

@@ -2,7 +2,6 @@
 // the answer says where the next page begins. A request without these gets everything, or is refused if that is too
 // much for one answer; it never gets a part.
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 
@@ -13,8 +12,6 @@
 
 namespace rcb::service {
 namespace {
-
-constexpr std::int64_t kHuge = std::numeric_limits<std::int64_t>::max();
 
 bool given(const wire::Json& request, const char* name) {
   const auto found = request.find(name);
@@ -35,9 +32,9 @@ struct Page {
 // The page asked for by the fields "from" (`otherwise` if absent) and "count", within `total` items and of at most
 // `most`. Errors: invalid_argument.
 Result<Page> read_page(const wire::Json& request, std::uint64_t total, std::uint64_t otherwise, std::uint64_t most) {
-  const auto from = wire::integer_field_or(request, "from", 0, kHuge, static_cast<std::int64_t>(otherwise));
+  const auto from = wire::integer_field_or(request, "from", 0, wire::kIntegerMax, static_cast<std::int64_t>(otherwise));
   if (!from.ok()) return from.status();
-  const auto count = wire::integer_field_or(request, "count", 1, kHuge, kHuge);
+  const auto count = wire::integer_field_or(request, "count", 1, wire::kIntegerMax, wire::kIntegerMax);
   if (!count.ok()) return count.status();
   Page page;
   page.from = std::min(static_cast<std::uint64_t>(*from), total);
@@ -78,7 +75,7 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
 
 Response history(Context& context, Scene& scene, const wire::Json& request) {
   const std::uint64_t total = scene.totals.steps;
-  const auto last = wire::integer_field_or(request, "last", 0, kHuge, kHuge);
+  const auto last = wire::integer_field_or(request, "last", 0, wire::kIntegerMax, wire::kIntegerMax);
   if (!last.ok()) return failed(last.status());
   const std::uint64_t wanted = std::min(static_cast<std::uint64_t>(*last), total);
   if (given(request, "last") && given(request, "from"))

@@ -1,12 +1,12 @@
 // Queries: nothing here changes a scene.
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
 
 #include "common/base/axis_names.hpp"
 #include "common/base/random.hpp"
+#include "common/wire/limits.hpp"
 #include "server/service/commands/lists.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
@@ -62,7 +62,7 @@ Result<geometry::Point> point_field(const wire::Json& request, const char* name,
 Response owner(Context&, Scene& s, const wire::Json& request) {
   const auto position = point_field(request, "position", s.options.dims);
   if (!position.ok()) return failed(position.status());
-  const auto id = wire::integer_field_or(request, "id", 0, std::numeric_limits<std::int64_t>::max(), -1);
+  const auto id = wire::integer_field_or(request, "id", 0, wire::kIntegerMax, -1);
   if (!id.ok()) return failed(id.status());
   wire::Json json{{"scene", s.name}, {"epoch", s.epoch}};
   if (id.value() >= 0) {
@@ -136,7 +136,7 @@ Status append_particles(Context& context, const Scene& scene, bool positions, Re
 }
 
 Response assign(Context& context, Scene& s, const wire::Json& request) {
-  const auto checksum = wire::bool_field_or(request, "checksum", false);
+  const auto checksum = wire::bool_field(request, "checksum");
   if (!checksum.ok()) return failed(checksum.status());
   Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}});
   if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));

@@ -13,14 +13,10 @@ constexpr std::size_t kBytesPerChange = sizeof(particles::Id) + sizeof(std::int3
 
 void sort_by_id(PartChanges& changes) {
   if (std::is_sorted(changes.id.begin(), changes.id.end())) return;
-  PartChanges sorted;
-  sorted.id.reserve(changes.id.size());
-  sorted.part.reserve(changes.id.size());
-  for (const std::uint64_t k : order_by_id(changes.id)) {
-    sorted.id.push_back(changes.id[k]);
-    sorted.part.push_back(changes.part[k]);
-  }
-  changes = std::move(sorted);
+  const Buffer<std::uint64_t> order = order_by_id(changes.id);
+  Buffer<std::byte> spare;
+  put_in_order(changes.id, order, spare);
+  put_in_order(changes.part, order, spare);
 }
 
 // Divides the ids into windows with at most `at_once` changes each, all ranks together; returns the last id of each

@@ -15,39 +15,28 @@
 #include "tests/bench/dynamic/dynamic_report.hpp"
 #include "tests/bench/dynamic/dynamic_trajectory.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 
 namespace rcb::bench {
 namespace {
 
-constexpr int kPartsMax = 1 << 20;
-constexpr int kRanksMax = 256;
-constexpr int kRepeatsMax = 1000;
 constexpr int kStepsMax = 1'000'000;
 
-Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench dynamic --help"}; }
-
 Status check(const DynamicOptions& options) {
-  for (const int parts : options.parts)
-    if (parts < 1 || parts > kPartsMax) return usage(fmt::format("--parts {}: give 1 to {}", parts, kPartsMax));
-  for (const int ranks : options.ranks)
-    if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
-  for (const double tolerance : options.tolerances)
-    if (!(tolerance >= 0)) return usage(fmt::format("--tolerances {}: give numbers >= 0, or inf", tolerance));
+  OptionCheck check("rcb_bench dynamic");
+  check.between("--parts", options.parts, 1, kPartsMax);
+  check.between("--ranks", options.ranks, 1, kRanksMax);
+  check.between("--tolerances", options.tolerances, 0, std::numeric_limits<double>::infinity());
   for (const double hysteresis : options.hystereses)
-    if (!(hysteresis >= 1) || std::isinf(hysteresis))
-      return usage(fmt::format("--axis-hysteresis {}: give finite numbers >= 1", hysteresis));
-  for (const std::string& recut : options.recuts)
-    if (recut != "all" && recut != "subtree") return usage(fmt::format("--recut {}: give all, subtree or both", recut));
-  if (options.repeats < 1 || options.repeats > kRepeatsMax)
-    return usage(fmt::format("--repeats {}: give 1 to {}", options.repeats, kRepeatsMax));
-  if (!(options.points >= 0 && options.points <= 1e9) || options.points != std::floor(options.points))
-    return usage(fmt::format("--points {}: give a whole number", options.points));
-  if (options.steps < 0 || options.steps > kStepsMax)
-    return usage(fmt::format("--steps {}: give 1 to {}", options.steps, kStepsMax));
-  for (const std::string& scene : options.scenes)
-    if (find_solver(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
-  return {};
+    check.holds(hysteresis >= 1 && !std::isinf(hysteresis),
+                fmt::format("--axis-hysteresis {}: give finite numbers >= 1", hysteresis));
+  check.known("--recut", options.recuts, [](const std::string& recut) { return recut == "all" || recut == "subtree"; });
+  check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
+  check.whole("--points", {options.points}, 0, 1e9);
+  check.between("--steps", std::vector{options.steps}, 0, kStepsMax);
+  check.known("--scenes", options.scenes, [](const std::string& scene) { return find_solver(scene) != nullptr; });
+  return check.status();
 }
 
 // peer: Zoltan, which of a setting has the tolerance alone.
@@ -172,13 +161,12 @@ Status measure_all(const DynamicOptions& options, Json& rows) {
 CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
   options.tolerances = {0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, std::numeric_limits<double>::infinity()};
   auto* command = app.add_subcommand("dynamic", "time in service and error along a solver's run, for every tolerance");
-  const auto list = [](CLI::Option* option) { return option->delimiter(',')->capture_default_str(); };
-  list(command->add_option("--scenes", options.scenes, "two_spheres, slope"));
-  list(command->add_option("--tolerances", options.tolerances, "tolerances; the policy cost is run beside them"));
-  list(command->add_option("--parts", options.parts, "numbers of parts"));
-  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
-  list(command->add_option("--axis-hysteresis", options.hystereses, "of our scenes"));
-  list(command->add_option("--recut", options.recuts, "what our new cuts cut anew: all, subtree"));
+  add_list(*command, "--scenes", options.scenes, "two_spheres, slope");
+  add_list(*command, "--tolerances", options.tolerances, "tolerances; the policy cost is run beside them");
+  add_list(*command, "--parts", options.parts, "numbers of parts");
+  add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, one service each");
+  add_list(*command, "--axis-hysteresis", options.hystereses, "of our scenes");
+  add_list(*command, "--recut", options.recuts, "what our new cuts cut anew: all, subtree");
   command->add_flag("!--no-peers", options.peers, "leave Zoltan out");
   command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
   command->add_option("--points", options.points, "points of every scene, instead of its own number");

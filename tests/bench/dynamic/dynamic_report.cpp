@@ -115,8 +115,7 @@ std::string dynamic_tables(const Json& document) {
 }
 
 Status draw_dynamic(const Json& document, const std::string& path) {
-  if (path.find_first_of("'\n\\") != std::string::npos)
-    return {Code::invalid_argument, path + ": a quote, backslash or line break in the figure's name"};
+  if (Status status = check_output(path); !status.ok()) return status;
   const auto groups = groups_of(document["rows"]);
   if (groups.empty()) return {Code::invalid_argument, "there is nothing to draw"};
   std::vector<std::string> panels;
@@ -133,27 +132,20 @@ Status draw_dynamic(const Json& document, const std::string& path) {
     }
     panels.push_back(panel_of(group, fmt::format("$p{}", panels.size()), data));
   }
-  std::string script = fmt::format(
-      "set terminal svg size {},520 noenhanced font 'sans-serif,13' background '#ffffff'\n"
-      "set output '{}'\n"
-      "set border 3 linecolor '#444444'\n"
-      "set tics nomirror textcolor '#222222'\n"
-      "set grid linecolor '#dddddd' linetype 1 linewidth 0.5\n"
-      "set logscale xy\n"
-      "set key outside bottom center horizontal samplen 2\n"
-      "set xrange [{}:{}]\n"
-      "set format xy '%g'\n"
-      "set yrange [{}:10]\n"
-      "set ytics add ('0' {})\n"
-      "set xlabel 'milliseconds a step'\n"
-      "set ylabel 'mean over the steps of the largest relative error of a part'\n",
-      panels.size() * 620, path, 0.7 * least, 2.5 * most, kDynamicFloor / 2, kDynamicFloor);
+  std::string script = figure_head(static_cast<double>(panels.size()) * 620, path) +
+                       fmt::format(
+                           "set key outside bottom center horizontal samplen 2\n"
+                           "set xrange [{}:{}]\n"
+                           "set format xy '%g'\n"
+                           "set yrange [{}:10]\n"
+                           "set ytics add ('0' {})\n"
+                           "set xlabel 'milliseconds a step'\n"
+                           "set ylabel 'mean over the steps of the largest relative error of a part'\n",
+                           0.7 * least, 2.5 * most, kDynamicFloor / 2, kDynamicFloor);
   script += data + fmt::format("set multiplot layout 1,{}\n", panels.size());
   for (const std::string& panel : panels) script += panel;
   script += "unset multiplot\n";
-  const std::string script_path = (path.ends_with(".svg") ? path.substr(0, path.size() - 4) : path) + ".gp";
-  if (Status status = write_file(script_path, script); !status.ok()) return status;
-  return run_gnuplot(script_path);
+  return plot(script, path);
 }
 
 }  // namespace rcb::bench

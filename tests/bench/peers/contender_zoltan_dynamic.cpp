@@ -1,57 +1,37 @@
 // Zoltan RCB along a trajectory: KEEP_CUTS=1, RCB_REUSE=1, else the settings of contender_zoltan.cpp.
 #include <algorithm>
 #include <array>
-#include <cstring>
-
-#include <fmt/format.h>
-#include <zoltan.h>
 
 #include "common/base/clock.hpp"
 #include "common/partition/balance/load.hpp"
 #include "tests/bench/dynamic/dynamic_peers.hpp"
-#include "tests/bench/peers/zoltan_parts.hpp"
+#include "tests/bench/peers/zoltan_field.hpp"
 
 namespace rcb::bench {
 namespace {
 
 // This rank's particles, and what Zoltan knows of them.
-class Field {
+class Field : private ZoltanField {
  public:
-  Field(int rank, int ranks, int parts) : rank_(rank), ranks_(ranks), parts_(parts) {}
-  ~Field() {
-    import_.release();
-    export_.release();
-    if (zoltan_ != nullptr) Zoltan_Destroy(&zoltan_);
-  }
-  Field(const Field&) = delete;
-  Field& operator=(const Field&) = delete;
+  Field(int ranks, int parts) : ranks_(ranks), parts_(parts) {}
 
   Status start(std::uint64_t n) {
-    zoltan_ = Zoltan_Create(MPI_COMM_WORLD);
-    if (zoltan_ == nullptr) return {Code::internal, "Zoltan_Create failed"};
-    if (Status status = set_zoltan(zoltan_, "RCB", parts_, {{"KEEP_CUTS", "1"}, {"RCB_REUSE", "1"}}); !status.ok())
-      return status;
-    Zoltan_Set_Num_Obj_Fn(zoltan_, count_of, this);
-    Zoltan_Set_Obj_List_Fn(zoltan_, list_of, this);
+    if (Status status = create("RCB", parts_, {{"KEEP_CUTS", "1"}, {"RCB_REUSE", "1"}}); !status.ok()) return status;
     Zoltan_Set_Part_Multi_Fn(zoltan_, parts_of, this);
-    Zoltan_Set_Num_Geom_Fn(zoltan_, dims_of, this);
-    Zoltan_Set_Geom_Multi_Fn(zoltan_, positions_of, this);
-    Zoltan_Set_Obj_Size_Multi_Fn(zoltan_, zoltan_sizes, this);
-    Zoltan_Set_Pack_Obj_Multi_Fn(zoltan_, pack, this);
-    Zoltan_Set_Mid_Migrate_PP_Fn(zoltan_, remove_exports, this);
-    Zoltan_Set_Unpack_Obj_Multi_Fn(zoltan_, unpack, this);
     const auto r = static_cast<std::uint64_t>(rank_);
     const auto ranks = static_cast<std::uint64_t>(ranks_);
-    for (std::uint64_t row = n * r / ranks; row < n * (r + 1) / ranks; ++row) ids_.push_back(row);
-    for (auto& axis : at_) axis.resize(ids_.size());
-    part_.assign(ids_.size(), rank_ * parts_ / ranks_);  // its rank's first one, before there are cuts
+    for (std::uint64_t row = n * r / ranks; row < n * (r + 1) / ranks; ++row)
+      ids_.push_back(static_cast<particles::Id>(row));
+    resize(ids_.size());
+    std::fill(part_.begin(), part_.end(), rank_ * parts_ / ranks_);  // its rank's first one, before there are cuts
+    show_own();
     return {};
   }
 
   // The solver's own work: each of its particles is where the frame says.
   void move(const io::Points& frame) {
     for (std::size_t a = 0; a < 3; ++a)
-      for (std::size_t i = 0; i < ids_.size(); ++i) at_[a][i] = frame.position[a][ids_[i]];
+      for (std::size_t i = 0; i < ids_.size(); ++i) at_[a][i] = frame.position[a][static_cast<std::size_t>(ids_[i])];
   }
 
   // Which particles left their part; their new parts are written down. Returns how many.
@@ -86,21 +66,15 @@ class Field {
       to_rank.push_back(owner);
       to_part.push_back(part_[slot]);
     }
-    const int result = Zoltan_Migrate(zoltan_, -1, nullptr, nullptr, nullptr, nullptr, static_cast<int>(global.size()),
-                                      global.data(), local.data(), to_rank.data(), to_part.data());
-    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
-    return {};
+    return status_of("Zoltan_Migrate",
+                     Zoltan_Migrate(zoltan_, -1, nullptr, nullptr, nullptr, nullptr, static_cast<int>(global.size()),
+                                    global.data(), local.data(), to_rank.data(), to_part.data()));
   }
 
   // New cuts; the parts of what they moved are written down. Collective.
   Status balance() {
-    import_.release();
-    export_.release();
-    int changes = 0, gid_entries = 1, lid_entries = 1;
-    const int result = Zoltan_LB_Partition(
-        zoltan_, &changes, &gid_entries, &lid_entries, &import_.count, &import_.global, &import_.local, &import_.rank,
-        &import_.part, &export_.count, &export_.global, &export_.local, &export_.rank, &export_.part);
-    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_LB_Partition returned {}", result)};
+    release_lists();
+    if (Status status = find_cuts(); !status.ok()) return status;
     moved_ = 0;
     for (int k = 0; k < export_.count; ++k) {
       int& part = part_[export_.local[k]];
@@ -116,13 +90,8 @@ class Field {
         std::count_if(export_.rank, export_.rank + export_.count, [this](int to) { return to != rank_; }));
   }
 
-  // What the new cuts moved, by their lists. Collective.
-  Status follow_lists() {
-    const int result = Zoltan_Migrate(zoltan_, import_.count, import_.global, import_.local, import_.rank, import_.part,
-                                      export_.count, export_.global, export_.local, export_.rank, export_.part);
-    if (zoltan_failed(result)) return {Code::internal, fmt::format("Zoltan_Migrate returned {}", result)};
-    return {};
-  }
+  // What the new cuts moved. Collective.
+  Status follow_lists() { return migrate_by_lists(); }
 
   // Particles of each part on this rank.
   void count(std::vector<std::uint64_t>& counts) const {
@@ -152,97 +121,16 @@ class Field {
     }
   }
 
-  void resize(std::size_t count) {
-    for (auto& axis : at_) axis.resize(count);
-    ids_.resize(count);
-    part_.resize(count);
-  }
-
-  // Zoltan's callbacks.
-  static Field& self(void* data) { return *static_cast<Field*>(data); }
-  static int count_of(void* data, int* error) {
-    *error = ZOLTAN_OK;
-    return static_cast<int>(self(data).ids_.size());
-  }
-  static int dims_of(void*, int* error) {
-    *error = ZOLTAN_OK;
-    return 3;
-  }
-  static void list_of(void* data, int, int, ZOLTAN_ID_PTR global, ZOLTAN_ID_PTR local, int, float*, int* error) {
-    const auto& ids = self(data).ids_;
-    for (std::size_t i = 0; i < ids.size(); ++i) {
-      global[i] = static_cast<ZOLTAN_ID_TYPE>(ids[i]);
-      local[i] = static_cast<ZOLTAN_ID_TYPE>(i);
-    }
-    *error = ZOLTAN_OK;
-  }
   static void parts_of(void* data, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR local, int* parts, int* error) {
-    const Field& me = self(data);
+    const auto& me = *static_cast<Field*>(data);
     for (int k = 0; k < count; ++k) parts[k] = me.part_[local[k]];
     *error = ZOLTAN_OK;
   }
-  static void positions_of(void* data, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR local, int dims, double* out,
-                           int* error) {
-    const Field& me = self(data);
-    for (int k = 0; k < count; ++k)
-      for (int a = 0; a < dims; ++a) *out++ = me.at_[static_cast<std::size_t>(a)][local[k]];
-    *error = ZOLTAN_OK;
-  }
-  static void pack(void* data, int, int, int count, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR local, int*, int*, int* offset,
-                   char* buffer, int* error) {
-    const Field& me = self(data);
-    for (int k = 0; k < count; ++k) {
-      const std::size_t i = local[k];
-      const ZoltanCargo cargo{{me.at_[0][i], me.at_[1][i], me.at_[2][i]}, me.part_[i]};
-      std::memcpy(buffer + offset[k], &cargo, sizeof cargo);
-    }
-    *error = ZOLTAN_OK;
-  }
-  static void remove_exports(void* data, int, int, int, ZOLTAN_ID_PTR, ZOLTAN_ID_PTR, int*, int*, int count,
-                             ZOLTAN_ID_PTR, ZOLTAN_ID_PTR local, int* rank, int*, int* error) {
-    Field& me = self(data);
-    *error = ZOLTAN_OK;
-    std::size_t first = me.part_.size();
-    for (int k = 0; k < count; ++k)
-      if (rank[k] != me.rank_) {
-        me.part_[local[k]] = -1;
-        first = std::min<std::size_t>(first, local[k]);
-      }
-    std::size_t kept = first;
-    for (std::size_t i = first; i < me.part_.size(); ++i) {
-      if (me.part_[i] < 0) continue;
-      for (auto& axis : me.at_) axis[kept] = axis[i];
-      me.ids_[kept] = me.ids_[i];
-      me.part_[kept++] = me.part_[i];
-    }
-    me.resize(kept);
-  }
-  static void unpack(void* data, int, int count, ZOLTAN_ID_PTR global, int*, int* offset, char* buffer, int* error) {
-    Field& me = self(data);
-    const std::size_t old = me.part_.size();
-    me.resize(old + static_cast<std::size_t>(count));
-    for (int k = 0; k < count; ++k) {
-      ZoltanCargo cargo;
-      std::memcpy(&cargo, buffer + offset[k], sizeof cargo);
-      const std::size_t i = old + static_cast<std::size_t>(k);
-      for (std::size_t a = 0; a < 3; ++a) me.at_[a][i] = cargo.at[a];
-      me.ids_[i] = global[k];
-      me.part_[i] = static_cast<int>(cargo.part);
-    }
-    *error = ZOLTAN_OK;
-  }
 
-  int rank_;
   int ranks_;
   int parts_;
-  Zoltan_Struct* zoltan_ = nullptr;
-  std::array<std::vector<double>, 3> at_;
-  std::vector<std::uint64_t> ids_;
-  std::vector<int> part_;
   std::vector<Box> boxes_;  // of the parts; empty: new cuts since
   std::vector<Exported> exports_;
-  ZoltanLists import_;
-  ZoltanLists export_;
   std::uint64_t moved_ = 0;
 };
 
@@ -251,7 +139,7 @@ class Drive {
  public:
   Drive(comm::Comm& comm, int parts, double tolerance, std::uint64_t n)
       : comm_(comm),
-        field_(comm.rank(), comm.size(), parts),
+        field_(comm.size(), parts),
         parts_(static_cast<std::size_t>(parts)),
         tolerance_(tolerance),
         quota_error_(partition::summarise_counts(partition::quotas(n, {}, parts), {}).error) {}

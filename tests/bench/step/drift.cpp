@@ -8,6 +8,7 @@
 #include "tests/bench/driver.hpp"
 #include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 
@@ -15,19 +16,14 @@ namespace rcb::bench {
 namespace {
 
 Status check(const DriftOptions& options) {
-  const auto usage = [](std::string message) {
-    return Status(Code::usage, std::move(message), "rcb_bench drift --help");
-  };
-  for (const std::string& scene : options.scenes)
-    if (find_scene_kind(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
-  for (const int parts : options.parts)
-    if (parts < 2 || parts > (1 << 20)) return usage(fmt::format("--parts {}: give 2 to {}", parts, 1 << 20));
-  for (const int ranks : options.ranks)
-    if (ranks < 1 || ranks > 256) return usage(fmt::format("--ranks {}: give 1 to 256", ranks));
+  OptionCheck check("rcb_bench drift");
+  check.known("--scenes", options.scenes, [](const std::string& scene) { return find_scene_kind(scene) != nullptr; });
+  check.between("--parts", options.parts, 2, kPartsMax);
+  check.between("--ranks", options.ranks, 1, kRanksMax);
   for (const double share : options.crossed)
-    if (!(share > 0 && share < 1)) return usage(fmt::format("--crossed {}: give a share between 0 and 1", share));
-  if (options.repeats < 1 || options.repeats > 1000) return usage("--repeats: give 1 to 1000");
-  return {};
+    check.holds(share > 0 && share < 1, fmt::format("--crossed {}: give a share between 0 and 1", share));
+  check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
+  return check.status();
 }
 
 // Adds medians and their ratios, warm to cold in pairs. False where the two don't agree.
@@ -68,12 +64,10 @@ std::string drift_tables(const Json& rows) {
 
 CLI::App* add_drift(CLI::App& app, DriftOptions& options) {
   auto* drift = app.add_subcommand("drift", "new cuts after a drift: from the cuts in force, and among all particles");
-  drift->add_option("--scenes", options.scenes, "scenes")->delimiter(',')->capture_default_str();
-  drift->add_option("--parts", options.parts, "numbers of parts")->delimiter(',')->capture_default_str();
-  drift->add_option("--ranks", options.ranks, "numbers of ranks")->delimiter(',')->capture_default_str();
-  drift->add_option("--crossed", options.crossed, "shares of the particles that cross a cut")
-      ->delimiter(',')
-      ->capture_default_str();
+  add_list(*drift, "--scenes", options.scenes, "scenes");
+  add_list(*drift, "--parts", options.parts, "numbers of parts");
+  add_list(*drift, "--ranks", options.ranks, "numbers of ranks");
+  add_list(*drift, "--crossed", options.crossed, "shares of the particles that cross a cut");
   drift->add_option("--repeats", options.repeats, "timed runs of each")->capture_default_str();
   drift->add_option("--json", options.json, "write everything measured to this file");
   return drift;

@@ -1,33 +1,29 @@
 #include "tests/bench/step/hosts.hpp"
 
 #include <cerrno>
-#include <cmath>
 #include <cstring>
 #include <filesystem>
 
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include "tests/bench/options.hpp"
+
 namespace rcb::bench {
 namespace {
 
 constexpr int kHostsMax = 16;
 
-Status usage(const std::string& message) { return {Code::usage, message, "rcb_bench hosts --help"}; }
-
 Status check(const HostsOptions& options) {
-  for (const int hosts : options.hosts)
-    if (hosts < 2 || hosts > kHostsMax) return usage(fmt::format("--hosts {}: give 2 to {}", hosts, kHostsMax));
-  for (const double latency : options.latency)
-    if (!(latency >= 0 && latency <= 1000)) return usage(fmt::format("--latency {}: give 0 to 1000 ms", latency));
+  OptionCheck check("rcb_bench hosts");
+  check.between("--hosts", options.hosts, 2, kHostsMax);
+  check.between("--latency", options.latency, 0, 1000);
   for (const double rate : options.bandwidth)
-    if (!(rate > 0 && rate <= 1000)) return usage(fmt::format("--bandwidth {}: give up to 1000 Gbit/s", rate));
-  if (!(options.points >= 1000 && options.points <= 1e8) || options.points != std::floor(options.points))
-    return usage(fmt::format("--points {}: give a whole number from 1000 to 1e8", options.points));
-  if (options.repeats < 1 || options.repeats > 1000)
-    return usage(fmt::format("--repeats {}: give 1 to 1000", options.repeats));
-  if (geteuid() != 0) return usage("machines are made of network namespaces, which only root may");
-  return {};
+    check.holds(rate > 0 && rate <= 1000, fmt::format("--bandwidth {}: give up to 1000 Gbit/s", rate));
+  check.whole("--points", {options.points}, 1000, 1e8);
+  check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
+  check.holds(geteuid() == 0, "machines are made of network namespaces, which only root may");
+  return check.status();
 }
 
 template <typename T>
@@ -41,11 +37,10 @@ CLI::App* add_hosts(CLI::App& app, HostsOptions& options) {
   auto* command = app.add_subcommand("hosts",
                                      "steps and partitions over links with latency and bandwidth, beside the "
                                      "model of docs/scale.md (as root)");
-  const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
-  list(command->add_option("--hosts", options.hosts, "numbers of machines, a rank on each"));
-  list(command->add_option("--latency", options.latency,
-                           "round trips between machines, in milliseconds; l in docs/scale.md is half of one"));
-  list(command->add_option("--bandwidth", options.bandwidth, "of a link, in Gbit/s"));
+  add_list(*command, "--hosts", options.hosts, "numbers of machines, a rank on each");
+  add_list(*command, "--latency", options.latency,
+           "round trips between machines, in milliseconds; l in docs/scale.md is half of one");
+  add_list(*command, "--bandwidth", options.bandwidth, "of a link, in Gbit/s");
   command->add_option("--points", options.points, "particles, uniform in a cube")->capture_default_str();
   command->add_option("--repeats", options.repeats, "timed steps of each kind")->capture_default_str();
   command->add_flag("--keep-windows", options.keep_windows, "TCP does not begin anew after a pause");

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
-#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <thread>
@@ -15,6 +14,7 @@
 #include "common/base/clock.hpp"
 #include "tests/bench/driver.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/process_memory.hpp"
@@ -142,24 +142,19 @@ std::string idle_table(const Json& rows) {
 }
 
 Status check(const IdleOptions& options) {
-  const auto usage = [](const char* message) { return Status(Code::usage, message, "rcb_bench idle --help"); };
-  for (const int ranks : options.ranks)
-    if (ranks < 1 || ranks > 256) return usage("--ranks takes 1 to 256");
-  if (!(options.seconds > 0 && options.seconds <= kSecondsMax))
-    return usage("--seconds takes a number from 0 to 86400");
-  if (options.queries < 1 || options.queries > kQueriesMax) return usage("--queries takes 1 to 1000000");
-  if (!(options.points >= 1 && options.points <= 1e9) || options.points != std::floor(options.points))
-    return usage("--points takes a whole number from 1 to 1e9");
-  return {};
+  OptionCheck check("rcb_bench idle");
+  check.between("--ranks", options.ranks, 1, kRanksMax);
+  check.holds(options.seconds > 0 && options.seconds <= kSecondsMax, "--seconds takes a number from 0 to 86400");
+  check.between("--queries", std::vector{options.queries}, 1, kQueriesMax);
+  check.whole("--points", {options.points}, 1, 1e9);
+  return check.status();
 }
 
 }  // namespace
 
 CLI::App* add_idle(CLI::App& app, IdleOptions& options) {
   auto* command = app.add_subcommand("idle", "CPU time while the client is silent, and how long queries take then");
-  command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each")
-      ->delimiter(',')
-      ->capture_default_str();
+  add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, one service each");
   command->add_option("--seconds", options.seconds, "of silence")->capture_default_str();
   command->add_option("--queries", options.queries, "of each kind")->capture_default_str();
   command->add_option("--points", options.points, "particles that the service holds")->capture_default_str();

@@ -135,6 +135,10 @@ class Bench:
         asking = [subprocess.Popen(self.hosts.command(name, sys.executable, "-c", ASK, self.hosts.address(other)),
                                    stderr=subprocess.DEVNULL)
                   for name, other in pairs * -(-ASKING // len(pairs))]
+        quiet, end = self.counts()[1], time.monotonic() + 60
+        while self.counts()[1] == quiet:
+            assert time.monotonic() < end, "the machines don't answer one another"
+            time.sleep(0.1)
         time.sleep(1)
         before, start = self.counts()[1], time.perf_counter()
         time.sleep(ASKED_FOR)

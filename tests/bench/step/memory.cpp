@@ -11,6 +11,7 @@
 #include "client/lib/client.hpp"
 #include "common/base/random.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/process_memory.hpp"
@@ -178,19 +179,13 @@ std::string memory_table(const Json& rows) {
 }
 
 Status check(const MemoryOptions& options) {
-  for (const double points : options.points)
-    if (!(points >= 1 && points <= 1e9) || points != std::floor(points))
-      return {Code::usage, "--points takes whole numbers from 1 to 1e9", "rcb_bench memory --help"};
-  for (const int ranks : options.ranks)
-    if (ranks < 1 || ranks > 256) return {Code::usage, "--ranks takes 1 to 256", "rcb_bench memory --help"};
-  for (const std::string& path : options.paths)
-    if (path != "direct" && path != "gateway")
-      return {Code::usage, fmt::format("--paths {}: there is no such path", path), "direct, gateway"};
-  if (options.parts < 2 || options.parts > 1 << 20)
-    return {Code::usage, "--parts takes 2 to 1048576", "rcb_bench memory --help"};
-  if (options.most && !(*options.most > 0))
-    return {Code::usage, "--most takes a number above 0", "rcb_bench memory --help"};
-  return {};
+  OptionCheck check("rcb_bench memory");
+  check.whole("--points", options.points, 1, 1e9);
+  check.between("--ranks", options.ranks, 1, kRanksMax);
+  check.known("--paths", options.paths, [](const std::string& path) { return path == "direct" || path == "gateway"; });
+  check.between("--parts", std::vector{options.parts}, 2, kPartsMax);
+  check.holds(!options.most || *options.most > 0, "--most takes a number above 0");
+  return check.status();
 }
 
 Status verdict_of(const Json& rows, const MemoryOptions& options) {
@@ -208,10 +203,9 @@ Status verdict_of(const Json& rows, const MemoryOptions& options) {
 
 CLI::App* add_memory(CLI::App& app, MemoryOptions& options) {
   auto* command = app.add_subcommand("memory", "what a service holds for its particles, at its peak");
-  const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
-  list(command->add_option("--points", options.points, "numbers of particles, in three dimensions"));
-  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
-  list(command->add_option("--paths", options.paths, "direct, gateway: the way that pushes go"));
+  add_list(*command, "--points", options.points, "numbers of particles, in three dimensions");
+  add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, one service each");
+  add_list(*command, "--paths", options.paths, "direct, gateway: the way that pushes go");
   command->add_option("--parts", options.parts, "parts of the scene")->capture_default_str();
   command->add_option("--most", options.most, "fail where a peak is more than this many times the particles");
   command->add_option("--json", options.json, "write the result to this file");

@@ -1,7 +1,6 @@
 #include "tests/bench/step/skips.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdlib>
 #include <limits>
 #include <map>
@@ -13,6 +12,7 @@
 #include "tests/bench/driver.hpp"
 #include "tests/bench/json.hpp"
 #include "tests/bench/measure.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/step/skips_cases.hpp"
 
@@ -265,22 +265,17 @@ bool wanted(const SkipsOptions& options, const Case& what) {
          std::find(options.scenes.begin(), options.scenes.end(), what.skip) != options.scenes.end();
 }
 
-Status skips_usage(std::string message) { return {Code::usage, std::move(message), "rcb_bench skips --help"}; }
-
 Status check(const SkipsOptions& options) {
+  OptionCheck check("rcb_bench skips");
   const auto cases = skip_cases();
-  for (const std::string& scene : options.scenes)
-    if (std::none_of(cases.begin(), cases.end(), [&scene](const Case& what) { return scene == what.skip; }))
-      return skips_usage(fmt::format("--scenes {}: there is no such skip", scene));
-  const auto between = [](const std::vector<int>& values, int most) {
-    return std::all_of(values.begin(), values.end(), [most](int value) { return value >= 1 && value <= most; });
-  };
-  if (!between(options.parts, 1 << 20) || !between(options.ranks, 256))
-    return skips_usage("--parts takes 1 to 1048576, --ranks 1 to 256");
-  if (options.repeats < 1 || options.repeats > 1000) return skips_usage("--repeats takes 1 to 1000");
-  if (!(options.points >= 1 && options.points <= 1e9) || options.points != std::floor(options.points))
-    return skips_usage("--points takes a whole number from 1 to 1e9");
-  return {};
+  check.known("--scenes", options.scenes, [&cases](const std::string& scene) {
+    return std::any_of(cases.begin(), cases.end(), [&scene](const Case& what) { return scene == what.skip; });
+  });
+  check.between("--parts", options.parts, 1, kPartsMax);
+  check.between("--ranks", options.ranks, 1, kRanksMax);
+  check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
+  check.whole("--points", {options.points}, 1, 1e9);
+  return check.status();
 }
 
 // One service that skips all, and one for each thing that isn't to be skipped; while this program has one thread.
@@ -319,13 +314,12 @@ Status measure_all(const SkipsOptions& options, Json& rows) {
 
 CLI::App* add_skips(CLI::App& app, SkipsOptions& options) {
   auto* command = app.add_subcommand("skips", "what is saved where a scene lacks something: each skip on and off");
-  const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
   std::string names;
   for (const Case& what : skip_cases())
     if (names.find(what.skip) == std::string::npos) names += (names.empty() ? "" : ", ") + std::string(what.skip);
-  list(command->add_option("--scenes", options.scenes, "what is lacking (default: all): " + names));
-  list(command->add_option("--parts", options.parts, "numbers of parts"));
-  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, services of their own"));
+  add_list(*command, "--scenes", options.scenes, "what is lacking (default: all): " + names);
+  add_list(*command, "--parts", options.parts, "numbers of parts");
+  add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, services of their own");
   command->add_option("--repeats", options.repeats, "timed turns of each side")->capture_default_str();
   command->add_option("--points", options.points, "particles of every scene")->capture_default_str();
   command->add_option("--json", options.json, "write the result to this file");

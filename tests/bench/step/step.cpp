@@ -15,6 +15,8 @@
 #include "common/base/random.hpp"
 #include "tests/bench/driver.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/measure.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
 #include "tests/bench/step/floor.hpp"
@@ -197,11 +199,6 @@ class Pusher {
   std::vector<std::array<const double*, 3>> ranks_;
 };
 
-double median(std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return values[values.size() / 2];
-}
-
 Json row_of(const std::string& scene, const MovingPoints& motion, int parts, int ranks, const std::string& variant,
             const std::vector<double>& seconds, double floor, double memory, const client::StepReport& report) {
   const auto [least, most] = std::minmax_element(seconds.begin(), seconds.end());
@@ -235,7 +232,7 @@ Json row_of(const std::string& scene, const MovingPoints& motion, int parts, int
 using FloorKey = std::pair<Floor::Kind, std::size_t>;  // with the bytes that are sent
 
 // A variant at a service.
-struct Contender {
+struct Timed {
   std::string variant;
   std::string service;  // as it was named; empty: the one that was started here
   Pusher pusher;
@@ -279,7 +276,7 @@ Status run_cell(const std::string& scene, const MovingPoints& motion, int parts,
     for (const auto kind : {Floor::Kind::sockets, Floor::Kind::memory})
       floors.try_emplace(FloorKey(kind, bytes), kind, shares);
   }
-  std::vector<Contender> contenders;
+  std::vector<Timed> contenders;
   for (const std::string& variant : options.variants)
     for (const std::string& endpoint : endpoints) {
       contenders.push_back({variant, own ? "" : endpoint, Pusher(variant, motion, options.members)});
@@ -297,13 +294,13 @@ Status run_cell(const std::string& scene, const MovingPoints& motion, int parts,
       if (!floor.send(from)) return {Code::internal, "a process of the floor is gone"};
       if (turn >= 0) floor_seconds[key].push_back(clock.seconds() - start);
     }
-    for (Contender& one : contenders) {
+    for (Timed& one : contenders) {
       const auto took = one.pusher.step(phase, one.report);
       if (!took.ok()) return explained(took.status());
       if (turn >= 0) one.seconds.push_back(*took);
     }
   }
-  for (const Contender& one : contenders) {
+  for (const Timed& one : contenders) {
     const double least = median(floor_seconds[{Floor::Kind::sockets, motion.bytes(one.variant)}]);
     const double memory = median(floor_seconds[{Floor::Kind::memory, motion.bytes(one.variant)}]);
     rows.push_back(
@@ -314,28 +311,24 @@ Status run_cell(const std::string& scene, const MovingPoints& motion, int parts,
   return {};
 }
 
+const StepScene* find_step_scene(const std::string& name) {
+  const auto* const found = std::find_if(std::begin(kStepScenes), std::end(kStepScenes),
+                                         [&](const StepScene& known) { return name == known.name; });
+  return found == std::end(kStepScenes) ? nullptr : found;
+}
+
 Status check(const StepBenchOptions& options) {
-  for (const std::string& scene : options.scenes)
-    if (std::none_of(std::begin(kStepScenes), std::end(kStepScenes),
-                     [&](const StepScene& known) { return scene == known.name; }))
-      return {Code::usage, fmt::format("--scenes {}: there is no such scene", scene),
-              "moving, moving-2d, moving-shuffled"};
-  for (const std::string& variant : options.variants)
-    if (std::find(kVariants.begin(), kVariants.end(), variant) == kVariants.end())
-      return {Code::usage, fmt::format("--variants {}: there is no such variant", variant),
-              fmt::format("{}", fmt::join(kVariants, ", "))};
-  const auto between = [](const std::vector<int>& values, int most) {
-    return std::all_of(values.begin(), values.end(), [most](int value) { return value >= 1 && value <= most; });
-  };
-  if (!between(options.parts, 1 << 20) || !between(options.ranks, 256))
-    return {Code::usage, "--parts takes 1 to 1048576, --ranks 1 to 256", "rcb_bench step --help"};
-  if (options.members < 1 || options.members > 256)
-    return {Code::usage, "--members takes 1 to 256", "rcb_bench step --help"};
-  if (options.repeats < 1 || options.repeats > 1000)
-    return {Code::usage, "--repeats takes 1 to 1000", "rcb_bench step --help"};
-  if (!(options.points >= 1 && options.points <= 1e9) || options.points != std::floor(options.points))
-    return {Code::usage, "--points takes a whole number from 1 to 1e9", "rcb_bench step --help"};
-  return {};
+  OptionCheck check("rcb_bench step");
+  check.known("--scenes", options.scenes, [](const std::string& scene) { return find_step_scene(scene) != nullptr; });
+  check.known("--variants", options.variants, [](const std::string& variant) {
+    return std::find(kVariants.begin(), kVariants.end(), variant) != kVariants.end();
+  });
+  check.between("--parts", options.parts, 1, kPartsMax);
+  check.between("--ranks", options.ranks, 1, kRanksMax);
+  check.between("--members", std::vector{options.members}, 1, 256);
+  check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
+  check.whole("--points", {options.points}, 1, 1e9);
+  return check.status();
 }
 
 }  // namespace
@@ -343,12 +336,10 @@ Status check(const StepBenchOptions& options) {
 CLI::App* add_step(CLI::App& app, StepBenchOptions& options) {
   auto* command = app.add_subcommand(
       "step", "time of a step in which all particles move and no new cuts are needed, beside bare sockets");
-  const auto list = [](CLI::Option* option) { option->delimiter(',')->capture_default_str(); };
-  list(command->add_option("--scenes", options.scenes,
-                           "moving (3-D), moving-2d, moving-shuffled (rows in random order)"));
-  list(command->add_option("--variants", options.variants, "ways to push"));
-  list(command->add_option("--parts", options.parts, "numbers of parts"));
-  list(command->add_option("--ranks", options.ranks, "numbers of MPI ranks, one service each"));
+  add_list(*command, "--scenes", options.scenes, "moving (3-D), moving-2d, moving-shuffled (rows in random order)");
+  add_list(*command, "--variants", options.variants, fmt::format("ways to push: {}", fmt::join(kVariants, ", ")));
+  add_list(*command, "--parts", options.parts, "numbers of parts");
+  add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, one service each");
   command
       ->add_option("--services", options.services,
                    "endpoints of running services that take turns, instead of one that is started; --ranks then only "
@@ -366,8 +357,7 @@ Status run_step(const StepBenchOptions& options, Json document) {
   Json rows = Json::array();
   Status status;
   for (const std::string& scene : options.scenes) {
-    const StepScene& of = *std::find_if(std::begin(kStepScenes), std::end(kStepScenes),
-                                        [&](const StepScene& known) { return scene == known.name; });
+    const StepScene& of = *find_step_scene(scene);
     const MovingPoints motion(*find_scene_kind(of.points), static_cast<std::size_t>(options.points), of.shuffled);
     for (const int parts : options.parts)
       for (const int ranks : options.ranks)

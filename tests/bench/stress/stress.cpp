@@ -9,6 +9,7 @@
 #include "rcb_bench_commit.hpp"
 #include "tests/bench/driver.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/stress/stress_report.hpp"
 #include "tests/bench/stress/stress_scenes.hpp"
@@ -19,8 +20,8 @@ namespace rcb::bench {
 namespace {
 
 constexpr double kPointsMax = 1e8;
-constexpr int kPartsMax = 1 << 16;
-constexpr int kRanksMax = 64;
+constexpr int kStressPartsMax = 1 << 16;
+constexpr int kStressRanksMax = 64;
 
 struct Options {
   std::vector<double> points{1000, 100000};
@@ -46,23 +47,19 @@ std::string tool_of(const std::string& method) {
   return method == "MJ" ? "Zoltan2" : std::isupper(static_cast<unsigned char>(method[0])) != 0 ? "Zoltan" : "rcbd";
 }
 
-Status usage(std::string message) { return {Code::usage, std::move(message), "rcb_stress --help"}; }
-
 Status check(const Options& options) {
-  for (const double points : options.points)
-    if (!(points >= 0 && points <= kPointsMax) || points != std::floor(points))
-      return usage(fmt::format("--points {}: give whole numbers up to {}", points, kPointsMax));
-  for (const int parts : options.parts)
-    if (parts < 1 || parts > kPartsMax) return usage(fmt::format("--parts {}: give 1 to {}", parts, kPartsMax));
-  for (const int ranks : options.ranks)
-    if (ranks < 1 || ranks > kRanksMax) return usage(fmt::format("--ranks {}: give 1 to {}", ranks, kRanksMax));
-  for (const std::string& scene : options.scenes)
-    if (find_stress_scene(scene) == nullptr) return usage(fmt::format("--scenes {}: there is no such scene", scene));
-  for (const std::string& method : options.methods)
-    if (const auto& known = Options{}.methods; std::find(known.begin(), known.end(), method) == known.end())
-      return usage(fmt::format("--methods {}: this build has {}", method, fmt::join(known, ", ")));
-  if (!(options.timeout > 0)) return usage("--timeout: give seconds");
-  return {};
+  OptionCheck check("rcb_stress");
+  check.whole("--points", options.points, 0, kPointsMax);
+  check.between("--parts", options.parts, 1, kStressPartsMax);
+  check.between("--ranks", options.ranks, 1, kStressRanksMax);
+  check.known("--scenes", options.scenes, [](const std::string& scene) { return find_stress_scene(scene) != nullptr; });
+  for (const std::string& method : options.methods) {
+    const auto& known = Options{}.methods;
+    check.holds(std::find(known.begin(), known.end(), method) != known.end(),
+                fmt::format("--methods {}: this build has {}", method, fmt::join(known, ", ")));
+  }
+  check.holds(options.timeout > 0, "--timeout: give seconds");
+  return check.status();
 }
 
 std::vector<Cell> make_cells(const Options& options) {
@@ -133,41 +130,26 @@ Status run(Options& options) {
   return status.ok() ? stress_verdict(document) : status;
 }
 
-int fail(const Status& status) {
-  fmt::print(stderr, "rcb_stress: {}\n", status.message());
-  if (!status.hint().empty()) fmt::print(stderr, "  {}\n", status.hint());
-  return exit_code(status.code());
-}
-
 std::string footer() {
   std::string text = "Scenes:\n";
   for (const StressScene& scene : stress_scenes()) text += fmt::format("  {:<16} {}\n", scene.name, scene.what);
   return text + "\nExit code 1 if anything of ours is wrong; peers may be as wrong as they are.\n";
 }
 
-int run_program(int argc, char** argv) {
+int drive(int argc, char** argv) {
   CLI::App app("Stresses the partitioner's arithmetic, and its peers': starts mpirun itself.", "rcb_stress");
   app.set_version_flag("--version", std::string("rcb_stress " RCB_VERSION " (" RCB_COMMIT "), " + describe_peers()));
   app.footer(footer());
   Options options;
-  const auto list = [](CLI::Option* option) { return option->delimiter(',')->capture_default_str(); };
-  list(app.add_option("--points", options.points, "numbers of points of each scene"));
-  list(app.add_option("--parts", options.parts, "numbers of parts"));
-  list(app.add_option("--ranks", options.ranks, "numbers of MPI ranks"));
-  list(app.add_option("--scenes", options.scenes, "scenes (default: all)"));
-  list(app.add_option("--methods", options.methods, "ours: rcb; peers: RCB, HSFC, MJ"));
+  add_list(app, "--points", options.points, "numbers of points of each scene");
+  add_list(app, "--parts", options.parts, "numbers of parts");
+  add_list(app, "--ranks", options.ranks, "numbers of MPI ranks");
+  add_list(app, "--scenes", options.scenes, "scenes (default: all)");
+  add_list(app, "--methods", options.methods, "ours: rcb; peers: RCB, HSFC, MJ");
   app.add_option("--timeout", options.timeout, "seconds for which a peer is waited")->capture_default_str();
   app.add_flag("--quick", options.quick, "50 and 2000 points, 7 and 64 parts, 1 and 3 ranks");
   app.add_option("--json", options.json, "write the result to this file");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::Success& done) {
-    return app.exit(done);
-  } catch (const CLI::ParseError& error) {
-    return fail(usage(error.what()));
-  }
-  const Status status = run(options);
-  return status.ok() ? 0 : fail(status);
+  return run_program(app, argc, argv, [&options] { return run(options); });
 }
 
 }  // namespace
@@ -176,7 +158,7 @@ int run_program(int argc, char** argv) {
 int main(int argc, char** argv) {
   try {
     if (argc > 1 && std::string(argv[1]) == rcb::bench::kWorkerWord) return rcb::bench::run_stress_worker(argc, argv);
-    return rcb::bench::run_program(argc, argv);
+    return rcb::bench::drive(argc, argv);
   } catch (const std::exception& error) {
     fmt::print(stderr, "rcb_stress: {}\n", error.what());
     return 1;

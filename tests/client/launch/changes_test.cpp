@@ -7,36 +7,12 @@
 #include "client/launch/launch.hpp"
 #include "client/lib/client.hpp"
 #include "common/base/random.hpp"
+#include "tests/client/launch/rows.hpp"
 
 namespace rcb::client {
 namespace {
 
-// A solver's arrays by row.
-struct Rows {
-  std::vector<double> xyz;
-  std::vector<std::int64_t> ids;
-  std::vector<std::int32_t> parts;
-
-  Positions positions() const { return Positions::rows(xyz.data(), ids.size(), 3); }
-
-  // As row_moves says; more: the inserted.
-  void follow(const StepResult& result, const std::vector<double>& more, std::size_t n) {
-    const Rows old = *this;
-    const std::size_t most = std::max(n, ids.size());
-    ids.resize(most);
-    xyz.resize(3 * most);
-    parts.resize(most);
-    for (const RowMove& move : result.row_moves) {
-      ids[move.to] = move.inserted ? result.inserted_ids[move.from] : old.ids[move.from];
-      parts[move.to] = move.inserted ? -1 : old.parts[move.from];
-      for (std::size_t a = 0; a < 3; ++a) xyz[3 * move.to + a] = (move.inserted ? more : old.xyz)[3 * move.from + a];
-    }
-    ids.resize(n);
-    xyz.resize(3 * n);
-    parts.resize(n);
-    for (const PartChange& change : result.changes) parts.at(change.row) = change.part;
-  }
-
+struct HeldRows : Rows {
   void expect_held(Client& client) const {
     const auto reply = client.call("fetch", "{\"scene\":\"walk\"}");
     ASSERT_TRUE(reply.ok()) << reply.status().message();
@@ -52,7 +28,7 @@ struct Rows {
 };
 
 void walk(const std::string& endpoint, std::uint64_t seed) {
-  SCOPED_TRACE(testing::Message() << "seed " << seed);
+  SCOPED_TRACE(::testing::Message() << "seed " << seed);
   Random random(seed);
   ConnectOptions where;
   where.endpoint = endpoint;
@@ -63,7 +39,7 @@ void walk(const std::string& endpoint, std::uint64_t seed) {
   ASSERT_TRUE(client->create_scene("walk", {.parts = 6, .tolerance = seed % 2 == 0 ? 1e9 : 0.1, .replace = true}).ok());
   auto scene = client->open_scene("walk");
   ASSERT_TRUE(scene.ok());
-  Rows rows;
+  HeldRows rows;
   for (int i = 0; i < 400; ++i) rows.ids.push_back(i);
   for (int k = 0; k < 1200; ++k) rows.xyz.push_back(random.uniform());
   StepOptions first;
@@ -72,7 +48,7 @@ void walk(const std::string& endpoint, std::uint64_t seed) {
   ASSERT_TRUE(begun.ok()) << begun.status().message();
   rows.parts = begun->parts;
   for (std::int64_t step = 1; step < 30; ++step) {
-    SCOPED_TRACE(testing::Message() << "step " << step);
+    SCOPED_TRACE(::testing::Message() << "step " << step);
     StepOptions options;
     options.want_changes = true;
     options.want_parts = random.below(2) == 0;
@@ -107,12 +83,12 @@ void walk(const std::string& endpoint, std::uint64_t seed) {
     }
     const auto result = scene->step(rows.positions(), options);
     ASSERT_TRUE(result.ok()) << result.status().message();
-    rows.follow(*result, more, rows.ids.size() - removed.size() + more.size() / 3);
+    rows.follow(*result, more, {}, rows.ids.size() - removed.size() + more.size() / 3);
     if (options.want_parts) {
       ASSERT_EQ(result->parts, rows.parts);
     }
     rows.expect_held(*client);
-    if (testing::Test::HasFatalFailure()) return;
+    if (::testing::Test::HasFatalFailure()) return;
   }
 }
 

@@ -17,26 +17,25 @@
 #include "client/launch/log_tail.hpp"
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/own_files.hpp"
+#include "tests/support/directory.hpp"
+#include "tests/support/wait.hpp"
 
 namespace rcb::launch {
 namespace {
 
 namespace fs = std::filesystem;
+using testing::eventually;
 
 // A folder with a script named rcbd, which the launcher takes, and a TMPDIR to be left empty.
-class Launch : public testing::Test {
+class Launch : public testing::DirectoryTest {
  protected:
   void SetUp() override {
-    std::string pattern = "/tmp/rcbl-XXXXXX";
-    ASSERT_NE(mkdtemp(pattern.data()), nullptr);
-    folder_ = pattern;
     fs::create_directories(folder_ / "tmp");
     fs::create_directories(folder_ / "bin");
     setenv("RCBD_BIN_DIR", (folder_ / "bin").c_str(), 1);
     setenv("TMPDIR", (folder_ / "tmp").c_str(), 1);
   }
   void TearDown() override {
-    fs::remove_all(folder_);
     unsetenv("RCBD_BIN_DIR");
     unsetenv("TMPDIR");
   }
@@ -66,17 +65,8 @@ class Launch : public testing::Test {
     return std::count_if(fs::directory_iterator(folder_), fs::directory_iterator(),
                          [](const auto& entry) { return entry.path().filename().string().starts_with("pid."); });
   }
-  // Waits for a condition; the time is a limit, not a claim.
-  template <typename Condition>
-  static bool eventually(const Condition& condition) {
-    for (int i = 0; i < 3000; ++i) {
-      if (condition()) return true;
-      usleep(10'000);
-    }
-    return false;
-  }
 
-  fs::path folder_;
+  const fs::path folder_ = directory_;
 };
 
 TEST_F(Launch, TellsTheReasonOfAFailedStart) {
@@ -217,7 +207,7 @@ TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
   EXPECT_EQ(log_tail(path + ".none"), "");
 }
 
-class HostsOfJob : public testing::Test {
+class HostsOfJob : public ::testing::Test {
  protected:
   void TearDown() override {
     for (const char* name : {"SLURM_JOB_ID", "SLURM_TASKS_PER_NODE", "SLURM_NTASKS", "PBS_NODEFILE"}) unsetenv(name);
@@ -244,7 +234,7 @@ TEST_F(HostsOfJob, AreThoseOfSlurm) {
 }
 
 TEST_F(HostsOfJob, AreThoseOfPbs) {
-  const std::string file = testing::TempDir() + "/rcb-nodes";
+  const std::string file = ::testing::TempDir() + "/rcb-nodes";
   setenv("PBS_NODEFILE", file.c_str(), 1);
   std::ofstream(file) << "a\na\n";
   EXPECT_FALSE(hosts_of_job().several()) << "one machine";

@@ -51,7 +51,7 @@ class ChangingMember {
       for (const auto& [id, at] : solver_.at)
         if (id % members_ == member_) ids_.push_back(id);
     }
-    for (int step = 0; step < steps && !testing::Test::HasFatalFailure(); ++step) {
+    for (int step = 0; step < steps && !::testing::Test::HasFatalFailure(); ++step) {
       solver_.all_have_read.arrive_and_wait();
       push(*scene, step);
       // The places that members know are then wrong, so all push the next step by ids.

@@ -2,7 +2,6 @@
 // ids, weights and parts are what the solver believes after each.
 #include <array>
 #include <atomic>
-#include <filesystem>
 #include <fstream>
 #include <map>
 #include <numeric>
@@ -18,6 +17,8 @@
 #include "client/lib/client.hpp"
 #include "client/lib/member.hpp"
 #include "common/base/random.hpp"
+#include "tests/client/launch/rows.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb::client {
 namespace {
@@ -26,23 +27,17 @@ namespace {
 class Supervised {
  public:
   explicit Supervised(int ranks) {
-    std::string pattern = "/tmp/rcbo-XXXXXX";
-    EXPECT_NE(::mkdtemp(pattern.data()), nullptr);
-    folder_ = pattern;
     launch::SuperviseOptions options;
     options.endpoint = endpoint();
-    options.data_dir = folder_ + "/data";
+    options.data_dir = folder_ / "data";
     options.ranks = ranks;
     const Status started = launch::start_detached(options, [](double) {});
     EXPECT_TRUE(started.ok()) << started.message();
     mpirun_ = parent_of(rank0());
     supervisor_ = parent_of(mpirun_);
   }
-  ~Supervised() {
-    EXPECT_TRUE(launch::stop_service(endpoint(), 30).ok());
-    std::filesystem::remove_all(folder_);
-  }
-  std::string endpoint() const { return "unix:" + folder_ + "/s"; }
+  ~Supervised() { EXPECT_TRUE(launch::stop_service(endpoint(), 30).ok()); }
+  std::string endpoint() const { return "unix:" + (folder_ / "s"); }
 
   // kill -9 of one rank; nothing where there is none just now.
   void kill_one(Random& random) const {
@@ -73,40 +68,13 @@ class Supervised {
     return found;
   }
 
-  std::string folder_;
+  const testing::Directory folder_;
   pid_t mpirun_ = 0;
   pid_t supervisor_ = 0;
 };
 
 // What the solver believes, by row.
-struct WeightedRows {
-  std::vector<double> xyz, weights;
-  std::vector<std::int64_t> ids;
-  std::vector<std::int32_t> parts;
-
-  Positions positions() const { return Positions::rows(xyz.data(), ids.size(), 3); }
-
-  void follow(const StepResult& result, const std::vector<double>& more, const std::vector<double>& more_weights,
-              std::size_t n) {
-    const WeightedRows old = *this;
-    const std::size_t most = std::max(n, ids.size());
-    ids.resize(most);
-    weights.resize(most);
-    xyz.resize(3 * most);
-    parts.resize(most, -1);
-    for (const RowMove& move : result.row_moves) {
-      ids[move.to] = move.inserted ? result.inserted_ids[move.from] : old.ids[move.from];
-      parts[move.to] = move.inserted ? -1 : old.parts[move.from];
-      weights[move.to] = (move.inserted ? more_weights : old.weights)[move.from];
-      for (std::size_t a = 0; a < 3; ++a) xyz[3 * move.to + a] = (move.inserted ? more : old.xyz)[3 * move.from + a];
-    }
-    ids.resize(n);
-    weights.resize(n);
-    xyz.resize(3 * n);
-    parts.resize(n, -1);
-    for (const PartChange& change : result.changes) parts.at(change.row) = change.part;
-  }
-
+struct WeightedRows : Rows {
   // False: the service has lost the scene since the step.
   bool held(Client& client) const {
     const auto reply = client.call("fetch", "{\"scene\":\"walk\"}");
@@ -279,7 +247,7 @@ TEST(Outlive, ARunOfStepsOfEveryKindIsWhatTheSolverBelieves) {
   int recreated = 0;
   int verified = 0;
   for (std::int64_t step = 1; step <= 40; ++step) {
-    SCOPED_TRACE(testing::Message() << "step " << step);
+    SCOPED_TRACE(::testing::Message() << "step " << step);
     Change change;
     choose(change, rows, random);
     std::thread killer;

@@ -4,34 +4,22 @@
 #include <csignal>
 #include <filesystem>
 #include <fstream>
-#include <sstream>
 #include <string>
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
-#include <unistd.h>
+
+#include "tests/support/directory.hpp"
 
 namespace rcb::launch {
 namespace {
 
 namespace fs = std::filesystem;
+using testing::contents;
 
-class Log : public testing::Test {
+class Log : public testing::DirectoryTest {
  protected:
-  void SetUp() override {
-    std::string name = "/tmp/rcb-log-XXXXXX";
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    directory_ = name;
-    path_ = directory_ + "/rcbd.log";
-  }
-  void TearDown() override { fs::remove_all(directory_); }
-  static std::string content(const std::string& path) {
-    std::ostringstream text;
-    text << std::ifstream(path).rdbuf();
-    return text.str();
-  }
-  std::string directory_;
-  std::string path_;
+  const std::string path_ = at("rcbd.log");
 };
 
 TEST_F(Log, IsRotatedWhileItIsWritten) {
@@ -45,7 +33,7 @@ TEST_F(Log, IsRotatedWhileItIsWritten) {
   EXPECT_LE(fs::file_size(path_ + ".1"), kMost + 100);
   EXPECT_FALSE(fs::exists(path_ + ".2"));
   EXPECT_EQ(log.tail().substr(log.tail().rfind('\n') + 1), "line 1999 of the service");
-  const std::string both = content(path_ + ".1") + content(path_);
+  const std::string both = contents(path_ + ".1") + contents(path_);
   EXPECT_NE(both.find("line 1999 "), std::string::npos);
   EXPECT_NE(both.find("line 1700 "), std::string::npos) << "the last ones are there without a gap";
 }
@@ -58,7 +46,7 @@ TEST_F(Log, IsMadeAgainWhereItWasRemoved) {
   log.add("lost with the file\n");
   ASSERT_TRUE(log.refresh().ok());
   log.add("after\n");
-  EXPECT_EQ(content(path_), "after\n");
+  EXPECT_EQ(contents(path_), "after\n");
 }
 
 // A limit on the size of files stands for the full disk: writes fail in the same place.
@@ -77,7 +65,7 @@ TEST_F(Log, TellsWhatAFullDiskHasSwallowed) {
   ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
   EXPECT_NE(log.tail().find("error: why it died"), std::string::npos) << "the reason needs no disk";
   log.add("after\n");
-  const std::string text = content(path_);
+  const std::string text = contents(path_);
   EXPECT_EQ(text.substr(0, 7), "before\n");
   EXPECT_NE(text.find("32 bytes of the log are missing here"), std::string::npos) << text;
   EXPECT_NE(text.find("\nafter\n"), std::string::npos) << text;
@@ -89,7 +77,7 @@ TEST_F(Log, ANoteStandsOnALineOfItsOwnAndIsNoLastWordOfTheService) {
   log.begin_job();
   log.add("error: half a li");
   log.note("the service died");
-  EXPECT_NE(content(path_).find("half a li\n"), std::string::npos);
+  EXPECT_NE(contents(path_).find("half a li\n"), std::string::npos);
   EXPECT_EQ(log.tail(), "error: half a li");
   log.begin_job();
   EXPECT_EQ(log.tail(), "");
@@ -101,7 +89,7 @@ TEST_F(Log, TakesNoLink) {
   ServiceLog log(path_);
   EXPECT_EQ(log.open().code(), Code::not_authorised);
   log.add("nowhere\n");
-  EXPECT_EQ(content(directory_ + "/precious"), "precious");
+  EXPECT_EQ(contents(directory_ + "/precious"), "precious");
 }
 
 }  // namespace

@@ -24,7 +24,7 @@ std::vector<double> random_rows(std::size_t count, std::uint64_t seed) {
   return rows;
 }
 
-class SharedArraysTest : public testing::Test {
+class SharedArraysTest : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     auto started = launch::Embedded::start(3, [](double) {});

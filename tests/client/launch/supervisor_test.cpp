@@ -22,18 +22,18 @@
 #include "client/launch/probe.hpp"
 #include "client/launch/reach.hpp"
 #include "common/files/endpoint_lock.hpp"
+#include "tests/support/directory.hpp"
+#include "tests/support/wait.hpp"
 
 namespace rcb::launch {
 namespace {
 
 namespace fs = std::filesystem;
+using testing::eventually;
 
-class Supervised : public testing::Test {
+class Supervised : public testing::DirectoryTest {
  protected:
   void SetUp() override {
-    std::string pattern = "/tmp/rcbv-XXXXXX";
-    ASSERT_NE(mkdtemp(pattern.data()), nullptr);
-    folder_ = pattern;
     const auto rcbd = find_rcbd();
     ASSERT_TRUE(rcbd.ok()) << rcbd.status().message();
     // Ends at once as long as there is the file `broken`.
@@ -52,17 +52,7 @@ class Supervised : public testing::Test {
   }
   void TearDown() override {
     (void)stop_service(options_.endpoint, 20);
-    fs::remove_all(folder_);
     unsetenv("RCBD_BIN_DIR");
-  }
-  // The time is a limit, not a claim.
-  template <typename Condition>
-  static bool eventually(const Condition& condition) {
-    for (int i = 0; i < 3000; ++i) {
-      if (condition()) return true;
-      usleep(20'000);
-    }
-    return false;
   }
   EndpointNote note() const { return endpoint_holder(options_.endpoint).value_or(EndpointNote{}); }
   pid_t rank0() const {
@@ -70,7 +60,7 @@ class Supervised : public testing::Test {
     return client.ok() ? rank0_of(*client, 1).pid : -1;
   }
 
-  fs::path folder_;
+  const fs::path folder_ = directory_;
   SuperviseOptions options_;
 };
 
@@ -138,8 +128,7 @@ TEST_F(Supervised, AnotherWhoAnswersIsNotTakenForTheJob) {
 
 bool all_threads_stopped(pid_t process) {
   for (const auto& thread : std::filesystem::directory_iterator(fmt::format("/proc/{}/task", process))) {
-    std::ifstream file(thread.path() / "stat");
-    const std::string line(std::istreambuf_iterator<char>(file), {});
+    const std::string line = testing::contents(thread.path() / "stat");
     if (line.substr(line.rfind(')') + 1, 2) != " T") return false;
   }
   return true;

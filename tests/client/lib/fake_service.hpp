@@ -3,10 +3,8 @@
 #pragma once
 
 #include <atomic>
-#include <cstdlib>
 #include <cstring>
 #include <exception>
-#include <filesystem>
 #include <functional>
 #include <optional>
 #include <string>
@@ -22,6 +20,7 @@
 #include <unistd.h>
 
 #include "common/auth/proof.hpp"
+#include "tests/support/directory.hpp"
 #include "tests/support/protocol.hpp"
 #include "tests/support/wait.hpp"
 
@@ -29,22 +28,7 @@ namespace rcb::client {
 
 namespace protocol = testing::protocol;
 
-class TemporaryDirectory {
- public:
-  TemporaryDirectory() {
-    char name[] = "/tmp/rcb-client-test-XXXXXX";
-    EXPECT_NE(::mkdtemp(name), nullptr);
-    path_ = name;
-  }
-  ~TemporaryDirectory() { std::filesystem::remove_all(path_); }
-  TemporaryDirectory(const TemporaryDirectory&) = delete;
-  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
-  const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
-};
-
+using testing::Directory;
 using Received = protocol::Frame;
 
 // One connection, seen from the service.
@@ -142,7 +126,7 @@ class FakeService {
       EXPECT_EQ(::getsockname(handle_, reinterpret_cast<sockaddr*>(&address), &size), 0);
       endpoint_ = "127.0.0.1:" + std::to_string(ntohs(address.sin_port));
     } else {
-      const std::string path = directory_.path() + "/socket";
+      const std::string path = directory_ / "socket";
       sockaddr_un address{};
       address.sun_family = AF_UNIX;
       std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
@@ -180,7 +164,7 @@ class FakeService {
     }
   }
 
-  TemporaryDirectory directory_;
+  Directory directory_;
   Script script_;
   std::string endpoint_;
   int handle_ = -1;

@@ -130,14 +130,11 @@ TEST(TwoSpheres, RefusesWhatCantBeBuilt) {
   EXPECT_EQ(code([](auto& o) { o.points = 1; }), Code::invalid_argument);
   EXPECT_EQ(code([](auto& o) { o.points = kPointsMax + 1; }), Code::invalid_argument);
   for (const double bad : {nan, infinity, -infinity, -1.0}) {
-    EXPECT_EQ(code([&](auto& o) { o.radius = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.gap = bad; }), Code::invalid_argument);
     EXPECT_EQ(code([&](auto& o) { o.offset = 2 * bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.speed = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.interval = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.density = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.youngs_modulus = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.poissons_ratio = bad; }), Code::invalid_argument);
+    for (double TwoSpheresOptions::*field :
+         {&TwoSpheresOptions::radius, &TwoSpheresOptions::gap, &TwoSpheresOptions::speed, &TwoSpheresOptions::interval,
+          &TwoSpheresOptions::density, &TwoSpheresOptions::youngs_modulus, &TwoSpheresOptions::poissons_ratio})
+      EXPECT_EQ(code([&](auto& o) { o.*field = bad; }), Code::invalid_argument);
   }
 }
 
@@ -225,12 +222,10 @@ TEST(Slope, RefusesWhatCantBeBuilt) {
   EXPECT_EQ(code([](auto& o) { o.bed_friction = 90; }), Code::invalid_argument);
   EXPECT_EQ(code([](auto& o) { o.bed_friction = 0; }), Code::ok);
   for (const double bad : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), -1.0}) {
-    EXPECT_EQ(code([&](auto& o) { o.unit_weight = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.friction_angle = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.bed_friction = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.youngs_modulus = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.poissons_ratio = bad; }), Code::invalid_argument);
-    EXPECT_EQ(code([&](auto& o) { o.interval = bad; }), Code::invalid_argument);
+    for (double SlopeOptions::*field :
+         {&SlopeOptions::unit_weight, &SlopeOptions::friction_angle, &SlopeOptions::bed_friction,
+          &SlopeOptions::youngs_modulus, &SlopeOptions::poissons_ratio, &SlopeOptions::interval})
+      EXPECT_EQ(code([&](auto& o) { o.*field = bad; }), Code::invalid_argument);
   }
 }
 

@@ -14,23 +14,14 @@
 
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/socket_file.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb {
 namespace {
 
 namespace fs = std::filesystem;
 
-class Lock : public testing::Test {
- protected:
-  void SetUp() override {
-    std::string name = "/tmp/rcb-lock-XXXXXX";
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    directory_ = name;
-  }
-  void TearDown() override { fs::remove_all(directory_); }
-  std::string at(const std::string& name) const { return directory_ + "/" + name; }
-  std::string directory_;
-};
+class Lock : public testing::DirectoryTest {};
 
 TEST_F(Lock, HasOneHolderWhoseNoteIsRead) {
   EXPECT_FALSE(LockFile::holder(at("l")));

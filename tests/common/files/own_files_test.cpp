@@ -1,7 +1,6 @@
 // What another user has made, or could change, is no place for the files of a service.
 #include "common/files/own_files.hpp"
 
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -13,6 +12,7 @@
 #include <unistd.h>
 
 #include "common/files/paths.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb {
 namespace {
@@ -21,15 +21,8 @@ namespace fs = std::filesystem;
 
 constexpr uid_t kStranger = 12345;
 
-class OwnFiles : public testing::Test {
+class OwnFiles : public testing::DirectoryTest {
  protected:
-  void SetUp() override {
-    std::string name = "/tmp/rcb-own-XXXXXX";
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    directory_ = name;
-  }
-  void TearDown() override { fs::remove_all(directory_); }
-  std::string at(const std::string& name) const { return directory_ + "/" + name; }
   std::string make(const std::string& name, mode_t mode, uid_t owner = ::geteuid()) const {
     EXPECT_EQ(::mkdir(at(name).c_str(), 0700), 0);
     EXPECT_EQ(::chmod(at(name).c_str(), mode), 0);
@@ -44,8 +37,6 @@ class OwnFiles : public testing::Test {
     EXPECT_NE(status.message().find(component), std::string::npos) << status.message();
     EXPECT_FALSE(status.hint().empty());
   }
-
-  std::string directory_;
 };
 
 #define NEEDS_ROOT()                                                           \
@@ -57,9 +48,7 @@ class OwnFiles : public testing::Test {
 TEST_F(OwnFiles, MissingDirectoriesAreMadePrivate) {
   ASSERT_TRUE(make_own_directory(at("a/b")).ok());
   for (const char* name : {"a", "a/b"}) {
-    struct stat info {};
-    ASSERT_EQ(::stat(at(name).c_str(), &info), 0);
-    EXPECT_EQ(info.st_mode & 0777U, 0700U) << name;
+    EXPECT_EQ(testing::mode_of(at(name)), 0700U) << name;
   }
   EXPECT_TRUE(make_own_directory(at("a/../a/./b")).ok());
   std::ofstream(at("file")) << "x";

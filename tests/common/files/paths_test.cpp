@@ -10,48 +10,33 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "tests/support/directory.hpp"
+#include "tests/support/variable.hpp"
+
 namespace rcb {
 namespace {
 
-class Paths : public testing::Test {
+class Paths : public testing::DirectoryTest {
  protected:
-  void SetUp() override {
-    std::string name = (std::filesystem::temp_directory_path() / "rcb-paths-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    directory_ = name;
-    for (const char* variable : {"XDG_RUNTIME_DIR", "XDG_STATE_HOME", "HOME"}) {
-      if (const char* value = std::getenv(variable)) saved_[variable] = value;
-    }
-  }
-  void TearDown() override {
-    for (const char* variable : {"XDG_RUNTIME_DIR", "XDG_STATE_HOME", "HOME"}) {
-      ::unsetenv(variable);
-      if (saved_.count(variable) != 0) ::setenv(variable, saved_[variable].c_str(), 1);
-    }
-    std::filesystem::remove_all(directory_);
-  }
-  std::string directory_;
-  std::map<std::string, std::string> saved_;
+  const testing::Variable run_{"XDG_RUNTIME_DIR", std::getenv("XDG_RUNTIME_DIR")};
+  const testing::Variable state_{"XDG_STATE_HOME", std::getenv("XDG_STATE_HOME")};
+  const testing::Variable home_{"HOME", std::getenv("HOME")};
 };
 
-mode_t mode_of(const std::string& path) {
-  struct stat about {};
-  EXPECT_EQ(::stat(path.c_str(), &about), 0) << path;
-  return about.st_mode & 0777U;
-}
+using testing::mode_of;
 
 TEST_F(Paths, DefaultSocketFollowsTheEnvironment) {
-  ::setenv("XDG_RUNTIME_DIR", "/run/user/7", 1);
+  run_.set("/run/user/7");
   EXPECT_EQ(default_socket_path(), "/run/user/7/rcbd/rcbd.sock");
   const std::string fallback = "/tmp/rcbd-" + std::to_string(::getuid()) + "/rcbd.sock";
-  ::unsetenv("XDG_RUNTIME_DIR");
+  run_.set(nullptr);
   EXPECT_EQ(default_socket_path(), fallback);
-  ::setenv("XDG_RUNTIME_DIR", "relative", 1);
+  run_.set("relative");
   EXPECT_EQ(default_socket_path(), fallback);
 }
 
 TEST_F(Paths, EachEndpointHasItsOwnDataDirectory) {
-  ::setenv("XDG_STATE_HOME", directory_.c_str(), 1);
+  state_.set(directory_.c_str());
   std::map<std::string, std::string> seen;
   for (const char* endpoint :
        {"unix:/a/b", "unix:/a_b", "unix:/a%2Fb", "unix:/a-b", "unix:/a.b", "h:1", "h_1", "h%3A1", "h:11"}) {
@@ -61,8 +46,8 @@ TEST_F(Paths, EachEndpointHasItsOwnDataDirectory) {
     EXPECT_TRUE(seen.emplace(data, endpoint).second) << endpoint << " and " << seen[data];
   }
   EXPECT_EQ(data_directory_for("/a/b"), data_directory_for("unix:/a/b"));
-  ::unsetenv("XDG_STATE_HOME");
-  ::setenv("HOME", "/home/someone", 1);
+  state_.set(nullptr);
+  home_.set("/home/someone");
   EXPECT_EQ(data_directory_for("h:1").rfind("/home/someone/.local/state/rcbd/", 0), 0U);
 }
 

@@ -13,24 +13,18 @@
 #include <unistd.h>
 
 #include "common/files/descriptor.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb {
 namespace {
 
 namespace fs = std::filesystem;
 
-class SocketFile : public testing::Test {
+class SocketFile : public testing::DirectoryTest {
  protected:
-  void SetUp() override {
-    std::string name = "/tmp/rcb-sockets-XXXXXX";
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder_ = name;
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
   // A bound socket of that age.
   Descriptor bound(const std::string& name, int minutes) const {
-    const std::string path = folder_ + "/" + name;
+    const std::string path = at(name);
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
     std::memcpy(address.sun_path, path.c_str(), path.size());
@@ -41,9 +35,7 @@ class SocketFile : public testing::Test {
     EXPECT_EQ(::utimensat(AT_FDCWD, path.c_str(), times, 0), 0);
     return socket;
   }
-  bool exists(const std::string& name) const { return fs::exists(folder_ + "/" + name); }
-
-  std::string folder_;
+  bool exists(const std::string& name) const { return fs::exists(at(name)); }
 };
 
 TEST_F(SocketFile, OnlyOldOnesWithoutAListenerAreRemoved) {
@@ -52,7 +44,7 @@ TEST_F(SocketFile, OnlyOldOnesWithoutAListenerAreRemoved) {
   const Descriptor live = bound("rcbd-live", 2);
   const Descriptor foreign = bound("other", 2);
   ASSERT_EQ(::listen(live.get(), 1), 0);
-  remove_old_dead_sockets(folder_, "rcbd-");
+  remove_old_dead_sockets(directory_, "rcbd-");
   EXPECT_TRUE(exists("rcbd-young"));
   EXPECT_FALSE(exists("rcbd-old"));
   EXPECT_TRUE(exists("rcbd-live"));

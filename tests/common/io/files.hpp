@@ -1,57 +1,21 @@
-// A temporary directory with files made by a test, and byte-exact .npy files of every kind.
+// Byte-exact .npy files of every kind, and what the tests of readers ask.
 #pragma once
 
 #include <algorithm>
-#include <cstdlib>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include "common/io/points.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb::io::testing {
 
-class Directory {
- public:
-  Directory() {
-    std::string name = (std::filesystem::temp_directory_path() / "rcb-io-XXXXXX").string();
-    if (::mkdtemp(name.data()) == nullptr) std::abort();
-    path_ = name;
-  }
-  Directory(const Directory&) = delete;
-  Directory& operator=(const Directory&) = delete;
-  ~Directory() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-  std::string operator/(std::string_view name) const { return path_ + "/" + std::string(name); }
-  std::string write(std::string_view name, std::string_view bytes) const {
-    const std::string path = *this / name;
-    // A new file each time: some file systems sync one that is truncated and written again.
-    std::filesystem::remove(path);
-    std::ofstream(path, std::ios::binary) << bytes;
-    return path;
-  }
-  std::size_t file_count() const {
-    return static_cast<std::size_t>(
-        std::distance(std::filesystem::directory_iterator(path_), std::filesystem::directory_iterator()));
-  }
-
- private:
-  std::string path_;
-};
-
-inline std::string contents(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-}
+using rcb::testing::contents;
+using rcb::testing::Directory;
 
 struct NpyKind {
   int version = 1;

@@ -18,13 +18,7 @@ extern "C" const char* __lsan_default_suppressions() { return "leak:libhdf5"; }
 namespace rcb::io {
 namespace {
 
-using testing::contents;
-using testing::Directory;
-using testing::has;
-using testing::joined;
-using testing::npy;
-using testing::read_points;
-using testing::refusal;
+using namespace testing;
 
 constexpr std::string_view kMeaningful = "0123456789,; \n\r\t#\"'-+.eEdDnNaAxX(){}:L";  // to some format
 

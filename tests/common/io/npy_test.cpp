@@ -9,15 +9,7 @@
 namespace rcb::io {
 namespace {
 
-using testing::Directory;
-using testing::expect_same;
-using testing::has;
-using testing::joined;
-using testing::npy;
-using testing::npy_with_header;
-using testing::NpyKind;
-using testing::read_points;
-using testing::refusal;
+using namespace testing;
 using Column = std::vector<double>;
 
 std::vector<NpyKind> all_kinds() {

@@ -17,9 +17,7 @@ namespace rcb::io {
 namespace {
 
 namespace fs = std::filesystem;
-using testing::contents;
-using testing::Directory;
-using testing::read_points;
+using namespace testing;
 
 // outside/secret, and root/{points.csv, sub/deep.csv} with links of all kinds.
 class RootsTest : public ::testing::Test {

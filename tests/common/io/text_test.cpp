@@ -10,12 +10,7 @@
 namespace rcb::io {
 namespace {
 
-using testing::Directory;
-using testing::expect_same;
-using testing::has;
-using testing::joined;
-using testing::read_points;
-using testing::refusal;
+using namespace testing;
 using Column = std::vector<double>;
 
 class Text : public ::testing::Test {

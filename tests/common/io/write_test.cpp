@@ -16,11 +16,7 @@
 namespace rcb::io {
 namespace {
 
-using testing::contents;
-using testing::Directory;
-using testing::has;
-using testing::read_points;
-using testing::refusal;
+using namespace testing;
 using Column = std::vector<double>;
 
 TEST(Write, CsvComesBackBitForBit) {

@@ -18,18 +18,7 @@
 namespace rcb::partition {
 namespace {
 
-using testing::deal;
-using testing::judge;
-using testing::JudgeCut;
-using testing::Judgement;
-using testing::JudgeOptions;
-using testing::make_scene;
-using testing::on_ranks;
-using testing::options_of;
-using testing::Scene;
-using testing::Shape;
-using testing::Share;
-using testing::Weights;
+using namespace testing;
 
 constexpr std::uint64_t kPartitionSeed = 20240611;
 

@@ -28,10 +28,7 @@
 namespace rcb::partition {
 namespace {
 
-using testing::Judgement;
-using testing::JudgeOptions;
-using testing::Scene;
-using testing::Share;
+using namespace testing;
 using Limits = std::numeric_limits<double>;
 
 constexpr std::uint64_t kSeed = 20250321;

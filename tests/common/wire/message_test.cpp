@@ -229,9 +229,12 @@ TEST(Fields, StringsAndBooleans) {
   EXPECT_FALSE(string_field(json, "b").ok());
   EXPECT_FALSE(string_field(json, "c").ok());
   EXPECT_FALSE(string_field(json, "none").ok());
-  EXPECT_TRUE(bool_field_or(json, "c", false).value());
-  EXPECT_TRUE(bool_field_or(json, "none", true).value());
-  EXPECT_FALSE(bool_field_or(json, "d", true).ok());
+  EXPECT_TRUE(bool_field(json, "c").value());
+  EXPECT_FALSE(bool_field(json, "none").value());
+  EXPECT_FALSE(bool_field(json, "d").ok());
+  EXPECT_TRUE(is_true(json, "c"));
+  EXPECT_FALSE(is_true(json, "none"));
+  EXPECT_FALSE(is_true(json, "d"));
 }
 
 TEST(Fields, SceneNames) {

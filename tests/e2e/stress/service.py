@@ -3,19 +3,13 @@ import glob
 import os
 import re
 import signal
-import socket
 import subprocess
 import time
 
 from faults import FILLING
 from fuzz import listeners
 from sanitizers import environment
-from support import processes_of
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+from support import free_port, processes_of
 
 
 class Service:

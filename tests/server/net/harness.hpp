@@ -11,8 +11,12 @@
 #include "common/wire/frame.hpp"
 #include "common/wire/message.hpp"
 #include "server/net/control/control.hpp"
+#include "server/net/sockets/file_thread.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb::net::testing {
+
+using rcb::testing::Directory;
 
 inline constexpr const char* kAnna = "00000000000000aa";  // sessions
 inline constexpr const char* kBert = "00000000000000bb";
@@ -88,34 +92,24 @@ class Client {
   std::uint64_t next_ = 1;
 };
 
+// Runs what waits in the loop until the condition holds; the test fails where it does not in time.
+void run_until(asio::io_context& context, const std::function<bool()>& holds);
+
 // A frame as bytes.
 std::string frame(wire::FrameType type, std::uint64_t request, const std::string& json, const std::string& bulk = {},
                   bool checked = false);
 
-// A new private directory, removed at the end.
-class Directory {
- public:
-  Directory();
-  ~Directory();
-  Directory(const Directory&) = delete;
-  Directory& operator=(const Directory&) = delete;
-  std::string file(const std::string& name) const { return path_ + "/" + name; }
-  const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
-};
-
 class TestService {
  public:
   explicit TestService(ControlOptions options = defaults());
+  explicit TestService(const std::function<void(ControlOptions&)>& change);  // of the defaults
   ~TestService();
   static ControlOptions defaults();
 
   Client connect() { return Client::on_unix(path()); }
   // Said hello.
   Client client(const std::string& name, const std::string& session = "00000000000000aa");
-  std::string path() const { return directory_.file("s"); }
+  std::string path() const { return directory_ / "s"; }
   const std::string& tcp() const { return tcp_; }
   FakeEngine& engine() { return engine_; }
   Control& control() { return *control_; }

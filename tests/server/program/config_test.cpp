@@ -7,6 +7,8 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/variable.hpp"
+
 namespace rcb::server {
 namespace {
 
@@ -15,17 +17,7 @@ ParsedConfig parse(std::vector<const char*> arguments) {
   return parse_config(static_cast<int>(arguments.size()), arguments.data());
 }
 
-// A variable of the environment, for one test.
-class Variable {
- public:
-  Variable(const char* name, const char* value) : name_(name) { ::setenv(name, value, 1); }
-  Variable(const Variable&) = delete;
-  Variable& operator=(const Variable&) = delete;
-  ~Variable() { ::unsetenv(name_); }
-
- private:
-  const char* name_;
-};
+using testing::Variable;
 
 TEST(Config, AloneItListensOnTheDefaultSocketAndTakesFilesBelowItsFolder) {
   const ParsedConfig parsed = parse({});

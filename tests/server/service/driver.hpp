@@ -211,6 +211,18 @@ class Driver {
   bool first_ = true;
 };
 
+// One with a service of its own, on which its scene is made.
+struct OwnService {
+  service::Service service;
+};
+class OwnDriver : public OwnService, public Driver {
+ public:
+  OwnDriver(comm::Comm& comm, const std::string& scene, const Json& options, service::ServiceOptions of_service = {})
+      : OwnService{service::Service(comm, kClock, std::move(of_service))}, Driver(comm, service, scene) {
+    create(options);
+  }
+};
+
 // The first answer of a name, of any rank count, is the reference for the others.
 class Reference {
  public:

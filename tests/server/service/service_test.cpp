@@ -23,9 +23,7 @@ Json comparable(Json report) {
 
 TEST(Service, FirstPushIsPartitioned) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 8}});
+    OwnDriver driver(comm, "a", {{"parts", 8}});
     const Response pushed = driver.push(random_particles(1, 1001, 3), 0);
     const Response counts = driver.ask("counts");
     if (comm.rank() != 0) return;
@@ -44,9 +42,7 @@ TEST(Service, ReportsAreTheSameOnAnyNumberOfRanks) {
   Reference reference;
   on_ranks([&](comm::Comm& comm) {
     for (const int dims : {1, 2, 3}) {
-      Service service(comm, kClock);
-      Driver driver(comm, service, "walk");
-      driver.create({{"parts", 7}, {"dims", dims}, {"tolerance", 0.08}});
+      OwnDriver driver(comm, "walk", {{"parts", 7}, {"dims", dims}, {"tolerance", 0.08}});
       Particles particles = random_particles(7, 700, dims);
       for (int step = 0; step < 25; ++step) {
         const Response pushed = driver.push(particles, step);
@@ -68,9 +64,7 @@ TEST(Service, ReportsAreTheSameOnAnyNumberOfRanks) {
 TEST(Service, IdsOfTheSolversOwnAndWeights) {
   Reference reference;
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "w");
-    driver.create({{"parts", 5}, {"tolerance", 0.2}});
+    OwnDriver driver(comm, "w", {{"parts", 5}, {"tolerance", 0.2}});
     Particles particles = random_particles(3, 300, 3);
     Random random(9);
     for (int k = 0; k < 300; ++k) {
@@ -111,9 +105,7 @@ TEST(Service, OrderByIdEqualsThePlanOrder) {
 
 TEST(Service, ARefusedPushChangesNothing) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 3}});
+    OwnDriver driver(comm, "a", {{"parts", 3}});
     const Particles good = random_particles(1, 50, 3);
     driver.push(good, 4);
     const Response before = driver.ask("assign", {{"checksum", true}});
@@ -147,12 +139,10 @@ TEST(Service, ARefusedPushChangesNothing) {
 
 TEST(Service, StalePlanIsRefused) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 4}});
+    OwnDriver driver(comm, "a", {{"parts", 4}});
     const Particles particles = random_particles(2, 80, 3);
     driver.push(particles, 0);
-    Driver newcomer(comm, service, "a");  // believes in blocks
+    Driver newcomer(comm, driver.service, "a");  // believes in blocks
     const Response pushed = newcomer.push(particles, 1);
     if (comm.rank() != 0) return;
     EXPECT_EQ(pushed.status.code(), Code::stale_plan);
@@ -161,9 +151,7 @@ TEST(Service, StalePlanIsRefused) {
 
 TEST(Service, RebalanceByThePureRule) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 8}, {"tolerance", "inf"}});
+    OwnDriver driver(comm, "a", {{"parts", 8}, {"tolerance", "inf"}});
     Particles particles = random_particles(5, 500, 3);
     driver.push(particles, 0);
     drift(particles, 6, 0.3);
@@ -190,9 +178,7 @@ TEST(Service, RebalanceByThePureRule) {
 TEST(Service, NoAndFewParticles) {
   on_ranks([](comm::Comm& comm) {
     for (const std::size_t n : {std::size_t{0}, std::size_t{1}, std::size_t{5}}) {
-      Service service(comm, kClock);
-      Driver driver(comm, service, "a");
-      driver.create({{"parts", 8}});
+      OwnDriver driver(comm, "a", {{"parts", 8}});
       Particles particles = random_particles(5, n, 3);
       driver.push(particles, 0);
       drift(particles, 6, 5);
@@ -212,9 +198,7 @@ TEST(Service, NoAndFewParticles) {
 
 TEST(Service, DuplicateAndNegativeIds) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 2}});
+    OwnDriver driver(comm, "a", {{"parts", 2}});
     Particles particles = random_particles(5, 6, 3);
     particles.ids = {5, 9, 1, 9, 3, 2};
     const Response twins = driver.push(particles, 0);

@@ -15,21 +15,15 @@
 #include <unistd.h>
 
 #include "common/files/socket_file.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb::launch {
 namespace {
 
 namespace fs = std::filesystem;
 
-class Folder : public testing::Test {
+class Folder : public testing::DirectoryTest {
  protected:
-  void SetUp() override {
-    std::string name = "/tmp/rcb-sweep-XXXXXX";
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    directory_ = name;
-  }
-  void TearDown() override { fs::remove_all(directory_); }
-
   EndpointNote owner() const {
     EndpointNote note;
     note.process = ProcessId::self();
@@ -77,7 +71,6 @@ class Folder : public testing::Test {
     return std::find(removed.begin(), removed.end(), path) != removed.end();
   }
 
-  std::string directory_;
   mutable std::string place_;
 };
 

@@ -45,7 +45,6 @@ TEST(Endpoint, FilesLieTogetherAndApartFromOthers) {
   EXPECT_EQ(directories.size(), std::size(texts));
   const Endpoint endpoint = parse_endpoint("unix:/a/b").value();
   EXPECT_EQ(data_directory(endpoint), data_directory(parse_endpoint("unix:/a/./c/../b").value()));
-  EXPECT_EQ(log_path(endpoint), data_directory(endpoint) + "/rcbd.log");
   EXPECT_EQ(token_path(endpoint), data_directory(endpoint) + "/token");
 }
 

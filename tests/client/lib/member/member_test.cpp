@@ -41,6 +41,16 @@ void answer_close(Peer& peer, std::vector<Received>* got = nullptr) {
   peer.receive();
 }
 
+// A client with the seat of member 1 of 3.
+struct Seated {
+  Result<Client> client;
+  Result<MemberScene> scene;
+
+  explicit Seated(const FakeService& service)
+      : client(Client::connect({.endpoint = service.endpoint()})),
+        scene(MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true})) {}
+};
+
 MemberStepOptions with_changes() {
   MemberStepOptions options;
   options.want_changes = true;
@@ -112,8 +122,7 @@ TEST(MemberScene, ReturnsWithAHigherGenerationAndPushesAgain) {
     answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto [client, scene] = Seated(service);
     const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with_changes());
     EXPECT_TRUE(result.ok()) << result.status().message();
     EXPECT_EQ(scene->generation(), 5U);
@@ -148,8 +157,7 @@ TEST(MemberScene, AsksForNoGenerationTwiceUnlessItWasRefused) {
     answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto [client, scene] = Seated(service);
     EXPECT_EQ(scene->step(Positions::axes(kAxes, 3), kIds).status().code(), Code::busy);
     const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
     EXPECT_TRUE(result.ok()) << result.status().message();
@@ -178,8 +186,7 @@ TEST(MemberScene, BringsAllItsParticlesUnlessTheyAreThoseThatItWasTold) {
     answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto [client, scene] = Seated(service);
     MemberStepOptions unmoved;
     unmoved.unmoved = true;
     EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
@@ -203,8 +210,7 @@ TEST(MemberScene, OfAReplacedSceneItsArraysHaveTheNewDimensions) {
     answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto [client, scene] = Seated(service);
     EXPECT_EQ(scene->position_rows(10)->size(), 20U);
     EXPECT_EQ(scene->last_step(), 6);
     EXPECT_TRUE(client->create_scene("s", {.parts = 4, .dims = 3, .replace = true}).ok());
@@ -237,8 +243,7 @@ TEST(MemberScene, AFreshOneTakesTheStepThatTheOthersPush) {
     answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto [client, scene] = Seated(service);
     const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
     EXPECT_TRUE(result.ok()) << result.status().message();
   }
@@ -305,8 +310,7 @@ TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
       answer_close(peer);
     });
     {
-      auto client = Client::connect({.endpoint = service.endpoint()});
-      auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+      auto [client, scene] = Seated(service);
       ASSERT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds).ok());
       MemberStepOptions unmoved;
       unmoved.unmoved = true;
@@ -365,8 +369,7 @@ TEST(MemberScene, AStepThatWasAbortedIsPushedAgain) {
     answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto [client, scene] = Seated(service);
     const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
     EXPECT_TRUE(result.ok()) << result.status().message();
   }
@@ -493,8 +496,7 @@ TEST(MemberScene, WeightsOfALostSceneAreAskedFor) {
       answer_close(peer);
     }
   });
-  auto client = Client::connect({.endpoint = service.endpoint()});
-  auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+  auto [client, scene] = Seated(service);
   ASSERT_TRUE(scene.ok()) << scene.status().message();
   const Status status = scene->step(Positions::axes(kAxes, 3), kIds).status();
   EXPECT_EQ(status.code(), Code::base_lost) << status.message();

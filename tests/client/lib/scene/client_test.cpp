@@ -18,25 +18,12 @@
 #include "client/lib/connect/endpoint.hpp"
 #include "common/base/random.hpp"
 #include "tests/client/lib/fake_service.hpp"
+#include "tests/support/variable.hpp"
 
 namespace rcb::client {
 namespace {
 
-// A variable of the environment for as long as a test runs.
-class Variable {
- public:
-  Variable(const char* name, const char* value) : name_(name) {
-    if (const char* old = std::getenv(name)) old_ = old;
-    value == nullptr ? ::unsetenv(name) : ::setenv(name, value, 1);
-  }
-  ~Variable() { old_ ? ::setenv(name_, old_->c_str(), 1) : ::unsetenv(name_); }
-  Variable(const Variable&) = delete;
-  Variable& operator=(const Variable&) = delete;
-
- private:
-  const char* name_;
-  std::optional<std::string> old_;
-};
+using testing::Variable;
 
 // Greets and answers every request with what `answer` says.
 FakeService::Script answering(const std::function<void(Peer&, const Received&)>& answer) {
@@ -86,7 +73,7 @@ TEST(Connect, SaysHelloAndGoodbye) {
 }
 
 TEST(Connect, NobodyThere) {
-  const TemporaryDirectory directory;
+  const Directory directory;
   const std::string endpoint = "unix:" + directory.path() + "/none";
   const auto client = Client::connect({.endpoint = endpoint});
   ASSERT_FALSE(client.ok());
@@ -213,7 +200,7 @@ TEST(Connect, ProgramsThatTheSolverStartsInheritNoSocket) {
 }
 
 TEST(Connect, WhereManyWaitAtASocketItWaitsToo) {
-  const TemporaryDirectory directory;
+  const Directory directory;
   const std::string path = directory.path() + "/s";
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
@@ -236,7 +223,7 @@ TEST(Connect, WhereManyWaitAtASocketItWaitsToo) {
 }
 
 TEST(Connect, ToldNothingNamesAllThatWasTried) {
-  const TemporaryDirectory directory;
+  const Directory directory;
   const Variable runtime("XDG_RUNTIME_DIR", directory.path().c_str());
   const Variable none("RCBD_ENDPOINT", nullptr);
   const auto client = Client::connect({});
@@ -290,7 +277,7 @@ TEST(Connect, SilentPeerMeetsTheDeadline) {
 }
 
 TEST(Connect, TokenComesFromOptionsEnvironmentOrTheDataDirectory) {
-  const TemporaryDirectory state;
+  const Directory state;
   const Variable home("XDG_STATE_HOME", state.path().c_str());
   const Variable no_token("RCBD_TOKEN", nullptr);
   const Variable no_file("RCBD_TOKEN_FILE", nullptr);

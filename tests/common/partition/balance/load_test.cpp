@@ -17,13 +17,7 @@ namespace {
 
 using Number = boost::multiprecision::cpp_rational;
 using Integer = boost::multiprecision::cpp_int;
-using testing::deal;
-using testing::make_scene;
-using testing::on_ranks;
-using testing::Scene;
-using testing::Shape;
-using testing::Share;
-using testing::Weights;
+using namespace testing;
 
 constexpr std::uint64_t kLoadSeed = 77;
 

@@ -20,12 +20,7 @@
 namespace rcb::partition {
 namespace {
 
-using testing::make_scene;
-using testing::on_ranks;
-using testing::Scene;
-using testing::Shape;
-using testing::Share;
-using testing::Weights;
+using namespace testing;
 
 constexpr std::uint64_t kRepartitionSeed = 20260711;
 
@@ -62,10 +57,16 @@ CutTree drift(Case& trial) {
 
 // Every particle on the rank that owns its part, but for one in 23, as after a drift. by_part: part after part, so that
 // particles side by side in the arrays are side by side in space.
-Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnParts& own, std::vector<std::int32_t>& part,
-           bool by_part = false) {
+struct Held {
+  Share share;
+  OwnParts own;
+  std::vector<std::int32_t> part;
+};
+Held held(const Scene& scene, const CutTree& tree, const comm::Comm& comm, bool by_part = false) {
+  const int rank = comm.rank(), ranks = comm.size();
   const auto begin = [&](int r) { return static_cast<int>(std::int64_t{r} * tree.parts / ranks); };
-  own = {begin(rank), begin(rank + 1)};
+  const OwnParts own{begin(rank), begin(rank + 1)};
+  std::vector<std::int32_t> part;
   std::vector<std::size_t> rows;
   for (std::size_t i = 0; i < scene.count(); ++i) {
     const geometry::Point at{scene.x[0][i], scene.dims > 1 ? scene.x[1][i] : 0, scene.dims > 2 ? scene.x[2][i] : 0};
@@ -86,7 +87,7 @@ Share held(const Scene& scene, const CutTree& tree, int rank, int ranks, OwnPart
     rows = std::move(sorted);
     std::ranges::sort(part);
   }
-  return testing::take(scene, std::move(rows));
+  return {testing::take(scene, std::move(rows)), own, std::move(part)};
 }
 
 std::string differs(const LoadSummary& a, const LoadSummary& b) {
@@ -102,9 +103,7 @@ std::uint64_t check(Case trial) {
   std::mutex mutex;
   std::uint64_t incremental = 0;
   on_ranks([&](comm::Comm& comm) {
-    OwnParts own;
-    std::vector<std::int32_t> part;
-    const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part, trial.seed % 2 == 0);
+    const auto [share, own, part] = held(trial.scene, before, comm, trial.seed % 2 == 0);
     const particles::ParticleView view = share.particles.view();
     const particles::BlockRanges blocks = testing::ranges_of(view);
     const auto& sizes = trial.options.part_sizes;
@@ -171,9 +170,7 @@ TEST(Repartition, LooksAtFewWhereLittleHasMoved) {
   trial.options.axis_hysteresis = 1.5;
   const CutTree before = drift(trial);
   on_ranks([&](comm::Comm& comm) {
-    OwnParts own;
-    std::vector<std::int32_t> part;
-    const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+    const auto [share, own, part] = held(trial.scene, before, comm);
     RepartitionOptions options{trial.options, {}, true};
     options.partition.previous = &before;
     const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 4);
@@ -205,9 +202,7 @@ TEST(Repartition, CutsSomeSubtreesAnew) {
     options.partition.limits.boundary_divisor = 1;
     options.partition.limits.bracket_sigmas = 1;
     on_ranks([&](comm::Comm& comm) {
-      OwnParts own;
-      std::vector<std::int32_t> part;
-      const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+      const auto [share, own, part] = held(trial.scene, before, comm);
       const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 11);
       const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads, own});
       std::vector<std::int32_t> parts = part;
@@ -244,9 +239,7 @@ TEST(Repartition, TheRootAsASubtreeIsEverything) {
     trial.options.method = method;
     const CutTree before = drift(trial);
     on_ranks([&](comm::Comm& comm) {
-      OwnParts own;
-      std::vector<std::int32_t> part;
-      const Share share = held(trial.scene, before, comm.rank(), comm.size(), own, part);
+      const auto [share, own, part] = held(trial.scene, before, comm);
       const particles::ParticleView view = share.particles.view();
       const LoadSummary loads = summarise_loads(comm, view, part, {}, 5);
       const Result<PartitionResult> full = partition(comm, view, trial.options);

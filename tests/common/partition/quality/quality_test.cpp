@@ -15,13 +15,7 @@
 namespace rcb::partition {
 namespace {
 
-using testing::deal;
-using testing::make_scene;
-using testing::on_ranks;
-using testing::Scene;
-using testing::Shape;
-using testing::Share;
-using testing::Weights;
+using namespace testing;
 
 constexpr std::uint64_t kQualitySeed = 99;
 

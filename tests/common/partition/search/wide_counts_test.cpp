@@ -8,6 +8,7 @@
 #include "common/comm/wide_sum.hpp"
 #include "common/partition/balance/load.hpp"
 #include "common/partition/partition.hpp"
+#include "tests/support/forwarding_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -15,38 +16,19 @@ namespace {
 using Number = boost::multiprecision::cpp_rational;
 
 // SelfComm, but every sum is what `sum` makes of the local value.
-class FakeComm final : public comm::Comm {
+struct OwnComm {
+  comm::SelfComm self;
+};
+class FakeComm final : OwnComm, public testing::ForwardingComm {
  public:
   using Sum = std::uint64_t (*)(std::uint64_t local);
-  explicit FakeComm(Sum sum) : sum_(sum) {}
-  int rank() const override { return 0; }
-  int size() const override { return 1; }
+  explicit FakeComm(Sum sum) : ForwardingComm(self), sum_(sum) {}
   void all_sum(std::span<std::uint64_t> values) override {
     for (std::uint64_t& value : values) value = sum_(value);
   }
-  void all_min(std::span<std::uint64_t>) override {}
-  void all_max(std::span<std::uint64_t>) override {}
-  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                  std::vector<std::size_t>& sizes) override {
-    self_.all_gather(local, all, sizes);
-  }
-  void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
-              std::vector<std::size_t>& sizes) override {
-    self_.gather(local, root, all, sizes);
-  }
-  void broadcast(std::span<std::byte>, int) override {}
-  void scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) override {
-    self_.scatter(pieces, root, mine);
-  }
-  void exchange(std::span<const std::span<const std::byte>> send,
-                std::span<const std::span<std::byte>> receive) override {
-    self_.exchange(send, receive);
-  }
-  void barrier() override {}
 
  private:
   Sum sum_;
-  comm::SelfComm self_;
 };
 
 // Particles stand in groups along x: kHeavy at one place, then kLight apart from each other, and so on. A sum counts

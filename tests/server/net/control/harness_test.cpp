@@ -5,7 +5,6 @@
 #include <cstdlib>
 #include <cstring>
 #include <deque>
-#include <filesystem>
 #include <mutex>
 #include <thread>
 #include <utility>
@@ -122,14 +121,10 @@ void FakeEngine::release() {
 }
 
 void FakeEngine::wait_for_cancelled() {
-  for (int tries = 0; tries < 2000; ++tries) {
-    {
-      const std::lock_guard lock(state_->mutex);
-      if (!state_->queue.empty() && *state_->queue.front().order.cancelled) return;
-    }
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  }
-  ADD_FAILURE() << "somebody still waits for the order";
+  EXPECT_TRUE(rcb::testing::eventually([this] {
+    const std::lock_guard lock(state_->mutex);
+    return !state_->queue.empty() && *state_->queue.front().order.cancelled;
+  })) << "somebody still waits for the order";
 }
 
 void FakeEngine::wait_for_orders(std::size_t count) {
@@ -316,11 +311,13 @@ std::string Client::slice(const std::string& session, std::int64_t step, std::ui
   return bulk;
 }
 
-Directory::Directory() : path_("/tmp/rcb-net-test-XXXXXX") { EXPECT_NE(::mkdtemp(path_.data()), nullptr); }
-
-Directory::~Directory() {
-  std::error_code ignored;
-  std::filesystem::remove_all(path_, ignored);
+void run_until(asio::io_context& context, const std::function<bool()>& holds) {
+  const TimePoint late = now() + std::chrono::seconds(rcb::testing::kWaitSeconds);
+  while (!holds() && now() < late) {
+    context.restart();
+    context.run_one_for(std::chrono::milliseconds(100));
+  }
+  EXPECT_TRUE(holds());
 }
 
 ControlOptions TestService::defaults() {
@@ -341,6 +338,13 @@ TestService::TestService(ControlOptions options)
   control_->start();
   loop_.start();
 }
+
+TestService::TestService(const std::function<void(ControlOptions&)>& change)
+    : TestService([&change] {
+        ControlOptions options = defaults();
+        change(options);
+        return options;
+      }()) {}
 
 TestService::~TestService() {
   engine_.release();

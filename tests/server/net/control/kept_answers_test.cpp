@@ -20,6 +20,7 @@ namespace rcb::net::testing {
 namespace {
 
 namespace fs = std::filesystem;
+using rcb::testing::contents;
 using wire::Json;
 
 wire::Array array_of(const std::string& name, std::vector<std::int64_t> values) {
@@ -83,7 +84,7 @@ class Kept {
   void keep(const std::string& scene, const MemberAnswers& answers) {
     bool sent = false;
     begin(scene, answers, [&sent] { sent = true; });
-    run_until([&sent] { return sent; });
+    run_until(context_, [&sent] { return sent; });
   }
   void begin(const std::string& scene, const MemberAnswers& answers, std::function<void()> then) {
     kept_.keep(scene, std::make_shared<MemberAnswers>(answers), std::move(then));
@@ -93,16 +94,8 @@ class Kept {
     for (int jobs = 0; jobs < 3; ++jobs) {
       bool idle = false;
       ASSERT_TRUE(FileThread::of(context_).run([] {}, [&idle] { idle = true; }).ok());
-      run_until([&idle] { return idle; });
+      run_until(context_, [&idle] { return idle; });
     }
-  }
-  void run_until(const std::function<bool()>& holds) {
-    const TimePoint late = now() + std::chrono::seconds(30);
-    while (!holds() && now() < late) {
-      context_.restart();
-      context_.run_one_for(std::chrono::milliseconds(100));
-    }
-    EXPECT_TRUE(holds());
   }
   asio::io_context& context() { return context_; }
 
@@ -141,7 +134,7 @@ TEST(KeptAnswers, AreSentWhenTheyAreOnDisk) {
   kept.context().poll();
   EXPECT_TRUE(sent.empty());
   disk.release();
-  kept.run_until([&] { return sent.size() == 2; });
+  run_until(kept.context(), [&] { return sent.size() == 2; });
   EXPECT_EQ(sent, (std::vector<int>{1, 2}));
   kept.settle();
   expect_step(Kept(directory.path(), true).before("s"), 1);
@@ -168,7 +161,7 @@ TEST(KeptAnswers, WaitForADiskThatStandsStillOnceAndNotForLong) {
     kept.begin("s", answers_of(5), [&sent] { sent = true; });
     EXPECT_FALSE(sent) << "it moves, so it is waited for";
   }
-  kept.run_until([&sent] { return sent; });
+  run_until(kept.context(), [&sent] { return sent; });
 }
 
 TEST(KeptAnswers, OfASceneThatIsForgottenMeanwhileAreNotWritten) {
@@ -221,16 +214,12 @@ TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
   for (std::int64_t step = 2; step < 40; ++step) {
     const auto before = files_in(directory);
     std::vector<std::string> old;
-    for (const std::string& name : before) {
-      std::ifstream in(directory.file(name), std::ios::binary);
-      old.emplace_back(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
-    }
+    for (const std::string& name : before) old.push_back(contents(directory / name));
     Kept(directory.path(), true).keep("s", answers_of(step));
     // The file that was written now: as much of it as was there at the death, over what was there before.
     for (const std::string& name : files_in(directory)) {
-      const std::string path = directory.file(name);
-      std::ifstream in(path, std::ios::binary);
-      std::string now{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+      const std::string path = directory / name;
+      const std::string now = contents(path);
       const auto found = std::find(before.begin(), before.end(), name);
       const std::string was = found == before.end() ? "" : old[static_cast<std::size_t>(found - before.begin())];
       if (now == was) continue;
@@ -248,7 +237,7 @@ TEST(KeptAnswers, ADeathWhileWritingLeavesThoseBefore) {
 
 TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
   const Directory directory;
-  write_file(directory.file("token"), "secret");
+  write_file(directory / "token", "secret");
   {
     Kept kept(directory.path(), false);
     kept.keep("s", answers_of(3));
@@ -259,7 +248,7 @@ TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
     kept.forget("u");
   }
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"answers.t.0", "token"}));
-  fs::last_write_time(directory.file("answers.t.0"), fs::file_time_type::clock::now() - std::chrono::hours(2));
+  fs::last_write_time(directory / "answers.t.0", fs::file_time_type::clock::now() - std::chrono::hours(2));
   EXPECT_EQ(Kept(directory.path(), true).before("t"), nullptr) << "older than any deadline";
   EXPECT_EQ(files_in(directory), (std::vector<std::string>{"token"}));
   Kept(directory.path(), false).keep("t", answers_of(4));
@@ -281,7 +270,7 @@ TEST(KeptAnswers, NothingStaysThatNobodyCanAskFor) {
 TEST(KeptAnswers, WhatTheHeadDoesNotTellIsNotRead) {
   const Directory directory;
   Kept(directory.path(), false).keep("s", answers_of(3));
-  fs::resize_file(directory.file("answers.s.0"), std::uintmax_t{1} << 42U);  // takes no room on the disk
+  fs::resize_file(directory / "answers.s.0", std::uintmax_t{1} << 42U);  // takes no room on the disk
   expect_step(Kept(directory.path(), true).before("s"), 3);
 }
 
@@ -291,9 +280,8 @@ TEST(KeptAnswers, WhatIsNotOursOrNotWholeIsNotBelieved) {
   Random random(seed);
   const Directory directory;
   Kept(directory.path(), false).keep("s", answers_of(3));
-  const std::string path = directory.file("answers.s.0");
-  std::ifstream in(path, std::ios::binary);
-  const std::string whole{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  const std::string path = directory / "answers.s.0";
+  const std::string whole = contents(path);
   write_file(path, whole, 0666);
   EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr) << "others may have written it";
   for (int round = 0; round < 500; ++round) {
@@ -304,11 +292,11 @@ TEST(KeptAnswers, WhatIsNotOursOrNotWholeIsNotBelieved) {
     EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr) << round;
   }
   fs::remove(path);
-  write_file(directory.file("elsewhere"), whole);
-  fs::create_symlink(directory.file("elsewhere"), path);
+  write_file(directory / "elsewhere", whole);
+  fs::create_symlink(directory / "elsewhere", path);
   EXPECT_EQ(Kept(directory.path(), true).before("s"), nullptr) << "a link";
   // Where nothing can be written, nothing else fails.
-  Kept nowhere(directory.file("missing"), false);
+  Kept nowhere(directory / "missing", false);
   nowhere.keep("s", answers_of(3));
   Kept("", true).keep("s", answers_of(3));
 }

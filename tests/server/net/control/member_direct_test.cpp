@@ -78,7 +78,7 @@ class MemberDirect : public ::testing::Test {
     loop_.start();
   }
   ~MemberDirect() override { loop_.stop(); }
-  std::string path() const { return directory_.file("s"); }
+  std::string path() const { return directory_ / "s"; }
 
   void join(bool follow = true) {
     for (int k = 0; k < 2; ++k) {

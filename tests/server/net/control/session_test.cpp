@@ -60,9 +60,7 @@ TEST(Session, NothingIsUnderstoodBeforeHello) {
 }
 
 TEST(Session, LimitsBeforeHelloAreSmall) {
-  ControlOptions options = TestService::defaults();
-  options.hello_seconds = 0.3;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.hello_seconds = 0.3; });
   Client large = service.connect();
   large.send(FrameType::hello, {{"protocol", 1}, {"client", std::string(5000, 'c')}, {"session", kAnna}});
   EXPECT_EQ(last_failure(large), "too_large");
@@ -78,10 +76,10 @@ TEST(Session, LimitsBeforeHelloAreSmall) {
 }
 
 TEST(Session, RandomBytesEndTheirOwnConnectionOnly) {
-  ControlOptions options = TestService::defaults();
-  options.frame_seconds = 0.2;
-  options.hello_seconds = 0.2;
-  TestService service(options);
+  TestService service([](ControlOptions& options) {
+    options.frame_seconds = 0.2;
+    options.hello_seconds = 0.2;
+  });
   Client witness = service.client("witness");
   const std::uint64_t seed = 20240601;
   SCOPED_TRACE(seed);
@@ -104,9 +102,7 @@ TEST(Session, RandomBytesEndTheirOwnConnectionOnly) {
 }
 
 TEST(Session, HalfAFrameIsGivenUp) {
-  ControlOptions options = TestService::defaults();
-  options.frame_seconds = 0.3;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.frame_seconds = 0.3; });
   const std::string whole = frame(FrameType::request, 1, R"({"command":"status"})");
   for (const std::size_t part : {std::size_t{1}, std::size_t{39}, std::size_t{45}}) {
     Client client = service.client("c");
@@ -184,9 +180,7 @@ TEST(Session, StatusIsAnsweredWhileTheEngineIsBusy) {
 }
 
 TEST(Session, TooManyOrdersAreBusyBeforeOrdering) {
-  ControlOptions options = TestService::defaults();
-  options.orders_max = 3;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.orders_max = 3; });
   service.engine().hold();
   std::vector<Client> clients;
   for (int i = 0; i < 3; ++i) clients.push_back(service.client("c"));
@@ -200,9 +194,7 @@ TEST(Session, TooManyOrdersAreBusyBeforeOrdering) {
 }
 
 TEST(Session, AWaitHasADeadlineAndNotices) {
-  ControlOptions options = TestService::defaults();
-  options.notice_seconds = 0.1;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.notice_seconds = 0.1; });
   service.engine().hold();
   Client client = service.client("c");
   client.request("error", {{"deadline_seconds", 0.5}});
@@ -308,9 +300,7 @@ TEST(Session, ScenesAreListedWithAFewOfManyHolders) {
 }
 
 TEST(Session, APushThatWaitsForItsTurnGivesWayToMembersThatCameMeanwhile) {
-  ControlOptions options = TestService::defaults();
-  options.notice_seconds = 0.05;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.notice_seconds = 0.05; });
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   Client member = service.client("member", "00000000000000cc");
@@ -364,9 +354,7 @@ TEST(Session, TheHoldEndsWithTheConnection) {
 }
 
 TEST(Session, OneTooManyIsServedWhatTheOwnerNeedsUntilAPlaceIsFree) {
-  ControlOptions options = TestService::defaults();
-  options.sessions_max = 2;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.sessions_max = 2; });
   Client one = service.client("one");
   {
     Client two = service.client("two");
@@ -386,9 +374,7 @@ TEST(Session, OneTooManyIsServedWhatTheOwnerNeedsUntilAPlaceIsFree) {
 }
 
 TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
-  ControlOptions options = TestService::defaults();
-  options.sessions_max = 1;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.sessions_max = 1; });
   Client one = service.client("one");
   std::vector<Client> late;
   for (int i = 0; i < wire::kSessionsReserved; ++i) late.push_back(service.client("late"));
@@ -402,9 +388,7 @@ TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
 }
 
 TEST(Session, ASlowReaderLosesItsConnectionOnly) {
-  ControlOptions options = TestService::defaults();
-  options.frame_seconds = 0.3;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.frame_seconds = 0.3; });
   Client slow = service.client("slow");
   slow.request("fetch", {{"scene", "n4194304"}});  // 32 MiB: more than any socket buffer
   Client other = service.client("other");
@@ -458,9 +442,7 @@ TEST(Session, LargeRequestsHoldUpNobodyElse) {
 }
 
 TEST(Session, ALargeRequestThatDoesNotComeFreesItsPlace) {
-  ControlOptions options = TestService::defaults();
-  options.frame_seconds = 0.3;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.frame_seconds = 0.3; });
   std::vector<Client> silent;
   for (int i = 0; i < 6; ++i) {  // more than there are places
     silent.push_back(service.client("silent", kAnna));
@@ -473,9 +455,7 @@ TEST(Session, ALargeRequestThatDoesNotComeFreesItsPlace) {
 }
 
 TEST(Session, WhoSendsALargeRequestSlowlyHoldsUpOnlyLargerOnes) {
-  ControlOptions options = TestService::defaults();
-  options.frame_seconds = options.notice_seconds = 1000;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.frame_seconds = options.notice_seconds = 1000; });
   std::vector<Client> slow;
   for (int i = 0; i < 6; ++i) {  // more than there are places
     for (const std::size_t bytes : {std::size_t{4} << 20U, std::size_t{1} << 17U}) {
@@ -526,9 +506,7 @@ TEST(Session, WhatWasOrderedIsAnsweredBeforeTheEnd) {
 }
 
 TEST(Session, ARestartedServiceSaysThatItIsEmpty) {
-  ControlOptions options = TestService::defaults();
-  options.restarted = true;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.restarted = true; });
   Client client = service.client("c");
   const Received status = client.call("status");
   EXPECT_TRUE(status.json["restarted"]);

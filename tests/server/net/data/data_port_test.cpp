@@ -41,7 +41,7 @@ class DataPortTest : public ::testing::Test {
   }
   ~DataPortTest() override { loop_.stop(); }
 
-  std::string path() const { return directory_.file("s.2"); }
+  std::string path() const { return directory_ / "s.2"; }
   Client client() {
     Client made = Client::on_unix(path());
     EXPECT_EQ(made.hello("test", kSession).json["rank"], 2);
@@ -114,7 +114,7 @@ TEST_F(DataPortTest, AClientThatHasGoneKeepsNoPlaceWhileItsSlicesWait) {
   options.unknown_seconds = 600;
   options.connections_max = 1;
   DataPort patient(loop_, options);
-  const std::string socket = directory_.file("patient");
+  const std::string socket = directory_ / "patient";
   ASSERT_TRUE(patient.listen_unix(socket).ok());
   loop_.run([&] { patient.start([](const SliceReport&) {}); });
   for (int round = 0; round < 3; ++round) {
@@ -139,7 +139,7 @@ TEST_F(DataPortTest, ASliceMayWaitForItsPushLongerThanAFrameForItsBytes) {
   options.frame_seconds = 0.1;
   options.unknown_seconds = 600;
   replaced_ = std::exchange(port_, std::make_unique<DataPort>(loop_, options));
-  const std::string socket = directory_.file("patient");
+  const std::string socket = directory_ / "patient";
   ASSERT_TRUE(port_->listen_unix(socket).ok());
   loop_.run([&] {
     port_->start([this](const SliceReport& report) {

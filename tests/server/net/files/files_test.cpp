@@ -19,11 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-unsigned mode_of(const std::string& path) {
-  struct stat info {};
-  EXPECT_EQ(::lstat(path.c_str(), &info), 0) << path;
-  return info.st_mode & 0777U;
-}
+using rcb::testing::mode_of;
 
 EndpointNote rcbd_at(const std::string& endpoint) {
   EndpointNote note;
@@ -43,15 +39,15 @@ TEST(Socket, IsPrivateAndGoesWithItsService) {
   const Directory directory;
   {
     Listener one;
-    ASSERT_TRUE(one.control.listen_unix(directory.file("s")).ok());
-    EXPECT_EQ(mode_of(directory.file("s")), 0600U);
+    ASSERT_TRUE(one.control.listen_unix(directory / "s").ok());
+    EXPECT_EQ(mode_of(directory / "s"), 0600U);
   }
-  EXPECT_FALSE(fs::exists(directory.file("s")));
+  EXPECT_FALSE(fs::exists(directory / "s"));
 }
 
 TEST(Socket, ALiveOneIsRefusedAStaleOneReplaced) {
   const Directory directory;
-  const std::string path = directory.file("s");
+  const std::string path = directory / "s";
   {
     Listener one;
     ASSERT_TRUE(one.control.listen_unix(path).ok());
@@ -59,15 +55,15 @@ TEST(Socket, ALiveOneIsRefusedAStaleOneReplaced) {
     const Status refused = two.control.listen_unix(path);
     EXPECT_EQ(refused.code(), Code::busy);
     EXPECT_NE(refused.message().find(path), std::string::npos);
-    fs::create_hard_link(path, directory.file("stale"));  // outlives its listener
+    fs::create_hard_link(path, directory / "stale");  // outlives its listener
   }
   Listener three;
-  EXPECT_TRUE(three.control.listen_unix(directory.file("stale")).ok());
+  EXPECT_TRUE(three.control.listen_unix(directory / "stale").ok());
 }
 
 TEST(Socket, AnothersThatHasTakenThePlaceStays) {
   const Directory directory;
-  const std::string path = directory.file("s");
+  const std::string path = directory / "s";
   auto one = std::make_unique<Listener>();
   ASSERT_TRUE(one->control.listen_unix(path).ok());
   fs::remove(path);  // as somebody does who believes it stale
@@ -80,41 +76,41 @@ TEST(Socket, AnothersThatHasTakenThePlaceStays) {
 TEST(Socket, NamesAreRemovedTogetherWhereAProcessEndsAtOnce) {
   const Directory directory;
   Listener one;
-  ASSERT_TRUE(one.control.listen_unix(directory.file("s")).ok());
+  ASSERT_TRUE(one.control.listen_unix(directory / "s").ok());
   Listener two;
-  ASSERT_TRUE(two.control.listen_unix(directory.file("t")).ok());
-  fs::remove(directory.file("t"));
-  std::ofstream(directory.file("t")) << "precious";
+  ASSERT_TRUE(two.control.listen_unix(directory / "t").ok());
+  fs::remove(directory / "t");
+  std::ofstream(directory / "t") << "precious";
   SocketName::remove_all();
-  EXPECT_FALSE(fs::exists(directory.file("s")));
-  EXPECT_TRUE(fs::exists(directory.file("t")));
+  EXPECT_FALSE(fs::exists(directory / "s"));
+  EXPECT_TRUE(fs::exists(directory / "t"));
 }
 
 TEST(Socket, WhatNobodyListensOnIsRemovedTheRestStays) {
   const Directory directory;
-  const std::string path = directory.file("s");
+  const std::string path = directory / "s";
   {
     Listener dead;
     ASSERT_TRUE(dead.control.listen_unix(path).ok());
-    for (const char* name : {"s.0", "s.17", "s.1x", "other"}) fs::create_hard_link(path, directory.file(name));
+    for (const char* name : {"s.0", "s.17", "s.1x", "other"}) fs::create_hard_link(path, directory / name);
   }
   Listener live;
-  ASSERT_TRUE(live.control.listen_unix(directory.file("s.2")).ok());
-  std::ofstream(directory.file("s.3")) << "precious";
-  fs::rename(directory.file("other"), path);
+  ASSERT_TRUE(live.control.listen_unix(directory / "s.2").ok());
+  std::ofstream(directory / "s.3") << "precious";
+  fs::rename(directory / "other", path);
   EXPECT_EQ(socket_state(path), SocketState::dead);
   EXPECT_EQ(remove_dead_sockets(path).size(), 3U);
-  for (const char* name : {"s.1x", "s.2", "s.3"}) EXPECT_TRUE(fs::exists(directory.file(name))) << name;
-  for (const char* name : {"s", "s.0", "s.17"}) EXPECT_FALSE(fs::exists(directory.file(name))) << name;
+  for (const char* name : {"s.1x", "s.2", "s.3"}) EXPECT_TRUE(fs::exists(directory / name)) << name;
+  for (const char* name : {"s", "s.0", "s.17"}) EXPECT_FALSE(fs::exists(directory / name)) << name;
 }
 
 TEST(Socket, WhatIsNoSocketStays) {
   const Directory directory;
-  std::ofstream(directory.file("s")) << "precious";
+  std::ofstream(directory / "s") << "precious";
   Listener one;
-  EXPECT_EQ(one.control.listen_unix(directory.file("s")).code(), Code::io_error);
-  EXPECT_EQ(fs::file_size(directory.file("s")), 8U);
-  EXPECT_EQ(one.control.listen_unix(directory.file("no/s")).code(), Code::io_error);
+  EXPECT_EQ(one.control.listen_unix(directory / "s").code(), Code::io_error);
+  EXPECT_EQ(fs::file_size(directory / "s"), 8U);
+  EXPECT_EQ(one.control.listen_unix(directory / "no/s").code(), Code::io_error);
 }
 
 TEST(Socket, ALongPathIsRefusedWithItsLimit) {
@@ -136,16 +132,11 @@ class LastingSocket : public ::testing::Test {
     bool ended = false;
     listener.look();
     ASSERT_TRUE(FileThread::of(context).run([] {}, [&ended] { ended = true; }).ok());
-    const TimePoint late = now() + std::chrono::seconds(30);
-    while (!ended && now() < late) {
-      context.restart();
-      context.run_one_for(std::chrono::milliseconds(100));
-    }
-    ASSERT_TRUE(ended);
+    run_until(context, [&ended] { return ended; });
   }
 
   const Directory directory;
-  const std::string path = directory.file("s");
+  const std::string path = directory / "s";
   asio::io_context context;
   LastingListener listener;
   int accepting = 0;
@@ -240,7 +231,7 @@ TEST(DataDirectory, HasOneServiceAtATime) {
 
 TEST(DataDirectory, MarkerStandsOnlyAfterACleanEnd) {
   const Directory directory;
-  const std::string marker = directory.file(std::string(kCleanShutdownFile));
+  const std::string marker = directory / std::string(kCleanShutdownFile);
   {
     const auto data = DataDirectory::open(directory.path(), true, rcbd_at("unix:/s"));
     ASSERT_TRUE(data.ok());
@@ -258,7 +249,7 @@ TEST(DataDirectory, TokenIsPrivateAndNewAtEachStart) {
   const auto token = data->new_token();
   ASSERT_TRUE(token.ok());
   EXPECT_EQ(token->size(), 64U);
-  const std::string file = directory.file(std::string(kTokenFile));
+  const std::string file = directory / std::string(kTokenFile);
   EXPECT_EQ(mode_of(file), 0600U);
   EXPECT_EQ(*data->kept_token(), *token);  // after a crash its clients go on
   const auto trusting = data->new_token(auth::kTrustedNetworkPrefix);
@@ -279,11 +270,11 @@ TEST(DataDirectory, TokenIsPrivateAndNewAtEachStart) {
 
 TEST(DataDirectory, IsMadePrivateUnlessTheUserNamedIt) {
   const Directory directory;
-  ASSERT_TRUE(DataDirectory::open(directory.file("a/b"), false, rcbd_at("unix:/s")).ok());
-  EXPECT_EQ(mode_of(directory.file("a/b")), 0700U);
-  fs::create_symlink(directory.path(), directory.file("link"));
-  EXPECT_FALSE(DataDirectory::open(directory.file("link"), false, rcbd_at("unix:/s")).ok());
-  EXPECT_TRUE(DataDirectory::open(directory.file("link"), true, rcbd_at("unix:/s")).ok());
+  ASSERT_TRUE(DataDirectory::open(directory / "a/b", false, rcbd_at("unix:/s")).ok());
+  EXPECT_EQ(mode_of(directory / "a/b"), 0700U);
+  fs::create_symlink(directory.path(), directory / "link");
+  EXPECT_FALSE(DataDirectory::open(directory / "link", false, rcbd_at("unix:/s")).ok());
+  EXPECT_TRUE(DataDirectory::open(directory / "link", true, rcbd_at("unix:/s")).ok());
 }
 
 TEST(DataDirectory, IsTheSupervisorsWhereARankHasOne) {

@@ -68,11 +68,15 @@ struct Rank {
 
 class Bells : public ::testing::Test {
  protected:
-  void start(int ranks, PeerMessageHandler message = {}) {
+  void open(int ranks) {
     auto opened = DoorbellHub::open(loop_, {.ranks = ranks, .silence_seconds = 6, .folder = directory_.path()},
                                     [this](const std::string& what) { lost_.add(what); });
     ASSERT_TRUE(opened.ok());
     hub_ = std::move(*opened);
+  }
+  void start(int ranks, PeerMessageHandler message = {}) {
+    open(ranks);
+    if (HasFatalFailure()) return;
     hub_->on_peer_message(std::move(message));
     loop_.start();
     for (int r = 1; r < ranks; ++r) {
@@ -259,10 +263,8 @@ class SlowLink {
 };
 
 TEST_F(Bells, AnOrderThatTakesLongOverASlowLinkIsNoSilence) {
-  auto opened = DoorbellHub::open(loop_, {.ranks = 2, .silence_seconds = 6, .folder = directory_.path()},
-                                  [this](const std::string& what) { lost_.add(what); });
-  ASSERT_TRUE(opened.ok());
-  hub_ = std::move(*opened);
+  open(2);
+  if (HasFatalFailure()) return;
   loop_.start();
   DoorbellAddress address = hub_->address();
   SlowLink link(address.path);

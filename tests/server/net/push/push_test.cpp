@@ -220,9 +220,7 @@ TEST_F(Push, AStepThatIsNotAboveTheLastIsLeftToTheService) {
 }
 
 TEST(PushBudget, WhatIsAnnouncedTakesNothingWhatHasArrivedDoes) {
-  ControlOptions options = TestService::defaults();
-  options.bulk_bytes_max = std::uint64_t{4} << 20U;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.bulk_bytes_max = std::uint64_t{4} << 20U; });
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   for (const char* scene : {"s", "t", "u"}) anna.call("scene.create", {{"scene", scene}, {"dims", 2}});
@@ -248,9 +246,7 @@ TEST(PushBudget, WhatIsAnnouncedTakesNothingWhatHasArrivedDoes) {
 }
 
 TEST(PushBudget, APushThatStopsArrivingIsGivenUp) {
-  ControlOptions options = TestService::defaults();
-  options.frame_seconds = 0.3;
-  TestService service(options);
+  TestService service([](ControlOptions& options) { options.frame_seconds = 0.3; });
   Client anna = service.client("anna", kAnna);
   Client bert = service.client("bert", kBert);
   anna.call("scene.create", {{"scene", "s"}, {"dims", 2}});

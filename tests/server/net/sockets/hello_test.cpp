@@ -41,7 +41,7 @@ class Rank {
     loop_.start();
   }
   ~Rank() { loop_.stop(); }
-  std::string path() const { return directory_.file("s.2"); }
+  std::string path() const { return directory_ / "s.2"; }
   const std::string& tcp() const { return tcp_; }
 
  private:

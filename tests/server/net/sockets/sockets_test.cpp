@@ -13,19 +13,12 @@
 
 #include "server/net/sockets/large_json.hpp"
 #include "server/net/sockets/listen.hpp"
-#include "tests/support/wait.hpp"
+#include "tests/server/net/harness.hpp"
 
 namespace rcb::net {
 namespace {
 
-void run_until(asio::io_context& context, const std::function<bool()>& holds) {
-  const TimePoint late = now() + std::chrono::seconds(rcb::testing::kWaitSeconds);
-  while (!holds() && now() < late) {
-    context.restart();
-    context.run_one_for(std::chrono::milliseconds(100));
-  }
-  EXPECT_TRUE(holds());
-}
+using testing::run_until;
 
 TEST(LargeJson, PlacesThatAreFreedTogetherAreTakenByAllWhoWait) {
   asio::io_context context;

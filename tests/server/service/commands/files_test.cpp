@@ -13,6 +13,7 @@
 
 #include "common/io/files/roots.hpp"
 #include "tests/server/service/driver.hpp"
+#include "tests/support/directory.hpp"
 #include "tests/support/on_ranks.hpp"
 
 namespace rcb::testing {
@@ -22,13 +23,10 @@ namespace fs = std::filesystem;
 using service::Service;
 
 // A folder for clients' files, and one beside it.
-class FilesTest : public ::testing::Test {
+class FilesTest : public DirectoryTest {
  protected:
   void SetUp() override {
     if (!ranks_are_threads()) GTEST_SKIP() << "the folders are of one process";
-    std::string name = (fs::temp_directory_path() / "rcb-files-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    base_ = name;
     fs::create_directories(base_ / "root");
     fs::create_directories(base_ / "outside");
     std::ofstream(base_ / "root/points.csv") << "0,0,0\n1,1,1\n2,2,2\n3,3,3\n";
@@ -37,24 +35,17 @@ class FilesTest : public ::testing::Test {
     fs::create_symlink("../outside", base_ / "root/out");
     ASSERT_TRUE(roots_->add((base_ / "root").string()).ok());
   }
-  void TearDown() override {
-    std::error_code ignored;
-    if (!base_.empty()) fs::remove_all(base_, ignored);
-  }
-  std::string at(const char* name) const { return (base_ / name).string(); }
   bool outside_is_as_it_was() const {
     return std::distance(fs::directory_iterator(base_ / "outside"), fs::directory_iterator()) == 1;
   }
 
-  fs::path base_;
+  const fs::path base_ = directory_;
   std::shared_ptr<io::Roots> roots_ = std::make_shared<io::Roots>();
 };
 
 TEST_F(FilesTest, OnlyBelowTheRoots) {
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = roots_});
-    Driver driver(comm, service, "s");
-    driver.create({{"parts", 3}});
+    OwnDriver driver(comm, "s", {{"parts", 3}}, {.roots = roots_});
     const auto expect = [&](const char* command, const Json& arguments, Code code) {
       const Response response = driver.ask(command, arguments);
       if (comm.rank() == 0) {
@@ -86,9 +77,7 @@ TEST_F(FilesTest, OnlyBelowTheRoots) {
 
 TEST_F(FilesTest, AServiceWithoutRootsOpensNothing) {
   on_ranks({2}, [&](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "s");
-    driver.create({{"parts", 2}});
+    OwnDriver driver(comm, "s", {{"parts", 2}});
     const Response response = driver.ask("load", {{"path", at("root/points.csv")}});
     if (comm.rank() == 0) {
       EXPECT_EQ(response.status.code(), Code::not_authorised);
@@ -100,9 +89,7 @@ TEST_F(FilesTest, AServiceWithoutRootsOpensNothing) {
 TEST_F(FilesTest, AllRanksOrNone) {
   on_ranks({4}, [&](comm::Comm& comm) {
     const auto none = std::make_shared<io::Roots>();
-    Service service(comm, kClock, {.roots = comm.rank() == 2 ? none : roots_});
-    Driver driver(comm, service, "s");
-    driver.create({{"parts", 4}});
+    OwnDriver driver(comm, "s", {{"parts", 4}}, {.roots = comm.rank() == 2 ? none : roots_});
     const Response loaded = driver.ask("load", {{"path", at("root/points.csv")}});
     driver.push(random_particles(5, 40, 3), 0);
     const Response written = driver.ask("write_parts", {{"directory", at("root/parts")}});
@@ -162,19 +149,17 @@ TEST_F(FilesTest, ADiskThatStandsStillHoldsUpTheCommandAlone) {
           run();
         });
       };
-      Service service(comm, kClock, {.roots = roots_, .start_thread = start});
-      Driver driver(comm, service, "s");
-      driver.create({{"parts", 4}});
+      OwnDriver driver(comm, "s", {{"parts", 4}}, {.roots = roots_, .start_thread = start});
       if (command == "write_parts") driver.push(random_particles(5, 40, 3), 0);
       Json request{
           {"command", command}, {"scene", "s"}, {"path", at("root/points.csv")}, {"directory", at("root/new")}};
-      const Response late = service.execute(request, {}, {.seconds_left = 0.1});
+      const Response late = driver.service.execute(request, {}, {.seconds_left = 0.1});
       const Response counts = driver.ask("scene.show");
       int given_way = 0;
       OrdersBehind behind([&] {
         if (++given_way == 3 && comm.rank() == 0) moves.set_value();
       });
-      const Response whole = service.execute(request, {}, {.seconds_left = 60, .waiting = &behind});
+      const Response whole = driver.service.execute(request, {}, {.seconds_left = 60, .waiting = &behind});
       if (comm.rank() != 0) return;
       EXPECT_EQ(late.status.code(), Code::deadline_exceeded);
       EXPECT_TRUE(counts.status.ok());

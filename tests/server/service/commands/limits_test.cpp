@@ -31,9 +31,7 @@ TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
   if (!ranks_are_threads()) GTEST_SKIP() << "takes long where ranks are more than cores";
   static constexpr int kParts = 9000;
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "many");
-    driver.create({{"parts", kParts}, {"dims", 2}, {"part_sizes", Json(std::vector<int>(kParts, 3))}});
+    OwnDriver driver(comm, "many", {{"parts", kParts}, {"dims", 2}, {"part_sizes", Json(std::vector<int>(kParts, 3))}});
     Particles particles = random_particles(5, 12'000, 2);
     particles.weights.assign(12'000, 1.5);
     particles.weights[0] = 2;
@@ -79,9 +77,7 @@ TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
 TEST(Answers, PagesOfCutsAreTheWhole) {
   on_ranks([](comm::Comm& comm) {
     for (const int parts : {1, 2, 37, 128}) {
-      Service service(comm, kClock);
-      Driver driver(comm, service, "cut");
-      driver.create({{"parts", parts}});
+      OwnDriver driver(comm, "cut", {{"parts", parts}});
       driver.push_by_id(random_particles(7, 100, 3), 0);
       const Response whole = driver.ask("cuts");
       for (const char* list : {"cuts", "regions"}) {
@@ -124,9 +120,7 @@ TEST(LongCommands, EndAtTheirDeadlineOrWithTheirClientAndChangeNothing) {
   const auto roots = std::make_shared<io::Roots>();
   ASSERT_TRUE(roots->add(std::filesystem::temp_directory_path()).ok());
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = roots});
-    Driver driver(comm, service, "long");
-    driver.create({{"parts", 5}});
+    OwnDriver driver(comm, "long", {{"parts", 5}}, {.roots = roots});
     driver.push_by_id(random_particles(3, 500, 3), 0);
     const Response before = driver.ask("scene.show");
     const auto gone = std::make_shared<const std::atomic<bool>>(true);
@@ -141,8 +135,8 @@ TEST(LongCommands, EndAtTheirDeadlineOrWithTheirClientAndChangeNothing) {
       SCOPED_TRACE(request.dump());
       Json order = request;
       order["scene"] = "long";
-      const Response at_deadline = service.execute(order, {}, late);
-      const Response without_client = service.execute(order, {}, left);
+      const Response at_deadline = driver.service.execute(order, {}, late);
+      const Response without_client = driver.service.execute(order, {}, left);
       if (comm.rank() != 0) continue;
       EXPECT_EQ(at_deadline.status.code(), Code::deadline_exceeded) << at_deadline.status.message();
       EXPECT_EQ(without_client.status.code(), Code::aborted) << without_client.status.message();
@@ -167,11 +161,9 @@ TEST(LongCommands, ALoadIsGivenUpBeforeItsCommit) {
   const auto roots = std::make_shared<io::Roots>();
   ASSERT_TRUE(roots->add(std::filesystem::temp_directory_path()).ok());
   on_ranks([&](comm::Comm& comm) {
-    Service service(comm, kClock, {.roots = roots});
-    Driver driver(comm, service, "load");
-    driver.create({{"parts", 2}});
+    OwnDriver driver(comm, "load", {{"parts", 2}}, {.roots = roots});
     const Json order{{"command", "load"}, {"scene", "load"}, {"path", file}};
-    const Response late = service.execute(order, {}, {0, -1});
+    const Response late = driver.service.execute(order, {}, {0, -1});
     if (comm.rank() == 0) {
       EXPECT_EQ(late.status.code(), Code::deadline_exceeded) << late.status.message();
     }
@@ -179,7 +171,7 @@ TEST(LongCommands, ALoadIsGivenUpBeforeItsCommit) {
     if (comm.rank() == 0) {
       EXPECT_EQ(counts.status.code(), Code::not_found);
     }
-    const Response loaded = service.execute(order);
+    const Response loaded = driver.service.execute(order);
     if (comm.rank() == 0) {
       EXPECT_TRUE(loaded.status.ok()) << loaded.status.message();
     }
@@ -189,9 +181,7 @@ TEST(LongCommands, ALoadIsGivenUpBeforeItsCommit) {
 
 TEST(Compare, TakesEachMethodOnce) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "c");
-    driver.create({{"parts", 3}});
+    OwnDriver driver(comm, "c", {{"parts", 3}});
     driver.push_by_id(random_particles(3, 50, 3), 0);
     const Response twice = driver.ask("compare", {{"methods", Json(std::vector<std::string>(5000, "rcb"))}});
     const Response long_name = driver.ask("compare", {{"methods", {std::string(1 << 20, 'x')}}});

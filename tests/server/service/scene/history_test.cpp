@@ -18,6 +18,7 @@
 #include "common/comm/self_comm.hpp"
 #include "server/service/service.hpp"
 #include "tests/server/service/driver.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb::testing {
 namespace {
@@ -27,22 +28,18 @@ using service::History;
 using service::HistoryMemory;
 using service::StepReport;
 
-// A private directory, removed at the end.
-class Directory {
+class ReportDirectory {
  public:
-  Directory() {
-    std::string name = (fs::temp_directory_path() / "rcb-history-XXXXXX").string();
-    path_ = ::mkdtemp(name.data());
-    reports = path_ + "/reports";
+  ReportDirectory() {
     const Status made = service::make_report_directory(reports);
     EXPECT_TRUE(made.ok()) << made.message();
   }
-  ~Directory() { fs::remove_all(path_); }
-
-  std::string reports;
 
  private:
-  std::string path_;
+  Directory directory_;
+
+ public:
+  const std::string reports = directory_ / "reports";
 };
 
 // The process writes no file beyond so many bytes: what a full disk is to it.
@@ -116,18 +113,14 @@ std::vector<std::int64_t> range(std::int64_t from, std::int64_t to) {
 }
 
 TEST(History, LinesThatAreNoReportsAreLost) {
-  const Directory directory;
+  const ReportDirectory directory;
   HistoryMemory room(1, directory.reports);
   History history(room, "jet");
   add(history, 0, 400);
   ASSERT_EQ(loss(history), "");
   settle(room);
   const std::string path = service::report_file_path(directory.reports, "jet");
-  std::string text;
-  {
-    std::ifstream file(path);
-    std::getline(file, text, '\0');
-  }
+  std::string text = contents(path);
   const std::size_t line = text.find('\n') + 1;
   std::string same_length(text.find('\n', line) - line, ' ');
   same_length.front() = '{';
@@ -139,7 +132,7 @@ TEST(History, LinesThatAreNoReportsAreLost) {
 }
 
 TEST(History, OlderReportsAreInTheFileAndReadBackInPages) {
-  const Directory directory;
+  const ReportDirectory directory;
   HistoryMemory room(50, directory.reports);
   History history(room, "jet");
   add(history, 0, 3000);
@@ -152,7 +145,7 @@ TEST(History, OlderReportsAreInTheFileAndReadBackInPages) {
 }
 
 TEST(History, AllScenesShareTheRoom) {
-  const Directory directory;
+  const ReportDirectory directory;
   HistoryMemory room(40, directory.reports);
   std::vector<std::unique_ptr<History>> histories;
   for (int k = 0; k < 7; ++k) histories.push_back(std::make_unique<History>(room, fmt::format("s{}", k)));
@@ -168,7 +161,7 @@ TEST(History, AllScenesShareTheRoom) {
 }
 
 TEST(History, FilesArePrivateAndThoseOfAnEarlierRunAreRemoved) {
-  const Directory directory;
+  const ReportDirectory directory;
   {
     HistoryMemory room(1, directory.reports);
     History history(room, "..");  // a name of two dots is a name
@@ -186,7 +179,7 @@ TEST(History, FilesArePrivateAndThoseOfAnEarlierRunAreRemoved) {
 }
 
 TEST(History, AStrangersLinkIsNotFollowed) {
-  const Directory directory;
+  const ReportDirectory directory;
   const std::string victim = directory.reports + "/victim";
   std::ofstream(victim) << "mine";
   fs::create_symlink(victim, service::report_file_path(directory.reports, "jet"));
@@ -201,7 +194,7 @@ TEST(History, AStrangersLinkIsNotFollowed) {
 }
 
 TEST(History, OnAFullDiskReportsAreLostAndCountedAndTheRestIsThere) {
-  const Directory directory;
+  const ReportDirectory directory;
   HistoryMemory room(8, directory.reports);
   History history(room, "jet");
   add(history, 0, 20);
@@ -224,7 +217,7 @@ TEST(History, OnAFullDiskReportsAreLostAndCountedAndTheRestIsThere) {
 TEST(History, WhoeverTakesTheFileAwayTakesTheReportsInItAlone) {
   for (const std::string how : {"remove", "truncate", "append", "remove the directory", "replace"}) {
     SCOPED_TRACE(how);
-    const Directory directory;
+    const ReportDirectory directory;
     const std::string path = service::report_file_path(directory.reports, "jet");
     HistoryMemory room(16, directory.reports);
     History history(room, "jet");
@@ -261,7 +254,7 @@ class StillDisk {
 };
 
 TEST(History, ADiskThatStandsStillHoldsUpNobody) {
-  const Directory directory;
+  const ReportDirectory directory;
   HistoryMemory room(8, directory.reports);
   History history(room, "jet");
   {
@@ -279,7 +272,7 @@ TEST(History, ADiskThatStandsStillHoldsUpNobody) {
 }
 
 TEST(History, WhatADiskDoesNotTakeInTimeIsLostAndCountedAndTheRestIsThere) {
-  const Directory directory;
+  const ReportDirectory directory;
   HistoryMemory room(8, directory.reports);
   History history(room, "jet");
   std::int64_t total = 0;
@@ -338,7 +331,7 @@ class Still {
 };
 
 TEST(HistoryCommand, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
-  const Directory directory;
+  const ReportDirectory directory;
   Still still({.keep_reports = 100, .report_directory = directory.reports});
   constexpr int kSteps = 5000;
   for (int step = 1; step < kSteps; ++step) ASSERT_TRUE(still.step(step).status.ok());
@@ -374,7 +367,7 @@ TEST(HistoryCommand, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
 }
 
 TEST(HistoryCommand, ARepeatedStepIsAnsweredFromTheFile) {
-  const Directory directory;
+  const ReportDirectory directory;
   Still still({.keep_reports = 1, .report_directory = directory.reports});
   for (int step = 1; step < 50; ++step) ASSERT_TRUE(still.step(step).status.ok());
   for (const int step : {1, 20, 49}) {

@@ -81,9 +81,7 @@ TEST(NoSkip, ChangesNoAnswer) {
 
 TEST(NoSkip, QuestionsAreCounted) {
   on_ranks([](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 4}, {"tolerance", "inf"}});
+    OwnDriver driver(comm, "a", {{"parts", 4}, {"tolerance", "inf"}});
     const Particles particles = random_particles(1, 200, 3);
     for (int step = 0; step < 4; ++step) {
       driver.push(particles, step);

@@ -375,8 +375,7 @@ TEST(MemberChanges, LeaveTheSceneOfOneClient) {
 // A solver that makes a lost scene anew may be at a step that inserts and removes.
 TEST(MemberChanges, AFirstPushMayInsertAndRemove) {
   on_ranks({1, 2, 3}, [](comm::Comm& comm) {
-    const SteadyClock clock;
-    service::Service service(comm, clock), other(comm, clock);
+    service::Service service(comm, kClock), other(comm, kClock);
     Driver team(comm, service, "m"), single(comm, other, "m");
     for (Driver* driver : {&team, &single}) driver->create({{"parts", 4}, {"dims", 2}});
     const Particles all = random_particles(3, 40, 2);

@@ -189,8 +189,7 @@ class Team {
 
 void same_scene_as_one_client(int members, bool own_ids, bool weighted) {
   on_ranks({1, 2, 3, 4}, [&](comm::Comm& comm) {
-    const SteadyClock clock;
-    service::Service one(comm, clock), many(comm, clock);
+    service::Service one(comm, kClock), many(comm, kClock);
     Driver single(comm, one, "m"), asks(comm, many, "m");
     for (Driver* driver : {&single, &asks}) driver->create({{"parts", kDirectParts}, {"dims", 2}, {"tolerance", 0.08}});
     Particles particles = random_particles(kDirectSeed, kPoints, 2);
@@ -255,8 +254,7 @@ TEST(MembersDirect, OfOwnIdsAndWeights) {
 
 TEST(MembersDirect, AShareThatIsNotWhatItsPartsHaveIsRefused) {
   on_ranks({1, 2, 3}, [](comm::Comm& comm) {
-    const SteadyClock clock;
-    service::Service service(comm, clock);
+    service::Service service(comm, kClock);
     Driver asks(comm, service, "m");
     asks.create({{"parts", kDirectParts}, {"dims", 2}});
     Particles particles = random_particles(kDirectSeed, kPoints, 2);

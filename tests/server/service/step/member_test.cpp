@@ -106,8 +106,7 @@ void exchange_particles(const Particles& particles, const Response& response,
 void same_scene(int members, bool own_ids, bool weighted) {
   constexpr int kParts = 6;
   on_ranks({1, 2, 3, 4}, [&](comm::Comm& comm) {
-    const SteadyClock clock;
-    service::Service one(comm, clock), many(comm, clock);
+    service::Service one(comm, kClock), many(comm, kClock);
     Driver single(comm, one, "m"), team(comm, many, "m");
     for (Driver* driver : {&single, &team}) driver->create({{"parts", kParts}, {"dims", 2}, {"tolerance", 0.05}});
     Particles particles = random_particles(kSharesSeed, 300, 2);
@@ -151,13 +150,10 @@ TEST(Members, OfOwnIdsAndWeights) {
 // Two members have not exchanged what they were told to; the third has, and then nothing of it moved.
 TEST(Members, WhatWasNotHandedOverIsNamedAgainThoughAnotherPushesFew) {
   on_ranks({1, 2, 3}, [](comm::Comm& comm) {
-    const SteadyClock clock;
-    service::Service service(comm, clock);
-    Driver driver(comm, service, "m");
-    driver.create({{"parts", 3}, {"dims", 2}});
+    OwnDriver driver(comm, "m", {{"parts", 3}, {"dims", 2}});
     const Particles particles = random_particles(kSharesSeed, 60, 2);
     Split split = random_split(kSharesSeed, 60, 3);
-    push_members(comm, service, particles, 0, split, true);
+    push_members(comm, driver.service, particles, 0, split, true);
     const Response assigned = driver.ask("assign");
     std::map<std::int64_t, std::int32_t> parts;
     std::uint64_t counts[2] = {0, 0};  // of the third member, and of the others
@@ -182,7 +178,7 @@ TEST(Members, WhatWasNotHandedOverIsNamedAgainThoughAnotherPushesFew) {
                       {"moved", "some"},
                       {"moved_by", {"all", "all", "none"}},
                       {"counts", {counts[1]}}};
-      const Response answer = push_members(comm, service, particles, step, pushed, true, some);
+      const Response answer = push_members(comm, driver.service, particles, step, pushed, true, some);
       ASSERT_TRUE(answer.status.ok()) << answer.status.message();
       Split next = split;
       if (comm.rank() == 0) exchange_particles(particles, answer, parts, 3, next);
@@ -195,15 +191,12 @@ TEST(Members, WhatWasNotHandedOverIsNamedAgainThoughAnotherPushesFew) {
 
 TEST(Members, AFaultLeavesTheSceneAsItWas) {
   on_ranks({1, 3}, [](comm::Comm& comm) {
-    const SteadyClock clock;
-    service::Service service(comm, clock);
-    Driver driver(comm, service, "m");
-    driver.create({{"parts", 3}, {"dims", 2}});
+    OwnDriver driver(comm, "m", {{"parts", 3}, {"dims", 2}});
     Particles particles = random_particles(kSharesSeed, 60, 2);
     const Split split = random_split(kSharesSeed, 60, 3);
     const auto refused = [&](const Particles& pushed, const Split& by, std::int64_t step, const char* word) {
       const Response before = driver.ask("scene.show");
-      const Response answer = push_members(comm, service, pushed, step, by, false);
+      const Response answer = push_members(comm, driver.service, pushed, step, by, false);
       const Response after = driver.ask("scene.show");
       if (comm.rank() != 0) return;
       EXPECT_FALSE(answer.status.ok());
@@ -216,7 +209,7 @@ TEST(Members, AFaultLeavesTheSceneAsItWas) {
     Particles nan = particles;
     nan.position[1][31] = std::numeric_limits<double>::quiet_NaN();
     refused(nan, split, 0, "31");
-    EXPECT_TRUE(push_members(comm, service, particles, 0, split, false).status.ok());
+    EXPECT_TRUE(push_members(comm, driver.service, particles, 0, split, false).status.ok());
     refused(nan, split, 1, "31");
     Particles other = particles;
     other.ids.resize(60);

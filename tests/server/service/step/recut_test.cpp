@@ -57,9 +57,7 @@ TEST(Repartitions, LookAtFewAndAnswerAsASearchAmongAll) {
 TEST(Repartitions, CutTheSubtreesThatNeedIt) {
   Reference reference;
   on_ranks([&reference](comm::Comm& comm) {
-    Service service(comm, kClock);
-    Driver driver(comm, service, "a");
-    driver.create({{"parts", 8}, {"tolerance", 0.05}, {"recut", "subtree"}, {"axis_hysteresis", 2}});
+    OwnDriver driver(comm, "a", {{"parts", 8}, {"tolerance", 0.05}, {"recut", "subtree"}, {"axis_hysteresis", 2}});
     Particles particles = random_particles(4, 8000, 3);
     for (double& x : particles.position[0]) x *= 8;  // cut along it: parts 0..7 from left to right
     driver.push(particles, 0);
