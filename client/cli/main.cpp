@@ -132,7 +132,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
 
 int main(int argc, char** argv) {
   rcb::open_standard_streams();
-  ::umask(::umask(0) & 0077);  // files that their owner can't read would serve nobody
+  ::umask(::umask(0) & 0077);     // files that their owner can't read would serve nobody
   rcb::keep_ended_children();     // of programs that read and plot files
   std::signal(SIGXFSZ, SIG_IGN);  // a write beyond the limit for files fails, and is told
   std::signal(SIGPIPE, SIG_IGN);  // ignored, so that a temporary scene or embedded service is removed before the end

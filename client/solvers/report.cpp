@@ -87,7 +87,8 @@ std::string summary(const Program& program, const RunOptions& options, double in
     if (record.recreations() > 0)
       text += fmt::format("  service lost   {} time{}; the scene was made anew\n", record.recreations(),
                           record.recreations() == 1 ? "" : "s");
-    text += fmt::format("  largest error  {:.4g} at step {}, before new cuts if it got any\n", largest->error, largest->step);
+    text += fmt::format("  largest error  {:.4g} at step {}, before new cuts if it got any\n", largest->error,
+                        largest->step);
     text += fmt::format("  in service     {:.3g} ms a step on average\n", 1e3 * record.seconds_service / frames);
   }
   const PhysicsCheck& physics = record.physics;

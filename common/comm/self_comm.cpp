@@ -15,8 +15,7 @@ void copy(std::span<const std::byte> from, std::span<std::byte> to) {
 
 }  // namespace
 
-void SelfComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                          std::vector<std::size_t>& sizes) {
+void SelfComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) {
   all.assign(local);
   sizes.assign(1, local.size());
 }

@@ -72,7 +72,8 @@ void remove_old_dead_sockets(const std::string& folder, const std::string& prefi
     const std::string path = join_path(folder, name);
     struct stat info {};
     if (!name.starts_with(prefix) || ::lstat(path.c_str(), &info) != 0) continue;
-    if (std::time(nullptr) - info.st_mtime > kSeconds && socket_state(path) == SocketState::dead) ::unlink(path.c_str());
+    if (std::time(nullptr) - info.st_mtime > kSeconds && socket_state(path) == SocketState::dead)
+      ::unlink(path.c_str());
   }
 }
 

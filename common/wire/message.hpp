@@ -71,7 +71,7 @@ Result<double> number_field_or(const Json& json, const char* name, double low, d
 // A string with a null character, which would truncate a path, is refused.
 Result<std::string> string_field(const Json& json, const char* name, std::size_t length_max = 4096);
 Result<bool> bool_field(const Json& json, const char* name);  // false if absent or null
-bool is_true(const Json& json, const char* name);            // false, too, if it isn't a boolean
+bool is_true(const Json& json, const char* name);             // false, too, if it isn't a boolean
 // A list of finite numbers; empty if the field is absent or null.
 Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char* name, std::size_t count_max);
 // 1 to 64 characters of [A-Za-z0-9._-]. Errors: invalid_argument.

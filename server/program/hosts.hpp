@@ -26,8 +26,8 @@ struct Hosts {
 // Collective.
 Hosts find_hosts(ranks::MpiSession& mpi);
 
-// Rank 0. Errors: invalid_argument where rank 0 isn't on the machine whose launcher waits for it, and where ranks are on
-// several machines of a network that nobody calls trusted: MPI's messages, the token among them, aren't encrypted.
+// Rank 0. Errors: invalid_argument where rank 0 isn't on the machine whose launcher waits for it, and where ranks are
+// on several machines of a network that nobody calls trusted: MPI's messages, the token among them, aren't encrypted.
 Status check_hosts(const Hosts& hosts, const Config& config);
 
 }  // namespace rcb::server

@@ -66,8 +66,7 @@ void on_hangup(int) {
 // Checks the folder's name first, since the folder is later removed with everything in it.
 void remember_job_folder() {
   const std::string path = job_folder();
-  if (path.size() < sizeof g_job_folder &&
-      path.substr(path.rfind('/') + 1).starts_with(kJobFolderPrefix))
+  if (path.size() < sizeof g_job_folder && path.substr(path.rfind('/') + 1).starts_with(kJobFolderPrefix))
     path.copy(g_job_folder, path.size());
 }
 

@@ -6,9 +6,8 @@
 #include <cstdlib>
 #include <memory>
 
-#include <malloc.h>
-
 #include <fmt/format.h>
+#include <malloc.h>
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
@@ -52,8 +51,8 @@ void set_up_signals(int rank) {
   for (const int number : {SIGTERM, SIGINT, SIGUSR1}) std::signal(number, SIG_IGN);
 }
 
-// The memory of one step serves the next one. By default the allocator returns arrays of this size to the kernel at once,
-// which must clear new pages for them at each step.
+// The memory of one step serves the next one. By default the allocator returns arrays of this size to the kernel at
+// once, which must clear new pages for them at each step.
 void keep_freed_memory() {
   constexpr int kMappedBytesMin = 32 << 20;
   constexpr int kKeptBytesMax = 64 << 20;

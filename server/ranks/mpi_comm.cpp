@@ -114,8 +114,7 @@ void MpiComm::finish(std::vector<MPI_Request>& requests, const char* name) {
   must(MPI_Waitall(narrow<int>(requests.size()), requests.data(), MPI_STATUSES_IGNORE), name);
 }
 
-void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                         std::vector<std::size_t>& sizes) {
+void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) {
   const auto ranks = static_cast<std::size_t>(size_);
   sizes.assign(ranks, 0);
   // One message with the sizes and, if they are small, the bytes themselves: a second message costs more than some

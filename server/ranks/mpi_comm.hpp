@@ -25,8 +25,8 @@ class MpiComm final : public comm::Comm {
   // Run times of Open MPI's reductions are steady up to 32 KiB (4096 values) and erratic beyond.
   static constexpr std::size_t kReduceValuesMax = 4096;
 
-  // Between machines a message goes straight to all other ranks while (size - 1) * (bytes + kStraightMessageBytes) is at
-  // most kStraightBytesMax: beyond that bytes cost more than latencies. kStraightMessageBytes is the fixed cost of a
+  // Between machines a message goes straight to all other ranks while (size - 1) * (bytes + kStraightMessageBytes) is
+  // at most kStraightBytesMax: beyond that bytes cost more than latencies. kStraightMessageBytes is the fixed cost of a
   // message.
   static constexpr std::size_t kStraightBytesMax = std::size_t{144} << 10U;
   static constexpr std::size_t kStraightMessageBytes = std::size_t{4} << 10U;
@@ -49,8 +49,7 @@ class MpiComm final : public comm::Comm {
   void all_sum(std::span<std::uint64_t> values) override;
   void all_min(std::span<std::uint64_t> values) override;
   void all_max(std::span<std::uint64_t> values) override;
-  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                  std::vector<std::size_t>& sizes) override;
+  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) override;
   void all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& all) override;
   void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override;

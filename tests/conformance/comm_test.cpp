@@ -79,8 +79,7 @@ TEST(Comm, SumsWrap) {
   });
 }
 
-void expect_gathered(comm::Comm& comm, int round, const Buffer<std::byte>& all,
-                     const std::vector<std::size_t>& sizes) {
+void expect_gathered(comm::Comm& comm, int round, const Buffer<std::byte>& all, const std::vector<std::size_t>& sizes) {
   std::vector<std::byte> expected;
   ASSERT_EQ(sizes.size(), static_cast<std::size_t>(comm.size()));
   for (int r = 0; r < comm.size(); ++r) {

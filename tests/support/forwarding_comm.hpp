@@ -16,8 +16,7 @@ class ForwardingComm : public comm::Comm {
   void all_sum(std::span<std::uint64_t> values) override { before(), comm_.all_sum(values); }
   void all_min(std::span<std::uint64_t> values) override { before(), comm_.all_min(values); }
   void all_max(std::span<std::uint64_t> values) override { before(), comm_.all_max(values); }
-  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                  std::vector<std::size_t>& sizes) override {
+  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) override {
     before(), comm_.all_gather(local, all, sizes);
   }
   void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,

@@ -78,8 +78,7 @@ void ThreadComm::collect(Buffer<std::byte>& all, std::vector<std::size_t>& sizes
   }
 }
 
-void ThreadComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                            std::vector<std::size_t>& sizes) {
+void ThreadComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) {
   all.clear();
   sizes.clear();
   enter({"all_gather", 0, local, {}});

@@ -43,8 +43,7 @@ class ThreadComm final : public comm::Comm {
   void all_sum(std::span<std::uint64_t> values) override;
   void all_min(std::span<std::uint64_t> values) override;
   void all_max(std::span<std::uint64_t> values) override;
-  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                  std::vector<std::size_t>& sizes) override;
+  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) override;
   void gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
               std::vector<std::size_t>& sizes) override;
   void broadcast(std::span<std::byte> bytes, int root) override;

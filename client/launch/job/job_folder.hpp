@@ -1,5 +1,5 @@
-// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' sockets, and for
-// the memory that ranks share where System V's can't hold it.
+// JobFolder: a job's own folder, with a new name each time, for Open MPI's session files and the ranks' sockets, and
+// for the memory that ranks share where System V's can't hold it.
 //
 // Invariants
 // 1. It lies in /dev/shm, where neither a full disk nor a removed data directory affects it; if there is no room, in

@@ -21,7 +21,8 @@ constexpr std::size_t kBytesMax = 16384;
 Result<EndpointFile> read_endpoint_file(const std::string& path) {
   const auto opened = open_own_file(path, O_RDONLY);  // what others could write might name any service, and any token
   if (!opened.ok() && opened.status().code() != Code::not_found)
-    return Status(opened.status().code(), opened.status().message(), "name the file that your own 'rcbctl up --publish' writes");
+    return Status(opened.status().code(), opened.status().message(),
+                  "name the file that your own 'rcbctl up --publish' writes");
   if (!opened.ok())
     return Status(Code::unavailable, fmt::format("{} isn't there: no service has written it, or it has ended", path),
                   "start one: rcbctl up --publish FILE");

@@ -212,13 +212,13 @@ struct Scene::State {
   std::vector<std::int32_t> parts_;  // by row
   // By row, the parts last told to the caller; none: these are parts_.
   std::optional<std::vector<std::int32_t>> known_;
-  std::uint64_t count_if_committed_ = 0;     // if the service commits the current push
-  bool began_ = false;                       // this Scene made the first push, so its rows are known
-  bool answered_ = false;                    // a step was answered, so the rows are known
-  bool told_ = false;                        // parts were told: changes are relative to them
-  bool missed_ = false;                      // a step was committed whose answer this Scene hasn't seen
-  bool base_unknown_ = false;                // if missed_: that step may have changed positions that the caller builds on
-  std::vector<double> weights_;              // by row; kept only to restore a lost scene
+  std::uint64_t count_if_committed_ = 0;  // if the service commits the current push
+  bool began_ = false;                    // this Scene made the first push, so its rows are known
+  bool answered_ = false;                 // a step was answered, so the rows are known
+  bool told_ = false;                     // parts were told: changes are relative to them
+  bool missed_ = false;                   // a step was committed whose answer this Scene hasn't seen
+  bool base_unknown_ = false;             // if missed_: that step may have changed positions that the caller builds on
+  std::vector<double> weights_;           // by row; kept only to restore a lost scene
   std::optional<layout::Layout> lost_plan_;  // the last layout before the loss
   std::uint64_t lost_version_ = 0;           // its version as the caller sees it
   std::uint64_t versions_before_ = 0;

@@ -73,8 +73,7 @@ bool OutputFile::open() {
     return file_.open();
   };
   // A FIFO that nobody reads would block for ever.
-  if (!regular())
-    return open_at(name_, O_NONBLOCK) && ::fcntl(file_.get(), F_SETFL, O_WRONLY) == 0;
+  if (!regular()) return open_at(name_, O_NONBLOCK) && ::fcntl(file_.get(), F_SETFL, O_WRONLY) == 0;
   const std::size_t slash = beside_.rfind('/');
   const std::string parent = slash == std::string::npos ? "." : beside_.substr(0, slash + 1);
   nameless_ = ::access(kOpenFiles, X_OK) == 0 && open_at(parent, O_TMPFILE);

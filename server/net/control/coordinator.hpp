@@ -157,7 +157,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Sets the flag of an order whose answer nobody waits for any more.
   void cancel(std::atomic<bool>& cancelled);
 
-  // The reference stays valid while a push, a change or a queued request uses the gate; the functions below erase others.
+  // The reference stays valid while a push, a change or a queued request uses the gate; the functions below erase
+  // others.
   SceneGate& gate(const std::string& scene) { return gates_[scene]; }
   void erase_gate_if_unused(const std::string& scene);
   void wake_queue(const std::string& scene);

@@ -31,8 +31,7 @@ Result<std::optional<Membership>> read_membership(const Json& request) {
   asked.members = static_cast<int>(fields.integer("members", 1, wire::kSessionsMax));
   asked.member = static_cast<int>(fields.integer("member", 0, asked.members - 1));
   asked.follow = fields.flag("follow");
-  asked.generation =
-      static_cast<std::uint64_t>(fields.integer_or("generation", 1, wire::kIntegerMax - 1, 0));
+  asked.generation = static_cast<std::uint64_t>(fields.integer_or("generation", 1, wire::kIntegerMax - 1, 0));
   if (!fields.ok()) return fields.status();
   return std::optional(asked);
 }

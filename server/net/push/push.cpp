@@ -127,7 +127,8 @@ Status check_share(const wire::Json& request, const api::SceneSummary& scene, co
     return {Code::invalid_argument, "field 'base_step': a member's direct push names the last step"};
   const auto together = std::accumulate(terms.counts.begin(), terms.counts.end(), std::uint64_t{0});
   if (terms.counts.empty())
-    return {Code::invalid_argument, "field 'counts' is missing: the push's particles on each rank, zeros if it has none"};
+    return {Code::invalid_argument,
+            "field 'counts' is missing: the push's particles on each rank, zeros if it has none"};
   if (terms.moved != Moved::some && together != terms.n)
     return {Code::invalid_argument,
             fmt::format("field 'counts': {} particles together, the push has {}", together, terms.n)};

@@ -198,9 +198,11 @@ TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
             "no program on b");
   // The first frame has the reason, and what follows it outside of frames adds nothing.
   const std::string sequels =
-      "[vm:1] *** An error occurred in MPI_Init\n*** on a NULL communicator\n[vm:1] 2 more processes have sent help message a / b\n"
+      "[vm:1] *** An error occurred in MPI_Init\n*** on a NULL communicator\n[vm:1] 2 more processes have sent help "
+      "message a / b\n"
       "[vm:1] Set MCA parameter \"x\" to 0\n[vm:1] [[1,0],0] ORTE_ERROR_LOG: Error in file f\n";
-  EXPECT_EQ(telling_lines(rule + "A call failed\n\n  Error: No space\n" + rule + sequels + rule + "orte_init failed\n" + rule),
+  EXPECT_EQ(telling_lines(rule + "A call failed\n\n  Error: No space\n" + rule + sequels + rule + "orte_init failed\n" +
+                          rule),
             "A call failed\n  Error: No space");
   EXPECT_EQ(telling_lines("[b:2] PMIX ERROR: OUT-OF-RESOURCE\n" + rule + "1 process returned\n" + rule),
             "[b:2] PMIX ERROR: OUT-OF-RESOURCE");

@@ -1,4 +1,6 @@
 // The watchdog, over an engine whose order can be held up.
+#include "server/program/watchdog.hpp"
+
 #include <atomic>
 #include <chrono>
 #include <thread>
@@ -6,7 +8,6 @@
 #include <gtest/gtest.h>
 
 #include "common/comm/self_comm.hpp"
-#include "server/program/watchdog.hpp"
 #include "tests/support/forwarding_comm.hpp"
 
 namespace rcb::server {

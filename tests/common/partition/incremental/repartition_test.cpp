@@ -144,8 +144,8 @@ TEST_P(RepartitionAfter, GivesTheCutsOfASearchAmongAll) {
       for (const int parts : {1, 2, 5, 8, 16}) {
         ++seed;
         const int dims = 1 + static_cast<int>(mix64(seed) % 3);
-        Case trial{make_scene(static_cast<Shape>(shape), static_cast<Weights>(weights), dims,
-                              1 + mix64(seed + 1) % 900, seed % 2 == 0, seed),
+        Case trial{make_scene(static_cast<Shape>(shape), static_cast<Weights>(weights), dims, 1 + mix64(seed + 1) % 900,
+                              seed % 2 == 0, seed),
                    {},
                    GetParam(),
                    seed};
