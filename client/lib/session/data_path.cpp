@@ -80,17 +80,17 @@ struct DataPath::Link {
   void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
     const bool run = consecutive(rows);
     const auto in_place = [&](const Column& column) { return column.in_place(rank, sent, rows, run); };
-    if (!std::ranges::all_of(columns, in_place)) gather_columns(rows, columns);
-    const std::byte* to = gathered.data();
+    if (!std::ranges::all_of(columns, in_place)) gather_columns(rows, run, columns);
+    std::size_t begin = 0;
     for (const Column& column : columns) {
       const std::size_t bytes = rows.size() * column.bytes;
-      add(in_place(column) ? in_place(column) : to, bytes);
-      to += bytes;
+      add(in_place(column) ? in_place(column) : gathered.data() + begin, bytes);
+      begin += bytes;
     }
   }
 
-  // One column after another.
-  void gather_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
+  // One column after another; room is left for those that are sent from the caller's memory.
+  void gather_columns(std::span<const std::uint64_t> rows, bool run, std::span<const Column> columns) {
     gathered.resize(rows.size() * particle_bytes(columns));
     std::byte* to = gathered.data();
     if (interleaved(columns)) {
@@ -102,7 +102,7 @@ struct DataPath::Link {
       return;
     }
     for (const Column& column : columns) {
-      if (column.by_rank == nullptr) gather(column, rows, to);
+      if (!column.in_place(rank, sent, rows, run)) gather(column, rows, to);
       to += rows.size() * column.bytes;
     }
   }

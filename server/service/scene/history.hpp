@@ -5,8 +5,7 @@
 // 1. The reports [total() - recent, total()) are in memory. Older ones that the file could not take (in time) or give
 //    back are lost; a disk's fault has no other consequence.
 // 2. All histories that share a HistoryMemory together have at most `keep` reports in memory, and kOnTheirWayBytesMax
-// of those that the
-//    disk hasn't taken yet.
+//    bytes of those that the disk hasn't taken yet.
 // 3. Files are touched on the HistoryMemory's own thread alone, so that no engine waits for a disk.
 #pragma once
 
@@ -77,8 +76,8 @@ class History {
   // Reads reports on the thread for files, where it gives those that aren't lost to `take`; `then` is called
   // afterwards, as SideThread::post() does. Errors: those of SideThread::post(); then neither is called.
   using Reading = std::function<Status(std::function<void(FoundReports found)> take, SideThread::Job then)>;
-  // To read the reports [first, last) of this moment, at once or later, while the memory is still there. last <=
-  // total().
+  // To read the reports [first, last) of this moment, at once or later, while the memory is still there; last is at
+  // most total().
   Reading reading(std::uint64_t first, std::uint64_t last) const;
 
  private:
