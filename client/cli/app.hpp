@@ -70,7 +70,7 @@ Added<Options> add_command(CLI::App& parent, Context& context, const CommandText
   return {*command, *options};
 }
 
-// Adds the argument NAME: an existing scene.
+// Adds the argument NAME of a command on a scene.
 void add_scene_name(CLI::App& command, std::string& name);
 
 // One function for each family of commands.

@@ -78,13 +78,14 @@ struct DataPath::Link {
   }
 
   void add_columns(std::span<const std::uint64_t> rows, std::span<const Column> columns) {
-    const bool run = consecutive(rows);
+    const bool run = std::ranges::any_of(columns, &Column::side_by_side) && consecutive(rows);
     const auto in_place = [&](const Column& column) { return column.in_place(rank, sent, rows, run); };
     if (!std::ranges::all_of(columns, in_place)) gather_columns(rows, run, columns);
     std::size_t begin = 0;
     for (const Column& column : columns) {
       const std::size_t bytes = rows.size() * column.bytes;
-      add(in_place(column) ? in_place(column) : gathered.data() + begin, bytes);
+      const std::byte* const own = in_place(column);
+      add(own != nullptr ? own : gathered.data() + begin, bytes);
       begin += bytes;
     }
   }

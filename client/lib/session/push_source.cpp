@@ -111,7 +111,8 @@ void PushSource::add_stretch() {
   const std::size_t room = (kBatchBytes - std::min(batch_bytes_, kBatchBytes - width)) / width;
   const auto rows = all.subspan(slot_, std::min<std::size_t>(all.size() - slot_, room));
   const std::size_t bytes = rows.size() * width;
-  if (const std::byte* const values = column.in_place(rank_, slot_, rows, consecutive(rows))) {
+  const bool run = column.side_by_side() && consecutive(rows);  // looks at every row of a run
+  if (const std::byte* const values = column.in_place(rank_, slot_, rows, run)) {
     batch_.emplace_back(values, bytes);
   } else {
     if (gathered_.empty()) gathered_.resize(kBatchBytes + kElementBytesMax);

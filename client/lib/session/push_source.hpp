@@ -31,11 +31,13 @@ struct Column {
   const void* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the order to be sent
   std::size_t bytes = 8;                 // of one element
 
+  // Whether the values of rows that follow one another lie side by side.
+  bool side_by_side() const { return by_rank == nullptr && stride == 1; }
   // Where the values of these rows, a rank's from this slot on, lie side by side in the caller's memory; null if they
   // don't. run: the rows follow one another.
   const std::byte* in_place(int rank, std::uint64_t slot, std::span<const std::uint64_t> rows, bool run) const {
     if (by_rank != nullptr) return static_cast<const std::byte*>(by_rank[rank]) + slot * bytes;
-    return run && stride == 1 ? static_cast<const std::byte*>(first) + rows[0] * bytes : nullptr;
+    return run && side_by_side() ? static_cast<const std::byte*>(first) + rows[0] * bytes : nullptr;
   }
 };
 
