@@ -87,14 +87,15 @@ std::string range_of_milliseconds(const Json& rows, int ranks) {
 std::string script(const Json& rows, int ranks, const std::vector<int>& parts, const std::string& output) {
   const auto panels = static_cast<double>(std::max<std::size_t>(1, parts.size()));
   const double width = panels * kPanelWidth + kKeyWidth;
-  std::string text = figure_head(width, output) + fmt::format(
-                                                      "set format x '%g'\n"
-                                                      "set format y '%.0e'\n"
-                                                      "set yrange [{}:100]\n"
-                                                      "set ytics 100 add ('0' {})\n"
-                                                      "set xrange {}\n"
-                                                      "set xlabel 'milliseconds of one partition'\n",
-                                                      kErrorFloor / 3, kErrorFloor, range_of_milliseconds(rows, ranks));
+  std::string text = figure_head(width, output);
+  text += fmt::format(
+      "set format x '%g'\n"
+      "set format y '%.0e'\n"
+      "set yrange [{}:100]\n"
+      "set ytics 100 add ('0' {})\n"
+      "set xrange {}\n"
+      "set xlabel 'milliseconds of one partition'\n",
+      kErrorFloor / 3, kErrorFloor, range_of_milliseconds(rows, ranks));
   text += fmt::format(
       "set multiplot layout 1,{} margins {:.3f},{:.3f},0.13,0.84 spacing {:.3f} title "
       "'run time against largest relative error of a part, {} rank(s); a point: one set of points at one tolerance "
