@@ -191,6 +191,9 @@ CutRequest TreeBuilder::request_of(const Node& node) const {
   wanted.axes = node.axes;
   wanted.bounds = node.bounds;
   wanted.coincident = node.coincident;
+  wanted.keep_ids = node.coincident && axes_ > 0 && interior_ == nullptr && options_.cut_tolerance == 0;
+  wanted.ids_kept = node.ids_kept;
+  wanted.place = node.place;
   wanted.id_first = node.id_first;
   wanted.id_last = node.id_last;
   wanted.count = node.count;
@@ -301,6 +304,8 @@ void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutF
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};
+    left.ids_kept = right.ids_kept = own.ids_kept;
+    if (own.place) left.place = right.place = own.place;
     if (node.coincident && !cut.right_empty) {
       left.id_last = cut.key.id - 1;
       right.id_first = cut.key.id;
@@ -359,6 +364,8 @@ void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) 
     QuantisedPoint* const first = right ? span.middle : span.first;
     QuantisedPoint* const last = right ? span.last : span.middle;
     next_spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
+    if (child.coincident && last > first) next_.back().bounds = level_[parent].bounds;
+    if (child.coincident) continue;
     widen(next_.back().bounds, {first, last});
     result_.traffic.bytes += static_cast<std::size_t>(last - first) * sizeof(QuantisedPoint);
   }

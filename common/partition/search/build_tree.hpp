@@ -75,6 +75,8 @@ class TreeBuilder {
     QBounds bounds;
     AxisOrder axes{0, 1, 2};
     bool coincident = false;  // they are known to lie in one place
+    bool ids_kept = false;    // and their integers on the first axis are their ids (select.hpp)
+    std::optional<Integers> place;  // particles with these integers are known to lie in one place
     Id id_first = 0;          // those of a coincident node have ids from here
     Id id_last = std::numeric_limits<Id>::max();
   };

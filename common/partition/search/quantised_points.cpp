@@ -291,21 +291,25 @@ void QuantisedPoints::write_parts(std::span<const std::size_t> ends, int parts, 
 }
 
 // Points at either end that are on the right side already are skipped, since solvers' orders are seldom random. All
-// others are swapped without a branch, which would often be mispredicted.
+// others are swapped without a branch, which would often be mispredicted. Four at a time: the time of a shorter loop
+// depends on where the linker puts it (by up to 40 % on Zen 5).
 QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
   while (!points.empty() && points.front().q[axis] < at) points = points.subspan(1);
   while (!points.empty() && points.back().q[axis] >= at) points = points.first(points.size() - 1);
-  auto* const lanes = reinterpret_cast<Lanes*>(points.data());
-  const QuantisedPoint* const from = points.data();
-  std::size_t below = 0;
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const Lanes own = lanes[i];
-    const bool left = from[i].q[axis] < at;
-    lanes[i] = lanes[below];
-    lanes[below] = own;
-    below += static_cast<std::size_t>(left);
-  }
-  return points.data() + below;
+  QuantisedPoint* left_end = points.data();
+  const auto swap = [&](QuantisedPoint& point) {
+    auto& own = reinterpret_cast<Lanes&>(point);
+    auto& other = reinterpret_cast<Lanes&>(*left_end);
+    const Lanes moved = own;
+    left_end += static_cast<std::ptrdiff_t>(point.q[axis] < at);
+    own = other;
+    other = moved;
+  };
+  std::size_t i = 0;
+  for (; i + 4 <= points.size(); i += 4)
+    for (std::size_t k = 0; k < 4; ++k) swap(points[i + k]);
+  for (; i < points.size(); ++i) swap(points[i]);
+  return left_end;
 }
 
 QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {

@@ -20,8 +20,10 @@
 
 namespace rcb::partition {
 
+using Integers = std::array<std::int32_t, geometry::kDimsMax>;
+
 struct alignas(16) QuantisedPoint {
-  std::array<std::int32_t, geometry::kDimsMax> q{};
+  Integers q{};
   std::uint32_t index = 0;
 };
 
@@ -109,8 +111,8 @@ using AxisMaps = std::array<AxisMap, geometry::kDimsMax>;
 // Bounds of quantised coordinates; lo > hi: there are none.
 struct QBounds {
   static constexpr std::int32_t kNone = 0x7FFFFFFF;
-  std::array<std::int32_t, geometry::kDimsMax> lo{kNone, kNone, kNone};
-  std::array<std::int32_t, geometry::kDimsMax> hi{-1, -1, -1};
+  Integers lo{kNone, kNone, kNone};
+  Integers hi{-1, -1, -1};
 
   bool empty() const { return lo[0] > hi[0]; }
 };

@@ -50,6 +50,7 @@ std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes, std::s
   spans_ = spans;
   chunks_ = nodes.empty() ? 1 : spans.size() / nodes.size();
   found_.assign(nodes.size(), CutFound{});
+  for (std::size_t n = 0; n < nodes.size(); ++n) found_[n].ids_kept = nodes[n].ids_kept;
   states_.assign(nodes.size(), State{});
   neighbours_.clear();
   gather_limit_ = nodes.empty() ? 0 : gather_limit();
@@ -87,11 +88,16 @@ void Selector::start(std::size_t node) {
     return;
   }
   const bool by_id = ask.coincident && ask.slack == 0;
-  state.phase = by_id ? Phase::next_word : Phase::count;
+  state.phase = by_id && !ask.ids_kept ? Phase::next_word : Phase::count;
   if (by_id) state.word = axes_;
   state.by_id = axes_ == 0;
   state.lo = ask.bounds.lo[axis_of(node)];
   state.hi = ask.bounds.hi[axis_of(node)];
+  if (ask.ids_kept) {
+    const auto [least, greatest] = known_ids(node);
+    set_range(node, least, greatest);
+    state.tie_break = true;
+  }
   state.below = ask.below;
   state.weight_below = ask.weight_below;
   if (!weighted()) {

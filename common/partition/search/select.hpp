@@ -48,6 +48,9 @@ struct CutRequest {
   AxisOrder axes{0, 1, 2};
   QBounds bounds;           // of the quantised points' integers, all ranks
   bool coincident = false;  // all of these lie in one place: only ids tell them apart
+  bool keep_ids = false;    // they are, and nobody else needs their integers: these may become ids for good
+  bool ids_kept = false;    // they have
+  std::optional<Integers> place;  // particles with these integers are known to lie in one place
   Id id_first = 0;          // none of these has an id before this one
   Id id_last = std::numeric_limits<Id>::max();
   std::uint64_t count = 0;  // quantised points
@@ -67,6 +70,8 @@ struct CutRequest {
 };
 
 struct CutFound {
+  bool ids_kept = false;          // as CutRequest::ids_kept, for both sides
+  std::optional<Integers> place;  // as CutRequest::place, where the search has found one
   bool failed = false;  // it depends on interior particles; the rest is unspecified
   bool right_empty = false;
   KeyWords key{};  // smallest key of the right side
@@ -169,8 +174,10 @@ class Selector {
     std::uint64_t first;
     std::uint64_t count;
   };
+  void note_place(std::size_t node, std::span<const std::uint64_t> bounds);
   WordValues steps_of(std::size_t node, std::size_t word) const;
   static void write_both(Span& span, std::size_t axis, const WordValues& one, const WordValues& other);
+  void set_range(std::size_t node, std::uint64_t lo, std::uint64_t hi);
   void write_words(std::size_t node);
   void restore(std::size_t node);
   void sum_message();
@@ -197,7 +204,7 @@ class Selector {
 
   bool weighted() const { return scale_ != nullptr; }
   std::size_t axis_of(std::size_t node) const {
-    return axes_ == 0 ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
+    return axes_ == 0 || nodes_[node].keep_ids ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
   }
   std::span<Span> spans_of(std::size_t node) const { return spans_.subspan(node * chunks_, chunks_); }
   // True if a key word's axis is lossless: the integers may then stand for the word.

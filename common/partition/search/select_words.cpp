@@ -21,11 +21,13 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
   };
   bool any_lossless = false;
   for (std::size_t w = from; w < axes_; ++w) any_lossless |= lossless(node, w);
+  const std::optional<Integers> place = states_[node].tie_break ? std::nullopt : nodes_[node].place;
   for (const Span& span : spans_of(node)) {
     const std::span<const QuantisedPoint> open = span.open();
     if (open.empty()) continue;
     QBounds integers;
-    if (any_lossless) widen(integers, open);
+    if (any_lossless || place) widen(integers, open);
+    const bool known = place && integers.lo == *place && integers.hi == *place;
     std::array<const double*, geometry::kDimsMax> x{};
     std::array<double, geometry::kDimsMax> first{};
     std::array<bool, geometry::kDimsMax> same{true, true, true};
@@ -41,7 +43,9 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
       look(w, geometry::order_bits(first[w]));
     }
     // Mostly all coordinates are equal, or the search would not have come here: one pass finds that out.
-    if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
+    if (known) {
+      // All have the first one's coordinates.
+    } else if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
       for (const QuantisedPoint& point : open) {
         same[0] &= x[0][point.index] == first[0];
         same[1] &= x[1][point.index] == first[1];
@@ -107,6 +111,7 @@ void Selector::next_word() {
     State& state = states_[measured[m]];
     const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
     const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
+    note_place(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
     // All have one coordinate, hence one integer, which restore() can put back.
     if (axes_ > 0 && !state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
       state.uniform = true;
@@ -118,6 +123,19 @@ void Selector::next_word() {
     }
     enter(measured[m], lo(), hi());
   }
+}
+
+// If all open quantised points turn out to lie in one place, so do all of the node's that have their integers: there is
+// none beside them with the same integer on the cut axis.
+void Selector::note_place(std::size_t node, std::span<const std::uint64_t> bounds) {
+  if (axes_ == 0 || states_[node].word > 0 || states_[node].tie_break) return;
+  Integers place{};
+  for (std::size_t w = 0; w < axes_; ++w) {
+    if (bounds[2 * w] != ~bounds[2 * w + 1]) return;
+    const auto axis = static_cast<std::size_t>(nodes_[node].axes[w]);
+    place[axis] = maps_[axis](geometry::value_of_order_bits(bounds[2 * w]));
+  }
+  found_[node].place = place;
 }
 
 std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
@@ -140,14 +158,24 @@ std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
 
 void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
   State& state = states_[node];
-  state.by_id = state.word == axes_;
-  state.base = lo;
-  state.shift = shift_to(hi - lo, kKeyBits);
-  state.lo = 0;
-  state.hi = static_cast<std::int32_t>((hi - lo) >> state.shift);
-  state.rounds = 0;
+  found_[node].ids_kept =
+      nodes_[node].keep_ids && state.word == axes_ && shift_to((*ids_)[1] - (*ids_)[0], kKeyBits) == 0;
   state.phase = Phase::count;
+  state.rounds = 0;
+  set_range(node, lo, hi);
   write_words(node);
+  state.tie_break = true;
+}
+
+// The integers hold this word from here on, and its values lie in [lo, hi]. Kept ids count from the least of all.
+void Selector::set_range(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
+  State& state = states_[node];
+  const bool kept = found_[node].ids_kept;
+  state.by_id = state.word == axes_;
+  state.base = kept ? (*ids_)[0] : lo;
+  state.shift = kept ? 0 : shift_to(hi - lo, kKeyBits);
+  state.lo = static_cast<std::int32_t>((lo - state.base) >> state.shift);
+  state.hi = static_cast<std::int32_t>((hi - state.base) >> state.shift);
 }
 
 Selector::WordValues Selector::steps_of(std::size_t node, std::size_t word) const {
@@ -188,13 +216,12 @@ void Selector::write_words(std::size_t node) {
         point.q[axis] =
             static_cast<std::int32_t>((word_of(node, state.word, span.base + point.index) - state.base) >> state.shift);
   }
-  state.tie_break = true;
 }
 
 // Puts the quantised coordinates of the cut axis back in place.
 void Selector::restore(std::size_t node) {
   const State& state = states_[node];
-  if (!state.tie_break) return;
+  if (!state.tie_break || found_[node].ids_kept) return;
   const std::size_t axis = axis_of(node);
   for (Span& span : spans_of(node)) {
     bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
