@@ -1,6 +1,6 @@
 // TreeBuilder: makes a tree level by level. For each level it orders the axes of the nodes, searches their cuts, which
 // also divides their quantised points (select.hpp), and passes once over the children's quantised points for their
-// bounds.
+// bounds (if they don't all lie in one place).
 //
 // It may begin below the root, at nodes of an existing tree that are to be cut anew, and it may search among boundary
 // particles alone while interior particles are expected to stay (interior.hpp). A node whose interior particles would
@@ -74,10 +74,10 @@ class TreeBuilder {
     u128 weight = 0;          // with weights
     QBounds bounds;
     AxisOrder axes{0, 1, 2};
-    bool coincident = false;  // they are known to lie in one place
-    bool ids_kept = false;    // and their integers on the first axis are their ids (select.hpp)
-    std::optional<Integers> place;  // particles with these integers are known to lie in one place
-    Id id_first = 0;          // those of a coincident node have ids from here
+    bool coincident = false;        // they are known to lie in one place
+    bool ids_kept = false;          // as in CutRequest
+    std::optional<Integers> place;  // as in CutRequest
+    Id id_first = 0;                // those of a coincident node have ids from here
     Id id_last = std::numeric_limits<Id>::max();
   };
 

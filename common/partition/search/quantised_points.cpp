@@ -298,8 +298,8 @@ QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::i
   while (!points.empty() && points.back().q[axis] >= at) points = points.first(points.size() - 1);
   QuantisedPoint* left_end = points.data();
   const auto swap = [&](QuantisedPoint& point) {
-    auto& own = reinterpret_cast<Lanes&>(point);
-    auto& other = reinterpret_cast<Lanes&>(*left_end);
+    Lanes& own = reinterpret_cast<Lanes&>(point);
+    Lanes& other = reinterpret_cast<Lanes&>(*left_end);
     const Lanes moved = own;
     left_end += static_cast<std::ptrdiff_t>(point.q[axis] < at);
     own = other;

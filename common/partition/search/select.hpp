@@ -8,10 +8,11 @@
 // 2. A round makes a histogram of the open points' integers on the cut axis; the bin that holds the wanted key becomes
 //    the bracket, and the quantised points outside of it are no longer open.
 // 3. Where integers no longer separate the open points, and these are too many to be gathered, the integers are
-//    replaced until the search ends by the offset of a key word from its least value: key words are the coordinates in
-//    the node's axis order, then the id. Earlier words are decided by then. Each round divides a bracket by at least
-//    64: a word takes at most 3 rounds on quantised integers and 13 on windows of 31 bits of it (6 + 6 + 1), whatever
-//    the distribution; one that all open points share takes none.
+//    replaced until the search ends (ids of a coincident node: for good, CutRequest::keep_ids) by the offset of a key
+//    word from its least value: key words are the coordinates in the node's axis order, then the id. Earlier words are
+//    decided by then. Each round divides a bracket by at least 64: a word takes at most 3 rounds on quantised integers
+//    and 13 on windows of 31 bits of it (6 + 6 + 1), whatever the distribution; one that all open points share takes
+//    none.
 #pragma once
 
 #include <array>
@@ -46,12 +47,12 @@ struct CutRequest {
   bool unanswerable = false;  // by the quantised points alone; then all else is unspecified
   bool search = true;         // false: nothing goes right, or it is unanswerable
   AxisOrder axes{0, 1, 2};
-  QBounds bounds;           // of the quantised points' integers, all ranks
-  bool coincident = false;  // all of these lie in one place: only ids tell them apart
-  bool keep_ids = false;    // they are, and nobody else needs their integers: these may become ids for good
-  bool ids_kept = false;    // they have
-  std::optional<Integers> place;  // particles with these integers are known to lie in one place
-  Id id_first = 0;          // none of these has an id before this one
+  QBounds bounds;                 // of the quantised points' integers, all ranks
+  bool coincident = false;        // all of these lie in one place: only ids tell them apart
+  bool keep_ids = false;          // of coincident ones: their integers aren't needed any more, ids may take their place
+  bool ids_kept = false;          // they have: on axis 0, less the least id of all particles (`bounds` are as before)
+  std::optional<Integers> place;  // those with these integers are known to lie in one place
+  Id id_first = 0;                // none of these has an id before this one
   Id id_last = std::numeric_limits<Id>::max();
   std::uint64_t count = 0;  // quantised points
   // Interior particles of the left parts (they have no quantised point).
@@ -72,7 +73,7 @@ struct CutRequest {
 struct CutFound {
   bool ids_kept = false;          // as CutRequest::ids_kept, for both sides
   std::optional<Integers> place;  // as CutRequest::place, where the search has found one
-  bool failed = false;  // it depends on interior particles; the rest is unspecified
+  bool failed = false;            // it depends on interior particles; the rest is unspecified
   bool right_empty = false;
   KeyWords key{};  // smallest key of the right side
   // The least and the greatest key that the cut depends on. It holds if on the cut axis the left parts' interior
@@ -165,7 +166,8 @@ class Selector {
   // Collective (one reduction, the first time).
   std::array<std::uint64_t, 2> known_ids(std::size_t node);
   // For each key word from the node's current one on: the least value among the open quantised points, and the
-  // complement of the greatest; for the id, of what is known unless it is measured. Local.
+  // complement of the greatest; for the id, of what is known unless it is measured. On a lossless axis integers in
+  // units of 2^zeros, else order-preserving bits. Local.
   void measure_words(std::size_t node, std::span<std::uint64_t> bounds);
   // The values of a key word on a lossless axis: `count` of them from `first` on, in units of 2^zeros of the integers.
   struct WordValues {

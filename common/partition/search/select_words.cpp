@@ -14,7 +14,6 @@ constexpr std::uint64_t kNone = ~std::uint64_t{0};
 
 void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) {
   const std::size_t from = states_[node].word;
-  note_pass(node, 2 * sizeof(QuantisedPoint) + (axes_ - from + (states_[node].by_id ? 1 : 0)) * sizeof(double));
   const auto look = [bounds](std::size_t word, std::uint64_t own) {
     bounds[2 * word] = std::min(bounds[2 * word], own);
     bounds[2 * word + 1] = std::min(bounds[2 * word + 1], ~own);
@@ -28,6 +27,8 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
     QBounds integers;
     if (any_lossless || place) widen(integers, open);
     const bool known = place && integers.lo == *place && integers.hi == *place;
+    bytes_moved_ += open.size() * (sizeof(QuantisedPoint) + (states_[node].by_id ? sizeof(Id) : 0) +
+                                   (known ? 0 : sizeof(QuantisedPoint) + (axes_ - from) * sizeof(double)));
     std::array<const double*, geometry::kDimsMax> x{};
     std::array<double, geometry::kDimsMax> first{};
     std::array<bool, geometry::kDimsMax> same{true, true, true};
@@ -125,15 +126,17 @@ void Selector::next_word() {
   }
 }
 
-// If all open quantised points turn out to lie in one place, so do all of the node's that have their integers: there is
-// none beside them with the same integer on the cut axis.
+// If all open quantised points turn out to lie in one place, so do all of the node's that have their integers: a
+// quantised point that isn't open has another integer on the cut axis.
 void Selector::note_place(std::size_t node, std::span<const std::uint64_t> bounds) {
   if (axes_ == 0 || states_[node].word > 0 || states_[node].tie_break) return;
   Integers place{};
   for (std::size_t w = 0; w < axes_; ++w) {
-    if (bounds[2 * w] != ~bounds[2 * w + 1]) return;
+    const std::uint64_t value = bounds[2 * w];
+    if (value != ~bounds[2 * w + 1]) return;
     const auto axis = static_cast<std::size_t>(nodes_[node].axes[w]);
-    place[axis] = maps_[axis](geometry::value_of_order_bits(bounds[2 * w]));
+    place[axis] = lossless(node, w) ? static_cast<std::int32_t>(value << zeros_of(node, w))
+                                    : maps_[axis](geometry::value_of_order_bits(value));
   }
   found_[node].place = place;
 }

@@ -2,6 +2,7 @@
 #include "common/partition/partition.hpp"
 
 #include <cmath>
+#include <limits>
 #include <map>
 #include <mutex>
 
@@ -115,6 +116,34 @@ TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
       }
     }
   });
+}
+
+// The root's cut goes through many particles in one place. The left part's goes through others with one integer in x,
+// whose y differ by less than an integer tells: they are not in the place that the root has found.
+TEST(Partition, OnePlaceIsNotTakenForAnother) {
+  constexpr double kUnit = std::numeric_limits<double>::denorm_min();
+  Scene scene;
+  scene.dims = 2;
+  const auto add = [&](int x, double y, int copies, double step, bool falling) {
+    const auto first = static_cast<std::int64_t>(scene.count());
+    for (int k = 0; k < copies; ++k) {
+      scene.x[0].push_back((1000 + x) * kUnit);
+      scene.x[1].push_back(y + k * step);
+      scene.id.push_back(first + (falling ? copies - 1 - k : k));
+    }
+  };
+  add(0, 0, 1, 0, false);
+  add(599000, 0.5, 30, std::numeric_limits<double>::epsilon(), true);
+  add(600000, 0.5, 60, 0, false);
+  add(1 << 20, 1, 9, 0, false);
+  JudgeOptions asked;
+  asked.parts = 4;
+  asked.band_axis = 0;
+  const Judgement judged = judge(scene, asked);
+  PartitionOptions options = options_of(asked);
+  options.limits.gather_max = 1;
+  options.limits.bins_max = 64;
+  on_ranks([&](comm::Comm& comm) { check_share(comm, scene, options, judged, kPartitionSeed); });
 }
 
 TEST(Partition, BandsHaveOneOrder) {

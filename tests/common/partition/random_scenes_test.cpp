@@ -65,7 +65,7 @@ double decade(int code, double from, double to) {
   return std::pow(10.0, from + (to - from) * static_cast<double>(code) / kCodes);
 }
 
-constexpr int kFamilies = 12;
+constexpr int kFamilies = 13;
 
 double coordinate(int family, int code) {
   const double sign = code % 2 == 0 ? 1 : -1;
@@ -99,6 +99,8 @@ double coordinate(int family, int code) {
                                                (mix64(static_cast<std::uint64_t>(code) + 1) % 0x7FFU) << 52U);
     case 10:
       return of({0, 1, 1e-300, 1e300, -1e300, Limits::min(), -Limits::min(), Limits::min() - kTiny, kMax, -0.0});
+    case 11:  // whole numbers of the least step, over a range that 64 bins don't resolve
+      return (1000 + 613.0 * code) * kTiny;
     default:
       return -2.5;
   }
