@@ -364,8 +364,10 @@ void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) 
     QuantisedPoint* const first = right ? span.middle : span.first;
     QuantisedPoint* const last = right ? span.last : span.middle;
     next_spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
-    if (child.coincident && last > first) next_.back().bounds = level_[parent].bounds;
-    if (child.coincident) continue;
+    if (child.coincident) {
+      if (last > first) next_.back().bounds = level_[parent].bounds;
+      continue;
+    }
     widen(next_.back().bounds, {first, last});
     result_.traffic.bytes += static_cast<std::size_t>(last - first) * sizeof(QuantisedPoint);
   }

@@ -50,7 +50,6 @@ std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes, std::s
   spans_ = spans;
   chunks_ = nodes.empty() ? 1 : spans.size() / nodes.size();
   found_.assign(nodes.size(), CutFound{});
-  for (std::size_t n = 0; n < nodes.size(); ++n) found_[n].ids_kept = nodes[n].ids_kept;
   states_.assign(nodes.size(), State{});
   neighbours_.clear();
   gather_limit_ = nodes.empty() ? 0 : gather_limit();
@@ -75,6 +74,7 @@ std::vector<std::size_t> Selector::in_phase(Phase phase) const {
 void Selector::start(std::size_t node) {
   const CutRequest& ask = nodes_[node];
   State& state = states_[node];
+  found_[node].ids_kept = ask.ids_kept;
   for (Span& span : spans_of(node)) {
     span.middle = span.first;
     span.upper = span.last;

@@ -27,8 +27,7 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
     QBounds integers;
     if (any_lossless || place) widen(integers, open);
     const bool known = place && integers.lo == *place && integers.hi == *place;
-    bytes_moved_ += open.size() * (sizeof(QuantisedPoint) + (states_[node].by_id ? sizeof(Id) : 0) +
-                                   (known ? 0 : sizeof(QuantisedPoint) + (axes_ - from) * sizeof(double)));
+    bytes_moved_ += open.size() * sizeof(QuantisedPoint);
     std::array<const double*, geometry::kDimsMax> x{};
     std::array<double, geometry::kDimsMax> first{};
     std::array<bool, geometry::kDimsMax> same{true, true, true};
@@ -43,10 +42,11 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
       first[w] = x[w][open[0].index];
       look(w, geometry::order_bits(first[w]));
     }
+    if (known) continue;  // all have the first one's coordinates (ids are measured only after integers were replaced)
+    bytes_moved_ += open.size() *
+                    (sizeof(QuantisedPoint) + (axes_ - from) * sizeof(double) + (states_[node].by_id ? sizeof(Id) : 0));
     // Mostly all coordinates are equal, or the search would not have come here: one pass finds that out.
-    if (known) {
-      // All have the first one's coordinates.
-    } else if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
+    if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
       for (const QuantisedPoint& point : open) {
         same[0] &= x[0][point.index] == first[0];
         same[1] &= x[1][point.index] == first[1];
