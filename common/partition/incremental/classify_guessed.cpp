@@ -1,7 +1,6 @@
 #include "common/partition/incremental/classify_guessed.hpp"
 
 #include <algorithm>
-#include <array>
 #include <bit>
 
 #include "common/base/index.hpp"
@@ -35,45 +34,24 @@ class GuessedPass {
     for (std::size_t i = begin; i < particles_.count && !tables_.several; ++i) part_[i] = 0;
     boundary_.finish();
     for (std::size_t leaf = 0; leaf < tables_.leaves; ++leaf) {
-      out_.boxes[at(tables_.part[leaf])] = tables_.box[leaf];
+      out_.boxes[at(tables_.part[leaf])] = tables_.box(leaf);
       out_.counts[at(tables_.part[leaf])] = counts_[leaf];
     }
   }
 
  private:
-  std::size_t axes() const { return at(particles_.dims); }
-
   void run_block(const Axes& x, std::size_t begin, std::size_t count) {
     std::int32_t* const part = part_.data() + begin;
-    FoundLeaves found = find_leaves(tables_, x, part, count, counts_);
-    BlockLeaves by_key;
-    if (found.unsure != 0) find_leaves_by_key(tables_, x, particles_.id + begin, part, found.unsure, by_key);
-    for (std::size_t j = 0; found.unsure != 0; found.unsure &= found.unsure - 1, ++j) {
-      const auto k = at(std::countr_zero(found.unsure));
-      found.boundary |= (settle(begin + k, found.leaf(k), by_key[j]) ? 0ULL : 1ULL) << k;
+    FoundLeaves found = find_leaves(tables_, x, part, count);
+    if (found.unsure != 0) {
+      std::uint64_t beyond = find_leaves_by_key(tables_, x, particles_.id + begin, part, found);
+      for (; beyond != 0; beyond &= beyond - 1) {
+        const auto k = at(std::countr_zero(beyond));
+        tables_.extend(found.leaf(k), {x[0][k], x[1][k], x[2][k]});
+      }
     }
+    count_leaves(found, tables_.leaves, count, counts_);
     if (found.boundary != 0) boundary_.append(x, begin, part, count, found.boundary);
-  }
-
-  // True if a particle is interior; then its leaf's box grows to hold it. leaf: the one that its rounded coordinates
-  // gave it; found: the one of its key, or -1.
-  bool settle(std::size_t i, std::size_t leaf, std::int32_t found) {
-    if (found < 0) return false;
-    if (at(found) != leaf) {
-      --counts_[leaf];
-      leaf = at(found);
-      ++counts_[leaf];
-      part_[i] = tables_.part[leaf];
-    }
-    geometry::Box& box = tables_.box[leaf];
-    for (std::size_t a = 0; a < axes(); ++a) {
-      const double x = particles_.position[a][i];
-      if (x >= box.lo[a] && x <= box.hi[a]) continue;
-      box.lo[a] = std::min(box.lo[a], x);
-      box.hi[a] = std::max(box.hi[a], x);
-      tables_.set_bounds(leaf, a);
-    }
-    return true;
   }
 
   const particles::ParticleView& particles_;
@@ -82,7 +60,7 @@ class GuessedPass {
   GuessTables tables_;
   OwnInterior& out_;
   BoundaryList boundary_;
-  std::array<std::uint64_t, GuessTables::kLeaves> counts_{};
+  LeafCounts counts_{};
 };
 
 }  // namespace

@@ -14,7 +14,6 @@ namespace {
 
 using Tables = GuessTables;
 using particles::kBlock;
-using Counts = std::array<std::uint64_t, Tables::kLeaves>;
 
 // The leaves of those particles from `i` on.
 void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::size_t i, std::size_t count,
@@ -41,7 +40,7 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
 [[gnu::always_inline]]
 #endif
 inline void
-count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, Counts& counts) {
+count_bits(const FoundLeaves& found, std::size_t leaves, std::size_t count, LeafCounts& counts) {
   const std::uint64_t all = count < kBlock ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
   for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
     std::uint64_t mask = all;
@@ -51,10 +50,30 @@ count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, Co
   }
 }
 
-void find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* id, const std::int32_t* part,
-                          std::uint64_t which, BlockLeaves& leaf) {
+// Takes the leaf of the particle in place k of a block, or, if it is -1, lists the particle as a boundary particle.
+// True if it is interior, but not in its leaf's box.
+bool take_leaf(const Tables& t, const Axes& x, std::int32_t leaf, std::size_t k, std::int32_t* part,
+               FoundLeaves& found) {
+  if (leaf < 0) {
+    found.boundary |= std::uint64_t{1} << k;
+    return false;
+  }
+  for (std::size_t bit = 0; bit < found.bits.size(); ++bit) {
+    const std::uint64_t own = std::uint64_t{1} << k;
+    found.bits[bit] = (found.bits[bit] & ~own) | ((at(leaf) >> bit & 1U) != 0 ? own : 0);
+  }
+  part[k] = t.part[at(leaf)];
+  bool in = true;
+  for (std::size_t a = 0; a < at(t.dims); ++a)
+    in &= x[a][k] >= t.box_lo[a][at(leaf)] && x[a][k] <= t.box_hi[a][at(leaf)];
+  return !in;
+}
+
+std::uint64_t find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* id, std::int32_t* part,
+                                   FoundLeaves& found) {
   constexpr std::size_t kWords = geometry::kDimsMax + 1;
-  for (std::size_t j = 0; which != 0; which &= which - 1, ++j) {
+  std::uint64_t beyond = 0;
+  for (std::uint64_t which = found.unsure; which != 0; which &= which - 1) {
     const auto k = at(std::countr_zero(which));
     std::array<std::int64_t, kWords> own{0, 0, 0, id[k]};
     for (std::size_t a = 0; a < at(t.dims); ++a)
@@ -73,11 +92,17 @@ void find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* i
       const bool right = sign(keys.most) > 0;
       node = right || sign(keys.least) < 0 ? static_cast<std::int32_t>(keys.next[n]) + (right ? 1 : 0) : -1;
     }
-    leaf[j] = node;
+    beyond |= (take_leaf(t, x, node, k, part, found) ? 1ULL : 0ULL) << k;
   }
+  return beyond;
 }
 
 #if defined(__x86_64__)
+[[gnu::target("popcnt")]] void count_with_popcnt(const FoundLeaves& found, std::size_t leaves, std::size_t count,
+                                                 LeafCounts& counts) {
+  count_bits(found, leaves, count, counts);
+}
+
 // Particles that are prefetched ahead: the branches of a block's boundary particles depend on data, and a mispredicted
 // one would otherwise wait for memory.
 constexpr std::size_t kBlocksAhead = 16;
@@ -138,11 +163,10 @@ template <bool kSeveral>
 
 template <bool kSeveral>
 [[gnu::target("avx2,popcnt")]] FoundLeaves find_in_avx2(const Tables& t, const Axes& x, std::int32_t* part,
-                                                        std::size_t count, Counts& counts) {
+                                                        std::size_t count) {
   FoundLeaves found;
   if (const std::size_t i = find_eights<kSeveral>(t, x, part, count, found); i < count)
     find_one_by_one(t, x, part, i, count, found);
-  count_leaves(found, t.leaves, count, counts);
   return found;
 }
 
@@ -155,11 +179,12 @@ template <bool kSeveral>
 }
 // All words of a key are compared at once, and the first that differs decides. Without branches: on planes that hold
 // many particles they would be mispredicted.
-[[gnu::target("avx2,bmi")]] void find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
-                                                   const std::int32_t* part, std::uint64_t which, BlockLeaves& leaf) {
+[[gnu::target("avx2,bmi")]] std::uint64_t find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
+                                                            std::int32_t* part, FoundLeaves& found) {
   const auto mask = [&t](int a) { return a < t.dims ? -1LL : 0LL; };
   const __m256i used = _mm256_set_epi64x(0, mask(2), mask(1), mask(0));
-  for (std::size_t j = 0; which != 0; which &= which - 1, ++j) {
+  std::uint64_t beyond = 0;
+  for (std::uint64_t which = found.unsure; which != 0; which &= which - 1) {
     const auto k = at(std::countr_zero(which));
     // Both zeros are one place.
     const __m256d point = _mm256_add_pd(_mm256_set_pd(0, x[2][k], x[1][k], x[0][k]), _mm256_setzero_pd());
@@ -179,11 +204,12 @@ template <bool kSeveral>
       sure &= left | right;
       node = step.next + static_cast<std::int32_t>(right);
     }
-    leaf[j] = sure ? node : -1;
+    beyond |= (take_leaf(t, x, sure ? node : -1, k, part, found) ? 1ULL : 0ULL) << k;
   }
+  return beyond;
 }
 
-#define RCB_AVX512 "avx512f,avx512dq,avx512bw,avx512vl,avx2,popcnt,bmi"
+#define RCB_AVX512 "avx512f,avx512dq,avx512bw,avx512vl,avx2,popcnt,bmi2"
 using Words = __m512i;
 
 [[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 as_floats16(const double* x, double origin,
@@ -205,7 +231,7 @@ using Words = __m512i;
 
 template <bool kSeveral>
 [[gnu::target(RCB_AVX512)]] FoundLeaves find_in_avx512(const Tables& t, const Axes& x, std::int32_t* part,
-                                                       std::size_t count, Counts& counts) {
+                                                       std::size_t count) {
   FoundLeaves found;
   const __m512i bit0 = _mm512_set1_epi32(1);
   const __m512i bit1 = _mm512_set1_epi32(2);
@@ -245,101 +271,175 @@ template <bool kSeveral>
     found.unsure |= std::uint64_t{static_cast<__mmask16>(inner & ~in)} << i;
   }
   if (i < count) find_one_by_one(t, x, part, i, count, found);
-  count_leaves(found, t.leaves, count, counts);
   return found;
 }
 
-// Which of eight keys are less than a bound (or greater, if !kLess), word by word.
-struct Undecided {
-  __mmask8 still = 0xFF;
-  __mmask8 yes = 0;
-};
-template <bool kLess>
-[[gnu::target(RCB_AVX512), gnu::always_inline]] inline void compare(Words key, Words bound, Undecided& state) {
-  state.yes = static_cast<__mmask8>(state.yes | (kLess ? _mm512_mask_cmplt_epi64_mask(state.still, key, bound)
-                                                       : _mm512_mask_cmpgt_epi64_mask(state.still, key, bound)));
-  state.still = _mm512_mask_cmpeq_epi64_mask(state.still, key, bound);
+// Those whose bits are set in `which`, side by side.
+template <typename T>
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline void pick_eights(const T* from, std::uint64_t which, T* to) {
+  static_assert(sizeof(T) == 8);
+  for (std::size_t i = 0; i < kBlock && which >> i != 0; i += 8) {
+    const auto some = static_cast<__mmask8>(which >> i);
+    _mm512_storeu_si512(to, _mm512_maskz_compress_epi64(some, _mm512_maskz_loadu_epi64(some, from + i)));
+    to += std::popcount(unsigned{some});
+  }
 }
 
-// Eight keys at once, without branches: on planes that hold many particles they would be mispredicted.
-[[gnu::target(RCB_AVX512)]] void find_keys_in_avx512(const Tables& t, const Axes& x, const particles::Id* id,
-                                                     const std::int32_t* part, std::uint64_t which, BlockLeaves& leaf) {
-  alignas(64) std::array<std::int64_t, kBlock> slot;
+// Sixteen keys, or what is known of them.
+using Masks = std::array<unsigned, 2>;
+struct Sixteen {
+  Words words[2];
+};
+
+// Compares a word of keys with that of the brackets of their nodes.
+struct Undecided {
+  Masks before{};  // less than `least`
+  Masks behind{};  // greater than `most`
+  Masks least{0xFF, 0xFF};  // equal to it so far
+  Masks most{0xFF, 0xFF};
+};
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline void compare(const Sixteen& word, const Sixteen& node,
+                                                                    const Tables::Words& least,
+                                                                    const Tables::Words& most, Undecided& state) {
+  for (std::size_t h = 0; h < 2; ++h) {
+    const Words from = _mm512_permutexvar_epi64(node.words[h], _mm512_loadu_si512(least.data()));
+    const Words to = _mm512_permutexvar_epi64(node.words[h], _mm512_loadu_si512(most.data()));
+    state.before[h] |= state.least[h] & _mm512_cmplt_epi64_mask(word.words[h], from);
+    state.behind[h] |= state.most[h] & _mm512_cmpgt_epi64_mask(word.words[h], to);
+    state.least[h] &= _mm512_cmpeq_epi64_mask(word.words[h], from);
+    state.most[h] &= _mm512_cmpeq_epi64_mask(word.words[h], to);
+  }
+}
+
+// Sixteen keys at once, without branches: on planes that hold many particles they would be mispredicted. Ids are read
+// only where all coordinates are equal.
+[[gnu::target(RCB_AVX512)]] std::uint64_t find_keys_in_avx512(const Tables& t, const Axes& x, const particles::Id* id,
+                                                              std::int32_t* part, FoundLeaves& found) {
+  constexpr std::size_t kAxes = geometry::kDimsMax;
+  // The unsure ones side by side.
+  alignas(64) std::array<std::array<double, kBlock>, kAxes> position;
+  alignas(64) std::array<particles::Id, kBlock> own_id;
+  alignas(64) std::array<std::int32_t, kBlock> part_so_far;
+  bool has_ids = false;
+  for (std::size_t a = 0; a < kAxes; ++a) pick_eights(x[a], found.unsure, position[a].data());
   std::size_t count = 0;
-  for (; which != 0; which &= which - 1) slot[count++] = std::countr_zero(which);
+  for (std::uint64_t which = t.several ? found.unsure : 0; which != 0; which &= which - 1)
+    part_so_far[count++] = part[std::countr_zero(which)];
+  count = at(std::popcount(found.unsure));
   const Words one = _mm512_set1_epi64(1);
   const Words two = _mm512_set1_epi64(2);
+  const Words four = _mm512_set1_epi64(4);
   const Words top = _mm512_set1_epi64(std::numeric_limits<std::int64_t>::max());
-  for (std::size_t j = 0; j < count; j += 8) {
-    const auto some = static_cast<__mmask8>(count - j < 8 ? (1U << (count - j)) - 1 : 0xFFU);
-    const Words k = _mm512_maskz_loadu_epi64(some, slot.data() + j);
-    Words own[4];
-    for (std::size_t a = 0; a < 3; ++a) {
-      own[a] = _mm512_setzero_si512();
-      if (a >= at(t.dims)) continue;
-      // Both zeros are one place.
-      const Words bits = _mm512_castpd_si512(
-          _mm512_add_pd(_mm512_mask_i64gather_pd(_mm512_setzero_pd(), some, k, x[a], 8), _mm512_setzero_pd()));
-      own[a] = _mm512_mask_xor_epi64(bits, _mm512_movepi64_mask(bits), bits, top);
-    }
-    own[3] = _mm512_mask_i64gather_epi64(_mm512_setzero_si512(), some, k, id, 8);
-    Words node = _mm512_setzero_si512();
-    if (t.several) {
-      const __m256i parts = _mm512_mask_i64gather_epi32(_mm256_setzero_si256(), some, k, part, 4);
-      node = _mm512_cvtepi32_epi64(
-          _mm256_permutevar8x32_epi32(_mm256_load_si256(reinterpret_cast<const __m256i*>(t.first.data())), parts));
-    }
-    __mmask8 sure = 0xFF;
-    for (const Tables::Keys& keys : t.keys) {
-      Undecided before;
-      Undecided behind;
-      for (std::size_t w = 0; w < 4; ++w) {
-        Words word = own[3];
-        if (w < 3) {
-          const Words axis = _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.axis[w].data()));
-          word = _mm512_mask_blend_epi64(_mm512_test_epi64_mask(axis, one), own[0], own[1]);
-          word = _mm512_mask_blend_epi64(_mm512_test_epi64_mask(axis, two), word, own[2]);
-        }
-        compare<true>(word, _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.least[w].data())), before);
-        compare<false>(word, _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.most[w].data())), behind);
+  // Of the unsure ones in their order.
+  std::uint64_t sure = 0;
+  std::uint64_t inside = 0;
+  std::array<std::uint64_t, 3> bits{};
+  for (std::size_t j = 0; j < count; j += 16) {
+    std::array<Sixteen, kAxes> own;
+    Sixteen node;
+    for (std::size_t h = 0; h < 2; ++h) {
+      for (std::size_t a = 0; a < kAxes; ++a) {
+        // Both zeros are one place.
+        const __m512d value = _mm512_add_pd(_mm512_load_pd(position[a].data() + j + 8 * h), _mm512_setzero_pd());
+        const Words raw = a < at(t.dims) ? _mm512_castpd_si512(value) : _mm512_setzero_si512();
+        own[a].words[h] = _mm512_mask_xor_epi64(raw, _mm512_movepi64_mask(raw), raw, top);
       }
-      sure = static_cast<__mmask8>(sure & (before.yes | behind.yes));
-      node = _mm512_permutexvar_epi64(node, _mm512_loadu_si512(keys.next.data()));
-      node = _mm512_mask_add_epi64(node, behind.yes, node, one);
+      node.words[h] = _mm512_setzero_si512();
+      if (t.several) {
+        const __m256i parts = _mm256_load_si256(reinterpret_cast<const __m256i*>(part_so_far.data() + j + 8 * h));
+        const __m256i first = _mm256_load_si256(reinterpret_cast<const __m256i*>(t.first.data()));
+        node.words[h] = _mm512_cvtepi32_epi64(_mm256_permutevar8x32_epi32(first, parts));
+      }
     }
-    const __m256i found = _mm512_cvtepi64_epi32(_mm512_mask_blend_epi64(sure, _mm512_set1_epi64(-1), node));
-    _mm256_storeu_si256(reinterpret_cast<__m256i*>(leaf.data() + j), found);
+    Masks known{0xFF, 0xFF};
+    for (const Tables::Keys& keys : t.keys) {
+      Undecided state;
+      for (std::size_t w = 0; w < (keys.whole ? kAxes : 1); ++w) {
+        Sixteen word;
+        for (std::size_t h = 0; h < 2; ++h) {
+          const Words axis = _mm512_permutexvar_epi64(node.words[h], _mm512_loadu_si512(keys.axis[w].data()));
+          const Words low =
+              _mm512_mask_blend_epi64(_mm512_test_epi64_mask(axis, one), own[0].words[h], own[1].words[h]);
+          word.words[h] = _mm512_mask_blend_epi64(_mm512_test_epi64_mask(axis, two), low, own[2].words[h]);
+        }
+        compare(word, node, keys.least[w], keys.most[w], state);
+      }
+      if (keys.whole && (state.least[0] | state.least[1] | state.most[0] | state.most[1]) != 0) {
+        if (!has_ids) {
+          pick_eights(id, found.unsure, own_id.data());
+          for (std::size_t i = 0; i < kBlock; i += 8) _mm_prefetch(id + kParticlesAhead + i, _MM_HINT_T0);
+          has_ids = true;
+        }
+        const Sixteen word{{_mm512_load_si512(own_id.data() + j), _mm512_load_si512(own_id.data() + j + 8)}};
+        compare(word, node, keys.least.back(), keys.most.back(), state);
+      }
+      for (std::size_t h = 0; h < 2; ++h) {
+        known[h] &= state.before[h] | state.behind[h];
+        const Words next = _mm512_permutexvar_epi64(node.words[h], _mm512_loadu_si512(keys.next.data()));
+        node.words[h] = _mm512_mask_add_epi64(next, static_cast<__mmask8>(state.behind[h]), next, one);
+      }
+    }
+    for (std::size_t h = 0; h < 2; ++h) {
+      unsigned in = 0xFF;
+      for (std::size_t a = 0; a < kAxes; ++a) {
+        const __m512d value = _mm512_load_pd(position[a].data() + j + 8 * h);
+        const __m512d lo = _mm512_permutexvar_pd(node.words[h], _mm512_loadu_pd(t.box_lo[a].data()));
+        const __m512d hi = _mm512_permutexvar_pd(node.words[h], _mm512_loadu_pd(t.box_hi[a].data()));
+        in &= unsigned{_mm512_cmp_pd_mask(value, lo, _CMP_GE_OQ)} & _mm512_cmp_pd_mask(value, hi, _CMP_LE_OQ);
+      }
+      sure |= std::uint64_t{known[h]} << (j + 8 * h);
+      inside |= std::uint64_t{in} << (j + 8 * h);
+      bits[0] |= std::uint64_t{_mm512_test_epi64_mask(node.words[h], one)} << (j + 8 * h);
+      bits[1] |= std::uint64_t{_mm512_test_epi64_mask(node.words[h], two)} << (j + 8 * h);
+      bits[2] |= std::uint64_t{_mm512_test_epi64_mask(node.words[h], four)} << (j + 8 * h);
+    }
   }
+  const std::uint64_t settled = _pdep_u64(sure, found.unsure);
+  found.boundary |= found.unsure & ~settled;
+  for (std::size_t bit = 0; bit < bits.size(); ++bit)
+    found.bits[bit] = (found.bits[bit] & ~settled) | _pdep_u64(bits[bit] & sure, found.unsure);
+  for (std::size_t i = 0; i < kBlock && settled >> i != 0; i += 16) {
+    __m512i leaf = _mm512_maskz_set1_epi32(static_cast<__mmask16>(found.bits[0] >> i), 1);
+    leaf = _mm512_mask_add_epi32(leaf, static_cast<__mmask16>(found.bits[1] >> i), leaf, _mm512_set1_epi32(2));
+    leaf = _mm512_mask_add_epi32(leaf, static_cast<__mmask16>(found.bits[2] >> i), leaf, _mm512_set1_epi32(4));
+    _mm512_mask_storeu_epi32(part + i, static_cast<__mmask16>(settled >> i), in_table16(t.part, leaf));
+  }
+  return _pdep_u64(~inside & sure, found.unsure);
 }
 #endif
 
 }  // namespace
 
-FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count,
-                        Counts& counts) {
+FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count) {
 #if defined(__x86_64__)
   if (has_avx512()) {
-    if (tables.several) return find_in_avx512<true>(tables, x, part, count, counts);
-    return find_in_avx512<false>(tables, x, part, count, counts);
+    if (tables.several) return find_in_avx512<true>(tables, x, part, count);
+    return find_in_avx512<false>(tables, x, part, count);
   }
   if (has_avx2()) {
-    if (tables.several) return find_in_avx2<true>(tables, x, part, count, counts);
-    return find_in_avx2<false>(tables, x, part, count, counts);
+    if (tables.several) return find_in_avx2<true>(tables, x, part, count);
+    return find_in_avx2<false>(tables, x, part, count);
   }
 #endif
   FoundLeaves found;
   find_one_by_one(tables, x, part, 0, count, found);
-  count_leaves(found, tables.leaves, count, counts);
   return found;
 }
 
-void find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, const std::int32_t* part,
-                        std::uint64_t which, BlockLeaves& leaf) {
+std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
+                                 FoundLeaves& found) {
 #if defined(__x86_64__)
-  if (has_avx512()) return find_keys_in_avx512(tables, x, id, part, which, leaf);
-  if (has_avx2()) return find_keys_in_avx2(tables, x, id, part, which, leaf);
+  if (has_avx512()) return find_keys_in_avx512(tables, x, id, part, found);
+  if (has_avx2()) return find_keys_in_avx2(tables, x, id, part, found);
 #endif
-  find_keys_one_by_one(tables, x, id, part, which, leaf);
+  return find_keys_one_by_one(tables, x, id, part, found);
+}
+
+void count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, LeafCounts& counts) {
+#if defined(__x86_64__)
+  if (has_avx2()) return count_with_popcnt(found, leaves, count, counts);
+#endif
+  count_bits(found, leaves, count, counts);
 }
 
 }  // namespace rcb::partition

@@ -11,7 +11,7 @@
 
 namespace rcb::partition {
 
-using BlockLeaves = std::array<std::int32_t, particles::kBlock>;
+using LeafCounts = std::array<std::uint64_t, GuessTables::kLeaves>;
 
 // The particles of a block, one bit each.
 struct FoundLeaves {
@@ -25,14 +25,15 @@ struct FoundLeaves {
 };
 
 // From rounded coordinates. x: of a block's particles, a valid pointer for every axis; part: of each particle so far,
-// if there are several roots (any part of its root will do); becomes that of its leaf. Adds to the counts of the
-// leaves.
-FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count,
-                        std::array<std::uint64_t, GuessTables::kLeaves>& counts);
+// if there are several roots (any part of its root will do); becomes that of its leaf.
+FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count);
 
-// From the whole keys of those particles of a block whose bits are set in `which`, one after the other: the leaf, or -1
-// for a boundary particle.
-void find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, const std::int32_t* part,
-                        std::uint64_t which, BlockLeaves& leaf);
+// Decides the unsure ones by their whole keys: each joins the boundary particles or gets its leaf. Returns those that
+// are interior but lie outside of their leaf's box.
+std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
+                                 FoundLeaves& found);
+
+// Adds the particles of a block to the counts of their leaves.
+void count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, LeafCounts& counts);
 
 }  // namespace rcb::partition

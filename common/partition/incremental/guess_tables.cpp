@@ -26,6 +26,10 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
   for (auto& row : hi) row.fill(kInfinite);
   inner_lo = lo;
   inner_hi = hi;
+  for (std::size_t a = 0; a < box_lo.size(); ++a) {  // empty on the axes that count
+    box_lo[a].fill(a < at(dims) ? geometry::Box::kInfinity : -geometry::Box::kInfinity);
+    box_hi[a].fill(a < at(dims) ? -geometry::Box::kInfinity : geometry::Box::kInfinity);
+  }
   scale_axes(guess);
   std::vector<Node> level = add_roots(guess, roots);
   for (std::size_t l = 0; l < at(kGuessLevels); ++l) {
@@ -88,6 +92,7 @@ void GuessTables::add_cut(std::size_t level, std::size_t node, const KeyBracket&
   cut[level][node] = rounded(at(bracket.axes[0]), bracket.least.at[0]);
   axis[level][node] = bracket.axes[0];
   Keys& words = keys[level];
+  words.whole |= bracket.whole;
   for (std::size_t w = 0; w < bracket.axes.size(); ++w) {
     words.axis[w][node] = bracket.axes[w];
     const bool counts = bracket.whole || w == 0;
@@ -117,17 +122,36 @@ void GuessTables::add_leaf(std::size_t leaf, const Guess& guess, const Node& nod
   const auto p = at(node.range.first);
   part[leaf] = node.range.first;
   if (node.fixed) return;  // every particle is in its box
-  box[leaf] = guess.seen[p];
   for (std::size_t a = 0; a < at(dims); ++a) {
+    box_lo[a][leaf] = guess.seen[p].lo[a];
+    box_hi[a][leaf] = guess.seen[p].hi[a];
     inner_lo[a][leaf] = rounded(a, guess.inner[p].lo[a]);
     inner_hi[a][leaf] = rounded(a, guess.inner[p].hi[a]);
     set_bounds(leaf, a);
   }
 }
 
+geometry::Box GuessTables::box(std::size_t leaf) const {
+  geometry::Box box;
+  for (std::size_t a = 0; a < at(dims); ++a) {
+    box.lo[a] = box_lo[a][leaf];
+    box.hi[a] = box_hi[a][leaf];
+  }
+  return box;
+}
+
+void GuessTables::extend(std::size_t leaf, const geometry::Point& position) {
+  for (std::size_t a = 0; a < at(dims); ++a) {
+    if (position[a] >= box_lo[a][leaf] && position[a] <= box_hi[a][leaf]) continue;
+    box_lo[a][leaf] = std::min(box_lo[a][leaf], position[a]);
+    box_hi[a][leaf] = std::max(box_hi[a][leaf], position[a]);
+    set_bounds(leaf, a);
+  }
+}
+
 void GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
-  const double least = box[leaf].lo[a];
-  const double most = box[leaf].hi[a];
+  const double least = box_lo[a][leaf];
+  const double most = box_hi[a][leaf];
   float below = rounded(a, least);
   float above = rounded(a, most);
   if (rounded(a, std::nextafter(least, -geometry::Box::kInfinity)) < below) below = std::nextafter(below, -kInfinite);

@@ -20,6 +20,7 @@ struct GuessTables {
   using Floats = std::array<float, kLeaves>;
   using Integers = std::array<std::int32_t, kLeaves>;
   using Words = std::array<std::int64_t, kLeaves>;
+  using Doubles = std::array<double, kLeaves>;
 
   // The cuts of a level's nodes, by word and node, for comparing whole keys; the words are integers that compare as
   // what they stand for does. A particle whose key is neither less than `least` nor greater than `most` is a boundary
@@ -29,6 +30,7 @@ struct GuessTables {
     std::array<Words, geometry::kDimsMax + 1> least{};
     std::array<Words, geometry::kDimsMax + 1> most{};
     Words next{};
+    bool whole = false;  // else the first word of each key alone counts
   };
   // The words of one node, so laid out that all four are compared at once: the last word first.
   struct alignas(32) Step {
@@ -42,10 +44,10 @@ struct GuessTables {
   GuessTables(const Guess& guess, std::span<const NodeRange> roots, int dims);
 
   float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
-  // Sets lo and hi of a leaf and an axis from box[leaf], so that a coordinate whose rounded value lies between them is
-  // certainly in the box. The reverse need not hold at the box's bounds. Neither goes beyond the inner region, outside
-  // of which the whole key may decide.
-  void set_bounds(std::size_t leaf, std::size_t a);
+  // The box of a leaf's interior particles so far.
+  geometry::Box box(std::size_t leaf) const;
+  // Widens it to hold a particle.
+  void extend(std::size_t leaf, const geometry::Point& position);
   // The key words of this node of a level.
   Step step(std::size_t level, std::size_t node) const;
 
@@ -55,14 +57,16 @@ struct GuessTables {
   std::array<Integers, kGuessLevels> next{};
   std::array<Floats, kGuessLevels> cut;  // infinite where nothing goes right
   std::array<Integers, kGuessLevels> axis{};
-  std::array<Floats, geometry::kDimsMax> lo;  // by axis and leaf: of its box
+  // By axis and leaf: the box of its interior particles so far, each bound attained by one of any rank.
+  alignas(64) std::array<Doubles, geometry::kDimsMax> box_lo;
+  std::array<Doubles, geometry::kDimsMax> box_hi;
+  std::array<Floats, geometry::kDimsMax> lo;  // rounded (set_bounds())
   std::array<Floats, geometry::kDimsMax> hi;
   std::array<Floats, geometry::kDimsMax> inner_lo;  // of its inner region
   std::array<Floats, geometry::kDimsMax> inner_hi;
   Integers part{};  // of each leaf
   std::array<double, geometry::kDimsMax> origin{};
   std::array<double, geometry::kDimsMax> scale{1, 1, 1};
-  std::array<geometry::Box, kLeaves> box;  // of the interior particles so far, attained by some of any rank
   int dims = 3;
   bool several = false;  // more than one root, or parts in no root: part[] decides where a particle begins
   std::size_t leaves = 0;
@@ -77,6 +81,10 @@ struct GuessTables {
   std::vector<Node> add_roots(const Guess& guess, std::span<const NodeRange> roots);
   void add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket);
   void add_leaf(std::size_t leaf, const Guess& guess, const Node& node);
+  // Sets lo and hi of a leaf and an axis, so that a coordinate whose rounded value lies between them is certainly in
+  // the box. The reverse need not hold at the box's bounds. Neither goes beyond the inner region, outside of which the
+  // whole key may decide.
+  void set_bounds(std::size_t leaf, std::size_t a);
 };
 
 }  // namespace rcb::partition
