@@ -1,4 +1,4 @@
-// BoundaryList: the boundary particles of a pass, copied block by block.
+// BoundaryList: the boundary particles of a pass, copied while their positions are in the cache.
 #pragma once
 
 #include <array>
@@ -8,26 +8,32 @@
 
 namespace rcb::partition {
 
-// A block's coordinates; where there are fewer axes, the others repeat the first.
+// Coordinates; where there are fewer axes, the others repeat the first.
 using Axes = std::array<const double*, geometry::kDimsMax>;
 
 Axes axes_of(const particles::ParticleView& particles);
 
 class BoundaryList {
  public:
-  explicit BoundaryList(OwnInterior& out) : out_(out) {}
+  // part: of each particle, while it is appended and until some more have been.
+  BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, OwnInterior& out)
+      : x_(axes_of(particles)), part_(part), out_(out) {}
 
   std::size_t size() const { return size_; }
-  // Appends those particles of a block whose bits are set in `which`. slot: of its first particle; part: of each.
-  void append(const Axes& x, std::size_t slot, const std::int32_t* part, std::size_t count, std::uint64_t which);
+  // Appends those particles of a block whose bits are set in `which`. slot: of its first particle.
+  void append(std::size_t slot, std::uint64_t which);
   // After the last block.
-  void finish() { resize(size_); }
+  void finish();
 
  private:
+  void copy();
   void resize(std::size_t count);
 
-  OwnInterior& out_;  // whose arrays have room for a block more than `size_`
+  Axes x_;
+  const std::int32_t* part_;
+  OwnInterior& out_;  // whose arrays may be longer
   std::size_t size_ = 0;
+  std::size_t copied_ = 0;
 };
 
 }  // namespace rcb::partition

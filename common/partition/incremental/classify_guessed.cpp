@@ -20,7 +20,7 @@ class GuessedPass {
         boundary_max_(boundary_max),
         tables_(guess, roots, particles.dims),
         out_(out),
-        boundary_(out) {}
+        boundary_(particles, part.data(), out) {}
 
   void run() {
     const Axes x = axes_of(particles_);
@@ -33,9 +33,10 @@ class GuessedPass {
     // several roots they are.
     for (std::size_t i = begin; i < particles_.count && !tables_.several; ++i) part_[i] = 0;
     boundary_.finish();
+    const LeafCounts counts = counts_of(sums_);
     for (std::size_t leaf = 0; leaf < tables_.leaves; ++leaf) {
       out_.boxes[at(tables_.part[leaf])] = tables_.box(leaf);
-      out_.counts[at(tables_.part[leaf])] = counts_[leaf];
+      out_.counts[at(tables_.part[leaf])] = counts[leaf];
     }
   }
 
@@ -50,8 +51,8 @@ class GuessedPass {
         tables_.extend(found.leaf(k), {x[0][k], x[1][k], x[2][k]});
       }
     }
-    count_leaves(found, tables_.leaves, count, counts_);
-    if (found.boundary != 0) boundary_.append(x, begin, part, count, found.boundary);
+    add_leaves(found, count, sums_);
+    if (found.boundary != 0) boundary_.append(begin, found.boundary);
   }
 
   const particles::ParticleView& particles_;
@@ -60,7 +61,7 @@ class GuessedPass {
   GuessTables tables_;
   OwnInterior& out_;
   BoundaryList boundary_;
-  LeafCounts counts_{};
+  LeafCounts sums_{};
 };
 
 }  // namespace

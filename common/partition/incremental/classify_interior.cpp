@@ -36,7 +36,7 @@ class Pass {
         first_(own.first),
         boundary_max_(boundary_max),
         x_(axes_of(particles)),
-        boundary_(out) {
+        boundary_(particles, part.data(), out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
     none.hi.fill(geometry::Box::kInfinity);
@@ -109,7 +109,7 @@ class Pass {
         const auto k = static_cast<std::size_t>(std::countr_zero(left));
         interior |= std::uint64_t{take_in(begin + k) ? 1U : 0U} << k;
       }
-      if (beyond != interior) boundary_.append(x, begin, part, count, beyond & ~interior);
+      if (beyond != interior) boundary_.append(begin, beyond & ~interior);
     }
     boundary_.finish();
   }

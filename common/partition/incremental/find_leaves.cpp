@@ -21,15 +21,16 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
   for (; i < count; ++i) {
     const std::array<float, 3> own{t.rounded(0, x[0][i]), t.rounded(1, x[1][i]), t.rounded(2, x[2][i])};
     std::size_t leaf = t.several ? at(t.first[at(part[i])]) : 0;
-    for (std::size_t level = 0; level < at(kGuessLevels); ++level)
-      leaf = at(t.next[level][leaf]) + (own[at(t.axis[level][leaf])] > t.cut[level][leaf] ? 1U : 0U);
+    bool out = false;
+    for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+      const float on = t.on_z[level][leaf] != 0 ? own[2] : own[t.on_y[level][leaf] != 0 ? 1 : 0];
+      const bool right = on > t.least[level][leaf];
+      out |= right && on < t.most[level][leaf];
+      leaf = at(t.next[level][leaf]) + (right ? 1U : 0U);
+    }
     for (std::size_t bit = 0; bit < found.bits.size(); ++bit) found.bits[bit] |= (leaf >> bit & std::uint64_t{1}) << i;
     bool in = true;
-    bool out = false;
-    for (std::size_t a = 0; a < own.size(); ++a) {
-      in &= own[a] > t.lo[a][leaf] && own[a] < t.hi[a][leaf];
-      out |= own[a] < t.inner_lo[a][leaf] || own[a] > t.inner_hi[a][leaf];
-    }
+    for (std::size_t a = 0; a < own.size(); ++a) in &= own[a] > t.lo[a][leaf] && own[a] < t.hi[a][leaf];
     part[i] = t.part[leaf];
     found.boundary |= (out ? 1ULL : 0ULL) << i;
     found.unsure |= (in || out ? 0ULL : 1ULL) << i;
@@ -40,14 +41,15 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
 [[gnu::always_inline]]
 #endif
 inline void
-count_bits(const FoundLeaves& found, std::size_t leaves, std::size_t count, LeafCounts& counts) {
-  const std::uint64_t all = count < kBlock ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
-  for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
-    std::uint64_t mask = all;
-    for (std::size_t bit = 0; bit < found.bits.size(); ++bit)
-      mask &= (leaf >> bit & 1U) != 0 ? found.bits[bit] : ~found.bits[bit];
-    counts[leaf] += at(std::popcount(mask));
+add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
+  std::array<std::uint64_t, GuessTables::kLeaves> all;
+  for (std::size_t bits = 1; bits < all.size(); ++bits) {
+    const std::uint64_t low = found.bits[at(std::countr_zero(bits))];
+    const std::size_t others = bits & (bits - 1);
+    all[bits] = others == 0 ? low : low & all[others];
+    sums[bits] += at(std::popcount(all[bits]));
   }
+  sums[0] += count;
 }
 
 // Takes the leaf of the particle in place k of a block, or, if it is -1, lists the particle as a boundary particle.
@@ -98,9 +100,8 @@ std::uint64_t find_keys_one_by_one(const Tables& t, const Axes& x, const particl
 }
 
 #if defined(__x86_64__)
-[[gnu::target("popcnt")]] void count_with_popcnt(const FoundLeaves& found, std::size_t leaves, std::size_t count,
-                                                 LeafCounts& counts) {
-  count_bits(found, leaves, count, counts);
+[[gnu::target("popcnt")]] void add_bits_with_popcnt(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
+  add_bits(found, count, sums);
 }
 
 // Particles that are prefetched ahead: the branches of a block's boundary particles depend on data, and a mispredicted
@@ -132,12 +133,13 @@ template <bool kSeveral>
                            as_floats(x[2] + i, t.origin[2], t.scale[2])};
     __m256i leaf = _mm256_setzero_si256();
     if constexpr (kSeveral) leaf = in_table(t.first, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i)));
+    __m256 out = _mm256_setzero_ps();
     for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
-      const __m256i axis = in_table(t.axis[level], leaf);
-      // Bit 0 selects the second coordinate, bit 1 the third.
-      const __m256 low = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(_mm256_slli_epi32(axis, 31)));
-      const __m256 on = _mm256_blendv_ps(low, own[2], _mm256_castsi256_ps(_mm256_slli_epi32(axis, 30)));
-      const __m256 right = _mm256_cmp_ps(on, in_table(t.cut[level], leaf), _CMP_GT_OQ);
+      const __m256 low = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(in_table(t.on_y[level], leaf)));
+      const __m256 on = _mm256_blendv_ps(low, own[2], _mm256_castsi256_ps(in_table(t.on_z[level], leaf)));
+      const __m256 right = _mm256_cmp_ps(on, in_table(t.least[level], leaf), _CMP_GT_OQ);
+      const __m256 before = _mm256_cmp_ps(on, in_table(t.most[level], leaf), _CMP_LT_OQ);
+      out = _mm256_or_ps(out, _mm256_and_ps(right, before));
       leaf = _mm256_sub_epi32(in_table(t.next[level], leaf), _mm256_castps_si256(right));
     }
     for (std::size_t bit = 0; bit < found.bits.size(); ++bit) {
@@ -146,12 +148,9 @@ template <bool kSeveral>
     }
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(part + i), in_table(t.part, leaf));
     __m256 in = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
-    __m256 out = _mm256_setzero_ps();
     for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
       in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.lo[a], leaf), _CMP_GT_OQ));
       in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.hi[a], leaf), _CMP_LT_OQ));
-      out = _mm256_or_ps(out, _mm256_cmp_ps(own[a], in_table(t.inner_lo[a], leaf), _CMP_LT_OQ));
-      out = _mm256_or_ps(out, _mm256_cmp_ps(own[a], in_table(t.inner_hi[a], leaf), _CMP_GT_OQ));
     }
     const auto beyond = static_cast<unsigned>(_mm256_movemask_ps(in)) ^ 0xFFU;
     const auto boundary = static_cast<unsigned>(_mm256_movemask_ps(out));
@@ -229,6 +228,11 @@ using Words = __m512i;
   return _mm512_permutexvar_epi32(index, _mm512_broadcast_i32x8(eight));
 }
 
+// a where `all` has every bit set, b where it has none.
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 pick(__m512i all, __m512 a, __m512 b) {
+  return _mm512_castsi512_ps(_mm512_ternarylogic_epi32(all, _mm512_castps_si512(a), _mm512_castps_si512(b), 0xCA));
+}
+
 template <bool kSeveral>
 [[gnu::target(RCB_AVX512)]] FoundLeaves find_in_avx512(const Tables& t, const Axes& x, std::int32_t* part,
                                                        std::size_t count) {
@@ -247,11 +251,12 @@ template <bool kSeveral>
                            as_floats16(x[2] + i, t.origin[2], t.scale[2])};
     __m512i leaf = _mm512_setzero_si512();
     if constexpr (kSeveral) leaf = in_table16(t.first, _mm512_loadu_si512(part + i));
+    __mmask16 out = 0;
     for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
-      const __m512i axis = in_table16(t.axis[level], leaf);
-      const __m512 low = _mm512_mask_blend_ps(_mm512_test_epi32_mask(axis, bit0), own[0], own[1]);
-      const __m512 on = _mm512_mask_blend_ps(_mm512_test_epi32_mask(axis, bit1), low, own[2]);
-      const __mmask16 right = _mm512_cmp_ps_mask(on, in_table16(t.cut[level], leaf), _CMP_GT_OQ);
+      const __m512 on =
+          pick(in_table16(t.on_z[level], leaf), own[2], pick(in_table16(t.on_y[level], leaf), own[1], own[0]));
+      const __mmask16 right = _mm512_cmp_ps_mask(on, in_table16(t.least[level], leaf), _CMP_GT_OQ);
+      out = _kor_mask16(out, _mm512_mask_cmp_ps_mask(right, on, in_table16(t.most[level], leaf), _CMP_LT_OQ));
       leaf = in_table16(t.next[level], leaf);
       leaf = _mm512_mask_add_epi32(leaf, right, leaf, bit0);
     }
@@ -260,15 +265,12 @@ template <bool kSeveral>
     found.bits[2] |= std::uint64_t{_mm512_test_epi32_mask(leaf, bit2)} << i;
     _mm512_storeu_si512(part + i, in_table16(t.part, leaf));
     __mmask16 in = 0xFFFF;
-    __mmask16 inner = 0xFFFF;
     for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
-      in = _mm512_mask_cmp_ps_mask(in, own[a], in_table16(t.lo[a], leaf), _CMP_GT_OQ);
-      inner = _mm512_mask_cmp_ps_mask(inner, own[a], in_table16(t.inner_lo[a], leaf), _CMP_NLT_UQ);
-      in = _mm512_mask_cmp_ps_mask(in, own[a], in_table16(t.hi[a], leaf), _CMP_LT_OQ);
-      inner = _mm512_mask_cmp_ps_mask(inner, own[a], in_table16(t.inner_hi[a], leaf), _CMP_NGT_UQ);
+      const __mmask16 above = _mm512_cmp_ps_mask(own[a], in_table16(t.lo[a], leaf), _CMP_GT_OQ);
+      in = _kand_mask16(in, _mm512_mask_cmp_ps_mask(above, own[a], in_table16(t.hi[a], leaf), _CMP_LT_OQ));
     }
-    found.boundary |= std::uint64_t{static_cast<__mmask16>(~inner)} << i;
-    found.unsure |= std::uint64_t{static_cast<__mmask16>(inner & ~in)} << i;
+    found.boundary |= std::uint64_t{out} << i;
+    found.unsure |= std::uint64_t{_knot_mask16(_kor_mask16(in, out))} << i;
   }
   if (i < count) find_one_by_one(t, x, part, i, count, found);
   return found;
@@ -293,8 +295,8 @@ struct Sixteen {
 
 // Compares a word of keys with that of the brackets of their nodes.
 struct Undecided {
-  Masks before{};  // less than `least`
-  Masks behind{};  // greater than `most`
+  Masks before{};           // less than `least`
+  Masks behind{};           // greater than `most`
   Masks least{0xFF, 0xFF};  // equal to it so far
   Masks most{0xFF, 0xFF};
 };
@@ -435,11 +437,18 @@ std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const
   return find_keys_one_by_one(tables, x, id, part, found);
 }
 
-void count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, LeafCounts& counts) {
+void add_leaves(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
 #if defined(__x86_64__)
-  if (has_avx2()) return count_with_popcnt(found, leaves, count, counts);
+  if (has_avx2()) return add_bits_with_popcnt(found, count, sums);
 #endif
-  count_bits(found, leaves, count, counts);
+  add_bits(found, count, sums);
+}
+
+LeafCounts counts_of(LeafCounts sums) {
+  for (std::size_t bit = 1; bit < sums.size(); bit *= 2)
+    for (std::size_t leaf = 0; leaf < sums.size(); ++leaf)
+      if ((leaf & bit) == 0) sums[leaf] -= sums[leaf | bit];
+  return sums;
 }
 
 }  // namespace rcb::partition

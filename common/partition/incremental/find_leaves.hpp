@@ -15,7 +15,7 @@ using LeafCounts = std::array<std::uint64_t, GuessTables::kLeaves>;
 
 // The particles of a block, one bit each.
 struct FoundLeaves {
-  std::uint64_t boundary = 0;           // surely not in their leaf's inner region
+  std::uint64_t boundary = 0;           // surely in a bracket
   std::uint64_t unsure = 0;             // not decided by rounded coordinates
   std::array<std::uint64_t, 3> bits{};  // of the number of each particle's leaf
 
@@ -33,7 +33,10 @@ FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* 
 std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
                                  FoundLeaves& found);
 
-// Adds the particles of a block to the counts of their leaves.
-void count_leaves(const FoundLeaves& found, std::size_t leaves, std::size_t count, LeafCounts& counts);
+// Adds a block's particles to sums[k], for each k: those whose leaf's number has all bits of k set.
+void add_leaves(const FoundLeaves& found, std::size_t count, LeafCounts& sums);
+
+// How many particles each leaf has.
+LeafCounts counts_of(LeafCounts sums);
 
 }  // namespace rcb::partition

@@ -21,7 +21,8 @@ std::int64_t signed_order_bits(double value) {
 }  // namespace
 
 GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, int own_dims) : dims(own_dims) {
-  for (auto& row : cut) row.fill(kInfinite);
+  for (auto& row : least) row.fill(kInfinite);
+  most = least;
   for (auto& row : lo) row.fill(-kInfinite);
   for (auto& row : hi) row.fill(kInfinite);
   inner_lo = lo;
@@ -62,8 +63,8 @@ void GuessTables::scale_axes(const Guess& guess) {
   for (std::size_t a = 0; a < at(dims) && !all.empty(dims); ++a) {
     // Floats are densest at 0.
     origin[a] = std::clamp(0.0, all.lo[a], all.hi[a]);
-    const double most = std::max(all.hi[a] * 0.5 - origin[a] * 0.5, origin[a] * 0.5 - all.lo[a] * 0.5);
-    const double factor = std::isnormal(most) ? std::ldexp(1.0, -std::ilogb(most)) : 1.0;
+    const double reach = std::max(all.hi[a] * 0.5 - origin[a] * 0.5, origin[a] * 0.5 - all.lo[a] * 0.5);
+    const double factor = std::isnormal(reach) ? std::ldexp(1.0, -std::ilogb(reach)) : 1.0;
     if (std::isnormal(factor)) scale[a] = factor;
   }
 }
@@ -89,8 +90,10 @@ std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::s
 
 void GuessTables::add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket) {
   // So that what lies on the plane of `least` or of `most` is where the inner region ends at that plane.
-  cut[level][node] = rounded(at(bracket.axes[0]), bracket.least.at[0]);
-  axis[level][node] = bracket.axes[0];
+  least[level][node] = rounded(at(bracket.axes[0]), bracket.least.at[0]);
+  most[level][node] = rounded(at(bracket.axes[0]), bracket.most.at[0]);
+  on_y[level][node] = bracket.axes[0] == 1 ? -1 : 0;
+  on_z[level][node] = bracket.axes[0] == 2 ? -1 : 0;
   Keys& words = keys[level];
   words.whole |= bracket.whole;
   for (std::size_t w = 0; w < bracket.axes.size(); ++w) {
@@ -150,13 +153,13 @@ void GuessTables::extend(std::size_t leaf, const geometry::Point& position) {
 }
 
 void GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
-  const double least = box_lo[a][leaf];
-  const double most = box_hi[a][leaf];
-  float below = rounded(a, least);
-  float above = rounded(a, most);
-  if (rounded(a, std::nextafter(least, -geometry::Box::kInfinity)) < below) below = std::nextafter(below, -kInfinite);
-  if (rounded(a, std::nextafter(most, geometry::Box::kInfinity)) > above) above = std::nextafter(above, kInfinite);
-  const bool none = least > most;
+  const double from = box_lo[a][leaf];
+  const double to = box_hi[a][leaf];
+  float below = rounded(a, from);
+  float above = rounded(a, to);
+  if (rounded(a, std::nextafter(from, -geometry::Box::kInfinity)) < below) below = std::nextafter(below, -kInfinite);
+  if (rounded(a, std::nextafter(to, geometry::Box::kInfinity)) > above) above = std::nextafter(above, kInfinite);
+  const bool none = from > to;
   lo[a][leaf] = none ? kInfinite : std::max(below, inner_lo[a][leaf]);
   hi[a][leaf] = none ? -kInfinite : std::min(above, inner_hi[a][leaf]);
 }

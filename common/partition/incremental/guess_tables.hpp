@@ -55,8 +55,11 @@ struct GuessTables {
   std::array<std::array<Step, kLeaves>, kGuessLevels> steps;  // as step() tells them
   alignas(64) Integers first{};                               // of each part so far: its node on the first level
   std::array<Integers, kGuessLevels> next{};
-  std::array<Floats, kGuessLevels> cut;  // infinite where nothing goes right
-  std::array<Integers, kGuessLevels> axis{};
+  // Rounded bounds of each cut's bracket; what is greater than the lesser one goes right. Infinite where nothing does.
+  std::array<Floats, kGuessLevels> least;
+  std::array<Floats, kGuessLevels> most;
+  std::array<Integers, kGuessLevels> on_y{};  // -1 where the cut's axis is the second one; else 0
+  std::array<Integers, kGuessLevels> on_z{};  // likewise, the third one
   // By axis and leaf: the box of its interior particles so far, each bound attained by one of any rank.
   alignas(64) std::array<Doubles, geometry::kDimsMax> box_lo;
   std::array<Doubles, geometry::kDimsMax> box_hi;
