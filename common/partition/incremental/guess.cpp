@@ -83,6 +83,10 @@ class SampleWalk {
     double weight;
     std::uint32_t k;
   };
+  struct Keyed {
+    Key key;
+    double weight;
+  };
   // Of a node's sampled particles in x_, weight_ and index_.
   struct Range {
     std::size_t first = 0;
@@ -222,36 +226,33 @@ class SampleWalk {
         sigmas * std::sqrt(found.variance) + options_.limits.bracket_margin * load / static_cast<double>(own.size());
     const double wanted = load * share;
     double before = take_near(own, axis, wanted - margin, wanted + margin);
-    near_x_.clear();
-    for (const Valued& one : near_) near_x_.push_back(one.x);
     // One component of the key after the other, until few are near, or these differ.
     for (std::size_t word = 0; narrow(before, wanted - margin, wanted + margin) && word < at(dims()); ++word)
-      for (Valued& one : near_) {
-        const Key own_key = key(one.k, axes);
-        one.x = word + 1 < at(dims()) ? own_key.at[word + 1] : static_cast<double>(own_key.id);
-      }
-    std::ranges::sort(near_, [&](const Valued& a, const Valued& b) {
-      return a.x != b.x ? a.x < b.x : key(a.k, axes) < key(b.k, axes);
-    });
-    // The places in near_ of the bracket's ends and of the expected cut; those of its end if there is none.
-    std::size_t least = near_.size();
-    std::size_t cut = near_.size();
-    std::size_t most = near_.size();
-    for (std::size_t i = 0; i < near_.size() && most == near_.size(); ++i) {
+      for (Valued& one : near_)
+        one.x = word + 1 < at(dims()) ? sample_.x(at(axes[word + 1]), one.k)
+                                      : static_cast<double>(sample_.particles.id[one.k]);
+    keys_.clear();
+    for (const Valued& one : near_) keys_.push_back({key(one.k, axes), one.weight});
+    std::ranges::sort(keys_, [](const Keyed& a, const Keyed& b) { return a.key < b.key; });
+    // The places of the bracket's ends and of the expected cut; those of its end if there is none.
+    std::size_t least = keys_.size();
+    std::size_t cut = keys_.size();
+    std::size_t most = keys_.size();
+    for (std::size_t i = 0; i < keys_.size() && most == keys_.size(); ++i) {
       if (before <= wanted - margin) least = i;
       if (before <= wanted) cut = i;
-      before += near_[i].weight;
+      before += keys_[i].weight;
       if (before >= wanted + margin) most = i;
     }
-    if (least == near_.size() || most == near_.size()) return found;
-    found.keys = {axes, key(near_[least].k, axes), key(near_[most].k, axes)};
-    found.cut = key(near_[cut].k, axes);
+    if (least == keys_.size() || most == keys_.size()) return found;
+    found.keys = {axes, keys_[least].key, keys_[most].key};
+    found.cut = keys_[cut].key;
     found.bounded = true;
     std::size_t on = 0;
     std::size_t within = 0;
-    for (const double value : near_x_) {  // no other is in the bracket
+    for (const double value : std::span(x_[axis]).subspan(own.first, own.size())) {
       on += value == found.cut.at[0] ? 1U : 0U;
-      within += value >= found.keys.least.at[0] && value <= found.keys.most.at[0] ? 1U : 0U;
+      within += (value >= found.keys.least.at[0]) & (value <= found.keys.most.at[0]) ? 1U : 0U;
     }
     const auto size = static_cast<double>(own.size());
     found.keys.whole = static_cast<double>(on) > 1 + options_.limits.guess.tied_max * size;
@@ -337,16 +338,20 @@ class SampleWalk {
   // Leaves those in near_ between which the loads from `least` to `most` lie, and a few more: sorting all would take
   // longer. Adds the load before them. True if they are many and all have one x.
   bool narrow(double& before, double least, double most) {
-    for (std::size_t size = 0; near_.size() > at(kBins) && size != near_.size();) {
-      size = near_.size();
+    // In equal steps and in steps of the order-preserving bits in turn: where values span decades the former tell few
+    // of them apart, and near 0 the latter.
+    for (int turn = 0, in_vain = 0; near_.size() > at(kBins) && in_vain < 2; ++turn) {
+      const auto place = [turn](double x) { return turn % 2 != 0 ? x : static_cast<double>(geometry::order_bits(x)); };
       const auto [lo, hi] = std::ranges::minmax(near_, {}, &Valued::x);
       if (lo.x == hi.x) return true;
-      const Bins bins(lo.x, hi.x);
-      if (!bins.divides()) break;
-      bins_.fill(0);
-      for (const Valued& one : near_) bins_[at(bins.of(one.x))] += one.weight;
-      const BinRange within = bins_between(least, most, before);
-      std::erase_if(near_, [&](const Valued& one) { return !within(bins.of(one.x)); });
+      const std::size_t size = near_.size();
+      if (const Bins bins(place(lo.x), place(hi.x)); bins.divides()) {
+        bins_.fill(0);
+        for (const Valued& one : near_) bins_[at(bins.of(place(one.x)))] += one.weight;
+        const BinRange within = bins_between(least, most, before);
+        std::erase_if(near_, [&](const Valued& one) { return !within(bins.of(place(one.x))); });
+      }
+      in_vain = near_.size() == size ? in_vain + 1 : 0;
     }
     return false;
   }
@@ -377,7 +382,7 @@ class SampleWalk {
   std::vector<std::int32_t> bin_;
   std::vector<std::uint32_t> beyond_;
   std::vector<Valued> near_;
-  std::vector<double> near_x_;
+  std::vector<Keyed> keys_;
   std::array<double, at(kBins)> bins_;
 };
 

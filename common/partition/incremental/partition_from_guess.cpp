@@ -96,7 +96,8 @@ class FirstPartition {
     std::optional<Guess> guess = guess_cuts(sample_, nullptr, options_, below, axis_open);
     if (first && axis_open && stride_ <= kGatherStrideMax) {
       Box sampled;
-      for (std::size_t k = 0; k < sample_.count(); ++k) sampled.extend(sample_.particles.view().point(k), axes());
+      for (std::size_t a = 0; a < at(axes()); ++a)
+        geometry::least_and_most(sample_.particles.position[a], sampled.lo[a], sampled.hi[a]);
       const auto slots = slots_beyond(particles_, sampled, kGatheredStridesMax * (stride_ + 64));
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
