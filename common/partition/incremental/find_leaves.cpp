@@ -23,14 +23,14 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
     std::size_t leaf = t.several ? at(t.first[at(part[i])]) : 0;
     bool out = false;
     for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
-      const float on = t.on_z[level][leaf] != 0 ? own[2] : own[t.on_y[level][leaf] != 0 ? 1 : 0];
+      const float on = own[at(-t.on_y[level][leaf] - 2 * t.on_z[level][leaf])];
       const bool right = on > t.least[level][leaf];
-      out |= right && on < t.most[level][leaf];
+      out |= right & (on < t.most[level][leaf]);
       leaf = at(t.next[level][leaf]) + (right ? 1U : 0U);
     }
     for (std::size_t bit = 0; bit < found.bits.size(); ++bit) found.bits[bit] |= (leaf >> bit & std::uint64_t{1}) << i;
     bool in = true;
-    for (std::size_t a = 0; a < own.size(); ++a) in &= own[a] > t.lo[a][leaf] && own[a] < t.hi[a][leaf];
+    for (std::size_t a = 0; a < own.size(); ++a) in &= (own[a] > t.lo[a][leaf]) & (own[a] < t.hi[a][leaf]);
     part[i] = t.part[leaf];
     found.boundary |= (out ? 1ULL : 0ULL) << i;
     found.unsure |= (in || out ? 0ULL : 1ULL) << i;
@@ -52,38 +52,50 @@ add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
   sums[0] += count;
 }
 
-// Takes the leaf of the particle in place k of a block, or, if it is -1, lists the particle as a boundary particle.
-// True if it is interior, but not in its leaf's box.
-bool take_leaf(const Tables& t, const Axes& x, std::int32_t leaf, std::size_t k, std::int32_t* part,
-               FoundLeaves& found) {
-  if (leaf < 0) {
-    found.boundary |= std::uint64_t{1} << k;
-    return false;
+// What the keys of a block's unsure particles tell, one bit each.
+struct ByKey {
+  std::uint64_t interior = 0;
+  std::uint64_t beyond = 0;  // of these, outside of their leaf's box
+  std::array<std::uint64_t, 3> bits{};
+};
+
+// Of each of those particles, one after the other: its leaf, and whether it is interior.
+struct LeafByKey {
+  std::array<std::uint32_t, kBlock> leaf;
+  std::array<std::uint32_t, kBlock> interior;  // 1 or 0
+};
+
+// Without branches, which would be mispredicted.
+ByKey take_leaves(const Tables& t, const Axes& x, const LeafByKey& own, std::uint64_t which, std::int32_t* part) {
+  ByKey by_key;
+  for (std::size_t j = 0; which != 0; which &= which - 1, ++j) {
+    const auto k = at(std::countr_zero(which));
+    const std::uint32_t leaf = own.leaf[j];
+    std::uint32_t in = 1;
+    for (std::size_t a = 0; a < x.size(); ++a)
+      in &= static_cast<std::uint32_t>(x[a][k] >= t.box_lo[a][leaf]) &
+            static_cast<std::uint32_t>(x[a][k] <= t.box_hi[a][leaf]);
+    by_key.interior |= std::uint64_t{own.interior[j]} << k;
+    by_key.beyond |= std::uint64_t{own.interior[j] & (in ^ 1U)} << k;
+    for (std::size_t bit = 0; bit < by_key.bits.size(); ++bit) by_key.bits[bit] |= std::uint64_t{leaf >> bit & 1U} << k;
+    part[k] ^= (part[k] ^ t.part[leaf]) & -static_cast<std::int32_t>(own.interior[j]);
   }
-  for (std::size_t bit = 0; bit < found.bits.size(); ++bit) {
-    const std::uint64_t own = std::uint64_t{1} << k;
-    found.bits[bit] = (found.bits[bit] & ~own) | ((at(leaf) >> bit & 1U) != 0 ? own : 0);
-  }
-  part[k] = t.part[at(leaf)];
-  bool in = true;
-  for (std::size_t a = 0; a < at(t.dims); ++a)
-    in &= x[a][k] >= t.box_lo[a][at(leaf)] && x[a][k] <= t.box_hi[a][at(leaf)];
-  return !in;
+  return by_key;
 }
 
-std::uint64_t find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* id, std::int32_t* part,
-                                   FoundLeaves& found) {
+ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* id, std::int32_t* part,
+                           std::uint64_t which) {
   constexpr std::size_t kWords = geometry::kDimsMax + 1;
-  std::uint64_t beyond = 0;
-  for (std::uint64_t which = found.unsure; which != 0; which &= which - 1) {
-    const auto k = at(std::countr_zero(which));
+  LeafByKey own_leaf;
+  std::uint64_t still = which;
+  for (std::size_t j = 0; still != 0; still &= still - 1, ++j) {
+    const auto k = at(std::countr_zero(still));
     std::array<std::int64_t, kWords> own{0, 0, 0, id[k]};
     for (std::size_t a = 0; a < at(t.dims); ++a)
       own[a] = static_cast<std::int64_t>(geometry::order_bits(x[a][k]) ^ (std::uint64_t{1} << 63U));
-    std::int32_t node = t.several ? t.first[at(part[k])] : 0;
-    for (std::size_t level = 0; level < t.keys.size() && node >= 0; ++level) {
-      const Tables::Keys& keys = t.keys[level];
-      const auto n = at(node);
+    auto n = at(t.several ? t.first[at(part[k])] : 0);
+    bool sure = true;
+    for (const Tables::Keys& keys : t.keys) {
       const auto sign = [&](const auto& of) {
         for (std::size_t w = 0; w < kWords; ++w) {
           const std::int64_t word = own[w + 1 < kWords ? at(keys.axis[w][n]) : w];
@@ -92,11 +104,13 @@ std::uint64_t find_keys_one_by_one(const Tables& t, const Axes& x, const particl
         return 0;
       };
       const bool right = sign(keys.most) > 0;
-      node = right || sign(keys.least) < 0 ? static_cast<std::int32_t>(keys.next[n]) + (right ? 1 : 0) : -1;
+      sure &= right || sign(keys.least) < 0;
+      n = at(keys.next[n]) + (right ? 1U : 0U);
     }
-    beyond |= (take_leaf(t, x, node, k, part, found) ? 1ULL : 0ULL) << k;
+    own_leaf.leaf[j] = static_cast<std::uint32_t>(n);
+    own_leaf.interior[j] = sure ? 1 : 0;
   }
-  return beyond;
+  return take_leaves(t, x, own_leaf, which, part);
 }
 
 #if defined(__x86_64__)
@@ -178,13 +192,14 @@ template <bool kSeveral>
 }
 // All words of a key are compared at once, and the first that differs decides. Without branches: on planes that hold
 // many particles they would be mispredicted.
-[[gnu::target("avx2,bmi")]] std::uint64_t find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
-                                                            std::int32_t* part, FoundLeaves& found) {
+[[gnu::target("avx2,bmi")]] ByKey find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
+                                                    std::int32_t* part, std::uint64_t which) {
   const auto mask = [&t](int a) { return a < t.dims ? -1LL : 0LL; };
   const __m256i used = _mm256_set_epi64x(0, mask(2), mask(1), mask(0));
-  std::uint64_t beyond = 0;
-  for (std::uint64_t which = found.unsure; which != 0; which &= which - 1) {
-    const auto k = at(std::countr_zero(which));
+  LeafByKey own_leaf;
+  std::uint64_t still = which;
+  for (std::size_t j = 0; still != 0; still &= still - 1, ++j) {
+    const auto k = at(std::countr_zero(still));
     // Both zeros are one place.
     const __m256d point = _mm256_add_pd(_mm256_set_pd(0, x[2][k], x[1][k], x[0][k]), _mm256_setzero_pd());
     __m256i own = _mm256_and_si256(_mm256_castpd_si256(point), used);
@@ -203,9 +218,10 @@ template <bool kSeveral>
       sure &= left | right;
       node = step.next + static_cast<std::int32_t>(right);
     }
-    beyond |= (take_leaf(t, x, sure ? node : -1, k, part, found) ? 1ULL : 0ULL) << k;
+    own_leaf.leaf[j] = static_cast<std::uint32_t>(node);
+    own_leaf.interior[j] = sure ? 1 : 0;
   }
-  return beyond;
+  return take_leaves(t, x, own_leaf, which, part);
 }
 
 #define RCB_AVX512 "avx512f,avx512dq,avx512bw,avx512vl,avx2,popcnt,bmi2"
@@ -315,19 +331,18 @@ struct Undecided {
 
 // Sixteen keys at once, without branches: on planes that hold many particles they would be mispredicted. Ids are read
 // only where all coordinates are equal.
-[[gnu::target(RCB_AVX512)]] std::uint64_t find_keys_in_avx512(const Tables& t, const Axes& x, const particles::Id* id,
-                                                              std::int32_t* part, FoundLeaves& found) {
+[[gnu::target(RCB_AVX512)]] ByKey find_keys_in_avx512(const Tables& t, const Axes& x, const particles::Id* id,
+                                                      std::int32_t* part, std::uint64_t which) {
   constexpr std::size_t kAxes = geometry::kDimsMax;
   // The unsure ones side by side.
   alignas(64) std::array<std::array<double, kBlock>, kAxes> position;
   alignas(64) std::array<particles::Id, kBlock> own_id;
   alignas(64) std::array<std::int32_t, kBlock> part_so_far;
   bool has_ids = false;
-  for (std::size_t a = 0; a < kAxes; ++a) pick_eights(x[a], found.unsure, position[a].data());
+  for (std::size_t a = 0; a < kAxes; ++a) pick_eights(x[a], which, position[a].data());
   std::size_t count = 0;
-  for (std::uint64_t which = t.several ? found.unsure : 0; which != 0; which &= which - 1)
-    part_so_far[count++] = part[std::countr_zero(which)];
-  count = at(std::popcount(found.unsure));
+  for (std::uint64_t still = which; still != 0; still &= still - 1)
+    part_so_far[count++] = part[std::countr_zero(still)];
   const Words one = _mm512_set1_epi64(1);
   const Words two = _mm512_set1_epi64(2);
   const Words four = _mm512_set1_epi64(4);
@@ -368,7 +383,7 @@ struct Undecided {
       }
       if (keys.whole && (state.least[0] | state.least[1] | state.most[0] | state.most[1]) != 0) {
         if (!has_ids) {
-          pick_eights(id, found.unsure, own_id.data());
+          pick_eights(id, which, own_id.data());
           for (std::size_t i = 0; i < kBlock; i += 8) _mm_prefetch(id + kParticlesAhead + i, _MM_HINT_T0);
           has_ids = true;
         }
@@ -396,19 +411,25 @@ struct Undecided {
       bits[2] |= std::uint64_t{_mm512_test_epi64_mask(node.words[h], four)} << (j + 8 * h);
     }
   }
-  const std::uint64_t settled = _pdep_u64(sure, found.unsure);
-  found.boundary |= found.unsure & ~settled;
-  for (std::size_t bit = 0; bit < bits.size(); ++bit)
-    found.bits[bit] = (found.bits[bit] & ~settled) | _pdep_u64(bits[bit] & sure, found.unsure);
-  for (std::size_t i = 0; i < kBlock && settled >> i != 0; i += 16) {
-    __m512i leaf = _mm512_maskz_set1_epi32(static_cast<__mmask16>(found.bits[0] >> i), 1);
-    leaf = _mm512_mask_add_epi32(leaf, static_cast<__mmask16>(found.bits[1] >> i), leaf, _mm512_set1_epi32(2));
-    leaf = _mm512_mask_add_epi32(leaf, static_cast<__mmask16>(found.bits[2] >> i), leaf, _mm512_set1_epi32(4));
-    _mm512_mask_storeu_epi32(part + i, static_cast<__mmask16>(settled >> i), in_table16(t.part, leaf));
+  ByKey by_key{_pdep_u64(sure, which), _pdep_u64(sure & ~inside, which), {}};
+  for (std::size_t bit = 0; bit < bits.size(); ++bit) by_key.bits[bit] = _pdep_u64(bits[bit], which);
+  for (std::size_t i = 0; i < kBlock && by_key.interior >> i != 0; i += 16) {
+    __m512i leaf = _mm512_maskz_set1_epi32(static_cast<__mmask16>(by_key.bits[0] >> i), 1);
+    leaf = _mm512_mask_add_epi32(leaf, static_cast<__mmask16>(by_key.bits[1] >> i), leaf, _mm512_set1_epi32(2));
+    leaf = _mm512_mask_add_epi32(leaf, static_cast<__mmask16>(by_key.bits[2] >> i), leaf, _mm512_set1_epi32(4));
+    _mm512_mask_storeu_epi32(part + i, static_cast<__mmask16>(by_key.interior >> i), in_table16(t.part, leaf));
   }
-  return _pdep_u64(~inside & sure, found.unsure);
+  return by_key;
 }
 #endif
+
+ByKey find_keys(const Tables& t, const Axes& x, const particles::Id* id, std::int32_t* part, std::uint64_t which) {
+#if defined(__x86_64__)
+  if (has_avx512()) return find_keys_in_avx512(t, x, id, part, which);
+  if (has_avx2()) return find_keys_in_avx2(t, x, id, part, which);
+#endif
+  return find_keys_one_by_one(t, x, id, part, which);
+}
 
 }  // namespace
 
@@ -430,11 +451,11 @@ FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* 
 
 std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
                                  FoundLeaves& found) {
-#if defined(__x86_64__)
-  if (has_avx512()) return find_keys_in_avx512(tables, x, id, part, found);
-  if (has_avx2()) return find_keys_in_avx2(tables, x, id, part, found);
-#endif
-  return find_keys_one_by_one(tables, x, id, part, found);
+  const ByKey by_key = find_keys(tables, x, id, part, found.unsure);
+  found.boundary |= found.unsure & ~by_key.interior;
+  for (std::size_t bit = 0; bit < found.bits.size(); ++bit)
+    found.bits[bit] = (found.bits[bit] & ~by_key.interior) | (by_key.bits[bit] & by_key.interior);
+  return by_key.beyond;
 }
 
 void add_leaves(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
