@@ -15,10 +15,12 @@ inline InstructionSet instruction_set() {
     const char* const named = std::getenv("RCBD_CPU");
     const std::string_view most = named == nullptr ? "" : named;
     const auto has = [](bool one, bool two) { return one && two; };
-    if (most == "baseline" || !has(__builtin_cpu_supports("avx2") != 0, __builtin_cpu_supports("popcnt") != 0))
+    if (most == "baseline" || !has(__builtin_cpu_supports("avx2") != 0, __builtin_cpu_supports("popcnt") != 0) ||
+        __builtin_cpu_supports("bmi") == 0)
       return InstructionSet::baseline;
     if (most == "avx2" || !has(__builtin_cpu_supports("avx512f") != 0, __builtin_cpu_supports("avx512dq") != 0) ||
-        !has(__builtin_cpu_supports("avx512bw") != 0, __builtin_cpu_supports("avx512vl") != 0))
+        !has(__builtin_cpu_supports("avx512bw") != 0, __builtin_cpu_supports("avx512vl") != 0) ||
+        __builtin_cpu_supports("bmi2") == 0)
       return InstructionSet::avx2;
     return InstructionSet::avx512;
   }();

@@ -11,8 +11,8 @@ namespace {
 
 using particles::kBlock;
 
-constexpr std::size_t kTogether = 8;  // slots that are listed without a branch
-constexpr std::size_t kWaiting = 64;  // particles that are copied at once
+constexpr std::size_t kTogether = 8;  // divides kBlock
+constexpr std::size_t kWaiting = 64;  // about so many particles are copied at once
 
 }  // namespace
 
@@ -22,9 +22,10 @@ Axes axes_of(const particles::ParticleView& particles) {
   return x;
 }
 
-// Where the bits are in `which` can't be predicted, but about how many they are: so some are listed too many.
+// Eight slots are listed per step, whether or not so many are left: how many steps it takes can be predicted, where the
+// bits are can't. What is listed too many lies behind `size_` and is overwritten.
 void BoundaryList::append(std::size_t slot, std::uint64_t which) {
-  const std::size_t room = size_ + kBlock + kTogether;
+  const std::size_t room = size_ + kBlock;
   if (room > out_.slot.size()) resize(std::max(room, 2 * out_.slot.size()));
   std::uint64_t* to = out_.slot.data() + size_;
   if (which == ~std::uint64_t{0}) {

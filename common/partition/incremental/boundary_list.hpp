@@ -15,7 +15,7 @@ Axes axes_of(const particles::ParticleView& particles);
 
 class BoundaryList {
  public:
-  // part: of each particle, while it is appended and until some more have been.
+  // part: of each particle; from append() to finish() neither the positions nor the parts of those appended may change.
   BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, OwnInterior& out)
       : x_(axes_of(particles)), part_(part), out_(out) {}
 
@@ -31,7 +31,7 @@ class BoundaryList {
 
   Axes x_;
   const std::int32_t* part_;
-  OwnInterior& out_;  // whose arrays may be longer
+  OwnInterior& out_;  // whose arrays are longer than size_ until finish()
   std::size_t size_ = 0;
   std::size_t copied_ = 0;
 };

@@ -1,6 +1,7 @@
 #include "common/partition/incremental/find_leaves.hpp"
 
 #include <bit>
+#include <limits>
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
@@ -118,8 +119,8 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
   add_bits(found, count, sums);
 }
 
-// Particles that are prefetched ahead: the branches of a block's boundary particles depend on data, and a mispredicted
-// one would otherwise wait for memory.
+// Particles that are prefetched ahead: the work on a block's unsure and boundary particles would otherwise wait for
+// memory.
 constexpr std::size_t kBlocksAhead = 16;
 constexpr std::size_t kParticlesAhead = kBlocksAhead * kBlock;
 
@@ -303,19 +304,20 @@ template <typename T>
   }
 }
 
-// Sixteen keys, or what is known of them.
-using Masks = std::array<unsigned, 2>;
+// A word of each of sixteen keys, or the node of each; and one bit of each.
 struct Sixteen {
   Words words[2];
 };
+using Masks = std::array<unsigned, 2>;
 
-// Compares a word of keys with that of the brackets of their nodes.
+// How sixteen keys compare with the brackets of their nodes, one bit each.
 struct Undecided {
   Masks before{};           // less than `least`
   Masks behind{};           // greater than `most`
   Masks least{0xFF, 0xFF};  // equal to it so far
   Masks most{0xFF, 0xFF};
 };
+// By their next word.
 [[gnu::target(RCB_AVX512), gnu::always_inline]] inline void compare(const Sixteen& word, const Sixteen& node,
                                                                     const Tables::Words& least,
                                                                     const Tables::Words& most, Undecided& state) {
@@ -340,9 +342,9 @@ struct Undecided {
   alignas(64) std::array<std::int32_t, kBlock> part_so_far;
   bool has_ids = false;
   for (std::size_t a = 0; a < kAxes; ++a) pick_eights(x[a], which, position[a].data());
-  std::size_t count = 0;
-  for (std::uint64_t still = which; still != 0; still &= still - 1)
-    part_so_far[count++] = part[std::countr_zero(still)];
+  std::uint64_t still = t.several ? which : 0;
+  for (std::size_t j = 0; still != 0; still &= still - 1, ++j) part_so_far[j] = part[std::countr_zero(still)];
+  const auto count = at(std::popcount(which));
   const Words one = _mm512_set1_epi64(1);
   const Words two = _mm512_set1_epi64(2);
   const Words four = _mm512_set1_epi64(4);
@@ -368,7 +370,8 @@ struct Undecided {
         node.words[h] = _mm512_cvtepi32_epi64(_mm256_permutevar8x32_epi32(first, parts));
       }
     }
-    Masks known{0xFF, 0xFF};
+    const unsigned lanes = count - j < 16 ? (1U << (count - j)) - 1 : 0xFFFF;
+    Masks known{lanes & 0xFF, lanes >> 8U};
     for (const Tables::Keys& keys : t.keys) {
       Undecided state;
       for (std::size_t w = 0; w < (keys.whole ? kAxes : 1); ++w) {
@@ -381,7 +384,9 @@ struct Undecided {
         }
         compare(word, node, keys.least[w], keys.most[w], state);
       }
-      if (keys.whole && (state.least[0] | state.least[1] | state.most[0] | state.most[1]) != 0) {
+      const unsigned open =
+          ((state.least[0] | state.most[0]) & known[0]) | ((state.least[1] | state.most[1]) & known[1]);
+      if (keys.whole && open != 0) {
         if (!has_ids) {
           pick_eights(id, which, own_id.data());
           for (std::size_t i = 0; i < kBlock; i += 8) _mm_prefetch(id + kParticlesAhead + i, _MM_HINT_T0);

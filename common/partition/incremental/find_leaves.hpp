@@ -15,7 +15,7 @@ using LeafCounts = std::array<std::uint64_t, GuessTables::kLeaves>;
 
 // The particles of a block, one bit each.
 struct FoundLeaves {
-  std::uint64_t boundary = 0;           // surely in a bracket
+  std::uint64_t boundary = 0;           // in a bracket; some few of them in none, where rounding can't tell that
   std::uint64_t unsure = 0;             // not decided by rounded coordinates
   std::array<std::uint64_t, 3> bits{};  // of the number of each particle's leaf
 
@@ -28,15 +28,15 @@ struct FoundLeaves {
 // if there are several roots (any part of its root will do); becomes that of its leaf.
 FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count);
 
-// Decides the unsure ones by their whole keys: each joins the boundary particles or gets its leaf. Returns those that
-// are interior but lie outside of their leaf's box.
+// Decides the unsure ones by their whole keys: each joins the boundary particles or gets its leaf. part: as
+// find_leaves() left it. Returns those that are interior but lie outside of their leaf's box.
 std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
                                  FoundLeaves& found);
 
 // Adds a block's particles to sums[k], for each k: those whose leaf's number has all bits of k set.
 void add_leaves(const FoundLeaves& found, std::size_t count, LeafCounts& sums);
 
-// How many particles each leaf has.
+// How many particles each leaf has. sums: from add_leaves().
 LeafCounts counts_of(LeafCounts sums);
 
 }  // namespace rcb::partition

@@ -79,7 +79,7 @@ class SampleWalk {
     int leaves = 1;              // how many it may have
   };
   struct Valued {
-    double x;
+    double x;  // or the next component of its key
     double weight;
     std::uint32_t k;
   };
@@ -234,7 +234,7 @@ class SampleWalk {
     keys_.clear();
     for (const Valued& one : near_) keys_.push_back({key(one.k, axes), one.weight});
     std::ranges::sort(keys_, [](const Keyed& a, const Keyed& b) { return a.key < b.key; });
-    // The places of the bracket's ends and of the expected cut; those of its end if there is none.
+    // Where in keys_ the bracket's ends and the expected cut are; keys_.size() if there is none.
     std::size_t least = keys_.size();
     std::size_t cut = keys_.size();
     std::size_t most = keys_.size();

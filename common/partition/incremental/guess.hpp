@@ -15,7 +15,7 @@
 
 namespace rcb::partition {
 
-// A guess has at most so many levels and leaves, which fit into the tables of one pass (classify_guessed.cpp).
+// A guess has at most so many levels and leaves, which fit into the tables of one pass (guess_tables.hpp).
 inline constexpr int kGuessLevels = 3;
 inline constexpr int kGuessLeaves = 8;
 

@@ -67,6 +67,7 @@ void GuessTables::scale_axes(const Guess& guess) {
     const double factor = std::isnormal(reach) ? std::ldexp(1.0, -std::ilogb(reach)) : 1.0;
     if (std::isnormal(factor)) scale[a] = factor;
   }
+  std::fill(scale.begin() + dims, scale.end(), 0);  // they repeat the first axis
 }
 
 std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::span<const NodeRange> roots) {
@@ -89,7 +90,7 @@ std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::s
 }
 
 void GuessTables::add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket) {
-  // So that what lies on the plane of `least` or of `most` is where the inner region ends at that plane.
+  // Rounded as the inner regions' bounds are.
   least[level][node] = rounded(at(bracket.axes[0]), bracket.least.at[0]);
   most[level][node] = rounded(at(bracket.axes[0]), bracket.most.at[0]);
   on_y[level][node] = bracket.axes[0] == 1 ? -1 : 0;
@@ -124,7 +125,7 @@ GuessTables::Step GuessTables::step(std::size_t level, std::size_t node) const {
 void GuessTables::add_leaf(std::size_t leaf, const Guess& guess, const Node& node) {
   const auto p = at(node.range.first);
   part[leaf] = node.range.first;
-  if (node.fixed) return;  // every particle is in its box
+  if (node.fixed) return;  // its rounded bounds stay infinite: its particles are looked at no further
   for (std::size_t a = 0; a < at(dims); ++a) {
     box_lo[a][leaf] = guess.seen[p].lo[a];
     box_hi[a][leaf] = guess.seen[p].hi[a];

@@ -8,6 +8,7 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "common/partition/incremental/guess.hpp"
 
@@ -25,7 +26,7 @@ struct GuessTables {
   // The cuts of a level's nodes, by word and node, for comparing whole keys; the words are integers that compare as
   // what they stand for does. A particle whose key is neither less than `least` nor greater than `most` is a boundary
   // particle.
-  struct Keys {
+  struct alignas(64) Keys {
     std::array<Words, geometry::kDimsMax> axis{};  // whose coordinate the word is; behind them comes the id
     std::array<Words, geometry::kDimsMax + 1> least{};
     std::array<Words, geometry::kDimsMax + 1> most{};
@@ -40,7 +41,7 @@ struct GuessTables {
     std::int32_t next = 0;
   };
 
-  // roots, part: as for classify_guessed().
+  // roots: as for classify_guessed().
   GuessTables(const Guess& guess, std::span<const NodeRange> roots, int dims);
 
   float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
@@ -48,14 +49,13 @@ struct GuessTables {
   geometry::Box box(std::size_t leaf) const;
   // Widens it to hold a particle.
   void extend(std::size_t leaf, const geometry::Point& position);
-  // The key words of this node of a level.
-  Step step(std::size_t level, std::size_t node) const;
 
-  alignas(64) std::array<Keys, kGuessLevels> keys;
-  std::array<std::array<Step, kLeaves>, kGuessLevels> steps;  // as step() tells them
+  std::array<Keys, kGuessLevels> keys;
+  std::array<std::array<Step, kLeaves>, kGuessLevels> steps;  // the same, node by node
   alignas(64) Integers first{};                               // of each part so far: its node on the first level
   std::array<Integers, kGuessLevels> next{};
-  // Rounded bounds of each cut's bracket; what is greater than the lesser one goes right. Infinite where nothing does.
+  // Rounded bounds of each cut's bracket; what is greater than the lesser one goes right. Where there is no cut, both
+  // are infinite.
   std::array<Floats, kGuessLevels> least;
   std::array<Floats, kGuessLevels> most;
   std::array<Integers, kGuessLevels> on_y{};  // -1 where the cut's axis is the second one; else 0
@@ -83,6 +83,7 @@ struct GuessTables {
   void scale_axes(const Guess& guess);
   std::vector<Node> add_roots(const Guess& guess, std::span<const NodeRange> roots);
   void add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket);
+  Step step(std::size_t level, std::size_t node) const;
   void add_leaf(std::size_t leaf, const Guess& guess, const Node& node);
   // Sets lo and hi of a leaf and an axis, so that a coordinate whose rounded value lies between them is certainly in
   // the box. The reverse need not hold at the box's bounds. Neither goes beyond the inner region, outside of which the
