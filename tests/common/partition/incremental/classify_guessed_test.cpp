@@ -3,6 +3,7 @@
 #include "common/partition/incremental/classify_guessed.hpp"
 
 #include <algorithm>
+#include <numeric>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -36,11 +37,14 @@ struct Trial {
   PartitionOptions options;
   std::uint64_t stride = 1;
   bool below_roots = false;
+  bool sorted = false;
 };
 
 void check(const Trial& trial, std::uint64_t& interior) {
   std::vector<std::size_t> rows(trial.scene.count());
-  for (std::size_t i = 0; i < rows.size(); ++i) rows[i] = i;
+  std::iota(rows.begin(), rows.end(), std::size_t{0});
+  // So that whole blocks lie in a bracket.
+  if (trial.sorted) std::ranges::sort(rows, {}, [&](std::size_t row) { return trial.scene.x[0][row]; });
   const Share all = testing::take(trial.scene, rows);
   const particles::ParticleView particles = all.particles.view();
   comm::SelfComm self;
@@ -116,6 +120,7 @@ TEST(ClassifyGuessed, GivesWhatTheKeysTell) {
     trial.options.limits.guess.levels_min = 0;
     trial.options.limits.guess.overhang_max = 0;
     trial.stride = 1 + random.below(8);
+    trial.sorted = random.below(2) == 0;
     trial.below_roots = random.below(3) == 0;
     check(trial, interior);
   }
