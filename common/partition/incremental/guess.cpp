@@ -93,6 +93,11 @@ class SampleWalk {
     std::size_t last = 0;
     std::size_t size() const { return last - first; }
   };
+  struct Order {
+    AxisOrder axes;
+    bool first_open;   // whether the first axis is the longest
+    bool others_open;  // in which order the others follow
+  };
   struct Bracket {
     KeyBracket keys;
     Key cut;             // the expected one
@@ -145,19 +150,23 @@ class SampleWalk {
 
   void visit(const Node& node, const Range& own, std::span<std::uint32_t> beyond) {
     if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
-    const std::optional<AxisOrder> axes = axes_of(node, own, beyond);
-    if (!axes) {
+    const Order order = order_of(node, own, beyond);
+    if (order.first_open) {
       axis_open_ = true;
       return end(node, own);
     }
-    const auto a = at((*axes)[0]);
-    const Bracket bracket = bracket_of(node, own, *axes, sigmas_of(node, *axes));
+    const auto a = at(order.axes[0]);
+    const Bracket bracket = bracket_of(node, own, order.axes, sigmas_of(node, order.axes));
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
+    if (bracket.keys.whole && order.others_open) {
+      axis_open_ = true;
+      return end(node, own);
+    }
     out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
     Cut& cut = out_.tree.cuts[at(node.range.node)];
     cut.right_empty = false;
-    cut.axes = *axes;
+    cut.axes = order.axes;
     cut.key = bracket.cut;
     Node left = node;
     Node right = node;
@@ -181,9 +190,9 @@ class SampleWalk {
     visit(right, {middle, own.last}, beyond.subspan(beyond_left));
   }
 
-  // The likeliest axis order. Of the root, only if the particles outside of the sample can't change its cut's axis: a
-  // wrong one costs the search of a node, and of this one it would cost everything.
-  std::optional<AxisOrder> axes_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
+  // The likeliest axis order. Of the root, particles outside of the sample may make it another: a wrong one costs the
+  // search of a node, and of this one it would cost everything.
+  Order order_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
     Box box = node.known != nullptr ? *node.known : box_of(own);
     for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
@@ -192,12 +201,16 @@ class SampleWalk {
       if (std::isfinite(node.cuts.hi[a])) box.hi[a] = node.cuts.hi[a];
       extents[a] = geometry::extent(box.lo[a], box.hi[a]);
     }
-    const AxisOrder axes = geometry::order_by_extent(extents, dims());
-    if (band_axis_) return geometry::with_first(axes, *band_axis_, dims());
-    if (node.level > 0 || node.known != nullptr || outermost_ != nullptr || dims() == 1) return axes;
-    const double reach = 1 + 2 * options_.limits.guess.overhang_max;
-    if (extents[at(axes[1])] * reach > extents[at(axes[0])]) return std::nullopt;
-    return axes;
+    Order order{geometry::order_by_extent(extents, dims()), false, false};
+    if (band_axis_) order.axes = geometry::with_first(order.axes, *band_axis_, dims());
+    if (node.level > 0 || node.known != nullptr || outermost_ != nullptr) return order;
+    const auto open = [&](std::size_t k) {
+      const double reach = 1 + 2 * options_.limits.guess.overhang_max;
+      return k < at(dims()) && extents[at(order.axes[k])] * reach > extents[at(order.axes[k - 1])];
+    };
+    order.first_open = !band_axis_ && open(1);
+    order.others_open = open(2);
+    return order;
   }
 
   // A cut that its bracket missed would be missed again: the sample is the same.

@@ -40,7 +40,8 @@ struct GuessRoots {
 // Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
 //   sample     one particle of each `stride`
 //   outermost  all particles outside of the sampled ones' bounding box; null: not known
-//   axis_open  is set to true if a node's longest axis is undecided without `outermost`
+//   axis_open  is set to true if the root's longest axis is undecided without `outermost`, or, where whole keys count,
+//              the order of the others
 // nullopt if no cut can be guessed. Local.
 std::optional<Guess> guess_cuts(const Sample& sample, const Sample* outermost, const PartitionOptions& options,
                                 const GuessRoots& below, bool& axis_open);
