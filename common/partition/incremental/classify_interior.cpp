@@ -16,7 +16,6 @@ namespace {
 
 using particles::kBlock;
 constexpr std::size_t kLanes = 4;
-constexpr std::size_t kAhead = 16 * kBlock;  // particles that are prefetched ahead of branches that depend on data
 
 // One cache line. Lanes beyond the last axis are unbounded.
 struct alignas(64) Bounds {
@@ -101,7 +100,7 @@ class Pass {
       if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index_of(part[0]))) continue;
       const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
       for (const double* axis : x)
-        for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kAhead + i);
+        for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
       const std::uint64_t beyond =
           other == 0 ? beyond_same<kAvx2>(x, box_[index_of(part[0])], count) : beyond_own<kAvx2>(x, part, count);
       std::uint64_t interior = 0;

@@ -1,5 +1,6 @@
 // The leaf of each particle of a block under a guess: the loops that take most of a partition's time, with the best
-// instructions that the processor has.
+// instructions that the processor has: from rounded coordinates (find_leaves.cpp), and for the few that these don't
+// decide from whole keys (find_leaves_by_key.cpp).
 #pragma once
 
 #include <array>
