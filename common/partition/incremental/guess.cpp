@@ -193,6 +193,7 @@ class SampleWalk {
   // The likeliest axis order. Of the root, particles outside of the sample may make it another: a wrong one costs the
   // search of a node, and of this one it would cost everything.
   Order order_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
+    if (band_axis_ && node.range.node != 0) return {out_.tree.cuts[0].axes, false, false};  // bands have one order
     Box box = node.known != nullptr ? *node.known : box_of(own);
     for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
@@ -261,15 +262,13 @@ class SampleWalk {
     found.keys = {axes, keys_[least].key, keys_[most].key};
     found.cut = keys_[cut].key;
     found.bounded = true;
-    std::size_t on = 0;
+    const std::size_t between = most - least + 1;
     std::size_t within = 0;
-    for (const double value : std::span(x_[axis]).subspan(own.first, own.size())) {
-      on += value == found.cut.at[0] ? 1U : 0U;
+    for (const double value : std::span(x_[axis]).subspan(own.first, own.size()))
       within += (value >= found.keys.least.at[0]) & (value <= found.keys.most.at[0]) ? 1U : 0U;
-    }
     const auto size = static_cast<double>(own.size());
-    found.keys.whole = static_cast<double>(on) > 1 + options_.limits.guess.tied_max * size;
-    found.share = static_cast<double>(found.keys.whole ? most - least + 1 : within) / size;
+    found.keys.whole = static_cast<double>(within - between) > 1 + options_.limits.guess.tied_max * size;
+    found.share = static_cast<double>(found.keys.whole ? between : within) / size;
     if (!found.keys.whole) found.cut = key_between(found.cut.at[0], dims());
     found.before = divide(own, axis, found.cut, found.keys.whole ? &axes : nullptr);
     return found;

@@ -26,8 +26,8 @@ struct GuessLimits {
   double overhang_max = 0.05;
   // No cut is guessed that would leave more than this fraction of the particles to be searched.
   double boundary_max = 0.3;
-  // With more than this fraction of the sampled particles on its plane, a cut is guessed as a whole key: else all on it
-  // would be searched.
+  // A cut is guessed as a whole key where, by its first coordinate alone, more than this fraction of the sampled
+  // particles would be searched in vain, since they lie on the planes of the bracket's ends.
   double tied_max = 0.03;
   // The least number of tree levels, averaged over the particles, that a guess must settle to be worth a pass. Below
   // nodes that an earlier stage left a tenth of it is enough.
