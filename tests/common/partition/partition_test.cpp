@@ -6,6 +6,7 @@
 #include <map>
 #include <mutex>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "common/comm/self_comm.hpp"
@@ -251,29 +252,31 @@ struct CountingComm final : testing::ForwardingComm {
 // A large set begins with the tree of a sample; the answer is that of a search among all particles.
 TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
   for (const Shape shape : {Shape::uniform, Shape::coincident, Shape::half_coincident, Shape::planes, Shape::offset,
-                            Shape::signed_zero, Shape::lattice}) {
-    const Scene scene = make_scene(shape, Weights::none, 3, 200000, false, kPartitionSeed);
-    SCOPED_TRACE(scene.name);
-    PartitionOptions options;
-    options.parts = 4;
-    options.limits.guess.count_min = scene.count() + 1;
-    PartitionOptions guessed = options;
-    guessed.limits.guess.count_min = 0;
-    guessed.limits.guess.stride = 32;
-    guessed.limits.guess.sample_min = 1;
-    on_ranks([&](comm::Comm& comm) {
-      const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
-      const PartitionResult all = partition(comm, share.particles.view(), options).value();
-      CountingComm counting(comm);
-      const PartitionResult few = partition(counting, share.particles.view(), guessed).value();
-      EXPECT_EQ(few.reductions, counting.collectives);
-      EXPECT_LT(few.searched, scene.count() / 3);
-      EXPECT_EQ(all.searched, scene.count());
-      EXPECT_EQ(few.tree.hash(), all.tree.hash());
-      EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
-      EXPECT_EQ(few.counts, all.counts);
-    });
-  }
+                            Shape::signed_zero, Shape::lattice})
+    for (const Method method : {Method::rcb, Method::bands_y}) {
+      const Scene scene = make_scene(shape, Weights::none, 3, 200000, false, kPartitionSeed);
+      SCOPED_TRACE(fmt::format("{}, {}", scene.name, method_name(method)));
+      PartitionOptions options;
+      options.method = method;
+      options.parts = 4;
+      options.limits.guess.count_min = scene.count() + 1;
+      PartitionOptions guessed = options;
+      guessed.limits.guess.count_min = 0;
+      guessed.limits.guess.stride = 32;
+      guessed.limits.guess.sample_min = 1;
+      on_ranks([&](comm::Comm& comm) {
+        const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
+        const PartitionResult all = partition(comm, share.particles.view(), options).value();
+        CountingComm counting(comm);
+        const PartitionResult few = partition(counting, share.particles.view(), guessed).value();
+        EXPECT_EQ(few.reductions, counting.collectives);
+        EXPECT_LT(few.searched, scene.count() / 3);
+        EXPECT_EQ(all.searched, scene.count());
+        EXPECT_EQ(few.tree.hash(), all.tree.hash());
+        EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
+        EXPECT_EQ(few.counts, all.counts);
+      });
+    }
 }
 
 // A sample may miss the first cut by more than its bracket allows. A wider one finds it, without a search among all.
