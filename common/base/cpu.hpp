@@ -9,18 +9,22 @@ namespace rcb {
 #if defined(__x86_64__)
 enum class InstructionSet { baseline, avx2, avx512 };
 
+// What functions for one of these sets may use, which is what instruction_set() asks for.
+#define RCB_AVX2 "avx2,popcnt,bmi"
+#define RCB_AVX512 RCB_AVX2 ",avx512f,avx512dq,avx512bw,avx512vl,bmi2"
+
 // What the processor has, or less where RCBD_CPU is `baseline` or `avx2`: to compare, and to test each.
 inline InstructionSet instruction_set() {
   static const InstructionSet set = [] {
     const char* const named = std::getenv("RCBD_CPU");
     const std::string_view most = named == nullptr ? "" : named;
-    const auto has = [](bool one, bool two) { return one && two; };
-    if (most == "baseline" || !has(__builtin_cpu_supports("avx2") != 0, __builtin_cpu_supports("popcnt") != 0) ||
-        __builtin_cpu_supports("bmi") == 0)
+    const auto all = [](auto... supported) { return (... && (supported != 0)); };
+    if (most == "baseline" ||
+        !all(__builtin_cpu_supports("avx2"), __builtin_cpu_supports("popcnt"), __builtin_cpu_supports("bmi")))
       return InstructionSet::baseline;
-    if (most == "avx2" || !has(__builtin_cpu_supports("avx512f") != 0, __builtin_cpu_supports("avx512dq") != 0) ||
-        !has(__builtin_cpu_supports("avx512bw") != 0, __builtin_cpu_supports("avx512vl") != 0) ||
-        __builtin_cpu_supports("bmi2") == 0)
+    if (most == "avx2" ||
+        !all(__builtin_cpu_supports("avx512f"), __builtin_cpu_supports("avx512dq"), __builtin_cpu_supports("avx512bw"),
+             __builtin_cpu_supports("avx512vl"), __builtin_cpu_supports("bmi2")))
       return InstructionSet::avx2;
     return InstructionSet::avx512;
   }();

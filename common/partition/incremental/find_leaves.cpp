@@ -56,23 +56,23 @@ add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
   add_bits(found, count, sums);
 }
 
-[[gnu::target("avx2"), gnu::always_inline]] inline __m256 as_floats(const double* x, double origin, double scale) {
+[[gnu::target(RCB_AVX2), gnu::always_inline]] inline __m256 as_floats(const double* x, double origin, double scale) {
   const __m256d o = _mm256_set1_pd(origin);
   const __m256d s = _mm256_set1_pd(scale);
   return _mm256_set_m128(_mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x + 4), o), s)),
                          _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x), o), s)));
 }
-[[gnu::target("avx2"), gnu::always_inline]] inline __m256 in_table(const Tables::Floats& table, __m256i index) {
+[[gnu::target(RCB_AVX2), gnu::always_inline]] inline __m256 in_table(const Tables::Floats& table, __m256i index) {
   return _mm256_permutevar8x32_ps(_mm256_load_ps(table.data()), index);
 }
-[[gnu::target("avx2"), gnu::always_inline]] inline __m256i in_table(const Tables::Integers& table, __m256i index) {
+[[gnu::target(RCB_AVX2), gnu::always_inline]] inline __m256i in_table(const Tables::Integers& table, __m256i index) {
   return _mm256_permutevar8x32_epi32(_mm256_load_si256(reinterpret_cast<const __m256i*>(table.data())), index);
 }
 
 // Returns how many particles it took.
 template <bool kSeveral>
-[[gnu::target("avx2,popcnt")]] std::size_t find_eights(const Tables& t, const Axes& x, std::int32_t* part,
-                                                       std::size_t count, FoundLeaves& found) {
+[[gnu::target(RCB_AVX2)]] std::size_t find_eights(const Tables& t, const Axes& x, std::int32_t* part, std::size_t count,
+                                                  FoundLeaves& found) {
   std::size_t i = 0;
   for (; i + 8 <= count; i += 8) {
     for (const double* axis : x) _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
@@ -108,15 +108,13 @@ template <bool kSeveral>
 }
 
 template <bool kSeveral>
-[[gnu::target("avx2,popcnt")]] FoundLeaves find_in_avx2(const Tables& t, const Axes& x, std::int32_t* part,
-                                                        std::size_t count) {
+[[gnu::target(RCB_AVX2)]] FoundLeaves find_in_avx2(const Tables& t, const Axes& x, std::int32_t* part,
+                                                   std::size_t count) {
   FoundLeaves found;
   if (const std::size_t i = find_eights<kSeveral>(t, x, part, count, found); i < count)
     find_one_by_one(t, x, part, i, count, found);
   return found;
 }
-
-#define RCB_AVX512 "avx512f,avx512dq,avx512bw,avx512vl,avx2,popcnt"
 
 [[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 as_floats16(const double* x, double origin,
                                                                           double scale) {

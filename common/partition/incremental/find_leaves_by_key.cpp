@@ -29,7 +29,7 @@ struct LeafByKey {
   std::array<std::uint32_t, kBlock> interior;  // 1 or 0
 };
 
-// Without branches, which would be mispredicted.
+// What these tell of the particles; the interior ones get their part. Without branches, which would be mispredicted.
 ByKey take_leaves(const Tables& t, const Axes& x, const LeafByKey& own, std::uint64_t which, std::int32_t* part) {
   ByKey by_key;
   for (std::size_t j = 0; which != 0; which &= which - 1, ++j) {
@@ -78,17 +78,17 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
 }
 
 #if defined(__x86_64__)
-[[gnu::target("avx2"), gnu::always_inline]] inline __m256i four_words(const std::array<std::int64_t, 4>& words) {
+[[gnu::target(RCB_AVX2), gnu::always_inline]] inline __m256i four_words(const std::array<std::int64_t, 4>& words) {
   return _mm256_load_si256(reinterpret_cast<const __m256i*>(&words));
 }
 // Which words of a are greater than those of b; the first word is the highest bit.
-[[gnu::target("avx2"), gnu::always_inline]] inline int greater(__m256i a, __m256i b) {
+[[gnu::target(RCB_AVX2), gnu::always_inline]] inline int greater(__m256i a, __m256i b) {
   return _mm256_movemask_pd(_mm256_castsi256_pd(_mm256_cmpgt_epi64(a, b)));
 }
 // All words of a key are compared at once, and the first that differs decides. Without branches: on planes that hold
 // many particles they would be mispredicted.
-[[gnu::target("avx2,bmi")]] ByKey find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
-                                                    std::int32_t* part, std::uint64_t which) {
+[[gnu::target(RCB_AVX2)]] ByKey find_keys_in_avx2(const Tables& t, const Axes& x, const particles::Id* id,
+                                                  std::int32_t* part, std::uint64_t which) {
   const auto mask = [&t](int a) { return a < t.dims ? -1LL : 0LL; };
   const __m256i used = _mm256_set_epi64x(0, mask(2), mask(1), mask(0));
   LeafByKey own_leaf;
@@ -119,7 +119,6 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
   return take_leaves(t, x, own_leaf, which, part);
 }
 
-#define RCB_AVX512 "avx512f,avx512dq,avx512bw,avx512vl,avx2,popcnt,bmi2"
 using Words = __m512i;
 
 // Those whose bits are set in `which`, side by side.

@@ -95,8 +95,8 @@ class SampleWalk {
   };
   struct Order {
     AxisOrder axes;
-    bool first_open;   // whether the first axis is the longest
-    bool others_open;  // in which order the others follow
+    bool first_open;   // not sure: whether the first axis is the longest
+    bool others_open;  // not sure: in which order the others follow
   };
   struct Bracket {
     KeyBracket keys;
@@ -148,20 +148,19 @@ class SampleWalk {
     if (!seen.empty(dims())) out_.seen[p].extend(seen);
   }
 
+  void end_open(const Node& node, const Range& own) {
+    axis_open_ = true;
+    end(node, own);
+  }
+
   void visit(const Node& node, const Range& own, std::span<std::uint32_t> beyond) {
     if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
     const Order order = order_of(node, own, beyond);
-    if (order.first_open) {
-      axis_open_ = true;
-      return end(node, own);
-    }
+    if (order.first_open) return end_open(node, own);
     const auto a = at(order.axes[0]);
     const Bracket bracket = bracket_of(node, own, order.axes, sigmas_of(node, order.axes));
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
-    if (bracket.keys.whole && order.others_open) {
-      axis_open_ = true;
-      return end(node, own);
-    }
+    if (bracket.keys.whole && order.others_open) return end_open(node, own);
     out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
     Cut& cut = out_.tree.cuts[at(node.range.node)];
@@ -190,8 +189,8 @@ class SampleWalk {
     visit(right, {middle, own.last}, beyond.subspan(beyond_left));
   }
 
-  // The likeliest axis order. Of the root, particles outside of the sample may make it another: a wrong one costs the
-  // search of a node, and of this one it would cost everything.
+  // The likeliest axis order. A wrong one costs a search of its node, and at the root a search of everything: so there
+  // it is also told what particles outside of the sample might change.
   Order order_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
     if (band_axis_ && node.range.node != 0) return {out_.tree.cuts[0].axes, false, false};  // bands have one order
     Box box = node.known != nullptr ? *node.known : box_of(own);

@@ -249,6 +249,14 @@ struct CountingComm final : testing::ForwardingComm {
   std::uint64_t collectives = 0;
 };
 
+// However few the particles are.
+PartitionOptions with_guess(PartitionOptions options) {
+  options.limits.guess.count_min = 0;
+  options.limits.guess.stride = 32;
+  options.limits.guess.sample_min = 1;
+  return options;
+}
+
 // A large set begins with the tree of a sample; the answer is that of a search among all particles.
 TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
   for (const Shape shape : {Shape::uniform, Shape::coincident, Shape::half_coincident, Shape::planes, Shape::offset,
@@ -260,10 +268,7 @@ TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
       options.method = method;
       options.parts = 4;
       options.limits.guess.count_min = scene.count() + 1;
-      PartitionOptions guessed = options;
-      guessed.limits.guess.count_min = 0;
-      guessed.limits.guess.stride = 32;
-      guessed.limits.guess.sample_min = 1;
+      const PartitionOptions guessed = with_guess(options);
       on_ranks([&](comm::Comm& comm) {
         const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
         const PartitionResult all = partition(comm, share.particles.view(), options).value();
@@ -289,10 +294,7 @@ TEST(Partition, AMissedCutIsGuessedAgain) {
   PartitionOptions options;
   options.parts = 8;
   options.limits.guess.count_min = scene.count() + 1;
-  PartitionOptions guessed = options;
-  guessed.limits.guess.count_min = 0;
-  guessed.limits.guess.stride = 32;
-  guessed.limits.guess.sample_min = 1;
+  const PartitionOptions guessed = with_guess(options);
   const std::vector<std::size_t> sampled = pick(x.size(), guessed.limits.guess.stride);
   // Four standard deviations of the number of sampled particles left of the cut.
   auto moved = static_cast<int>(4 * std::sqrt(0.25 * static_cast<double>(sampled.size())));
