@@ -69,6 +69,8 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     std::fill(result_.part.begin(), result_.part.end(), 0);
     return std::move(result_);
   }
+  if (start_ == nullptr) result_.part.resize(particles_.count);
+  part_ = start_ == nullptr ? result_.part.span() : start_->part;
   measure_all();
   if (!scale_) result_.counts.resize(at(options_.parts));
   quantise();
@@ -81,18 +83,11 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     order_axes();
     wanted.clear();
     for (const Node& node : level_) wanted.push_back(request_of(node));
-    split(wanted, selector.select(wanted, spans_));
+    split(wanted, selector.select(wanted));
     level_.swap(next_);
     spans_.swap(next_spans_);
   }
   if (abandoned()) return {};
-  if (start_ == nullptr) result_.part.resize(particles_.count);
-  // Parts outside the roots have no quantised points.
-  for (std::size_t c = 0; c < starts_.size(); ++c)
-    for (std::size_t p = c * at(options_.parts) + 1; p < (c + 1) * at(options_.parts); ++p)
-      ends_[p] = std::max(ends_[p], ends_[p - 1]);
-  points_.write_parts(ends_, options_.parts, start_ == nullptr ? result_.part.span() : start_->part);
-  result_.traffic.bytes += points_.size() * (sizeof(QuantisedPoint) + sizeof(std::int32_t));
   result_.rounds = selector.rounds();
   result_.reductions += selector.reductions();
   result_.traffic.bytes += selector.bytes_moved();
@@ -150,11 +145,10 @@ void TreeBuilder::order_axes() {
 std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   const std::size_t words = 2 * at(axes_);
   std::vector<std::uint64_t> least(nodes.size() * words, kNoOrderBits);
-  const std::size_t chunks = starts_.size();
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     const QBounds& bounds = level_[nodes[n]].bounds;
     std::uint64_t* const own = &least[n * words];
-    for (const Span& span : std::span(spans_).subspan(nodes[n] * chunks, chunks)) {
+    for (const Span& span : spans_of(level_[nodes[n]])) {
       result_.traffic.bytes += span.all().size() * sizeof(QuantisedPoint);
       for (const QuantisedPoint& point : span.all())
         for (std::size_t a = 0; a < at(axes_); ++a) {
@@ -186,8 +180,9 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   return extents;
 }
 
-CutRequest TreeBuilder::request_of(const Node& node) const {
+CutRequest TreeBuilder::request_of(const Node& node) {
   CutRequest wanted;
+  wanted.spans = spans_of(node);
   wanted.axes = node.axes;
   wanted.bounds = node.bounds;
   wanted.coincident = node.coincident;
@@ -261,10 +256,13 @@ void TreeBuilder::leave_uncut(std::size_t node) {
   const std::uint64_t beside = interior_->count(range.first, range.last);
   if (!scale_) result_.counts[at(range.first)] = level_[node].count + beside;
   if (!ends(range)) failed_count_ += (scale_ ? 0 : level_[node].count) + beside;
-  const std::size_t chunks = starts_.size();
-  for (std::size_t c = 0; c < chunks; ++c)
-    for (int p = range.first; p < range.last; ++p)
-      ends_[c * at(options_.parts) + at(p)] = static_cast<std::size_t>(spans_[node * chunks + c].last - starts_[c]);
+  for (const Span& span : spans_of(level_[node])) write_part(span, span.all(), range.first);
+}
+
+void TreeBuilder::write_part(const Span& span, std::span<const QuantisedPoint> points, int part) {
+  std::int32_t* const own = part_.data() + span.base;
+  for (const QuantisedPoint& point : points) own[point.index] = part;
+  result_.traffic.bytes += points.size() * (sizeof(QuantisedPoint) + sizeof(std::int32_t));
 }
 
 // By how much load a cut may miss its target. The tolerance is a fraction of each side's target; the smaller one
@@ -318,7 +316,6 @@ void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutF
 }
 
 void TreeBuilder::settle_empty() {
-  const std::size_t chunks = starts_.size();
   std::size_t kept = 0;
   for (std::size_t n = 0; n < next_.size(); ++n) {
     const NodeRange& range = next_[n].range;
@@ -327,14 +324,9 @@ void TreeBuilder::settle_empty() {
       cut_empty(range);
       continue;
     }
-    if (kept != n) {
-      next_[kept] = next_[n];
-      std::copy_n(&next_spans_[n * chunks], chunks, &next_spans_[kept * chunks]);
-    }
-    ++kept;
+    next_[kept++] = next_[n];
   }
   next_.resize(kept);
-  next_spans_.resize(kept * chunks);
 }
 
 void TreeBuilder::cut_empty(const NodeRange& range) {
@@ -347,30 +339,34 @@ void TreeBuilder::cut_empty(const NodeRange& range) {
   cut_empty(range.right());
 }
 
-void TreeBuilder::take_child(const Node& child, bool right, std::size_t parent) {
-  const std::size_t chunks = starts_.size();
-  const std::span<const Span> from = std::span<const Span>(spans_).subspan(parent * chunks, chunks);
-  if (child.range.leaf()) {
+void TreeBuilder::take_child(Node child, bool right, std::size_t parent) {
+  const bool leaf = child.range.leaf();
+  if (leaf && !scale_) {
     const std::uint64_t beside = interior_ == nullptr ? 0 : interior_->count(child.range.first, child.range.last);
-    if (!scale_) result_.counts[at(child.range.first)] = child.count + beside;
-    for (std::size_t c = 0; c < chunks; ++c) {
-      const QuantisedPoint* const end = right ? from[c].last : from[c].middle;
-      ends_[c * at(options_.parts) + at(child.range.first)] = static_cast<std::size_t>(end - starts_[c]);
-    }
-    return;
+    result_.counts[at(child.range.first)] = child.count + beside;
   }
-  next_.push_back(child);
-  for (const Span& span : from) {
+  child.spans_first = next_spans_.size();
+  for (const Span& span : spans_of(level_[parent])) {
     QuantisedPoint* const first = right ? span.middle : span.first;
     QuantisedPoint* const last = right ? span.last : span.middle;
-    next_spans_.push_back({first, first, last, last, nullptr, nullptr, span.base});
-    if (child.coincident) {
-      if (last > first) next_.back().bounds = level_[parent].bounds;
+    if (first == last) continue;
+    if (leaf) {
+      write_part(span, {first, last}, child.range.first);
       continue;
     }
-    widen(next_.back().bounds, {first, last});
-    result_.traffic.bytes += static_cast<std::size_t>(last - first) * sizeof(QuantisedPoint);
+    Span& own = next_spans_.emplace_back(
+        Span{.first = first, .middle = first, .upper = last, .last = last, .base = span.base, .bounds = span.bounds});
+    if (child.coincident) {
+      own.bounds = level_[parent].bounds;
+    } else if (own.size() < span.size() || own.bounds.empty()) {
+      own.bounds = {};
+      widen(own.bounds, own.all());
+      result_.traffic.bytes += own.size() * sizeof(QuantisedPoint);
+    }
+    child.bounds.extend(own.bounds);
   }
+  child.spans_last = next_spans_.size();
+  if (!leaf) next_.push_back(child);
 }
 
 void TreeBuilder::reduce_bounds(std::span<Node> nodes) {

@@ -7,8 +7,8 @@
 // not stay has failed.
 //
 // Invariants
-// 1. A node has one span of quantised points per chunk; the spans of a level's nodes lie in the nodes' order. The
-//    quantised points of a finished part never move again.
+// 1. A node has one or more spans of quantised points in each chunk that has any. Those of a finished part aren't read
+//    again.
 // 2. A node's count (without weights) or weight (with) is known from its parent's cut and never counted again.
 // 3. Axis orders are exact: where the bounds of the quantised points leave the order open, the coordinates decide.
 #pragma once
@@ -69,6 +69,8 @@ class TreeBuilder {
  private:
   struct Node {
     NodeRange range;
+    std::size_t spans_first = 0;  // its spans: [spans_first, spans_last) of the level's
+    std::size_t spans_last = 0;
     // Of the quantised points of all ranks.
     std::uint64_t count = 0;  // without weights
     u128 weight = 0;          // with weights
@@ -103,7 +105,7 @@ class TreeBuilder {
   Extents extents_of(const Node& node) const;
   // The exact extents of these nodes; notes which are coincident. Collective (one reduction).
   std::vector<Point> measure(std::span<const std::size_t> nodes);
-  CutRequest request_of(const Node& node) const;
+  CutRequest request_of(const Node& node);
   // Adds the interior particles to a request, and marks it where the quantised points alone can't answer it.
   void add_interior(const NodeRange& range, CutRequest& wanted) const;
   // True if all interior particles stay on their side of the cut found.
@@ -119,7 +121,12 @@ class TreeBuilder {
   // With many more parts than particles most nodes are such.
   void settle_empty();
   void cut_empty(const NodeRange& range);
-  void take_child(const Node& child, bool right, std::size_t parent);
+  void take_child(Node child, bool right, std::size_t parent);
+  std::span<Span> spans_of(const Node& node) {
+    return std::span(spans_).subspan(node.spans_first, node.spans_last - node.spans_first);
+  }
+  // Sets the part of these quantised points' particles.
+  void write_part(const Span& span, std::span<const QuantisedPoint> points, int part);
   // Turns this rank's bounds of these nodes into those of all ranks. Collective.
   void reduce_bounds(std::span<Node> nodes);
 
@@ -149,10 +156,9 @@ class TreeBuilder {
   PartitionResult result_;
   std::vector<Node> level_;
   std::vector<Node> next_;
-  std::vector<Span> spans_;  // [level_ * chunks]
+  std::vector<Span> spans_;  // of the level's nodes
   std::vector<Span> next_spans_;
-  std::vector<QuantisedPoint*> starts_;  // [chunks]: where their quantised points begin
-  std::vector<std::size_t> ends_;        // [chunk * parts + part]: where its quantised points end
+  std::span<std::int32_t> part_;  // of each particle: where it is written
   std::vector<NodeRange> uncut_;
   std::uint64_t failed_count_ = 0;  // particles in nodes that could not be cut
 };

@@ -194,10 +194,16 @@ void TreeBuilder::quantise() {
 void TreeBuilder::lay_out_roots() {
   spans_ = points_.spans();
   const std::size_t chunks = points_.chunks();
-  for (std::size_t c = 0; c < chunks; ++c) starts_.push_back(spans_[c].first);
-  ends_.resize(chunks * at(options_.parts));
+  for (std::size_t r = 0; r < level_.size(); ++r) {
+    level_[r].spans_first = r * chunks;
+    level_[r].spans_last = (r + 1) * chunks;
+  }
   if (knows_bounds()) return;
-  for (std::size_t n = 0; n < spans_.size(); ++n) widen(level_[n / chunks].bounds, spans_[n].all());
+  for (Node& node : level_)
+    for (Span& span : spans_of(node)) {
+      widen(span.bounds, span.all());
+      node.bounds.extend(span.bounds);
+    }
   result_.traffic.bytes += points_.size() * sizeof(QuantisedPoint);
   reduce_bounds(level_);
 }

@@ -272,22 +272,9 @@ std::vector<Span> QuantisedPoints::spans() {
     for (Chunk& chunk : chunks_) {
       QuantisedPoint* const first = chunk.points.data() + (r == 0 ? 0 : chunk.ends[r - 1]);
       QuantisedPoint* const last = chunk.points.data() + chunk.ends[r];
-      spans.push_back({first, first, last, last, nullptr, nullptr, chunk.base});
+      spans.push_back({.first = first, .middle = first, .upper = last, .last = last, .base = chunk.base});
     }
   return spans;
-}
-
-void QuantisedPoints::write_parts(std::span<const std::size_t> ends, int parts, std::span<std::int32_t> part) const {
-  for (std::size_t c = 0; c < chunks_.size(); ++c) {
-    const Chunk& chunk = chunks_[c];
-    std::int32_t* const own = part.data() + chunk.base;
-    std::size_t i = 0;
-    for (std::int32_t p = 0; p < parts; ++p)
-      for (const std::size_t end = ends[c * static_cast<std::size_t>(parts) + static_cast<std::size_t>(p)]; i < end;
-           ++i)
-        own[chunk.points[i].index] = p;
-    CHECK(i == chunk.ends.back(), "every quantised point is in a part");
-  }
 }
 
 // Points at either end that are on the right side already are skipped, since solvers' orders are seldom random. All

@@ -9,6 +9,7 @@
 // 3. Quantised points come in chunks, since a particle's index in its chunk has 32 bits.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cstdint>
@@ -27,8 +28,23 @@ struct alignas(16) QuantisedPoint {
   std::uint32_t index = 0;
 };
 
-// A node's quantised points in one chunk. Those before `middle` are known to go left, those from `upper` on to go
-// right.
+// Bounds of quantised coordinates; lo > hi: there are none, or they aren't known.
+struct QBounds {
+  static constexpr std::int32_t kNone = 0x7FFFFFFF;
+  Integers lo{kNone, kNone, kNone};
+  Integers hi{-1, -1, -1};
+
+  bool empty() const { return lo[0] > hi[0]; }
+  void extend(const QBounds& other) {
+    for (std::size_t a = 0; a < lo.size(); ++a) {
+      lo[a] = std::min(lo[a], other.lo[a]);
+      hi[a] = std::max(hi[a], other.hi[a]);
+    }
+  }
+};
+
+// Some of a node's quantised points, all in one chunk. Those before `middle` are known to go left, those from `upper`
+// on to go right.
 struct Span {
   QuantisedPoint* first = nullptr;
   QuantisedPoint* middle = nullptr;
@@ -39,6 +55,7 @@ struct Span {
   QuantisedPoint* tie_break = nullptr;
   QuantisedPoint* tie_break_last = nullptr;
   std::uint64_t base = 0;  // the chunk's first particle
+  QBounds bounds;          // exact
 
   std::size_t size() const { return static_cast<std::size_t>(last - first); }
   std::span<QuantisedPoint> all() const { return {first, last}; }
@@ -108,15 +125,6 @@ class AxisMap {
 
 using AxisMaps = std::array<AxisMap, geometry::kDimsMax>;
 
-// Bounds of quantised coordinates; lo > hi: there are none.
-struct QBounds {
-  static constexpr std::int32_t kNone = 0x7FFFFFFF;
-  Integers lo{kNone, kNone, kNone};
-  Integers hi{-1, -1, -1};
-
-  bool empty() const { return lo[0] > hi[0]; }
-};
-
 // Which particles are quantised, and how they are grouped.
 struct Roots {
   static constexpr std::int32_t kNone = -1;
@@ -141,8 +149,6 @@ class QuantisedPoints {
   std::size_t size() const;
   // [root * chunks + chunk]: the quantised points of each root.
   std::vector<Span> spans();
-  // Sets part[i] for each quantised point of particle i. ends[chunk * parts + p]: where those of part p end.
-  void write_parts(std::span<const std::size_t> ends, int parts, std::span<std::int32_t> part) const;
 
  private:
   struct Chunk {

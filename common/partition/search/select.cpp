@@ -45,10 +45,8 @@ u128 threshold_of(const CutRequest& wanted) {
   return static_cast<u128>(Wide((load + wanted.size - 1) / wanted.size));
 }
 
-std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes, std::span<Span> spans) {
+std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes) {
   nodes_ = nodes;
-  spans_ = spans;
-  chunks_ = nodes.empty() ? 1 : spans.size() / nodes.size();
   found_.assign(nodes.size(), CutFound{});
   states_.assign(nodes.size(), State{});
   neighbours_.clear();

@@ -46,6 +46,7 @@ std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> val
 struct CutRequest {
   bool unanswerable = false;  // by the quantised points alone; then all else is unspecified
   bool search = true;         // false: nothing goes right, or it is unanswerable
+  std::span<Span> spans;      // its quantised points; afterwards middle == upper, where the right side begins
   AxisOrder axes{0, 1, 2};
   QBounds bounds;                 // of the quantised points' integers, all ranks
   bool coincident = false;        // all of these lie in one place: only ids tell them apart
@@ -102,8 +103,7 @@ class Selector {
         cell_words_(scale == nullptr ? 1 : 4) {}
 
   // The cuts of a level's nodes. Collective.
-  //   spans  [nodes * chunks], each node's quantised points; on return middle == upper, where the right side begins
-  std::vector<CutFound> select(std::span<const CutRequest> nodes, std::span<Span> spans);
+  std::vector<CutFound> select(std::span<const CutRequest> nodes);
 
   std::uint64_t rounds() const { return rounds_; }
   std::uint64_t reductions() const { return reductions_; }
@@ -208,7 +208,7 @@ class Selector {
   std::size_t axis_of(std::size_t node) const {
     return axes_ == 0 || nodes_[node].keep_ids ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
   }
-  std::span<Span> spans_of(std::size_t node) const { return spans_.subspan(node * chunks_, chunks_); }
+  std::span<Span> spans_of(std::size_t node) const { return nodes_[node].spans; }
   // True if a key word's axis is lossless: the integers may then stand for the word.
   bool lossless(std::size_t node, std::size_t word) const {
     return word < axes_ && maps_[static_cast<std::size_t>(nodes_[node].axes[word])].lossless();
@@ -232,8 +232,6 @@ class Selector {
 
   std::span<const CutRequest> nodes_;
   std::vector<CutFound> found_;  // [nodes]
-  std::span<Span> spans_;
-  std::size_t chunks_ = 1;
   std::vector<State> states_;
   std::uint64_t gather_limit_ = 0;
   std::vector<Neighbour> neighbours_;
