@@ -1,5 +1,5 @@
-// The entry points: they check the options. The search level by level is in search/build_tree.cpp; large sets go
-// through incremental/guess.cpp.
+// The entry points: they check the options. The search level by level is in search/build_tree.cpp; large sets begin
+// with a sample, in few parts with a tree guessed from it (incremental/guess.cpp).
 #include "common/partition/partition.hpp"
 
 #include <algorithm>
@@ -87,18 +87,17 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (options.method == Method::equal_boxes || options.method == Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
                   "choose rcb, bands-x, bands-y or bands-z");
-  std::uint64_t reductions = 0;
-  Traffic traffic;
-  {
-    PartitionResult in_vain;
-    if (auto found = partition_from_guess(comm, particles, options, in_vain)) return *std::move(found);
-    reductions = in_vain.reductions;
-    traffic = in_vain.traffic;
-  }
-  auto result = build({comm, particles, options, particles.dims}, go_on);
+  PartitionResult in_vain;
+  std::optional<LargeSetSample> large;
+  const bool guess = may_guess(options);
+  if (may_sample(options)) large = sample_large_set(comm, particles, options, guess, in_vain.reductions);
+  if (large && guess)
+    if (auto found = partition_from_guess(comm, particles, options, *large, in_vain)) return *std::move(found);
+  auto result = large && large->buckets ? build({comm, particles, options, large->sample}, go_on)
+                                        : build({comm, particles, options, particles.dims}, go_on);
   if (!result.ok()) return result;
-  result->reductions += reductions;
-  result->traffic += traffic;
+  result->reductions += in_vain.reductions;
+  result->traffic += in_vain.traffic;
   return result;
 }
 

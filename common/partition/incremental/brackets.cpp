@@ -6,7 +6,7 @@
 #include <numeric>
 
 #include "common/base/index.hpp"
-#include "common/partition/incremental/sample.hpp"
+#include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
 namespace {

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "common/geometry/box.hpp"
-#include "common/partition/incremental/sample.hpp"
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
+#include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
 

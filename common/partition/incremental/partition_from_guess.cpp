@@ -6,8 +6,8 @@
 #include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/incremental/classify_guessed.hpp"
 #include "common/partition/incremental/guess.hpp"
-#include "common/partition/incremental/sample.hpp"
 #include "common/partition/search/build_tree.hpp"
+#include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -52,27 +52,24 @@ slots_beyond(const particles::ParticleView& particles, const Box& box, std::uint
 
 class FirstPartition {
  public:
-  FirstPartition(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options)
+  FirstPartition(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                 const LargeSetSample& large, std::uint64_t reductions)
       : comm_(comm),
         particles_(particles),
         options_(options),
         limits_(options.limits.guess),
-        rule_(options, particles.dims) {
+        rule_(options, particles.dims),
+        n_(large.count),
+        stride_(large.stride),
+        has_weights_(large.has_weights),
+        sample_(large.sample) {
+    result_.reductions = reductions;
     result_.tree = uncut_tree(options, particles.dims);
     roots_ = {result_.tree.root()};
   }
 
   // False, on all ranks, if the root's cut was not found by a guess. Collective.
   bool run() {
-    std::vector<std::uint64_t> count{particles_.count, particles_.weight != nullptr ? 1U : 0U};
-    comm_.all_sum(count);
-    ++result_.reductions;
-    n_ = count[0];
-    has_weights_ = count[1] > 0;
-    if (n_ / static_cast<std::uint64_t>(comm_.size()) < limits_.count_min) return false;
-    stride_ = std::max<std::uint64_t>(n_ / std::clamp(n_ / limits_.stride, limits_.sample_min, limits_.sample_max), 1);
-    sample_ = share_sample(comm_, particles_, nullptr, pick(particles_.count, stride_));
-    ++result_.reductions;
     result_.counts.resize(at(options_.parts));
     result_.part.resize(particles_.count);
     // Further stages find the parts so far in tables of kGuessLeaves.
@@ -208,10 +205,10 @@ class FirstPartition {
   const GuessLimits& limits_;
   SplitRule rule_;
   std::optional<ExactScale> scale_;
-  std::uint64_t n_ = 0;
-  std::uint64_t stride_ = 1;
-  bool has_weights_ = false;
-  Sample sample_;
+  std::uint64_t n_;
+  std::uint64_t stride_;
+  bool has_weights_;
+  const Sample& sample_;
   std::vector<NodeRange> roots_;  // not cut yet
   std::vector<Box> boxes_;        // of their particles; empty: not known
   std::optional<Guess> guess_;    // that left them uncut
@@ -220,17 +217,20 @@ class FirstPartition {
 
 }  // namespace
 
+bool may_guess(const PartitionOptions& options) {
+  return options.parts <= options.limits.guess.parts_max &&
+         (options.previous == nullptr || options.axis_hysteresis <= 1);
+}
+
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options, PartitionResult& in_vain) {
-  const GuessLimits& limits = options.limits.guess;
-  if (options.parts < limits.parts_min || options.parts > limits.parts_max) return std::nullopt;
-  // With hysteresis the previous tree influences the axes, and within a tolerance cuts depend on where a search begins.
-  if (options.cut_tolerance > 0 || (options.previous != nullptr && options.axis_hysteresis > 1)) return std::nullopt;
-  FirstPartition first(comm, particles, options);
+                                                    const PartitionOptions& options, const LargeSetSample& large,
+                                                    PartitionResult& in_vain) {
+  FirstPartition first(comm, particles, options, large, in_vain.reductions);
   const bool found = first.run();
   PartitionResult result = first.take();
   if (found) return result;
-  in_vain = std::move(result);
+  in_vain.reductions = result.reductions;
+  in_vain.traffic = result.traffic;
   return std::nullopt;
 }
 

@@ -10,12 +10,19 @@
 #include "common/comm/comm.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/search/request.hpp"
+#include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
 
-// nullopt, on all ranks, if options.limits or the sample rule out a guess. `options` must be valid. Collective.
-//   in_vain  if nothing came of it: `reductions` and `traffic` of what was tried
+// False if these options rule a guess out: with many parts most particles would be near some cut, and with hysteresis
+// the previous tree influences the axes. Local.
+bool may_guess(const PartitionOptions& options);
+
+// nullopt, on all ranks, if no cut of the root was found. `options` must be valid, and allow a guess. Collective.
+//   large    of all particles
+//   in_vain  `reductions` so far; if nothing came of it, also those and the `traffic` of what was tried
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
-                                                    const PartitionOptions& options, PartitionResult& in_vain);
+                                                    const PartitionOptions& options, const LargeSetSample& large,
+                                                    PartitionResult& in_vain);
 
 }  // namespace rcb::partition

@@ -115,8 +115,13 @@ class Repartitioning {
     for (std::size_t k = 0; k < result_.delta.slot.size() && !whole; ++k)
       part[result_.delta.slot[k]] = result_.delta.part[k];
     const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
-    PartitionResult found = (whole ? TreeBuilder(comm_, particles_, options_, particles_.dims)
-                                   : TreeBuilder(comm_, particles_, options_, start))
+    std::optional<LargeSetSample> large;
+    if (whole && may_sample(options_) && !scale_ &&
+        n_ / static_cast<std::uint64_t>(comm_.size()) >= options_.limits.guess.count_min)
+      large = sample_large_set(comm_, particles_, options_, false, result_.reductions);
+    PartitionResult found = (!whole  ? TreeBuilder(comm_, particles_, options_, start)
+                             : large ? TreeBuilder(comm_, particles_, options_, large->sample)
+                                     : TreeBuilder(comm_, particles_, options_, particles_.dims))
                                 .build();
     if (whole) part = std::move(found.part);
     tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });

@@ -69,8 +69,6 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     std::fill(result_.part.begin(), result_.part.end(), 0);
     return std::move(result_);
   }
-  if (start_ == nullptr) result_.part.resize(particles_.count);
-  part_ = start_ == nullptr ? result_.part.span() : start_->part;
   measure_all();
   if (!scale_) result_.counts.resize(at(options_.parts));
   quantise();
@@ -88,6 +86,8 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     spans_.swap(next_spans_);
   }
   if (abandoned()) return {};
+  if (start_ == nullptr && bucket_.empty()) result_.part.resize(particles_.count);
+  result_.traffic.bytes += writer_.write(start_ == nullptr ? result_.part.span() : start_->part);
   result_.rounds = selector.rounds();
   result_.reductions += selector.reductions();
   result_.traffic.bytes += selector.bytes_moved();
@@ -203,8 +203,24 @@ CutRequest TreeBuilder::request_of(const Node& node) {
     wanted.rank = rule_.quota(first, node.range.middle());
   }
   if (interior_ != nullptr) add_interior(node.range, wanted);
+  if (sample_ != nullptr) wanted.expected = expected_in(node, wanted.rank);
   wanted.search = !wanted.unanswerable && !node.bounds.empty() && (scale_ || wanted.rank < wanted.below + wanted.count);
   return wanted;
+}
+
+std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& node, std::uint64_t rank) const {
+  ExpectedCut expected = splitters_.expected[at(node.range.node)];
+  if (expected.axis < 0 || node.sampled.size() == 0 || node.coincident || node.bounds.empty()) return std::nullopt;
+  const auto axis = at(node.axes[0]);
+  if (expected.axis != node.axes[0])
+    expected = expect_cut(sorted_, node.sampled, node.axes[0],
+                          static_cast<double>(rank) / static_cast<double>(node.count), options_.limits);
+  if (expected.anywhere()) return std::nullopt;
+  const auto integer = [&](double x) { return maps_[axis](std::clamp(x, lo_[axis], hi_[axis])); };
+  const std::int32_t lo = std::max(integer(expected.least), node.bounds.lo[axis]);
+  const std::int32_t hi = std::min(integer(expected.most), node.bounds.hi[axis]);
+  if (lo > hi) return std::nullopt;
+  return std::array{lo, hi};
 }
 
 void TreeBuilder::add_interior(const NodeRange& range, CutRequest& wanted) const {
@@ -256,13 +272,7 @@ void TreeBuilder::leave_uncut(std::size_t node) {
   const std::uint64_t beside = interior_->count(range.first, range.last);
   if (!scale_) result_.counts[at(range.first)] = level_[node].count + beside;
   if (!ends(range)) failed_count_ += (scale_ ? 0 : level_[node].count) + beside;
-  for (const Span& span : spans_of(level_[node])) write_part(span, span.all(), range.first);
-}
-
-void TreeBuilder::write_part(const Span& span, std::span<const QuantisedPoint> points, int part) {
-  std::int32_t* const own = part_.data() + span.base;
-  for (const QuantisedPoint& point : points) own[point.index] = part;
-  result_.traffic.bytes += points.size() * (sizeof(QuantisedPoint) + sizeof(std::int32_t));
+  for (const Span& span : spans_of(level_[node])) writer_.note(span, span.all(), range.first);
 }
 
 // By how much load a cut may miss its target. The tolerance is a fraction of each side's target; the smaller one
@@ -302,6 +312,12 @@ void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutF
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};
+    if (sample_ != nullptr && splitters_.expected[at(node.range.node)].axis >= 0 && !cut.right_empty) {
+      const auto axis = at(cut.axes[0]);
+      const std::size_t below = sorted_.below(node.sampled, axis, cut.key.at[0]);
+      sorted_.split(node.sampled, axis, below);
+      left.sampled.last = right.sampled.first = node.sampled.first + below;
+    }
     left.ids_kept = right.ids_kept = own.ids_kept;
     if (own.place) left.place = right.place = own.place;
     if (node.coincident && !cut.right_empty) {
@@ -351,11 +367,17 @@ void TreeBuilder::take_child(Node child, bool right, std::size_t parent) {
     QuantisedPoint* const last = right ? span.last : span.middle;
     if (first == last) continue;
     if (leaf) {
-      write_part(span, {first, last}, child.range.first);
+      writer_.note(span, {first, last}, child.range.first);
       continue;
     }
     Span& own = next_spans_.emplace_back(
-        Span{.first = first, .middle = first, .upper = last, .last = last, .base = span.base, .bounds = span.bounds});
+        Span{.first = first,
+             .middle = first,
+             .upper = last,
+             .last = last,
+             .base = span.base,
+             .bounds = span.bounds,
+             .bucket = first == span.first && last == span.last ? span.bucket : Span::kNoBucket});
     if (child.coincident) {
       own.bounds = level_[parent].bounds;
     } else if (own.size() < span.size() || own.bounds.empty()) {

@@ -1,13 +1,13 @@
 // TreeBuilder: makes a tree level by level. For each level it orders the axes of the nodes, searches their cuts, which
-// also divides their quantised points (select.hpp), and passes once over the children's quantised points for their
-// bounds (if they don't all lie in one place).
+// also divides their quantised points (select.hpp), and passes once over those of each span that was divided, for the
+// children's bounds (if they don't all lie in one place).
 //
 // It may begin below the root, at nodes of an existing tree that are to be cut anew, and it may search among boundary
 // particles alone while interior particles are expected to stay (interior.hpp). A node whose interior particles would
 // not stay has failed.
 //
 // Invariants
-// 1. A node has one or more spans of quantised points in each chunk that has any. Those of a finished part aren't read
+// 1. A node has one or more spans of quantised points in each chunk that has any. Those of a finished part never move
 //    again.
 // 2. A node's count (without weights) or weight (with) is known from its parent's cut and never counted again.
 // 3. Axis orders are exact: where the bounds of the quantised points leave the order open, the coordinates decide.
@@ -20,7 +20,9 @@
 
 #include "common/base/index.hpp"
 #include "common/partition/balance/load.hpp"
+#include "common/partition/search/buckets.hpp"
 #include "common/partition/search/interior.hpp"
+#include "common/partition/search/part_writer.hpp"
 #include "common/partition/search/quantised_points.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/select.hpp"
@@ -51,6 +53,12 @@ class TreeBuilder {
  public:
   // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
+  // Begins with buckets; no particle has a weight, and `sample`, of all of them, must outlive this.
+  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+              const Sample& sample)
+      : TreeBuilder(comm, particles, options, particles.dims) {
+    sample_ = &sample;
+  }
   // `start` must outlive this.
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
               const Start& start);
@@ -71,6 +79,7 @@ class TreeBuilder {
     NodeRange range;
     std::size_t spans_first = 0;  // its spans: [spans_first, spans_last) of the level's
     std::size_t spans_last = 0;
+    SortedSample::Range sampled;  // its sampled particles
     // Of the quantised points of all ranks.
     std::uint64_t count = 0;  // without weights
     u128 weight = 0;          // with weights
@@ -86,6 +95,8 @@ class TreeBuilder {
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
   // one reduction).
   bool find_bounds();
+  // That of this rank's particles. Sorts them into buckets, if there is a sample.
+  geometry::Box own_box();
   bool knows_bounds() const { return level_.size() == 1 || !start_->boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
@@ -125,8 +136,8 @@ class TreeBuilder {
   std::span<Span> spans_of(const Node& node) {
     return std::span(spans_).subspan(node.spans_first, node.spans_last - node.spans_first);
   }
-  // Sets the part of these quantised points' particles.
-  void write_part(const Span& span, std::span<const QuantisedPoint> points, int part);
+  // Where the key's first integer is expected, if a sample tells.
+  std::optional<std::array<std::int32_t, 2>> expected_in(const Node& node, std::uint64_t rank) const;
   // Turns this rank's bounds of these nodes into those of all ranks. Collective.
   void reduce_bounds(std::span<Node> nodes);
 
@@ -136,6 +147,11 @@ class TreeBuilder {
   int axes_;
   std::size_t q_axes_;  // coordinates in a quantised point
   const Start* start_ = nullptr;
+  const Sample* sample_ = nullptr;
+  SortedSample sorted_;
+  Splitters splitters_;
+  // Of each particle; empty: there are none. They take the last quarter of the parts' memory until these are written.
+  std::span<std::uint8_t> bucket_;
   bool stopped_ = false;
   const Interior* interior_ = nullptr;
   SplitRule rule_;
@@ -158,7 +174,7 @@ class TreeBuilder {
   std::vector<Node> next_;
   std::vector<Span> spans_;  // of the level's nodes
   std::vector<Span> next_spans_;
-  std::span<std::int32_t> part_;  // of each particle: where it is written
+  PartWriter writer_;
   std::vector<NodeRange> uncut_;
   std::uint64_t failed_count_ = 0;  // particles in nodes that could not be cut
 };

@@ -32,6 +32,32 @@ std::vector<std::uint64_t> TreeBuilder::find_roots() {
   return of_roots;
 }
 
+geometry::Box TreeBuilder::own_box() {
+  result_.traffic.reads += axes_ > 0 ? particles_.count : 0;
+  result_.traffic.bytes +=
+      particles_.count * at(axes_) * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
+  if (sample_ != nullptr) {
+    sorted_ = SortedSample(*sample_);
+    splitters_ = find_splitters(sorted_, options_, axes_);
+    result_.part.resize(particles_.count);
+    auto* const bytes = reinterpret_cast<std::uint8_t*>(result_.part.data());
+    bucket_ = {bytes + particles_.count * (sizeof(std::int32_t) - 1), particles_.count};
+    result_.traffic.bytes += bucket_.size();
+    return sort_into_buckets(particles_, splitters_, bucket_);
+  }
+  geometry::Box box;
+  for (std::size_t a = 0; a < at(axes_); ++a) {
+    const double* const x = particles_.position[a];
+    if (all_particles_) geometry::least_and_most({x, particles_.count}, box.lo[a], box.hi[a]);
+    for (std::size_t i = 0; i < particles_.count && !all_particles_; ++i) {
+      const bool within = roots_.of(i) != Roots::kNone;
+      box.lo[a] = within ? std::min(box.lo[a], x[i]) : box.lo[a];
+      box.hi[a] = within ? std::max(box.hi[a], x[i]) : box.hi[a];
+    }
+  }
+  return box;
+}
+
 bool TreeBuilder::find_bounds() {
   if (start_ != nullptr && !start_->boxes.empty()) {
     geometry::Box all;
@@ -41,21 +67,10 @@ bool TreeBuilder::find_bounds() {
     return !all.empty(axes_);
   }
   std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
-  if (axes_ > 0) result_.traffic.reads += particles_.count;
-  for (std::size_t a = 0; a < at(axes_) && particles_.count > 0; ++a) {
-    const double* const x = particles_.position[a];
-    result_.traffic.bytes += particles_.count * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
-    double lo = all_particles_ ? x[0] : geometry::Box::kInfinity;
-    double hi = all_particles_ ? x[0] : -geometry::Box::kInfinity;
-    if (all_particles_) geometry::least_and_most({x, particles_.count}, lo, hi);
-    for (std::size_t i = 0; i < particles_.count && !all_particles_; ++i) {
-      const bool within = roots_.of(i) != Roots::kNone;
-      lo = within ? std::min(lo, x[i]) : lo;
-      hi = within ? std::max(hi, x[i]) : hi;
-    }
-    if (lo > hi) break;
-    least[a] = geometry::order_bits(lo);
-    least[geometry::kDimsMax + a] = ~geometry::order_bits(hi);
+  const geometry::Box box = own_box();
+  for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {
+    least[a] = geometry::order_bits(box.lo[a]);
+    least[geometry::kDimsMax + a] = ~geometry::order_bits(box.hi[a]);
   }
   if (axes_ > 0) {
     std::ranges::copy(weight_order_bits(particles_), least.end() - 2);
@@ -176,11 +191,11 @@ void TreeBuilder::quantise() {
   const bool tell = std::ranges::max(lossless_) != 0 &&
                     std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.linear(); });
   const std::array<int, geometry::kDimsMax> zeros =
-      points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell, roots_);
+      points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell, roots_, bucket_);
   if (axes_ > 0) result_.traffic.reads += particles_.count;
   result_.traffic.bytes +=
       particles_.count * (q_axes_ * sizeof(double) + (roots_.one() ? 0 : 2 * sizeof(std::int32_t))) +
-      points_.size() * sizeof(QuantisedPoint);
+      2 * bucket_.size() + points_.size() * sizeof(QuantisedPoint);
   if (!tell) return;
   // 1 + the trailing zeros; 0 if the axis is not lossless.
   for (std::size_t a = 0; a < lossless_.size(); ++a)
@@ -198,14 +213,22 @@ void TreeBuilder::lay_out_roots() {
     level_[r].spans_first = r * chunks;
     level_[r].spans_last = (r + 1) * chunks;
   }
-  if (knows_bounds()) return;
+  if (sample_ != nullptr) {
+    for (std::size_t n = 0; n < spans_.size(); ++n) spans_[n].bucket = static_cast<std::int32_t>(n / chunks);
+    writer_.use_buckets(bucket_, options_.limits.chunk_max);
+    std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
+    level_[0].spans_last = spans_.size();
+    level_[0].sampled = sorted_.all();
+  } else if (knows_bounds()) {
+    return;
+  }
   for (Node& node : level_)
     for (Span& span : spans_of(node)) {
       widen(span.bounds, span.all());
       node.bounds.extend(span.bounds);
     }
   result_.traffic.bytes += points_.size() * sizeof(QuantisedPoint);
-  reduce_bounds(level_);
+  if (!knows_bounds()) reduce_bounds(level_);
 }
 
 }  // namespace rcb::partition

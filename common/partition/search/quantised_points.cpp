@@ -8,6 +8,7 @@
 
 #include "common/base/check.hpp"
 #include "common/base/cpu.hpp"
+#include "common/partition/search/buckets.hpp"
 #include "common/partition/search/four_points.hpp"
 
 namespace rcb::partition {
@@ -51,22 +52,34 @@ struct ByValue {
   }
 };
 
-// Where quantised points go: in order, or each behind the last one of its root.
+// Where quantised points go: in order, or each behind the last one of its group, a root or a bucket.
 struct InOrder {
   QuantisedPoint* out;
   QuantisedPoint* next(std::size_t i) const { return out + i; }
 };
-struct ByRoot {
+struct RootOf {
   const std::int32_t* part;
   const std::int32_t* root_of;
-  // By root + 1; those of no root all go to one place behind the last root's.
+  std::size_t operator()(std::size_t i) const { return static_cast<std::size_t>(root_of[part[i]] + 1); }
+};
+struct BucketOf {
+  const std::uint8_t* bucket;
+  std::size_t operator()(std::size_t i) const { return std::size_t{bucket[i]} + 1; }
+};
+template <typename Group>
+struct ByGroup {
+  Group group;  // of each particle; 0: none
+  // By group; those of none all go to one place behind the last group's.
   std::vector<QuantisedPoint*> cursor;
+  static constexpr std::uintptr_t kAhead = 8 * sizeof(QuantisedPoint);
   QuantisedPoint* next(std::size_t i) {
-    const std::int32_t root = root_of[part[i]];
-    QuantisedPoint*& at = cursor[static_cast<std::size_t>(root + 1)];
-    QuantisedPoint* const own = at;
-    at += static_cast<std::ptrdiff_t>(root != Roots::kNone);
-    return own;
+    const std::size_t own = group(i);
+    QuantisedPoint*& at = cursor[own];
+    QuantisedPoint* const point = at;
+    // The processor sees no pattern in so many places. The address may lie beyond the last point: it isn't read.
+    __builtin_prefetch(reinterpret_cast<const void*>(reinterpret_cast<std::uintptr_t>(point) + kAhead), 1);
+    at += static_cast<std::ptrdiff_t>(own != 0);
+    return point;
   }
 };
 
@@ -233,27 +246,32 @@ int zeros_of_lossless(const AxisMap& map, std::span<const double> x) {
 
 std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::ParticleView& particles, int axes,
                                                            const AxisMaps& maps, std::size_t chunk_max,
-                                                           bool check_lossless, const Roots& roots) {
+                                                           bool check_lossless, const Roots& roots,
+                                                           std::span<const std::uint8_t> bucket) {
   std::array<Lossless, geometry::kDimsMax> lossless;
   chunks_.clear();
   for (std::size_t first = 0; first < particles.count || first == 0; first += chunk_max) {
     const std::size_t count = std::min(chunk_max, particles.count - first);
     Chunk& chunk = chunks_.emplace_back();
     chunk.base = first;
-    if (roots.one()) {
+    const auto fill_groups = [&](const auto& group, std::size_t groups) {
+      std::vector<std::size_t> counts(groups + 1, 0);
+      for (std::size_t i = 0; i < count; ++i) ++counts[group(i)];
+      std::partial_sum(counts.begin() + 1, counts.end(), std::back_inserter(chunk.ends));
+      chunk.points.resize(chunk.ends.back() + 1);
+      std::vector<QuantisedPoint*> cursor{chunk.points.data() + chunk.ends.back(), chunk.points.data()};
+      for (std::size_t g = 1; g < groups; ++g) cursor.push_back(chunk.points.data() + chunk.ends[g - 1]);
+      fill(particles, axes, first, count, maps, ByGroup{group, std::move(cursor)}, check_lossless, lossless);
+    };
+    if (!bucket.empty()) {
+      fill_groups(BucketOf{bucket.data() + first}, kBuckets);
+    } else if (!roots.one()) {
+      fill_groups(RootOf{roots.part.data() + first, roots.root_of.data()}, roots.count);
+    } else {
       chunk.ends = {count};
       chunk.points.resize(count);
       fill(particles, axes, first, count, maps, InOrder{chunk.points.data()}, check_lossless, lossless);
-      continue;
     }
-    ByRoot places{roots.part.data() + first, roots.root_of.data(), {}};
-    std::vector<std::size_t> counts(roots.count + 1, 0);
-    for (std::size_t i = 0; i < count; ++i) ++counts[static_cast<std::size_t>(roots.of(first + i) + 1)];
-    std::partial_sum(counts.begin() + 1, counts.end(), std::back_inserter(chunk.ends));
-    chunk.points.resize(chunk.ends.back() + 1);
-    places.cursor = {chunk.points.data() + chunk.ends.back(), chunk.points.data()};
-    for (std::size_t r = 1; r < roots.count; ++r) places.cursor.push_back(chunk.points.data() + chunk.ends[r - 1]);
-    fill(particles, axes, first, count, maps, std::move(places), check_lossless, lossless);
   }
   std::array<int, geometry::kDimsMax> zeros{-1, -1, -1};
   for (std::size_t a = 0; a < zeros.size() && check_lossless; ++a) zeros[a] = lossless[a].zeros();
@@ -299,30 +317,46 @@ QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::i
   return left_end;
 }
 
-QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
-  constexpr std::size_t kStride = 8;  // most groups of so many have none to move
-  QuantisedPoint* next = points.data();
-  std::size_t i = 0;
-  for (; i + kStride <= points.size(); i += kStride) {
-    std::int32_t any = 0;
-    for (std::size_t k = 0; k < kStride; ++k) any |= points[i + k].q[axis] <= at ? 1 : 0;
-    if (any == 0) continue;
-    for (std::size_t k = 0; k < kStride; ++k)
-      if (points[i + k].q[axis] <= at) std::swap(points[i + k], *next++);
+namespace {
+
+// Calls move() with every point that is `wanted`, those of a block at a time, which are listed first: few points are
+// wanted, and a branch on each would often be mispredicted.
+template <typename Iterator, typename Wanted, typename Move>
+void for_each_of(Iterator points, std::size_t size, const Wanted& wanted, const Move& move) {
+  constexpr std::size_t kTogether = 512;
+  std::array<std::uint32_t, kTogether> found;
+  for (std::size_t begin = 0; begin < size; begin += kTogether) {
+    const auto block = points + static_cast<std::ptrdiff_t>(begin);
+    const auto most = static_cast<std::uint32_t>(std::min(kTogether, size - begin));
+    std::size_t count = 0;
+    for (std::uint32_t k = 0; k < most; ++k) {
+      found[count] = k;
+      count += wanted(block[k]) ? 1U : 0U;
+    }
+    for (std::size_t k = 0; k < count; ++k) move(block[found[k]]);
   }
-  for (; i < points.size(); ++i)
-    if (points[i].q[axis] <= at) std::swap(points[i], *next++);
+}
+
+}  // namespace
+
+QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
+  QuantisedPoint* next = points.data();
+  for_each_of(
+      points.begin(), points.size(), [=](const QuantisedPoint& point) { return point.q[axis] <= at; },
+      [&](QuantisedPoint& point) { std::swap(point, *next++); });
   return next;
 }
 
+QuantisedPoint* split_few_back(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
+  QuantisedPoint* end = points.data() + points.size();
+  for_each_of(
+      points.rbegin(), points.size(), [=](const QuantisedPoint& point) { return point.q[axis] >= at; },
+      [&](QuantisedPoint& point) { std::swap(point, *--end); });
+  return end;
+}
+
 void count_bins(std::span<const QuantisedPoint> points, std::size_t axis, std::int32_t lo, unsigned shift,
-                std::span<std::uint32_t> bins) {
-  // Two tables: neighbours often fall into the same bin, and its increments would wait for each other.
-  static thread_local Buffer<std::uint32_t> spare;
-  spare.resize(bins.size());
-  std::fill(spare.begin(), spare.end(), 0);
-  std::uint32_t* const even = bins.data();
-  std::uint32_t* const odd = spare.data();
+                std::span<std::uint32_t> even, std::span<std::uint32_t> odd) {
   const auto bin = [&](std::size_t i) { return static_cast<std::uint32_t>(points[i].q[axis] - lo) >> shift; };
   std::size_t i = 0;
   for (; i + 2 <= points.size(); i += 2) {
@@ -330,7 +364,6 @@ void count_bins(std::span<const QuantisedPoint> points, std::size_t axis, std::i
     ++odd[bin(i + 1)];
   }
   if (i < points.size()) ++even[bin(i)];
-  for (std::size_t b = 0; b < bins.size(); ++b) even[b] += odd[b];
 }
 
 // Compiled twice: with AVX2's vector minimum a pass takes half the time. The version is chosen while the program is

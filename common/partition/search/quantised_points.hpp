@@ -1,6 +1,6 @@
 // Quantised points: what the search reads and moves instead of the particles: 16 bytes each, the coordinates as 31-bit
-// integers and the particle's index. The quantised points of a tree node are contiguous, so a level of the tree takes a
-// few linear passes over memory, and the particles stay where they are.
+// integers and the particle's index. The quantised points of a tree node lie side by side, in few spans, so a level of
+// the tree takes a few linear passes over memory, and the particles stay where they are.
 //
 // Invariants
 // 1. Quantising preserves order: q(a) < q(b) implies a < b. Where integers are equal, the particles' coordinates
@@ -46,6 +46,8 @@ struct QBounds {
 // Some of a node's quantised points, all in one chunk. Those before `middle` are known to go left, those from `upper`
 // on to go right.
 struct Span {
+  static constexpr std::int32_t kNoBucket = -1;
+
   QuantisedPoint* first = nullptr;
   QuantisedPoint* middle = nullptr;
   QuantisedPoint* upper = nullptr;
@@ -54,8 +56,9 @@ struct Span {
   // for now.
   QuantisedPoint* tie_break = nullptr;
   QuantisedPoint* tie_break_last = nullptr;
-  std::uint64_t base = 0;  // the chunk's first particle
-  QBounds bounds;          // exact
+  std::uint64_t base = 0;           // the chunk's first particle
+  QBounds bounds;                   // exact, if known
+  std::int32_t bucket = kNoBucket;  // it holds all of this bucket in the chunk
 
   std::size_t size() const { return static_cast<std::size_t>(last - first); }
   std::span<QuantisedPoint> all() const { return {first, last}; }
@@ -139,21 +142,22 @@ struct Roots {
 
 class QuantisedPoints {
  public:
-  // Makes one quantised point per particle, grouped by root. axes: 0 quantises the ids instead. If `check_lossless`
-  // (only where all maps are by value), returns zeros_of_lossless() of every axis, found in the same pass; else -1.
-  // Local.
+  // Makes one quantised point per particle, grouped by bucket or, if `bucket` is empty, by root. axes: 0 quantises the
+  // ids instead. If `check_lossless` (only where all maps are by value), returns zeros_of_lossless() of every axis,
+  // found in the same pass; else -1. Local.
   std::array<int, geometry::kDimsMax> build(const particles::ParticleView& particles, int axes, const AxisMaps& maps,
-                                            std::size_t chunk_max, bool check_lossless, const Roots& roots);
+                                            std::size_t chunk_max, bool check_lossless, const Roots& roots,
+                                            std::span<const std::uint8_t> bucket);
 
   std::size_t chunks() const { return chunks_.size(); }
   std::size_t size() const;
-  // [root * chunks + chunk]: the quantised points of each root.
+  // [group * chunks + chunk]: the quantised points of each root or bucket.
   std::vector<Span> spans();
 
  private:
   struct Chunk {
     Buffer<QuantisedPoint> points;
-    std::vector<std::size_t> ends;  // [roots]
+    std::vector<std::size_t> ends;  // [roots, or buckets]
     std::uint64_t base = 0;         // its first particle
   };
   std::vector<Chunk> chunks_;
@@ -169,9 +173,12 @@ int zeros_of_lossless(const AxisMap& map, std::span<const double> x);
 QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
 // Moves points with q <= at (expected to be few) to the front; returns where the others begin.
 QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
-// Adds one to bins[(q - lo) >> shift] for each point; q in [lo, lo + (bins << shift)).
+// Moves points with q >= at (expected to be few) to the back; returns where they begin.
+QuantisedPoint* split_few_back(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
+// Adds one to bin (q - lo) >> shift of one of two tables for each point; q in [lo, lo + (bins << shift)). Two, since
+// neighbours often fall into the same bin, and its increments would wait for each other.
 void count_bins(std::span<const QuantisedPoint> points, std::size_t axis, std::int32_t lo, unsigned shift,
-                std::span<std::uint32_t> bins);
+                std::span<std::uint32_t> even, std::span<std::uint32_t> odd);
 void widen(QBounds& bounds, std::span<const QuantisedPoint> points);
 
 }  // namespace rcb::partition

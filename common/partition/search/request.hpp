@@ -12,12 +12,13 @@
 
 namespace rcb::partition {
 
-// When a partition begins with a guess from a sample (incremental/guess.hpp), and how much that sample is trusted.
+// When a partition begins with a sample, from which a tree is guessed (incremental/guess.hpp) or buckets are made
+// (buckets.hpp), and how much the sample is trusted.
 struct GuessLimits {
   // Particles per rank: with fewer, the further collectives and the sample cost more than the passes that are saved.
   std::uint64_t count_min = std::uint64_t{3} << 17U;
   int parts_min = 4;
-  int parts_max = 8;
+  int parts_max = 8;           // of a guess
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow
   std::uint64_t sample_min = 8192;
   std::uint64_t sample_max = 32768;
@@ -32,6 +33,9 @@ struct GuessLimits {
   // The least number of tree levels, averaged over the particles, that a guess must settle to be worth a pass. Below
   // nodes that an earlier stage left a tenth of it is enough.
   double levels_min = 1.5;
+  // Particles per part and rank: with fewer in buckets, what is kept of the pieces of these takes more memory than
+  // they.
+  std::uint64_t bucketed_min = 256;
 };
 
 // Tuning of the search; the tree does not depend on it.
@@ -39,9 +43,9 @@ struct SearchLimits {
   std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles per chunk, indexed with 32 bits
   std::uint64_t gather_max = 64;                      // candidates of a node that are gathered at once, >= 1
   std::uint64_t bins_max = 2048;                      // of a histogram; a power of two >= 2
-  // Incremental search: a bracket extends this many standard deviations of a sampled count, plus this many sampled
-  // particles, to either side. If brackets, or nodes that failed, hold more than 1 / boundary_divisor of all particles,
-  // a full search is made.
+  // A bracket extends this many standard deviations of a sampled count, plus this many sampled
+  // particles, to either side. Incremental search: if brackets, or nodes that failed, hold more than 1 /
+  // boundary_divisor of all particles, a full search is made.
   double bracket_sigmas = 3;
   double bracket_margin = 2;
   std::uint64_t boundary_divisor = 5;

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <bit>
+#include <limits>
+#include <utility>
 
 #include <boost/multiprecision/cpp_int.hpp>
 
@@ -52,6 +54,7 @@ std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes) {
   neighbours_.clear();
   gather_limit_ = nodes.empty() ? 0 : gather_limit();
   for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
+  if (any(Phase::expected)) check_expected();
   for (count_round(); any(Phase::count) || any(Phase::next_word); count_round()) next_word();
   gather_candidates();
   find_neighbours();
@@ -101,6 +104,7 @@ void Selector::start(std::size_t node) {
   if (!weighted()) {
     state.inside = ask.count;
     if (state.inside <= gather_limit_) state.phase = Phase::gather;
+    if (state.phase == Phase::count && ask.expected) state.phase = Phase::expected;
     return;
   }
   state.threshold = threshold_of(ask);
@@ -108,6 +112,73 @@ void Selector::start(std::size_t node) {
     state.phase = Phase::neighbour;
     neighbours_.push_back({.node = node, .weighted_before_bound = false, .from_start = true, .bound = {}});
   }
+}
+
+void Selector::check_expected() {
+  const std::vector<std::size_t> asked = in_phase(Phase::expected);
+  std::vector<std::uint64_t> counts;
+  for (const std::size_t node : asked) {
+    narrow_to_expected(node);
+    std::uint64_t below = 0;
+    std::uint64_t inside = 0;
+    for (const Span& span : spans_of(node)) {
+      below += static_cast<std::uint64_t>(span.middle - span.first);
+      inside += span.open().size();
+    }
+    counts.push_back(below);
+    counts.push_back(inside);
+  }
+  comm_.all_sum(counts);
+  ++reductions_;
+  for (std::size_t n = 0; n < asked.size(); ++n) {
+    const CutRequest& ask = nodes_[asked[n]];
+    State& state = states_[asked[n]];
+    const std::uint64_t below = counts[2 * n];
+    const std::uint64_t through = below + counts[2 * n + 1];
+    const auto [least, most] = *ask.expected;
+    const std::int32_t step = std::int32_t{1} << zeros_of(asked[n], 0);  // between integers
+    state.phase = Phase::count;
+    if (ask.rank < below) {
+      state.hi = least - step;
+      state.inside = below;
+      for (Span& span : spans_of(asked[n])) span.upper = std::exchange(span.middle, span.first);
+    } else if (ask.rank >= through) {
+      state.lo = most + step;
+      state.below = through;
+      state.inside = ask.count - through;
+      for (Span& span : spans_of(asked[n])) span.middle = std::exchange(span.upper, span.last);
+    } else {
+      state.lo = least;
+      state.hi = most;
+      state.below = below;
+      state.inside = through - below;
+    }
+    choose_next_phase(asked[n], ask.count);
+    state.rounds = 0;
+  }
+}
+
+void Selector::narrow_to_expected(std::size_t node) {
+  const auto [least, most] = *nodes_[node].expected;
+  const std::size_t axis = axis_of(node);
+  for (Span& span : spans_of(node)) {
+    const std::int32_t lo = span.bounds.lo[axis];
+    const std::int32_t hi = span.bounds.hi[axis];
+    if (lo < least) span.middle = hi < least ? span.last : split_open(span, axis, least);
+    if (hi > most) span.upper = lo > most ? span.middle : split_open(span, axis, most + 1);
+  }
+}
+
+// As split(), of a span's open points. Where the range of its integers tells that few are on one side, only these are
+// moved.
+QuantisedPoint* Selector::split_open(const Span& span, std::size_t axis, std::int32_t at) {
+  constexpr std::int64_t kFew = 8;
+  const std::int64_t left = std::int64_t{at} - span.bounds.lo[axis];
+  const std::int64_t right = std::int64_t{span.bounds.hi[axis]} - at;
+  const bool few = left * kFew < right || right * kFew < left;
+  bytes_moved_ += (few ? 1 : 2) * sizeof(QuantisedPoint) * span.open().size();
+  if (!few) return split(span.open(), axis, at);
+  return left < right ? split_few(span.open(), axis, at - 1) : split_few_back(span.open(), axis, at);
 }
 
 // Each candidate costs every rank about 0.2 us, and a round more of counting one collective. With slack the limit is
@@ -235,16 +306,27 @@ void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, st
       }
     return;
   }
-  bins_.resize(bins);
-  for (const Span& span : spans_of(node)) {
-    if (span.open().empty()) continue;
-    std::fill(bins_.begin(), bins_.end(), 0);
-    count_bins(span.open(), axis, lo, shift, bins_.span());
+  bins_.resize(2 * bins);
+  std::fill(bins_.begin(), bins_.end(), 0);
+  const std::span<std::uint32_t> even = bins_.span().first(bins);
+  const std::span<std::uint32_t> odd = bins_.span().subspan(bins);
+  std::uint64_t counted = 0;
+  const auto add = [&] {
     with_counts(at, [&](auto* counts) {
       using Count = std::remove_cvref_t<decltype(counts[0])>;
-      for (std::size_t b = 0; b < bins; ++b) counts[b] = static_cast<Count>(counts[b] + bins_[b]);
+      for (std::size_t b = 0; b < bins; ++b) counts[b] = static_cast<Count>(counts[b] + even[b] + odd[b]);
     });
+  };
+  for (const Span& span : spans_of(node)) {
+    if (counted + span.open().size() > std::numeric_limits<std::uint32_t>::max()) {  // no count may overflow
+      add();
+      std::fill(bins_.begin(), bins_.end(), 0);
+      counted = 0;
+    }
+    counted += span.open().size();
+    count_bins(span.open(), axis, lo, shift, even, odd);
   }
+  add();
 }
 
 // The bin that holds the wanted key becomes the bracket.

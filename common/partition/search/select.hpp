@@ -5,9 +5,12 @@
 // Invariants
 // 1. The wanted key is that of one of the node's open quantised points (Span); `below` particles have smaller keys than
 //    all of these. A round looks at the open quantised points alone.
-// 2. A round makes a histogram of the open points' integers on the cut axis; the bin that holds the wanted key becomes
+// 2. The first bracket is the range of integers in which the key is expected, if there is one and the key is in it; if
+// it
+//    isn't, the side of that range where it is.
+// 3. A round makes a histogram of the open points' integers on the cut axis; the bin that holds the wanted key becomes
 //    the bracket, and the quantised points outside of it are no longer open.
-// 3. Where integers no longer separate the open points, and these are too many to be gathered, the integers are
+// 4. Where integers no longer separate the open points, and these are too many to be gathered, the integers are
 //    replaced until the search ends (ids of a coincident node: for good, CutRequest::keep_ids) by the offset of a key
 //    word from its least value: key words are the coordinates in the node's axis order, then the id. Earlier words are
 //    decided by then. Each round divides a bracket by at least 64: a word takes at most 3 rounds on quantised integers
@@ -69,6 +72,8 @@ struct CutRequest {
   u128 size = 1;
   // The left side may have so many particles (so much weight) more or less than wanted. 0: exact.
   u128 slack = 0;
+  // Where the key's first integer is expected; only without weights, interior particles and slack.
+  std::optional<std::array<std::int32_t, 2>> expected;
 };
 
 struct CutFound {
@@ -110,7 +115,7 @@ class Selector {
   std::uint64_t bytes_moved() const { return bytes_moved_; }  // by this rank's passes
 
  private:
-  enum class Phase : std::uint8_t { done, count, next_word, gather, neighbour };
+  enum class Phase : std::uint8_t { done, expected, count, next_word, gather, neighbour };
 
   // The search of one node.
   struct State {
@@ -150,6 +155,10 @@ class Selector {
   };
 
   void start(std::size_t node);
+  // Brackets the nodes' keys where they are expected, and verifies that. Collective (one reduction).
+  void check_expected();
+  void narrow_to_expected(std::size_t node);
+  QuantisedPoint* split_open(const Span& span, std::size_t axis, std::int32_t at);
   // Up to so many candidates of a node are gathered instead of counted.
   std::uint64_t gather_limit() const;
   bool any(Phase phase) const;

@@ -9,8 +9,9 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include "common/base/cpu.hpp"
 #include "common/comm/self_comm.hpp"
-#include "common/partition/incremental/sample.hpp"
+#include "common/partition/search/sample.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/forwarding_comm.hpp"
 #include "tests/support/judge.hpp"
@@ -254,6 +255,7 @@ PartitionOptions with_guess(PartitionOptions options) {
   options.limits.guess.count_min = 0;
   options.limits.guess.stride = 32;
   options.limits.guess.sample_min = 1;
+  options.limits.guess.bucketed_min = 0;
   return options;
 }
 
@@ -280,6 +282,31 @@ TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
         EXPECT_EQ(few.tree.hash(), all.tree.hash());
         EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
         EXPECT_EQ(few.counts, all.counts);
+      });
+    }
+}
+
+// In many parts it begins with the buckets of a sample.
+TEST(Partition, BucketsChangeNoAnswer) {
+  for (const Shape shape : {Shape::uniform, Shape::half_coincident, Shape::offset, Shape::lattice})
+    for (const int parts : {9, 64, 200}) {
+      const Scene scene = make_scene(shape, Weights::none, 3, 50000, false, kPartitionSeed);
+      SCOPED_TRACE(fmt::format("{}, {} parts", scene.name, parts));
+      PartitionOptions options;
+      options.parts = parts;
+      options.limits.guess.count_min = scene.count() + 1;
+      on_ranks([&](comm::Comm& comm) {
+        const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
+        const PartitionResult all = partition(comm, share.particles.view(), options).value();
+        CountingComm counting(comm);
+        const PartitionResult bucketed = partition(counting, share.particles.view(), with_guess(options)).value();
+        EXPECT_EQ(bucketed.reductions, counting.collectives);
+        EXPECT_EQ(bucketed.tree.hash(), all.tree.hash());
+        EXPECT_TRUE(std::equal(bucketed.part.begin(), bucketed.part.end(), all.part.begin(), all.part.end()));
+        EXPECT_EQ(bucketed.counts, all.counts);
+        if (has_avx2()) {
+          EXPECT_LT(bucketed.traffic.bytes, all.traffic.bytes);
+        }
       });
     }
 }

@@ -57,8 +57,9 @@ struct RandomScene {
   // Limits of the search, so small that few particles take many rounds.
   int chunk = 1;
   int gather = 1;
-  int bins = 1;   // 2 to this
-  int guess = 0;  // code of what is guessed first; 0: nothing
+  int bins = 1;          // 2 to this
+  int guess = 0;         // code of what a sample tells first; 0: nothing
+  bool buckets = false;  // that it tells buckets, else a tree
 };
 
 double decade(int code, double from, double to) {
@@ -174,9 +175,10 @@ void showValue(const RandomScene& from, std::ostream& out) {
   out << fmt::format(
       "{} x {} rows, dims {}, parts {}, sizes {}, band axis {}, hysteresis {} after {} parts, ranks {}, chunks of {}, "
       "gather {}, "
-      "bins 2^{}, guess {}; families {}, weights {}\n",
+      "bins 2^{}, guess {}, buckets {}; families {}, weights {}\n",
       from.copies, from.rows.size(), from.dims, from.parts, from.part_sizes, from.band_axis, from.hysteresis,
-      from.old_parts, from.ranks, from.chunk, from.gather, from.bins, from.guess, from.family, from.weights);
+      from.old_parts, from.ranks, from.chunk, from.gather, from.bins, from.guess, from.buckets, from.family,
+      from.weights);
   for (std::size_t i = 0; i < from.rows.size(); ++i) {
     out << "  id " << scene.id[i] << " on rank " << from.rows[i].rank % from.ranks << ":";
     for (std::size_t a = 0; a < static_cast<std::size_t>(from.dims); ++a) out << fmt::format(" {:a}", scene.x[a][i]);
@@ -261,7 +263,8 @@ std::string wrong_with(const RandomScene& from) {
   if (from.guess > 0) {
     // Of any set; the guess and the brackets may be as bad as can be.
     const auto code = static_cast<std::uint64_t>(from.guess);
-    options.limits.guess = {0, 2, 1 << 30, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0, 0};
+    options.limits.guess = {0, 2, from.buckets ? 1 : 1 << 30, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0,
+                            0, 0};
     if (code % 4 == 0) options.limits.guess.tied_max = 1;
     options.limits.bracket_sigmas = code % 8 == 0 ? 1 : 0;
     options.limits.bracket_margin = code % 7 == 0 ? 1 : 0;
@@ -406,6 +409,20 @@ TEST(RandomScenes, Guessed) {
     if (codes[1] % 3 == 0) scene.weights = 1 + codes[1] % kWeightFamilies;
     if (codes[1] % 5 == 0) scene.band_axis = codes[1] % scene.dims;
     if (codes[2] % 4 == 0) give_sizes(scene, codes[2]);
+  });
+}
+
+TEST(RandomScenes, Buckets) {
+  judge_scenes(2500, 600, [](RandomScene& scene, const Codes& codes) {
+    scene.guess = 1 + codes[0];
+    scene.buckets = true;
+    scene.parts = 2 + codes[2] % 90;
+    if (codes[1] % 5 == 0) scene.band_axis = codes[1] % scene.dims;
+    if (codes[2] % 4 == 0) give_sizes(scene, codes[2]);
+    if (codes[1] % 7 == 0) {
+      scene.hysteresis = 1 + codes[0] % 30;
+      scene.old_parts = scene.parts;
+    }
   });
 }
 

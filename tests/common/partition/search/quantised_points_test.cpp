@@ -88,16 +88,20 @@ TEST(QuantisedPoints, PassesDoWhatTheySay) {
     const std::vector<QuantisedPoint> before = random_points(random, random.below(60), range);
     const std::size_t axis = random.below(3);
     const auto at = static_cast<std::int32_t>(random.below(static_cast<std::uint64_t>(range) + 1));
-    for (const bool few : {false, true}) {
+    for (const int way : {0, 1, 2}) {
       std::vector<QuantisedPoint> points = before;
-      QuantisedPoint* const middle = few ? split_few(points, axis, at - 1) : split(points, axis, at);
+      QuantisedPoint* const middle = way == 0   ? split(points, axis, at)
+                                     : way == 1 ? split_few(points, axis, at - 1)
+                                                : split_few_back(points, axis, at);
       for (QuantisedPoint* r = points.data(); r != points.data() + points.size(); ++r)
         EXPECT_EQ(r->q[axis] < at, r < middle);
       std::ranges::sort(points, {}, &QuantisedPoint::index);
       for (std::size_t i = 0; i < points.size(); ++i) EXPECT_EQ(points[i].q, before[i].q);
     }
     std::vector<std::uint32_t> bins(1024, 0);
-    count_bins(before, axis, 0, 1, bins);
+    std::vector<std::uint32_t> odd(1024, 0);
+    count_bins(before, axis, 0, 1, bins, odd);
+    for (std::size_t b = 0; b < bins.size(); ++b) bins[b] += odd[b];
     QBounds bounds;
     widen(bounds, before);
     for (std::size_t a = 0; a < 3 && !before.empty(); ++a) {

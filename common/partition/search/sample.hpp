@@ -2,12 +2,14 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "common/base/buffer.hpp"
 #include "common/comm/comm.hpp"
 #include "common/particles/particle_set.hpp"
+#include "common/partition/search/request.hpp"
 
 namespace rcb::partition {
 
@@ -26,5 +28,24 @@ std::vector<std::size_t> pick(std::size_t count, std::uint64_t stride);
 //   part  [particles.count]; null: 0 for all
 Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, const std::int32_t* part,
                     std::span<const std::size_t> slots);
+
+// A sample of a large set.
+struct LargeSetSample {
+  Sample sample;
+  std::uint64_t count = 0;   // particles, all ranks
+  std::uint64_t stride = 1;  // one of so many was sampled
+  bool has_weights = false;  // on any rank
+  bool buckets = false;      // a search may begin with buckets (buckets.hpp)
+};
+
+// False if these options rule a sample out: with few parts it saves nothing, and within a cut tolerance the cuts depend
+// on where a search begins. Local.
+bool may_sample(const PartitionOptions& options);
+
+// nullopt if a sample would save no time: the set is small, or no search could begin with buckets and none is wanted
+// for a guess. Adds its collectives (one sum, and one gather) to `reductions`. Collective.
+std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles::ParticleView& particles,
+                                               const PartitionOptions& options, bool for_guess,
+                                               std::uint64_t& reductions);
 
 }  // namespace rcb::partition

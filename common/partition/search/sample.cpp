@@ -1,8 +1,9 @@
-#include "common/partition/incremental/sample.hpp"
+#include "common/partition/search/sample.hpp"
 
 #include <algorithm>
 #include <cstring>
 
+#include "common/base/cpu.hpp"
 #include "common/base/random.hpp"
 
 namespace rcb::partition {
@@ -56,6 +57,29 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
     begin += count;
   }
   return sample;
+}
+
+bool may_sample(const PartitionOptions& options) {
+  return options.parts >= options.limits.guess.parts_min && options.cut_tolerance == 0;
+}
+
+// Buckets need weights on no rank, and on every rank the vector instructions that sort particles into them.
+std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles::ParticleView& particles,
+                                               const PartitionOptions& options, bool for_guess,
+                                               std::uint64_t& reductions) {
+  const GuessLimits& limits = options.limits.guess;
+  std::vector<std::uint64_t> sums{particles.count, particles.weight != nullptr ? 1U : 0U, has_avx2() ? 0U : 1U};
+  comm.all_sum(sums);
+  ++reductions;
+  LargeSetSample large{.count = sums[0], .has_weights = sums[1] > 0};
+  const std::uint64_t mean = large.count / static_cast<std::uint64_t>(comm.size());
+  large.buckets = sums[1] + sums[2] == 0 && mean / static_cast<std::uint64_t>(options.parts) >= limits.bucketed_min;
+  if (mean < limits.count_min || (!for_guess && !large.buckets)) return std::nullopt;
+  const std::uint64_t wanted = std::clamp(large.count / limits.stride, limits.sample_min, limits.sample_max);
+  large.stride = std::max<std::uint64_t>(large.count / wanted, 1);
+  large.sample = share_sample(comm, particles, nullptr, pick(particles.count, large.stride));
+  ++reductions;
+  return large;
 }
 
 }  // namespace rcb::partition

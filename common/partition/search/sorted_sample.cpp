@@ -1,0 +1,76 @@
+#include "common/partition/search/sorted_sample.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <numeric>
+
+#include "common/base/index.hpp"
+
+namespace rcb::partition {
+
+SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sample.count()), right_(sample.count()) {
+  for (std::size_t a = 0; a < at(sample.particles.dims); ++a) sort(a);
+}
+
+// By radix: a float's order-preserving bits in three digits, with the particle's index behind them.
+void SortedSample::sort(std::size_t axis) {
+  constexpr unsigned kDigitBits = 11;
+  constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
+  const std::span<const double> x = sample_->particles.position[axis].span();
+  double lo = geometry::Box::kInfinity;
+  double hi = -geometry::Box::kInfinity;
+  geometry::least_and_most(x, lo, hi);
+  origin_[axis] = lo > 0 ? lo : hi < 0 ? hi : 0;
+  std::vector<std::uint64_t> keys(x.size());
+  std::vector<std::uint64_t> sorted(x.size());
+  for (std::size_t k = 0; k < x.size(); ++k) {
+    const auto bits = std::bit_cast<std::uint32_t>(rounded(axis, x[k]));
+    const std::uint32_t flip = bits >> 31U == 0 ? 0x80000000U : 0xFFFFFFFFU;
+    keys[k] = std::uint64_t{bits ^ flip} << 32U | k;
+  }
+  for (unsigned shift = 32; shift < 64; shift += kDigitBits) {
+    std::array<std::uint32_t, kDigits + 1> begin{};
+    for (const std::uint64_t key : keys) ++begin[(key >> shift) % kDigits + 1];
+    std::partial_sum(begin.begin(), begin.end(), begin.begin());
+    for (const std::uint64_t key : keys) sorted[begin[(key >> shift) % kDigits]++] = key;
+    keys.swap(sorted);
+  }
+  order_[axis].resize(x.size());
+  for (std::size_t k = 0; k < x.size(); ++k) order_[axis][k] = static_cast<std::uint32_t>(keys[k]);
+}
+
+Point SortedSample::extents(const Range& range) const {
+  Point extents{};
+  for (std::size_t a = 0; a < at(sample_->particles.dims) && range.size() > 0; ++a)
+    extents[a] = std::max(geometry::extent(x(range, a, 0), x(range, a, range.size() - 1)), 0.0);
+  return extents;
+}
+
+std::size_t SortedSample::below(const Range& range, std::size_t axis, double x) const {
+  const auto begin = order_[axis].begin() + static_cast<std::ptrdiff_t>(range.first);
+  const auto end = order_[axis].begin() + static_cast<std::ptrdiff_t>(range.last);
+  return static_cast<std::size_t>(
+      std::partition_point(begin, end,
+                           [&](std::uint32_t k) { return rounded(axis, sample_->x(axis, k)) < rounded(axis, x); }) -
+      begin);
+}
+
+void SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {
+  for (std::size_t k = range.first; k < range.last; ++k) side_[order_[axis][k]] = k < range.first + left ? 0 : 1;
+  for (std::size_t a = 0; a < at(sample_->particles.dims); ++a) {
+    if (a == axis) continue;
+    std::uint32_t* const own = order_[a].data() + range.first;
+    std::size_t lefts = 0;
+    std::size_t rights = 0;
+    for (std::size_t k = 0; k < range.size(); ++k) {
+      const std::uint32_t particle = own[k];
+      own[lefts] = particle;
+      right_[rights] = particle;
+      lefts += 1U - side_[particle];
+      rights += side_[particle];
+    }
+    std::copy_n(right_.begin(), rights, own + lefts);
+  }
+}
+
+}  // namespace rcb::partition

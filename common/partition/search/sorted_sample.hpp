@@ -1,0 +1,52 @@
+// SortedSample: a sample in ascending order on every axis, from which a tree's cuts are read off: a node's sampled
+// particles are a range in which each axis keeps its order, as in the construction of k-d trees from presorted points.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "common/geometry/box.hpp"
+#include "common/partition/search/sample.hpp"
+#include "common/partition/tree/key.hpp"
+
+namespace rcb::partition {
+
+class SortedSample {
+ public:
+  // Sampled particles of one node.
+  struct Range {
+    std::size_t first = 0;
+    std::size_t last = 0;
+    std::size_t size() const { return last - first; }
+  };
+
+  SortedSample() = default;
+  // `sample` must outlive this. The order is that of the coordinates rounded to float, less origin().
+  explicit SortedSample(const Sample& sample);
+
+  Range all() const { return {0, side_.size()}; }
+  // The k-th coordinate of a range on this axis, ascending.
+  double x(const Range& range, std::size_t axis, std::size_t k) const {
+    return sample_->x(axis, order_[axis][range.first + k]);
+  }
+  Point extents(const Range& range) const;
+  // What is taken off a coordinate before it is rounded, so that floats tell coordinates apart.
+  double origin(std::size_t axis) const { return origin_[axis]; }
+  // How many of a range have a coordinate that is less than x, both rounded.
+  std::size_t below(const Range& range, std::size_t axis, double x) const;
+  // Divides a range: the first `left` on this axis come first.
+  void split(const Range& range, std::size_t axis, std::size_t left);
+
+ private:
+  float rounded(std::size_t axis, double x) const { return static_cast<float>(x - origin_[axis]); }
+  void sort(std::size_t axis);
+
+  const Sample* sample_ = nullptr;
+  std::array<std::vector<std::uint32_t>, geometry::kDimsMax> order_;  // of the sampled particles, by axis
+  Point origin_{};
+  std::vector<std::uint8_t> side_;  // of each sampled particle: 1: right
+  std::vector<std::uint32_t> right_;
+};
+
+}  // namespace rcb::partition

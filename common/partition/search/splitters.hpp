@@ -1,0 +1,50 @@
+// Splitters: the upper cuts of a sample's tree, which tell where the set's own cuts are expected.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "common/partition/search/request.hpp"
+#include "common/partition/search/sorted_sample.hpp"
+
+namespace rcb::partition {
+
+// Where a node's cut is expected: across this axis, in [least, most].
+struct ExpectedCut {
+  int axis = -1;  // < 0: not known, since the node lies below the splitters
+  double least = -geometry::Box::kInfinity;
+  double most = geometry::Box::kInfinity;
+
+  bool anywhere() const { return least == -geometry::Box::kInfinity && most == geometry::Box::kInfinity; }
+};
+
+// By the sampled particles of a node whose left side takes this share. Local.
+ExpectedCut expect_cut(const SortedSample& sample, const SortedSample::Range& node, int axis, double share,
+                       const SearchLimits& limits);
+
+// A complete binary tree: node k has the children 2k + 1 and 2k + 2.
+struct Splitters {
+  static constexpr std::size_t kLevels = 6;
+  static constexpr std::size_t kNodes = (std::size_t{1} << kLevels) - 1;
+
+  // Coordinates less `origin`, rounded to float. Those from `least` to `most` are where the cut is expected, greater
+  // ones go right.
+  struct Node {
+    float least = std::numeric_limits<float>::infinity();
+    float most = std::numeric_limits<float>::infinity();
+    std::int32_t axis = 0;
+  };
+
+  float rounded(std::size_t axis, double x) const { return static_cast<float>(x - origin[axis]); }
+
+  std::array<Node, kNodes> nodes;
+  Point origin{};
+  std::vector<ExpectedCut> expected;  // [inner nodes of the tree of cuts]
+};
+
+// Local.
+Splitters find_splitters(SortedSample sample, const PartitionOptions& options, int dims);
+
+}  // namespace rcb::partition

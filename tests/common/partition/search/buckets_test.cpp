@@ -1,0 +1,119 @@
+// Buckets against their definition, and the sorted sample that they come from.
+#include "common/partition/search/buckets.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+
+#include "common/base/index.hpp"
+#include "common/comm/self_comm.hpp"
+#include "common/partition/search/quantised_points.hpp"
+#include "tests/support/scenes.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using namespace testing;
+
+struct Set {
+  Share all;
+  Sample sample;
+  std::string name;
+};
+
+Set any_set(Random& random) {
+  const auto dims = static_cast<int>(1 + random.below(3));
+  const std::uint64_t count = 1 + random.below(random.below(2) == 0 ? 100 : 2000);
+  const Scene scene = make_scene(static_cast<Shape>(random.below(kShapes)), Weights::none, dims, count,
+                                 random.below(2) == 0, random.below(1U << 30U));
+  std::vector<std::size_t> rows(scene.count());
+  std::iota(rows.begin(), rows.end(), std::size_t{0});
+  Set set{testing::take(scene, rows), {}, fmt::format("{}, {} dimensions, {} particles", scene.name, dims, count)};
+  comm::SelfComm self;
+  set.sample = share_sample(self, set.all.particles.view(), nullptr, pick(scene.count(), 1 + random.below(8)));
+  return set;
+}
+
+TEST(Buckets, AreThoseOfTheSplitters) {
+  Random random(20261127);
+  std::uint64_t in_a_bracket = 0;
+  std::uint64_t in_a_leaf = 0;
+  for (int round = 0; round < 1500; ++round) {
+    const Set set = any_set(random);
+    SCOPED_TRACE(set.name);
+    const particles::ParticleView particles = set.all.particles.view();
+    PartitionOptions options;
+    options.parts = static_cast<int>(2 + random.below(100));
+    options.limits.bracket_sigmas = static_cast<double>(random.below(3));
+    const Splitters splitters = find_splitters(SortedSample(set.sample), options, particles.dims);
+    std::vector<std::uint8_t> bucket(particles.count);
+    const geometry::Box box = sort_into_buckets(particles, splitters, bucket);
+
+    geometry::Box all;
+    for (std::size_t i = 0; i < particles.count; ++i) {
+      const Point point = particles.point(i);
+      all.extend(point, particles.dims);
+      std::size_t node = 0;
+      while (node < Splitters::kNodes) {
+        const Splitters::Node& own = splitters.nodes[node];
+        const auto axis = at(own.axis);
+        const float x = splitters.rounded(axis, point[axis]);
+        if (own.least <= x && x <= own.most) break;
+        node = 2 * node + (x < own.least ? 1 : 2);
+      }
+      ASSERT_EQ(bucket[i], node) << "particle " << i;
+      ++(node < Splitters::kNodes ? in_a_bracket : in_a_leaf);
+    }
+    for (std::size_t a = 0; a < at(particles.dims); ++a) {
+      EXPECT_EQ(box.lo[a], all.lo[a]);
+      EXPECT_EQ(box.hi[a], all.hi[a]);
+    }
+  }
+  EXPECT_GT(in_a_bracket, 100'000U);
+  EXPECT_GT(in_a_leaf, 50'000U);
+}
+
+TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
+  Random random(20261128);
+  for (int round = 0; round < 300; ++round) {
+    const Set set = any_set(random);
+    SCOPED_TRACE(set.name);
+    const std::size_t dims = at(set.sample.particles.dims);
+    SortedSample sorted(set.sample);
+    std::vector<SortedSample::Range> ranges{sorted.all()};
+    for (int cut = 0; cut < 6; ++cut) {
+      const std::size_t axis = random.below(dims);
+      const SortedSample::Range own = ranges[random.below(ranges.size())];
+      const std::size_t left = random.below(own.size() + 1);
+      std::erase_if(ranges, [&](const auto& range) { return range.first == own.first && range.last == own.last; });
+      sorted.split(own, axis, left);
+      ranges.push_back({own.first, own.first + left});
+      ranges.push_back({own.first + left, own.last});
+      if (left > 0 && left < own.size()) {
+        const float below =
+            static_cast<float>(sorted.x(ranges[ranges.size() - 2], axis, left - 1) - sorted.origin(axis));
+        const float above = static_cast<float>(sorted.x(ranges.back(), axis, 0) - sorted.origin(axis));
+        EXPECT_LE(below, above);
+      }
+    }
+    for (std::size_t a = 0; a < dims; ++a) {
+      std::vector<double> all;
+      for (const SortedSample::Range& range : ranges)
+        for (std::size_t k = 0; k < range.size(); ++k) {
+          all.push_back(sorted.x(range, a, k));
+          if (k == 0) continue;
+          EXPECT_LE(static_cast<float>(sorted.x(range, a, k - 1) - sorted.origin(a)),
+                    static_cast<float>(all.back() - sorted.origin(a)));
+        }
+      std::vector<double> sampled(set.sample.particles.position[a].begin(), set.sample.particles.position[a].end());
+      std::ranges::sort(all);
+      std::ranges::sort(sampled);
+      EXPECT_EQ(all, sampled);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace rcb::partition
