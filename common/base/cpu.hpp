@@ -34,7 +34,6 @@ inline bool has_avx2() { return instruction_set() >= InstructionSet::avx2; }
 inline bool has_avx512() { return instruction_set() >= InstructionSet::avx512; }
 #else
 inline bool has_avx2() { return false; }
-inline bool has_avx512() { return false; }
 #endif
 
 }  // namespace rcb

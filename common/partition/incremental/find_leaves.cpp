@@ -56,12 +56,6 @@ add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
   add_bits(found, count, sums);
 }
 
-[[gnu::target(RCB_AVX2), gnu::always_inline]] inline __m256 as_floats(const double* x, double origin, double scale) {
-  const __m256d o = _mm256_set1_pd(origin);
-  const __m256d s = _mm256_set1_pd(scale);
-  return _mm256_set_m128(_mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x + 4), o), s)),
-                         _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(_mm256_loadu_pd(x), o), s)));
-}
 [[gnu::target(RCB_AVX2), gnu::always_inline]] inline __m256 in_table(const Tables::Floats& table, __m256i index) {
   return _mm256_permutevar8x32_ps(_mm256_load_ps(table.data()), index);
 }
@@ -76,8 +70,8 @@ template <bool kSeveral>
   std::size_t i = 0;
   for (; i + 8 <= count; i += 8) {
     for (const double* axis : x) _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
-    const __m256 own[3] = {as_floats(x[0] + i, t.origin[0], t.scale[0]), as_floats(x[1] + i, t.origin[1], t.scale[1]),
-                           as_floats(x[2] + i, t.origin[2], t.scale[2])};
+    const __m256 own[3] = {rounded8(t.rounded, 0, x[0] + i), rounded8(t.rounded, 1, x[1] + i),
+                           rounded8(t.rounded, 2, x[2] + i)};
     __m256i leaf = _mm256_setzero_si256();
     if constexpr (kSeveral) leaf = in_table(t.first, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i)));
     __m256 out = _mm256_setzero_ps();
@@ -116,14 +110,6 @@ template <bool kSeveral>
   return found;
 }
 
-[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 as_floats16(const double* x, double origin,
-                                                                          double scale) {
-  const __m512d o = _mm512_set1_pd(origin);
-  const __m512d s = _mm512_set1_pd(scale);
-  const __m256 low = _mm512_cvtpd_ps(_mm512_mul_pd(_mm512_sub_pd(_mm512_loadu_pd(x), o), s));
-  const __m256 high = _mm512_cvtpd_ps(_mm512_mul_pd(_mm512_sub_pd(_mm512_loadu_pd(x + 8), o), s));
-  return _mm512_insertf32x8(_mm512_castps256_ps512(low), high, 1);
-}
 [[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 in_table16(const Tables::Floats& table, __m512i index) {
   return _mm512_permutexvar_ps(index, _mm512_broadcast_f32x8(_mm256_load_ps(table.data())));
 }
@@ -151,9 +137,8 @@ template <bool kSeveral>
       _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
       _mm_prefetch(axis + i + kParticlesAhead + 8, _MM_HINT_T0);
     }
-    const __m512 own[3] = {as_floats16(x[0] + i, t.origin[0], t.scale[0]),
-                           as_floats16(x[1] + i, t.origin[1], t.scale[1]),
-                           as_floats16(x[2] + i, t.origin[2], t.scale[2])};
+    const __m512 own[3] = {rounded16(t.rounded, 0, x[0] + i), rounded16(t.rounded, 1, x[1] + i),
+                           rounded16(t.rounded, 2, x[2] + i)};
     __m512i leaf = _mm512_setzero_si512();
     if constexpr (kSeveral) leaf = in_table16(t.first, _mm512_loadu_si512(part + i));
     __mmask16 out = 0;

@@ -31,7 +31,7 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
     box_lo[a].fill(a < at(dims) ? geometry::Box::kInfinity : -geometry::Box::kInfinity);
     box_hi[a].fill(a < at(dims) ? -geometry::Box::kInfinity : geometry::Box::kInfinity);
   }
-  scale_axes(guess);
+  fit_axes(guess);
   std::vector<Node> level = add_roots(guess, roots);
   for (std::size_t l = 0; l < at(kGuessLevels); ++l) {
     for (Words& words : keys[l].least) words.fill(kMostWord);
@@ -57,17 +57,11 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
   for (std::size_t k = 0; k < leaves; ++k) add_leaf(k, guess, level[k]);
 }
 
-void GuessTables::scale_axes(const Guess& guess) {
+void GuessTables::fit_axes(const Guess& guess) {
   geometry::Box all;
   for (const geometry::Box& seen : guess.seen) all.extend(seen);
-  for (std::size_t a = 0; a < at(dims) && !all.empty(dims); ++a) {
-    // Floats are densest at 0.
-    origin[a] = std::clamp(0.0, all.lo[a], all.hi[a]);
-    const double reach = std::max(all.hi[a] * 0.5 - origin[a] * 0.5, origin[a] * 0.5 - all.lo[a] * 0.5);
-    const double factor = std::isnormal(reach) ? std::ldexp(1.0, -std::ilogb(reach)) : 1.0;
-    if (std::isnormal(factor)) scale[a] = factor;
-  }
-  std::fill(scale.begin() + dims, scale.end(), 0);  // they repeat the first axis
+  for (std::size_t a = 0; a < at(dims) && !all.empty(dims); ++a) rounded.fit(a, all.lo[a], all.hi[a]);
+  std::fill(rounded.scale.begin() + dims, rounded.scale.end(), 0);  // they repeat the first axis
 }
 
 std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::span<const NodeRange> roots) {

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "common/partition/incremental/guess.hpp"
+#include "common/partition/search/rounded_axes.hpp"
 
 namespace rcb::partition {
 
@@ -44,7 +45,6 @@ struct GuessTables {
   // roots: as for classify_guessed().
   GuessTables(const Guess& guess, std::span<const NodeRange> roots, int dims);
 
-  float rounded(std::size_t a, double x) const { return static_cast<float>((x - origin[a]) * scale[a]); }
   // The box of a leaf's interior particles so far.
   geometry::Box box(std::size_t leaf) const;
   // Widens it to hold a particle.
@@ -68,8 +68,7 @@ struct GuessTables {
   std::array<Floats, geometry::kDimsMax> inner_lo;  // of its inner region
   std::array<Floats, geometry::kDimsMax> inner_hi;
   Integers part{};  // of each leaf
-  std::array<double, geometry::kDimsMax> origin{};
-  std::array<double, geometry::kDimsMax> scale{1, 1, 1};
+  RoundedAxes rounded;
   int dims = 3;
   bool several = false;  // more than one root, or parts in no root: part[] decides where a particle begins
   std::size_t leaves = 0;
@@ -80,7 +79,7 @@ struct GuessTables {
     bool ends;
     bool fixed;  // in no root
   };
-  void scale_axes(const Guess& guess);
+  void fit_axes(const Guess& guess);
   std::vector<Node> add_roots(const Guess& guess, std::span<const NodeRange> roots);
   void add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket);
   Step step(std::size_t level, std::size_t node) const;

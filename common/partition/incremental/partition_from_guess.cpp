@@ -59,10 +59,7 @@ class FirstPartition {
         options_(options),
         limits_(options.limits.guess),
         rule_(options, particles.dims),
-        n_(large.count),
-        stride_(large.stride),
-        has_weights_(large.has_weights),
-        sample_(large.sample) {
+        large_(large) {
     result_.reductions = reductions;
     result_.tree = uncut_tree(options, particles.dims);
     roots_ = {result_.tree.root()};
@@ -90,16 +87,16 @@ class FirstPartition {
   bool cut_by_guess(bool first) {
     bool axis_open = false;
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
-    std::optional<Guess> guess = guess_cuts(sample_, nullptr, options_, below, axis_open);
-    if (first && axis_open && stride_ <= kGatherStrideMax) {
+    std::optional<Guess> guess = guess_cuts(large_.sample, nullptr, options_, below, axis_open);
+    if (first && axis_open && large_.stride <= kGatherStrideMax) {
       Box sampled;
       for (std::size_t a = 0; a < at(axes()); ++a)
-        geometry::least_and_most(sample_.particles.position[a], sampled.lo[a], sampled.hi[a]);
-      const auto slots = slots_beyond(particles_, sampled, kGatheredStridesMax * (stride_ + 64));
+        geometry::least_and_most(large_.sample.particles.position[a], sampled.lo[a], sampled.hi[a]);
+      const auto slots = slots_beyond(particles_, sampled, kGatheredStridesMax * (large_.stride + 64));
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
       ++result_.reductions;
-      guess = guess_cuts(sample_, &outermost, options_, below, axis_open);
+      guess = guess_cuts(large_.sample, &outermost, options_, below, axis_open);
     }
     if (!guess) return false;
 
@@ -107,7 +104,7 @@ class FirstPartition {
     const auto most_of = [this](std::uint64_t count) {
       return static_cast<std::uint64_t>(std::min(1.5 * limits_.boundary_max, 1.0) * static_cast<double>(count));
     };
-    const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
+    const std::uint64_t mean = large_.count / static_cast<std::uint64_t>(comm_.size());
     const OwnInterior own = classify_guessed(particles_, *guess, roots_, result_.part.span(),
                                              most_of(std::max<std::uint64_t>(particles_.count, mean)));
     // Positions, and the parts written, and read where there are some already; then the copies of boundary particles.
@@ -118,7 +115,7 @@ class FirstPartition {
         own.slot.size() * 2 * (point + sizeof(std::uint64_t));
     LoadSummary loads = loads_of(own);
     auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
-                                 std::move(loads.loads), most_of(n_), result_.searched);
+                                 std::move(loads.loads), most_of(large_.count), result_.searched);
     ++result_.reductions;
     if (!interior) return false;
     interior->brackets = guess->brackets;
@@ -130,7 +127,7 @@ class FirstPartition {
                       .scale = scale_,
                       .interior = &*interior,
                       .ends = guess->ends,
-                      .failed_max = n_};
+                      .failed_max = large_.count};
     TreeBuilder builder(comm_, own.view(particles_), options_, start);
     PartitionResult found = builder.build();
     if (builder.abandoned()) return false;
@@ -146,7 +143,7 @@ class FirstPartition {
 
   // Of the particles' parts under a guess. Collective.
   LoadSummary loads_of(const OwnInterior& own) {
-    if (!has_weights_) {
+    if (!large_.has_weights) {
       std::vector<std::uint64_t> counts = own.counts;
       comm_.all_sum(counts);
       ++result_.reductions;
@@ -205,10 +202,7 @@ class FirstPartition {
   const GuessLimits& limits_;
   SplitRule rule_;
   std::optional<ExactScale> scale_;
-  std::uint64_t n_;
-  std::uint64_t stride_;
-  bool has_weights_;
-  const Sample& sample_;
+  const LargeSetSample& large_;
   std::vector<NodeRange> roots_;  // not cut yet
   std::vector<Box> boxes_;        // of their particles; empty: not known
   std::optional<Guess> guess_;    // that left them uncut

@@ -116,8 +116,7 @@ class Repartitioning {
       part[result_.delta.slot[k]] = result_.delta.part[k];
     const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
     std::optional<LargeSetSample> large;
-    if (whole && may_sample(options_) && !scale_ &&
-        n_ / static_cast<std::uint64_t>(comm_.size()) >= options_.limits.guess.count_min)
+    if (whole && may_sample(options_) && !scale_ && is_large(n_, comm_.size(), options_.limits.guess))
       large = sample_large_set(comm_, particles_, options_, false, result_.reductions);
     PartitionResult found = (!whole  ? TreeBuilder(comm_, particles_, options_, start)
                              : large ? TreeBuilder(comm_, particles_, options_, large->sample)

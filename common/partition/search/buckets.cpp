@@ -13,20 +13,15 @@ namespace {
 
 using Axes = std::array<const double*, geometry::kDimsMax>;
 
-// From particle `i` on.
+// The particles from `i` on.
 void sort_one_by_one(const Axes& x, std::size_t i, std::size_t count, const Splitters& splitters, std::uint8_t* bucket,
                      geometry::Box& box) {
   for (; i < count; ++i) {
-    std::array<float, geometry::kDimsMax> own;
-    for (std::size_t a = 0; a < own.size(); ++a) {
-      own[a] = splitters.rounded(a, x[a][i]);
-      box.lo[a] = std::min(box.lo[a], x[a][i]);
-      box.hi[a] = std::max(box.hi[a], x[a][i]);
-    }
+    box.extend({x[0][i], x[1][i], x[2][i]}, geometry::kDimsMax);
     std::size_t node = 0;
     while (node < Splitters::kNodes) {
       const auto& [least, most, axis] = splitters.nodes[node];
-      const float on = own[at(axis)];
+      const float on = splitters.rounded(at(axis), x[at(axis)][i]);
       if (on >= least && on <= most) break;
       node = 2 * node + (on > most ? 2 : 1);
     }
@@ -101,6 +96,7 @@ template <std::size_t kLevel>
 [[gnu::target(RCB_AVX2)]] std::size_t sort_in_avx2(const Axes& x, std::size_t count, const Splitters& splitters,
                                                    std::uint8_t* bucket, geometry::Box& box) {
   const LevelTables tables = tables_of(splitters);
+  const RoundedAxes rounded = splitters.rounded;  // a copy, since the buckets' bytes may alias everything else
   __m256d lo[3];
   __m256d hi[3];
   for (std::size_t a = 0; a < 3; ++a) {
@@ -115,9 +111,7 @@ template <std::size_t kLevel>
       const __m256d high = _mm256_loadu_pd(x[a] + i + 4);
       lo[a] = _mm256_min_pd(lo[a], _mm256_min_pd(low, high));
       hi[a] = _mm256_max_pd(hi[a], _mm256_max_pd(low, high));
-      const __m256d origin = _mm256_set1_pd(splitters.origin[a]);
-      own[a] =
-          _mm256_set_m128(_mm256_cvtpd_ps(_mm256_sub_pd(high, origin)), _mm256_cvtpd_ps(_mm256_sub_pd(low, origin)));
+      own[a] = rounded8(rounded, a, x[a] + i);
     }
     __m256i node = _mm256_setzero_si256();
     __m256i found = _mm256_set1_epi32(-1);
@@ -161,15 +155,11 @@ template <std::size_t kLevel>
   }
 }
 
-[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512 as_floats(__m512d low, __m512d high) {
-  return _mm512_castsi512_ps(_mm512_inserti64x4(_mm512_castsi256_si512(_mm256_castps_si256(_mm512_cvtpd_ps(low))),
-                                                _mm256_castps_si256(_mm512_cvtpd_ps(high)), 1));
-}
-
 // Sixteen at a time.
 [[gnu::target(RCB_AVX512)]] std::size_t sort_in_avx512(const Axes& x, std::size_t count, const Splitters& splitters,
                                                        std::uint8_t* bucket, geometry::Box& box) {
   const LevelTables tables = tables_of(splitters);
+  const RoundedAxes rounded = splitters.rounded;
   __m512d lo[3];
   __m512d hi[3];
   for (std::size_t a = 0; a < 3; ++a) {
@@ -184,8 +174,7 @@ template <std::size_t kLevel>
       const __m512d high = _mm512_loadu_pd(x[a] + i + 8);
       lo[a] = _mm512_min_pd(lo[a], _mm512_min_pd(low, high));
       hi[a] = _mm512_max_pd(hi[a], _mm512_max_pd(low, high));
-      const __m512d origin = _mm512_set1_pd(splitters.origin[a]);
-      own[a] = as_floats(_mm512_sub_pd(low, origin), _mm512_sub_pd(high, origin));
+      own[a] = rounded16(rounded, a, x[a] + i);
     }
     __m512i node = _mm512_setzero_si512();
     __m512i found = _mm512_set1_epi32(kBuckets);

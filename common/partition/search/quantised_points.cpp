@@ -6,7 +6,6 @@
 #include <limits>
 #include <numeric>
 
-#include "common/base/check.hpp"
 #include "common/base/cpu.hpp"
 #include "common/partition/search/buckets.hpp"
 #include "common/partition/search/four_points.hpp"

@@ -33,8 +33,8 @@ struct GuessLimits {
   // The least number of tree levels, averaged over the particles, that a guess must settle to be worth a pass. Below
   // nodes that an earlier stage left a tenth of it is enough.
   double levels_min = 1.5;
-  // Particles per part and rank: with fewer in buckets, what is kept of the pieces of these takes more memory than
-  // they.
+  // Particles per part and rank: with fewer, the spans into which cuts divide the buckets would take more memory than
+  // the quantised points.
   std::uint64_t bucketed_min = 256;
 };
 
@@ -43,11 +43,12 @@ struct SearchLimits {
   std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles per chunk, indexed with 32 bits
   std::uint64_t gather_max = 64;                      // candidates of a node that are gathered at once, >= 1
   std::uint64_t bins_max = 2048;                      // of a histogram; a power of two >= 2
-  // A bracket extends this many standard deviations of a sampled count, plus this many sampled
-  // particles, to either side. Incremental search: if brackets, or nodes that failed, hold more than 1 /
-  // boundary_divisor of all particles, a full search is made.
+  // A bracket extends this many standard deviations of a sampled count, plus this many sampled particles, to either
+  // side.
   double bracket_sigmas = 3;
   double bracket_margin = 2;
+  // Incremental search: if brackets, or nodes that failed, hold more than 1 / boundary_divisor of all particles, a full
+  // search is made.
   std::uint64_t boundary_divisor = 5;
   GuessLimits guess;
 };

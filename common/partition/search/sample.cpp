@@ -63,6 +63,10 @@ bool may_sample(const PartitionOptions& options) {
   return options.parts >= options.limits.guess.parts_min && options.cut_tolerance == 0;
 }
 
+bool is_large(std::uint64_t count, int ranks, const GuessLimits& limits) {
+  return count / static_cast<std::uint64_t>(ranks) >= limits.count_min;
+}
+
 // Buckets need weights on no rank, and on every rank the vector instructions that sort particles into them.
 std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles::ParticleView& particles,
                                                const PartitionOptions& options, bool for_guess,
@@ -72,9 +76,9 @@ std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles
   comm.all_sum(sums);
   ++reductions;
   LargeSetSample large{.count = sums[0], .has_weights = sums[1] > 0};
-  const std::uint64_t mean = large.count / static_cast<std::uint64_t>(comm.size());
-  large.buckets = sums[1] + sums[2] == 0 && mean / static_cast<std::uint64_t>(options.parts) >= limits.bucketed_min;
-  if (mean < limits.count_min || (!for_guess && !large.buckets)) return std::nullopt;
+  const auto pieces = static_cast<std::uint64_t>(comm.size()) * static_cast<std::uint64_t>(options.parts);
+  large.buckets = sums[1] + sums[2] == 0 && large.count / pieces >= limits.bucketed_min;
+  if (!is_large(large.count, comm.size(), limits) || (!for_guess && !large.buckets)) return std::nullopt;
   const std::uint64_t wanted = std::clamp(large.count / limits.stride, limits.sample_min, limits.sample_max);
   large.stride = std::max<std::uint64_t>(large.count / wanted, 1);
   large.sample = share_sample(comm, particles, nullptr, pick(particles.count, large.stride));

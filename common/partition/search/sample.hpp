@@ -42,6 +42,9 @@ struct LargeSetSample {
 // on where a search begins. Local.
 bool may_sample(const PartitionOptions& options);
 
+// False if a set of so many particles is too small for a sample to save time. Local.
+bool is_large(std::uint64_t count, int ranks, const GuessLimits& limits);
+
 // nullopt if a sample would save no time: the set is small, or no search could begin with buckets and none is wanted
 // for a guess. Adds its collectives (one sum, and one gather) to `reductions`. Collective.
 std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles::ParticleView& particles,

@@ -5,9 +5,8 @@
 // Invariants
 // 1. The wanted key is that of one of the node's open quantised points (Span); `below` particles have smaller keys than
 //    all of these. A round looks at the open quantised points alone.
-// 2. The first bracket is the range of integers in which the key is expected, if there is one and the key is in it; if
-// it
-//    isn't, the side of that range where it is.
+// 2. Where the key is expected in a range of integers, this is the first bracket if the key is in it; if not, what lies
+//    beyond it on the key's side is.
 // 3. A round makes a histogram of the open points' integers on the cut axis; the bin that holds the wanted key becomes
 //    the bracket, and the quantised points outside of it are no longer open.
 // 4. Where integers no longer separate the open points, and these are too many to be gathered, the integers are

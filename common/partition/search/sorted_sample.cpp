@@ -1,7 +1,6 @@
 #include "common/partition/search/sorted_sample.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <numeric>
 
 #include "common/base/index.hpp"
@@ -12,23 +11,23 @@ SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sampl
   for (std::size_t a = 0; a < at(sample.particles.dims); ++a) sort(a);
 }
 
-// By radix: a float's order-preserving bits in three digits, with the particle's index behind them.
+// By radix: the order-preserving bits that a float may set, in three digits; in place of the others the particle's
+// index.
 void SortedSample::sort(std::size_t axis) {
-  constexpr unsigned kDigitBits = 11;
+  constexpr unsigned kIndexBits = 29;
+  constexpr std::uint64_t kIndex = (std::uint64_t{1} << kIndexBits) - 1;
+  constexpr unsigned kDigitBits = 12;
   constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
   const std::span<const double> x = sample_->particles.position[axis].span();
   double lo = geometry::Box::kInfinity;
   double hi = -geometry::Box::kInfinity;
   geometry::least_and_most(x, lo, hi);
-  origin_[axis] = lo > 0 ? lo : hi < 0 ? hi : 0;
+  if (lo <= hi) rounded_.fit(axis, lo, hi);
   std::vector<std::uint64_t> keys(x.size());
   std::vector<std::uint64_t> sorted(x.size());
-  for (std::size_t k = 0; k < x.size(); ++k) {
-    const auto bits = std::bit_cast<std::uint32_t>(rounded(axis, x[k]));
-    const std::uint32_t flip = bits >> 31U == 0 ? 0x80000000U : 0xFFFFFFFFU;
-    keys[k] = std::uint64_t{bits ^ flip} << 32U | k;
-  }
-  for (unsigned shift = 32; shift < 64; shift += kDigitBits) {
+  for (std::size_t k = 0; k < x.size(); ++k)
+    keys[k] = (geometry::order_bits(double{rounded_(axis, x[k])}) & ~kIndex) | k;
+  for (unsigned shift = kIndexBits; shift < 64; shift += kDigitBits) {
     std::array<std::uint32_t, kDigits + 1> begin{};
     for (const std::uint64_t key : keys) ++begin[(key >> shift) % kDigits + 1];
     std::partial_sum(begin.begin(), begin.end(), begin.begin());
@@ -36,7 +35,7 @@ void SortedSample::sort(std::size_t axis) {
     keys.swap(sorted);
   }
   order_[axis].resize(x.size());
-  for (std::size_t k = 0; k < x.size(); ++k) order_[axis][k] = static_cast<std::uint32_t>(keys[k]);
+  for (std::size_t k = 0; k < x.size(); ++k) order_[axis][k] = static_cast<std::uint32_t>(keys[k] & kIndex);
 }
 
 Point SortedSample::extents(const Range& range) const {
@@ -47,12 +46,10 @@ Point SortedSample::extents(const Range& range) const {
 }
 
 std::size_t SortedSample::below(const Range& range, std::size_t axis, double x) const {
-  const auto begin = order_[axis].begin() + static_cast<std::ptrdiff_t>(range.first);
-  const auto end = order_[axis].begin() + static_cast<std::ptrdiff_t>(range.last);
-  return static_cast<std::size_t>(
-      std::partition_point(begin, end,
-                           [&](std::uint32_t k) { return rounded(axis, sample_->x(axis, k)) < rounded(axis, x); }) -
-      begin);
+  const float most = rounded_(axis, x);
+  const std::span<const std::uint32_t> own = std::span(order_[axis]).subspan(range.first, range.size());
+  const auto less = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)) < most; };
+  return static_cast<std::size_t>(std::ranges::partition_point(own, less) - own.begin());
 }
 
 void SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {

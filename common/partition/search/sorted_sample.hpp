@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "common/geometry/box.hpp"
+#include "common/partition/search/rounded_axes.hpp"
 #include "common/partition/search/sample.hpp"
 #include "common/partition/tree/key.hpp"
 
@@ -22,7 +23,7 @@ class SortedSample {
   };
 
   SortedSample() = default;
-  // `sample` must outlive this. The order is that of the coordinates rounded to float, less origin().
+  // `sample` must outlive this. The order is that of the rounded coordinates.
   explicit SortedSample(const Sample& sample);
 
   Range all() const { return {0, side_.size()}; }
@@ -31,20 +32,18 @@ class SortedSample {
     return sample_->x(axis, order_[axis][range.first + k]);
   }
   Point extents(const Range& range) const;
-  // What is taken off a coordinate before it is rounded, so that floats tell coordinates apart.
-  double origin(std::size_t axis) const { return origin_[axis]; }
+  const RoundedAxes& rounded() const { return rounded_; }
   // How many of a range have a coordinate that is less than x, both rounded.
   std::size_t below(const Range& range, std::size_t axis, double x) const;
   // Divides a range: the first `left` on this axis come first.
   void split(const Range& range, std::size_t axis, std::size_t left);
 
  private:
-  float rounded(std::size_t axis, double x) const { return static_cast<float>(x - origin_[axis]); }
   void sort(std::size_t axis);
 
   const Sample* sample_ = nullptr;
   std::array<std::vector<std::uint32_t>, geometry::kDimsMax> order_;  // of the sampled particles, by axis
-  Point origin_{};
+  RoundedAxes rounded_;
   std::vector<std::uint8_t> side_;  // of each sampled particle: 1: right
   std::vector<std::uint32_t> right_;
 };

@@ -56,7 +56,7 @@ ExpectedCut expect_cut(const SortedSample& sample, const SortedSample::Range& no
 Splitters find_splitters(SortedSample sample, const PartitionOptions& options, int dims) {
   Splitters splitters;
   splitters.expected.resize(at(options.parts - 1));
-  for (std::size_t a = 0; a < at(dims); ++a) splitters.origin[a] = sample.origin(a);
+  splitters.rounded = sample.rounded();
   SampleTree(sample, options, dims, splitters);
   return splitters;
 }

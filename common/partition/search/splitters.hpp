@@ -29,18 +29,15 @@ struct Splitters {
   static constexpr std::size_t kLevels = 6;
   static constexpr std::size_t kNodes = (std::size_t{1} << kLevels) - 1;
 
-  // Coordinates less `origin`, rounded to float. Those from `least` to `most` are where the cut is expected, greater
-  // ones go right.
+  // Rounded coordinates. Those from `least` to `most` are where the cut is expected, greater ones go right.
   struct Node {
     float least = std::numeric_limits<float>::infinity();
     float most = std::numeric_limits<float>::infinity();
     std::int32_t axis = 0;
   };
 
-  float rounded(std::size_t axis, double x) const { return static_cast<float>(x - origin[axis]); }
-
   std::array<Node, kNodes> nodes;
-  Point origin{};
+  RoundedAxes rounded;
   std::vector<ExpectedCut> expected;  // [inner nodes of the tree of cuts]
 };
 

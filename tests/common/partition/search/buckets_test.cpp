@@ -92,9 +92,8 @@ TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
       ranges.push_back({own.first, own.first + left});
       ranges.push_back({own.first + left, own.last});
       if (left > 0 && left < own.size()) {
-        const float below =
-            static_cast<float>(sorted.x(ranges[ranges.size() - 2], axis, left - 1) - sorted.origin(axis));
-        const float above = static_cast<float>(sorted.x(ranges.back(), axis, 0) - sorted.origin(axis));
+        const float below = sorted.rounded()(axis, sorted.x(ranges[ranges.size() - 2], axis, left - 1));
+        const float above = sorted.rounded()(axis, sorted.x(ranges.back(), axis, 0));
         EXPECT_LE(below, above);
       }
     }
@@ -104,8 +103,7 @@ TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
         for (std::size_t k = 0; k < range.size(); ++k) {
           all.push_back(sorted.x(range, a, k));
           if (k == 0) continue;
-          EXPECT_LE(static_cast<float>(sorted.x(range, a, k - 1) - sorted.origin(a)),
-                    static_cast<float>(all.back() - sorted.origin(a)));
+          EXPECT_LE(sorted.rounded()(a, sorted.x(range, a, k - 1)), sorted.rounded()(a, all.back()));
         }
       std::vector<double> sampled(set.sample.particles.position[a].begin(), set.sample.particles.position[a].end());
       std::ranges::sort(all);
