@@ -5,13 +5,13 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
 #include <vector>
 
 #include "common/geometry/box.hpp"
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/sample.hpp"
+#include "common/partition/search/sorted_sample.hpp"
 
 namespace rcb::partition {
 
@@ -27,6 +27,11 @@ struct Guess {
   // of them.
   std::vector<geometry::Box> inner;
   std::vector<geometry::Box> seen;  // [parts]: bounding boxes of the sampled particles strictly inside of `inner`
+  // Set, and nothing is guessed, if the sample leaves the root's longest axis in doubt, or, where whole keys count, the
+  // order of the others: the bounding boxes of its sampled particles on either side of the expected cut. The particles
+  // outside of both would tell.
+  std::vector<geometry::Box> doubtful;
+  bool found = false;  // enough cuts
 };
 
 // Nodes whose cuts are to be guessed.
@@ -39,11 +44,10 @@ struct GuessRoots {
 
 // Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
 //   sample     one particle of each `stride`
-//   outermost  all particles outside of the sampled ones' bounding box; null: not known
-//   axis_open  is set to true if the root's longest axis is undecided without `outermost`, or, where whole keys count,
-//              the order of the others
-// nullopt if no cut can be guessed. Local.
-std::optional<Guess> guess_cuts(const Sample& sample, const Sample* outermost, const PartitionOptions& options,
-                                const GuessRoots& below, bool& axis_open);
+//   sorted     the same in order
+//   outermost  all particles outside of a guess' `doubtful` boxes; null: not known
+// Local.
+Guess guess_cuts(const Sample& sample, const SortedSample& sorted, const Sample* outermost,
+                 const PartitionOptions& options, const GuessRoots& below);
 
 }  // namespace rcb::partition

@@ -1,6 +1,8 @@
 #include "common/partition/incremental/partition_from_guess.hpp"
 
 #include <algorithm>
+#include <array>
+#include <optional>
 
 #include "common/base/index.hpp"
 #include "common/partition/balance/bounding_box.hpp"
@@ -14,39 +16,57 @@ namespace {
 
 using geometry::Box;
 
-// The particles outside of the sampled ones' bounding box are gathered if the sample's stride is at most
-// kGatherStrideMax: about one stride of particles lies beyond each of its faces. A rank sends at most about
-// kGatheredStridesMax strides of particles, since more than that mean that the sample is unusual.
+// The particles outside of a guess' doubtful boxes are gathered if the sample's stride is at most kGatherStrideMax:
+// about one stride of particles lies beyond each face of a box. A rank sends at most about kGatheredStridesMax strides
+// of particles for each box, since more than that mean that the sample is unusual.
 constexpr std::uint64_t kGatherStrideMax = 32768;
 constexpr std::uint64_t kGatheredStridesMax = 16;
 constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
 
-// The slots of the particles outside of this box on some axis, about `most` of them at most. Compiled twice: with
-// AVX2's comparisons it takes half the time. The version is chosen while the program is loaded, which is before the
-// thread sanitizer has started, hence not with it.
+// The slots of the particles outside of all these boxes, about `most` of them at most. Compiled twice: with AVX2's
+// comparisons it takes half the time. The version is chosen while the program is loaded, which is before the thread
+// sanitizer has started, hence not with it.
 #if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
 __attribute__((target_clones("avx2", "default")))
 #endif
 std::vector<std::size_t>
-slots_beyond(const particles::ParticleView& particles, const Box& box, std::uint64_t most) {
-  constexpr std::size_t kTogether = 64;
+slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, std::uint64_t most) {
+  constexpr std::size_t kLanes = 4;
+  constexpr std::size_t kTogether = 16 * kLanes;
   using Lanes = double __attribute__((vector_size(32), aligned(8), may_alias));
   using Mask = std::int64_t __attribute__((vector_size(32)));
-  std::vector<std::size_t> slots;
-  for (std::size_t begin = 0; begin < particles.count && slots.size() < most; begin += kTogether) {
-    const std::size_t end = std::min(begin + kTogether, particles.count);
-    Mask beyond{};
-    for (std::size_t a = 0; a < at(particles.dims); ++a) {
-      const double* const x = particles.position[a] + begin;
-      for (std::size_t i = 0; i < kTogether; i += 8) __builtin_prefetch(x + kAhead + i);
-      const auto* const lanes = reinterpret_cast<const Lanes*>(x);
-      for (std::size_t i = 0; i < (end - begin) / 4; ++i) beyond |= (lanes[i] < box.lo[a]) | (lanes[i] > box.hi[a]);
+  std::array<const double*, geometry::kDimsMax> x{};
+  for (std::size_t a = 0; a < x.size(); ++a) {
+    const std::size_t from = a < at(particles.dims) ? a : 0;  // an axis that they lack repeats the first one
+    x[a] = particles.position[from];
+    for (Box& box : boxes) {
+      box.lo[a] = box.lo[from];
+      box.hi[a] = box.hi[from];
     }
-    if ((beyond[0] | beyond[1] | beyond[2] | beyond[3]) == 0 && (end - begin) % 4 == 0) continue;
-    for (std::size_t a = 0; a < at(particles.dims); ++a)
-      for (std::size_t i = begin; i < end; ++i)
-        if (particles.position[a][i] < box.lo[a] || particles.position[a][i] > box.hi[a]) slots.push_back(i);
   }
+  std::vector<std::size_t> slots;
+  std::size_t begin = 0;
+  for (; begin + kTogether <= particles.count && slots.size() < most; begin += kTogether) {
+    std::array<Mask, kTogether / kLanes> beyond;
+    beyond.fill(~Mask{});
+    for (std::size_t a = 0; a < x.size(); ++a)
+      for (std::size_t i = 0; i < kTogether; i += 8) __builtin_prefetch(x[a] + begin + kAhead + i);
+    for (const Box& box : boxes)
+      for (std::size_t g = 0; g < beyond.size(); ++g) {
+        Mask out{};
+        for (std::size_t a = 0; a < x.size(); ++a) {
+          const Lanes own = reinterpret_cast<const Lanes*>(x[a] + begin)[g];
+          out |= (own < box.lo[a]) | (own > box.hi[a]);
+        }
+        beyond[g] &= out;
+      }
+    Mask any{};
+    for (const Mask& mask : beyond) any |= mask;
+    if ((any[0] | any[1] | any[2] | any[3]) == 0) continue;
+    for (std::size_t i = 0; i < kTogether; ++i)
+      if (beyond[i / kLanes][i % kLanes] != 0) slots.push_back(begin + i);
+  }
+  for (; begin < particles.count && slots.size() < most; ++begin) slots.push_back(begin);  // less than kTogether
   return slots;
 }
 
@@ -59,7 +79,8 @@ class FirstPartition {
         options_(options),
         limits_(options.limits.guess),
         rule_(options, particles.dims),
-        large_(large) {
+        large_(large),
+        sorted_(large.sample) {
     result_.reductions = reductions;
     result_.tree = uncut_tree(options, particles.dims);
     roots_ = {result_.tree.root()};
@@ -85,27 +106,24 @@ class FirstPartition {
   // Guesses cuts below the roots, and makes them exact; the roots become what is uncut then. False, on all ranks, if
   // nothing was cut: each root's particles still have parts of that root. Collective.
   bool cut_by_guess(bool first) {
-    bool axis_open = false;
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
-    std::optional<Guess> guess = guess_cuts(large_.sample, nullptr, options_, below, axis_open);
-    if (first && axis_open && large_.stride <= kGatherStrideMax) {
-      Box sampled;
-      for (std::size_t a = 0; a < at(axes()); ++a)
-        geometry::least_and_most(large_.sample.particles.position[a], sampled.lo[a], sampled.hi[a]);
-      const auto slots = slots_beyond(particles_, sampled, kGatheredStridesMax * (large_.stride + 64));
+    Guess guess = guess_cuts(large_.sample, sorted_, nullptr, options_, below);
+    if (first && !guess.doubtful.empty() && large_.stride <= kGatherStrideMax) {
+      const auto most = kGatheredStridesMax * guess.doubtful.size() * (large_.stride + 64);
+      const auto slots = slots_beyond(particles_, std::move(guess.doubtful), most);
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
       ++result_.reductions;
-      guess = guess_cuts(large_.sample, &outermost, options_, below, axis_open);
+      guess = guess_cuts(large_.sample, sorted_, &outermost, options_, below);
     }
-    if (!guess) return false;
+    if (!guess.found) return false;
 
     // The most boundary particles among `count`: 1.5 times the share that the guess was allowed.
     const auto most_of = [this](std::uint64_t count) {
       return static_cast<std::uint64_t>(std::min(1.5 * limits_.boundary_max, 1.0) * static_cast<double>(count));
     };
     const std::uint64_t mean = large_.count / static_cast<std::uint64_t>(comm_.size());
-    const OwnInterior own = classify_guessed(particles_, *guess, roots_, result_.part.span(),
+    const OwnInterior own = classify_guessed(particles_, guess, roots_, result_.part.span(),
                                              most_of(std::max<std::uint64_t>(particles_.count, mean)));
     // Positions, and the parts written, and read where there are some already; then the copies of boundary particles.
     const std::size_t point = at(axes()) * sizeof(double);
@@ -118,15 +136,15 @@ class FirstPartition {
                                  std::move(loads.loads), most_of(large_.count), result_.searched);
     ++result_.reductions;
     if (!interior) return false;
-    interior->brackets = guess->brackets;
+    interior->brackets = guess.brackets;
     Buffer<std::int32_t> part = own.part;
     const Start start{.roots = roots_,
                       .part = part.span(),
-                      .tree = &guess->tree,
+                      .tree = &guess.tree,
                       .rule = first ? nullptr : &rule_,
                       .scale = scale_,
                       .interior = &*interior,
-                      .ends = guess->ends,
+                      .ends = guess.ends,
                       .failed_max = large_.count};
     TreeBuilder builder(comm_, own.view(particles_), options_, start);
     PartitionResult found = builder.build();
@@ -203,6 +221,7 @@ class FirstPartition {
   SplitRule rule_;
   std::optional<ExactScale> scale_;
   const LargeSetSample& large_;
+  const SortedSample sorted_;
   std::vector<NodeRange> roots_;  // not cut yet
   std::vector<Box> boxes_;        // of their particles; empty: not known
   std::optional<Guess> guess_;    // that left them uncut

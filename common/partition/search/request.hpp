@@ -22,9 +22,9 @@ struct GuessLimits {
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow
   std::uint64_t sample_min = 8192;
   std::uint64_t sample_max = 32768;
-  // A node's particles are assumed to reach beyond its sampled ones by at most this fraction of the sampled extent, on
-  // either side.
-  double overhang_max = 0.05;
+  // The particles are assumed to reach beyond the sampled ones by at most so many times the distance from the outermost
+  // sampled one to the ninth, on either side.
+  double overhang = 3;
   // No cut is guessed that would leave more than this fraction of the particles to be searched.
   double boundary_max = 0.3;
   // A cut is guessed as a whole key where, by its first coordinate alone, more than this fraction of the sampled

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <numeric>
 
-#include "common/base/index.hpp"
-
 namespace rcb::partition {
 
 SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sample.count()), right_(sample.count()) {
@@ -46,28 +44,35 @@ Point SortedSample::extents(const Range& range) const {
 }
 
 std::size_t SortedSample::below(const Range& range, std::size_t axis, double x) const {
-  const float most = rounded_(axis, x);
-  const std::span<const std::uint32_t> own = std::span(order_[axis]).subspan(range.first, range.size());
-  const auto less = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)) < most; };
+  const auto own = particles(range, axis);
+  const auto less = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)) < rounded_(axis, x); };
   return static_cast<std::size_t>(std::ranges::partition_point(own, less) - own.begin());
+}
+
+std::size_t SortedSample::up_to(const Range& range, std::size_t axis, double x) const {
+  const auto own = particles(range, axis);
+  const auto no_greater = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)) <= rounded_(axis, x); };
+  return static_cast<std::size_t>(std::ranges::partition_point(own, no_greater) - own.begin());
 }
 
 void SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {
   for (std::size_t k = range.first; k < range.last; ++k) side_[order_[axis][k]] = k < range.first + left ? 0 : 1;
-  for (std::size_t a = 0; a < at(sample_->particles.dims); ++a) {
-    if (a == axis) continue;
-    std::uint32_t* const own = order_[a].data() + range.first;
-    std::size_t lefts = 0;
-    std::size_t rights = 0;
-    for (std::size_t k = 0; k < range.size(); ++k) {
-      const std::uint32_t particle = own[k];
-      own[lefts] = particle;
-      right_[rights] = particle;
-      lefts += 1U - side_[particle];
-      rights += side_[particle];
-    }
-    std::copy_n(right_.begin(), rights, own + lefts);
+  for (std::size_t a = 0; a < at(sample_->particles.dims); ++a)
+    if (a != axis) divide_axis(range, a);
+}
+
+void SortedSample::divide_axis(const Range& range, std::size_t axis) {
+  std::uint32_t* const own = order_[axis].data() + range.first;
+  std::size_t lefts = 0;
+  std::size_t rights = 0;
+  for (std::size_t k = 0; k < range.size(); ++k) {
+    const std::uint32_t particle = own[k];
+    own[lefts] = particle;
+    right_[rights] = particle;
+    lefts += 1U - side_[particle];
+    rights += side_[particle];
   }
+  std::copy_n(right_.begin(), rights, own + lefts);
 }
 
 }  // namespace rcb::partition

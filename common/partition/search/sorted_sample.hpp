@@ -4,8 +4,10 @@
 
 #include <array>
 #include <cstdint>
+#include <span>
 #include <vector>
 
+#include "common/base/index.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/search/rounded_axes.hpp"
 #include "common/partition/search/sample.hpp"
@@ -27,7 +29,11 @@ class SortedSample {
   explicit SortedSample(const Sample& sample);
 
   Range all() const { return {0, side_.size()}; }
-  // The k-th coordinate of a range on this axis, ascending.
+  // The sampled particles of a range, ascending on this axis.
+  std::span<const std::uint32_t> particles(const Range& range, std::size_t axis) const {
+    return std::span(order_[axis]).subspan(range.first, range.size());
+  }
+  // The k-th coordinate.
   double x(const Range& range, std::size_t axis, std::size_t k) const {
     return sample_->x(axis, order_[axis][range.first + k]);
   }
@@ -35,11 +41,26 @@ class SortedSample {
   const RoundedAxes& rounded() const { return rounded_; }
   // How many of a range have a coordinate that is less than x, both rounded.
   std::size_t below(const Range& range, std::size_t axis, double x) const;
+  // How many that is not greater.
+  std::size_t up_to(const Range& range, std::size_t axis, double x) const;
   // Divides a range: the first `left` on this axis come first.
   void split(const Range& range, std::size_t axis, std::size_t left);
+  // Divides a range: those for which left(particle) holds come first. Returns how many they are.
+  template <typename Left>
+  std::size_t divide(const Range& range, Left left) {
+    std::size_t lefts = 0;
+    for (const std::uint32_t k : particles(range, 0)) {
+      side_[k] = left(k) ? 0 : 1;
+      lefts += 1U - side_[k];
+    }
+    for (std::size_t a = 0; a < at(sample_->particles.dims); ++a) divide_axis(range, a);
+    return lefts;
+  }
 
  private:
   void sort(std::size_t axis);
+  // By side_.
+  void divide_axis(const Range& range, std::size_t axis);
 
   const Sample* sample_ = nullptr;
   std::array<std::vector<std::uint32_t>, geometry::kDimsMax> order_;  // of the sampled particles, by axis

@@ -63,14 +63,13 @@ void check(const Trial& trial, std::uint64_t& interior) {
   }
   const std::vector<std::int32_t> before = part;
   const Sample sample = share_sample(self, particles, nullptr, pick(particles.count, trial.stride));
-  bool axis_open = false;
-  const std::optional<Guess> guess = guess_cuts(sample, nullptr, trial.options, below, axis_open);
-  if (!guess) return;
-  const OwnInterior own = classify_guessed(particles, *guess, below.roots, part, particles.count);
+  const Guess guess = guess_cuts(sample, SortedSample(sample), nullptr, trial.options, below);
+  if (!guess.found) return;
+  const OwnInterior own = classify_guessed(particles, guess, below.roots, part, particles.count);
   ASSERT_FALSE(own.too_many);
 
   std::vector<std::uint64_t> counts(at(trial.options.parts), 0);
-  std::vector<geometry::Box> boxes = guess->seen;
+  std::vector<geometry::Box> boxes = guess.seen;
   ASSERT_TRUE(std::ranges::is_sorted(own.slot.span()));
   std::size_t k = 0;
   for (std::size_t i = 0; i < particles.count; ++i) {
@@ -89,7 +88,7 @@ void check(const Trial& trial, std::uint64_t& interior) {
     } else if (root == below.roots.end()) {
       EXPECT_EQ(part[i], before[i]);
     } else {
-      ASSERT_EQ(part[i], interior_part(*guess, *root, particles, i));
+      ASSERT_EQ(part[i], interior_part(guess, *root, particles, i));
       boxes[at(part[i])].extend(particles.point(i), particles.dims);
       ++interior;
     }
@@ -118,7 +117,7 @@ TEST(ClassifyGuessed, GivesWhatTheKeysTell) {
     trial.options.limits.guess.tied_max = std::array{0.0, 0.03, 1.0}.at(random.below(3));
     trial.options.limits.guess.boundary_max = 1;
     trial.options.limits.guess.levels_min = 0;
-    trial.options.limits.guess.overhang_max = 0;
+    trial.options.limits.guess.overhang = 0;
     trial.stride = 1 + random.below(8);
     trial.sorted = random.below(2) == 0;
     trial.below_roots = random.below(3) == 0;

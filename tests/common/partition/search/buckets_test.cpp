@@ -86,15 +86,27 @@ TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
     for (int cut = 0; cut < 6; ++cut) {
       const std::size_t axis = random.below(dims);
       const SortedSample::Range own = ranges[random.below(ranges.size())];
-      const std::size_t left = random.below(own.size() + 1);
+      std::size_t left = random.below(own.size() + 1);
       std::erase_if(ranges, [&](const auto& range) { return range.first == own.first && range.last == own.last; });
-      sorted.split(own, axis, left);
-      ranges.push_back({own.first, own.first + left});
-      ranges.push_back({own.first + left, own.last});
-      if (left > 0 && left < own.size()) {
-        const float below = sorted.rounded()(axis, sorted.x(ranges[ranges.size() - 2], axis, left - 1));
-        const float above = sorted.rounded()(axis, sorted.x(ranges.back(), axis, 0));
-        EXPECT_LE(below, above);
+      const bool by_order = random.below(2) == 0;
+      const auto even = [](std::uint32_t k) { return k % 2 == 0; };
+      if (by_order)
+        sorted.split(own, axis, left);
+      else
+        left = sorted.divide(own, even);
+      const SortedSample::Range lower{own.first, own.first + left};
+      const SortedSample::Range upper{own.first + left, own.last};
+      ranges.insert(ranges.end(), {lower, upper});
+      if (!by_order) {
+        EXPECT_TRUE(std::ranges::all_of(sorted.particles(lower, axis), even));
+        EXPECT_TRUE(std::ranges::none_of(sorted.particles(upper, axis), even));
+      } else if (left > 0 && left < own.size()) {
+        const double below = sorted.x(lower, axis, left - 1);
+        const double above = sorted.x(upper, axis, 0);
+        EXPECT_LE(sorted.rounded()(axis, below), sorted.rounded()(axis, above));
+        EXPECT_EQ(sorted.up_to(lower, axis, below), left);
+        EXPECT_EQ(sorted.below(upper, axis, above), 0U);
+        EXPECT_GE(sorted.up_to(upper, axis, above), 1U);
       }
     }
     for (std::size_t a = 0; a < dims; ++a) {
