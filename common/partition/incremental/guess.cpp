@@ -18,18 +18,17 @@ constexpr double kInfinity = Box::kInfinity;
 // Descends from the root; each node gets the sampled particles that the guessed cuts above leave it.
 class SampleWalk {
  public:
-  SampleWalk(const Sample& sample, SortedSample sorted, const Sample* outermost, const PartitionOptions& options,
-             Guess& out)
-      : sample_(sample),
+  SampleWalk(SortedSample sorted, const Sample* outermost, const PartitionOptions& options, Guess& out)
+      : sample_(sorted.sample()),
         sorted_(std::move(sorted)),
         outermost_(outermost),
         options_(options),
-        band_axis_(SplitRule(options, sample.particles.dims).band_axis()),
+        band_axis_(SplitRule(options, dims()).band_axis()),
         out_(out) {
     size_prefix_.assign(1, 0.0);
     for (int p = 0; p < options.parts; ++p)
       size_prefix_.push_back(size_prefix_.back() + (options.part_sizes.empty() ? 1.0 : options.part_sizes[at(p)]));
-    const auto& weight = sample.particles.weight;
+    const auto& weight = sample_.particles.weight;
     weighted_ = std::ranges::any_of(weight, [&](double w) { return w != weight[0]; });
     for (std::uint32_t k = 0; outermost != nullptr && k < outermost->count(); ++k) beyond_.push_back(k);
   }
@@ -128,15 +127,6 @@ class SampleWalk {
     if (!seen.empty(dims())) out_.seen[p].extend(seen);
   }
 
-  Box box_of(const Range& own) const {
-    Box box;
-    for (std::size_t a = 0; a < at(dims()) && own.size() > 0; ++a) {
-      box.lo[a] = sorted_.x(own, a, 0);
-      box.hi[a] = sorted_.x(own, a, own.size() - 1);
-    }
-    return box;
-  }
-
   void visit(const Node& node, const Range& own, std::span<std::uint32_t> beyond) {
     if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
     const Order order = order_of(node, own, beyond);
@@ -145,7 +135,7 @@ class SampleWalk {
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
     const std::size_t middle = own.first + bracket.before;
     if (order.first_open || (bracket.keys.whole && order.others_open)) {
-      out_.doubtful = {box_of({own.first, middle}), box_of({middle, own.last})};
+      out_.doubtful = {sorted_.box({own.first, middle}), sorted_.box({middle, own.last})};
       return end(node, own);
     }
     out_.brackets[at(node.range.node)] = bracket.keys;
@@ -179,7 +169,7 @@ class SampleWalk {
   // it is open where the extents hardly differ.
   Order order_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
     if (band_axis_ && node.range.node != 0) return {.axes = out_.tree.cuts[0].axes};  // bands have one order
-    Box box = node.known != nullptr ? *node.known : box_of(own);
+    Box box = node.known != nullptr ? *node.known : sorted_.box(own);
     for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
     for (std::size_t a = 0; a < at(dims()); ++a) {
@@ -253,19 +243,7 @@ class SampleWalk {
       sorted_.split(own, axis, found.before);
       return found;
     }
-    keys_.clear();
-    for (const std::uint32_t k : sorted.subspan(first, last - first)) keys_.push_back({key(k, axes), weight(k)});
-    const auto less = [](const Keyed& a, const Keyed& b) { return a.key < b.key; };
-    if (weighted_) {
-      std::ranges::sort(keys_, less);
-    } else {  // only those in three places count, and where they are is known
-      auto end = keys_.end();
-      for (const std::size_t place : {by_x->most, by_x->cut, by_x->least}) {
-        const auto nth = keys_.begin() + static_cast<std::ptrdiff_t>(place - first);
-        std::ranges::nth_element(keys_.begin(), nth, end, less);
-        end = nth;
-      }
-    }
+    take_keys(sorted.subspan(first, last - first), axes, {by_x->most - first, by_x->cut - first, by_x->least - first});
     double before = 0;
     for (const std::uint32_t k : sorted.first(first)) before += weight(k);
     const auto by_key = places(keys_.size(), before, wanted, margin, [&](std::size_t i) { return keys_[i].weight; });
@@ -284,6 +262,24 @@ class SampleWalk {
       return x < found.cut.at[0] || (x == found.cut.at[0] && key(k, axes) < found.cut);
     });
     return found;
+  }
+
+  // Fills keys_, ascending; where there are no weights, only those in three places, descending, are where they belong.
+  void take_keys(std::span<const std::uint32_t> particles, const AxisOrder& axes,
+                 const std::array<std::size_t, 3>& places) {
+    keys_.clear();
+    for (const std::uint32_t k : particles) keys_.push_back({key(k, axes), weight(k)});
+    const auto less = [](const Keyed& a, const Keyed& b) { return a.key < b.key; };
+    if (weighted_) {
+      std::ranges::sort(keys_, less);
+      return;
+    }
+    auto end = keys_.end();
+    for (const std::size_t place : places) {
+      const auto nth = keys_.begin() + static_cast<std::ptrdiff_t>(place);
+      std::ranges::nth_element(keys_.begin(), nth, end, less);
+      end = nth;
+    }
   }
 
   // nullopt if these loads don't reach from wanted - margin to wanted + margin.
@@ -324,15 +320,15 @@ class SampleWalk {
 
 }  // namespace
 
-Guess guess_cuts(const Sample& sample, const SortedSample& sorted, const Sample* outermost,
-                 const PartitionOptions& options, const GuessRoots& below) {
+Guess guess_cuts(const SortedSample& sample, const Sample* outermost, const PartitionOptions& options,
+                 const GuessRoots& below) {
   Guess guess;
   guess.tree = below.tree;
   guess.ends.assign(guess.tree.cuts.size(), 0);
   guess.brackets.resize(guess.tree.cuts.size());
   guess.inner.assign(at(options.parts), Box::unbounded());
   guess.seen.resize(at(options.parts));
-  SampleWalk(sample, sorted, outermost, options, guess).run(below);
+  SampleWalk(sample, outermost, options, guess).run(below);
   return guess;
 }
 

@@ -44,10 +44,9 @@ struct GuessRoots {
 
 // Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
 //   sample     one particle of each `stride`
-//   sorted     the same in order
 //   outermost  all particles outside of a guess' `doubtful` boxes; null: not known
 // Local.
-Guess guess_cuts(const Sample& sample, const SortedSample& sorted, const Sample* outermost,
-                 const PartitionOptions& options, const GuessRoots& below);
+Guess guess_cuts(const SortedSample& sample, const Sample* outermost, const PartitionOptions& options,
+                 const GuessRoots& below);
 
 }  // namespace rcb::partition

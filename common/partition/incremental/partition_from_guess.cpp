@@ -23,9 +23,9 @@ constexpr std::uint64_t kGatherStrideMax = 32768;
 constexpr std::uint64_t kGatheredStridesMax = 16;
 constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
 
-// The slots of the particles outside of all these boxes, about `most` of them at most. Compiled twice: with AVX2's
-// comparisons it takes half the time. The version is chosen while the program is loaded, which is before the thread
-// sanitizer has started, hence not with it.
+// The slots of the particles outside of all these boxes, about `most` of them at most; the last few particles are taken
+// wherever they lie. Compiled twice: with AVX2's comparisons it takes half the time. The version is chosen while the
+// program is loaded, which is before the thread sanitizer has started, hence not with it.
 #if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
 __attribute__((target_clones("avx2", "default")))
 #endif
@@ -66,7 +66,7 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
     for (std::size_t i = 0; i < kTogether; ++i)
       if (beyond[i / kLanes][i % kLanes] != 0) slots.push_back(begin + i);
   }
-  for (; begin < particles.count && slots.size() < most; ++begin) slots.push_back(begin);  // less than kTogether
+  for (; begin < particles.count && slots.size() < most; ++begin) slots.push_back(begin);
   return slots;
 }
 
@@ -107,14 +107,14 @@ class FirstPartition {
   // nothing was cut: each root's particles still have parts of that root. Collective.
   bool cut_by_guess(bool first) {
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
-    Guess guess = guess_cuts(large_.sample, sorted_, nullptr, options_, below);
+    Guess guess = guess_cuts(sorted_, nullptr, options_, below);
     if (first && !guess.doubtful.empty() && large_.stride <= kGatherStrideMax) {
       const auto most = kGatheredStridesMax * guess.doubtful.size() * (large_.stride + 64);
       const auto slots = slots_beyond(particles_, std::move(guess.doubtful), most);
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
       const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
       ++result_.reductions;
-      guess = guess_cuts(large_.sample, sorted_, &outermost, options_, below);
+      guess = guess_cuts(sorted_, &outermost, options_, below);
     }
     if (!guess.found) return false;
 

@@ -36,23 +36,33 @@ void SortedSample::sort(std::size_t axis) {
   for (std::size_t k = 0; k < x.size(); ++k) order_[axis][k] = static_cast<std::uint32_t>(keys[k] & kIndex);
 }
 
+geometry::Box SortedSample::box(const Range& range) const {
+  geometry::Box box;
+  for (std::size_t a = 0; a < at(sample_->particles.dims) && range.size() > 0; ++a) {
+    box.lo[a] = x(range, a, 0);
+    box.hi[a] = x(range, a, range.size() - 1);
+  }
+  return box;
+}
+
 Point SortedSample::extents(const Range& range) const {
+  const geometry::Box own = box(range);
   Point extents{};
   for (std::size_t a = 0; a < at(sample_->particles.dims) && range.size() > 0; ++a)
-    extents[a] = std::max(geometry::extent(x(range, a, 0), x(range, a, range.size() - 1)), 0.0);
+    extents[a] = std::max(geometry::extent(own.lo[a], own.hi[a]), 0.0);
   return extents;
 }
 
 std::size_t SortedSample::below(const Range& range, std::size_t axis, double x) const {
+  const auto rounded = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)); };
   const auto own = particles(range, axis);
-  const auto less = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)) < rounded_(axis, x); };
-  return static_cast<std::size_t>(std::ranges::partition_point(own, less) - own.begin());
+  return static_cast<std::size_t>(std::ranges::lower_bound(own, rounded_(axis, x), {}, rounded) - own.begin());
 }
 
 std::size_t SortedSample::up_to(const Range& range, std::size_t axis, double x) const {
+  const auto rounded = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)); };
   const auto own = particles(range, axis);
-  const auto no_greater = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)) <= rounded_(axis, x); };
-  return static_cast<std::size_t>(std::ranges::partition_point(own, no_greater) - own.begin());
+  return static_cast<std::size_t>(std::ranges::upper_bound(own, rounded_(axis, x), {}, rounded) - own.begin());
 }
 
 void SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {

@@ -28,6 +28,7 @@ class SortedSample {
   // `sample` must outlive this. The order is that of the rounded coordinates.
   explicit SortedSample(const Sample& sample);
 
+  const Sample& sample() const { return *sample_; }
   Range all() const { return {0, side_.size()}; }
   // The sampled particles of a range, ascending on this axis.
   std::span<const std::uint32_t> particles(const Range& range, std::size_t axis) const {
@@ -37,11 +38,12 @@ class SortedSample {
   double x(const Range& range, std::size_t axis, std::size_t k) const {
     return sample_->x(axis, order_[axis][range.first + k]);
   }
+  // The bounding box of a range; empty if it holds none.
+  geometry::Box box(const Range& range) const;
   Point extents(const Range& range) const;
   const RoundedAxes& rounded() const { return rounded_; }
-  // How many of a range have a coordinate that is less than x, both rounded.
+  // How many of a range have a coordinate that is less than x, and how many one that is not greater, all rounded.
   std::size_t below(const Range& range, std::size_t axis, double x) const;
-  // How many that is not greater.
   std::size_t up_to(const Range& range, std::size_t axis, double x) const;
   // Divides a range: the first `left` on this axis come first.
   void split(const Range& range, std::size_t axis, std::size_t left);

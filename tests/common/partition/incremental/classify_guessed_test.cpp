@@ -63,7 +63,7 @@ void check(const Trial& trial, std::uint64_t& interior) {
   }
   const std::vector<std::int32_t> before = part;
   const Sample sample = share_sample(self, particles, nullptr, pick(particles.count, trial.stride));
-  const Guess guess = guess_cuts(sample, SortedSample(sample), nullptr, trial.options, below);
+  const Guess guess = guess_cuts(SortedSample(sample), nullptr, trial.options, below);
   if (!guess.found) return;
   const OwnInterior own = classify_guessed(particles, guess, below.roots, part, particles.count);
   ASSERT_FALSE(own.too_many);
