@@ -236,6 +236,11 @@ class SampleWalk {
     const std::size_t first = sorted_.below(own, axis, found.keys.least.at[0]);
     const std::size_t last = sorted_.up_to(own, axis, found.keys.most.at[0]);
     if (!tied(last - first, *by_x) && found.keys.least.at[0] <= cut && cut <= found.keys.most.at[0]) {
+      // Equal ones are in any order.
+      for (const std::uint32_t k : sorted.subspan(first, by_x->least - first))
+        found.keys.least = std::min(found.keys.least, key(k, axes));
+      for (const std::uint32_t k : sorted.subspan(by_x->most, last - by_x->most))
+        found.keys.most = std::max(found.keys.most, key(k, axes));
       found.cut = key_between(cut, dims());
       found.share = static_cast<double>(last - first) / size;
       found.before = by_x->cut;

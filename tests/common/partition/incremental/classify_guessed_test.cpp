@@ -65,6 +65,19 @@ void check(const Trial& trial, std::uint64_t& interior) {
   const Sample sample = share_sample(self, particles, nullptr, pick(particles.count, trial.stride));
   const Guess guess = guess_cuts(SortedSample(sample), nullptr, trial.options, below);
   if (!guess.found) return;
+  if (trial.stride == 1 && !trial.below_roots) {  // a sample of all tells the root's cut
+    const CutTree tree = partition(self, particles, trial.options)->tree;
+    const Key& cut = tree.cuts[0].key;
+    const KeyBracket& bracket = guess.brackets[0];
+    if (tree.cuts[0].axes == bracket.axes) {
+      EXPECT_LE(bracket.least.at[0], cut.at[0]) << trial.scene.name;
+      EXPECT_LE(cut.at[0], bracket.most.at[0]) << trial.scene.name;
+      if (bracket.whole) {
+        EXPECT_FALSE(cut < bracket.least || bracket.most < cut) << trial.scene.name;
+        EXPECT_EQ(guess.tree.cuts[0].key, cut) << trial.scene.name;
+      }
+    }
+  }
   const OwnInterior own = classify_guessed(particles, guess, below.roots, part, particles.count);
   ASSERT_FALSE(own.too_many);
 
