@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <bit>
 #include <limits>
+#include <numeric>
+#include <span>
 #include <utility>
 
 #include <boost/multiprecision/cpp_int.hpp>
@@ -54,7 +56,6 @@ std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes) {
   neighbours_.clear();
   gather_limit_ = nodes.empty() ? 0 : gather_limit();
   for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
-  if (any(Phase::expected)) check_expected();
   for (count_round(); any(Phase::count) || any(Phase::next_word); count_round()) next_word();
   gather_candidates();
   find_neighbours();
@@ -104,57 +105,13 @@ void Selector::start(std::size_t node) {
   if (!weighted()) {
     state.inside = ask.count;
     if (state.inside <= gather_limit_) state.phase = Phase::gather;
-    if (state.phase == Phase::count && ask.expected) state.phase = Phase::expected;
+    if (state.phase == Phase::count && ask.expected) narrow_to_expected(node);
     return;
   }
   state.threshold = threshold_of(ask);
   if (state.threshold == 0) {  // no weight at all: the left side takes nothing
     state.phase = Phase::neighbour;
     neighbours_.push_back({.node = node, .weighted_before_bound = false, .from_start = true, .bound = {}});
-  }
-}
-
-void Selector::check_expected() {
-  const std::vector<std::size_t> asked = in_phase(Phase::expected);
-  std::vector<std::uint64_t> counts;
-  for (const std::size_t node : asked) {
-    narrow_to_expected(node);
-    std::uint64_t below = 0;
-    std::uint64_t inside = 0;
-    for (const Span& span : spans_of(node)) {
-      below += static_cast<std::uint64_t>(span.middle - span.first);
-      inside += span.open().size();
-    }
-    counts.push_back(below);
-    counts.push_back(inside);
-  }
-  comm_.all_sum(counts);
-  ++reductions_;
-  for (std::size_t n = 0; n < asked.size(); ++n) {
-    const CutRequest& ask = nodes_[asked[n]];
-    State& state = states_[asked[n]];
-    const std::uint64_t below = counts[2 * n];
-    const std::uint64_t through = below + counts[2 * n + 1];
-    const auto [least, most] = *ask.expected;
-    const std::int32_t step = std::int32_t{1} << zeros_of(asked[n], 0);  // between integers
-    state.phase = Phase::count;
-    if (ask.rank < below) {
-      state.hi = least - step;
-      state.inside = below;
-      for (Span& span : spans_of(asked[n])) span.upper = std::exchange(span.middle, span.first);
-    } else if (ask.rank >= through) {
-      state.lo = most + step;
-      state.below = through;
-      state.inside = ask.count - through;
-      for (Span& span : spans_of(asked[n])) span.middle = std::exchange(span.upper, span.last);
-    } else {
-      state.lo = least;
-      state.hi = most;
-      state.below = below;
-      state.inside = through - below;
-    }
-    choose_next_phase(asked[n], ask.count);
-    state.rounds = 0;
   }
 }
 
@@ -167,6 +124,29 @@ void Selector::narrow_to_expected(std::size_t node) {
     if (lo < least) span.middle = hi < least ? span.last : split_open(span, axis, least);
     if (hi > most) span.upper = lo > most ? span.middle : split_open(span, axis, most + 1);
   }
+  states_[node].expected = true;
+  states_[node].lo = least;
+  states_[node].hi = most;
+}
+
+void Selector::leave_expected(std::size_t node) {
+  const CutRequest& ask = nodes_[node];
+  State& state = states_[node];
+  const std::int32_t step = std::int32_t{1} << zeros_of(node, 0);  // between integers
+  if (ask.rank < state.below) {
+    state.hi = state.lo - step;
+    state.lo = ask.bounds.lo[axis_of(node)];
+    state.inside = state.below - ask.below;
+    state.below = ask.below;
+    for (Span& span : spans_of(node)) span.upper = std::exchange(span.middle, span.first);
+  } else {
+    state.lo = state.hi + step;
+    state.hi = ask.bounds.hi[axis_of(node)];
+    state.inside = ask.below + ask.count - state.below;
+    for (Span& span : spans_of(node)) span.middle = std::exchange(span.upper, span.last);
+  }
+  choose_next_phase(node, ask.count);
+  state.rounds = 0;
 }
 
 // As split(), of a span's open points. Where the range of its integers tells that few are on one side, only these are
@@ -239,24 +219,28 @@ std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t a
   std::size_t bin = 0;
   if (weighted()) {
     for (; bin < bins; ++bin) {
-      const std::uint64_t* const words = &message_[at + bin * cell_words_];
+      const std::uint64_t* const words = &message_[at + (1 + bin) * cell_words_];
       found = {words[0], comm::value_of_limbs(std::span<const std::uint64_t, comm::kLimbs>(words + 1, comm::kLimbs))};
       if (state.weight_below + found.weight >= state.threshold) return bin;
       state.below += found.count;
       state.weight_below += found.weight;
     }
   } else {
-    with_counts(at, [&](const auto* counts) {
+    with_counts(at, [&](const auto* cells) {
+      const auto counts = std::span(cells + 1, bins);
+      state.below += cells[0];
+      if (state.expected) state.inside = std::accumulate(counts.begin(), counts.end(), std::uint64_t{0});
+      if (nodes_[node].rank < state.below) bin = bins;
       for (; bin < bins && state.below + counts[bin] <= nodes_[node].rank; ++bin) state.below += counts[bin];
       if (bin < bins) found = {counts[bin], 0};
     });
   }
-  CHECK(bin < bins, "a bin holds the wanted key");
+  CHECK(bin < bins || state.expected, "a bin holds the wanted key");
   return bin;
 }
 
-// Histograms of the integers on the cut axis, with as many bins as fit in one message for all nodes. Where no count can
-// reach 2^8 (2^16, 2^32), several share a word.
+// Histograms of the integers on the cut axis, with as many bins as fit in one message for all nodes, behind a cell with
+// what lies below an expected bracket. Where no count can reach 2^8 (2^16, 2^32), several share a word.
 void Selector::count_round() {
   const std::vector<std::size_t> asked = in_phase(Phase::count);
   if (asked.empty()) return;
@@ -284,7 +268,7 @@ void Selector::count_round() {
     std::size_t used = 1;
     for (const std::size_t node : own)
       used = std::max(used, (static_cast<std::size_t>(states_[node].hi - states_[node].lo) >> shift(node)) + 1);
-    const std::size_t words = words_of(used);
+    const std::size_t words = words_of(1 + used);
     message_.resize(own.size() * words);
     std::fill(message_.begin(), message_.end(), 0);
     for (std::size_t n = 0; n < own.size(); ++n) count_node(own[n], shift(own[n]), used, n * words);
@@ -294,13 +278,28 @@ void Selector::count_round() {
 }
 
 void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
-  const std::int32_t lo = states_[node].lo;
+  const State& state = states_[node];
+  const std::int32_t lo = state.lo;
   const std::size_t axis = axis_of(node);
+  if (state.expected) {
+    std::size_t below = 0;
+    std::size_t open = 0;
+    for (const Span& span : spans_of(node)) {
+      below += static_cast<std::size_t>(span.middle - span.first);
+      open += span.open().size();
+    }
+    with_counts(at, [&](auto* cells) {
+      using Count = std::remove_cvref_t<decltype(cells[0])>;
+      cells[0] = static_cast<Count>(below);
+      if (state.lo == state.hi) cells[1] = static_cast<Count>(open);
+    });
+    if (state.lo == state.hi) return;
+  }
   note_pass(node, sizeof(QuantisedPoint) + (weighted() ? sizeof(double) : 0));
   if (weighted()) {
     for (const Span& span : spans_of(node))
       for (const QuantisedPoint& point : span.open()) {
-        const std::size_t own = at + (static_cast<std::uint32_t>(point.q[axis] - lo) >> shift) * cell_words_;
+        const std::size_t own = at + (1 + (static_cast<std::uint32_t>(point.q[axis] - lo) >> shift)) * cell_words_;
         ++message_[own];
         add_weight(own, (*scale_)(particles_.weight[span.base + point.index]));
       }
@@ -314,7 +313,7 @@ void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, st
   const auto add = [&] {
     with_counts(at, [&](auto* counts) {
       using Count = std::remove_cvref_t<decltype(counts[0])>;
-      for (std::size_t b = 0; b < bins; ++b) counts[b] = static_cast<Count>(counts[b] + even[b] + odd[b]);
+      for (std::size_t b = 0; b < bins; ++b) counts[1 + b] = static_cast<Count>(counts[1 + b] + even[b] + odd[b]);
     });
   };
   for (const Span& span : spans_of(node)) {
@@ -333,8 +332,9 @@ void Selector::count_node(std::size_t node, unsigned shift, std::size_t bins, st
 void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, std::size_t at) {
   State& state = states_[node];
   BinSum found;
-  const std::uint64_t before = state.inside;
   const std::size_t bin = crossing(node, bins, at, found);
+  if (std::exchange(state.expected, false) && bin == bins) return leave_expected(node);
+  const std::uint64_t before = state.inside;
   if (take_near(node, shift, bin, found)) return;
   state.inside = found.count;
   const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);

@@ -71,7 +71,7 @@ struct CutRequest {
   u128 size = 1;
   // The left side may have so many particles (so much weight) more or less than wanted. 0: exact.
   u128 slack = 0;
-  // Where the key's first integer is expected; only without weights, interior particles and slack.
+  // Where the key's first integer is expected; only without weights and slack.
   std::optional<std::array<std::int32_t, 2>> expected;
 };
 
@@ -114,11 +114,12 @@ class Selector {
   std::uint64_t bytes_moved() const { return bytes_moved_; }  // by this rank's passes
 
  private:
-  enum class Phase : std::uint8_t { done, expected, count, next_word, gather, neighbour };
+  enum class Phase : std::uint8_t { done, count, next_word, gather, neighbour };
 
   // The search of one node.
   struct State {
     Phase phase = Phase::done;
+    bool expected = false;  // `below`, and whether the bracket holds the key, aren't known before its first histogram
     bool uniform = false;  // all integers that were replaced were `uniform_value`
     std::int32_t uniform_value = 0;
     bool tie_break = false;  // the integers are replaced by a key word: (its value - base) >> shift
@@ -154,9 +155,10 @@ class Selector {
   };
 
   void start(std::size_t node);
-  // Brackets the nodes' keys where they are expected, and verifies that. Collective (one reduction).
-  void check_expected();
+  // Brackets the node's key where it is expected.
   void narrow_to_expected(std::size_t node);
+  // It isn't there: what lies beyond, on the key's side, becomes the bracket.
+  void leave_expected(std::size_t node);
   QuantisedPoint* split_open(const Span& span, std::size_t axis, std::int32_t at);
   // Up to so many candidates of a node are gathered instead of counted.
   std::uint64_t gather_limit() const;
@@ -195,7 +197,8 @@ class Selector {
   template <typename Apply>
   void with_counts(std::size_t at, const Apply& apply);
   void add_weight(std::size_t at, u128 weight);
-  // Finds the bin that holds the wanted key, and adds what lies before it to `below` and `weight_below`.
+  // Finds the bin that holds the wanted key, and adds what lies before it to `below` and `weight_below`. `bins` if an
+  // expected bracket doesn't hold the key.
   std::size_t crossing(std::size_t node, std::size_t bins, std::size_t at, BinSum& found);
 
   void gather_candidates();
