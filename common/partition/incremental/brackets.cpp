@@ -152,8 +152,8 @@ std::vector<geometry::Box> inner_regions(comm::Comm& comm, const particles::Part
                                          const SearchLimits& limits) {
   const std::uint64_t wanted =
       std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
-  const Sample sample =
-      share_sample(comm, particles, part.data(), pick(particles.count, std::max<std::uint64_t>(count / wanted, 1)));
+  const Sample sample = share_sample(comm, particles, pick(particles.count, std::max<std::uint64_t>(count / wanted, 1)),
+                                     {.parts = true}, part.data());
   std::vector<geometry::Box> inner(at(own.last - own.first), geometry::Box::unbounded());
   BracketGuess walk(tree, loads, own, limits, sample, inner);
   for (const NodeRange& root : roots) walk.visit_root(root);

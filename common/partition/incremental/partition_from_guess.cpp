@@ -112,7 +112,7 @@ class FirstPartition {
       const auto most = kGatheredStridesMax * guess.doubtful.size() * (large_.stride + 64);
       const auto slots = slots_beyond(particles_, std::move(guess.doubtful), most);
       result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
-      const Sample outermost = share_sample(comm_, particles_, nullptr, slots);
+      const Sample outermost = share_sample(comm_, particles_, slots, {});
       ++result_.reductions;
       guess = guess_cuts(sorted_, &outermost, options_, below);
     }

@@ -15,11 +15,12 @@ std::vector<std::size_t> pick(std::size_t count, std::uint64_t stride) {
   return slots;
 }
 
-Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, const std::int32_t* part,
-                    std::span<const std::size_t> slots) {
+Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
+                    const SampleFields& fields, const std::int32_t* part) {
   const auto axes = static_cast<std::size_t>(particles.dims);
   // The message holds one array after the other.
-  const std::size_t bytes_of_one = (axes + 1) * sizeof(double) + sizeof(particles::Id) + sizeof(std::int32_t);
+  const std::size_t bytes_of_one = axes * sizeof(double) + (fields.weights ? sizeof(double) : 0) +
+                                   (fields.ids ? sizeof(particles::Id) : 0) + (fields.parts ? sizeof(std::int32_t) : 0);
   Buffer<std::byte> mine(slots.size() * bytes_of_one);
   std::byte* to = mine.data();
   const auto send = [&](const auto* from, auto otherwise) {
@@ -30,18 +31,18 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
     }
   };
   for (std::size_t a = 0; a < axes; ++a) send(particles.position[a], 0.0);
-  send(particles.weight, 1.0);
-  send(particles.id, particles::Id{0});
-  send(part, std::int32_t{0});
+  if (fields.weights) send(particles.weight, 1.0);
+  if (fields.ids) send(particles.id, particles::Id{0});
+  if (fields.parts) send(part, std::int32_t{0});
   Buffer<std::byte> all;
   std::vector<std::size_t> sizes;
   comm.all_gather(mine.span(), all, sizes);
 
   Sample sample;
   sample.particles.dims = particles.dims;
-  sample.particles.has_weights = true;
+  sample.particles.has_weights = fields.weights;
   sample.particles.resize(all.size() / bytes_of_one);
-  sample.part.resize(sample.count());
+  if (fields.parts) sample.part.resize(sample.count());
   const std::byte* next = all.data();
   std::size_t begin = 0;
   for (const std::size_t size : sizes) {
@@ -51,9 +52,9 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
       next += count * sizeof(values[0]);
     };
     for (std::size_t a = 0; a < axes; ++a) take(sample.particles.position[a]);
-    take(sample.particles.weight);
-    take(sample.particles.id);
-    take(sample.part);
+    if (fields.weights) take(sample.particles.weight);
+    if (fields.ids) take(sample.particles.id);
+    if (fields.parts) take(sample.part);
     begin += count;
   }
   return sample;
@@ -81,7 +82,8 @@ std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles
   if (!is_large(large.count, comm.size(), limits) || (!for_guess && !large.buckets)) return std::nullopt;
   const std::uint64_t wanted = std::clamp(large.count / limits.stride, limits.sample_min, limits.sample_max);
   large.stride = std::max<std::uint64_t>(large.count / wanted, 1);
-  large.sample = share_sample(comm, particles, nullptr, pick(particles.count, large.stride));
+  large.sample = share_sample(comm, particles, pick(particles.count, large.stride),
+                              {.weights = large.has_weights, .ids = for_guess});
   ++reductions;
   return large;
 }

@@ -14,8 +14,8 @@
 namespace rcb::partition {
 
 struct Sample {
-  particles::ParticleSet particles;  // in rank order; weights are 1 where there are none
-  Buffer<std::int32_t> part;         // [count]
+  particles::ParticleSet particles;  // in rank order
+  Buffer<std::int32_t> part;         // [count], if wanted
 
   std::size_t count() const { return particles.count(); }
   double x(std::size_t axis, std::size_t k) const { return particles.position[axis][k]; }
@@ -24,10 +24,18 @@ struct Sample {
 // One slot of every `stride` of [0, count), chosen by a hash, since solvers' arrays may be periodic. Local.
 std::vector<std::size_t> pick(std::size_t count, std::uint64_t stride);
 
+// What is shared of sampled particles besides their positions.
+struct SampleFields {
+  bool weights = false;  // 1 on ranks that have none
+  bool ids = false;      // else unspecified
+  bool parts = false;
+};
+
 // Gathers the particles in these slots of every rank. Collective (one gather).
-//   part  [particles.count]; null: 0 for all
-Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, const std::int32_t* part,
-                    std::span<const std::size_t> slots);
+//   fields  the same on all ranks
+//   part    [particles.count], if wanted
+Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
+                    const SampleFields& fields, const std::int32_t* part = nullptr);
 
 // A sample of a large set.
 struct LargeSetSample {

@@ -32,7 +32,7 @@ Set any_set(Random& random) {
   std::iota(rows.begin(), rows.end(), std::size_t{0});
   Set set{testing::take(scene, rows), {}, fmt::format("{}, {} dimensions, {} particles", scene.name, dims, count)};
   comm::SelfComm self;
-  set.sample = share_sample(self, set.all.particles.view(), nullptr, pick(scene.count(), 1 + random.below(8)));
+  set.sample = share_sample(self, set.all.particles.view(), pick(scene.count(), 1 + random.below(8)), {});
   return set;
 }
 
