@@ -23,8 +23,14 @@ constexpr double kFewOfSide = 8;  // a place within this fraction of a side is s
 class BracketGuess {
  public:
   BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
-               const Sample& sample, std::vector<geometry::Box>& out)
+               const Sample& sample, InnerRegions& out)
       : tree_(tree), own_(own), limits_(limits), sample_(sample), out_(out) {
+    for (std::size_t a = 0; a < at(tree.dims); ++a) {
+      double lo = kInfinity;
+      double hi = -kInfinity;
+      geometry::least_and_most(sample.particles.position[a].span(), lo, hi);
+      if (lo <= hi) out.splitters.rounded.fit(a, lo, hi);
+    }
     prefix_.assign(1, 0.0);
     for (const double load : loads) prefix_.push_back(prefix_.back() + load);
     size_prefix_.assign(1, 0.0);
@@ -40,7 +46,7 @@ class BracketGuess {
     indices_.clear();
     for (std::uint32_t k = 0; k < sample_.count(); ++k)
       if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
-    visit(range, geometry::Box::unbounded(), indices_, load(range.first, range.last));
+    visit(range, 0, geometry::Box::unbounded(), indices_, load(range.first, range.last));
   }
 
  private:
@@ -56,23 +62,27 @@ class BracketGuess {
            (size_prefix_[at(range.last)] - size_prefix_[at(range.first)]);
   }
 
-  // own: the sampled particles of the node; wanted: its load under the new cuts.
-  void visit(const NodeRange& range, const geometry::Box& inner, std::span<std::uint32_t> own, double wanted) {
-    if (range.last <= own_.first || range.first >= own_.last) return;
-    if (range.leaf()) {
-      out_[at(range.first - own_.first)] = inner;
-      return;
-    }
+  // number: of the node, among the splitters; own: its sampled particles; wanted: its load under the new cuts.
+  void visit(const NodeRange& range, std::size_t number, const geometry::Box& inner, std::span<std::uint32_t> own,
+             double wanted) {
+    const bool has_own = range.last > own_.first && range.first < own_.last;
+    if (range.leaf() && has_own) out_.boxes[at(range.first - own_.first)] = inner;
+    if (range.leaf() || (!has_own && number >= Splitters::kNodes)) return;
     const Cut& cut = tree_.cuts[at(range.node)];
     const auto axis = at(cut.axes[0]);
     const Guess guess = cut.right_empty ? Guess{} : guess_cut(range, own, axis, cut.key.at[0], wanted);
+    if (number < Splitters::kNodes) {
+      const RoundedAxes& rounded = out_.splitters.rounded;
+      out_.splitters.expected[at(range.node)] = {cut.axes[0], guess.lo, guess.hi};
+      out_.splitters.nodes[number] = {rounded(axis, guess.lo), rounded(axis, guess.hi), cut.axes[0]};
+    }
     geometry::Box left = inner;
     geometry::Box right = inner;
     left.hi[axis] = std::min(left.hi[axis], guess.lo);
     right.lo[axis] = std::max(right.lo[axis], guess.hi);
     const std::size_t before = divide(own, axis, guess.at);
-    visit(range.left(), left, own.first(before), wanted * share(range));
-    visit(range.right(), right, own.subspan(before), wanted * (1 - share(range)));
+    visit(range.left(), 2 * number + 1, left, own.first(before), wanted * share(range));
+    visit(range.right(), 2 * number + 2, right, own.subspan(before), wanted * (1 - share(range)));
   }
 
   // Those below x come first. Returns how many they are. Without branches, which would often be mispredicted.
@@ -148,7 +158,7 @@ class BracketGuess {
   OwnParts own_;
   const SearchLimits& limits_;
   const Sample& sample_;
-  std::vector<geometry::Box>& out_;
+  InnerRegions& out_;
   std::vector<double> prefix_;
   std::vector<double> size_prefix_;
   std::vector<std::size_t> sampled_prefix_;
@@ -160,18 +170,20 @@ class BracketGuess {
 
 }  // namespace
 
-std::vector<geometry::Box> inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
-                                         std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
-                                         std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
-                                         const SearchLimits& limits) {
+InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
+                           std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
+                           std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
+                           const SearchLimits& limits) {
   const std::uint64_t wanted =
       std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
   const Sample sample = share_sample(comm, particles, pick(particles.count, std::max<std::uint64_t>(count / wanted, 1)),
                                      {.parts = true}, part.data());
-  std::vector<geometry::Box> inner(at(own.last - own.first), geometry::Box::unbounded());
-  BracketGuess walk(tree, loads, own, limits, sample, inner);
+  InnerRegions found;
+  found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
+  found.splitters.expected.resize(at(tree.parts) - 1);
+  BracketGuess walk(tree, loads, own, limits, sample, found);
   for (const NodeRange& root : roots) walk.visit_root(root);
-  return inner;
+  return found;
 }
 
 }  // namespace rcb::partition

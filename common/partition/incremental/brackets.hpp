@@ -13,6 +13,7 @@
 #include "common/comm/comm.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/search/request.hpp"
+#include "common/partition/search/splitters.hpp"
 #include "common/partition/tree/cut_tree.hpp"
 
 namespace rcb::partition {
@@ -24,16 +25,21 @@ struct OwnParts {
   int last = 0;
 };
 
-// The inner regions of this rank's own parts, [last - first]; open boxes, some unbounded, some empty. That of a part
-// outside the roots is all of space.
+struct InnerRegions {
+  // Of this rank's own parts, [last - first]; open boxes, some unbounded, some empty. That of a part outside the roots
+  // is all of space.
+  std::vector<geometry::Box> boxes;
+  Splitters splitters;  // the brackets of the upper cuts, the same on all ranks; only if the one root is the tree's
+};
+
 //   part   [particles.count]: the particles' parts under the tree
 //   count  of all ranks' particles
 //   loads  of each part, all ranks; only their ratios count
 //   roots  nodes to be cut again; all other cuts stay
 // Collective (one gather of a sample of some thousand particles).
-std::vector<geometry::Box> inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
-                                         std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
-                                         std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
-                                         const SearchLimits& limits);
+InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
+                           std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
+                           std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
+                           const SearchLimits& limits);
 
 }  // namespace rcb::partition

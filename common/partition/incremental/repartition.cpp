@@ -71,11 +71,12 @@ class Repartitioning {
   // Collective (one gather).
   OwnInterior look() {
     std::vector<double> loads(current_.loads.loads.begin(), current_.loads.loads.end());
-    const auto inner = inner_regions(comm_, particles_, current_.part, current_.tree, n_, loads, roots_, current_.own,
-                                     options_.limits);
+    InnerRegions inner = inner_regions(comm_, particles_, current_.part, current_.tree, n_, loads, roots_, current_.own,
+                                       options_.limits);
+    if (whole_) splitters_ = std::move(inner.splitters);
     // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
     const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
-    return classify_interior(particles_, current_.blocks, current_.part, inner, current_.own,
+    return classify_interior(particles_, current_.blocks, current_.part, inner.boxes, current_.own,
                              std::max<std::uint64_t>(particles_.count, mean) / options_.limits.boundary_divisor);
   }
 
@@ -94,6 +95,7 @@ class Repartitioning {
                       .rule = whole_ ? nullptr : &rule_,
                       .scale = scale_,
                       .interior = &*interior,
+                      .splitters = whole_ ? &splitters_ : nullptr,
                       .failed_max = most};
     TreeBuilder builder(comm_, own.view(particles_), options_, start);
     PartitionResult found = builder.build();
@@ -172,6 +174,7 @@ class Repartitioning {
   SplitRule rule_;
   std::optional<ExactScale> scale_;
   std::uint64_t n_ = 0;
+  Splitters splitters_;  // of an incremental search, if the one root is the tree's
   std::vector<NodeRange> failed_;
   std::vector<std::uint64_t> counts_;
   Repartition result_;

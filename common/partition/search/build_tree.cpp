@@ -203,15 +203,16 @@ CutRequest TreeBuilder::request_of(const Node& node) {
     wanted.rank = rule_.quota(first, node.range.middle());
   }
   if (interior_ != nullptr) add_interior(node.range, wanted);
-  if (sample_ != nullptr) wanted.expected = expected_in(node, wanted.rank);
+  if (bucketed()) wanted.expected = expected_in(node, wanted.rank);
   wanted.search = !wanted.unanswerable && !node.bounds.empty() && (scale_ || wanted.rank < wanted.below + wanted.count);
   return wanted;
 }
 
 std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& node, std::uint64_t rank) const {
   ExpectedCut expected = splitters_.expected[at(node.range.node)];
-  if (expected.axis < 0 || node.sampled.size() == 0 || node.coincident || node.bounds.empty()) return std::nullopt;
+  if (expected.axis < 0 || node.coincident || node.bounds.empty()) return std::nullopt;
   const auto axis = at(node.axes[0]);
+  if (expected.axis != node.axes[0] && node.sampled.size() == 0) return std::nullopt;
   if (expected.axis != node.axes[0])
     expected = expect_cut(sorted_, node.sampled, node.axes[0],
                           static_cast<double>(rank) / static_cast<double>(node.count), options_.limits);

@@ -46,7 +46,9 @@ struct Start {
   std::optional<ExactScale> scale;     // of the weights, if they count
   const Interior* interior = nullptr;  // particles that are not searched; null: none
   std::vector<std::uint8_t> ends;      // [inner nodes]: 1: left uncut; empty: none
-  std::uint64_t failed_max = 0;        // the build is abandoned once nodes that could not be cut hold more particles
+  // Where the cuts are expected, for buckets; null: not known. Not with several roots, or where `boxes` are known.
+  const Splitters* splitters = nullptr;
+  std::uint64_t failed_max = 0;  // the build is abandoned once nodes that could not be cut hold more particles
 };
 
 class TreeBuilder {
@@ -95,8 +97,9 @@ class TreeBuilder {
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
   // one reduction).
   bool find_bounds();
-  // That of this rank's particles. Sorts them into buckets, if there is a sample.
+  // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected.
   geometry::Box own_box();
+  bool bucketed() const { return !splitters_.expected.empty(); }
   bool knows_bounds() const { return level_.size() == 1 || !start_->boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
@@ -136,7 +139,7 @@ class TreeBuilder {
   std::span<Span> spans_of(const Node& node) {
     return std::span(spans_).subspan(node.spans_first, node.spans_last - node.spans_first);
   }
-  // Where the key's first integer is expected, if a sample tells.
+  // Where the key's first integer is expected, if that is known.
   std::optional<std::array<std::int32_t, 2>> expected_in(const Node& node, std::uint64_t rank) const;
   // Turns this rank's bounds of these nodes into those of all ranks. Collective.
   void reduce_bounds(std::span<Node> nodes);
@@ -150,8 +153,10 @@ class TreeBuilder {
   const Sample* sample_ = nullptr;
   SortedSample sorted_;
   Splitters splitters_;
-  // Of each particle; empty: there are none. They take the last quarter of the parts' memory until these are written.
+  // Of each particle; empty: there are none. Those of a sample take the last quarter of the parts' memory until these
+  // are written.
   std::span<std::uint8_t> bucket_;
+  Buffer<std::uint8_t> own_bucket_;
   bool stopped_ = false;
   const Interior* interior_ = nullptr;
   SplitRule rule_;

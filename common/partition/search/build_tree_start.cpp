@@ -42,6 +42,12 @@ geometry::Box TreeBuilder::own_box() {
     result_.part.resize(particles_.count);
     auto* const bytes = reinterpret_cast<std::uint8_t*>(result_.part.data());
     bucket_ = {bytes + particles_.count * (sizeof(std::int32_t) - 1), particles_.count};
+  } else if (start_ != nullptr && start_->splitters != nullptr) {
+    splitters_ = *start_->splitters;
+    own_bucket_.resize(particles_.count);
+    bucket_ = own_bucket_.span();
+  }
+  if (bucketed()) {
     result_.traffic.bytes += bucket_.size();
     return sort_into_buckets(particles_, splitters_, bucket_);
   }
@@ -213,12 +219,12 @@ void TreeBuilder::lay_out_roots() {
     level_[r].spans_first = r * chunks;
     level_[r].spans_last = (r + 1) * chunks;
   }
-  if (sample_ != nullptr) {
+  if (bucketed()) {
     for (std::size_t n = 0; n < spans_.size(); ++n) spans_[n].bucket = static_cast<std::int32_t>(n / chunks);
     writer_.use_buckets(bucket_, options_.limits.chunk_max);
     std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
     level_[0].spans_last = spans_.size();
-    level_[0].sampled = sorted_.all();
+    if (sample_ != nullptr) level_[0].sampled = sorted_.all();
   } else if (knows_bounds()) {
     return;
   }
