@@ -32,6 +32,17 @@ bool forget_peak_memory() {
   return !out.fail();
 }
 
+// Of the bit patterns: unlike sums of doubles they may be made in any order, so the compiler uses vectors.
+#if defined(__x86_64__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+std::uint64_t
+sum_of(const double* values, std::size_t count) {
+  std::uint64_t sum = 0;
+  for (std::size_t i = 0; i < count; ++i) sum += std::bit_cast<std::uint64_t>(values[i]);
+  return sum;
+}
+
 // One contender's turn, timed. Collective. The slowest rank's seconds; nullopt if any rank failed.
 std::optional<double> turn(comm::Comm& comm, Contender& contender, std::string& failure) {
   static const SteadyClock clock;
@@ -93,6 +104,13 @@ std::optional<double> peak_growth(comm::Comm& comm, const Problem& problem, Cont
 }
 
 }  // namespace
+
+std::uint64_t read_positions(const particles::ParticleView& particles) {
+  std::uint64_t sum = 0;
+  for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)
+    sum += sum_of(particles.position[a], particles.count);
+  return sum;
+}
 
 void keep_freed_memory() {
   mallopt(M_MMAP_MAX, 0);         // the threshold itself can't be raised above 32 MiB

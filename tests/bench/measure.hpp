@@ -42,6 +42,9 @@ struct MeasureOptions {
 // time. Local, before anything is allocated in earnest.
 void keep_freed_memory();
 
+// Reads every coordinate once, and returns something of them: the floor of whatever looks at all particles. Local.
+std::uint64_t read_positions(const particles::ParticleView& particles);
+
 // Collective. The same on every rank. Contenders that don't fit the problem (Code::unsupported) are left out.
 std::vector<Measurement> measure(comm::Comm& comm, const Problem& problem, const Contenders& contenders,
                                  const MeasureOptions& options);

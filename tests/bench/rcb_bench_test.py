@@ -206,8 +206,10 @@ class Drift(unittest.TestCase):
         ways = {way["way"]: way for way in row["ways"]}
         self.assertEqual(len(ways), 4)
         self.assertAlmostEqual(row["crossed"], 0.01, delta=0.002)
-        for name in ways:
+        self.assertEqual(len(row["read"]), 1)
+        for name, way in ways.items():
             self.assertIn(name, done.stdout)
+            self.assertAlmostEqual(way["times_read"], way["seconds"][0] / row["read"][0])
         for warm, cold in (("warm", "cold"), ("warm, pure rule", "cold, pure rule")):
             self.assertEqual(ways[warm]["hash"], ways[cold]["hash"])
             self.assertEqual(ways[warm]["moved"], ways[cold]["moved"])

@@ -1,21 +1,9 @@
 // What reading all coordinates once costs: no partition can be faster that looks at every particle.
-#include <bit>
-
+#include "tests/bench/measure.hpp"
 #include "tests/bench/peers/contender.hpp"
 
 namespace rcb::bench {
 namespace {
-
-// Sums of the bit patterns: unlike sums of doubles they may be made in any order, so the compiler uses vectors.
-#if defined(__x86_64__)
-__attribute__((target_clones("avx2", "default")))
-#endif
-std::uint64_t
-sum_of(const double* values, std::size_t count) {
-  std::uint64_t sum = 0;
-  for (std::size_t i = 0; i < count; ++i) sum += std::bit_cast<std::uint64_t>(values[i]);
-  return sum;
-}
 
 class ReadFloor final : public Contender {
  public:
@@ -26,10 +14,7 @@ class ReadFloor final : public Contender {
   }
   void reset() override {}
   Status run() override {
-    std::uint64_t sum = 0;
-    for (std::size_t a = 0; a < static_cast<std::size_t>(problem_.particles.dims); ++a)
-      sum += sum_of(problem_.particles.position[a], problem_.particles.count);
-    sum_ = sum;
+    sum_ = read_positions(problem_.particles);
     return {};
   }
   Answer answer() override { return {}; }

@@ -29,7 +29,14 @@ Status check(const DriftOptions& options) {
 // Adds medians and their ratios, warm to cold in pairs. False where the two don't agree.
 bool compare(Json& row) {
   Json& ways = row["ways"];
-  for (Json& way : ways) way["median"] = median(way["seconds"].get<std::vector<double>>());
+  const auto read = row["read"].get<std::vector<double>>();
+  for (Json& way : ways) {
+    const auto seconds = way["seconds"].get<std::vector<double>>();
+    way["median"] = median(seconds);
+    std::vector<double> to_read;
+    for (std::size_t r = 0; r < seconds.size(); ++r) to_read.push_back(seconds[r] / read[r]);
+    way["times_read"] = median(to_read);
+  }
   bool same = true;
   for (std::size_t w = 0; w + 1 < ways.size(); w += 2) {
     const auto incremental = ways[w]["seconds"].get<std::vector<double>>();
@@ -43,14 +50,16 @@ bool compare(Json& row) {
 }
 
 std::string drift_tables(const Json& rows) {
-  std::vector<std::vector<std::string>> lines{{"scene", "ranks", "parts", "way", "ms", "times faster", "crossed",
-                                               "moved", "looked at", "axes flipped", "error before", "after"}};
+  std::vector<std::vector<std::string>> lines{{"scene", "ranks", "parts", "way", "ms", "times faster", "times read",
+                                               "crossed", "moved", "looked at", "axes flipped", "error before",
+                                               "after"}};
   for (const Json& row : rows)
     for (const Json& way : row["ways"]) {
       const auto n = row["n"].get<double>();
       lines.push_back({row["scene"].get<std::string>(), row["ranks"].dump(), row["parts"].dump(),
                        way["way"].get<std::string>(), fmt::format("{:.2f}", 1e3 * way["median"].get<double>()),
                        way.contains("times_faster") ? fmt::format("{:.1f}", way["times_faster"].get<double>()) : "",
+                       fmt::format("{:.1f}", way["times_read"].get<double>()),
                        fmt::format("{:.2f} %", 100 * row["crossed"].get<double>()),
                        fmt::format("{:.2f} %", 100 * way["moved"].get<double>() / n),
                        fmt::format("{:.1f} %", 100 * way["looked_at"].get<double>() / n), way["axes_flipped"].dump(),

@@ -124,7 +124,11 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
   const particles::BlockRanges blocks = testing::ranges_of(view);
   std::vector<Repartition> found(std::size(kWays));
   std::vector<std::vector<double>> seconds(std::size(kWays));
-  for (int repeat = -1; repeat < repeats; ++repeat)
+  std::vector<double> seconds_read;
+  [[maybe_unused]] volatile std::uint64_t sum = 0;  // so that it is made
+  for (int repeat = -1; repeat < repeats; ++repeat) {
+    const double read = timed(comm, [&] { sum = read_positions(view); });
+    if (repeat >= 0) seconds_read.push_back(read);
     for (std::size_t k = 0; k < std::size(kWays); ++k) {
       const std::size_t w = (k + static_cast<std::size_t>(repeat + 1)) % std::size(kWays);
       partition::RepartitionOptions options;
@@ -137,8 +141,9 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
       });
       if (repeat >= 0) seconds[w].push_back(took);
     }
-  Json row{{"scene", cell.scene},  {"n", cell.n},    {"parts", cell.parts},
-           {"ranks", comm.size()}, {"crossed", got}, {"error_before", loads.error}};
+  }
+  Json row{{"scene", cell.scene}, {"n", cell.n},          {"parts", cell.parts},        {"ranks", comm.size()},
+           {"crossed", got},      {"read", seconds_read}, {"error_before", loads.error}};
   row["ways"] = Json::array();
   for (std::size_t w = 0; w < std::size(kWays); ++w) {
     std::uint64_t moved = found[w].delta.slot.size();
