@@ -158,6 +158,7 @@ TEST_P(RepartitionAfter, GivesTheCutsOfASearchAmongAll) {
         trial.options.limits.bracket_sigmas = static_cast<double>(seed % 4);
         trial.options.limits.bracket_margin = static_cast<double>(seed % 3);
         trial.options.limits.boundary_divisor = seed % 4 == 0 ? 5 : 1;
+        if (seed % 3 == 0) trial.options.limits.chunk_max = 1 + seed % 50;
         // Full searches begin with buckets.
         if (seed % 2 == 0) {
           trial.options.limits.guess.count_min = 0;
