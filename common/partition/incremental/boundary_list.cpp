@@ -5,7 +5,6 @@
 #include <numeric>
 
 #include "common/base/index.hpp"
-#include "common/partition/search/build_tree.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -63,24 +62,6 @@ void BoundaryList::resize(std::size_t count) {
   out_.slot.resize(count);
   out_.part.resize(count);
   for (std::size_t a = 0; a < at(out_.boundary.dims); ++a) out_.boundary.position[a].resize(count);
-}
-
-std::optional<OwnInterior> copy_of_roots(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                                         std::span<const NodeRange> roots, int parts) {
-  const std::size_t most = particles.count / 4;
-  const std::vector<std::int32_t> root_of = roots_of_parts(roots, parts);
-  OwnInterior all;
-  all.reserve(particles, 0);
-  BoundaryList list(particles, part.data(), all);
-  for (std::size_t begin = 0; begin < particles.count && list.size() <= most; begin += kBlock) {
-    std::uint64_t which = 0;
-    for (std::size_t i = 0; i < std::min(kBlock, particles.count - begin); ++i)
-      which |= std::uint64_t{root_of[at(part[begin + i])] != Roots::kNone} << i;
-    if (which != 0) list.append(begin, which);
-  }
-  list.finish();
-  all.finish(particles, most);
-  return all.too_many ? std::nullopt : std::optional(std::move(all));
 }
 
 }  // namespace rcb::partition

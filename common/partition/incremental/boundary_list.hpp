@@ -3,8 +3,6 @@
 
 #include <array>
 #include <cstdint>
-#include <optional>
-#include <span>
 
 #include "common/partition/incremental/classify_interior.hpp"
 
@@ -41,11 +39,5 @@ class BoundaryList {
   std::size_t size_ = 0;
   std::size_t copied_ = 0;
 };
-
-// The particles in parts of these roots, copied as boundary particles are, for a search that would otherwise pass over
-// all particles several times. nullopt if they are more than a quarter: copies of more would take more memory than the
-// search. part: of each particle. Local.
-std::optional<OwnInterior> copy_of_roots(const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                                         std::span<const NodeRange> roots, int parts);
 
 }  // namespace rcb::partition

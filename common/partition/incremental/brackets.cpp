@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "common/base/index.hpp"
+#include "common/partition/search/divide.hpp"
 #include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
@@ -25,12 +26,7 @@ class BracketGuess {
   BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
                const Sample& sample, InnerRegions& out)
       : tree_(tree), own_(own), limits_(limits), sample_(sample), out_(out) {
-    for (std::size_t a = 0; a < at(tree.dims); ++a) {
-      double lo = kInfinity;
-      double hi = -kInfinity;
-      geometry::least_and_most(sample.particles.position[a].span(), lo, hi);
-      if (lo <= hi) out.splitters.rounded.fit(a, lo, hi);
-    }
+    for (std::size_t a = 0; a < at(tree.dims); ++a) out.splitters.rounded.fit(a, sample.particles.position[a].span());
     prefix_.assign(1, 0.0);
     for (const double load : loads) prefix_.push_back(prefix_.back() + load);
     size_prefix_.assign(1, 0.0);
@@ -46,7 +42,8 @@ class BracketGuess {
     indices_.clear();
     for (std::uint32_t k = 0; k < sample_.count(); ++k)
       if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
-    visit(range, 0, geometry::Box::unbounded(), indices_, load(range.first, range.last));
+    const std::size_t number = range.parts() == tree_.parts ? 0 : Splitters::kNodes;  // there are none below others
+    visit(range, number, geometry::Box::unbounded(), indices_, load(range.first, range.last));
   }
 
  private:
@@ -80,23 +77,9 @@ class BracketGuess {
     geometry::Box right = inner;
     left.hi[axis] = std::min(left.hi[axis], guess.lo);
     right.lo[axis] = std::max(right.lo[axis], guess.hi);
-    const std::size_t before = divide(own, axis, guess.at);
+    const std::size_t before = divide(own, others_, [&](std::uint32_t k) { return sample_.x(axis, k) < guess.at; });
     visit(range.left(), 2 * number + 1, left, own.first(before), wanted * share(range));
     visit(range.right(), 2 * number + 2, right, own.subspan(before), wanted * (1 - share(range)));
-  }
-
-  // Those below x come first. Returns how many they are. Without branches, which would often be mispredicted.
-  std::size_t divide(std::span<std::uint32_t> own, std::size_t axis, double x) {
-    others_.resize(own.size());
-    std::size_t before = 0;
-    for (std::size_t i = 0; i < own.size(); ++i) {
-      const std::uint32_t k = own[i];
-      own[before] = k;
-      others_[i - before] = k;
-      before += sample_.x(axis, k) < x ? 1U : 0U;
-    }
-    std::copy_n(others_.begin(), own.size() - before, own.begin() + static_cast<std::ptrdiff_t>(before));
-    return before;
   }
 
   Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, std::size_t axis, double old,

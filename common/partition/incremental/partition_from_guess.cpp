@@ -6,9 +6,9 @@
 
 #include "common/base/index.hpp"
 #include "common/partition/balance/bounding_box.hpp"
-#include "common/partition/incremental/boundary_list.hpp"
 #include "common/partition/incremental/classify_guessed.hpp"
 #include "common/partition/incremental/guess.hpp"
+#include "common/partition/incremental/search_roots.hpp"
 #include "common/partition/search/build_tree.hpp"
 #include "common/partition/search/sample.hpp"
 
@@ -192,15 +192,13 @@ class FirstPartition {
 
   // Cuts the roots by a search among all their particles. Collective.
   void cut_the_rest() {
-    auto own = copy_of_roots(particles_, result_.part.span(), roots_, options_.parts);
-    const Start start{.roots = roots_,
-                      .part = own ? own->part.span() : result_.part.span(),
-                      .boxes = boxes_,
-                      .tree = &result_.tree,
-                      .rule = &rule_,
-                      .scale = scale_};
-    PartitionResult found = TreeBuilder(comm_, own ? own->view(particles_) : particles_, options_, start).build();
-    for (std::size_t k = 0; own && k < own->part.size(); ++k) result_.part[own->slot[k]] = own->part[k];
+    PartitionResult found = search_roots(comm_, particles_, options_,
+                                         {.roots = roots_,
+                                          .part = result_.part.span(),
+                                          .boxes = boxes_,
+                                          .tree = &result_.tree,
+                                          .rule = &rule_,
+                                          .scale = scale_});
     result_.searched += found.searched;
     add(std::move(found));
   }

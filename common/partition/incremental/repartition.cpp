@@ -5,8 +5,8 @@
 
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
-#include "common/partition/incremental/boundary_list.hpp"
 #include "common/partition/incremental/classify_interior.hpp"
+#include "common/partition/incremental/search_roots.hpp"
 #include "common/partition/search/build_tree.hpp"
 
 namespace rcb::partition {
@@ -117,19 +117,19 @@ class Repartitioning {
     if (!whole) std::ranges::copy(current_.part, part.begin());
     for (std::size_t k = 0; k < result_.delta.slot.size() && !whole; ++k)
       part[result_.delta.slot[k]] = result_.delta.part[k];
-    Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
-    std::optional<OwnInterior> own;
-    if (!whole) own = copy_of_roots(particles_, part.span(), failed_, options_.parts);
-    if (own) start.part = own->part.span();
     std::optional<LargeSetSample> large;
     if (whole && may_sample(options_) && !scale_ && is_large(n_, comm_.size(), options_.limits.guess))
       large = sample_large_set(comm_, particles_, options_, false, result_.reductions);
-    PartitionResult found = (!whole  ? TreeBuilder(comm_, own ? own->view(particles_) : particles_, options_, start)
-                             : large ? TreeBuilder(comm_, particles_, options_, large->sample)
-                                     : TreeBuilder(comm_, particles_, options_, particles_.dims))
-                                .build();
-    if (whole) part = std::move(found.part);
-    for (std::size_t k = 0; own && k < own->part.size(); ++k) part[own->slot[k]] = own->part[k];
+    PartitionResult found;
+    if (!whole) {
+      const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
+      found = search_roots(comm_, particles_, options_, start);
+    } else {
+      found = (large ? TreeBuilder(comm_, particles_, options_, large->sample)
+                     : TreeBuilder(comm_, particles_, options_, particles_.dims))
+                  .build();
+      part = std::move(found.part);
+    }
     tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });
     take(std::move(found), failed_);
     if (whole) result_.looked_at = n_;

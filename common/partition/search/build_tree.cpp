@@ -212,10 +212,11 @@ std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& 
   ExpectedCut expected = splitters_.expected[at(node.range.node)];
   if (expected.axis < 0 || node.coincident || node.bounds.empty()) return std::nullopt;
   const auto axis = at(node.axes[0]);
-  if (expected.axis != node.axes[0] && node.sampled.size() == 0) return std::nullopt;
-  if (expected.axis != node.axes[0])
+  if (expected.axis != node.axes[0]) {
+    if (node.sampled.size() == 0) return std::nullopt;
     expected = expect_cut(sorted_, node.sampled, node.axes[0],
                           static_cast<double>(rank) / static_cast<double>(node.count), options_.limits);
+  }
   if (expected.anywhere()) return std::nullopt;
   const auto integer = [&](double x) { return maps_[axis](std::clamp(x, lo_[axis], hi_[axis])); };
   const std::int32_t lo = std::max(integer(expected.least), node.bounds.lo[axis]);

@@ -224,7 +224,7 @@ void TreeBuilder::lay_out_roots() {
     writer_.use_buckets(bucket_, options_.limits.chunk_max);
     std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
     level_[0].spans_last = spans_.size();
-    if (sample_ != nullptr) level_[0].sampled = sorted_.all();
+    level_[0].sampled = sorted_.all();  // none without a sample
   } else if (knows_bounds()) {
     return;
   }

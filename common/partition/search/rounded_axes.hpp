@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <span>
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
@@ -23,6 +25,13 @@ struct RoundedAxes {
     const double reach = std::max(hi * 0.5 - origin[axis] * 0.5, origin[axis] * 0.5 - lo * 0.5);
     const double factor = std::isnormal(reach) ? std::ldexp(1.0, -std::ilogb(reach)) : 1.0;
     if (std::isnormal(factor)) scale[axis] = factor;
+  }
+  // All of these coordinates.
+  void fit(std::size_t axis, std::span<const double> x) {
+    double lo = std::numeric_limits<double>::infinity();
+    double hi = -lo;
+    geometry::least_and_most(x, lo, hi);
+    if (lo <= hi) fit(axis, lo, hi);
   }
   float operator()(std::size_t axis, double x) const { return static_cast<float>((x - origin[axis]) * scale[axis]); }
 };

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <numeric>
 
+#include "common/partition/search/divide.hpp"
+
 namespace rcb::partition {
 
 SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sample.count()), right_(sample.count()) {
@@ -17,10 +19,7 @@ void SortedSample::sort(std::size_t axis) {
   constexpr unsigned kDigitBits = 12;
   constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
   const std::span<const double> x = sample_->particles.position[axis].span();
-  double lo = geometry::Box::kInfinity;
-  double hi = -geometry::Box::kInfinity;
-  geometry::least_and_most(x, lo, hi);
-  if (lo <= hi) rounded_.fit(axis, lo, hi);
+  rounded_.fit(axis, x);
   std::vector<std::uint64_t> keys(x.size());
   std::vector<std::uint64_t> sorted(x.size());
   for (std::size_t k = 0; k < x.size(); ++k)
@@ -72,17 +71,8 @@ void SortedSample::split(const Range& range, std::size_t axis, std::size_t left)
 }
 
 void SortedSample::divide_axis(const Range& range, std::size_t axis) {
-  std::uint32_t* const own = order_[axis].data() + range.first;
-  std::size_t lefts = 0;
-  std::size_t rights = 0;
-  for (std::size_t k = 0; k < range.size(); ++k) {
-    const std::uint32_t particle = own[k];
-    own[lefts] = particle;
-    right_[rights] = particle;
-    lefts += 1U - side_[particle];
-    rights += side_[particle];
-  }
-  std::copy_n(right_.begin(), rights, own + lefts);
+  partition::divide(std::span(order_[axis]).subspan(range.first, range.size()), right_,
+                    [this](std::uint32_t k) { return side_[k] == 0; });
 }
 
 }  // namespace rcb::partition
