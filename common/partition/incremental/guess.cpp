@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "common/base/index.hpp"
+#include "common/partition/search/outermost.hpp"
 #include "common/partition/search/split_rule.hpp"
 
 namespace rcb::partition {
@@ -18,10 +19,9 @@ constexpr double kInfinity = Box::kInfinity;
 // Descends from the root; each node gets the sampled particles that the guessed cuts above leave it.
 class SampleWalk {
  public:
-  SampleWalk(SortedSample sorted, const Sample* outermost, const PartitionOptions& options, Guess& out)
+  SampleWalk(SortedSample sorted, const PartitionOptions& options, Guess& out)
       : sample_(sorted.sample()),
         sorted_(std::move(sorted)),
-        outermost_(outermost),
         options_(options),
         band_axis_(SplitRule(options, dims()).band_axis()),
         out_(out) {
@@ -30,7 +30,6 @@ class SampleWalk {
       size_prefix_.push_back(size_prefix_.back() + (options.part_sizes.empty() ? 1.0 : options.part_sizes[at(p)]));
     const auto& weight = sample_.particles.weight;
     weighted_ = std::ranges::any_of(weight, [&](double w) { return w != weight[0]; });
-    for (std::uint32_t k = 0; outermost != nullptr && k < outermost->count(); ++k) beyond_.push_back(k);
   }
 
   void run(const GuessRoots& below) {
@@ -54,10 +53,10 @@ class SampleWalk {
       root.leaves = kGuessLeaves - leaves - others;
       const int before = leaves_;
       const auto in_root = [&](std::uint32_t k) { return part[k] >= root.range.first && part[k] < root.range.last; };
-      const Range own{first,
-                      part.empty() ? sample_.count() : first + sorted_.divide({first, sample_.count()}, in_root)};
+      const Range own =
+          part.empty() ? sorted_.all() : sorted_.divide({first, sample_.count()}, 0, 0, in_root).left;
       first = own.last;
-      visit(root, own, part.empty() ? std::span(beyond_) : std::span<std::uint32_t>());
+      visit(root, own);
       leaves += leaves_ - before;
     }
     // A pass over all particles that cuts few of them would cost more than it saves.
@@ -83,15 +82,10 @@ class SampleWalk {
     Key key;
     double weight;
   };
-  struct Order {
-    AxisOrder axes;
-    bool first_open = false;   // not sure: whether the first axis is the longest
-    bool others_open = false;  // not sure: in which order the others follow
-  };
   struct Bracket {
     KeyBracket keys;
     Key cut;             // the expected one
-    std::size_t before;  // sampled particles before it
+    SortedSample::Halves halves;
     double variance;
     double share;          // of the sampled particles in the bracket
     bool bounded = false;  // else there is no bracket
@@ -127,22 +121,24 @@ class SampleWalk {
     if (!seen.empty(dims())) out_.seen[p].extend(seen);
   }
 
-  void visit(const Node& node, const Range& own, std::span<std::uint32_t> beyond) {
+  void visit(const Node& node, const Range& own) {
     if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
-    const Order order = order_of(node, own, beyond);
-    const auto a = at(order.axes[0]);
-    const Bracket bracket = bracket_of(node, own, order.axes, sigmas_of(node, order.axes));
+    const AxisOrder axes = order_of(node, own);
+    const auto a = at(axes[0]);
+    // A wrong axis costs a search of its node, and at the root a search of everything.
+    const bool known = node.range.node != 0 || node.known != nullptr || sorted_.has_outermost();
+    const OpenOrder open = known ? OpenOrder{} : open_order(sorted_, axes, options_.limits.guess.overhang);
+    const Bracket bracket = bracket_of(node, own, axes, sigmas_of(node, axes));
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
-    const std::size_t middle = own.first + bracket.before;
-    if (order.first_open || (bracket.keys.whole && order.others_open)) {
-      out_.doubtful = {sorted_.box({own.first, middle}), sorted_.box({middle, own.last})};
+    if ((open.first && !band_axis_) || (open.others && bracket.keys.whole)) {
+      out_.open = {sorted_.box(bracket.halves.left), sorted_.box(bracket.halves.right)};
       return end(node, own);
     }
     out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
     Cut& cut = out_.tree.cuts[at(node.range.node)];
     cut.right_empty = false;
-    cut.axes = order.axes;
+    cut.axes = axes;
     cut.key = bracket.cut;
     Node left = node;
     Node right = node;
@@ -158,45 +154,22 @@ class SampleWalk {
     left.variance_hi[a] = right.variance_lo[a] = bracket.variance;
     left.cuts = right.cuts = node.cuts;
     left.cuts.hi[a] = right.cuts.lo[a] = bracket.cut.at[0];
-    const auto divided =
-        std::ranges::partition(beyond, [&](std::uint32_t k) { return outermost_->x(a, k) < bracket.cut.at[0]; });
-    const auto beyond_left = static_cast<std::size_t>(divided.begin() - beyond.begin());
-    visit(left, {own.first, middle}, beyond.first(beyond_left));
-    visit(right, {middle, own.last}, beyond.subspan(beyond_left));
+    visit(left, bracket.halves.left);
+    visit(right, bracket.halves.right);
   }
 
-  // The likeliest axis order. A wrong one costs a search of its node, and at the root a search of everything: so there
-  // it is open where the extents hardly differ.
-  Order order_of(const Node& node, const Range& own, std::span<const std::uint32_t> beyond) const {
-    if (band_axis_ && node.range.node != 0) return {.axes = out_.tree.cuts[0].axes};  // bands have one order
+  // The likeliest axis order.
+  AxisOrder order_of(const Node& node, const Range& own) const {
+    if (band_axis_ && node.range.node != 0) return out_.tree.cuts[0].axes;  // bands have one order
     Box box = node.known != nullptr ? *node.known : sorted_.box(own);
-    for (const std::uint32_t k : beyond) box.extend(outermost_->particles.view().point(k), dims());
     Point extents{};
     for (std::size_t a = 0; a < at(dims()); ++a) {
       if (std::isfinite(node.cuts.lo[a])) box.lo[a] = node.cuts.lo[a];
       if (std::isfinite(node.cuts.hi[a])) box.hi[a] = node.cuts.hi[a];
       extents[a] = geometry::extent(box.lo[a], box.hi[a]);
     }
-    Order order{.axes = geometry::order_by_extent(extents, dims())};
-    if (band_axis_) order.axes = geometry::with_first(order.axes, *band_axis_, dims());
-    if (node.level > 0 || node.known != nullptr || outermost_ != nullptr) return order;
-    const auto open = [&](std::size_t k) {
-      if (k >= at(dims())) return false;
-      const double longer = extents[at(order.axes[k - 1])];
-      return extents[at(order.axes[k])] + overhang(own, at(order.axes[k])) > longer;
-    };
-    order.first_open = !band_axis_ && open(1);
-    order.others_open = open(2);
-    return order;
-  }
-
-  // By how much the extent of all particles may exceed the sampled ones'.
-  double overhang(const Range& own, std::size_t axis) const {
-    const std::size_t last = own.size() - 1;
-    const std::size_t aside = std::min<std::size_t>(8, last);
-    return options_.limits.guess.overhang *
-           (geometry::extent(sorted_.x(own, axis, 0), sorted_.x(own, axis, aside)) +
-            geometry::extent(sorted_.x(own, axis, last - aside), sorted_.x(own, axis, last)));
+    const AxisOrder order = geometry::order_by_extent(extents, dims());
+    return band_axis_ ? geometry::with_first(order, *band_axis_, dims()) : order;
   }
 
   // A cut that its bracket missed would be missed again: the sample is the same.
@@ -243,9 +216,8 @@ class SampleWalk {
         found.keys.most = std::max(found.keys.most, key(k, axes));
       found.cut = key_between(cut, dims());
       found.share = static_cast<double>(last - first) / size;
-      found.before = by_x->cut;
       found.bounded = true;
-      sorted_.split(own, axis, found.before);
+      found.halves = sorted_.split(own, axis, by_x->cut);
       return found;
     }
     take_keys(sorted.subspan(first, last - first), axes, {by_x->most - first, by_x->cut - first, by_x->least - first});
@@ -262,7 +234,7 @@ class SampleWalk {
     found.keys.whole = tied(within, *by_key);
     found.share = static_cast<double>(found.keys.whole ? by_key->between() : within) / size;
     if (!found.keys.whole) found.cut = key_between(found.cut.at[0], dims());
-    found.before = sorted_.divide(own, [&](std::uint32_t k) {
+    found.halves = sorted_.divide(own, axis, found.cut.at[0], [&](std::uint32_t k) {
       const double x = sample_.x(axis, k);
       return x < found.cut.at[0] || (x == found.cut.at[0] && key(k, axes) < found.cut);
     });
@@ -310,7 +282,6 @@ class SampleWalk {
 
   const Sample& sample_;
   SortedSample sorted_;
-  const Sample* outermost_;
   const PartitionOptions& options_;
   std::optional<int> band_axis_;
   Guess& out_;
@@ -319,21 +290,19 @@ class SampleWalk {
   const Guess* before_ = nullptr;
   double levels_ = 0;  // guessed cuts above a particle, on average
   int leaves_ = 0;
-  std::vector<std::uint32_t> beyond_;
   std::vector<Keyed> keys_;
 };
 
 }  // namespace
 
-Guess guess_cuts(const SortedSample& sample, const Sample* outermost, const PartitionOptions& options,
-                 const GuessRoots& below) {
+Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below) {
   Guess guess;
   guess.tree = below.tree;
   guess.ends.assign(guess.tree.cuts.size(), 0);
   guess.brackets.resize(guess.tree.cuts.size());
   guess.inner.assign(at(options.parts), Box::unbounded());
   guess.seen.resize(at(options.parts));
-  SampleWalk(sample, outermost, options, guess).run(below);
+  SampleWalk(sample, options, guess).run(below);
   return guess;
 }
 

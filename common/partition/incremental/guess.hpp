@@ -10,7 +10,6 @@
 #include "common/geometry/box.hpp"
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
-#include "common/partition/search/sample.hpp"
 #include "common/partition/search/sorted_sample.hpp"
 
 namespace rcb::partition {
@@ -27,10 +26,10 @@ struct Guess {
   // of them.
   std::vector<geometry::Box> inner;
   std::vector<geometry::Box> seen;  // [parts]: bounding boxes of the sampled particles strictly inside of `inner`
-  // Set, and nothing is guessed, if the sample leaves the root's longest axis in doubt, or, where whole keys count, the
-  // order of the others: the bounding boxes of its sampled particles on either side of the expected cut. The particles
-  // outside of both would tell.
-  std::vector<geometry::Box> doubtful;
+  // Set, and nothing is guessed, if the sample leaves the root's longest axis open, or, where whole keys count, the order
+  // of the others: the bounding boxes of its sampled particles on either side of the expected cut. The particles outside
+  // of both would tell.
+  std::vector<geometry::Box> open;
   bool found = false;  // enough cuts
 };
 
@@ -43,10 +42,7 @@ struct GuessRoots {
 };
 
 // Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
-//   sample     one particle of each `stride`
-//   outermost  all particles outside of a guess' `doubtful` boxes; null: not known
 // Local.
-Guess guess_cuts(const SortedSample& sample, const Sample* outermost, const PartitionOptions& options,
-                 const GuessRoots& below);
+Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below);
 
 }  // namespace rcb::partition

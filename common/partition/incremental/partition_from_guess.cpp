@@ -1,7 +1,6 @@
 #include "common/partition/incremental/partition_from_guess.hpp"
 
 #include <algorithm>
-#include <array>
 #include <optional>
 
 #include "common/base/index.hpp"
@@ -10,6 +9,7 @@
 #include "common/partition/incremental/guess.hpp"
 #include "common/partition/incremental/search_roots.hpp"
 #include "common/partition/search/build_tree.hpp"
+#include "common/partition/search/outermost.hpp"
 #include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
@@ -17,71 +17,17 @@ namespace {
 
 using geometry::Box;
 
-// The particles outside of a guess' doubtful boxes are gathered if the sample's stride is at most kGatherStrideMax:
-// about one stride of particles lies beyond each face of a box. A rank sends at most about kGatheredStridesMax strides
-// of particles for each box, since more than that mean that the sample is unusual.
-constexpr std::uint64_t kGatherStrideMax = 32768;
-constexpr std::uint64_t kGatheredStridesMax = 16;
-constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
-
-// The slots of the particles outside of all these boxes, about `most` of them at most; the last few particles are taken
-// wherever they lie. Compiled twice: with AVX2's comparisons it takes half the time. The version is chosen while the
-// program is loaded, which is before the thread sanitizer has started, hence not with it.
-#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
-__attribute__((target_clones("avx2", "default")))
-#endif
-std::vector<std::size_t>
-slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, std::uint64_t most) {
-  constexpr std::size_t kLanes = 4;
-  constexpr std::size_t kTogether = 16 * kLanes;
-  using Lanes = double __attribute__((vector_size(32), aligned(8), may_alias));
-  using Mask = std::int64_t __attribute__((vector_size(32)));
-  std::array<const double*, geometry::kDimsMax> x{};
-  for (std::size_t a = 0; a < x.size(); ++a) {
-    const std::size_t from = a < at(particles.dims) ? a : 0;  // an axis that they lack repeats the first one
-    x[a] = particles.position[from];
-    for (Box& box : boxes) {
-      box.lo[a] = box.lo[from];
-      box.hi[a] = box.hi[from];
-    }
-  }
-  std::vector<std::size_t> slots;
-  std::size_t begin = 0;
-  for (; begin + kTogether <= particles.count && slots.size() < most; begin += kTogether) {
-    std::array<Mask, kTogether / kLanes> beyond;
-    beyond.fill(~Mask{});
-    for (std::size_t a = 0; a < x.size(); ++a)
-      for (std::size_t i = 0; i < kTogether; i += 8) __builtin_prefetch(x[a] + begin + kAhead + i);
-    for (const Box& box : boxes)
-      for (std::size_t g = 0; g < beyond.size(); ++g) {
-        Mask out{};
-        for (std::size_t a = 0; a < x.size(); ++a) {
-          const Lanes own = reinterpret_cast<const Lanes*>(x[a] + begin)[g];
-          out |= (own < box.lo[a]) | (own > box.hi[a]);
-        }
-        beyond[g] &= out;
-      }
-    Mask any{};
-    for (const Mask& mask : beyond) any |= mask;
-    if ((any[0] | any[1] | any[2] | any[3]) == 0) continue;
-    for (std::size_t i = 0; i < kTogether; ++i)
-      if (beyond[i / kLanes][i % kLanes] != 0) slots.push_back(begin + i);
-  }
-  for (; begin < particles.count && slots.size() < most; ++begin) slots.push_back(begin);
-  return slots;
-}
-
 class FirstPartition {
  public:
   FirstPartition(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-                 const LargeSetSample& large, std::uint64_t reductions)
+                 const LargeSetSample& large, SortedSample& sample, std::uint64_t reductions)
       : comm_(comm),
         particles_(particles),
         options_(options),
         limits_(options.limits.guess),
         rule_(options, particles.dims),
         large_(large),
-        sorted_(large.sample) {
+        sample_(sample) {
     result_.reductions = reductions;
     result_.tree = uncut_tree(options, particles.dims);
     roots_ = {result_.tree.root()};
@@ -108,14 +54,10 @@ class FirstPartition {
   // nothing was cut: each root's particles still have parts of that root. Collective.
   bool cut_by_guess(bool first) {
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
-    Guess guess = guess_cuts(sorted_, nullptr, options_, below);
-    if (first && !guess.doubtful.empty() && large_.stride <= kGatherStrideMax) {
-      const auto most = kGatheredStridesMax * guess.doubtful.size() * (large_.stride + 64);
-      const auto slots = slots_beyond(particles_, std::move(guess.doubtful), most);
-      result_.traffic += {particles_.count, particles_.count * at(axes()) * sizeof(double)};
-      const Sample outermost = share_sample(comm_, particles_, slots, {});
-      ++result_.reductions;
-      guess = guess_cuts(sorted_, &outermost, options_, below);
+    Guess guess = guess_cuts(sample_, options_, below);
+    if (first && !guess.open.empty()) {
+      gather_outermost(comm_, particles_, std::move(guess.open), large_.stride, sample_, result_);
+      guess = guess_cuts(sample_, options_, below);
     }
     if (!guess.found) return false;
 
@@ -222,7 +164,7 @@ class FirstPartition {
   SplitRule rule_;
   std::optional<ExactScale> scale_;
   const LargeSetSample& large_;
-  const SortedSample sorted_;
+  SortedSample& sample_;
   std::vector<NodeRange> roots_;  // not cut yet
   std::vector<Box> boxes_;        // of their particles; empty: not known
   std::optional<Guess> guess_;    // that left them uncut
@@ -238,8 +180,8 @@ bool may_guess(const PartitionOptions& options) {
 
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
                                                     const PartitionOptions& options, const LargeSetSample& large,
-                                                    PartitionResult& in_vain) {
-  FirstPartition first(comm, particles, options, large, in_vain.reductions);
+                                                    SortedSample& sample, PartitionResult& in_vain) {
+  FirstPartition first(comm, particles, options, large, sample, in_vain.reductions);
   const bool found = first.run();
   PartitionResult result = first.take();
   if (found) return result;

@@ -11,6 +11,7 @@
 #include "common/particles/particle_set.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/sample.hpp"
+#include "common/partition/search/sorted_sample.hpp"
 
 namespace rcb::partition {
 
@@ -20,9 +21,10 @@ bool may_guess(const PartitionOptions& options);
 
 // nullopt, on all ranks, if no cut of the root was found. `options` must be valid, and allow a guess. Collective.
 //   large    of all particles
+//   sample   its sample; is given the outermost particles where they are looked for
 //   in_vain  `reductions` so far; if nothing came of it, also those and the `traffic` of what was tried
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
                                                     const PartitionOptions& options, const LargeSetSample& large,
-                                                    PartitionResult& in_vain);
+                                                    SortedSample& sample, PartitionResult& in_vain);
 
 }  // namespace rcb::partition

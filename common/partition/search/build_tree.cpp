@@ -214,7 +214,7 @@ std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& 
   const auto axis = at(node.axes[0]);
   if (expected.axis != node.axes[0]) {
     if (node.sampled.size() == 0) return std::nullopt;
-    expected = expect_cut(sorted_, node.sampled, node.axes[0],
+    expected = expect_cut(sample_, node.sampled, node.axes[0],
                           static_cast<double>(rank) / static_cast<double>(node.count), options_.limits);
   }
   if (expected.anywhere()) return std::nullopt;
@@ -314,11 +314,12 @@ void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutF
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};
-    if (sample_ != nullptr && splitters_.expected[at(node.range.node)].axis >= 0 && !cut.right_empty) {
+    if (sampled() && splitters_.expected[at(node.range.node)].axis >= 0 && !cut.right_empty) {
       const auto axis = at(cut.axes[0]);
-      const std::size_t below = sorted_.below(node.sampled, axis, cut.key.at[0]);
-      sorted_.split(node.sampled, axis, below);
-      left.sampled.last = right.sampled.first = node.sampled.first + below;
+      const SortedSample::Halves halves =
+          sample_.split(node.sampled, axis, sample_.below(node.sampled, axis, cut.key.at[0]));
+      left.sampled = halves.left;
+      right.sampled = halves.right;
     }
     left.ids_kept = right.ids_kept = own.ids_kept;
     if (own.place) left.place = right.place = own.place;

@@ -55,11 +55,11 @@ class TreeBuilder {
  public:
   // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
-  // Begins with buckets; no particle has a weight, and `sample`, of all of them, must outlive this.
+  // Begins with buckets; no particle has a weight, and what was sampled, of all of them, must outlive this.
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-              const Sample& sample)
+              const SortedSample& sample)
       : TreeBuilder(comm, particles, options, particles.dims) {
-    sample_ = &sample;
+    sample_ = sample;
   }
   // `start` must outlive this.
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
@@ -99,6 +99,7 @@ class TreeBuilder {
   bool find_bounds();
   // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected.
   geometry::Box own_box();
+  bool sampled() const { return sample_.all().size() > 0; }
   bool bucketed() const { return !splitters_.expected.empty(); }
   bool knows_bounds() const { return level_.size() == 1 || !start_->boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
@@ -150,8 +151,7 @@ class TreeBuilder {
   int axes_;
   std::size_t q_axes_;  // coordinates in a quantised point
   const Start* start_ = nullptr;
-  const Sample* sample_ = nullptr;
-  SortedSample sorted_;
+  SortedSample sample_;  // empty: no buckets are made from a sample
   Splitters splitters_;
   // Of each particle; empty: there are none. Those of a sample take the last quarter of the parts' memory until these
   // are written.

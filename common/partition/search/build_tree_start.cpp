@@ -36,9 +36,8 @@ geometry::Box TreeBuilder::own_box() {
   result_.traffic.reads += axes_ > 0 ? particles_.count : 0;
   result_.traffic.bytes +=
       particles_.count * at(axes_) * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
-  if (sample_ != nullptr) {
-    sorted_ = SortedSample(*sample_);
-    splitters_ = find_splitters(sorted_, options_, axes_);
+  if (sampled()) {
+    splitters_ = find_splitters(sample_, options_, axes_);
     result_.part.resize(particles_.count);
     auto* const bytes = reinterpret_cast<std::uint8_t*>(result_.part.data());
     bucket_ = {bytes + particles_.count * (sizeof(std::int32_t) - 1), particles_.count};
@@ -224,7 +223,7 @@ void TreeBuilder::lay_out_roots() {
     writer_.use_buckets(bucket_, options_.limits.chunk_max);
     std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
     level_[0].spans_last = spans_.size();
-    level_[0].sampled = sorted_.all();  // none without a sample
+    level_[0].sampled = sample_.all();  // none without a sample
   } else if (knows_bounds()) {
     return;
   }

@@ -11,6 +11,11 @@ SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sampl
   for (std::size_t a = 0; a < at(sample.particles.dims); ++a) sort(a);
 }
 
+void SortedSample::set_outermost(const Sample& outermost) {
+  outermost_.clear();
+  for (std::size_t k = 0; k < outermost.count(); ++k) outermost_.push_back(outermost.particles.view().point(k));
+}
+
 // By radix: the order-preserving bits that a float may set, in three digits; in place of the others the particle's
 // index.
 void SortedSample::sort(std::size_t axis) {
@@ -41,6 +46,8 @@ geometry::Box SortedSample::box(const Range& range) const {
     box.lo[a] = x(range, a, 0);
     box.hi[a] = x(range, a, range.size() - 1);
   }
+  for (std::size_t k = range.outermost_first; k < range.outermost_last; ++k)
+    box.extend(outermost_[k], sample_->particles.dims);
   return box;
 }
 
@@ -64,10 +71,20 @@ std::size_t SortedSample::up_to(const Range& range, std::size_t axis, double x) 
   return static_cast<std::size_t>(std::ranges::upper_bound(own, rounded_(axis, x), {}, rounded) - own.begin());
 }
 
-void SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {
+SortedSample::Halves SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {
   for (std::size_t k = range.first; k < range.last; ++k) side_[order_[axis][k]] = k < range.first + left ? 0 : 1;
   for (std::size_t a = 0; a < at(sample_->particles.dims); ++a)
     if (a != axis) divide_axis(range, a);
+  return halves(range, left, axis, left < range.size() ? x(range, axis, left) : geometry::Box::kInfinity);
+}
+
+SortedSample::Halves SortedSample::halves(const Range& range, std::size_t left, std::size_t axis, double x) {
+  const auto own = std::span(outermost_).subspan(range.outermost_first, range.outermost_last - range.outermost_first);
+  const auto right = std::ranges::partition(own, [&](const Point& position) { return position[axis] < x; });
+  const std::size_t middle = range.first + left;
+  const std::size_t outermost_middle = range.outermost_last - right.size();
+  return {{range.first, middle, range.outermost_first, outermost_middle},
+          {middle, range.last, outermost_middle, range.outermost_last}};
 }
 
 void SortedSample::divide_axis(const Range& range, std::size_t axis) {

@@ -17,11 +17,17 @@ namespace rcb::partition {
 
 class SortedSample {
  public:
-  // Sampled particles of one node.
+  // Sampled particles of one node: places in the order of each axis.
   struct Range {
     std::size_t first = 0;
     std::size_t last = 0;
+    std::size_t outermost_first = 0;  // and those of the outermost particles that lie in the node
+    std::size_t outermost_last = 0;
     std::size_t size() const { return last - first; }
+  };
+  struct Halves {
+    Range left;
+    Range right;
   };
 
   SortedSample() = default;
@@ -29,7 +35,10 @@ class SortedSample {
   explicit SortedSample(const Sample& sample);
 
   const Sample& sample() const { return *sample_; }
-  Range all() const { return {0, side_.size()}; }
+  Range all() const { return {0, side_.size(), 0, outermost_.size()}; }
+  // Particles that boxes are to hold, though they aren't sampled.
+  void set_outermost(const Sample& outermost);
+  bool has_outermost() const { return !outermost_.empty(); }
   // The sampled particles of a range, ascending on this axis.
   std::span<const std::uint32_t> particles(const Range& range, std::size_t axis) const {
     return std::span(order_[axis]).subspan(range.first, range.size());
@@ -38,7 +47,7 @@ class SortedSample {
   double x(const Range& range, std::size_t axis, std::size_t k) const {
     return sample_->x(axis, order_[axis][range.first + k]);
   }
-  // The bounding box of a range; empty if it holds none.
+  // The bounding box of a range, with its outermost particles; empty if it holds none.
   geometry::Box box(const Range& range) const;
   Point extents(const Range& range) const;
   const RoundedAxes& rounded() const { return rounded_; }
@@ -46,29 +55,33 @@ class SortedSample {
   std::size_t below(const Range& range, std::size_t axis, double x) const;
   std::size_t up_to(const Range& range, std::size_t axis, double x) const;
   // Divides a range: the first `left` on this axis come first.
-  void split(const Range& range, std::size_t axis, std::size_t left);
-  // Divides a range: those for which left(particle) holds come first. Returns how many they are.
+  Halves split(const Range& range, std::size_t axis, std::size_t left);
+  // Divides a range: those for which left(particle) holds come first; of the outermost, those with a lesser coordinate
+  // than x on this axis.
   template <typename Left>
-  std::size_t divide(const Range& range, Left left) {
+  Halves divide(const Range& range, std::size_t axis, double x, Left left) {
     std::size_t lefts = 0;
     for (const std::uint32_t k : particles(range, 0)) {
       side_[k] = left(k) ? 0 : 1;
       lefts += 1U - side_[k];
     }
     for (std::size_t a = 0; a < at(sample_->particles.dims); ++a) divide_axis(range, a);
-    return lefts;
+    return halves(range, lefts, axis, x);
   }
 
  private:
   void sort(std::size_t axis);
   // By side_.
   void divide_axis(const Range& range, std::size_t axis);
+  // Divides the outermost.
+  Halves halves(const Range& range, std::size_t left, std::size_t axis, double x);
 
   const Sample* sample_ = nullptr;
   std::array<std::vector<std::uint32_t>, geometry::kDimsMax> order_;  // of the sampled particles, by axis
   RoundedAxes rounded_;
   std::vector<std::uint8_t> side_;  // of each sampled particle: 1: right
   std::vector<std::uint32_t> right_;
+  std::vector<Point> outermost_;
 };
 
 }  // namespace rcb::partition

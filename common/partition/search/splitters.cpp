@@ -28,9 +28,9 @@ class SampleTree {
     out_.expected[at(range.node)] = expected;
     out_.nodes[node] = {out_.rounded(at(axis), expected.least), out_.rounded(at(axis), expected.most), axis};
     const auto left = static_cast<std::size_t>(share * static_cast<double>(own.size()));
-    sample_.split(own, at(axis), left);
-    cut(range.left(), 2 * node + 1, {own.first, own.first + left});
-    cut(range.right(), 2 * node + 2, {own.first + left, own.last});
+    const SortedSample::Halves halves = sample_.split(own, at(axis), left);
+    cut(range.left(), 2 * node + 1, halves.left);
+    cut(range.right(), 2 * node + 2, halves.right);
   }
 
   SortedSample& sample_;

@@ -90,13 +90,12 @@ TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
       std::erase_if(ranges, [&](const auto& range) { return range.first == own.first && range.last == own.last; });
       const bool by_order = random.below(2) == 0;
       const auto even = [](std::uint32_t k) { return k % 2 == 0; };
-      if (by_order)
-        sorted.split(own, axis, left);
-      else
-        left = sorted.divide(own, even);
-      const SortedSample::Range lower{own.first, own.first + left};
-      const SortedSample::Range upper{own.first + left, own.last};
+      const auto [lower, upper] = by_order ? sorted.split(own, axis, left) : sorted.divide(own, axis, 0, even);
       ranges.insert(ranges.end(), {lower, upper});
+      left = lower.size();
+      EXPECT_EQ(lower.first, own.first);
+      EXPECT_EQ(lower.last, upper.first);
+      EXPECT_EQ(upper.last, own.last);
       if (!by_order) {
         EXPECT_TRUE(std::ranges::all_of(sorted.particles(lower, axis), even));
         EXPECT_TRUE(std::ranges::none_of(sorted.particles(upper, axis), even));

@@ -1,0 +1,118 @@
+#include "common/partition/search/outermost.hpp"
+
+#include <algorithm>
+#include <array>
+#include <numeric>
+
+#include "common/base/index.hpp"
+#include "common/partition/balance/load.hpp"
+
+namespace rcb::partition {
+namespace {
+
+using geometry::Box;
+
+// Outermost particles are gathered if the sample's stride is at most kGatherStrideMax: about one stride of particles lies
+// beyond each face of a box. A rank sends at most about kGatheredStridesMax strides of particles for each box, since more
+// than that mean that the sample is unusual.
+constexpr std::uint64_t kGatherStrideMax = 32768;
+constexpr std::uint64_t kGatheredStridesMax = 16;
+constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
+
+// The slots of the particles outside of all these boxes, about `most` of them at most; the last few particles are taken
+// wherever they lie. Compiled twice: with AVX2's comparisons it takes half the time. The version is chosen while the
+// program is loaded, which is before the thread sanitizer has started, hence not with it.
+#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+std::vector<std::size_t>
+slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, std::uint64_t most) {
+  constexpr std::size_t kLanes = 4;
+  constexpr std::size_t kTogether = 16 * kLanes;
+  using Lanes = double __attribute__((vector_size(32), aligned(8), may_alias));
+  using Mask = std::int64_t __attribute__((vector_size(32)));
+  std::array<const double*, geometry::kDimsMax> x{};
+  for (std::size_t a = 0; a < x.size(); ++a) {
+    const std::size_t from = a < at(particles.dims) ? a : 0;  // an axis that they lack repeats the first one
+    x[a] = particles.position[from];
+    for (Box& box : boxes) {
+      box.lo[a] = box.lo[from];
+      box.hi[a] = box.hi[from];
+    }
+  }
+  std::vector<std::size_t> slots;
+  std::size_t begin = 0;
+  for (; begin + kTogether <= particles.count && slots.size() < most; begin += kTogether) {
+    std::array<Mask, kTogether / kLanes> beyond;
+    beyond.fill(~Mask{});
+    for (std::size_t a = 0; a < x.size(); ++a)
+      for (std::size_t i = 0; i < kTogether; i += 8) __builtin_prefetch(x[a] + begin + kAhead + i);
+    for (const Box& box : boxes)
+      for (std::size_t g = 0; g < beyond.size(); ++g) {
+        Mask out{};
+        for (std::size_t a = 0; a < x.size(); ++a) {
+          const Lanes own = reinterpret_cast<const Lanes*>(x[a] + begin)[g];
+          out |= (own < box.lo[a]) | (own > box.hi[a]);
+        }
+        beyond[g] &= out;
+      }
+    Mask any{};
+    for (const Mask& mask : beyond) any |= mask;
+    if ((any[0] | any[1] | any[2] | any[3]) == 0) continue;
+    for (std::size_t i = 0; i < kTogether; ++i)
+      if (beyond[i / kLanes][i % kLanes] != 0) slots.push_back(begin + i);
+  }
+  for (; begin < particles.count && slots.size() < most; ++begin) slots.push_back(begin);
+  return slots;
+}
+
+// The share of the root's left side.
+double left_share(const PartitionOptions& options) {
+  const std::vector<u128> sizes = exact_sizes(options.part_sizes, options.parts);
+  const auto middle = sizes.begin() + NodeRange{0, 0, options.parts}.middle();
+  const u128 left = std::accumulate(sizes.begin(), middle, u128{0});
+  return quotient(left, std::accumulate(middle, sizes.end(), left));
+}
+
+}  // namespace
+
+OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double overhang) {
+  const SortedSample::Range all = sample.all();
+  if (all.size() == 0) return {};
+  const Point extents = sample.extents(all);
+  const std::size_t last = all.size() - 1;
+  const std::size_t ninth = std::min<std::size_t>(8, last);
+  const auto open = [&](std::size_t k) {
+    if (k >= at(sample.sample().particles.dims)) return false;
+    const auto axis = at(axes[k]);
+    const double beyond = geometry::extent(sample.x(all, axis, 0), sample.x(all, axis, ninth)) +
+                          geometry::extent(sample.x(all, axis, last - ninth), sample.x(all, axis, last));
+    return extents[axis] + overhang * beyond > extents[at(axes[k - 1])];
+  };
+  return {.first = open(1), .others = open(2)};
+}
+
+void gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<Box> boxes,
+                      std::uint64_t stride, SortedSample& sample, PartitionResult& spent) {
+  if (stride > kGatherStrideMax) return;
+  const std::uint64_t most = kGatheredStridesMax * boxes.size() * (stride + 64);
+  sample.set_outermost(share_sample(comm, particles, slots_beyond(particles, std::move(boxes), most), {}));
+  ++spent.reductions;
+  spent.traffic += {particles.count, particles.count * at(particles.dims) * sizeof(double)};
+}
+
+void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& particles,
+                              const PartitionOptions& options, std::uint64_t stride, SortedSample& sample,
+                              PartitionResult& spent) {
+  // Hysteresis decides where extents hardly differ.
+  const bool kept = options.previous != nullptr && options.axis_hysteresis > 1;
+  if (sample.has_outermost() || kept || options.method != Method::rcb) return;
+  const AxisOrder axes = geometry::order_by_extent(sample.extents(sample.all()), particles.dims);
+  if (!open_order(sample, axes, options.limits.guess.overhang).first) return;
+  SortedSample divided = sample;
+  const auto left = static_cast<std::size_t>(left_share(options) * static_cast<double>(sample.all().size()));
+  const SortedSample::Halves halves = divided.split(divided.all(), at(axes[0]), left);
+  gather_outermost(comm, particles, {divided.box(halves.left), divided.box(halves.right)}, stride, sample, spent);
+}
+
+}  // namespace rcb::partition
