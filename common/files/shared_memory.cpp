@@ -2,6 +2,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <filesystem>
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -15,6 +16,7 @@
 namespace rcb {
 namespace {
 
+constexpr const char* kName = "rcbd";
 constexpr int kSizeSeals = F_SEAL_SHRINK | F_SEAL_GROW;
 
 Status failed(const char* what) { return {Code::io_error, fmt::format("{}: {}", what, std::strerror(errno))}; }
@@ -45,7 +47,7 @@ SharedMemory::~SharedMemory() {
 
 Result<SharedMemory> SharedMemory::create(std::size_t bytes) {
   SharedMemory made;
-  made.descriptor_ = Descriptor(::memfd_create("rcbd", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  made.descriptor_ = Descriptor(::memfd_create(kName, MFD_CLOEXEC | MFD_ALLOW_SEALING));
   const int memfd = made.descriptor();
   if (memfd < 0) return failed("memfd_create");
   // A file that grows beyond the limit of this process ends it by a signal, unless it cares for that one.
@@ -63,18 +65,37 @@ Result<SharedMemory> SharedMemory::create(std::size_t bytes) {
   return made;
 }
 
-Result<SharedMemory> SharedMemory::map(Descriptor descriptor, std::size_t bytes) {
-  if (Status status = check_foreign(descriptor.get(), bytes); !status.ok()) return status;
-  void* const at = ::mmap(nullptr, bytes, PROT_READ, MAP_SHARED, descriptor.get(), 0);
+Result<SharedMemory> SharedMemory::map_foreign(int descriptor, std::size_t bytes, int access) {
+  if (Status status = check_foreign(descriptor, bytes); !status.ok()) return status;
+  void* const at = ::mmap(nullptr, bytes, access, MAP_SHARED, descriptor, 0);
   if (at == MAP_FAILED) return failed("mapping a memfd");
   SharedMemory mapped;
   mapped.data_ = static_cast<std::byte*>(at);
   mapped.size_ = bytes;
+  return mapped;
+}
+
+Result<SharedMemory> SharedMemory::map(Descriptor descriptor, std::size_t bytes) {
+  Result<SharedMemory> mapped = map_foreign(descriptor.get(), bytes, PROT_READ);
+  if (!mapped.ok()) return mapped;
   struct stat file {};
   if (::fstat(descriptor.get(), &file) != 0) return failed("looking at a memfd");
-  mapped.device_ = file.st_dev;
-  mapped.inode_ = file.st_ino;
+  mapped->device_ = file.st_dev;
+  mapped->inode_ = file.st_ino;
   return mapped;
+}
+
+Result<SharedMemory> SharedMemory::join(int process, int descriptor, std::size_t bytes) {
+  const std::string path = fmt::format("/proc/{}/fd/{}", process, descriptor);
+  // In another namespace of processes the number may be that of something else, which opening might change.
+  std::error_code error;
+  if (!std::filesystem::read_symlink(path, error).string().starts_with(fmt::format("/memfd:{}", kName)))
+    return Status(Code::io_error, fmt::format("{} is no memory to share", path));
+  const Descriptor opened(::open(path.c_str(), O_RDWR | O_CLOEXEC));
+  if (!opened.open()) return failed("opening a memfd");
+  Result<SharedMemory> joined = map_foreign(opened.get(), bytes, PROT_READ | PROT_WRITE);
+  if (joined.ok()) joined->writable_ = true;
+  return joined;
 }
 
 }  // namespace rcb

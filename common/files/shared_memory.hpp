@@ -1,9 +1,9 @@
 // SharedMemory: memory that a client fills and the ranks of a service on its host read, without a copy through the
-// kernel. It is a memfd: it has no name in any file system, and is gone with the last process that maps it.
+// kernel; or that the ranks share. It is a memfd: it has no name in any file system, and is gone with the last process that maps it.
 //
 // Invariants
 // 1. Its size is sealed, so that no reader is ended by a signal because somebody else has shrunk it.
-// 2. A reader maps it read-only. What it holds may change at any moment, so a reader takes each value once.
+// 2. A client's memory is mapped read-only. What it holds may change at any moment, so a reader takes each value once.
 #pragma once
 
 #include <cstddef>
@@ -31,7 +31,11 @@ class SharedMemory {
   // invalid_argument (no memfd, not sealed, smaller than `bytes`), not_authorised (of another user), io_error.
   static Result<SharedMemory> map(Descriptor descriptor, std::size_t bytes);
 
-  // Only if this process made it.
+  // Maps memory that another process of the same job on this machine has made and keeps, for reading and writing, by
+  // its number and that of its descriptor. Errors: as map(), and io_error where /proc doesn't show it.
+  static Result<SharedMemory> join(int process, int descriptor, std::size_t bytes);
+
+  // Only if this process made or joined it.
   std::span<std::byte> writable() const { return writable_ ? std::span(data_, size_) : std::span<std::byte>(); }
   std::span<const std::byte> bytes() const { return {data_, size_}; }
   std::size_t size() const { return size_; }
@@ -49,6 +53,8 @@ class SharedMemory {
   }
 
  private:
+  static Result<SharedMemory> map_foreign(int descriptor, std::size_t bytes, int access);
+
   std::byte* data_ = nullptr;
   std::size_t size_ = 0;
   Descriptor descriptor_;

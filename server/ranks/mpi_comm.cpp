@@ -23,25 +23,47 @@ void copy(std::span<const std::byte> from, std::span<std::byte> to) {
 
 }  // namespace
 
-MpiComm::MpiComm(MPI_Comm parent, std::size_t message_bytes_max, bool apart, int tell_all_ranks_max)
-    : message_bytes_max_(message_bytes_max), apart_(apart), tell_all_ranks_max_(tell_all_ranks_max) {
-  CHECK(message_bytes_max > 0 && message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
-  must(MPI_Comm_dup(parent, &comm_), "MPI_Comm_dup");
-  must(MPI_Comm_set_errhandler(comm_, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
-  must(MPI_Comm_rank(comm_, &rank_), "MPI_Comm_rank");
-  must(MPI_Comm_size(comm_, &size_), "MPI_Comm_size");
-  MPI_Comm machine = MPI_COMM_NULL;
-  must(MPI_Comm_split_type(comm_, MPI_COMM_TYPE_SHARED, 0, MPI_INFO_NULL, &machine), "MPI_Comm_split_type");
-  int here = 0;
-  must(MPI_Comm_size(machine, &here), "MPI_Comm_size");
-  must(MPI_Comm_free(&machine), "MPI_Comm_free");
-  apart_ = apart_ || here < size_;
+MpiComm::MpiComm(MPI_Comm parent, const Ways& ways) : ways_(ways) {
+  CHECK(ways.message_bytes_max > 0 && ways.message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
+  must(MPI_Comm_dup(parent, &everyone_.comm), "MPI_Comm_dup");
+  must(MPI_Comm_set_errhandler(everyone_.comm, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
+  must(MPI_Comm_rank(everyone_.comm, &everyone_.rank), "MPI_Comm_rank");
+  must(MPI_Comm_size(everyone_.comm, &everyone_.size), "MPI_Comm_size");
+  find_machines();
+}
+
+MpiComm::Group MpiComm::split(MPI_Comm parent, int colour) const {
+  Group group;
+  must(MPI_Comm_split(parent, colour, everyone_.rank, &group.comm), "MPI_Comm_split");
+  must(MPI_Comm_set_errhandler(group.comm, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
+  must(MPI_Comm_rank(group.comm, &group.rank), "MPI_Comm_rank");
+  must(MPI_Comm_size(group.comm, &group.size), "MPI_Comm_size");
+  return group;
+}
+
+void MpiComm::find_machines() {
+  MPI_Comm here = MPI_COMM_NULL;
+  must(MPI_Comm_split_type(everyone_.comm, MPI_COMM_TYPE_SHARED, everyone_.rank, MPI_INFO_NULL, &here),
+       "MPI_Comm_split_type");
+  machine_ = split(here, ways_.ranks_of_machine > 0 ? everyone_.rank / ways_.ranks_of_machine : 0);
+  must(MPI_Comm_free(&here), "MPI_Comm_free");
+  Group leaders = split(everyone_.comm, machine_.rank == 0 ? 0 : 1);
+  std::uint64_t machines = machine_.rank == 0 ? 1 : 0;
+  reduce_among(everyone_, {&machines, 1}, MPI_SUM, "MPI_Allreduce (machines)");
+  leaders.size = static_cast<int>(machines);
+  leaders_ = leaders;
+  if (ways_.shared_memory) shared_ = SharedCollectives::create(machine_.comm);
+  std::uint64_t fine = shared_ || machine_.size == 1 ? 1 : 0;
+  reduce_among(everyone_, {&fine, 1}, MPI_MIN, "MPI_Allreduce (shared memory)");
+  hierarchical_ = fine == 1;
+  if (!hierarchical_) shared_.reset();
 }
 
 MpiComm::~MpiComm() {
   int finalized = 0;
   MPI_Finalized(&finalized);
-  if (finalized == 0) MPI_Comm_free(&comm_);
+  if (finalized != 0) return;
+  for (Group* group : {&leaders_, &machine_, &everyone_}) MPI_Comm_free(&group->comm);
 }
 
 void MpiComm::must(int result, const char* name) const {
@@ -50,25 +72,34 @@ void MpiComm::must(int result, const char* name) const {
   std::array<char, MPI_MAX_ERROR_STRING> text{};
   int length = 0;
   MPI_Error_string(result, text.data(), &length);
-  std::fprintf(stderr, "rcbd: rank %d of %d: %s failed: %s; the job ends\n", rank_, size_, name, text.data());
+  std::fprintf(stderr, "rcbd: rank %d of %d: %s failed: %s; the job ends\n", everyone_.rank, everyone_.size, name, text.data());
   std::fflush(stderr);
   MPI_Abort(MPI_COMM_WORLD, 1);
   std::abort();
 }
 
 void MpiComm::reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name) {
+  if (!hierarchical_) return reduce_among(everyone_, values, operation, name);
+  if (!shared_) return reduce_among(leaders_, values, operation, name);
+  if (leaders_.size == 1) return shared_->reduce(values, operation);
+  shared_->reduce(values, operation,
+                  [&](std::span<std::uint64_t> of_machine) { reduce_among(leaders_, of_machine, operation, name); });
+}
+
+void MpiComm::reduce_among(const Group& group, std::span<std::uint64_t> values, MPI_Op operation, const char* name) {
   while (!values.empty()) {
     const std::size_t count = std::min(values.size(), kReduceValuesMax);
-    if (straight(count * sizeof(std::uint64_t))) {
-      std::vector<std::uint64_t> all(count * static_cast<std::size_t>(size_));
-      tell_all(std::as_bytes(values.first(count)), std::as_writable_bytes(std::span(all)), name);
-      for (int r = 0; r < size_; ++r)
-        if (r != rank_)
+    if (straight(group, count * sizeof(std::uint64_t))) {
+      std::vector<std::uint64_t> all(count * static_cast<std::size_t>(group.size));
+      tell_all(group, std::as_bytes(values.first(count)), std::as_writable_bytes(std::span(all)), name);
+      for (int r = 0; r < group.size; ++r)
+        if (r != group.rank)
           must(MPI_Reduce_local(&all[count * static_cast<std::size_t>(r)], values.data(), static_cast<int>(count),
                                 MPI_UINT64_T, operation),
                name);
     } else {
-      must(MPI_Allreduce(MPI_IN_PLACE, values.data(), static_cast<int>(count), MPI_UINT64_T, operation, comm_), name);
+      must(MPI_Allreduce(MPI_IN_PLACE, values.data(), static_cast<int>(count), MPI_UINT64_T, operation, group.comm),
+           name);
     }
     values = values.subspan(count);
   }
@@ -78,33 +109,36 @@ void MpiComm::all_sum(std::span<std::uint64_t> values) { reduce(values, MPI_SUM,
 void MpiComm::all_min(std::span<std::uint64_t> values) { reduce(values, MPI_MIN, "MPI_Allreduce (min)"); }
 void MpiComm::all_max(std::span<std::uint64_t> values) { reduce(values, MPI_MAX, "MPI_Allreduce (max)"); }
 
-bool MpiComm::straight(std::size_t bytes) const {
-  return apart_ && bytes <= message_bytes_max_ &&
-         (bytes + kStraightMessageBytes) * static_cast<std::size_t>(size_ - 1) <= kStraightBytesMax;
+bool MpiComm::straight(const Group& group, std::size_t bytes) const {
+  return over_network() && bytes <= ways_.message_bytes_max &&
+         (bytes + kStraightMessageBytes) * static_cast<std::size_t>(group.size - 1) <= kStraightBytesMax;
 }
 
-void MpiComm::tell_all(std::span<const std::byte> mine, std::span<std::byte> all, const char* name) {
-  const std::size_t room = all.size() / static_cast<std::size_t>(size_);
+void MpiComm::tell_all(const Group& group, std::span<const std::byte> mine, std::span<std::byte> all,
+                       const char* name) {
+  const std::size_t room = all.size() / static_cast<std::size_t>(group.size);
   std::vector<MPI_Request> requests;
-  for (int r = 0; r < size_; ++r)
-    if (r != rank_) start_receive(all.subspan(room * static_cast<std::size_t>(r), room), r, requests);
-  for (int k = 1; k < size_; ++k) start_send(mine, (rank_ + k) % size_, requests);
+  for (int r = 0; r < group.size; ++r)
+    if (r != group.rank) start_receive(group, all.subspan(room * static_cast<std::size_t>(r), room), r, requests);
+  for (int k = 1; k < group.size; ++k) start_send(group, mine, (group.rank + k) % group.size, requests);
   finish(requests, name);
 }
 
-void MpiComm::start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests) {
+void MpiComm::start_send(const Group& group, std::span<const std::byte> bytes, int to,
+                         std::vector<MPI_Request>& requests) {
   while (!bytes.empty()) {
-    const std::size_t count = std::min(bytes.size(), message_bytes_max_);
-    must(MPI_Isend(bytes.data(), static_cast<int>(count), MPI_BYTE, to, kTag, comm_, &requests.emplace_back()),
+    const std::size_t count = std::min(bytes.size(), ways_.message_bytes_max);
+    must(MPI_Isend(bytes.data(), static_cast<int>(count), MPI_BYTE, to, kTag, group.comm, &requests.emplace_back()),
          "MPI_Isend");
     bytes = bytes.subspan(count);
   }
 }
 
-void MpiComm::start_receive(std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests) {
+void MpiComm::start_receive(const Group& group, std::span<std::byte> bytes, int from,
+                            std::vector<MPI_Request>& requests) {
   while (!bytes.empty()) {
-    const std::size_t count = std::min(bytes.size(), message_bytes_max_);
-    must(MPI_Irecv(bytes.data(), static_cast<int>(count), MPI_BYTE, from, kTag, comm_, &requests.emplace_back()),
+    const std::size_t count = std::min(bytes.size(), ways_.message_bytes_max);
+    must(MPI_Irecv(bytes.data(), static_cast<int>(count), MPI_BYTE, from, kTag, group.comm, &requests.emplace_back()),
          "MPI_Irecv");
     bytes = bytes.subspan(count);
   }
@@ -115,7 +149,8 @@ void MpiComm::finish(std::vector<MPI_Request>& requests, const char* name) {
 }
 
 void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes) {
-  const auto ranks = static_cast<std::size_t>(size_);
+  if (shared_ && leaders_.size == 1) return shared_->all_gather(local, all, sizes);
+  const auto ranks = static_cast<std::size_t>(everyone_.size);
   sizes.assign(ranks, 0);
   // One message with the sizes and, if they are small, the bytes themselves: a second message costs more than some
   // unused bytes.
@@ -125,13 +160,13 @@ void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& al
   std::memcpy(mine.data(), &size, sizeof size);
   copy(local.first(std::min(room, local.size())), std::span(mine).subspan(sizeof size, std::min(room, local.size())));
   std::vector<std::byte> first(mine.size() * ranks);
-  if (straight(mine.size())) {
+  if (straight(everyone_, mine.size())) {
     const auto used = std::span(mine).first(sizeof size + std::min(room, local.size()));
-    copy(used, std::span(first).subspan(mine.size() * static_cast<std::size_t>(rank_), used.size()));
-    tell_all(used, first, "MPI_Waitall (all_gather)");
+    copy(used, std::span(first).subspan(mine.size() * static_cast<std::size_t>(everyone_.rank), used.size()));
+    tell_all(everyone_, used, first, "MPI_Waitall (all_gather)");
   } else {
     const auto count = narrow<int>(mine.size());
-    must(MPI_Allgather(mine.data(), count, MPI_BYTE, first.data(), count, MPI_BYTE, comm_), "MPI_Allgather");
+    must(MPI_Allgather(mine.data(), count, MPI_BYTE, first.data(), count, MPI_BYTE, everyone_.comm), "MPI_Allgather");
   }
   for (std::size_t r = 0; r < ranks; ++r) {
     std::uint64_t share = 0;
@@ -145,30 +180,30 @@ void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& al
       copy(std::span(first).subspan(r * mine.size() + sizeof size, sizes[r]), std::span(all).subspan(start, sizes[r]));
     return;
   }
-  if (total <= message_bytes_max_) {
+  if (total <= ways_.message_bytes_max) {
     std::vector<int> counts(ranks);
     std::vector<int> starts(ranks);
     for (std::size_t r = 0, start = 0; r < ranks; start += sizes[r++]) {
       counts[r] = static_cast<int>(sizes[r]);
       starts[r] = static_cast<int>(start);
     }
-    must(MPI_Allgatherv(local.data(), counts[static_cast<std::size_t>(rank_)], MPI_BYTE, all.data(), counts.data(),
-                        starts.data(), MPI_BYTE, comm_),
+    must(MPI_Allgatherv(local.data(), counts[static_cast<std::size_t>(everyone_.rank)], MPI_BYTE, all.data(), counts.data(),
+                        starts.data(), MPI_BYTE, everyone_.comm),
          "MPI_Allgatherv");
     return;
   }
   std::size_t start = 0;
-  for (int r = 0; r < size_; ++r) {
+  for (int r = 0; r < everyone_.size; ++r) {
     const std::span<std::byte> share(all.data() + start, sizes[static_cast<std::size_t>(r)]);
-    if (r == rank_) copy(local, share);
+    if (r == everyone_.rank) copy(local, share);
     broadcast(share, r);
     start += share.size();
   }
 }
 
 void MpiComm::all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& all) {
-  if (size_ <= tell_all_ranks_max_) return Comm::all_gather_few(local, all);
-  const comm::TreePlace place = comm::place_in_tree(rank_, size_, kTreeFanOut);
+  if (everyone_.size <= ways_.tell_all_ranks_max) return Comm::all_gather_few(local, all);
+  const comm::TreePlace place = comm::place_in_tree(everyone_.rank, everyone_.size, kTreeFanOut);
   std::vector<MPI_Request> requests;
   std::vector<std::uint64_t> sizes(place.children.size());
   for (std::size_t c = 0; c < sizes.size(); ++c)
@@ -195,13 +230,13 @@ void MpiComm::all_gather_few(std::span<const std::byte> local, Buffer<std::byte>
 
 void MpiComm::gather(std::span<const std::byte> local, int root, Buffer<std::byte>& all,
                      std::vector<std::size_t>& sizes) {
-  const bool here = rank_ == root;
-  const auto ranks = static_cast<std::size_t>(size_);
+  const bool here = everyone_.rank == root;
+  const auto ranks = static_cast<std::size_t>(everyone_.size);
   const std::uint64_t mine = local.size();
   std::vector<std::uint64_t> shares(here ? ranks : 0, mine);
   std::vector<MPI_Request> requests;
   // Straight to the root, as the bytes that follow: on MPI_Gather's way through other ranks they would wait.
-  for (int r = 0; here && r < size_; ++r)
+  for (int r = 0; here && r < everyone_.size; ++r)
     if (r != root)
       start_receive(std::as_writable_bytes(std::span(shares).subspan(static_cast<std::size_t>(r), 1)), r, requests);
   if (here)
@@ -214,9 +249,9 @@ void MpiComm::gather(std::span<const std::byte> local, int root, Buffer<std::byt
     requests.clear();
     all.resize(std::accumulate(sizes.begin(), sizes.end(), std::size_t{0}));
     std::size_t start = 0;
-    for (int r = 0; r < size_; ++r) {
+    for (int r = 0; r < everyone_.size; ++r) {
       const std::span<std::byte> share(all.data() + start, sizes[static_cast<std::size_t>(r)]);
-      if (r == rank_)
+      if (r == everyone_.rank)
         copy(local, share);
       else
         start_receive(share, r, requests);
@@ -230,19 +265,19 @@ void MpiComm::gather(std::span<const std::byte> local, int root, Buffer<std::byt
 
 void MpiComm::broadcast(std::span<std::byte> bytes, int root) {
   while (!bytes.empty()) {
-    const std::size_t count = std::min(bytes.size(), message_bytes_max_);
-    must(MPI_Bcast(bytes.data(), static_cast<int>(count), MPI_BYTE, root, comm_), "MPI_Bcast");
+    const std::size_t count = std::min(bytes.size(), ways_.message_bytes_max);
+    must(MPI_Bcast(bytes.data(), static_cast<int>(count), MPI_BYTE, root, everyone_.comm), "MPI_Bcast");
     bytes = bytes.subspan(count);
   }
 }
 
 void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
-  CHECK(pieces.size() == (rank_ == root ? static_cast<std::size_t>(size_) : 0), "root alone brings pieces");
+  CHECK(pieces.size() == (everyone_.rank == root ? static_cast<std::size_t>(everyone_.size) : 0), "root alone brings pieces");
   std::vector<MPI_Request> requests;
-  if (rank_ == root) {
-    for (int r = 0; r < size_; ++r)
-      if (r != rank_) start_send(pieces[static_cast<std::size_t>(r)], r, requests);
-    copy(pieces[static_cast<std::size_t>(rank_)], mine);
+  if (everyone_.rank == root) {
+    for (int r = 0; r < everyone_.size; ++r)
+      if (r != everyone_.rank) start_send(pieces[static_cast<std::size_t>(r)], r, requests);
+    copy(pieces[static_cast<std::size_t>(everyone_.rank)], mine);
   } else {
     start_receive(mine, root, requests);
   }
@@ -251,25 +286,25 @@ void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int ro
 
 void MpiComm::exchange(std::span<const std::span<const std::byte>> send,
                        std::span<const std::span<std::byte>> receive) {
-  const auto ranks = static_cast<std::size_t>(size_);
+  const auto ranks = static_cast<std::size_t>(everyone_.size);
   CHECK(send.size() == ranks && receive.size() == ranks, "one piece a rank");
   std::vector<MPI_Request> requests;
-  for (int r = 0; r < size_; ++r)
-    if (r != rank_) start_receive(receive[static_cast<std::size_t>(r)], r, requests);
-  for (int r = 0; r < size_; ++r)
-    if (r != rank_) start_send(send[static_cast<std::size_t>(r)], r, requests);
-  copy(send[static_cast<std::size_t>(rank_)], receive[static_cast<std::size_t>(rank_)]);
+  for (int r = 0; r < everyone_.size; ++r)
+    if (r != everyone_.rank) start_receive(receive[static_cast<std::size_t>(r)], r, requests);
+  for (int r = 0; r < everyone_.size; ++r)
+    if (r != everyone_.rank) start_send(send[static_cast<std::size_t>(r)], r, requests);
+  copy(send[static_cast<std::size_t>(everyone_.rank)], receive[static_cast<std::size_t>(everyone_.rank)]);
   finish(requests, "MPI_Waitall (exchange)");
 }
 
-void MpiComm::barrier() { must(MPI_Barrier(comm_), "MPI_Barrier"); }
+void MpiComm::barrier() { must(MPI_Barrier(everyone_.comm), "MPI_Barrier"); }
 
 // A call moves on one fragment or so of each message.
 void MpiComm::progress() {
   constexpr int kCalls = 16;
   int any = 0;
   for (int k = 0; k < kCalls; ++k)
-    must(MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, comm_, &any, MPI_STATUS_IGNORE), "MPI_Iprobe");
+    must(MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, everyone_.comm, &any, MPI_STATUS_IGNORE), "MPI_Iprobe");
 }
 
 }  // namespace rcb::ranks

@@ -4,17 +4,21 @@
 // 1. It works on its own duplicate of the communicator, freed with it (unless MPI has been finalised).
 // 2. Messages larger than kMessageBytesMax and reductions of more than kReduceValuesMax values are split.
 // 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
-// 4. Where ranks are on several machines, short reductions and gathers go from every rank straight to every other: one
-//    latency of the network, where MPI takes log2(ranks), twice that if the ranks are no power of two.
-// 5. With more than kTellAllRanksMax ranks few values are gathered along a tree and broadcast: in a gather every rank
+// 4. Ranks of one machine reduce and gather through shared memory (shared_collectives.hpp), if it can be had. Of several
+//    machines the leaders, their first ranks, reduce among themselves what the machines' ranks have reduced.
+// 5. Between machines short reductions and gathers go from every rank straight to every other: one latency of the
+//    network, where MPI takes log2(ranks), twice that if the ranks are no power of two.
+// 6. With more than kTellAllRanksMax ranks few values are gathered along a tree and broadcast: in a gather every rank
 //    hears of every other, if only that it has nothing.
 #pragma once
 
 #include <cstddef>
+#include <optional>
 
 #include <mpi.h>
 
 #include "common/comm/comm.hpp"
+#include "server/ranks/shared_collectives.hpp"
 
 namespace rcb::ranks {
 
@@ -35,17 +39,24 @@ class MpiComm final : public comm::Comm {
   static constexpr int kTellAllRanksMax = 4096;
   static constexpr int kTreeFanOut = 16;
 
-  // Collective over `parent`. MPI must be initialised. Only tests pass more: fewer message_bytes_max, or `apart`, as
-  // though the ranks were on several machines, or fewer ranks that tell all others.
-  explicit MpiComm(MPI_Comm parent, std::size_t message_bytes_max = kMessageBytesMax, bool apart = false,
-                   int tell_all_ranks_max = kTellAllRanksMax);
+  // What only tests change.
+  struct Ways {
+    bool shared_memory = true;  // between ranks of one machine
+    std::size_t message_bytes_max = kMessageBytesMax;
+    int ranks_of_machine = 0;  // > 0: as though every machine had so many
+    int tell_all_ranks_max = kTellAllRanksMax;
+  };
+
+  // Collective over `parent`. MPI must be initialised.
+  explicit MpiComm(MPI_Comm parent) : MpiComm(parent, Ways{}) {}
+  MpiComm(MPI_Comm parent, const Ways& ways);
   ~MpiComm() override;
   MpiComm(const MpiComm&) = delete;
   MpiComm& operator=(const MpiComm&) = delete;
 
-  int rank() const override { return rank_; }
-  int size() const override { return size_; }
-  bool over_network() const override { return apart_; }
+  int rank() const override { return everyone_.rank; }
+  int size() const override { return everyone_.size; }
+  bool over_network() const override { return leaders_.size > 1; }
   void all_sum(std::span<std::uint64_t> values) override;
   void all_min(std::span<std::uint64_t> values) override;
   void all_max(std::span<std::uint64_t> values) override;
@@ -62,23 +73,39 @@ class MpiComm final : public comm::Comm {
   void progress();
 
  private:
+  struct Group {
+    MPI_Comm comm = MPI_COMM_NULL;
+    int rank = 0;
+    int size = 1;
+  };
+  // Some ranks of `parent`: those with the same colour.
+  Group split(MPI_Comm parent, int colour) const;
+  void find_machines();
   void reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name);
-  // Whether messages of this size go straight to every other rank.
-  bool straight(std::size_t bytes) const;
+  // By messages.
+  void reduce_among(const Group& group, std::span<std::uint64_t> values, MPI_Op operation, const char* name);
+  // Whether messages of this size go straight to every other rank of a group.
+  bool straight(const Group& group, std::size_t bytes) const;
   // Sends `mine` to every other rank, and receives theirs, which may be shorter than their shares of `all`.
-  void tell_all(std::span<const std::byte> mine, std::span<std::byte> all, const char* name);
-  void start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests);
-  void start_receive(std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests);
+  void tell_all(const Group& group, std::span<const std::byte> mine, std::span<std::byte> all, const char* name);
+  void start_send(std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests) {
+    start_send(everyone_, bytes, to, requests);
+  }
+  void start_receive(std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests) {
+    start_receive(everyone_, bytes, from, requests);
+  }
+  void start_send(const Group& group, std::span<const std::byte> bytes, int to, std::vector<MPI_Request>& requests);
+  void start_receive(const Group& group, std::span<std::byte> bytes, int from, std::vector<MPI_Request>& requests);
   void finish(std::vector<MPI_Request>& requests, const char* name);
   // Ends the job if `result` is a failure.
   void must(int result, const char* name) const;
 
-  MPI_Comm comm_ = MPI_COMM_NULL;
-  int rank_ = 0;
-  int size_ = 1;
-  std::size_t message_bytes_max_;
-  bool apart_;
-  int tell_all_ranks_max_;
+  Group everyone_;
+  Group machine_;  // the ranks of this machine
+  Group leaders_;  // the first rank of each machine; on the others the size alone is known
+  Ways ways_;
+  std::optional<SharedCollectives> shared_;  // among the ranks of this machine
+  bool hierarchical_ = false;                // each machine's ranks share memory
   static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
 };
 

@@ -3,8 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <chrono>
 #include <cstring>
 #include <limits>
+#include <thread>
 
 #include <gtest/gtest.h>
 
@@ -110,6 +112,52 @@ TEST(Comm, GathersUnevenAndEmptyShares) {
     comm.all_gather({}, all, sizes);
     EXPECT_TRUE(all.empty());
     EXPECT_EQ(sizes, std::vector<std::size_t>(static_cast<std::size_t>(comm.size()), 0));
+  });
+}
+
+// More than fits into one message or into the memory that ranks share, and on one rank only, on all, or on none.
+TEST(Comm, GathersMuch) {
+  on_every_comm([](comm::Comm& comm) {
+    constexpr std::size_t kMuch = (std::size_t{32} << 10U) - 8;
+    Buffer<std::byte> all;
+    std::vector<std::size_t> sizes;
+    for (const std::size_t size : {kMuch - 1, kMuch, kMuch + 1, 2 * kMuch, std::size_t{100'001}})
+      for (int much = 0; much <= comm.size(); ++much) {  // on the ranks before it
+        const auto bytes = [&](int r) { return bytes_of(seed_of(r, much, 1), r < much ? size : share_size(r, much)); };
+        std::vector<std::byte> expected;
+        for (int r = 0; r < comm.size(); ++r) {
+          const std::vector<std::byte> theirs = bytes(r);
+          expected.insert(expected.end(), theirs.begin(), theirs.end());
+        }
+        comm.all_gather(bytes(comm.rank()), all, sizes);
+        EXPECT_TRUE(std::ranges::equal(all, expected));
+      }
+  });
+}
+
+// Ranks that are late, each in turn, and collectives of all kinds after each other.
+TEST(Comm, NobodyOverwritesWhatOthersHaveNotRead) {
+  on_every_comm([](comm::Comm& comm) {
+    Random random(mix64(static_cast<std::uint64_t>(comm.rank())));
+    const auto ranks = static_cast<std::uint64_t>(comm.size());
+    Buffer<std::byte> all;
+    std::vector<std::size_t> sizes;
+    for (int round = 0; round < 200; ++round) {
+      if (random.below(4) == 0) std::this_thread::sleep_for(std::chrono::microseconds(random.below(300)));
+      const auto number = static_cast<std::uint64_t>(round);
+      std::vector<std::uint64_t> values(1 + number % 3, number + static_cast<std::uint64_t>(comm.rank()));
+      if (round % 5 < 3) {
+        comm.all_sum(values);
+        EXPECT_EQ(values.back(), ranks * number + ranks * (ranks - 1) / 2);
+      } else if (round % 5 == 3) {
+        comm.all_min(values);
+        EXPECT_EQ(values.back(), number);
+      } else {
+        const std::vector<std::byte> mine = bytes_of(seed_of(comm.rank(), 0, round), share_size(comm.rank(), round));
+        comm.all_gather(mine, all, sizes);
+        expect_gathered(comm, round, all, sizes);
+      }
+    }
   });
 }
 

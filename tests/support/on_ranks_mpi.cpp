@@ -15,12 +15,14 @@ void on_ranks(const std::vector<int>&, const std::function<void(comm::Comm&)>& b
 
 void on_every_comm(const std::function<void(comm::Comm&)>& body) {
   on_ranks(body);
-  ranks::MpiComm pieces(MPI_COMM_WORLD, 24);
-  body(pieces);
-  ranks::MpiComm apart(MPI_COMM_WORLD, ranks::MpiComm::kMessageBytesMax, true);
-  body(apart);
-  ranks::MpiComm tree(MPI_COMM_WORLD, ranks::MpiComm::kMessageBytesMax, false, 0);
-  body(tree);
+  using Ways = ranks::MpiComm::Ways;
+  for (const Ways& ways : {Ways{.shared_memory = false}, Ways{.shared_memory = false, .message_bytes_max = 24},
+                           Ways{.ranks_of_machine = 1}, Ways{.ranks_of_machine = 2}, Ways{.ranks_of_machine = 3},
+                           Ways{.shared_memory = false, .ranks_of_machine = 3},
+                           Ways{.shared_memory = false, .tell_all_ranks_max = 0}}) {
+    ranks::MpiComm comm(MPI_COMM_WORLD, ways);
+    body(comm);
+  }
 }
 
 bool ranks_are_threads() { return false; }

@@ -16,7 +16,7 @@ namespace rcb::partition {
 // (buckets.hpp), and how much the sample is trusted.
 struct GuessLimits {
   // Particles per rank: with fewer, the further collectives and the sample cost more than the passes that are saved.
-  std::uint64_t count_min = std::uint64_t{3} << 17U;
+  std::uint64_t count_min = std::uint64_t{3} << 16U;
   int parts_min = 4;
   int parts_max = 8;           // of a guess
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow

@@ -35,6 +35,22 @@ TEST(SharedMemory, WhatOneWritesTheOtherReads) {
   EXPECT_NE(::ftruncate(moved.descriptor(), 0), 0) << "its size is sealed";
 }
 
+TEST(SharedMemory, AProcessOfTheJobJoins) {
+  auto made = SharedMemory::create(kBytes);
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  const auto joined = SharedMemory::join(::getpid(), made->descriptor(), kBytes);
+  ASSERT_TRUE(joined.ok()) << joined.status().message();
+  joined->writable()[kBytes - 1] = std::byte{7};
+  EXPECT_EQ(made->bytes()[kBytes - 1], std::byte{7});
+  EXPECT_EQ(SharedMemory::join(::getpid(), made->descriptor(), kBytes + 1).status().code(), Code::invalid_argument);
+  EXPECT_EQ(SharedMemory::join(::getpid(), 0, kBytes).status().code(), Code::io_error) << "no memory";
+  EXPECT_EQ(SharedMemory::join(::getpid(), 9999, kBytes).status().code(), Code::io_error) << "no descriptor";
+  EXPECT_EQ(SharedMemory::join(0, 0, kBytes).status().code(), Code::io_error) << "no process";
+  EXPECT_EQ(SharedMemory::join(::getpid(), memfd(kBytes, F_SEAL_SHRINK | F_SEAL_GROW).get(), kBytes).status().code(),
+            Code::io_error)
+      << "not of a service";
+}
+
 // Beyond the limit the system would end this program by a signal.
 TEST(SharedMemory, MoreThanAFileMayHaveIsRefused) {
   rlimit before{};
