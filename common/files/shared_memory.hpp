@@ -1,5 +1,6 @@
 // SharedMemory: memory that a client fills and the ranks of a service on its host read, without a copy through the
-// kernel; or that the ranks share. It is a memfd: it has no name in any file system, and is gone with the last process that maps it.
+// kernel; or that the ranks share. It is a memfd: it has no name in any file system, and is gone with the last process
+// that maps it.
 //
 // Invariants
 // 1. Its size is sealed, so that no reader is ended by a signal because somebody else has shrunk it.

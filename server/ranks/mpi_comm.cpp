@@ -14,6 +14,9 @@
 namespace rcb::ranks {
 namespace {
 
+// Machines with one rank and with several cut what their leaders reduce into the same pieces.
+static_assert(SharedCollectives::kSlotBytes / sizeof(std::uint64_t) == MpiComm::kReduceValuesMax);
+
 constexpr int kTag = 1;  // MPI keeps the order of messages between two ranks, so one tag is enough
 
 void copy(std::span<const std::byte> from, std::span<std::byte> to) {
@@ -47,12 +50,14 @@ void MpiComm::find_machines() {
        "MPI_Comm_split_type");
   machine_ = split(here, ways_.ranks_of_machine > 0 ? everyone_.rank / ways_.ranks_of_machine : 0);
   must(MPI_Comm_free(&here), "MPI_Comm_free");
+  must(MPI_Comm_set_errhandler(machine_.comm, MPI_ERRORS_ARE_FATAL), "MPI_Comm_set_errhandler");
   Group leaders = split(everyone_.comm, machine_.rank == 0 ? 0 : 1);
   std::uint64_t machines = machine_.rank == 0 ? 1 : 0;
   reduce_among(everyone_, {&machines, 1}, MPI_SUM, "MPI_Allreduce (machines)");
   leaders.size = static_cast<int>(machines);
   leaders_ = leaders;
-  if (ways_.shared_memory) shared_ = SharedCollectives::create(machine_.comm);
+  if (ways_.shared_memory)
+    shared_ = SharedCollectives::create(machine_.comm, everyone_.rank != ways_.rank_without_memory);
   std::uint64_t fine = shared_ || machine_.size == 1 ? 1 : 0;
   reduce_among(everyone_, {&fine, 1}, MPI_MIN, "MPI_Allreduce (shared memory)");
   hierarchical_ = fine == 1;
@@ -72,7 +77,8 @@ void MpiComm::must(int result, const char* name) const {
   std::array<char, MPI_MAX_ERROR_STRING> text{};
   int length = 0;
   MPI_Error_string(result, text.data(), &length);
-  std::fprintf(stderr, "rcbd: rank %d of %d: %s failed: %s; the job ends\n", everyone_.rank, everyone_.size, name, text.data());
+  std::fprintf(stderr, "rcbd: rank %d of %d: %s failed: %s; the job ends\n", everyone_.rank, everyone_.size, name,
+               text.data());
   std::fflush(stderr);
   MPI_Abort(MPI_COMM_WORLD, 1);
   std::abort();
@@ -187,8 +193,8 @@ void MpiComm::all_gather(std::span<const std::byte> local, Buffer<std::byte>& al
       counts[r] = static_cast<int>(sizes[r]);
       starts[r] = static_cast<int>(start);
     }
-    must(MPI_Allgatherv(local.data(), counts[static_cast<std::size_t>(everyone_.rank)], MPI_BYTE, all.data(), counts.data(),
-                        starts.data(), MPI_BYTE, everyone_.comm),
+    must(MPI_Allgatherv(local.data(), counts[static_cast<std::size_t>(everyone_.rank)], MPI_BYTE, all.data(),
+                        counts.data(), starts.data(), MPI_BYTE, everyone_.comm),
          "MPI_Allgatherv");
     return;
   }
@@ -272,7 +278,8 @@ void MpiComm::broadcast(std::span<std::byte> bytes, int root) {
 }
 
 void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
-  CHECK(pieces.size() == (everyone_.rank == root ? static_cast<std::size_t>(everyone_.size) : 0), "root alone brings pieces");
+  CHECK(pieces.size() == (everyone_.rank == root ? static_cast<std::size_t>(everyone_.size) : 0),
+        "root alone brings pieces");
   std::vector<MPI_Request> requests;
   if (everyone_.rank == root) {
     for (int r = 0; r < everyone_.size; ++r)

@@ -4,10 +4,12 @@
 // 1. It works on its own duplicate of the communicator, freed with it (unless MPI has been finalised).
 // 2. Messages larger than kMessageBytesMax and reductions of more than kReduceValuesMax values are split.
 // 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
-// 4. Ranks of one machine reduce and gather through shared memory (shared_collectives.hpp), if it can be had. Of several
-//    machines the leaders, their first ranks, reduce among themselves what the machines' ranks have reduced.
-// 5. Between machines short reductions and gathers go from every rank straight to every other: one latency of the
-//    network, where MPI takes log2(ranks), twice that if the ranks are no power of two.
+// 4. Ranks of one machine reduce through shared memory (shared_collectives.hpp); they gather so, too, where there is no
+//    other machine. Of several machines the leaders, their first ranks, reduce among themselves what their machines
+//    have reduced. If a machine's ranks can't share memory, none use it.
+// 5. Between machines short reductions (of the leaders, or else of all ranks) and gathers (of all ranks) go from each
+//    straight to every other: one latency of the network, where MPI takes log2(ranks), twice that if the ranks are no
+//    power of two.
 // 6. With more than kTellAllRanksMax ranks few values are gathered along a tree and broadcast: in a gather every rank
 //    hears of every other, if only that it has nothing.
 #pragma once
@@ -41,7 +43,8 @@ class MpiComm final : public comm::Comm {
 
   // What only tests change.
   struct Ways {
-    bool shared_memory = true;  // between ranks of one machine
+    bool shared_memory = true;     // between ranks of one machine
+    int rank_without_memory = -1;  // >= 0: as though this one could share none
     std::size_t message_bytes_max = kMessageBytesMax;
     int ranks_of_machine = 0;  // > 0: as though every machine had so many
     int tell_all_ranks_max = kTellAllRanksMax;
@@ -69,6 +72,8 @@ class MpiComm final : public comm::Comm {
   void exchange(std::span<const std::span<const std::byte>> send,
                 std::span<const std::span<std::byte>> receive) override;
   void barrier() override;
+  // Whether every machine's ranks share memory. The same on all ranks. Local.
+  bool shares_memory() const { return hierarchical_; }
   // Sends on what MPI still holds of messages that it has taken for sent. Local.
   void progress();
 
@@ -104,8 +109,8 @@ class MpiComm final : public comm::Comm {
   Group machine_;  // the ranks of this machine
   Group leaders_;  // the first rank of each machine; on the others the size alone is known
   Ways ways_;
-  std::optional<SharedCollectives> shared_;  // among the ranks of this machine
-  bool hierarchical_ = false;                // each machine's ranks share memory
+  std::optional<SharedCollectives> shared_;              // among the ranks of this machine
+  bool hierarchical_ = false;                            // every machine's ranks share memory
   static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
 };
 

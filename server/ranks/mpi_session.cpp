@@ -48,6 +48,7 @@ Status MpiSession::allocate_shared_memory() {
 
 int MpiSession::rank() const { return state_->comm.rank(); }
 int MpiSession::size() const { return state_->comm.size(); }
+bool MpiSession::shares_memory() const { return state_->comm.shares_memory(); }
 comm::Comm& MpiSession::comm() { return state_->comm; }
 void MpiSession::progress() { state_->comm.progress(); }
 

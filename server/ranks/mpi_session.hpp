@@ -25,10 +25,11 @@ class MpiSession {
   // same on all ranks: io_error (no room for them).
   Status allocate_shared_memory();
 
-  int rank() const;    // Local.
-  int size() const;    // Local.
-  comm::Comm& comm();  // Local.
-  void progress();     // Local; of comm()'s messages (mpi_comm.hpp)
+  int rank() const;            // Local.
+  int size() const;            // Local.
+  bool shares_memory() const;  // Local; whether every machine's ranks do (mpi_comm.hpp)
+  comm::Comm& comm();          // Local.
+  void progress();             // Local; of comm()'s messages (mpi_comm.hpp)
   // Collective. Returns rank 0's text on every rank.
   std::string share(const std::string& text);
   // Collective. Returns every rank's text, by rank, on every rank.

@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <cstring>
 #include <new>
 #include <numeric>
 #include <random>
 
+#include <fcntl.h>
 #include <sched.h>
 #include <unistd.h>
 
@@ -18,12 +20,20 @@ std::size_t slot_offset(std::size_t number) { return 4096 + number * SharedColle
 // True on all ranks if `here` is on each. Collective.
 bool agree(MPI_Comm comm, bool here) {
   int all = here ? 1 : 0;
-  return MPI_Allreduce(MPI_IN_PLACE, &all, 1, MPI_INT, MPI_MIN, comm) == MPI_SUCCESS && all == 1;
+  MPI_Allreduce(MPI_IN_PLACE, &all, 1, MPI_INT, MPI_MIN, comm);
+  return all == 1;
+}
+
+// Without this a page that there is no memory for would end the rank that touches it first, however late.
+Status reserve(const SharedMemory& memory) {
+  while (::fallocate(memory.descriptor(), 0, 0, static_cast<off_t>(memory.size())) != 0)
+    if (errno != EINTR) return {Code::io_error, std::strerror(errno)};
+  return {};
 }
 
 }  // namespace
 
-std::optional<SharedCollectives> SharedCollectives::create(MPI_Comm comm) {
+std::optional<SharedCollectives> SharedCollectives::create(MPI_Comm comm, bool able) {
   int rank = 0;
   int size = 1;
   MPI_Comm_rank(comm, &rank);
@@ -35,6 +45,8 @@ std::optional<SharedCollectives> SharedCollectives::create(MPI_Comm comm) {
   std::array<std::uint64_t, 3> where{};  // process, descriptor, mark
   if (rank == 0) {
     memory = SharedMemory::create(bytes);
+    if (memory.ok())
+      if (Status status = reserve(*memory); !status.ok()) memory = std::move(status);
     std::random_device random;
     where = {static_cast<std::uint64_t>(::getpid()), 0, std::uint64_t{random()} << 32U | random()};
     if (memory.ok()) {
@@ -43,15 +55,14 @@ std::optional<SharedCollectives> SharedCollectives::create(MPI_Comm comm) {
     }
   }
   if (!agree(comm, memory.ok())) return std::nullopt;
-  if (MPI_Bcast(where.data(), 3, MPI_UINT64_T, 0, comm) != MPI_SUCCESS) return std::nullopt;
-  if (rank != 0)
-    memory = SharedMemory::join(static_cast<int>(where[0]), static_cast<int>(where[1]), bytes);
+  MPI_Bcast(where.data(), 3, MPI_UINT64_T, 0, comm);
+  if (rank != 0) memory = SharedMemory::join(static_cast<int>(where[0]), static_cast<int>(where[1]), bytes);
   if (memory.ok()) {
     std::uint64_t mark = 0;
     std::memcpy(&mark, memory->writable().data(), sizeof mark);
     if (mark != where[2]) memory = Status(Code::io_error, "this is the memory of others");
   }
-  if (!agree(comm, memory.ok())) return std::nullopt;
+  if (!agree(comm, able && memory.ok())) return std::nullopt;
   return SharedCollectives(comm, std::move(*memory));
 }
 
@@ -78,9 +89,9 @@ void SharedCollectives::meet(bool first, Combine combine) {
 }
 
 void SharedCollectives::wait(const std::atomic<std::uint64_t>& count, std::uint64_t until) const {
-  constexpr int kPauses = 32;  // before it yields its core
-  constexpr int kYields = 8;   // between two calls of MPI
-  for (int turn = 0; count.load(std::memory_order_acquire) < until; ++turn) {
+  constexpr std::uint64_t kPauses = 32;  // before it yields its core
+  constexpr std::uint64_t kYields = 8;   // between two calls of MPI
+  for (std::uint64_t turn = 0; count.load(std::memory_order_acquire) < until; ++turn) {
     if (turn < kPauses) continue;
     int any = 0;
     if (turn % kYields == 0) MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, comm_, &any, MPI_STATUS_IGNORE);

@@ -1,9 +1,10 @@
-// SharedCollectives: reductions and gathers of ranks on one machine, through memory that they share. Each writes what it
-// has into a slot of its own, and the last one to arrive combines the slots. That takes one wait for all others, where
-// MPI's algorithms take several messages one after the other, each of which waits until its sender gets a core.
+// SharedCollectives: reductions and gathers of ranks on one machine, through memory that they share. Each writes what
+// it has into a slot of its own, and the last one to arrive combines the slots. That takes one wait for all others,
+// where MPI's algorithms take several messages one after the other, each of which waits until its sender gets a core.
 //
 // Invariants
-// 1. Slots come in two sets that take turns. A rank writes into a set again only when all have arrived at the collective
+// 1. Slots come in two sets that take turns. A rank writes into a set again only when all have arrived at the
+// collective
 //    between, so all have read what it held before.
 // 2. A rank that waits yields its core, and calls MPI now and then: MPI may still hold a part of a message that it
 //    reported as sent, and others may wait for that part.
@@ -31,8 +32,10 @@ class SharedCollectives {
   // More ranks leave reductions to MPI: one rank alone would read all slots.
   static constexpr int kRanksMax = 64;
 
-  // nullopt, on all ranks, where they can't share memory. Collective; `comm` must outlive this.
-  static std::optional<SharedCollectives> create(MPI_Comm comm);
+  // nullopt, on all ranks, where they can't share memory, or are too many or one alone. An error of MPI must end the
+  // job (the error handler of `comm`), and `comm` must outlive this. Collective.
+  //   able  false, in tests only: as though this rank couldn't
+  static std::optional<SharedCollectives> create(MPI_Comm comm, bool able = true);
 
   // As in Comm. Collective.
   //   between  called on rank 0 alone, with what all have reduced, before they get it; empty: nothing happens between
@@ -43,7 +46,7 @@ class SharedCollectives {
  private:
   // At the beginning of the memory; the slots follow.
   struct Head {
-    alignas(64) std::uint64_t mark;                 // tells that this is the job's memory
+    alignas(64) std::uint64_t mark;                  // tells that this is the job's memory
     alignas(64) std::atomic<std::uint64_t> arrived;  // ranks, in all rounds so far
     alignas(64) std::atomic<std::uint64_t> done;     // rounds
   };

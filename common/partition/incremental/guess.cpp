@@ -53,8 +53,7 @@ class SampleWalk {
       root.leaves = kGuessLeaves - leaves - others;
       const int before = leaves_;
       const auto in_root = [&](std::uint32_t k) { return part[k] >= root.range.first && part[k] < root.range.last; };
-      const Range own =
-          part.empty() ? sorted_.all() : sorted_.divide({first, sample_.count()}, 0, 0, in_root).left;
+      const Range own = part.empty() ? sorted_.all() : sorted_.divide({first, sample_.count()}, 0, 0, in_root).left;
       first = own.last;
       visit(root, own);
       leaves += leaves_ - before;
@@ -84,7 +83,7 @@ class SampleWalk {
   };
   struct Bracket {
     KeyBracket keys;
-    Key cut;             // the expected one
+    Key cut;  // the expected one
     SortedSample::Halves halves;
     double variance;
     double share;          // of the sampled particles in the bracket

@@ -55,10 +55,9 @@ class FirstPartition {
   bool cut_by_guess(bool first) {
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
     Guess guess = guess_cuts(sample_, options_, below);
-    if (first && !guess.open.empty()) {
-      gather_outermost(comm_, particles_, std::move(guess.open), large_.stride, sample_, result_);
+    if (first && !guess.open.empty() &&
+        gather_outermost(comm_, particles_, std::move(guess.open), large_.stride, sample_, result_))
       guess = guess_cuts(sample_, options_, below);
-    }
     if (!guess.found) return false;
 
     // The most boundary particles among `count`: 1.5 times the share that the guess was allowed.

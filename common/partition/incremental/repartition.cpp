@@ -7,8 +7,8 @@
 #include "common/comm/gather.hpp"
 #include "common/partition/incremental/classify_interior.hpp"
 #include "common/partition/incremental/search_roots.hpp"
-#include "common/partition/search/outermost.hpp"
 #include "common/partition/search/build_tree.hpp"
+#include "common/partition/search/outermost.hpp"
 
 namespace rcb::partition {
 namespace {

@@ -12,9 +12,9 @@ namespace {
 
 using geometry::Box;
 
-// Outermost particles are gathered if the sample's stride is at most kGatherStrideMax: about one stride of particles lies
-// beyond each face of a box. A rank sends at most about kGatheredStridesMax strides of particles for each box, since more
-// than that mean that the sample is unusual.
+// Outermost particles are gathered if the sample's stride is at most kGatherStrideMax: about one stride of particles
+// lies beyond each face of a box. A rank sends at most about kGatheredStridesMax strides of particles for each box,
+// since more than that mean that the sample is unusual.
 constexpr std::uint64_t kGatherStrideMax = 32768;
 constexpr std::uint64_t kGatheredStridesMax = 16;
 constexpr std::size_t kAhead = 512;  // particles that are prefetched ahead
@@ -92,13 +92,14 @@ OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double o
   return {.first = open(1), .others = open(2)};
 }
 
-void gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<Box> boxes,
+bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<Box> boxes,
                       std::uint64_t stride, SortedSample& sample, PartitionResult& spent) {
-  if (stride > kGatherStrideMax) return;
+  if (stride > kGatherStrideMax) return false;
   const std::uint64_t most = kGatheredStridesMax * boxes.size() * (stride + 64);
   sample.set_outermost(share_sample(comm, particles, slots_beyond(particles, std::move(boxes), most), {}));
   ++spent.reductions;
   spent.traffic += {particles.count, particles.count * at(particles.dims) * sizeof(double)};
+  return true;
 }
 
 void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& particles,

@@ -1,5 +1,5 @@
-// Outermost particles: those that lie beyond the sampled ones. Where the extents of the root hardly differ, as in a cube,
-// these few decide which is the longest, and hence how all particles are divided.
+// Outermost particles: those that lie beyond the sampled ones. Where the extents of the root hardly differ, as in a
+// cube, these few decide which is the longest, and hence how all particles are divided.
 #pragma once
 
 #include <cstdint>
@@ -22,11 +22,11 @@ struct OpenOrder {
 // axes: in the order of the sampled extents. Local.
 OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double overhang);
 
-// Gives a sample all particles that lie outside of all these boxes, if they are likely to be few. Adds what it costs to
-// `spent`. Collective (at most one gather). Reads every position once.
+// Gives a sample all particles that lie outside of all these boxes; false if they are likely to be too many. Adds what
+// it costs to `spent`. Collective (at most one gather). Reads every position once.
 //   boxes   of its particles on either side of the root's expected cut
 //   stride  one particle of so many was sampled
-void gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<geometry::Box> boxes,
+bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<geometry::Box> boxes,
                       std::uint64_t stride, SortedSample& sample, PartitionResult& spent);
 
 // The same where the sample leaves the longest axis open, unless that is done already. Collective (at most one gather).

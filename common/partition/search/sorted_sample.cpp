@@ -12,6 +12,7 @@ SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sampl
 }
 
 void SortedSample::set_outermost(const Sample& outermost) {
+  outermost_known_ = true;
   outermost_.clear();
   for (std::size_t k = 0; k < outermost.count(); ++k) outermost_.push_back(outermost.particles.view().point(k));
 }

@@ -38,7 +38,7 @@ class SortedSample {
   Range all() const { return {0, side_.size(), 0, outermost_.size()}; }
   // Particles that boxes are to hold, though they aren't sampled.
   void set_outermost(const Sample& outermost);
-  bool has_outermost() const { return !outermost_.empty(); }
+  bool has_outermost() const { return outermost_known_; }
   // The sampled particles of a range, ascending on this axis.
   std::span<const std::uint32_t> particles(const Range& range, std::size_t axis) const {
     return std::span(order_[axis]).subspan(range.first, range.size());
@@ -82,6 +82,7 @@ class SortedSample {
   std::vector<std::uint8_t> side_;  // of each sampled particle: 1: right
   std::vector<std::uint32_t> right_;
   std::vector<Point> outermost_;
+  bool outermost_known_ = false;
 };
 
 }  // namespace rcb::partition
