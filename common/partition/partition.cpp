@@ -8,7 +8,6 @@
 #include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/incremental/partition_from_guess.hpp"
 #include "common/partition/search/build_tree.hpp"
-#include "common/partition/search/outermost.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -96,10 +95,8 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (large) sample = SortedSample(large->sample);
   if (large && guess)
     if (auto found = partition_from_guess(comm, particles, options, *large, sample, in_vain)) return *std::move(found);
-  const bool buckets = large && large->buckets;
-  if (buckets) gather_outermost_if_open(comm, particles, options, large->stride, sample, in_vain);
-  auto result = buckets ? build({comm, particles, options, sample}, go_on)
-                        : build({comm, particles, options, particles.dims}, go_on);
+  auto result = large && large->buckets ? build({comm, particles, options, std::move(sample), large->stride}, go_on)
+                                        : build({comm, particles, options, particles.dims}, go_on);
   if (!result.ok()) return result;
   result->reductions += in_vain.reductions;
   result->traffic += in_vain.traffic;

@@ -95,7 +95,7 @@ int run(int argc, char** argv) {
   CHECK(no_skip.ok(), no_skip.status().message());
   if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
   if (!mpi->shares_memory() && mpi->rank() == 0)
-    spdlog::info("not all ranks can share memory with those of their machine: MPI's messages do, which take longer");
+    spdlog::info("ranks of a machine can't share memory, so their reductions are messages of MPI, which take longer");
   const Hosts hosts = find_hosts(*mpi);
   if (hosts.several)
     set_log_pattern(fmt::format("{} rank {}", hosts.ranks[static_cast<std::size_t>(mpi->rank())].host, mpi->rank()));

@@ -29,38 +29,37 @@ void copy(std::span<const std::byte> from, std::span<std::byte> to) {
 MpiComm::MpiComm(MPI_Comm parent, const Ways& ways) : ways_(ways) {
   CHECK(ways.message_bytes_max > 0 && ways.message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
   must(MPI_Comm_dup(parent, &everyone_.comm), "MPI_Comm_dup");
-  must(MPI_Comm_set_errhandler(everyone_.comm, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
-  must(MPI_Comm_rank(everyone_.comm, &everyone_.rank), "MPI_Comm_rank");
-  must(MPI_Comm_size(everyone_.comm, &everyone_.size), "MPI_Comm_size");
+  measure(everyone_);
   find_machines();
 }
 
-MpiComm::Group MpiComm::split(MPI_Comm parent, int colour) const {
-  Group group;
-  must(MPI_Comm_split(parent, colour, everyone_.rank, &group.comm), "MPI_Comm_split");
+void MpiComm::measure(Group& group) const {
   must(MPI_Comm_set_errhandler(group.comm, MPI_ERRORS_RETURN), "MPI_Comm_set_errhandler");
   must(MPI_Comm_rank(group.comm, &group.rank), "MPI_Comm_rank");
   must(MPI_Comm_size(group.comm, &group.size), "MPI_Comm_size");
-  return group;
 }
 
 void MpiComm::find_machines() {
-  MPI_Comm here = MPI_COMM_NULL;
-  must(MPI_Comm_split_type(everyone_.comm, MPI_COMM_TYPE_SHARED, everyone_.rank, MPI_INFO_NULL, &here),
-       "MPI_Comm_split_type");
-  machine_ = split(here, ways_.ranks_of_machine > 0 ? everyone_.rank / ways_.ranks_of_machine : 0);
-  must(MPI_Comm_free(&here), "MPI_Comm_free");
+  if (ways_.ranks_of_machine > 0)
+    must(MPI_Comm_split(everyone_.comm, everyone_.rank / ways_.ranks_of_machine, everyone_.rank, &machine_.comm),
+         "MPI_Comm_split");
+  else
+    must(MPI_Comm_split_type(everyone_.comm, MPI_COMM_TYPE_SHARED, everyone_.rank, MPI_INFO_NULL, &machine_.comm),
+         "MPI_Comm_split_type");
+  measure(machine_);
   must(MPI_Comm_set_errhandler(machine_.comm, MPI_ERRORS_ARE_FATAL), "MPI_Comm_set_errhandler");
-  Group leaders = split(everyone_.comm, machine_.rank == 0 ? 0 : 1);
+  Group leaders;
+  must(MPI_Comm_split(everyone_.comm, machine_.rank == 0 ? 0 : 1, everyone_.rank, &leaders.comm), "MPI_Comm_split");
+  measure(leaders);
   std::uint64_t machines = machine_.rank == 0 ? 1 : 0;
   reduce_among(everyone_, {&machines, 1}, MPI_SUM, "MPI_Allreduce (machines)");
   leaders.size = static_cast<int>(machines);
   leaders_ = leaders;
   if (ways_.shared_memory)
     shared_ = SharedCollectives::create(machine_.comm, everyone_.rank != ways_.rank_without_memory);
-  std::uint64_t fine = shared_ || machine_.size == 1 ? 1 : 0;
-  reduce_among(everyone_, {&fine, 1}, MPI_MIN, "MPI_Allreduce (shared memory)");
-  hierarchical_ = fine == 1;
+  std::uint64_t all_share = shared_ || machine_.size == 1 ? 1 : 0;
+  reduce_among(everyone_, {&all_share, 1}, MPI_MIN, "MPI_Allreduce (shared memory)");
+  hierarchical_ = all_share == 1;
   if (!hierarchical_) shared_.reset();
 }
 

@@ -83,8 +83,9 @@ class MpiComm final : public comm::Comm {
     int rank = 0;
     int size = 1;
   };
-  // Some ranks of `parent`: those with the same colour.
-  Group split(MPI_Comm parent, int colour) const;
+  // Sets rank and size of a group whose communicator is new.
+  void measure(Group& group) const;
+  // Sets the other two groups, and what their ranks share. Collective.
   void find_machines();
   void reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name);
   // By messages.
@@ -107,7 +108,7 @@ class MpiComm final : public comm::Comm {
 
   Group everyone_;
   Group machine_;  // the ranks of this machine
-  Group leaders_;  // the first rank of each machine; on the others the size alone is known
+  Group leaders_;  // the first rank of each machine; on all others only its size is right
   Ways ways_;
   std::optional<SharedCollectives> shared_;              // among the ranks of this machine
   bool hierarchical_ = false;                            // every machine's ranks share memory

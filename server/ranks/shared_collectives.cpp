@@ -1,7 +1,6 @@
 #include "server/ranks/shared_collectives.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <cstring>
 #include <new>
@@ -17,21 +16,19 @@ namespace {
 
 std::size_t slot_offset(std::size_t number) { return 4096 + number * SharedCollectives::kSlotBytes; }
 
-// True on all ranks if `here` is on each. Collective.
-bool agree(MPI_Comm comm, bool here) {
-  int all = here ? 1 : 0;
-  MPI_Allreduce(MPI_IN_PLACE, &all, 1, MPI_INT, MPI_MIN, comm);
-  return all == 1;
-}
-
-// Without this a page that there is no memory for would end the rank that touches it first, however late.
-Status reserve(const SharedMemory& memory) {
-  while (::fallocate(memory.descriptor(), 0, 0, static_cast<off_t>(memory.size())) != 0)
-    if (errno != EINTR) return {Code::io_error, std::strerror(errno)};
-  return {};
-}
-
 }  // namespace
+
+Result<SharedMemory> SharedCollectives::make(std::size_t bytes, Place& place) {
+  Result<SharedMemory> memory = SharedMemory::create(bytes);
+  if (!memory.ok()) return memory;
+  // Without this a page that there is no memory for would end the rank that touches it first, however late.
+  while (::fallocate(memory->descriptor(), 0, 0, static_cast<off_t>(bytes)) != 0)
+    if (errno != EINTR) return Status(Code::io_error, std::strerror(errno));
+  std::random_device random;
+  place = {std::uint64_t{random()} << 32U | random(), ::getpid(), memory->descriptor()};
+  new (memory->writable().data()) Head{.mark = place.mark, .arrived = 0, .done = 0};
+  return memory;
+}
 
 std::optional<SharedCollectives> SharedCollectives::create(MPI_Comm comm, bool able) {
   int rank = 0;
@@ -41,28 +38,14 @@ std::optional<SharedCollectives> SharedCollectives::create(MPI_Comm comm, bool a
   if (size < 2 || size > kRanksMax) return std::nullopt;
   const std::size_t bytes = slot_offset(2 * static_cast<std::size_t>(size) + 1);
   // Rank 0 makes the memory, the others find it in /proc.
-  Result<SharedMemory> memory = SharedMemory();
-  std::array<std::uint64_t, 3> where{};  // process, descriptor, mark
-  if (rank == 0) {
-    memory = SharedMemory::create(bytes);
-    if (memory.ok())
-      if (Status status = reserve(*memory); !status.ok()) memory = std::move(status);
-    std::random_device random;
-    where = {static_cast<std::uint64_t>(::getpid()), 0, std::uint64_t{random()} << 32U | random()};
-    if (memory.ok()) {
-      where[1] = static_cast<std::uint64_t>(memory->descriptor());
-      new (memory->writable().data()) Head{.mark = where[2], .arrived = 0, .done = 0};
-    }
-  }
-  if (!agree(comm, memory.ok())) return std::nullopt;
-  MPI_Bcast(where.data(), 3, MPI_UINT64_T, 0, comm);
-  if (rank != 0) memory = SharedMemory::join(static_cast<int>(where[0]), static_cast<int>(where[1]), bytes);
-  if (memory.ok()) {
-    std::uint64_t mark = 0;
-    std::memcpy(&mark, memory->writable().data(), sizeof mark);
-    if (mark != where[2]) memory = Status(Code::io_error, "this is the memory of others");
-  }
-  if (!agree(comm, able && memory.ok())) return std::nullopt;
+  Place place;
+  Result<SharedMemory> memory = rank == 0 ? make(bytes, place) : SharedMemory();
+  MPI_Bcast(&place, sizeof place, MPI_BYTE, 0, comm);
+  if (rank != 0) memory = SharedMemory::join(place.process, place.descriptor, bytes);
+  if (memory.ok()) able &= head_of(*memory).mark == place.mark;
+  int all_able = able && memory.ok() ? 1 : 0;
+  MPI_Allreduce(MPI_IN_PLACE, &all_able, 1, MPI_INT, MPI_MIN, comm);
+  if (all_able == 0) return std::nullopt;
   return SharedCollectives(comm, std::move(*memory));
 }
 
@@ -131,12 +114,12 @@ void SharedCollectives::all_gather(std::span<const std::byte> local, Buffer<std:
     if (const std::size_t own = piece(size, sent); own > 0)
       std::memcpy(slot(rank_) + sizeof size, local.data() + sent, own);
     meet(false, [] {});
-    for (std::size_t r = 0; r < ranks && sent == 0; ++r) {
-      std::uint64_t theirs = 0;
-      std::memcpy(&theirs, slot(static_cast<int>(r)), sizeof theirs);
-      sizes[r] = theirs;
-    }
     if (sent == 0) {
+      for (std::size_t r = 0; r < ranks; ++r) {
+        std::uint64_t theirs = 0;
+        std::memcpy(&theirs, slot(static_cast<int>(r)), sizeof theirs);
+        sizes[r] = theirs;
+      }
       std::exclusive_scan(sizes.begin(), sizes.end(), starts.begin(), std::size_t{0});
       all.resize(starts.back() + sizes.back());
     }

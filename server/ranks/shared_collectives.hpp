@@ -3,9 +3,9 @@
 // where MPI's algorithms take several messages one after the other, each of which waits until its sender gets a core.
 //
 // Invariants
-// 1. Slots come in two sets that take turns. A rank writes into a set again only when all have arrived at the
-// collective
-//    between, so all have read what it held before.
+// 1. Slots come in two sets, used in turn. Before a rank writes into a set again, all have arrived at the round
+// between,
+//    so all have read what the set held.
 // 2. A rank that waits yields its core, and calls MPI now and then: MPI may still hold a part of a message that it
 //    reported as sent, and others may wait for that part.
 #pragma once
@@ -52,12 +52,23 @@ class SharedCollectives {
   };
   static_assert(std::atomic<std::uint64_t>::is_always_lock_free);
 
+  // Where the others find the memory that rank 0 has made.
+  struct Place {
+    std::uint64_t mark = 0;
+    int process = -1;
+    int descriptor = -1;
+  };
+
   SharedCollectives(MPI_Comm comm, SharedMemory memory);
 
-  Head& head() const { return *reinterpret_cast<Head*>(memory_.writable().data()); }
+  // Errors: io_error, and `place` stays as it was.
+  static Result<SharedMemory> make(std::size_t bytes, Place& place);
+  static Head& head_of(const SharedMemory& memory) { return *reinterpret_cast<Head*>(memory.writable().data()); }
+  Head& head() const { return head_of(memory_); }
   // This round's slot of a rank; behind those of the ranks follows the one for what is combined.
   std::byte* slot(int rank) const;
-  // Waits until all ranks have arrived, and one of them, the last or else the first rank, has called `combine`.
+  // Waits until all ranks have arrived and one of them, rank 0 if `first`, else the last to arrive, has called
+  // `combine`.
   template <typename Combine>
   void meet(bool first, Combine combine);
   void wait(const std::atomic<std::uint64_t>& count, std::uint64_t until) const;

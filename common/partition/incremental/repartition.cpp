@@ -8,7 +8,6 @@
 #include "common/partition/incremental/classify_interior.hpp"
 #include "common/partition/incremental/search_roots.hpp"
 #include "common/partition/search/build_tree.hpp"
-#include "common/partition/search/outermost.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -119,7 +118,6 @@ class Repartitioning {
     for (std::size_t k = 0; k < result_.delta.slot.size() && !whole; ++k)
       part[result_.delta.slot[k]] = result_.delta.part[k];
     std::optional<LargeSetSample> large;
-    SortedSample sample;
     if (whole && may_sample(options_) && !scale_ && is_large(n_, comm_.size(), options_.limits.guess))
       large = sample_large_set(comm_, particles_, options_, false, result_.reductions);
     PartitionResult found;
@@ -127,13 +125,9 @@ class Repartitioning {
       const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
       found = search_roots(comm_, particles_, options_, start);
     } else {
-      PartitionResult spent;
-      if (large) sample = SortedSample(large->sample);
-      if (large) gather_outermost_if_open(comm_, particles_, options_, large->stride, sample, spent);
-      found = (large ? TreeBuilder(comm_, particles_, options_, sample)
+      found = (large ? TreeBuilder(comm_, particles_, options_, SortedSample(large->sample), large->stride)
                      : TreeBuilder(comm_, particles_, options_, particles_.dims))
                   .build();
-      result_.reductions += spent.reductions;
       part = std::move(found.part);
     }
     tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });

@@ -56,10 +56,12 @@ class TreeBuilder {
   // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
   // Begins with buckets; no particle has a weight, and what was sampled, of all of them, must outlive this.
+  //   stride  one particle of so many was sampled
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-              const SortedSample& sample)
+              SortedSample sample, std::uint64_t stride)
       : TreeBuilder(comm, particles, options, particles.dims) {
-    sample_ = sample;
+    sample_ = std::move(sample);
+    stride_ = stride;
   }
   // `start` must outlive this.
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
@@ -95,9 +97,10 @@ class TreeBuilder {
   };
 
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
-  // one reduction).
+  // one reduction, and one gather).
   bool find_bounds();
-  // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected.
+  // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
+  // sample (at most one gather).
   geometry::Box own_box();
   bool sampled() const { return sample_.all().size() > 0; }
   bool bucketed() const { return !splitters_.expected.empty(); }
@@ -152,6 +155,7 @@ class TreeBuilder {
   std::size_t q_axes_;  // coordinates in a quantised point
   const Start* start_ = nullptr;
   SortedSample sample_;  // empty: no buckets are made from a sample
+  std::uint64_t stride_ = 1;
   Splitters splitters_;
   // Of each particle; empty: there are none. Those of a sample take the last quarter of the parts' memory until these
   // are written.

@@ -7,6 +7,7 @@
 #include "common/base/random.hpp"
 #include "common/comm/wide_sum.hpp"
 #include "common/partition/search/build_tree.hpp"
+#include "common/partition/search/outermost.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -37,6 +38,7 @@ geometry::Box TreeBuilder::own_box() {
   result_.traffic.bytes +=
       particles_.count * at(axes_) * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
   if (sampled()) {
+    gather_outermost_if_open(comm_, particles_, options_, stride_, sample_, result_);
     splitters_ = find_splitters(sample_, options_, axes_);
     result_.part.resize(particles_.count);
     auto* const bytes = reinterpret_cast<std::uint8_t*>(result_.part.data());
