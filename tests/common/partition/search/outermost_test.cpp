@@ -3,9 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
 #include "common/comm/self_comm.hpp"
+#include "common/partition/partition.hpp"
 #include "common/partition/search/sample.hpp"
 
 namespace rcb::partition {
@@ -89,6 +91,22 @@ TEST(Outermost, AreLeftWhereTheyDecideNothingOrWouldBeMany) {
   EXPECT_FALSE(gathered(cube, options));
   options.axis_hysteresis = 1;
   EXPECT_TRUE(gathered(cube, options));
+}
+
+// One pass for the bounds of all particles and their buckets, one that quantises them; in a cube one more before.
+TEST(Outermost, AreGatheredBeforeParticlesAreSortedIntoBuckets) {
+  if (!has_avx2()) GTEST_SKIP() << "no buckets without AVX2";
+  comm::SelfComm self;
+  PartitionOptions options;
+  options.parts = 16;
+  options.limits.guess.count_min = 1;
+  options.limits.guess.bucketed_min = 1;
+  for (const auto& [longest, passes] : {std::pair{1.0, 3U}, std::pair{8.0, 2U}}) {
+    const particles::ParticleSet set = uniform(20'000, {longest, 1, 1}, 3);
+    const auto result = partition(self, set.view(), options);
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(result->traffic.reads, passes * set.count());
+  }
 }
 
 }  // namespace
