@@ -20,6 +20,7 @@
 #include "server/program/job.hpp"
 #include "server/program/rank.hpp"
 #include "server/ranks/mpi_session.hpp"
+#include "server/ranks/shared_collectives.hpp"
 
 namespace rcb::server {
 namespace {
@@ -95,7 +96,8 @@ int run(int argc, char** argv) {
   CHECK(no_skip.ok(), no_skip.status().message());
   if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
   if (!mpi->shares_memory() && mpi->rank() == 0)
-    spdlog::info("ranks of a machine can't share memory, so their reductions are messages of MPI, which take longer");
+    spdlog::info("some machine's ranks can't share memory, or are more than {}: sums over ranks take longer, by MPI",
+                 ranks::SharedCollectives::kRanksMax);
   const Hosts hosts = find_hosts(*mpi);
   if (hosts.several)
     set_log_pattern(fmt::format("{} rank {}", hosts.ranks[static_cast<std::size_t>(mpi->rank())].host, mpi->rank()));

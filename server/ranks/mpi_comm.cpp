@@ -59,8 +59,8 @@ void MpiComm::find_machines() {
     shared_ = SharedCollectives::create(machine_.comm, everyone_.rank != ways_.rank_without_memory);
   std::uint64_t all_share = shared_ || machine_.size == 1 ? 1 : 0;
   reduce_among(everyone_, {&all_share, 1}, MPI_MIN, "MPI_Allreduce (shared memory)");
-  hierarchical_ = all_share == 1;
-  if (!hierarchical_) shared_.reset();
+  shares_memory_ = all_share == 1;
+  if (!shares_memory_) shared_.reset();
 }
 
 MpiComm::~MpiComm() {
@@ -84,7 +84,7 @@ void MpiComm::must(int result, const char* name) const {
 }
 
 void MpiComm::reduce(std::span<std::uint64_t> values, MPI_Op operation, const char* name) {
-  if (!hierarchical_) return reduce_among(everyone_, values, operation, name);
+  if (!shares_memory_) return reduce_among(everyone_, values, operation, name);
   if (!shared_) return reduce_among(leaders_, values, operation, name);
   if (leaders_.size == 1) return shared_->reduce(values, operation);
   shared_->reduce(values, operation,

@@ -73,7 +73,7 @@ class MpiComm final : public comm::Comm {
                 std::span<const std::span<std::byte>> receive) override;
   void barrier() override;
   // Whether every machine's ranks share memory. The same on all ranks. Local.
-  bool shares_memory() const { return hierarchical_; }
+  bool shares_memory() const { return shares_memory_; }
   // Sends on what MPI still holds of messages that it has taken for sent. Local.
   void progress();
 
@@ -111,7 +111,7 @@ class MpiComm final : public comm::Comm {
   Group leaders_;  // the first rank of each machine; on all others only its size is right
   Ways ways_;
   std::optional<SharedCollectives> shared_;              // among the ranks of this machine
-  bool hierarchical_ = false;                            // every machine's ranks share memory
+  bool shares_memory_ = false;                           // every machine's ranks share memory
   static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
 };
 

@@ -54,7 +54,7 @@ class SharedMemory(Refusals, ServiceTest):
             return client.ask("assign", scene=scene)[1]
 
     def mappings(self):
-        """Of memfds, in the ranks; and their descriptors."""
+        """Of memfds, in the ranks, those that these share with each other among them; and their descriptors."""
         maps = descriptors = 0
         for rank in self.service.processes("rcbd"):
             with open(f"/proc/{rank}/maps") as file:
@@ -376,6 +376,7 @@ class SharedMemory(Refusals, ServiceTest):
         self.settles((maps, descriptors))
 
     def test_what_all_clients_share_together_is_limited(self):
+        before = self.at_rest()
         with contextlib.ExitStack() as stack:
             shared, status = 0, None
             bulk = memfd(2**30)  # takes no memory
@@ -399,7 +400,7 @@ class SharedMemory(Refusals, ServiceTest):
             with Client(self.path) as other:  # who goes on as ever
                 other.ask("scene.create", scene="beside", parts=3)
                 self.assertEqual(other.push("beside", 0, self.walk[0])[0]["report"]["n"], len(self.walk[0]))
-        self.assertTrue(wait_for(lambda: self.mappings()[0] == 0))
+        self.settles(before)
 
     def test_a_solver_that_scribbles_while_it_pushes_harms_itself_alone(self):
         n = 400

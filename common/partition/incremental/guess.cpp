@@ -53,6 +53,7 @@ class SampleWalk {
       root.leaves = kGuessLeaves - leaves - others;
       const int before = leaves_;
       const auto in_root = [&](std::uint32_t k) { return part[k] >= root.range.first && part[k] < root.range.last; };
+      // This range has none of the outermost particles, so it does not matter where these would be divided.
       const Range own = part.empty() ? sorted_.all() : sorted_.divide({first, sample_.count()}, 0, 0, in_root).left;
       first = own.last;
       visit(root, own);
@@ -124,7 +125,7 @@ class SampleWalk {
     if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
     const AxisOrder axes = order_of(node, own);
     const auto a = at(axes[0]);
-    // A wrong axis costs a search of its node, and at the root a search of everything.
+    // A wrong axis costs a search of its node, which at the root is a search of everything. So there it must be sure.
     const bool known = node.range.node != 0 || node.known != nullptr || sorted_.has_outermost();
     const OpenOrder open = known ? OpenOrder{} : open_order(sorted_, axes, options_.limits.guess.overhang);
     const Bracket bracket = bracket_of(node, own, axes, sigmas_of(node, axes));
