@@ -117,15 +117,14 @@ class FirstPartition {
 
   // The exact boxes of the roots' particles, on all ranks. Collective (one reduction).
   void measure_roots(const OwnInterior& own, std::span<const std::int32_t> part, const Interior& interior) {
+    // All of space is each part's inner region: so this finds the boxes of the boundary particles' parts.
+    const std::vector<Box> anywhere(at(options_.parts), Box::unbounded());
+    const OwnInterior found =
+        classify_interior(own.view(particles_), nullptr, part, anywhere, {0, options_.parts}, part.size());
     boxes_.clear();
-    for (const NodeRange& root : roots_) boxes_.push_back(interior.box(root.first, root.last));
-    const std::vector<std::int32_t> root_of = roots_of_parts(roots_, options_.parts);
-    for (std::size_t k = 0; k < part.size(); ++k) {
-      const std::int32_t root = root_of[at(part[k])];
-      if (root == Roots::kNone) continue;
-      geometry::Point position{};
-      for (std::size_t a = 0; a < at(axes()); ++a) position[a] = own.boundary.position[a][k];
-      boxes_[at(root)].extend(position, axes());
+    for (const NodeRange& root : roots_) {
+      Box& box = boxes_.emplace_back(interior.box(root.first, root.last));
+      for (int p = root.first; p < root.last; ++p) box.extend(found.boxes[at(p)]);
     }
     extend_by_all(comm_, boxes_, axes());
     ++result_.reductions;
