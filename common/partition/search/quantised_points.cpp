@@ -68,16 +68,21 @@ struct BucketOf {
 template <typename Group>
 struct ByGroup {
   Group group;  // of each particle; 0: none
-  // By group; those of none all go to one place behind the last group's.
+  // By group, two: particles of even number follow each other from its begin on, odd ones from its end backwards, so that
+  // a particle need not wait for the one before it. Those of no group all go to one place behind the last group's.
   std::vector<QuantisedPoint*> cursor;
-  static constexpr std::uintptr_t kAhead = 8 * sizeof(QuantisedPoint);
+  static constexpr std::intptr_t kAhead = 8 * sizeof(QuantisedPoint);
   QuantisedPoint* next(std::size_t i) {
     const std::size_t own = group(i);
-    QuantisedPoint*& at = cursor[own];
+    const bool odd = i % 2 != 0;
+    const auto step = static_cast<std::ptrdiff_t>(own != 0);
+    QuantisedPoint*& at = cursor[2 * own + (odd ? 1 : 0)];
+    if (odd) at -= step;
     QuantisedPoint* const point = at;
-    // The processor sees no pattern in so many places. The address may lie beyond the last point: it isn't read.
-    __builtin_prefetch(reinterpret_cast<const void*>(reinterpret_cast<std::uintptr_t>(point) + kAhead), 1);
-    at += static_cast<std::ptrdiff_t>(own != 0);
+    if (!odd) at += step;
+    // The processor sees no pattern in so many places. The address may lie beyond the points: it isn't read.
+    const auto ahead = reinterpret_cast<std::intptr_t>(point) + (odd ? -kAhead : kAhead);
+    __builtin_prefetch(reinterpret_cast<const void*>(ahead), 1);
     return point;
   }
 };
@@ -273,8 +278,10 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
       const std::vector<std::size_t> counts = count_groups(group, groups + 1, count);
       std::partial_sum(counts.begin() + 1, counts.end(), std::back_inserter(chunk.ends));
       chunk.points.resize(chunk.ends.back() + 1);
-      std::vector<QuantisedPoint*> cursor{chunk.points.data() + chunk.ends.back(), chunk.points.data()};
-      for (std::size_t g = 1; g < groups; ++g) cursor.push_back(chunk.points.data() + chunk.ends[g - 1]);
+      QuantisedPoint* const points = chunk.points.data();
+      std::vector<QuantisedPoint*> cursor{points + chunk.ends.back(), points + chunk.ends.back()};
+      for (std::size_t g = 0; g < groups; ++g)
+        cursor.insert(cursor.end(), {points + (g == 0 ? 0 : chunk.ends[g - 1]), points + chunk.ends[g]});
       fill(particles, axes, first, count, maps, ByGroup{group, std::move(cursor)}, check_lossless, lossless);
     };
     if (!bucket.empty()) {
