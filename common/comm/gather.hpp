@@ -37,6 +37,12 @@ Buffer<T> all_gather_few_values(Comm& comm, std::span<const T> mine) {
   return bytes.release_as<T>();
 }
 
+// Rank 0's values, which are few, on every rank. Collective.
+template <typename T>
+Buffer<T> values_of_first(Comm& comm, std::span<const T> mine) {
+  return all_gather_few_values(comm, comm.rank() == 0 ? mine : std::span<const T>());
+}
+
 // Every rank's values on rank 0; nothing elsewhere. Collective.
 template <typename T>
 Buffer<T> gather_values(Comm& comm, std::span<const T> mine) {

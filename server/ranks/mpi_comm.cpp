@@ -240,15 +240,24 @@ void MpiComm::gather(std::span<const std::byte> local, int root, Buffer<std::byt
   const std::uint64_t mine = local.size();
   std::vector<std::uint64_t> shares(here ? ranks : 0, mine);
   std::vector<MPI_Request> requests;
-  // Straight to the root, as the bytes that follow: on MPI_Gather's way through other ranks they would wait.
-  for (int r = 0; here && r < everyone_.size; ++r)
-    if (r != root)
-      start_receive(std::as_writable_bytes(std::span(shares).subspan(static_cast<std::size_t>(r), 1)), r, requests);
-  if (here)
-    finish(requests, "MPI_Waitall (gather)");
-  else
-    start_send(std::as_bytes(std::span(&mine, 1)), root, requests);
   all.clear();
+  if (shared_ && leaders_.size == 1) {
+    Buffer<std::byte> told;
+    shared_->all_gather(std::as_bytes(std::span(&mine, 1)), told, sizes);
+    const Buffer<std::uint64_t> of_ranks = told.release_as<std::uint64_t>();
+    if (std::accumulate(of_ranks.begin(), of_ranks.end(), std::uint64_t{0}) <= kSharedGatherBytes)
+      return shared_->all_gather(local, all, sizes, here);
+    if (here) shares.assign(of_ranks.begin(), of_ranks.end());
+  } else {
+    // Straight to the root, as the bytes that follow: on MPI_Gather's way through other ranks they would wait.
+    for (int r = 0; here && r < everyone_.size; ++r)
+      if (r != root)
+        start_receive(std::as_writable_bytes(std::span(shares).subspan(static_cast<std::size_t>(r), 1)), r, requests);
+    if (here)
+      finish(requests, "MPI_Waitall (gather)");
+    else
+      start_send(std::as_bytes(std::span(&mine, 1)), root, requests);
+  }
   sizes.assign(shares.begin(), shares.end());
   if (here) {
     requests.clear();

@@ -113,6 +113,8 @@ class MpiComm final : public comm::Comm {
   std::optional<SharedCollectives> shared_;              // among the ranks of this machine
   bool shares_memory_ = false;                           // every machine's ranks share memory
   static constexpr std::size_t kEagerBytes = 32 * 1024;  // first message of all_gather, all ranks together
+  // Gathers of so many bytes, all ranks together, go through shared memory where that is possible.
+  static constexpr std::size_t kSharedGatherBytes = std::size_t{2} << 20U;
 };
 
 }  // namespace rcb::ranks

@@ -101,7 +101,7 @@ void SharedCollectives::reduce(std::span<std::uint64_t> values, MPI_Op operation
 }
 
 void SharedCollectives::all_gather(std::span<const std::byte> local, Buffer<std::byte>& all,
-                                   std::vector<std::size_t>& sizes) {
+                                   std::vector<std::size_t>& sizes, bool wanted) {
   static constexpr std::size_t kRoom = kSlotBytes - sizeof(std::uint64_t);
   const auto ranks = static_cast<std::size_t>(size_);
   const auto piece = [](std::size_t size, std::size_t sent) { return std::min(kRoom, size - std::min(size, sent)); };
@@ -121,14 +121,15 @@ void SharedCollectives::all_gather(std::span<const std::byte> local, Buffer<std:
         sizes[r] = theirs;
       }
       std::exclusive_scan(sizes.begin(), sizes.end(), starts.begin(), std::size_t{0});
-      all.resize(starts.back() + sizes.back());
+      all.resize(wanted ? starts.back() + sizes.back() : 0);
     }
-    for (std::size_t r = 0; r < ranks; ++r)
+    for (std::size_t r = 0; r < ranks && wanted; ++r)
       if (const std::size_t theirs = piece(sizes[r], sent); theirs > 0)
         std::memcpy(all.data() + starts[r] + sent, slot(static_cast<int>(r)) + sizeof(std::uint64_t), theirs);
     ++round_;
     sent += kRoom;
   } while (sent < std::ranges::max(sizes));
+  if (!wanted) sizes.clear();
 }
 
 }  // namespace rcb::ranks

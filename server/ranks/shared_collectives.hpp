@@ -41,7 +41,9 @@ class SharedCollectives {
   //   between  called on rank 0 alone, with what all have reduced, before they get it; empty: nothing happens between
   void reduce(std::span<std::uint64_t> values, MPI_Op operation,
               const std::function<void(std::span<std::uint64_t>)>& between = {});
-  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes);
+  //   wanted  false: this rank gets nothing, `all` and `sizes` come back empty
+  void all_gather(std::span<const std::byte> local, Buffer<std::byte>& all, std::vector<std::size_t>& sizes,
+                  bool wanted = true);
 
  private:
   // At the beginning of the memory; the slots follow.

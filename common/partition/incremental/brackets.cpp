@@ -70,7 +70,7 @@ class BracketGuess {
     const Guess guess = cut.right_empty ? Guess{} : guess_cut(range, own, axis, cut.key.at[0], wanted);
     if (number < Splitters::kNodes) {
       const RoundedAxes& rounded = out_.splitters.rounded;
-      out_.splitters.expected[at(range.node)] = {cut.axes[0], guess.lo, guess.hi};
+      out_.splitters.expected[number] = {cut.axes[0], guess.lo, guess.hi};
       out_.splitters.nodes[number] = {rounded(axis, guess.lo), rounded(axis, guess.hi), cut.axes[0]};
     }
     geometry::Box left = inner;
@@ -163,7 +163,6 @@ InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& part
                                      {.parts = true}, part.data());
   InnerRegions found;
   found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
-  found.splitters.expected.resize(at(tree.parts) - 1);
   BracketGuess walk(tree, loads, own, limits, sample, found);
   for (const NodeRange& root : roots) walk.visit_root(root);
   return found;

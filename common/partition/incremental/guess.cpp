@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
 #include "common/partition/search/outermost.hpp"
 #include "common/partition/search/split_rule.hpp"
 
@@ -293,16 +294,48 @@ class SampleWalk {
   std::vector<Keyed> keys_;
 };
 
+Guess no_guess(const CutTree& tree) {
+  Guess guess;
+  guess.tree = tree;
+  guess.ends.assign(tree.cuts.size(), 0);
+  guess.brackets.resize(tree.cuts.size());
+  guess.inner.assign(at(tree.parts), Box::unbounded());
+  guess.seen.resize(at(tree.parts));
+  return guess;
+}
+
 }  // namespace
 
 Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below) {
-  Guess guess;
-  guess.tree = below.tree;
-  guess.ends.assign(guess.tree.cuts.size(), 0);
-  guess.brackets.resize(guess.tree.cuts.size());
-  guess.inner.assign(at(options.parts), Box::unbounded());
-  guess.seen.resize(at(options.parts));
+  Guess guess = no_guess(below.tree);
   SampleWalk(sample, options, guess).run(below);
+  return guess;
+}
+
+Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options,
+                  const GuessRoots& below) {
+  Guess guess = comm.rank() == 0 ? guess_cuts(sample, options, below) : no_guess(below.tree);
+  std::array<std::uint8_t, 2> sizes{guess.found ? std::uint8_t{1} : std::uint8_t{0}, static_cast<std::uint8_t>(guess.open.size())};
+  // What a guess consists of, as bytes; `open` once its size is known.
+  const auto for_each_array = [&](const auto& visit) {
+    visit(std::as_writable_bytes(std::span(sizes)));
+    guess.open.resize(sizes[1]);
+    visit(std::as_writable_bytes(std::span(guess.tree.cuts)));
+    visit(std::as_writable_bytes(std::span(guess.ends)));
+    visit(std::as_writable_bytes(std::span(guess.brackets)));
+    visit(std::as_writable_bytes(std::span(guess.inner)));
+    visit(std::as_writable_bytes(std::span(guess.seen)));
+    visit(std::as_writable_bytes(std::span(guess.open)));
+  };
+  std::vector<std::byte> mine;
+  for_each_array([&](std::span<const std::byte> bytes) { mine.insert(mine.end(), bytes.begin(), bytes.end()); });
+  const Buffer<std::byte> all = comm::values_of_first<std::byte>(comm, mine);
+  const std::byte* next = all.begin();
+  for_each_array([&](std::span<std::byte> bytes) {
+    std::copy_n(next, bytes.size(), bytes.begin());
+    next += bytes.size();
+  });
+  guess.found = sizes[0] != 0;
   return guess;
 }
 

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/comm/comm.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
@@ -44,5 +45,9 @@ struct GuessRoots {
 // Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
 // Local.
 Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below);
+
+// The guess of rank 0, which alone has a sample, on every rank. Collective (one gather).
+Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options,
+                  const GuessRoots& below);
 
 }  // namespace rcb::partition

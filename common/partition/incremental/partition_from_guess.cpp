@@ -54,10 +54,13 @@ class FirstPartition {
   // nothing was cut: each root's particles still have parts of that root. Collective.
   bool cut_by_guess(bool first) {
     const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
-    Guess guess = guess_cuts(sample_, options_, below);
+    Guess guess = share_guess(comm_, sample_, options_, below);
+    ++result_.reductions;
     if (first && !guess.open.empty() &&
-        gather_outermost(comm_, particles_, std::move(guess.open), large_.stride, sample_, result_))
-      guess = guess_cuts(sample_, options_, below);
+        gather_outermost(comm_, particles_, std::move(guess.open), large_.stride, sample_, result_)) {
+      guess = share_guess(comm_, sample_, options_, below);
+      ++result_.reductions;
+    }
     if (!guess.found) return false;
 
     // The most boundary particles among `count`: 1.5 times the share that the guess was allowed.

@@ -21,7 +21,7 @@ bool may_guess(const PartitionOptions& options);
 
 // nullopt, on all ranks, if no cut of the root was found. `options` must be valid, and allow a guess. Collective.
 //   large    of all particles
-//   sample   its sample; is given the outermost particles where they are looked for
+//   sample   its sample, on rank 0; is given the outermost particles where they are looked for
 //   in_vain  `reductions` so far; if nothing came of it, also those and the `traffic` of what was tried
 std::optional<PartitionResult> partition_from_guess(comm::Comm& comm, const particles::ParticleView& particles,
                                                     const PartitionOptions& options, const LargeSetSample& large,

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
 #include "common/comm/wide_sum.hpp"
 
 namespace rcb::partition {
@@ -79,6 +80,7 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
     stopped_ = go_on && !go_on();
     if (stopped_) break;
     order_axes();
+    if (sampled()) expect_other_axes();
     wanted.clear();
     for (const Node& node : level_) wanted.push_back(request_of(node));
     split(wanted, selector.select(wanted));
@@ -203,21 +205,38 @@ CutRequest TreeBuilder::request_of(const Node& node) {
     wanted.rank = rule_.quota(first, node.range.middle());
   }
   if (interior_ != nullptr) add_interior(node.range, wanted);
-  if (bucketed()) wanted.expected = expected_in(node, wanted.rank);
+  if (bucketed()) wanted.expected = expected_in(node);
   wanted.search = !wanted.unanswerable && !node.bounds.empty() && (scale_ || wanted.rank < wanted.below + wanted.count);
   return wanted;
 }
 
-std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& node, std::uint64_t rank) const {
-  ExpectedCut expected = splitters_.expected[at(node.range.node)];
-  if (expected.axis < 0 || node.coincident || node.bounds.empty()) return std::nullopt;
-  const auto axis = at(node.axes[0]);
-  if (expected.axis != node.axes[0]) {
-    if (node.sampled.size() == 0) return std::nullopt;
-    expected = expect_cut(sample_, node.sampled, node.axes[0],
-                          static_cast<double>(rank) / static_cast<double>(node.count), options_.limits);
+void TreeBuilder::expect_other_axes() {
+  std::vector<std::size_t> others;
+  for (std::size_t n = 0; n < level_.size(); ++n) {
+    const Node& node = level_[n];
+    if (node.number >= Splitters::kNodes || node.coincident || node.bounds.empty()) continue;
+    const int axis = splitters_->expected[node.number].axis;
+    if (axis >= 0 && axis != node.axes[0]) others.push_back(n);
   }
-  if (expected.anywhere()) return std::nullopt;
+  if (others.empty()) return;
+  std::vector<ExpectedCut> own;
+  for (const std::size_t n : others) {
+    if (comm_.rank() != 0) break;
+    const Node& node = level_[n];
+    const double rank = static_cast<double>(rule_.quota(node.range.first, node.range.middle()));
+    own.push_back(
+        expect_cut(sample_, node.sampled, node.axes[0], rank / static_cast<double>(node.count), options_.limits));
+  }
+  const Buffer<ExpectedCut> found = comm::values_of_first<ExpectedCut>(comm_, own);
+  ++result_.reductions;
+  for (std::size_t k = 0; k < others.size(); ++k) splitters_->expected[level_[others[k]].number] = found[k];
+}
+
+std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& node) const {
+  if (node.number >= Splitters::kNodes || node.coincident || node.bounds.empty()) return std::nullopt;
+  const ExpectedCut& expected = splitters_->expected[node.number];
+  if (expected.axis != node.axes[0] || expected.anywhere()) return std::nullopt;
+  const auto axis = at(expected.axis);
   const auto integer = [&](double x) { return maps_[axis](std::clamp(x, lo_[axis], hi_[axis])); };
   const std::int32_t lo = std::max(integer(expected.least), node.bounds.lo[axis]);
   const std::int32_t hi = std::min(integer(expected.most), node.bounds.hi[axis]);
@@ -314,7 +333,9 @@ void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutF
     right.count = node.count - left.count;
     right.weight = node.weight - left.weight;
     left.bounds = right.bounds = QBounds{};
-    if (sampled() && splitters_.expected[at(node.range.node)].axis >= 0 && !cut.right_empty) {
+    left.number = 2 * node.number + 1;
+    right.number = left.number + 1;
+    if (node.sampled.size() > 0 && right.number < Splitters::kNodes && !cut.right_empty) {
       const auto axis = at(cut.axes[0]);
       const SortedSample::Halves halves =
           sample_.split(node.sampled, axis, sample_.below(node.sampled, axis, cut.key.at[0]));

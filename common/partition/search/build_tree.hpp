@@ -55,7 +55,8 @@ class TreeBuilder {
  public:
   // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
-  // Begins with buckets; no particle has a weight, and what was sampled, of all of them, must outlive this.
+  // Begins with buckets; no particle has a weight.
+  //   sample  on rank 0, of all particles; what was sampled must outlive this. Elsewhere ignored.
   //   stride  one particle of so many was sampled
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
               SortedSample sample, std::uint64_t stride)
@@ -83,7 +84,8 @@ class TreeBuilder {
     NodeRange range;
     std::size_t spans_first = 0;  // its spans: [spans_first, spans_last) of the level's
     std::size_t spans_last = 0;
-    SortedSample::Range sampled;  // its sampled particles
+    std::size_t number = 0;       // among the splitters, if the root has number 0
+    SortedSample::Range sampled;  // its sampled particles, on rank 0
     // Of the quantised points of all ranks.
     std::uint64_t count = 0;  // without weights
     u128 weight = 0;          // with weights
@@ -100,10 +102,10 @@ class TreeBuilder {
   // one reduction, and one gather).
   bool find_bounds();
   // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
-  // sample (at most one gather).
+  // sample (at most three gathers).
   geometry::Box own_box();
-  bool sampled() const { return sample_.all().size() > 0; }
-  bool bucketed() const { return !splitters_.expected.empty(); }
+  bool sampled() const { return stride_ > 0; }
+  bool bucketed() const { return splitters_.has_value(); }
   bool knows_bounds() const { return level_.size() == 1 || !start_->boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
@@ -143,8 +145,10 @@ class TreeBuilder {
   std::span<Span> spans_of(const Node& node) {
     return std::span(spans_).subspan(node.spans_first, node.spans_last - node.spans_first);
   }
+  // Where the cuts of nodes are expected whose axis isn't that of the sample's cut. Collective (at most one gather).
+  void expect_other_axes();
   // Where the key's first integer is expected, if that is known.
-  std::optional<std::array<std::int32_t, 2>> expected_in(const Node& node, std::uint64_t rank) const;
+  std::optional<std::array<std::int32_t, 2>> expected_in(const Node& node) const;
   // Turns this rank's bounds of these nodes into those of all ranks. Collective.
   void reduce_bounds(std::span<Node> nodes);
 
@@ -154,9 +158,9 @@ class TreeBuilder {
   int axes_;
   std::size_t q_axes_;  // coordinates in a quantised point
   const Start* start_ = nullptr;
-  SortedSample sample_;  // empty: no buckets are made from a sample
-  std::uint64_t stride_ = 1;
-  Splitters splitters_;
+  SortedSample sample_;       // on rank 0
+  std::uint64_t stride_ = 0;  // 0: no buckets are made from a sample
+  std::optional<Splitters> splitters_;
   // Of each particle; empty: there are none. Those of a sample take the last quarter of the parts' memory until these
   // are written.
   std::span<std::uint8_t> bucket_;

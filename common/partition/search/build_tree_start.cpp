@@ -39,7 +39,8 @@ geometry::Box TreeBuilder::own_box() {
       particles_.count * at(axes_) * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
   if (sampled()) {
     gather_outermost_if_open(comm_, particles_, options_, stride_, sample_, result_);
-    splitters_ = find_splitters(sample_, options_, axes_);
+    splitters_ = share_splitters(comm_, sample_, options_, axes_);
+    ++result_.reductions;
     result_.part.resize(particles_.count);
     auto* const bytes = reinterpret_cast<std::uint8_t*>(result_.part.data());
     bucket_ = {bytes + particles_.count * (sizeof(std::int32_t) - 1), particles_.count};
@@ -50,7 +51,7 @@ geometry::Box TreeBuilder::own_box() {
   }
   if (bucketed()) {
     result_.traffic.bytes += bucket_.size();
-    return sort_into_buckets(particles_, splitters_, bucket_);
+    return sort_into_buckets(particles_, *splitters_, bucket_);
   }
   geometry::Box box;
   for (std::size_t a = 0; a < at(axes_); ++a) {
@@ -225,7 +226,7 @@ void TreeBuilder::lay_out_roots() {
     writer_.use_buckets(bucket_, options_.limits.chunk_max);
     std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
     level_[0].spans_last = spans_.size();
-    level_[0].sampled = sample_.all();  // none without a sample
+    level_[0].sampled = sample_.all();
   } else if (knows_bounds()) {
     return;
   }

@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
 #include "common/partition/balance/load.hpp"
 
 namespace rcb::partition {
@@ -74,6 +75,15 @@ double left_share(const PartitionOptions& options) {
   return quotient(left, std::accumulate(middle, sizes.end(), left));
 }
 
+// The boxes of a sample's particles on either side of the root's cut, if the longest axis is open; else none.
+std::vector<Box> boxes_if_open(SortedSample sample, const PartitionOptions& options, int dims) {
+  const AxisOrder axes = geometry::order_by_extent(sample.extents(sample.all()), dims);
+  if (!open_order(sample, axes, options.limits.guess.overhang).first) return {};
+  const auto left = static_cast<std::size_t>(left_share(options) * static_cast<double>(sample.all().size()));
+  const SortedSample::Halves halves = sample.split(sample.all(), at(axes[0]), left);
+  return {sample.box(halves.left), sample.box(halves.right)};
+}
+
 }  // namespace
 
 OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double overhang) {
@@ -96,7 +106,7 @@ bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles
                       std::uint64_t stride, SortedSample& sample, PartitionResult& spent) {
   if (stride > kGatherStrideMax) return false;
   const std::uint64_t most = kGatheredStridesMax * boxes.size() * (stride + 64);
-  sample.set_outermost(share_sample(comm, particles, slots_beyond(particles, std::move(boxes), most), {}));
+  sample.set_outermost(gather_sample(comm, particles, slots_beyond(particles, std::move(boxes), most), {}));
   ++spent.reductions;
   spent.traffic += {particles.count, particles.count * at(particles.dims) * sizeof(double)};
   return true;
@@ -108,12 +118,10 @@ void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& p
   // Hysteresis decides where extents hardly differ.
   const bool kept = options.previous != nullptr && options.axis_hysteresis > 1;
   if (sample.has_outermost() || kept || options.method != Method::rcb) return;
-  const AxisOrder axes = geometry::order_by_extent(sample.extents(sample.all()), particles.dims);
-  if (!open_order(sample, axes, options.limits.guess.overhang).first) return;
-  SortedSample divided = sample;
-  const auto left = static_cast<std::size_t>(left_share(options) * static_cast<double>(sample.all().size()));
-  const SortedSample::Halves halves = divided.split(divided.all(), at(axes[0]), left);
-  gather_outermost(comm, particles, {divided.box(halves.left), divided.box(halves.right)}, stride, sample, spent);
+  const std::vector<Box> own = comm.rank() == 0 ? boxes_if_open(sample, options, particles.dims) : std::vector<Box>();
+  const Buffer<Box> boxes = comm::values_of_first<Box>(comm, own);
+  ++spent.reductions;
+  if (boxes.size() > 0) gather_outermost(comm, particles, {boxes.begin(), boxes.end()}, stride, sample, spent);
 }
 
 }  // namespace rcb::partition

@@ -24,12 +24,12 @@ OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double o
 
 // Gives a sample all particles that lie outside of all these boxes; false if they are likely to be too many. Adds what
 // it costs to `spent`. Collective (at most one gather). Reads every position once.
-//   boxes   of its particles on either side of the root's expected cut
+//   boxes   of its particles on either side of the root's expected cut; the same on all ranks
 //   stride  one particle of so many was sampled
 bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<geometry::Box> boxes,
                       std::uint64_t stride, SortedSample& sample, PartitionResult& spent);
 
-// The same where the sample leaves the longest axis open, unless that is done already. Collective (at most one gather).
+// The same where the sample leaves the longest axis open, unless that is done already. Collective (at most two gathers).
 void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& particles,
                               const PartitionOptions& options, std::uint64_t stride, SortedSample& sample,
                               PartitionResult& spent);

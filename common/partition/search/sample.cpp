@@ -15,8 +15,12 @@ std::vector<std::size_t> pick(std::size_t count, std::uint64_t stride) {
   return slots;
 }
 
-Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
-                    const SampleFields& fields, const std::int32_t* part) {
+namespace {
+
+// gather: of bytes, collective.
+template <typename Gather>
+Sample sample_of(const particles::ParticleView& particles, std::span<const std::size_t> slots,
+                 const SampleFields& fields, const std::int32_t* part, const Gather& gather) {
   const auto axes = static_cast<std::size_t>(particles.dims);
   // The message holds one array after the other.
   const std::size_t bytes_of_one = axes * sizeof(double) + (fields.weights ? sizeof(double) : 0) +
@@ -36,7 +40,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
   if (fields.parts) send(part, std::int32_t{0});
   Buffer<std::byte> all;
   std::vector<std::size_t> sizes;
-  comm.all_gather(mine.span(), all, sizes);
+  gather(mine.span(), all, sizes);
 
   Sample sample;
   sample.particles.dims = particles.dims;
@@ -58,6 +62,18 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
     begin += count;
   }
   return sample;
+}
+
+}  // namespace
+
+Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
+                    const SampleFields& fields, const std::int32_t* part) {
+  return sample_of(particles, slots, fields, part, [&](auto mine, auto& all, auto& sizes) { comm.all_gather(mine, all, sizes); });
+}
+
+Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
+                     const SampleFields& fields) {
+  return sample_of(particles, slots, fields, nullptr, [&](auto mine, auto& all, auto& sizes) { comm.gather(mine, 0, all, sizes); });
 }
 
 bool may_sample(const PartitionOptions& options) {
@@ -82,7 +98,7 @@ std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles
   if (!is_large(large.count, comm.size(), limits) || (!for_guess && !large.buckets)) return std::nullopt;
   const std::uint64_t wanted = std::clamp(large.count / limits.stride, limits.sample_min, limits.sample_max);
   large.stride = std::max<std::uint64_t>(large.count / wanted, 1);
-  large.sample = share_sample(comm, particles, pick(particles.count, large.stride),
+  large.sample = gather_sample(comm, particles, pick(particles.count, large.stride),
                               {.weights = large.has_weights, .ids = for_guess});
   ++reductions;
   return large;

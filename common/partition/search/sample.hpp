@@ -1,4 +1,4 @@
-// A sample: some of every rank's particles, replicated on all ranks.
+// A sample: some of every rank's particles, on all ranks or on rank 0 alone.
 #pragma once
 
 #include <cstdint>
@@ -37,9 +37,13 @@ struct SampleFields {
 Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
                     const SampleFields& fields, const std::int32_t* part = nullptr);
 
+// The same on rank 0 alone; elsewhere the sample is empty. Collective (one gather).
+Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
+                     const SampleFields& fields);
+
 // A sample of a large set.
 struct LargeSetSample {
-  Sample sample;
+  Sample sample;             // on rank 0; elsewhere empty
   std::uint64_t count = 0;   // particles, all ranks
   std::uint64_t stride = 1;  // one of so many was sampled
   bool has_weights = false;  // on any rank

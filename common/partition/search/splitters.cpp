@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
 #include "common/partition/balance/load.hpp"
 #include "common/partition/search/split_rule.hpp"
 
@@ -25,7 +26,7 @@ class SampleTree {
     const int axis = (*rule_.axes_of(range, {extents, extents}))[0];
     const double share = quotient(rule_.size(range.first, range.middle()), rule_.size(range.first, range.last));
     const ExpectedCut expected = expect_cut(sample_, own, axis, share, limits_);
-    out_.expected[at(range.node)] = expected;
+    out_.expected[node] = expected;
     out_.nodes[node] = {out_.rounded(at(axis), expected.least), out_.rounded(at(axis), expected.most), axis};
     const auto left = static_cast<std::size_t>(share * static_cast<double>(own.size()));
     const SortedSample::Halves halves = sample_.split(own, at(axis), left);
@@ -55,10 +56,14 @@ ExpectedCut expect_cut(const SortedSample& sample, const SortedSample::Range& no
 
 Splitters find_splitters(SortedSample sample, const PartitionOptions& options, int dims) {
   Splitters splitters;
-  splitters.expected.resize(at(options.parts - 1));
   splitters.rounded = sample.rounded();
   SampleTree(sample, options, dims, splitters);
   return splitters;
+}
+
+Splitters share_splitters(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options, int dims) {
+  const Splitters own = comm.rank() == 0 ? find_splitters(sample, options, dims) : Splitters{};
+  return comm::values_of_first<Splitters>(comm, {&own, 1})[0];
 }
 
 }  // namespace rcb::partition

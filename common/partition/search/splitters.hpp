@@ -4,8 +4,8 @@
 #include <array>
 #include <cstdint>
 #include <limits>
-#include <vector>
 
+#include "common/comm/comm.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/sorted_sample.hpp"
 
@@ -24,7 +24,7 @@ struct ExpectedCut {
 ExpectedCut expect_cut(const SortedSample& sample, const SortedSample::Range& node, int axis, double share,
                        const SearchLimits& limits);
 
-// A complete binary tree: node k has the children 2k + 1 and 2k + 2.
+// A complete binary tree: node k has the children 2k + 1 and 2k + 2. Trivially copyable: it is sent as it is.
 struct Splitters {
   static constexpr std::size_t kLevels = 6;
   static constexpr std::size_t kNodes = (std::size_t{1} << kLevels) - 1;
@@ -38,10 +38,13 @@ struct Splitters {
 
   std::array<Node, kNodes> nodes;
   RoundedAxes rounded;
-  std::vector<ExpectedCut> expected;  // [inner nodes of the tree of cuts]
+  std::array<ExpectedCut, kNodes> expected;
 };
 
 // Local.
 Splitters find_splitters(SortedSample sample, const PartitionOptions& options, int dims);
+
+// Those of rank 0's sample, on every rank. Collective (one gather).
+Splitters share_splitters(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options, int dims);
 
 }  // namespace rcb::partition
