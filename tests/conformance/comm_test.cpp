@@ -121,7 +121,8 @@ TEST(Comm, GathersMuch) {
     constexpr std::size_t kMuch = (std::size_t{32} << 10U) - 8;
     Buffer<std::byte> all;
     std::vector<std::size_t> sizes;
-    for (const std::size_t size : {kMuch - 1, kMuch, kMuch + 1, 2 * kMuch, std::size_t{100'001}})
+    for (const std::size_t size :
+         {kMuch - 1, kMuch, kMuch + 1, 2 * kMuch, std::size_t{100'001}, std::size_t{1'200'001}})
       for (int much = 0; much <= comm.size(); ++much) {  // on the ranks before it
         const auto bytes = [&](int r) { return bytes_of(seed_of(r, much, 1), r < much ? size : share_size(r, much)); };
         std::vector<std::byte> expected;
@@ -129,8 +130,12 @@ TEST(Comm, GathersMuch) {
           const std::vector<std::byte> theirs = bytes(r);
           expected.insert(expected.end(), theirs.begin(), theirs.end());
         }
-        comm.all_gather(bytes(comm.rank()), all, sizes);
+        const std::vector<std::byte> mine = bytes(comm.rank());
+        comm.all_gather(mine, all, sizes);
         EXPECT_TRUE(std::ranges::equal(all, expected));
+        const int root = much % comm.size();
+        comm.gather(mine, root, all, sizes);
+        EXPECT_TRUE(std::ranges::equal(all, comm.rank() == root ? expected : std::vector<std::byte>()));
       }
   });
 }

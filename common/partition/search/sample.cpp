@@ -68,12 +68,14 @@ Sample sample_of(const particles::ParticleView& particles, std::span<const std::
 
 Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
                     const SampleFields& fields, const std::int32_t* part) {
-  return sample_of(particles, slots, fields, part, [&](auto mine, auto& all, auto& sizes) { comm.all_gather(mine, all, sizes); });
+  return sample_of(particles, slots, fields, part,
+                   [&](auto mine, auto& all, auto& sizes) { comm.all_gather(mine, all, sizes); });
 }
 
 Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
                      const SampleFields& fields) {
-  return sample_of(particles, slots, fields, nullptr, [&](auto mine, auto& all, auto& sizes) { comm.gather(mine, 0, all, sizes); });
+  return sample_of(particles, slots, fields, nullptr,
+                   [&](auto mine, auto& all, auto& sizes) { comm.gather(mine, 0, all, sizes); });
 }
 
 bool may_sample(const PartitionOptions& options) {
@@ -99,7 +101,7 @@ std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles
   const std::uint64_t wanted = std::clamp(large.count / limits.stride, limits.sample_min, limits.sample_max);
   large.stride = std::max<std::uint64_t>(large.count / wanted, 1);
   large.sample = gather_sample(comm, particles, pick(particles.count, large.stride),
-                              {.weights = large.has_weights, .ids = for_guess});
+                               {.weights = large.has_weights, .ids = for_guess});
   ++reductions;
   return large;
 }
