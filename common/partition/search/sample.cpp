@@ -17,6 +17,8 @@ std::vector<std::size_t> pick(std::size_t count, std::uint64_t stride) {
 
 namespace {
 
+constexpr int kToFirstRanksMax = 1024;
+
 // gather: of bytes, collective.
 template <typename Gather>
 Sample sample_of(const particles::ParticleView& particles, std::span<const std::size_t> slots,
@@ -74,6 +76,11 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
 
 Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
                      const SampleFields& fields) {
+  // On very many ranks a message of each would keep rank 0 longer than all ranks need to tell each other everything.
+  if (comm.size() > kToFirstRanksMax) {
+    Sample sample = share_sample(comm, particles, slots, fields);
+    return comm.rank() == 0 ? std::move(sample) : Sample{};
+  }
   return sample_of(particles, slots, fields, nullptr,
                    [&](auto mine, auto& all, auto& sizes) { comm.gather(mine, 0, all, sizes); });
 }
