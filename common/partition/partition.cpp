@@ -92,7 +92,7 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   const bool guess = may_guess(options);
   if (may_sample(options)) large = sample_large_set(comm, particles, options, guess, in_vain.reductions);
   SortedSample sample;
-  if (large && comm.rank() == 0) sample = SortedSample(large->sample);
+  if (large) sample = SortedSample(large->sample);
   if (large && guess)
     if (auto found = partition_from_guess(comm, particles, options, *large, sample, in_vain)) return *std::move(found);
   auto result = large && large->buckets ? build({comm, particles, options, std::move(sample), large->stride}, go_on)

@@ -5,7 +5,7 @@
 // 2. Messages larger than kMessageBytesMax and reductions of more than kReduceValuesMax values are split.
 // 3. It is called by one thread only, the engine thread (MPI_THREAD_FUNNELED).
 // 4. Ranks of one machine reduce through shared memory (shared_collectives.hpp); they gather so, too, where there is no
-//    other machine. Of several machines the leaders, their first ranks, reduce among themselves what their machines
+//    other machine, but what is much for one rank (kSharedGatherBytes) goes to it by messages. Of several machines the leaders, their first ranks, reduce among themselves what their machines
 //    have reduced. If a machine's ranks can't share memory, none use it.
 // 5. Between machines short reductions (of the leaders, or else of all ranks) and gathers (of all ranks) go from each
 //    straight to every other: one latency of the network, where MPI takes log2(ranks), twice that if the ranks are no

@@ -315,12 +315,12 @@ Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, co
 Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options,
                   const GuessRoots& below) {
   Guess guess = comm.rank() == 0 ? guess_cuts(sample, options, below) : no_guess(below.tree);
-  std::array<std::uint8_t, 2> sizes{guess.found ? std::uint8_t{1} : std::uint8_t{0},
-                                    static_cast<std::uint8_t>(guess.open.size())};
+  std::size_t boxes = guess.open.size();
   // What a guess consists of, as bytes; `open` once its size is known.
   const auto for_each_array = [&](const auto& visit) {
-    visit(std::as_writable_bytes(std::span(sizes)));
-    guess.open.resize(sizes[1]);
+    visit(std::as_writable_bytes(std::span(&guess.found, 1)));
+    visit(std::as_writable_bytes(std::span(&boxes, 1)));
+    guess.open.resize(boxes);
     visit(std::as_writable_bytes(std::span(guess.tree.cuts)));
     visit(std::as_writable_bytes(std::span(guess.ends)));
     visit(std::as_writable_bytes(std::span(guess.brackets)));
@@ -336,7 +336,6 @@ Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionO
     std::copy_n(next, bytes.size(), bytes.begin());
     next += bytes.size();
   });
-  guess.found = sizes[0] != 0;
   return guess;
 }
 

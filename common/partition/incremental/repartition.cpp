@@ -125,8 +125,7 @@ class Repartitioning {
       const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
       found = search_roots(comm_, particles_, options_, start);
     } else {
-      const auto sample = [&] { return comm_.rank() == 0 ? SortedSample(large->sample) : SortedSample(); };
-      found = (large ? TreeBuilder(comm_, particles_, options_, sample(), large->stride)
+      found = (large ? TreeBuilder(comm_, particles_, options_, SortedSample(large->sample), large->stride)
                      : TreeBuilder(comm_, particles_, options_, particles_.dims))
                   .build();
       part = std::move(found.part);

@@ -220,9 +220,8 @@ void TreeBuilder::expect_other_axes() {
   }
   if (others.empty()) return;
   std::vector<ExpectedCut> own;
-  for (const std::size_t n : others) {
-    if (comm_.rank() != 0) break;
-    const Node& node = level_[n];
+  for (std::size_t k = 0; k < others.size() && comm_.rank() == 0; ++k) {
+    const Node& node = level_[others[k]];
     const double rank = static_cast<double>(rule_.quota(node.range.first, node.range.middle()));
     own.push_back(
         expect_cut(sample_, node.sampled, node.axes[0], rank / static_cast<double>(node.count), options_.limits));

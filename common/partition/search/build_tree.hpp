@@ -56,7 +56,7 @@ class TreeBuilder {
   // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
   // Begins with buckets; no particle has a weight.
-  //   sample  on rank 0, of all particles; what was sampled must outlive this. Elsewhere ignored.
+  //   sample  on rank 0, of all particles, and elsewhere empty; what was sampled must outlive this
   //   stride  one particle of so many was sampled
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
               SortedSample sample, std::uint64_t stride)
@@ -99,7 +99,7 @@ class TreeBuilder {
   };
 
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
-  // one reduction, and one gather).
+  // one reduction, and what own_box() costs).
   bool find_bounds();
   // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
   // sample (at most three gathers).

@@ -8,7 +8,7 @@
 namespace rcb::partition {
 
 SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sample.count()), right_(sample.count()) {
-  for (std::size_t a = 0; a < at(sample.particles.dims); ++a) sort(a);
+  for (std::size_t a = 0; a < at(sample.particles.dims) && sample.count() > 0; ++a) sort(a);
 }
 
 void SortedSample::set_outermost(const Sample& outermost) {
