@@ -68,8 +68,8 @@ struct BucketOf {
 template <typename Group>
 struct ByGroup {
   Group group;  // of each particle; 0: none
-  // By group, two: particles of even number follow each other from its begin on, odd ones from its end backwards, so that
-  // a particle need not wait for the one before it. Those of no group all go to one place behind the last group's.
+  // Two of each group: particles of even number fill it from the front, odd ones from the back, so that a particle need
+  // not wait for the one before it. Those of no group all go to one place behind the last group.
   std::vector<QuantisedPoint*> cursor;
   static constexpr std::intptr_t kAhead = 8 * sizeof(QuantisedPoint);
   QuantisedPoint* next(std::size_t i) {

@@ -76,7 +76,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
 
 Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
                      const SampleFields& fields) {
-  // On very many ranks a message of each would keep rank 0 longer than all ranks need to tell each other everything.
+  // Taking a message from each of very many ranks, one by one, takes longer than an all-gather.
   if (comm.size() > kToFirstRanksMax) {
     Sample sample = share_sample(comm, particles, slots, fields);
     return comm.rank() == 0 ? std::move(sample) : Sample{};

@@ -37,7 +37,7 @@ bool gathered(const particles::ParticleSet& set, const PartitionOptions& options
   const AxisOrder axes = geometry::order_by_extent(sorted.extents(sorted.all()), particles.dims);
   PartitionResult spent;
   gather_outermost_if_open(self, particles, options, stride, sorted, spent);
-  EXPECT_EQ(sorted.has_outermost(), spent.reductions == 2);  // else at most rank 0 has told that it is not needed
+  EXPECT_EQ(sorted.has_outermost(), spent.reductions == 2);  // rank 0 says that it is needed; the gather
   EXPECT_EQ(sorted.has_outermost(), spent.traffic.reads == particles.count);
   if (!sorted.has_outermost()) return false;
 
