@@ -145,7 +145,8 @@ class TreeBuilder {
   std::span<Span> spans_of(const Node& node) {
     return std::span(spans_).subspan(node.spans_first, node.spans_last - node.spans_first);
   }
-  // Where a node's axis isn't that of the sample's cut: finds where its cut is expected. Collective (at most one gather).
+  // Where a node's axis isn't that of the sample's cut: finds where its cut is expected. Collective (at most one
+  // gather).
   void expect_other_axes();
   // Where the key's first integer is expected, if that is known.
   std::optional<std::array<std::int32_t, 2>> expected_in(const Node& node) const;

@@ -125,8 +125,8 @@ template <bool kCheckLossless, typename Places>
 }
 #endif
 
-// How many of the first `count` points each group has. In several tables in turn: neighbours often are of one group, and
-// a sum would wait for the one before.
+// How many of the first `count` points each group has. In several tables in turn: neighbours often are of one group,
+// and a sum would wait for the one before.
 template <typename Group>
 std::vector<std::size_t> count_groups(const Group& group, std::size_t groups, std::size_t count) {
   constexpr std::size_t kTables = 4;
