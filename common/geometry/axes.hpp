@@ -25,6 +25,13 @@ constexpr std::uint64_t order_bits(double value) {
   return bits ^ (sign | 0x8000000000000000U);
 }
 
+// Likewise of a float.
+constexpr std::uint32_t order_bits(float value) {
+  const auto bits = std::bit_cast<std::uint32_t>(value + 0.0F);
+  const auto sign = static_cast<std::uint32_t>(static_cast<std::int32_t>(bits) >> 31);
+  return bits ^ (sign | 0x80000000U);
+}
+
 // The inverse of order_bits(); both zeros come back as 0.0.
 constexpr double value_of_order_bits(std::uint64_t key) {
   const std::uint64_t sign = (key >> 63U) - 1U;  // all ones for negative doubles

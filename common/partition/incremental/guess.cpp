@@ -108,18 +108,20 @@ class SampleWalk {
     if (!node.range.leaf()) out_.ends[at(node.range.node)] = 1;
     const auto p = at(node.range.first);
     out_.inner[p] = node.inner;
-    // Of those strictly inside.
-    Box seen;
-    for (const std::uint32_t k : sorted_.particles(own, 0)) {
-      bool inside = true;
+    // Of those strictly inside: the outermost in the order of each axis.
+    const auto inside = [&](std::uint32_t k) {
+      bool all = true;
       for (std::size_t a = 0; a < at(dims()); ++a)
-        inside &= sample_.x(a, k) > node.inner.lo[a] && sample_.x(a, k) < node.inner.hi[a];
-      for (std::size_t a = 0; a < at(dims()); ++a) {
-        seen.lo[a] = std::min(seen.lo[a], inside ? sample_.x(a, k) : kInfinity);
-        seen.hi[a] = std::max(seen.hi[a], inside ? sample_.x(a, k) : -kInfinity);
-      }
+        all &= sample_.x(a, k) > node.inner.lo[a] && sample_.x(a, k) < node.inner.hi[a];
+      return all;
+    };
+    for (std::size_t a = 0; a < at(dims()); ++a) {
+      const std::span<const std::uint32_t> sorted = sorted_.particles(own, a);
+      const auto first = std::ranges::find_if(sorted, inside);
+      if (first == sorted.end()) return;
+      out_.seen[p].lo[a] = sample_.x(a, *first);
+      out_.seen[p].hi[a] = sample_.x(a, *std::find_if(sorted.rbegin(), sorted.rend(), inside));
     }
-    if (!seen.empty(dims())) out_.seen[p].extend(seen);
   }
 
   void visit(const Node& node, const Range& own) {
@@ -187,13 +189,13 @@ class SampleWalk {
     const double all = size_prefix_[at(node.range.last)] - size_prefix_[at(node.range.first)];
     const double share = (size_prefix_[at(node.range.middle())] - size_prefix_[at(node.range.first)]) / all;
     const std::span<const std::uint32_t> sorted = sorted_.particles(own, axis);
-    double load = 0;
-    double squares = 0;
-    for (const std::uint32_t k : sorted) {
-      load += weight(k);
-      squares += weight(k) * weight(k);
-    }
     const auto size = static_cast<double>(own.size());
+    double load = weighted_ ? 0 : size;
+    double squares = load;
+    for (std::size_t k = 0; k < sorted.size() && weighted_; ++k) {
+      load += weight(sorted[k]);
+      squares += weight(sorted[k]) * weight(sorted[k]);
+    }
     Bracket found{};
     found.variance = (1 - share) * (1 - share) * node.variance_lo[axis] + share * share * node.variance_hi[axis] +
                      share * (1 - share) * squares;
@@ -262,9 +264,15 @@ class SampleWalk {
 
   // nullopt if these loads don't reach from wanted - margin to wanted + margin.
   //   before   load before the first one
-  //   load_of  of the i-th
+  //   load_of  of the i-th; not called where all are 1
   template <typename LoadOf>
-  static std::optional<Places> places(std::size_t count, double before, double wanted, double margin, LoadOf load_of) {
+  std::optional<Places> places(std::size_t count, double before, double wanted, double margin, LoadOf load_of) const {
+    if (!weighted_) {
+      const double most = std::max(std::ceil(wanted + margin - before) - 1, 0.0);
+      if (!(wanted - margin >= before) || !(most < static_cast<double>(count))) return std::nullopt;
+      const auto place = [&](double k) { return static_cast<std::size_t>(std::min(k, most)); };
+      return Places{place(wanted - margin - before), place(wanted - before), place(most)};
+    }
     Places found{.least = count};
     for (std::size_t i = 0; i < count; ++i) {
       if (before <= wanted - margin) found.least = i;
@@ -278,7 +286,10 @@ class SampleWalk {
   }
 
   Key key(std::uint32_t k, const AxisOrder& axes) const {
-    return key_of(sample_.particles.view().point(k), sample_.particles.id[k], axes, dims());
+    Key key{.at = {}, .id = sample_.particles.id[k]};
+    for (std::size_t i = 0; i < key.at.size(); ++i)  // of known length: so the key stays in registers
+      key.at[i] = i < at(dims()) ? sample_.x(at(axes[i]), k) + 0.0 : 0.0;
+    return key;
   }
 
   const Sample& sample_;

@@ -17,28 +17,30 @@ void SortedSample::set_outermost(const Sample& outermost) {
   for (std::size_t k = 0; k < outermost.count(); ++k) outermost_.push_back(outermost.particles.view().point(k));
 }
 
-// By radix: the order-preserving bits that a float may set, in three digits; in place of the others the particle's
-// index.
+// By radix, in three digits: the order-preserving bits of the floats, each with the particle's index behind it.
 void SortedSample::sort(std::size_t axis) {
-  constexpr unsigned kIndexBits = 29;
-  constexpr std::uint64_t kIndex = (std::uint64_t{1} << kIndexBits) - 1;
-  constexpr unsigned kDigitBits = 12;
+  constexpr unsigned kIndexBits = 32;
+  constexpr unsigned kDigitBits = 11;
   constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
   const std::span<const double> x = sample_->particles.position[axis].span();
   rounded_.fit(axis, x);
-  std::vector<std::uint64_t> keys(x.size());
-  std::vector<std::uint64_t> sorted(x.size());
-  for (std::size_t k = 0; k < x.size(); ++k)
-    keys[k] = (geometry::order_bits(double{rounded_(axis, x[k])}) & ~kIndex) | k;
-  for (unsigned shift = kIndexBits; shift < 64; shift += kDigitBits) {
-    std::array<std::uint32_t, kDigits + 1> begin{};
-    for (const std::uint64_t key : keys) ++begin[(key >> shift) % kDigits + 1];
+  Buffer<std::uint64_t> keys(x.size());
+  Buffer<std::uint64_t> sorted(x.size());
+  std::array<std::array<std::uint32_t, kDigits + 1>, 3> begins{};
+  for (std::size_t k = 0; k < x.size(); ++k) {
+    const std::uint32_t bits = geometry::order_bits(rounded_(axis, x[k]));
+    keys[k] = std::uint64_t{bits} << kIndexBits | k;
+    for (std::size_t digit = 0; digit < begins.size(); ++digit)
+      ++begins[digit][(bits >> (digit * kDigitBits)) % kDigits + 1];
+  }
+  for (std::size_t digit = 0; digit < begins.size(); ++digit) {
+    auto& begin = begins[digit];
     std::partial_sum(begin.begin(), begin.end(), begin.begin());
-    for (const std::uint64_t key : keys) sorted[begin[(key >> shift) % kDigits]++] = key;
-    keys.swap(sorted);
+    for (const std::uint64_t key : keys) sorted[begin[(key >> (kIndexBits + digit * kDigitBits)) % kDigits]++] = key;
+    std::swap(keys, sorted);
   }
   order_[axis].resize(x.size());
-  for (std::size_t k = 0; k < x.size(); ++k) order_[axis][k] = static_cast<std::uint32_t>(keys[k] & kIndex);
+  for (std::size_t k = 0; k < x.size(); ++k) order_[axis][k] = static_cast<std::uint32_t>(keys[k]);
 }
 
 geometry::Box SortedSample::box(const Range& range) const {
