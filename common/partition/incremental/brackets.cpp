@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
 #include "common/partition/search/divide.hpp"
 #include "common/partition/search/sample.hpp"
 
@@ -19,14 +20,18 @@ constexpr std::uint64_t kSampleMin = 4096;
 constexpr std::uint64_t kSampleMax = 8192;
 constexpr double kFewOfSide = 8;  // a place within this fraction of a side is sorted out by a heap
 
+// The upper cuts of a tree, as rank 0 guesses them.
+struct UpperCuts {
+  Splitters splitters;
+  std::array<double, Splitters::kNodes> at{};  // where the new cuts are expected
+};
+
 // Descends from a root and guesses the new cuts; each node gets the sampled particles that the guessed cuts above leave
 // it.
 class BracketGuess {
  public:
-  BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
-               const Sample& sample, InnerRegions& out)
-      : tree_(tree), own_(own), limits_(limits), sample_(sample), out_(out) {
-    for (std::size_t a = 0; a < at(tree.dims); ++a) out.splitters.rounded.fit(a, sample.particles.position[a].span());
+  BracketGuess(const CutTree& tree, std::span<const double> loads, const SearchLimits& limits, const Sample& sample)
+      : tree_(tree), limits_(limits), sample_(sample) {
     prefix_.assign(1, 0.0);
     for (const double load : loads) prefix_.push_back(prefix_.back() + load);
     size_prefix_.assign(1, 0.0);
@@ -37,13 +42,23 @@ class BracketGuess {
     std::partial_sum(sampled_prefix_.begin(), sampled_prefix_.end(), sampled_prefix_.begin());
   }
 
-  // New cuts divide a root's particles among its own parts.
-  void visit_root(const NodeRange& range) {
-    indices_.clear();
-    for (std::uint32_t k = 0; k < sample_.count(); ++k)
-      if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
-    const std::size_t number = range.parts() == tree_.parts ? 0 : Splitters::kNodes;  // there are none below others
-    visit(range, number, geometry::Box::unbounded(), indices_, load(range.first, range.last));
+  // Of the whole tree.
+  UpperCuts upper_cuts() {
+    UpperCuts upper;
+    for (std::size_t a = 0; a < at(tree_.dims); ++a)
+      upper.splitters.rounded.fit(a, sample_.particles.position[a].span());
+    visit_upper(tree_.root(), 0, sampled_in(tree_.root()), prefix_.back(), upper);
+    return upper;
+  }
+
+  // The inner regions of own parts below a root: new cuts divide its particles among its own parts.
+  //   upper  if it is the tree's root; else null
+  void visit_root(const NodeRange& range, const UpperCuts* upper, OwnParts own, std::span<geometry::Box> boxes) {
+    own_ = own;
+    boxes_ = boxes;
+    upper_ = upper;
+    visit(range, upper == nullptr ? Splitters::kNodes : 0, geometry::Box::unbounded(), sampled_in(range),
+          load(range.first, range.last));
   }
 
  private:
@@ -53,6 +68,13 @@ class BracketGuess {
     double hi = kInfinity;
   };
 
+  std::span<std::uint32_t> sampled_in(const NodeRange& range) {
+    indices_.clear();
+    for (std::uint32_t k = 0; k < sample_.count(); ++k)
+      if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
+    return indices_;
+  }
+
   double load(int first, int last) const { return prefix_[at(last)] - prefix_[at(first)]; }
   double share(const NodeRange& range) const {
     return (size_prefix_[at(range.middle())] - size_prefix_[at(range.first)]) /
@@ -60,30 +82,53 @@ class BracketGuess {
   }
 
   // number: of the node, among the splitters; own: its sampled particles; wanted: its load under the new cuts.
+  void visit_upper(const NodeRange& range, std::size_t number, std::span<std::uint32_t> own, double wanted,
+                   UpperCuts& upper) {
+    if (range.leaf() || number >= Splitters::kNodes) return;
+    const auto axis = at(tree_.cuts[at(range.node)].axes[0]);
+    const Guess guess = guess_cut(range, own, wanted);
+    const RoundedAxes& rounded = upper.splitters.rounded;
+    upper.splitters.expected[number] = {static_cast<int>(axis), guess.lo, guess.hi};
+    upper.splitters.nodes[number] = {rounded(axis, guess.lo), rounded(axis, guess.hi), static_cast<int>(axis)};
+    upper.at[number] = guess.at;
+    const std::size_t left = divide_at(guess.at, axis, own);
+    visit_upper(range.left(), 2 * number + 1, own.first(left), wanted * share(range), upper);
+    visit_upper(range.right(), 2 * number + 2, own.subspan(left), wanted * (1 - share(range)), upper);
+  }
+
   void visit(const NodeRange& range, std::size_t number, const geometry::Box& inner, std::span<std::uint32_t> own,
              double wanted) {
-    const bool has_own = range.last > own_.first && range.first < own_.last;
-    if (range.leaf() && has_own) out_.boxes[at(range.first - own_.first)] = inner;
-    if (range.leaf() || (!has_own && number >= Splitters::kNodes)) return;
-    const Cut& cut = tree_.cuts[at(range.node)];
-    const auto axis = at(cut.axes[0]);
-    const Guess guess = cut.right_empty ? Guess{} : guess_cut(range, own, axis, cut.key.at[0], wanted);
+    if (range.last <= own_.first || range.first >= own_.last) return;
+    if (range.leaf()) {
+      boxes_[at(range.first - own_.first)] = inner;
+      return;
+    }
+    const auto axis = at(tree_.cuts[at(range.node)].axes[0]);
+    Guess guess;
     if (number < Splitters::kNodes) {
-      const RoundedAxes& rounded = out_.splitters.rounded;
-      out_.splitters.expected[number] = {cut.axes[0], guess.lo, guess.hi};
-      out_.splitters.nodes[number] = {rounded(axis, guess.lo), rounded(axis, guess.hi), cut.axes[0]};
+      const ExpectedCut& expected = upper_->splitters.expected[number];
+      guess = {expected.least, upper_->at[number], expected.most};
+    } else {
+      guess = guess_cut(range, own, wanted);
     }
     geometry::Box left = inner;
     geometry::Box right = inner;
     left.hi[axis] = std::min(left.hi[axis], guess.lo);
     right.lo[axis] = std::max(right.lo[axis], guess.hi);
-    const std::size_t before = divide(own, others_, [&](std::uint32_t k) { return sample_.x(axis, k) < guess.at; });
+    const std::size_t before = divide_at(guess.at, axis, own);
     visit(range.left(), 2 * number + 1, left, own.first(before), wanted * share(range));
     visit(range.right(), 2 * number + 2, right, own.subspan(before), wanted * (1 - share(range)));
   }
 
-  Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, std::size_t axis, double old,
-                  double wanted) {
+  std::size_t divide_at(double at, std::size_t axis, std::span<std::uint32_t> own) {
+    return divide(own, others_, [&](std::uint32_t k) { return sample_.x(axis, k) < at; });
+  }
+
+  Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, double wanted) {
+    const Cut& cut = tree_.cuts[at(range.node)];
+    if (cut.right_empty) return {};
+    const auto axis = at(cut.axes[0]);
+    const double old = cut.key.at[0];
     left_.resize(own.size());
     right_.resize(own.size());
     std::size_t lefts = 0;
@@ -138,10 +183,11 @@ class BracketGuess {
   }
 
   const CutTree& tree_;
-  OwnParts own_;
   const SearchLimits& limits_;
   const Sample& sample_;
-  InnerRegions& out_;
+  OwnParts own_;
+  std::span<geometry::Box> boxes_;  // [own parts]
+  const UpperCuts* upper_ = nullptr;
   std::vector<double> prefix_;
   std::vector<double> size_prefix_;
   std::vector<std::size_t> sampled_prefix_;
@@ -159,12 +205,24 @@ InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& part
                            const SearchLimits& limits) {
   const std::uint64_t wanted =
       std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
-  const Sample sample = share_sample(comm, particles, pick(particles.count, std::max<std::uint64_t>(count / wanted, 1)),
-                                     {.parts = true}, part.data());
+  const std::vector<std::size_t> slots = pick(particles.count, std::max<std::uint64_t>(count / wanted, 1));
+  const bool whole = roots[0].parts() == tree.parts;
+  // With more ranks than cores, copies of the same work would take longer than the rest: so rank 0 alone guesses the
+  // upper cuts, and tells the others.
+  const bool upper_alone = whole && at(tree.parts) <= Splitters::kNodes + 1;
+  const SampleFields fields{.parts = true};
+  const Sample sample = upper_alone ? gather_sample(comm, particles, slots, fields, part.data())
+                                    : share_sample(comm, particles, slots, fields, part.data());
+  BracketGuess walk(tree, loads, limits, sample);
+  UpperCuts upper;
+  if (whole) {
+    if (comm.rank() == 0) upper = walk.upper_cuts();
+    upper = comm::values_of_first<UpperCuts>(comm, {&upper, 1})[0];
+  }
   InnerRegions found;
   found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
-  BracketGuess walk(tree, loads, own, limits, sample, found);
-  for (const NodeRange& root : roots) walk.visit_root(root);
+  for (const NodeRange& root : roots) walk.visit_root(root, whole ? &upper : nullptr, own, found.boxes);
+  found.splitters = upper.splitters;
   return found;
 }
 

@@ -53,7 +53,8 @@ class Pass {
   // particle would lie outside of the box of those before it.
   void seed() {
     const std::size_t stride = std::max<std::size_t>(particles_.count / 4096, 1);
-    for (std::size_t i = 0; i < particles_.count; i += stride) (void)take_in(i);
+    for (std::size_t i = 0; i < particles_.count; i += stride)
+      if (interior(i)) grow(i);
   }
 
   void run() {
@@ -77,17 +78,19 @@ class Pass {
     return std::min<std::size_t>(static_cast<std::uint32_t>(part - first_), own_parts_);
   }
 
-  // True if a particle is interior; then its part's box grows to hold it. Without branches but one, since most that lie
-  // outside of their box are boundary particles.
-  bool take_in(std::size_t i) {
-    const std::size_t p = index_of(part_[i]);
+  bool interior(std::size_t i) const {
+    const Bounds& inner = inner_[index_of(part_[i])];
     bool inside = true;
-    for (std::size_t a = 0; a < x_.size(); ++a) inside &= (x_[a][i] > inner_[p].lo[a]) & (x_[a][i] < inner_[p].hi[a]);
-    for (std::size_t a = 0; a < x_.size() && inside; ++a) {
-      box_[p].lo[a] = std::min(box_[p].lo[a], x_[a][i]);
-      box_[p].hi[a] = std::max(box_[p].hi[a], x_[a][i]);
-    }
+    for (std::size_t a = 0; a < x_.size(); ++a) inside &= (x_[a][i] > inner.lo[a]) & (x_[a][i] < inner.hi[a]);
     return inside;
+  }
+  // Makes the box of a particle's part hold it.
+  void grow(std::size_t i) {
+    Bounds& box = box_[index_of(part_[i])];
+    for (std::size_t a = 0; a < x_.size(); ++a) {
+      box.lo[a] = std::min(box.lo[a], x_[a][i]);
+      box.hi[a] = std::max(box.hi[a], x_[a][i]);
+    }
   }
 
   template <bool kAvx2>
@@ -103,12 +106,10 @@ class Pass {
         for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
       const std::uint64_t beyond =
           other == 0 ? beyond_same<kAvx2>(x, box_[index_of(part[0])], count) : beyond_own<kAvx2>(x, part, count);
-      std::uint64_t interior = 0;
-      for (std::uint64_t left = beyond; left != 0; left &= left - 1) {
-        const auto k = static_cast<std::size_t>(std::countr_zero(left));
-        interior |= std::uint64_t{take_in(begin + k) ? 1U : 0U} << k;
-      }
-      if (beyond != interior) boundary_.append(begin, beyond & ~interior);
+      const std::uint64_t inside = beyond == 0 ? 0 : interior_of<kAvx2>(x, part, beyond);
+      for (std::uint64_t left = inside; left != 0; left &= left - 1)
+        grow(begin + static_cast<std::size_t>(std::countr_zero(left)));
+      if (beyond != inside) boundary_.append(begin, beyond & ~inside);
     }
     boundary_.finish();
   }
@@ -144,6 +145,19 @@ class Pass {
     std::uint64_t beyond = 0;
     for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box_[index_of(part[i])], i) << i;
     return beyond;
+  }
+  // Those of `which` that are interior. Without branches: most of them lie on the boundary, but not all.
+  template <bool kAvx2>
+  std::uint64_t interior_of(const Axes& x, const std::int32_t* part, std::uint64_t which) const {
+#if defined(__x86_64__)
+    if constexpr (kAvx2) return interior_of_avx2(x, part, which);
+#endif
+    std::uint64_t inside = 0;
+    for (; which != 0; which &= which - 1) {
+      const auto k = static_cast<std::size_t>(std::countr_zero(which));
+      inside |= std::uint64_t{interior(static_cast<std::size_t>(part - part_.data()) + k) ? 1U : 0U} << k;
+    }
+    return inside;
   }
   static std::uint64_t is_beyond(const Axes& x, const Bounds& box, std::size_t i) {
     bool in = true;
@@ -192,6 +206,20 @@ class Pass {
     }
     for (; i < count; ++i) beyond |= is_beyond(x, bounds[index_of(part[i])], i) << i;
     return beyond;
+  }
+  [[gnu::target(RCB_AVX2)]] std::uint64_t interior_of_avx2(const Axes& x, const std::int32_t* part,
+                                                           std::uint64_t which) const {
+    const Bounds* const inner = inner_.data();
+    std::uint64_t inside = 0;
+    for (; which != 0; which &= which - 1) {
+      const auto k = static_cast<std::size_t>(std::countr_zero(which));
+      const Bounds& own = inner[index_of(part[k])];
+      const __m256d point = _mm256_setr_pd(x[0][k], x[1][k], x[2][k], 0);
+      const __m256d in = _mm256_and_pd(_mm256_cmp_pd(point, _mm256_load_pd(own.lo.data()), _CMP_GT_OQ),
+                                       _mm256_cmp_pd(point, _mm256_load_pd(own.hi.data()), _CMP_LT_OQ));
+      inside |= std::uint64_t{_mm256_movemask_pd(in) == 0xF} << k;
+    }
+    return inside;
   }
 #endif
 

@@ -84,7 +84,7 @@ class Repartitioning {
   // The incremental search. False if it was abandoned; else failed_ has the nodes that it could not cut. Collective.
   bool search_boundary() {
     const OwnInterior own = look();
-    result_.reductions += 2;
+    result_.reductions += whole_ ? 3 : 2;
     const std::uint64_t most = n_ / options_.limits.boundary_divisor;
     const auto interior = sum_interior(comm_, own, current_.own, current_.loads.counts, scale_ ? &*scale_ : nullptr,
                                        current_.loads.loads, most, result_.looked_at);

@@ -75,13 +75,13 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
 }
 
 Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
-                     const SampleFields& fields) {
+                     const SampleFields& fields, const std::int32_t* part) {
   // Taking a message from each of very many ranks, one by one, takes longer than an all-gather.
   if (comm.size() > kToFirstRanksMax) {
-    Sample sample = share_sample(comm, particles, slots, fields);
+    Sample sample = share_sample(comm, particles, slots, fields, part);
     return comm.rank() == 0 ? std::move(sample) : Sample{};
   }
-  return sample_of(particles, slots, fields, nullptr,
+  return sample_of(particles, slots, fields, part,
                    [&](auto mine, auto& all, auto& sizes) { comm.gather(mine, 0, all, sizes); });
 }
 

@@ -39,7 +39,7 @@ Sample share_sample(comm::Comm& comm, const particles::ParticleView& particles, 
 
 // The same on rank 0 alone; elsewhere the sample is empty. Collective (one gather).
 Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::size_t> slots,
-                     const SampleFields& fields);
+                     const SampleFields& fields, const std::int32_t* part = nullptr);
 
 // A sample of a large set.
 struct LargeSetSample {
