@@ -63,21 +63,23 @@ add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
   return _mm256_permutevar8x32_epi32(_mm256_load_si256(reinterpret_cast<const __m256i*>(table.data())), index);
 }
 
-// Returns how many particles it took.
-template <bool kSeveral>
+// Returns how many particles it took. Here and below kAxes is 2 where there are no more, else 3.
+template <bool kSeveral, std::size_t kAxes>
 [[gnu::target(RCB_AVX2)]] std::size_t find_eights(const Tables& t, const Axes& x, std::int32_t* part, std::size_t count,
                                                   FoundLeaves& found) {
   std::size_t i = 0;
   for (; i + 8 <= count; i += 8) {
-    for (const double* axis : x) _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
-    const __m256 own[3] = {rounded8(t.rounded, 0, x[0] + i), rounded8(t.rounded, 1, x[1] + i),
-                           rounded8(t.rounded, 2, x[2] + i)};
+    __m256 own[kAxes];
+    for (std::size_t a = 0; a < kAxes; ++a) {
+      _mm_prefetch(x[a] + i + kParticlesAhead, _MM_HINT_T0);
+      own[a] = rounded8(t.rounded, a, x[a] + i);
+    }
     __m256i leaf = _mm256_setzero_si256();
     if constexpr (kSeveral) leaf = in_table(t.first, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i)));
     __m256 out = _mm256_setzero_ps();
     for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
-      const __m256 low = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(in_table(t.on_y[level], leaf)));
-      const __m256 on = _mm256_blendv_ps(low, own[2], _mm256_castsi256_ps(in_table(t.on_z[level], leaf)));
+      __m256 on = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(in_table(t.on_y[level], leaf)));
+      if constexpr (kAxes > 2) on = _mm256_blendv_ps(on, own[2], _mm256_castsi256_ps(in_table(t.on_z[level], leaf)));
       const __m256 right = _mm256_cmp_ps(on, in_table(t.least[level], leaf), _CMP_GT_OQ);
       const __m256 before = _mm256_cmp_ps(on, in_table(t.most[level], leaf), _CMP_LT_OQ);
       out = _mm256_or_ps(out, _mm256_and_ps(right, before));
@@ -89,7 +91,7 @@ template <bool kSeveral>
     }
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(part + i), in_table(t.part, leaf));
     __m256 in = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
-    for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
+    for (std::size_t a = 0; a < kAxes; ++a) {
       in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.lo[a], leaf), _CMP_GT_OQ));
       in = _mm256_and_ps(in, _mm256_cmp_ps(own[a], in_table(t.hi[a], leaf), _CMP_LT_OQ));
     }
@@ -101,11 +103,11 @@ template <bool kSeveral>
   return i;
 }
 
-template <bool kSeveral>
+template <bool kSeveral, std::size_t kAxes>
 [[gnu::target(RCB_AVX2)]] FoundLeaves find_in_avx2(const Tables& t, const Axes& x, std::int32_t* part,
                                                    std::size_t count) {
   FoundLeaves found;
-  if (const std::size_t i = find_eights<kSeveral>(t, x, part, count, found); i < count)
+  if (const std::size_t i = find_eights<kSeveral, kAxes>(t, x, part, count, found); i < count)
     find_one_by_one(t, x, part, i, count, found);
   return found;
 }
@@ -124,7 +126,7 @@ template <bool kSeveral>
   return _mm512_castsi512_ps(_mm512_ternarylogic_epi32(all, _mm512_castps_si512(a), _mm512_castps_si512(b), 0xCA));
 }
 
-template <bool kSeveral>
+template <bool kSeveral, std::size_t kAxes>
 [[gnu::target(RCB_AVX512)]] FoundLeaves find_in_avx512(const Tables& t, const Axes& x, std::int32_t* part,
                                                        std::size_t count) {
   FoundLeaves found;
@@ -133,18 +135,18 @@ template <bool kSeveral>
   const __m512i bit2 = _mm512_set1_epi32(4);
   std::size_t i = 0;
   for (; i + 16 <= count; i += 16) {
-    for (const double* axis : x) {
-      _mm_prefetch(axis + i + kParticlesAhead, _MM_HINT_T0);
-      _mm_prefetch(axis + i + kParticlesAhead + 8, _MM_HINT_T0);
+    __m512 own[kAxes];
+    for (std::size_t a = 0; a < kAxes; ++a) {
+      _mm_prefetch(x[a] + i + kParticlesAhead, _MM_HINT_T0);
+      _mm_prefetch(x[a] + i + kParticlesAhead + 8, _MM_HINT_T0);
+      own[a] = rounded16(t.rounded, a, x[a] + i);
     }
-    const __m512 own[3] = {rounded16(t.rounded, 0, x[0] + i), rounded16(t.rounded, 1, x[1] + i),
-                           rounded16(t.rounded, 2, x[2] + i)};
     __m512i leaf = _mm512_setzero_si512();
     if constexpr (kSeveral) leaf = in_table16(t.first, _mm512_loadu_si512(part + i));
     __mmask16 out = 0;
     for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
-      const __m512 on =
-          pick(in_table16(t.on_z[level], leaf), own[2], pick(in_table16(t.on_y[level], leaf), own[1], own[0]));
+      __m512 on = pick(in_table16(t.on_y[level], leaf), own[1], own[0]);
+      if constexpr (kAxes > 2) on = pick(in_table16(t.on_z[level], leaf), own[2], on);
       const __mmask16 right = _mm512_cmp_ps_mask(on, in_table16(t.least[level], leaf), _CMP_GT_OQ);
       out = _kor_mask16(out, _mm512_mask_cmp_ps_mask(right, on, in_table16(t.most[level], leaf), _CMP_LT_OQ));
       leaf = in_table16(t.next[level], leaf);
@@ -155,7 +157,7 @@ template <bool kSeveral>
     found.bits[2] |= std::uint64_t{_mm512_test_epi32_mask(leaf, bit2)} << i;
     _mm512_storeu_si512(part + i, in_table16(t.part, leaf));
     __mmask16 in = 0xFFFF;
-    for (std::size_t a = 0; a < at(geometry::kDimsMax); ++a) {
+    for (std::size_t a = 0; a < kAxes; ++a) {
       const __mmask16 above = _mm512_cmp_ps_mask(own[a], in_table16(t.lo[a], leaf), _CMP_GT_OQ);
       in = _kand_mask16(in, _mm512_mask_cmp_ps_mask(above, own[a], in_table16(t.hi[a], leaf), _CMP_LT_OQ));
     }
@@ -166,19 +168,23 @@ template <bool kSeveral>
   return found;
 }
 
+template <bool kSeveral, std::size_t kAxes>
+FoundLeaves find_in_vectors(const Tables& t, const Axes& x, std::int32_t* part, std::size_t count) {
+  if (has_avx512()) return find_in_avx512<kSeveral, kAxes>(t, x, part, count);
+  return find_in_avx2<kSeveral, kAxes>(t, x, part, count);
+}
 #endif
 
 }  // namespace
 
 FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* part, std::size_t count) {
 #if defined(__x86_64__)
-  if (has_avx512()) {
-    if (tables.several) return find_in_avx512<true>(tables, x, part, count);
-    return find_in_avx512<false>(tables, x, part, count);
-  }
   if (has_avx2()) {
-    if (tables.several) return find_in_avx2<true>(tables, x, part, count);
-    return find_in_avx2<false>(tables, x, part, count);
+    if (tables.dims > 2)
+      return tables.several ? find_in_vectors<true, 3>(tables, x, part, count)
+                            : find_in_vectors<false, 3>(tables, x, part, count);
+    return tables.several ? find_in_vectors<true, 2>(tables, x, part, count)
+                          : find_in_vectors<false, 2>(tables, x, part, count);
   }
 #endif
   FoundLeaves found;
