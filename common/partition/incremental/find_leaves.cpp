@@ -21,7 +21,7 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
     const std::array<float, 3> own{t.rounded(0, x[0][i]), t.rounded(1, x[1][i]), t.rounded(2, x[2][i])};
     std::size_t leaf = t.several ? at(t.first[at(part[i])]) : 0;
     bool out = false;
-    for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+    for (std::size_t level = 0; level < t.levels; ++level) {
       const float on = own[at(-t.on_y[level][leaf] - 2 * t.on_z[level][leaf])];
       const bool right = on > t.least[level][leaf];
       out |= right & (on < t.most[level][leaf]);
@@ -77,7 +77,7 @@ template <bool kSeveral, std::size_t kAxes>
     __m256i leaf = _mm256_setzero_si256();
     if constexpr (kSeveral) leaf = in_table(t.first, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(part + i)));
     __m256 out = _mm256_setzero_ps();
-    for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+    for (std::size_t level = 0; level < t.levels; ++level) {
       __m256 on = _mm256_blendv_ps(own[0], own[1], _mm256_castsi256_ps(in_table(t.on_y[level], leaf)));
       if constexpr (kAxes > 2) on = _mm256_blendv_ps(on, own[2], _mm256_castsi256_ps(in_table(t.on_z[level], leaf)));
       const __m256 right = _mm256_cmp_ps(on, in_table(t.least[level], leaf), _CMP_GT_OQ);
@@ -144,7 +144,7 @@ template <bool kSeveral, std::size_t kAxes>
     __m512i leaf = _mm512_setzero_si512();
     if constexpr (kSeveral) leaf = in_table16(t.first, _mm512_loadu_si512(part + i));
     __mmask16 out = 0;
-    for (std::size_t level = 0; level < at(kGuessLevels); ++level) {
+    for (std::size_t level = 0; level < t.levels; ++level) {
       __m512 on = pick(in_table16(t.on_y[level], leaf), own[1], own[0]);
       if constexpr (kAxes > 2) on = pick(in_table16(t.on_z[level], leaf), own[2], on);
       const __mmask16 right = _mm512_cmp_ps_mask(on, in_table16(t.least[level], leaf), _CMP_GT_OQ);

@@ -59,7 +59,7 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
       own[a] = static_cast<std::int64_t>(geometry::order_bits(x[a][k]) ^ (std::uint64_t{1} << 63U));
     auto n = at(t.several ? t.first[at(part[k])] : 0);
     bool sure = true;
-    for (const Tables::Keys& keys : t.keys) {
+    for (const Tables::Keys& keys : std::span(t.keys).first(t.levels)) {
       const auto sign = [&](const auto& of) {
         for (std::size_t w = 0; w < kWords; ++w) {
           const std::int64_t word = own[w + 1 < kWords ? at(keys.axis[w][n]) : w];
@@ -102,7 +102,7 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
     own = _mm256_insert_epi64(_mm256_xor_si256(own, turn), id[k], 3);
     std::int32_t node = t.several ? t.first[at(part[k])] : 0;
     bool sure = true;
-    for (const auto& level : t.steps) {
+    for (const auto& level : std::span(t.steps).first(t.levels)) {
       const Tables::Step& step = level[at(node)];
       const __m256i order = _mm256_load_si256(reinterpret_cast<const __m256i*>(step.order.data()));
       const __m256i key = _mm256_permutevar8x32_epi32(own, order);
@@ -251,7 +251,7 @@ struct Unsure {
     }
     const unsigned lanes = count - j < 16 ? (1U << (count - j)) - 1 : 0xFFFF;
     Masks known{lanes & 0xFF, lanes >> 8U};
-    for (const Tables::Keys& keys : t.keys) {
+    for (const Tables::Keys& keys : std::span(t.keys).first(t.levels)) {
       Compared state;
       for (std::size_t w = 0; w < (keys.whole ? own.size() : 1); ++w)
         compare(on_axis(own, node, keys.axis[w]), node, keys.least[w], keys.most[w], state);

@@ -45,6 +45,7 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
         continue;
       }
       const NodeRange& range = level[k].range;
+      levels = l + 1;
       add_cut(l, k, guess.brackets[at(range.node)]);
       for (const NodeRange& child : {range.left(), range.right()})
         below.push_back({child, child.leaf() || guess.ends[at(child.node)] != 0, false});

@@ -71,6 +71,7 @@ struct GuessTables {
   RoundedAxes rounded;
   int dims = 3;
   bool several = false;  // more than one root, or parts in no root: part[] decides where a particle begins
+  std::size_t levels = 0;  // with a cut
   std::size_t leaves = 0;
 
  private:

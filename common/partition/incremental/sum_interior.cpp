@@ -1,6 +1,7 @@
 // The interior particles of all ranks, from those of each: one message.
 #include <bit>
 
+#include "common/base/count_groups.hpp"
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
 #include "common/partition/incremental/classify_interior.hpp"
@@ -12,12 +13,12 @@ std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, O
                                      std::vector<u128> loads, std::uint64_t most, std::uint64_t& boundary) {
   // The message: whether this rank has too many boundary particles; how many own parts have interior ones; each such
   // part and its box; then every part with boundary particles, their number and weight.
-  std::vector<std::uint64_t> listed(counts.size(), 0);  // zeros if there are too many
+  const std::size_t own_count = own.too_many ? 0 : own.part.size();
+  const std::vector<std::uint64_t> listed =
+      count_groups([&](std::size_t k) { return own.part[k]; }, counts.size(), own_count);
   std::vector<u128> weights(counts.size(), 0);
-  for (std::size_t k = 0; k < own.part.size() && !own.too_many; ++k) {
-    ++listed[at(own.part[k])];
-    if (scale != nullptr) weights[at(own.part[k])] += (*scale)(own.boundary.weight[k]);
-  }
+  for (std::size_t k = 0; k < own_count && scale != nullptr; ++k)
+    weights[at(own.part[k])] += (*scale)(own.boundary.weight[k]);
   std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
   for (std::size_t p = 0; p < own.boxes.size(); ++p) {
     if (own.boxes[p].empty(own.boundary.dims)) continue;

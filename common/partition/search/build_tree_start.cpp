@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
+#include "common/base/count_groups.hpp"
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
 #include "common/comm/wide_sum.hpp"
@@ -21,9 +22,10 @@ constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 
 std::vector<std::uint64_t> TreeBuilder::find_roots() {
   if (start_ == nullptr) return {particles_.count};
+  if (start_->roots[0].parts() == options_.parts) return {particles_.count};
   root_of_ = roots_of_parts(start_->roots, options_.parts);
-  std::vector<std::uint64_t> counts(at(options_.parts), 0);
-  for (const std::int32_t part : start_->part) ++counts[at(part)];
+  const std::vector<std::uint64_t> counts =
+      count_groups([this](std::size_t i) { return start_->part[i]; }, at(options_.parts), start_->part.size());
   result_.traffic.bytes += start_->part.size_bytes();
   std::vector<std::uint64_t> of_roots;
   for (const NodeRange& root : start_->roots)

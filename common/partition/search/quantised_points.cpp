@@ -6,6 +6,7 @@
 #include <limits>
 #include <numeric>
 
+#include "common/base/count_groups.hpp"
 #include "common/base/cpu.hpp"
 #include "common/partition/search/buckets.hpp"
 #include "common/partition/search/four_points.hpp"
@@ -124,22 +125,6 @@ template <bool kCheckLossless, typename Places>
   return i;
 }
 #endif
-
-// How many of the first `count` points each group has. In several tables in turn: neighbours often are of one group,
-// and a sum would wait for the one before.
-template <typename Group>
-std::vector<std::size_t> count_groups(const Group& group, std::size_t groups, std::size_t count) {
-  constexpr std::size_t kTables = 4;
-  std::array<std::vector<std::size_t>, kTables> tables;
-  tables.fill(std::vector<std::size_t>(groups, 0));
-  std::size_t i = 0;
-  for (; i + kTables <= count; i += kTables)
-    for (std::size_t t = 0; t < kTables; ++t) ++tables[t][group(i + t)];
-  for (; i < count; ++i) ++tables[0][group(i)];
-  for (std::size_t t = 1; t < kTables; ++t)
-    for (std::size_t g = 0; g < groups; ++g) tables[0][g] += tables[t][g];
-  return std::move(tables[0]);
-}
 
 // All maps are by value: one loop over all axes takes half the time of one loop per axis.
 template <std::size_t kAxes, bool kCheckLossless, typename Places>
@@ -275,7 +260,7 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
     Chunk& chunk = chunks_.emplace_back();
     chunk.base = first;
     const auto fill_groups = [&](const auto& group, std::size_t groups) {
-      const std::vector<std::size_t> counts = count_groups(group, groups + 1, count);
+      const std::vector<std::uint64_t> counts = count_groups(group, groups + 1, count);
       std::partial_sum(counts.begin() + 1, counts.end(), std::back_inserter(chunk.ends));
       chunk.points.resize(chunk.ends.back() + 1);
       QuantisedPoint* const points = chunk.points.data();
