@@ -143,8 +143,7 @@ LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& par
   CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
   const auto count = static_cast<std::size_t>(parts);
   // One more sum: the number of ranks with weights, since a rank without particles doesn't know whether there are any.
-  std::vector<std::uint64_t> counts =
-      count_groups([&](std::size_t i) { return part[i]; }, count + 1, part.size());
+  std::vector<std::uint64_t> counts = count_groups([&](std::size_t i) { return part[i]; }, count + 1, part.size());
   counts[count] = particles.weight != nullptr && particles.count > 0 ? 1 : 0;
   comm.all_sum(counts);
   const bool any_weights = counts[count] > 0;

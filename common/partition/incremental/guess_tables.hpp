@@ -70,7 +70,7 @@ struct GuessTables {
   Integers part{};  // of each leaf
   RoundedAxes rounded;
   int dims = 3;
-  bool several = false;  // more than one root, or parts in no root: part[] decides where a particle begins
+  bool several = false;    // more than one root, or parts in no root: part[] decides where a particle begins
   std::size_t levels = 0;  // with a cut
   std::size_t leaves = 0;
 
