@@ -119,8 +119,11 @@ class SampleWalk {
       const std::span<const std::uint32_t> sorted = sorted_.particles(own, a);
       const auto first = std::ranges::find_if(sorted, inside);
       if (first == sorted.end()) return;
+      const auto last = std::find_if(sorted.rbegin(), sorted.rend(), inside);
       out_.seen[p].lo[a] = sample_.x(a, *first);
-      out_.seen[p].hi[a] = sample_.x(a, *std::find_if(sorted.rbegin(), sorted.rend(), inside));
+      out_.seen[p].hi[a] = sample_.x(a, *last);
+      out_.tied |= first + 1 < sorted.end() && sample_.x(a, first[1]) == sample_.x(a, *first);
+      out_.tied |= last + 1 < sorted.rend() && sample_.x(a, last[1]) == sample_.x(a, *last);
     }
   }
 
@@ -330,6 +333,7 @@ Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionO
   // What a guess consists of, as bytes; `open` once its size is known.
   const auto for_each_array = [&](const auto& visit) {
     visit(std::as_writable_bytes(std::span(&guess.found, 1)));
+    visit(std::as_writable_bytes(std::span(&guess.tied, 1)));
     visit(std::as_writable_bytes(std::span(&boxes, 1)));
     guess.open.resize(boxes);
     visit(std::as_writable_bytes(std::span(guess.tree.cuts)));

@@ -27,6 +27,7 @@ struct Guess {
   // of them.
   std::vector<geometry::Box> inner;
   std::vector<geometry::Box> seen;  // [parts]: bounding boxes of the sampled particles strictly inside of `inner`
+  bool tied = false;                // several sampled particles lie on one face of such a box
   // Set, and nothing is guessed, if the sample leaves the root's longest axis open, or, where whole keys count, the
   // order of the others: the bounding boxes of its sampled particles on either side of the expected cut. The particles
   // outside of both would tell.

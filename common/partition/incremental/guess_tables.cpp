@@ -20,13 +20,16 @@ std::int64_t signed_order_bits(double value) {
 
 }  // namespace
 
-GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, int own_dims) : dims(own_dims) {
+GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, int own_dims)
+    : dims(own_dims), tied(guess.tied) {
   for (auto& row : least) row.fill(kInfinite);
   most = least;
   for (auto& row : lo) row.fill(-kInfinite);
   for (auto& row : hi) row.fill(kInfinite);
-  inner_lo = lo;
-  inner_hi = hi;
+  for (auto& row : inner_lo) row.fill(-geometry::Box::kInfinity);
+  for (auto& row : inner_hi) row.fill(geometry::Box::kInfinity);
+  sure_lo = inner_lo;
+  sure_hi = inner_hi;
   for (std::size_t a = 0; a < box_lo.size(); ++a) {  // empty on the axes that count
     box_lo[a].fill(a < at(dims) ? geometry::Box::kInfinity : -geometry::Box::kInfinity);
     box_hi[a].fill(a < at(dims) ? -geometry::Box::kInfinity : geometry::Box::kInfinity);
@@ -85,9 +88,12 @@ std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::s
 }
 
 void GuessTables::add_cut(std::size_t level, std::size_t node, const KeyBracket& bracket) {
-  // Rounded as the inner regions' bounds are.
-  least[level][node] = rounded(at(bracket.axes[0]), bracket.least.at[0]);
-  most[level][node] = rounded(at(bracket.axes[0]), bracket.most.at[0]);
+  // Rounded as the inner regions' bounds are. Where whole keys count, these decide of all that have the bounds' rounded
+  // coordinates; else they are boundary particles.
+  const float from = rounded(at(bracket.axes[0]), bracket.least.at[0]);
+  const float to = rounded(at(bracket.axes[0]), bracket.most.at[0]);
+  least[level][node] = bracket.whole ? from : std::nextafter(from, -kInfinite);
+  most[level][node] = bracket.whole ? to : std::nextafter(to, kInfinite);
   on_y[level][node] = bracket.axes[0] == 1 ? -1 : 0;
   on_z[level][node] = bracket.axes[0] == 2 ? -1 : 0;
   Keys& words = keys[level];
@@ -124,8 +130,8 @@ void GuessTables::add_leaf(std::size_t leaf, const Guess& guess, const Node& nod
   for (std::size_t a = 0; a < at(dims); ++a) {
     box_lo[a][leaf] = guess.seen[p].lo[a];
     box_hi[a][leaf] = guess.seen[p].hi[a];
-    inner_lo[a][leaf] = rounded(a, guess.inner[p].lo[a]);
-    inner_hi[a][leaf] = rounded(a, guess.inner[p].hi[a]);
+    inner_lo[a][leaf] = guess.inner[p].lo[a];
+    inner_hi[a][leaf] = guess.inner[p].hi[a];
     set_bounds(leaf, a);
   }
 }
@@ -153,11 +159,16 @@ void GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
   const double to = box_hi[a][leaf];
   float below = rounded(a, from);
   float above = rounded(a, to);
-  if (rounded(a, std::nextafter(from, -geometry::Box::kInfinity)) < below) below = std::nextafter(below, -kInfinite);
-  if (rounded(a, std::nextafter(to, geometry::Box::kInfinity)) > above) above = std::nextafter(above, kInfinite);
+  const bool tells_below = rounded(a, std::nextafter(from, -geometry::Box::kInfinity)) < below;
+  const bool tells_above = rounded(a, std::nextafter(to, geometry::Box::kInfinity)) > above;
+  if (tells_below) below = std::nextafter(below, -kInfinite);
+  if (tells_above) above = std::nextafter(above, kInfinite);
+  faces_unsure |= !tells_below || !tells_above;
   const bool none = from > to;
-  lo[a][leaf] = none ? kInfinite : std::max(below, inner_lo[a][leaf]);
-  hi[a][leaf] = none ? -kInfinite : std::min(above, inner_hi[a][leaf]);
+  lo[a][leaf] = none ? kInfinite : std::max(below, rounded(a, inner_lo[a][leaf]));
+  hi[a][leaf] = none ? -kInfinite : std::min(above, rounded(a, inner_hi[a][leaf]));
+  sure_lo[a][leaf] = std::max(from, std::nextafter(inner_lo[a][leaf], geometry::Box::kInfinity));
+  sure_hi[a][leaf] = std::min(to, std::nextafter(inner_hi[a][leaf], -geometry::Box::kInfinity));
 }
 
 }  // namespace rcb::partition

@@ -65,13 +65,17 @@ struct GuessTables {
   std::array<Doubles, geometry::kDimsMax> box_hi;
   std::array<Floats, geometry::kDimsMax> lo;  // rounded (set_bounds())
   std::array<Floats, geometry::kDimsMax> hi;
-  std::array<Floats, geometry::kDimsMax> inner_lo;  // of its inner region
-  std::array<Floats, geometry::kDimsMax> inner_hi;
+  std::array<Doubles, geometry::kDimsMax> inner_lo;  // of its inner region
+  std::array<Doubles, geometry::kDimsMax> inner_hi;
+  std::array<Doubles, geometry::kDimsMax> sure_lo;  // the box, but for what lies on the inner region's faces
+  std::array<Doubles, geometry::kDimsMax> sure_hi;
   Integers part{};  // of each leaf
   RoundedAxes rounded;
   int dims = 3;
-  bool several = false;    // more than one root, or parts in no root: part[] decides where a particle begins
-  std::size_t levels = 0;  // with a cut
+  bool tied;                  // many particles may lie on a face of a box
+  bool faces_unsure = false;  // rounded coordinates don't tell what lies on a face of a box
+  bool several = false;       // more than one root, or parts in no root: part[] decides where a particle begins
+  std::size_t levels = 0;     // with a cut
   std::size_t leaves = 0;
 
  private:
