@@ -72,7 +72,7 @@ class SampleWalk {
     // Variance of the load below a face that is a cut, in the square of the sample's unit; 0: the face isn't a cut.
     Point variance_lo{};
     Point variance_hi{};
-    // Where the face is a cut: the expected one; else not finite.
+    // Where the face is a cut between coordinates: the expected one; else not finite.
     Box cuts = {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
     double spent = 0;            // share of the particles on the brackets above
     const Box* known = nullptr;  // of all its particles; null: not known
@@ -159,7 +159,8 @@ class SampleWalk {
     right.inner.lo[a] = std::max(node.inner.lo[a], bracket.keys.most.at[0]);
     left.variance_hi[a] = right.variance_lo[a] = bracket.variance;
     left.cuts = right.cuts = node.cuts;
-    left.cuts.hi[a] = right.cuts.lo[a] = bracket.cut.at[0];
+    // A plane that many particles lie on may have none on one side of its cut: there the sampled ones tell more.
+    left.cuts.hi[a] = right.cuts.lo[a] = bracket.keys.whole ? kInfinity : bracket.cut.at[0];
     visit(left, bracket.halves.left);
     visit(right, bracket.halves.right);
   }
