@@ -72,8 +72,6 @@ class SampleWalk {
     // Variance of the load below a face that is a cut, in the square of the sample's unit; 0: the face isn't a cut.
     Point variance_lo{};
     Point variance_hi{};
-    // Where the face is a cut between coordinates: the expected one; else not finite.
-    Box cuts = {{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
     double spent = 0;            // share of the particles on the brackets above
     const Box* known = nullptr;  // of all its particles; null: not known
     int leaves = 1;              // how many it may have
@@ -158,9 +156,6 @@ class SampleWalk {
     left.inner.hi[a] = std::min(node.inner.hi[a], bracket.keys.least.at[0]);
     right.inner.lo[a] = std::max(node.inner.lo[a], bracket.keys.most.at[0]);
     left.variance_hi[a] = right.variance_lo[a] = bracket.variance;
-    left.cuts = right.cuts = node.cuts;
-    // A plane that many particles lie on may have none on one side of its cut: there the sampled ones tell more.
-    left.cuts.hi[a] = right.cuts.lo[a] = bracket.keys.whole ? kInfinity : bracket.cut.at[0];
     visit(left, bracket.halves.left);
     visit(right, bracket.halves.right);
   }
@@ -168,13 +163,9 @@ class SampleWalk {
   // The likeliest axis order.
   AxisOrder order_of(const Node& node, const Range& own) const {
     if (band_axis_ && node.range.node != 0) return out_.tree.cuts[0].axes;  // bands have one order
-    Box box = node.known != nullptr ? *node.known : sorted_.box(own);
+    const Box box = node.known != nullptr ? *node.known : sorted_.box(own);
     Point extents{};
-    for (std::size_t a = 0; a < at(dims()); ++a) {
-      if (std::isfinite(node.cuts.lo[a])) box.lo[a] = node.cuts.lo[a];
-      if (std::isfinite(node.cuts.hi[a])) box.hi[a] = node.cuts.hi[a];
-      extents[a] = geometry::extent(box.lo[a], box.hi[a]);
-    }
+    for (std::size_t a = 0; a < at(dims()); ++a) extents[a] = geometry::extent(box.lo[a], box.hi[a]);
     const AxisOrder order = geometry::order_by_extent(extents, dims());
     return band_axis_ ? geometry::with_first(order, *band_axis_, dims()) : order;
   }
