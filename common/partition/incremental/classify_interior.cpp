@@ -23,6 +23,20 @@ struct alignas(64) Bounds {
   std::array<double, kLanes> hi;
 };
 
+// The same of few parts, by axis, for looking up eight at once.
+struct alignas(64) FewBounds {
+  static constexpr std::size_t kParts = 16;
+  std::array<std::array<double, kParts>, geometry::kDimsMax> lo;
+  std::array<std::array<double, kParts>, geometry::kDimsMax> hi;
+};
+
+#if defined(__x86_64__)
+[[gnu::target(RCB_AVX512), gnu::always_inline]] inline __m512d of_parts(
+    const std::array<double, FewBounds::kParts>& bounds, __m512i part) {
+  return _mm512_permutex2var_pd(_mm512_load_pd(bounds.data()), part, _mm512_load_pd(bounds.data() + 8));
+}
+#endif
+
 class Pass {
  public:
   Pass(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
@@ -47,6 +61,10 @@ class Pass {
       std::copy_n(inner[p].lo.begin(), axes(), inner_[p].lo.begin());
       std::copy_n(inner[p].hi.begin(), axes(), inner_[p].hi.begin());
     }
+#if defined(__x86_64__)
+    few_ = has_avx512() && box_.size() <= FewBounds::kParts;
+#endif
+    for (std::size_t p = 0; p < box_.size() && few_; ++p) copy_box(p);
   }
 
   // Grows the boxes with some thousand particles from everywhere first. Otherwise sorted arrays would be slow: each
@@ -91,6 +109,13 @@ class Pass {
       box.lo[a] = std::min(box.lo[a], x_[a][i]);
       box.hi[a] = std::max(box.hi[a], x_[a][i]);
     }
+    if (few_) copy_box(index_of(part_[i]));
+  }
+  void copy_box(std::size_t p) {
+    for (std::size_t a = 0; a < x_.size(); ++a) {
+      few_boxes_.lo[a][p] = box_[p].lo[a];
+      few_boxes_.hi[a][p] = box_[p].hi[a];
+    }
   }
 
   template <bool kAvx2>
@@ -123,6 +148,7 @@ class Pass {
       box_[p].lo[a] = std::min(box_[p].lo[a], blocks_->of[a][block].lo);
       box_[p].hi[a] = std::max(box_[p].hi[a], blocks_->of[a][block].hi);
     }
+    if (inside && few_) copy_box(p);
     return inside;
   }
 
@@ -140,6 +166,7 @@ class Pass {
   template <bool kAvx2>
   std::uint64_t beyond_own(const Axes& x, const std::int32_t* part, std::size_t count) const {
 #if defined(__x86_64__)
+    if (few_) return beyond_few_avx512(x, part, count);
     if constexpr (kAvx2) return beyond_own_avx2(x, part, count);
 #endif
     std::uint64_t beyond = 0;
@@ -207,6 +234,26 @@ class Pass {
     for (; i < count; ++i) beyond |= is_beyond(x, bounds[index_of(part[i])], i) << i;
     return beyond;
   }
+  // Eight at a time, where the boxes of all parts fit in registers.
+  [[gnu::target(RCB_AVX512)]] std::uint64_t beyond_few_avx512(const Axes& x, const std::int32_t* part,
+                                                              std::size_t count) const {
+    const __m256i first = _mm256_set1_epi32(first_);
+    const __m256i last = _mm256_set1_epi32(static_cast<int>(own_parts_));
+    std::uint64_t beyond = 0;
+    for (std::size_t i = 0; i < count; i += 8) {
+      const auto some = static_cast<__mmask8>(count - i < 8 ? (1U << (count - i)) - 1 : 0xFF);
+      const __m256i own = _mm256_sub_epi32(_mm256_maskz_loadu_epi32(some, part + i), first);
+      const __m512i index = _mm512_cvtepu32_epi64(_mm256_min_epu32(own, last));
+      __mmask8 in = some;
+      for (std::size_t a = 0; a < x.size(); ++a) {
+        const __m512d value = _mm512_maskz_loadu_pd(some, x[a] + i);
+        in = _mm512_mask_cmp_pd_mask(in, value, of_parts(few_boxes_.lo[a], index), _CMP_GE_OQ);
+        in = _mm512_mask_cmp_pd_mask(in, value, of_parts(few_boxes_.hi[a], index), _CMP_LE_OQ);
+      }
+      beyond |= std::uint64_t{static_cast<__mmask8>(some & ~in)} << i;
+    }
+    return beyond;
+  }
   [[gnu::target(RCB_AVX2)]] std::uint64_t interior_of_avx2(const Axes& x, const std::int32_t* part,
                                                            std::uint64_t which) const {
     const Bounds* const inner = inner_.data();
@@ -233,6 +280,8 @@ class Pass {
   BoundaryList boundary_;
   std::vector<Bounds> inner_;  // [own parts + 1]: inner regions
   std::vector<Bounds> box_;    // [own parts + 1]: of the interior particles so far
+  bool few_ = false;           // the same stands in few_boxes_
+  FewBounds few_boxes_{};
 };
 
 }  // namespace
