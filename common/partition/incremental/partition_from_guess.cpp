@@ -70,12 +70,13 @@ class FirstPartition {
     const std::uint64_t mean = large_.count / static_cast<std::uint64_t>(comm_.size());
     const OwnInterior own = classify_guessed(particles_, guess, roots_, result_.part.span(),
                                              most_of(std::max<std::uint64_t>(particles_.count, mean)));
-    // Positions, and the parts written, and read where there are some already; then the copies of boundary particles.
+    // Positions, and the parts written, and read where there are some already; then the copies of boundary particles,
+    // whose positions are read once more for their box.
     const std::size_t point = at(axes()) * sizeof(double);
-    result_.traffic.reads += particles_.count;
+    result_.traffic.reads += particles_.count + own.slot.size();
     result_.traffic.bytes +=
         particles_.count * (point + (roots_[0].parts() == options_.parts ? 1 : 2) * sizeof(std::int32_t)) +
-        own.slot.size() * 2 * (point + sizeof(std::uint64_t));
+        own.slot.size() * (3 * point + 2 * sizeof(std::uint64_t));
     LoadSummary loads = loads_of(own);
     auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
                                  std::move(loads.loads), most_of(large_.count), result_.searched);

@@ -11,8 +11,9 @@ namespace rcb::partition {
 std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts,
                                      std::vector<std::uint64_t> counts, const ExactScale* scale,
                                      std::vector<u128> loads, std::uint64_t most, std::uint64_t& boundary) {
-  // The message: whether this rank has too many boundary particles; how many own parts have interior ones; each such
-  // part and its box; then every part with boundary particles, their number and weight.
+  // The message: whether this rank has too many boundary particles; how many own parts have interior ones; the box of
+  // the boundary particles; each such part and its box; then every part with boundary particles, their number and
+  // weight.
   const std::size_t own_count = own.too_many ? 0 : own.part.size();
   const std::vector<std::uint64_t> listed =
       count_groups([&](std::size_t k) { return own.part[k]; }, counts.size(), own_count);
@@ -20,12 +21,19 @@ std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, O
   for (std::size_t k = 0; k < own_count && scale != nullptr; ++k)
     weights[at(own.part[k])] += (*scale)(own.boundary.weight[k]);
   std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
+  const auto send = [&mine](const geometry::Box& box) {
+    for (const double x : box.lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
+    for (const double x : box.hi) mine.push_back(std::bit_cast<std::uint64_t>(x));
+  };
+  geometry::Box boundary_box;
+  for (std::size_t a = 0; a < at(own.boundary.dims); ++a)
+    geometry::least_and_most({own.boundary.position[a].data(), own_count}, boundary_box.lo[a], boundary_box.hi[a]);
+  send(boundary_box);
   for (std::size_t p = 0; p < own.boxes.size(); ++p) {
     if (own.boxes[p].empty(own.boundary.dims)) continue;
     ++mine[1];
     mine.push_back(at(parts.first) + p);
-    for (const double x : own.boxes[p].lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
-    for (const double x : own.boxes[p].hi) mine.push_back(std::bit_cast<std::uint64_t>(x));
+    send(own.boxes[p]);
   }
   for (std::size_t p = 0; p < listed.size(); ++p)
     if (listed[p] > 0)
@@ -43,14 +51,17 @@ std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, O
   for (const std::size_t words : all.counts) {
     const std::uint64_t* const end = word + words;
     too_many |= *word++ != 0;
-    std::uint64_t boxes = *word++;
-    for (; boxes > 0; --boxes, word += 1 + 2 * geometry::kDimsMax) {
+    const auto take_box = [&word] {
       geometry::Box box;
-      for (std::size_t a = 0; a < geometry::kDimsMax; ++a) {
-        box.lo[a] = std::bit_cast<double>(word[1 + a]);
-        box.hi[a] = std::bit_cast<double>(word[1 + geometry::kDimsMax + a]);
-      }
-      interior.boxes[word[0]].extend(box);
+      for (double& x : box.lo) x = std::bit_cast<double>(*word++);
+      for (double& x : box.hi) x = std::bit_cast<double>(*word++);
+      return box;
+    };
+    std::uint64_t boxes = *word++;
+    interior.boundary.extend(take_box());
+    for (; boxes > 0; --boxes) {
+      geometry::Box& box = interior.boxes[*word++];
+      box.extend(take_box());
     }
     for (; word < end; word += 4) {
       counts[word[0]] -= word[1];

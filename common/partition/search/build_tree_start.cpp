@@ -76,6 +76,12 @@ bool TreeBuilder::find_bounds() {
     hi_ = all.hi;
     return !all.empty(axes_);
   }
+  if (interior_ != nullptr) {
+    if (start_->splitters != nullptr) (void)own_box();
+    lo_ = interior_->boundary.lo;
+    hi_ = interior_->boundary.hi;
+    return !interior_->boundary.empty(axes_);
+  }
   std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
   const geometry::Box box = own_box();
   for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {

@@ -33,6 +33,7 @@ struct Interior {
   std::vector<u128> weight_prefix;          // likewise; empty where weights don't count
   std::vector<geometry::Box> boxes;         // [parts]
   std::vector<KeyBracket> brackets;         // [inner nodes]; empty: not known
+  geometry::Box boundary;                   // of the boundary particles, which are those that are searched
 
   std::uint64_t count(int first, int last) const {
     return count_prefix[static_cast<std::size_t>(last)] - count_prefix[static_cast<std::size_t>(first)];
