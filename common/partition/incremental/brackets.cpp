@@ -30,8 +30,9 @@ struct UpperCuts {
 // it.
 class BracketGuess {
  public:
-  BracketGuess(const CutTree& tree, std::span<const double> loads, const SearchLimits& limits, const Sample& sample)
-      : tree_(tree), limits_(limits), sample_(sample) {
+  BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
+               const Sample& sample, std::span<geometry::Box> boxes)
+      : tree_(tree), own_(own), limits_(limits), sample_(sample), boxes_(boxes) {
     prefix_.assign(1, 0.0);
     for (const double load : loads) prefix_.push_back(prefix_.back() + load);
     size_prefix_.assign(1, 0.0);
@@ -42,7 +43,7 @@ class BracketGuess {
     std::partial_sum(sampled_prefix_.begin(), sampled_prefix_.end(), sampled_prefix_.begin());
   }
 
-  // Of the whole tree.
+  // Guesses those of the whole tree.
   UpperCuts upper_cuts() {
     UpperCuts upper;
     for (std::size_t a = 0; a < at(tree_.dims); ++a)
@@ -51,11 +52,9 @@ class BracketGuess {
     return upper;
   }
 
-  // The inner regions of own parts below a root: new cuts divide its particles among its own parts.
+  // Finds the inner regions of this rank's parts below a root: new cuts divide its particles among its own parts.
   //   upper  if it is the tree's root; else null
-  void visit_root(const NodeRange& range, const UpperCuts* upper, OwnParts own, std::span<geometry::Box> boxes) {
-    own_ = own;
-    boxes_ = boxes;
+  void visit_root(const NodeRange& range, const UpperCuts* upper) {
     upper_ = upper;
     visit(range, upper == nullptr ? Splitters::kNodes : 0, geometry::Box::unbounded(), sampled_in(range),
           load(range.first, range.last));
@@ -183,9 +182,9 @@ class BracketGuess {
   }
 
   const CutTree& tree_;
+  OwnParts own_;
   const SearchLimits& limits_;
   const Sample& sample_;
-  OwnParts own_;
   std::span<geometry::Box> boxes_;  // [own parts]
   const UpperCuts* upper_ = nullptr;
   std::vector<double> prefix_;
@@ -213,15 +212,15 @@ InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& part
   const SampleFields fields{.parts = true};
   const Sample sample = upper_alone ? gather_sample(comm, particles, slots, fields, part.data())
                                     : share_sample(comm, particles, slots, fields, part.data());
-  BracketGuess walk(tree, loads, limits, sample);
+  InnerRegions found;
+  found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
+  BracketGuess walk(tree, loads, own, limits, sample, found.boxes);
   UpperCuts upper;
   if (whole) {
     if (comm.rank() == 0) upper = walk.upper_cuts();
     upper = comm::values_of_first<UpperCuts>(comm, {&upper, 1})[0];
   }
-  InnerRegions found;
-  found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
-  for (const NodeRange& root : roots) walk.visit_root(root, whole ? &upper : nullptr, own, found.boxes);
+  for (const NodeRange& root : roots) walk.visit_root(root, whole ? &upper : nullptr);
   found.splitters = upper.splitters;
   return found;
 }

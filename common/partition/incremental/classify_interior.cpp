@@ -104,12 +104,15 @@ class Pass {
   }
   // Makes the box of a particle's part hold it.
   void grow(std::size_t i) {
-    Bounds& box = box_[index_of(part_[i])];
-    for (std::size_t a = 0; a < x_.size(); ++a) {
-      box.lo[a] = std::min(box.lo[a], x_[a][i]);
-      box.hi[a] = std::max(box.hi[a], x_[a][i]);
+    grow(index_of(part_[i]), [&](std::size_t a) { return particles::Range{x_[a][i], x_[a][i]}; });
+  }
+  template <typename RangeOnAxis>
+  void grow(std::size_t p, const RangeOnAxis& range_on) {
+    for (std::size_t a = 0; a < axes(); ++a) {
+      box_[p].lo[a] = std::min(box_[p].lo[a], range_on(a).lo);
+      box_[p].hi[a] = std::max(box_[p].hi[a], range_on(a).hi);
     }
-    if (few_) copy_box(index_of(part_[i]));
+    if (few_) copy_box(p);
   }
   void copy_box(std::size_t p) {
     for (std::size_t a = 0; a < x_.size(); ++a) {
@@ -131,7 +134,7 @@ class Pass {
         for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
       const std::uint64_t beyond =
           other == 0 ? beyond_same<kAvx2>(x, box_[index_of(part[0])], count) : beyond_own<kAvx2>(x, part, count);
-      const std::uint64_t inside = beyond == 0 ? 0 : interior_of<kAvx2>(x, part, beyond);
+      const std::uint64_t inside = beyond == 0 ? 0 : interior_of<kAvx2>(begin, beyond);
       for (std::uint64_t left = inside; left != 0; left &= left - 1)
         grow(begin + static_cast<std::size_t>(std::countr_zero(left)));
       if (beyond != inside) boundary_.append(begin, beyond & ~inside);
@@ -144,11 +147,7 @@ class Pass {
     bool inside = true;
     for (std::size_t a = 0; a < axes() && inside; ++a)
       inside = blocks_->of[a][block].strictly_inside(inner_[p].lo[a], inner_[p].hi[a]);
-    for (std::size_t a = 0; a < axes() && inside; ++a) {
-      box_[p].lo[a] = std::min(box_[p].lo[a], blocks_->of[a][block].lo);
-      box_[p].hi[a] = std::max(box_[p].hi[a], blocks_->of[a][block].hi);
-    }
-    if (inside && few_) copy_box(p);
+    if (inside) grow(p, [&](std::size_t a) { return blocks_->of[a][block]; });
     return inside;
   }
 
@@ -173,16 +172,17 @@ class Pass {
     for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box_[index_of(part[i])], i) << i;
     return beyond;
   }
-  // Those of `which` that are interior. Without branches: most of them lie on the boundary, but not all.
+  // Those of `which`, of the block that begins here, that are interior. Without branches: most of them lie on the
+  // boundary, but not all.
   template <bool kAvx2>
-  std::uint64_t interior_of(const Axes& x, const std::int32_t* part, std::uint64_t which) const {
+  std::uint64_t interior_of(std::size_t begin, std::uint64_t which) const {
 #if defined(__x86_64__)
-    if constexpr (kAvx2) return interior_of_avx2(x, part, which);
+    if constexpr (kAvx2) return interior_of_avx2(begin, which);
 #endif
     std::uint64_t inside = 0;
     for (; which != 0; which &= which - 1) {
       const auto k = static_cast<std::size_t>(std::countr_zero(which));
-      inside |= std::uint64_t{interior(static_cast<std::size_t>(part - part_.data()) + k) ? 1U : 0U} << k;
+      inside |= std::uint64_t{interior(begin + k) ? 1U : 0U} << k;
     }
     return inside;
   }
@@ -254,8 +254,9 @@ class Pass {
     }
     return beyond;
   }
-  [[gnu::target(RCB_AVX2)]] std::uint64_t interior_of_avx2(const Axes& x, const std::int32_t* part,
-                                                           std::uint64_t which) const {
+  [[gnu::target(RCB_AVX2)]] std::uint64_t interior_of_avx2(std::size_t begin, std::uint64_t which) const {
+    const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
+    const std::int32_t* const part = part_.data() + begin;
     const Bounds* const inner = inner_.data();
     std::uint64_t inside = 0;
     for (; which != 0; which &= which - 1) {

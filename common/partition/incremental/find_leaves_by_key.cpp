@@ -341,7 +341,7 @@ std::uint64_t in_own_boxes(const Tables& t, const Axes& x, const FoundLeaves& fo
 
 std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
                                  FoundLeaves& found) {
-  if (tables.tied && tables.faces_unsure) found.unsure &= ~in_own_boxes(tables, x, found);
+  if (tables.tied_faces) found.unsure &= ~in_own_boxes(tables, x, found);
   if (found.unsure == 0) return 0;
   const ByKey by_key = find_keys(tables, x, id, part, found.unsure);
   found.boundary |= found.unsure & ~by_key.interior;

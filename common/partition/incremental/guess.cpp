@@ -281,10 +281,7 @@ class SampleWalk {
   }
 
   Key key(std::uint32_t k, const AxisOrder& axes) const {
-    Key key{.at = {}, .id = sample_.particles.id[k]};
-    for (std::size_t i = 0; i < key.at.size(); ++i)  // of known length: so the key stays in registers
-      key.at[i] = i < at(dims()) ? sample_.x(at(axes[i]), k) + 0.0 : 0.0;
-    return key;
+    return key_of(sample_.particles.view().point(k), sample_.particles.id[k], axes, dims());
   }
 
   const Sample& sample_;

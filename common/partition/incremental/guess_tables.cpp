@@ -20,8 +20,7 @@ std::int64_t signed_order_bits(double value) {
 
 }  // namespace
 
-GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, int own_dims)
-    : dims(own_dims), tied(guess.tied) {
+GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, int own_dims) : dims(own_dims) {
   for (auto& row : least) row.fill(kInfinite);
   most = least;
   for (auto& row : lo) row.fill(-kInfinite);
@@ -132,7 +131,7 @@ void GuessTables::add_leaf(std::size_t leaf, const Guess& guess, const Node& nod
     box_hi[a][leaf] = guess.seen[p].hi[a];
     inner_lo[a][leaf] = guess.inner[p].lo[a];
     inner_hi[a][leaf] = guess.inner[p].hi[a];
-    set_bounds(leaf, a);
+    tied_faces |= !set_bounds(leaf, a) && guess.tied;
   }
 }
 
@@ -154,7 +153,7 @@ void GuessTables::extend(std::size_t leaf, const geometry::Point& position) {
   }
 }
 
-void GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
+bool GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
   const double from = box_lo[a][leaf];
   const double to = box_hi[a][leaf];
   float below = rounded(a, from);
@@ -163,12 +162,12 @@ void GuessTables::set_bounds(std::size_t leaf, std::size_t a) {
   const bool tells_above = rounded(a, std::nextafter(to, geometry::Box::kInfinity)) > above;
   if (tells_below) below = std::nextafter(below, -kInfinite);
   if (tells_above) above = std::nextafter(above, kInfinite);
-  faces_unsure |= !tells_below || !tells_above;
   const bool none = from > to;
   lo[a][leaf] = none ? kInfinite : std::max(below, rounded(a, inner_lo[a][leaf]));
   hi[a][leaf] = none ? -kInfinite : std::min(above, rounded(a, inner_hi[a][leaf]));
   sure_lo[a][leaf] = std::max(from, std::nextafter(inner_lo[a][leaf], geometry::Box::kInfinity));
   sure_hi[a][leaf] = std::min(to, std::nextafter(inner_hi[a][leaf], -geometry::Box::kInfinity));
+  return tells_below && tells_above;
 }
 
 }  // namespace rcb::partition

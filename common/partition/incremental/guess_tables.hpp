@@ -72,10 +72,9 @@ struct GuessTables {
   Integers part{};  // of each leaf
   RoundedAxes rounded;
   int dims = 3;
-  bool tied;                  // many particles may lie on a face of a box
-  bool faces_unsure = false;  // rounded coordinates don't tell what lies on a face of a box
-  bool several = false;       // more than one root, or parts in no root: part[] decides where a particle begins
-  std::size_t levels = 0;     // with a cut
+  bool tied_faces = false;  // many particles may lie on a box's faces, and rounded coordinates don't tell these
+  bool several = false;     // more than one root, or parts in no root: part[] decides where a particle begins
+  std::size_t levels = 0;   // with a cut
   std::size_t leaves = 0;
 
  private:
@@ -90,9 +89,9 @@ struct GuessTables {
   Step step(std::size_t level, std::size_t node) const;
   void add_leaf(std::size_t leaf, const Guess& guess, const Node& node);
   // Sets lo and hi of a leaf and an axis, so that a coordinate whose rounded value lies between them is certainly in
-  // the box. The reverse need not hold at the box's bounds. Neither goes beyond the inner region, outside of which the
-  // whole key may decide.
-  void set_bounds(std::size_t leaf, std::size_t a);
+  // the box. The reverse need not hold at the box's bounds: then it returns false. Neither goes beyond the inner
+  // region, outside of which the whole key may decide.
+  bool set_bounds(std::size_t leaf, std::size_t a);
 };
 
 }  // namespace rcb::partition

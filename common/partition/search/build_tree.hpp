@@ -99,7 +99,7 @@ class TreeBuilder {
   };
 
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
-  // one reduction, and what own_box() costs).
+  // one reduction, and what own_box() costs; none where interior particles tell the box of the others).
   bool find_bounds();
   // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
   // sample (at most three gathers).

@@ -21,8 +21,7 @@ constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 }  // namespace
 
 std::vector<std::uint64_t> TreeBuilder::find_roots() {
-  if (start_ == nullptr) return {particles_.count};
-  if (start_->roots[0].parts() == options_.parts) return {particles_.count};
+  if (start_ == nullptr || start_->roots[0].parts() == options_.parts) return {particles_.count};
   root_of_ = roots_of_parts(start_->roots, options_.parts);
   const std::vector<std::uint64_t> counts =
       count_groups([this](std::size_t i) { return start_->part[i]; }, at(options_.parts), start_->part.size());
@@ -77,7 +76,7 @@ bool TreeBuilder::find_bounds() {
     return !all.empty(axes_);
   }
   if (interior_ != nullptr) {
-    if (start_->splitters != nullptr) (void)own_box();
+    if (start_->splitters != nullptr) (void)own_box();  // for the buckets
     lo_ = interior_->boundary.lo;
     hi_ = interior_->boundary.hi;
     return !interior_->boundary.empty(axes_);

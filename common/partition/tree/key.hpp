@@ -24,8 +24,8 @@ struct Key {
 // The key of a particle under `axes`. Negative zeros come out as 0.0.
 inline Key key_of(const Point& position, Id id, const AxisOrder& axes, int dims) {
   Key key;
-  for (std::size_t i = 0; i < static_cast<std::size_t>(dims); ++i)
-    key.at[i] = position[static_cast<std::size_t>(axes[i])] + 0.0;
+  for (std::size_t i = 0; i < key.at.size(); ++i)  // of known length: so the key stays in registers
+    key.at[i] = i < static_cast<std::size_t>(dims) ? position[static_cast<std::size_t>(axes[i])] + 0.0 : 0.0;
   key.id = id;
   return key;
 }
