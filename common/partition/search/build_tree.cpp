@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <utility>
 
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
@@ -148,17 +149,21 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   const std::size_t words = 2 * at(axes_);
   std::vector<std::uint64_t> least(nodes.size() * words, kNoOrderBits);
   for (std::size_t n = 0; n < nodes.size(); ++n) {
-    const QBounds& bounds = level_[nodes[n]].bounds;
+    const Node& node = level_[nodes[n]];
+    const QBounds& bounds = node.bounds;
     std::uint64_t* const own = &least[n * words];
-    for (const Span& span : spans_of(level_[nodes[n]])) {
+    bool place_read = false;
+    for (const Span& span : spans_of(node)) {
       result_.traffic.bytes += span.all().size() * sizeof(QuantisedPoint);
-      for (const QuantisedPoint& point : span.all())
+      for (const QuantisedPoint& point : span.all()) {
+        if (node.place && point.q == *node.place && std::exchange(place_read, true)) continue;
         for (std::size_t a = 0; a < at(axes_); ++a) {
           if (point.q[a] != bounds.lo[a] && point.q[a] != bounds.hi[a]) continue;
           const std::uint64_t order_bits = geometry::order_bits(particles_.position[a][span.base + point.index]);
           own[2 * a] = std::min(own[2 * a], order_bits);
           own[2 * a + 1] = std::min(own[2 * a + 1], ~order_bits);
         }
+      }
     }
   }
   result_.reductions += all_min_in_messages(comm_, least);

@@ -191,6 +191,7 @@ class Selector {
   static void write_both(Span& span, std::size_t axis, const WordValues& one, const WordValues& other);
   void set_range(std::size_t node, std::uint64_t lo, std::uint64_t hi);
   void write_words(std::size_t node);
+  void write_ids(Span& span, std::size_t axis, const State& state) const;
   void restore(std::size_t node);
   void sum_message();
   void enter(std::size_t node, std::uint64_t lo, std::uint64_t hi);

@@ -198,6 +198,17 @@ void Selector::write_both(Span& span, std::size_t axis, const WordValues& one, c
                                               static_cast<std::uint32_t>(point.q[other.axis] >> other.zeros) - base);
 }
 
+// Ids of particles that lie anywhere: the processor can't tell which come next.
+void Selector::write_ids(Span& span, std::size_t axis, const State& state) const {
+  constexpr std::size_t kAhead = 16;
+  const std::span<QuantisedPoint> open = span.open();
+  for (std::size_t i = 0; i < open.size(); ++i) {
+    if (i + kAhead < open.size()) __builtin_prefetch(particles_.id + span.base + open[i + kAhead].index);
+    const auto id = static_cast<std::uint64_t>(particles_.id_of(span.base + open[i].index));
+    open[i].q[axis] = static_cast<std::int32_t>((id - state.base) >> state.shift);
+  }
+}
+
 void Selector::write_words(std::size_t node) {
   State& state = states_[node];
   const std::size_t axis = axis_of(node);
@@ -214,6 +225,8 @@ void Selector::write_words(std::size_t node) {
     else if (lossless(node, state.word))
       for (QuantisedPoint& point : span.open())
         point.q[axis] = (point.q[from] >> zeros) - static_cast<std::int32_t>(state.base);
+    else if (state.word == axes_)
+      write_ids(span, axis, state);
     else
       for (QuantisedPoint& point : span.open())
         point.q[axis] =
