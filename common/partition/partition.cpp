@@ -96,7 +96,7 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (large && guess)
     if (auto found = partition_from_guess(comm, particles, options, *large, sample, in_vain)) return *std::move(found);
   auto result = large && large->buckets ? build({comm, particles, options, std::move(sample), large->stride}, go_on)
-                                        : build({comm, particles, options, particles.dims}, go_on);
+                                        : build({comm, particles, options}, go_on);
   if (!result.ok()) return result;
   result->reductions += in_vain.reductions;
   result->traffic += in_vain.traffic;
@@ -110,7 +110,15 @@ Result<PartitionResult> baseline(comm::Comm& comm, const particles::ParticleView
   if (options.method != Method::file_order)
     return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is no baseline",
                   "choose equal-boxes or file-order");
-  auto result = build({comm, particles, options, 0}, go_on);
+  // Where all particles lie in one place, ids alone divide them.
+  Buffer<double> place(particles.count);
+  std::fill(place.begin(), place.end(), 0.0);
+  particles::ParticleView in_one_place = particles;
+  in_one_place.dims = 1;
+  in_one_place.position = {place.data()};
+  in_one_place.weight = nullptr;
+  const PartitionOptions by_id{.parts = options.parts, .part_sizes = options.part_sizes, .limits = options.limits};
+  auto result = build({comm, in_one_place, by_id}, go_on);
   if (result.ok()) result->tree = CutTree{};
   return result;
 }

@@ -126,7 +126,7 @@ class Repartitioning {
       found = search_roots(comm_, particles_, options_, start);
     } else {
       found = (large ? TreeBuilder(comm_, particles_, options_, SortedSample(large->sample), large->stride)
-                     : TreeBuilder(comm_, particles_, options_, particles_.dims))
+                     : TreeBuilder(comm_, particles_, options_))
                   .build();
       part = std::move(found.part);
     }

@@ -41,14 +41,8 @@ std::vector<std::int32_t> roots_of_parts(std::span<const NodeRange> roots, int p
   return root_of;
 }
 
-TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-                         int axes)
-    : comm_(comm),
-      particles_(particles),
-      options_(options),
-      axes_(axes),
-      q_axes_(at(std::max(axes, 1))),
-      rule_(options, axes) {
+TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options)
+    : comm_(comm), particles_(particles), options_(options), axes_(particles.dims), rule_(options, particles.dims) {
   result_.tree = uncut_tree(options, particles.dims);
   // (1 + level tolerance)^levels <= 1 + tolerance
   const double levels = std::bit_width(static_cast<unsigned>(options.parts - 1));
@@ -57,7 +51,7 @@ TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& partic
 
 TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
                          const Start& start)
-    : TreeBuilder(comm, particles, options, particles.dims) {
+    : TreeBuilder(comm, particles, options) {
   start_ = &start;
   interior_ = start.interior;
   scale_ = start.scale;
@@ -75,7 +69,7 @@ PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
   if (!scale_) result_.counts.resize(at(options_.parts));
   quantise();
   lay_out_roots();
-  Selector selector(comm_, particles_, maps_, axes_, scale_ ? &*scale_ : nullptr, options_.limits);
+  Selector selector(comm_, particles_, maps_, scale_ ? &*scale_ : nullptr, options_.limits);
   std::vector<CutRequest> wanted;
   while (!level_.empty() && !abandoned()) {
     stopped_ = go_on && !go_on();
@@ -120,7 +114,7 @@ Extents TreeBuilder::extents_of(const Node& node) const {
 }
 
 bool TreeBuilder::one_lossless_place(const QBounds& bounds) const {
-  if (axes_ == 0 || bounds.empty()) return false;
+  if (bounds.empty()) return false;
   for (std::size_t a = 0; a < at(axes_); ++a)
     if (!maps_[a].lossless() || bounds.lo[a] != bounds.hi[a]) return false;
   return true;
@@ -193,7 +187,7 @@ CutRequest TreeBuilder::request_of(const Node& node) {
   wanted.axes = node.axes;
   wanted.bounds = node.bounds;
   wanted.coincident = node.coincident;
-  wanted.keep_ids = node.coincident && axes_ > 0 && interior_ == nullptr && options_.cut_tolerance == 0;
+  wanted.keep_ids = node.coincident && interior_ == nullptr && options_.cut_tolerance == 0;
   wanted.ids_kept = node.ids_kept;
   wanted.place = node.place;
   wanted.id_first = node.id_first;
@@ -421,16 +415,16 @@ void TreeBuilder::take_child(Node child, bool right, std::size_t parent) {
 
 void TreeBuilder::reduce_bounds(std::span<Node> nodes) {
   std::vector<std::uint64_t> least;
-  least.reserve(nodes.size() * q_axes_ * 2);
+  least.reserve(nodes.size() * at(axes_) * 2);
   for (const Node& node : nodes)
-    for (std::size_t a = 0; a < q_axes_; ++a) {
+    for (std::size_t a = 0; a < at(axes_); ++a) {
       least.push_back(static_cast<std::uint64_t>(node.bounds.lo[a]));
       least.push_back(static_cast<std::uint64_t>(std::int64_t{QBounds::kNone} - node.bounds.hi[a]));
     }
   result_.reductions += all_min_in_messages(comm_, least);
   std::size_t word = 0;
   for (Node& node : nodes)
-    for (std::size_t a = 0; a < q_axes_; ++a) {
+    for (std::size_t a = 0; a < at(axes_); ++a) {
       node.bounds.lo[a] = static_cast<std::int32_t>(least[word++]);
       node.bounds.hi[a] = static_cast<std::int32_t>(QBounds::kNone - static_cast<std::int64_t>(least[word++]));
     }

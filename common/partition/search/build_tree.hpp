@@ -53,14 +53,14 @@ struct Start {
 
 class TreeBuilder {
  public:
-  // `options` must be valid. axes: particles.dims, or 0 to cut by ids alone (weights don't count then).
-  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options, int axes);
+  // `options` must be valid.
+  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options);
   // Begins with buckets; no particle has a weight.
   //   sample  on rank 0, of all particles, and elsewhere empty; what was sampled must outlive this
   //   stride  one particle of so many was sampled
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
               SortedSample sample, std::uint64_t stride)
-      : TreeBuilder(comm, particles, options, particles.dims) {
+      : TreeBuilder(comm, particles, options) {
     sample_ = std::move(sample);
     stride_ = stride;
   }
@@ -157,7 +157,6 @@ class TreeBuilder {
   particles::ParticleView particles_;
   const PartitionOptions& options_;
   int axes_;
-  std::size_t q_axes_;  // coordinates in a quantised point
   const Start* start_ = nullptr;
   SortedSample sample_;       // on rank 0
   std::uint64_t stride_ = 0;  // 0: no buckets are made from a sample
@@ -174,8 +173,6 @@ class TreeBuilder {
   std::optional<WeightRange> weights_;
   Point lo_{};  // of all particles
   Point hi_{};
-  Id id_lo_ = 0;
-  Id id_hi_ = 0;
   AxisMaps maps_;
   std::array<std::uint64_t, geometry::kDimsMax> lossless_{};  // 1: nothing lost in the sample; see quantise()
   Roots roots_;

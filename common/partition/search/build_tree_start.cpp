@@ -35,7 +35,7 @@ std::vector<std::uint64_t> TreeBuilder::find_roots() {
 }
 
 geometry::Box TreeBuilder::own_box() {
-  result_.traffic.reads += axes_ > 0 ? particles_.count : 0;
+  result_.traffic.reads += particles_.count;
   result_.traffic.bytes +=
       particles_.count * at(axes_) * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
   if (sampled()) {
@@ -87,13 +87,7 @@ bool TreeBuilder::find_bounds() {
     least[a] = geometry::order_bits(box.lo[a]);
     least[geometry::kDimsMax + a] = ~geometry::order_bits(box.hi[a]);
   }
-  if (axes_ > 0) {
-    std::ranges::copy(weight_order_bits(particles_), least.end() - 2);
-  } else if (particles_.count > 0) {
-    const auto [lo, hi] = std::minmax_element(particles_.id, particles_.id + particles_.count);
-    least[0] = static_cast<std::uint64_t>(*lo);
-    least[geometry::kDimsMax] = ~static_cast<std::uint64_t>(*hi);
-  }
+  std::ranges::copy(weight_order_bits(particles_), least.end() - 2);
   comm_.all_min(least);
   ++result_.reductions;
   const bool none = least[0] == kNoOrderBits;
@@ -101,8 +95,6 @@ bool TreeBuilder::find_bounds() {
     lo_[a] = geometry::value_of_order_bits(least[a]);
     hi_[a] = geometry::value_of_order_bits(~least[geometry::kDimsMax + a]);
   }
-  id_lo_ = axes_ == 0 && !none ? static_cast<Id>(least[0]) : 0;
-  id_hi_ = axes_ == 0 && !none ? static_cast<Id>(~least[geometry::kDimsMax]) : 0;
   if (start_ == nullptr) weights_ = weight_range_of_order_bits(std::span<const std::uint64_t>(least).last<2>());
   return !none;
 }
@@ -133,9 +125,9 @@ void TreeBuilder::measure_all() {
   }
   for (std::size_t r = 0; r < level_.size() && knows_bounds() && !none; ++r) {
     const geometry::Box box = level_.size() == 1 ? geometry::Box{lo_, hi_} : start_->boxes[r];
-    for (std::size_t a = 0; a < q_axes_ && !box.empty(axes_); ++a) {
-      level_[r].bounds.lo[a] = axes_ == 0 ? maps_[a](id_lo_) : maps_[a](box.lo[a]);
-      level_[r].bounds.hi[a] = axes_ == 0 ? maps_[a](id_hi_) : maps_[a](box.hi[a]);
+    for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {
+      level_[r].bounds.lo[a] = maps_[a](box.lo[a]);
+      level_[r].bounds.hi[a] = maps_[a](box.hi[a]);
     }
   }
   if (weights_) scale_.emplace(weights_->largest, count);
@@ -191,7 +183,6 @@ std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
 }
 
 void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
-  if (axes_ == 0) maps_[0] = AxisMap::of_ids(id_lo_, id_hi_);
   for (std::size_t a = 0; a < at(axes_); ++a) {
     const auto most = [&](std::size_t m) {
       return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
@@ -206,10 +197,10 @@ void TreeBuilder::quantise() {
   const bool tell = std::ranges::max(lossless_) != 0 &&
                     std::all_of(maps_.begin(), maps_.begin() + axes_, [](const AxisMap& map) { return map.linear(); });
   const std::array<int, geometry::kDimsMax> zeros =
-      points_.build(particles_, axes_, maps_, options_.limits.chunk_max, tell, roots_, bucket_);
-  if (axes_ > 0) result_.traffic.reads += particles_.count;
+      points_.build(particles_, maps_, options_.limits.chunk_max, tell, roots_, bucket_);
+  result_.traffic.reads += particles_.count;
   result_.traffic.bytes +=
-      particles_.count * (q_axes_ * sizeof(double) + (roots_.one() ? 0 : 2 * sizeof(std::int32_t))) +
+      particles_.count * (at(axes_) * sizeof(double) + (roots_.one() ? 0 : 2 * sizeof(std::int32_t))) +
       2 * bucket_.size() + points_.size() * sizeof(QuantisedPoint);
   if (!tell) return;
   // 1 + the trailing zeros; 0 if the axis is not lossless.

@@ -170,14 +170,9 @@ void fill(const particles::ParticleView& particles, std::size_t first, std::size
 }
 
 template <typename Places>
-void fill(const particles::ParticleView& particles, int axes, std::size_t first, std::size_t count,
-          const AxisMaps& maps, Places places, bool check_lossless,
-          std::array<Lossless, geometry::kDimsMax>& lossless) {
-  switch (axes) {
-    case 0:
-      for (std::size_t i = 0; i < count; ++i)
-        *places.next(i) = {{maps[0](particles.id[first + i]), 0, 0}, static_cast<std::uint32_t>(i)};
-      break;
+void fill(const particles::ParticleView& particles, std::size_t first, std::size_t count, const AxisMaps& maps,
+          Places places, bool check_lossless, std::array<Lossless, geometry::kDimsMax>& lossless) {
+  switch (particles.dims) {
     case 1:
       return fill<1>(particles, first, count, maps, places, check_lossless, lossless);
     case 2:
@@ -205,14 +200,6 @@ AxisMap AxisMap::by_order_bits(double lo, double hi) {
   map.hi_ = geometry::order_bits(hi);
   map.shift_ = shift_to(map.hi_ - map.lo_, kOrderBits);
   map.lossless_ = map.shift_ == 0;
-  return map;
-}
-
-AxisMap AxisMap::of_ids(Id lo, Id hi) {
-  AxisMap map;
-  map.lo_ = static_cast<std::uint64_t>(lo);
-  map.hi_ = static_cast<std::uint64_t>(hi);
-  map.shift_ = shift_to(map.hi_ - map.lo_, kOrderBits);
   return map;
 }
 
@@ -249,7 +236,7 @@ int zeros_of_lossless(const AxisMap& map, std::span<const double> x) {
   return lossless.zeros();
 }
 
-std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::ParticleView& particles, int axes,
+std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::ParticleView& particles,
                                                            const AxisMaps& maps, std::size_t chunk_max,
                                                            bool check_lossless, const Roots& roots,
                                                            std::span<const std::uint8_t> bucket) {
@@ -267,7 +254,7 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
       std::vector<QuantisedPoint*> cursor{points + chunk.ends.back(), points + chunk.ends.back()};
       for (std::size_t g = 0; g < groups; ++g)
         cursor.insert(cursor.end(), {points + (g == 0 ? 0 : chunk.ends[g - 1]), points + chunk.ends[g]});
-      fill(particles, axes, first, count, maps, ByGroup{group, std::move(cursor)}, check_lossless, lossless);
+      fill(particles, first, count, maps, ByGroup{group, std::move(cursor)}, check_lossless, lossless);
     };
     if (!bucket.empty()) {
       fill_groups(BucketOf{bucket.data() + first}, kBuckets);
@@ -276,7 +263,7 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
     } else {
       chunk.ends = {count};
       chunk.points.resize(count);
-      fill(particles, axes, first, count, maps, InOrder{chunk.points.data()}, check_lossless, lossless);
+      fill(particles, first, count, maps, InOrder{chunk.points.data()}, check_lossless, lossless);
     }
   }
   std::array<int, geometry::kDimsMax> zeros{-1, -1, -1};

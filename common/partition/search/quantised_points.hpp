@@ -82,7 +82,6 @@ class AxisMap {
   // order-preserving bits. lo <= hi, finite.
   static AxisMap by_value(double lo, double hi);
   static AxisMap by_order_bits(double lo, double hi);
-  static AxisMap of_ids(Id lo, Id hi);
 
   bool linear() const { return scale_ > 0; }  // equal steps of the value
   double half_base() const { return half_base_; }
@@ -90,9 +89,8 @@ class AxisMap {
 
   std::int32_t operator()(double value) const {
     return linear() ? static_cast<std::int32_t>((value * 0.5 - half_base_) * scale_)
-                    : of_word(geometry::order_bits(value));
+                    : static_cast<std::int32_t>((geometry::order_bits(value) - lo_) >> shift_);
   }
-  std::int32_t operator()(Id id) const { return of_word(static_cast<std::uint64_t>(id)); }
 
   // True if the integer determines the coordinate. A map by order-preserving bits with steps of 1 always is lossless;
   // one by value may turn out to be for a particle set (lattices, coordinates of few digits).
@@ -115,11 +113,9 @@ class AxisMap {
   double first_value(std::int32_t q) const;
 
  private:
-  std::int32_t of_word(std::uint64_t word) const { return static_cast<std::int32_t>((word - lo_) >> shift_); }
-
   double half_base_ = 0;
   double scale_ = 0;
-  std::uint64_t lo_ = 0;  // order-preserving bits, or ids
+  std::uint64_t lo_ = 0;  // order-preserving bits
   std::uint64_t hi_ = 0;
   unsigned shift_ = 0;
   bool lossless_ = false;
@@ -142,10 +138,10 @@ struct Roots {
 
 class QuantisedPoints {
  public:
-  // Makes one quantised point per particle, grouped by bucket or, if `bucket` is empty, by root. axes: 0 quantises the
-  // ids instead. If `check_lossless` (only where all maps are by value), returns zeros_of_lossless() of every axis,
-  // found in the same pass; else -1. Local.
-  std::array<int, geometry::kDimsMax> build(const particles::ParticleView& particles, int axes, const AxisMaps& maps,
+  // Makes one quantised point per particle, grouped by bucket or, if `bucket` is empty, by root. If `check_lossless`
+  // (only where all maps are by value), returns zeros_of_lossless() of every axis, found in the same pass; else -1.
+  // Local.
+  std::array<int, geometry::kDimsMax> build(const particles::ParticleView& particles, const AxisMaps& maps,
                                             std::size_t chunk_max, bool check_lossless, const Roots& roots,
                                             std::span<const std::uint8_t> bucket);
 

@@ -92,7 +92,6 @@ void Selector::start(std::size_t node) {
   const bool by_id = ask.coincident && ask.slack == 0;
   state.phase = by_id && !ask.ids_kept ? Phase::next_word : Phase::count;
   if (by_id) state.word = axes_;
-  state.by_id = axes_ == 0;
   state.lo = ask.bounds.lo[axis_of(node)];
   state.hi = ask.bounds.hi[axis_of(node)];
   if (ask.ids_kept) {

@@ -94,13 +94,13 @@ u128 threshold_of(const CutRequest& wanted);
 
 class Selector {
  public:
-  // axes: how many coordinate words a key has; 0: keys are ids alone. scale: null without weights.
-  Selector(comm::Comm& comm, const particles::ParticleView& particles, const AxisMaps& maps, int axes,
-           const ExactScale* scale, const SearchLimits& limits)
+  // scale: null without weights.
+  Selector(comm::Comm& comm, const particles::ParticleView& particles, const AxisMaps& maps, const ExactScale* scale,
+           const SearchLimits& limits)
       : comm_(comm),
         particles_(particles),
         maps_(maps),
-        axes_(static_cast<std::size_t>(axes)),
+        axes_(static_cast<std::size_t>(particles.dims)),
         words_(axes_ + 1),
         scale_(scale),
         limits_(limits),
@@ -218,7 +218,7 @@ class Selector {
 
   bool weighted() const { return scale_ != nullptr; }
   std::size_t axis_of(std::size_t node) const {
-    return axes_ == 0 || nodes_[node].keep_ids ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
+    return nodes_[node].keep_ids ? 0 : static_cast<std::size_t>(nodes_[node].axes[0]);
   }
   std::span<Span> spans_of(std::size_t node) const { return nodes_[node].spans; }
   // True if a key word's axis is lossless: the integers may then stand for the word.

@@ -114,7 +114,7 @@ void Selector::next_word() {
     const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
     note_place(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
     // All have one coordinate, hence one integer, which restore() can put back.
-    if (axes_ > 0 && !state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
+    if (!state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
       state.uniform = true;
       state.uniform_value = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
     }
@@ -129,7 +129,7 @@ void Selector::next_word() {
 // If all open quantised points turn out to lie in one place, so do all of the node's that have their integers: a
 // quantised point that isn't open has another integer on the cut axis.
 void Selector::note_place(std::size_t node, std::span<const std::uint64_t> bounds) {
-  if (axes_ == 0 || states_[node].word > 0 || states_[node].tie_break) return;
+  if (states_[node].word > 0 || states_[node].tie_break) return;
   Integers place{};
   for (std::size_t w = 0; w < axes_; ++w) {
     const std::uint64_t value = bounds[2 * w];
@@ -243,10 +243,8 @@ void Selector::restore(std::size_t node) {
     bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
                     static_cast<std::size_t>(span.tie_break_last - span.tie_break);
     for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
-      const std::size_t particle = span.base + point.index;
       point.q[axis] = state.uniform ? state.uniform_value
-                      : axes_ == 0  ? maps_[0](particles_.id_of(particle))
-                                    : maps_[axis](particles_.position[axis][particle]);
+                                    : maps_[axis](particles_.position[axis][span.base + point.index]);
     }
   }
 }

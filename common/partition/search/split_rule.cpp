@@ -35,7 +35,7 @@ void SplitRule::set_all(std::uint64_t count, const Point& extents) {
 }
 
 std::optional<AxisOrder> SplitRule::axes_of(const NodeRange& range, const Extents& extents) const {
-  if (band_axis_ || axes_ == 0) return fixed_axes_;
+  if (band_axis_) return fixed_axes_;
   const auto axes = static_cast<std::size_t>(axes_);
   const auto& [least, most] = extents;
   double longest = 0;  // its lower bound
@@ -66,7 +66,7 @@ int SplitRule::old_axis(const NodeRange& range) const {
 AxisOrder SplitRule::order_of(const NodeRange& range, const Point& extents) const {
   const AxisOrder order = geometry::order_by_extent(extents, axes_);
   if (band_axis_) return geometry::with_first(order, *band_axis_, axes_);
-  const int kept = axes_ > 0 ? old_axis(range) : -1;
+  const int kept = old_axis(range);
   if (kept >= 0 && extents[static_cast<std::size_t>(kept)] * options_->axis_hysteresis >=
                        extents[static_cast<std::size_t>(order[0])])
     return geometry::with_first(order, kept, axes_);

@@ -20,7 +20,7 @@ struct Extents {
 
 class SplitRule {
  public:
-  // axes: how many axes may be cut; 0: cuts by ids alone. `options` must outlive this.
+  // axes: how many there are. `options` must outlive this.
   SplitRule(const PartitionOptions& options, int axes);
   // Sets the number and the exact extents of all ranks' particles. Local.
   void set_all(std::uint64_t count, const Point& extents);
