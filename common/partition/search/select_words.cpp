@@ -243,8 +243,8 @@ void Selector::restore(std::size_t node) {
     bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
                     static_cast<std::size_t>(span.tie_break_last - span.tie_break);
     for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
-      point.q[axis] = state.uniform ? state.uniform_value
-                                    : maps_[axis](particles_.position[axis][span.base + point.index]);
+      point.q[axis] =
+          state.uniform ? state.uniform_value : maps_[axis](particles_.position[axis][span.base + point.index]);
     }
   }
 }
