@@ -6,7 +6,6 @@
 #include <optional>
 
 #include "common/base/index.hpp"
-#include "common/comm/gather.hpp"
 #include "common/partition/search/outermost.hpp"
 #include "common/partition/search/split_rule.hpp"
 
@@ -35,11 +34,9 @@ class SampleWalk {
 
   void run(const GuessRoots& below) {
     before_ = below.before;
-    int inside = 0;
-    for (const NodeRange& root : below.roots) inside += root.parts();
-    int leaves = out_.tree.parts - inside;  // parts in no root
+    axes_of_bands_ = below.tree.cuts[0].axes;
     std::vector<std::int32_t> part;
-    if (below.roots.size() > 1 || below.roots[0].parts() < out_.tree.parts) {
+    if (below.roots.size() > 1 || below.roots[0].parts() < options_.parts) {
       part.resize(sample_.count());
       below.tree.classify(sample_.particles.view(), part);
     }
@@ -49,16 +46,11 @@ class SampleWalk {
       root.range = below.roots[r];
       root.inner = Box::unbounded();
       root.known = below.boxes.empty() ? nullptr : &below.boxes[r];
-      // The leaves that are left; each root that follows needs at least one.
-      const int others = static_cast<int>(below.roots.size() - r) - 1;
-      root.leaves = kGuessLeaves - leaves - others;
-      const int before = leaves_;
       const auto in_root = [&](std::uint32_t k) { return part[k] >= root.range.first && part[k] < root.range.last; };
       // This range has none of the outermost particles, so it does not matter where these would be divided.
       const Range own = part.empty() ? sorted_.all() : sorted_.divide({first, sample_.count()}, 0, 0, in_root).left;
       first = own.last;
       visit(root, own);
-      leaves += leaves_ - before;
     }
     // A pass over all particles that cuts few of them would cost more than it saves.
     out_.found = levels_ > 0 && levels_ >= options_.limits.guess.levels_min * (part.empty() ? 1.0 : 0.1);
@@ -67,14 +59,12 @@ class SampleWalk {
  private:
   struct Node {
     NodeRange range;
-    int level = 0;
     Box inner;
     // Variance of the load below a face that is a cut, in the square of the sample's unit; 0: the face isn't a cut.
     Point variance_lo{};
     Point variance_hi{};
     double spent = 0;            // share of the particles on the brackets above
     const Box* known = nullptr;  // of all its particles; null: not known
-    int leaves = 1;              // how many it may have
   };
   using Range = SortedSample::Range;
   struct Keyed {
@@ -83,7 +73,6 @@ class SampleWalk {
   };
   struct Bracket {
     KeyBracket keys;
-    Key cut;  // the expected one
     SortedSample::Halves halves;
     double variance;
     double share;          // of the sampled particles in the bracket
@@ -102,7 +91,6 @@ class SampleWalk {
   double weight(std::uint32_t k) const { return weighted_ ? sample_.particles.weight[k] : 1.0; }
 
   void end(const Node& node, const Range& own) {
-    ++leaves_;
     if (!node.range.leaf()) out_.ends[at(node.range.node)] = 1;
     const auto p = at(node.range.first);
     out_.inner[p] = node.inner;
@@ -126,7 +114,7 @@ class SampleWalk {
   }
 
   void visit(const Node& node, const Range& own) {
-    if (node.range.leaf() || node.level == kGuessLevels || node.leaves == 1 || own.size() == 0) return end(node, own);
+    if (node.range.leaf() || own.size() == 0) return end(node, own);
     const AxisOrder axes = order_of(node, own);
     const auto a = at(axes[0]);
     // A wrong axis costs a search of its node, which at the root is a search of everything. So there it must be sure.
@@ -135,22 +123,17 @@ class SampleWalk {
     const Bracket bracket = bracket_of(node, own, axes, sigmas_of(node, axes));
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
     if ((open.first && !band_axis_) || (open.others && bracket.keys.whole)) {
-      out_.open = {sorted_.box(bracket.halves.left), sorted_.box(bracket.halves.right)};
+      out_.open = true;
+      out_.sides = {sorted_.box(bracket.halves.left), sorted_.box(bracket.halves.right)};
       return end(node, own);
     }
     out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
-    Cut& cut = out_.tree.cuts[at(node.range.node)];
-    cut.right_empty = false;
-    cut.axes = axes;
-    cut.key = bracket.cut;
+    if (node.range.node == 0) axes_of_bands_ = axes;
     Node left = node;
     Node right = node;
     left.range = node.range.left();
     right.range = node.range.right();
-    left.level = right.level = node.level + 1;
-    left.leaves = (node.leaves + 1) / 2;
-    right.leaves = node.leaves / 2;
     left.known = right.known = nullptr;
     left.spent = right.spent = node.spent + bracket.share;
     left.inner.hi[a] = std::min(node.inner.hi[a], bracket.keys.least.at[0]);
@@ -162,7 +145,7 @@ class SampleWalk {
 
   // The likeliest axis order.
   AxisOrder order_of(const Node& node, const Range& own) const {
-    if (band_axis_ && node.range.node != 0) return out_.tree.cuts[0].axes;  // bands have one order
+    if (band_axis_ && node.range.node != 0) return axes_of_bands_;
     const Box box = node.known != nullptr ? *node.known : sorted_.box(own);
     Point extents{};
     for (std::size_t a = 0; a < at(dims()); ++a) extents[a] = geometry::extent(box.lo[a], box.hi[a]);
@@ -173,8 +156,7 @@ class SampleWalk {
   // A cut that its bracket missed would be missed again: the sample is the same.
   double sigmas_of(const Node& node, const AxisOrder& axes) const {
     const auto n = at(node.range.node);
-    const bool missed =
-        node.level == 0 && before_ != nullptr && before_->ends[n] == 0 && before_->tree.cuts[n].axes == axes;
+    const bool missed = node.known != nullptr && before_->ends[n] == 0 && before_->brackets[n].axes == axes;
     return options_.limits.bracket_sigmas * (missed ? 2 : 1);
   }
 
@@ -212,7 +194,6 @@ class SampleWalk {
         found.keys.least = std::min(found.keys.least, key(k, axes));
       for (const std::uint32_t k : sorted.subspan(by_x->most, last - by_x->most))
         found.keys.most = std::max(found.keys.most, key(k, axes));
-      found.cut = key_between(cut, dims());
       found.share = static_cast<double>(last - first) / size;
       found.bounded = true;
       found.halves = sorted_.split(own, axis, by_x->cut);
@@ -225,16 +206,15 @@ class SampleWalk {
     if (!by_key) return found;  // weights in another order may have another sum
     found.bounded = true;
     found.keys = {axes, keys_[by_key->least].key, keys_[by_key->most].key};
-    found.cut = keys_[by_key->cut].key;
+    const Key expected = keys_[by_key->cut].key;
     const auto within = static_cast<std::size_t>(std::ranges::count_if(keys_, [&](const Keyed& one) {
       return one.key.at[0] >= found.keys.least.at[0] && one.key.at[0] <= found.keys.most.at[0];
     }));
     found.keys.whole = tied(within, *by_key);
     found.share = static_cast<double>(found.keys.whole ? by_key->between() : within) / size;
-    if (!found.keys.whole) found.cut = key_between(found.cut.at[0], dims());
-    found.halves = sorted_.divide(own, axis, found.cut.at[0], [&](std::uint32_t k) {
+    found.halves = sorted_.divide(own, axis, expected.at[0], [&](std::uint32_t k) {
       const double x = sample_.x(axis, k);
-      return x < found.cut.at[0] || (x == found.cut.at[0] && key(k, axes) < found.cut);
+      return x < expected.at[0] || (found.keys.whole && x == expected.at[0] && key(k, axes) < expected);
     });
     return found;
   }
@@ -288,58 +268,21 @@ class SampleWalk {
   SortedSample sorted_;
   const PartitionOptions& options_;
   std::optional<int> band_axis_;
+  AxisOrder axes_of_bands_{};  // of all cuts, once the root's are known
   Guess& out_;
   std::vector<double> size_prefix_;
   bool weighted_ = false;
   const Guess* before_ = nullptr;
   double levels_ = 0;  // guessed cuts above a particle, on average
-  int leaves_ = 0;
   std::vector<Keyed> keys_;
 };
-
-Guess no_guess(const CutTree& tree) {
-  Guess guess;
-  guess.tree = tree;
-  guess.ends.assign(tree.cuts.size(), 0);
-  guess.brackets.resize(tree.cuts.size());
-  guess.inner.assign(at(tree.parts), Box::unbounded());
-  guess.seen.resize(at(tree.parts));
-  return guess;
-}
 
 }  // namespace
 
 Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below) {
-  Guess guess = no_guess(below.tree);
+  Guess guess{.parts = options.parts};
+  guess.inner.fill(Box::unbounded());
   SampleWalk(sample, options, guess).run(below);
-  return guess;
-}
-
-Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options,
-                  const GuessRoots& below) {
-  Guess guess = comm.rank() == 0 ? guess_cuts(sample, options, below) : no_guess(below.tree);
-  std::size_t boxes = guess.open.size();
-  // What a guess consists of, as bytes; `open` once its size is known.
-  const auto for_each_array = [&](const auto& visit) {
-    visit(std::as_writable_bytes(std::span(&guess.found, 1)));
-    visit(std::as_writable_bytes(std::span(&guess.tied, 1)));
-    visit(std::as_writable_bytes(std::span(&boxes, 1)));
-    guess.open.resize(boxes);
-    visit(std::as_writable_bytes(std::span(guess.tree.cuts)));
-    visit(std::as_writable_bytes(std::span(guess.ends)));
-    visit(std::as_writable_bytes(std::span(guess.brackets)));
-    visit(std::as_writable_bytes(std::span(guess.inner)));
-    visit(std::as_writable_bytes(std::span(guess.seen)));
-    visit(std::as_writable_bytes(std::span(guess.open)));
-  };
-  std::vector<std::byte> mine;
-  for_each_array([&](std::span<const std::byte> bytes) { mine.insert(mine.end(), bytes.begin(), bytes.end()); });
-  const Buffer<std::byte> all = comm::values_of_first<std::byte>(comm, mine);
-  const std::byte* next = all.begin();
-  for_each_array([&](std::span<std::byte> bytes) {
-    std::copy_n(next, bytes.size(), bytes.begin());
-    next += bytes.size();
-  });
   return guess;
 }
 

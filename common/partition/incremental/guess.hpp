@@ -4,10 +4,10 @@
 // 1. A wrong guess costs time only: the search verifies what it relies on (interior.hpp).
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
-#include "common/comm/comm.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
@@ -15,40 +15,37 @@
 
 namespace rcb::partition {
 
-// A guess has at most so many levels and leaves, which fit into the tables of one pass (guess_tables.hpp).
-inline constexpr int kGuessLevels = 3;
-inline constexpr int kGuessLeaves = 8;
+// Cuts of at most so many parts are guessed: the tables of one pass over all particles have room for these
+// (guess_tables.hpp).
+inline constexpr std::size_t kGuessParts = 8;
+inline constexpr std::size_t kGuessLevels = 3;
 
+// Trivially copyable: it is sent as it is.
 struct Guess {
-  CutTree tree;                      // of each cut, the axis and the expected coordinate
-  std::vector<std::uint8_t> ends;    // [inner nodes]: 1: nothing is guessed from this node on
-  std::vector<KeyBracket> brackets;  // [inner nodes]
+  int parts = 1;
+  std::array<std::uint8_t, kGuessParts - 1> ends{};    // [inner nodes]: 1: nothing is guessed from this node on
+  std::array<KeyBracket, kGuessParts - 1> brackets{};  // [inner nodes]
   // [parts]: inner regions (brackets.hpp). The parts below a node of `ends` share one region, which stands at the first
   // of them.
-  std::vector<geometry::Box> inner;
-  std::vector<geometry::Box> seen;  // [parts]: bounding boxes of the sampled particles strictly inside of `inner`
-  bool tied = false;                // several sampled particles lie on one face of such a box
+  std::array<geometry::Box, kGuessParts> inner{};
+  std::array<geometry::Box, kGuessParts> seen{};  // [parts]: boxes of the sampled particles strictly inside of `inner`
+  bool tied = false;                              // several sampled particles lie on one face of such a box
+  bool found = false;                             // enough cuts
   // Set, and nothing is guessed, if the sample leaves the root's longest axis open, or, where whole keys count, the
-  // order of the others: the bounding boxes of its sampled particles on either side of the expected cut. The particles
-  // outside of both would tell.
-  std::vector<geometry::Box> open;
-  bool found = false;  // enough cuts
+  // order of the others. The particles outside of both sides' boxes would tell.
+  bool open = false;
+  std::array<geometry::Box, 2> sides{};  // the boxes of the sampled particles on either side of the root's expected cut
 };
 
 // Nodes whose cuts are to be guessed.
 struct GuessRoots {
-  CutTree tree;                      // whose cuts above the roots are exact
-  std::vector<NodeRange> roots;      // none below another
-  std::vector<geometry::Box> boxes;  // [roots]: of their particles; empty: not known
-  const Guess* before = nullptr;     // the guess that left them uncut; null: none was made
+  const CutTree& tree;                      // whose cuts above the roots are exact
+  const std::vector<NodeRange>& roots;      // none below another
+  const std::vector<geometry::Box>& boxes;  // [roots]: of their particles; empty: not known
+  const Guess* before = nullptr;            // the guess that left them uncut; null: none was made
 };
 
-// Guesses the cuts below some nodes. The guess has at most kGuessLeaves leaves; each part in no root is one of them.
-// Local.
+// Guesses the cuts below some nodes. Local.
 Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below);
-
-// The guess of rank 0, which alone has a sample, on every rank. Collective (one gather).
-Guess share_guess(comm::Comm& comm, const SortedSample& sample, const PartitionOptions& options,
-                  const GuessRoots& below);
 
 }  // namespace rcb::partition

@@ -35,7 +35,7 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
   }
   fit_axes(guess);
   std::vector<Node> level = add_roots(guess, roots);
-  for (std::size_t l = 0; l < at(kGuessLevels); ++l) {
+  for (std::size_t l = 0; l < kGuessLevels; ++l) {
     for (Words& words : keys[l].least) words.fill(kMostWord);
     for (Words& words : keys[l].most) words.fill(kMostWord);
     std::vector<Node> below;
@@ -54,7 +54,6 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
     }
     for (std::size_t k = 0; k < kLeaves; ++k) steps[l][k] = step(l, k);
     level = std::move(below);
-    CHECK(level.size() <= kLeaves, "a guess has few leaves");
   }
   leaves = level.size();
   for (std::size_t k = 0; k < leaves; ++k) add_leaf(k, guess, level[k]);
@@ -68,7 +67,7 @@ void GuessTables::fit_axes(const Guess& guess) {
 }
 
 std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::span<const NodeRange> roots) {
-  several = roots.size() > 1 || roots[0].parts() < guess.tree.parts;
+  several = roots.size() > 1 || roots[0].parts() < guess.parts;
   std::vector<Node> level;
   int p = 0;
   const auto add_fixed = [&](int until) {
@@ -82,7 +81,7 @@ std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::s
     for (; several && p < root.last; ++p) first[at(p)] = static_cast<std::int32_t>(level.size());
     level.push_back({root, root.leaf() || guess.ends[at(root.node)] != 0, false});
   }
-  if (several) add_fixed(guess.tree.parts);
+  if (several) add_fixed(guess.parts);
   return level;
 }
 

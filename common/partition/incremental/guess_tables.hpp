@@ -18,7 +18,7 @@ namespace rcb::partition {
 // The guessed tree, level by level. A node k that is cut has the children next[k] and next[k] + 1 on the level below.
 // One that isn't goes down as it is: its only child, next[k], is the same node again.
 struct GuessTables {
-  static constexpr std::size_t kLeaves = kGuessLeaves;
+  static constexpr std::size_t kLeaves = kGuessParts;
   using Floats = std::array<float, kLeaves>;
   using Integers = std::array<std::int32_t, kLeaves>;
   using Words = std::array<std::int64_t, kLeaves>;

@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "common/base/index.hpp"
+#include "common/comm/gather.hpp"
 #include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/incremental/classify_guessed.hpp"
 #include "common/partition/incremental/guess.hpp"
@@ -37,9 +38,7 @@ class FirstPartition {
   bool run() {
     result_.counts.resize(at(options_.parts));
     result_.part.resize(particles_.count);
-    // Further stages find the parts so far in tables of kGuessLeaves.
-    const int stages = options_.parts <= kGuessLeaves ? kGuessLevels : 1;
-    for (int stage = 0; stage < stages && !roots_.empty(); ++stage)
+    for (std::size_t stage = 0; stage < kGuessLevels && !roots_.empty(); ++stage)
       if (!cut_by_guess(stage == 0)) break;
     if (!roots_.empty() && roots_[0].parts() == options_.parts) return false;
     if (!roots_.empty()) cut_the_rest();
@@ -53,14 +52,9 @@ class FirstPartition {
   // Guesses cuts below the roots, and makes them exact; the roots become what is uncut then. False, on all ranks, if
   // nothing was cut: each root's particles still have parts of that root. Collective.
   bool cut_by_guess(bool first) {
-    const GuessRoots below{result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr};
-    Guess guess = share_guess(comm_, sample_, options_, below);
-    ++result_.reductions;
-    if (first && !guess.open.empty() &&
-        gather_outermost(comm_, particles_, std::move(guess.open), large_.stride, sample_, result_)) {
-      guess = share_guess(comm_, sample_, options_, below);
-      ++result_.reductions;
-    }
+    Guess guess = share_guess();
+    if (first && guess.open && gather_outermost(comm_, particles_, guess.sides, large_.stride, sample_, result_))
+      guess = share_guess();
     if (!guess.found) return false;
 
     // The most boundary particles among `count`: 1.5 times the share that the guess was allowed.
@@ -82,11 +76,11 @@ class FirstPartition {
                                  std::move(loads.loads), most_of(large_.count), result_.searched);
     ++result_.reductions;
     if (!interior) return false;
-    interior->brackets = guess.brackets;
+    interior->brackets.assign(guess.brackets.begin(), guess.brackets.end());
     Buffer<std::int32_t> part = own.part;
     const Start start{.roots = roots_,
                       .part = part.span(),
-                      .tree = &guess.tree,
+                      .tree = &result_.tree,
                       .rule = first ? nullptr : &rule_,
                       .scale = scale_,
                       .interior = &*interior,
@@ -100,9 +94,18 @@ class FirstPartition {
     add(std::move(found));
     roots_ = builder.uncut();
     std::ranges::sort(roots_, {}, &NodeRange::first);
-    guess_ = std::move(guess);
+    guess_ = guess;
     if (!roots_.empty()) measure_roots(own, part.span(), *interior);
     return true;
+  }
+
+  // That of rank 0, which alone has a sample. Collective (one gather).
+  Guess share_guess() {
+    Guess guess;
+    if (comm_.rank() == 0)
+      guess = guess_cuts(sample_, options_, {result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr});
+    ++result_.reductions;
+    return comm::values_of_first<Guess>(comm_, {&guess, 1})[0];
   }
 
   // Of the particles' parts under a guess. Collective.
@@ -176,7 +179,7 @@ class FirstPartition {
 }  // namespace
 
 bool may_guess(const PartitionOptions& options) {
-  return options.parts <= options.limits.guess.parts_max &&
+  return options.parts <= std::min(options.limits.guess.parts_max, static_cast<int>(kGuessParts)) &&
          (options.previous == nullptr || options.axis_hysteresis <= 1);
 }
 

@@ -246,7 +246,7 @@ void TreeBuilder::add_interior(const NodeRange& range, CutRequest& wanted) const
   wanted.below = interior_->count(range.first, range.middle());
   const std::uint64_t beyond = interior_->count(range.middle(), range.last);
   // If the cut axis flipped, hardly any interior particle stays: not worth a search.
-  if (ends(range) || (wanted.axes[0] != start_->tree->cuts[at(range.node)].axes[0] && wanted.below + beyond > 0)) {
+  if (ends(range) || (wanted.axes[0] != axis_of_bracket(range) && wanted.below + beyond > 0)) {
     wanted.unanswerable = true;
     return;
   }

@@ -45,7 +45,7 @@ struct Start {
   const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
   std::optional<ExactScale> scale;     // of the weights, if they count
   const Interior* interior = nullptr;  // particles that are not searched; null: none
-  std::vector<std::uint8_t> ends;      // [inner nodes]: 1: left uncut; empty: none
+  std::span<const std::uint8_t> ends;  // [inner nodes]: 1: left uncut; empty: none
   // Where the cuts are expected, for buckets; null: not known. Not with several roots, or where `boxes` are known.
   const Splitters* splitters = nullptr;
   std::uint64_t failed_max = 0;  // the build is abandoned once nodes that could not be cut hold more particles
@@ -128,6 +128,11 @@ class TreeBuilder {
   CutRequest request_of(const Node& node);
   // Adds the interior particles to a request, and marks it where the quantised points alone can't answer it.
   void add_interior(const NodeRange& range, CutRequest& wanted) const;
+  // The axis of the bracket outside of which the node's interior particles lie.
+  int axis_of_bracket(const NodeRange& range) const {
+    return interior_->brackets.empty() ? start_->tree->cuts[at(range.node)].axes[0]
+                                       : interior_->brackets[at(range.node)].axes[0];
+  }
   // True if all interior particles stay on their side of the cut found.
   bool cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const;
   void leave_uncut(std::size_t node);

@@ -102,11 +102,11 @@ OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double o
   return {.first = open(1), .others = open(2)};
 }
 
-bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<Box> boxes,
+bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::span<const Box> boxes,
                       std::uint64_t stride, SortedSample& sample, PartitionResult& spent) {
   if (stride > kGatherStrideMax) return false;
   const std::uint64_t most = kGatheredStridesMax * boxes.size() * (stride + 64);
-  sample.set_outermost(gather_sample(comm, particles, slots_beyond(particles, std::move(boxes), most), {}));
+  sample.set_outermost(gather_sample(comm, particles, slots_beyond(particles, {boxes.begin(), boxes.end()}, most), {}));
   ++spent.reductions;
   spent.traffic += {particles.count, particles.count * at(particles.dims) * sizeof(double)};
   return true;
@@ -121,7 +121,7 @@ void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& p
   const std::vector<Box> own = comm.rank() == 0 ? boxes_if_open(sample, options, particles.dims) : std::vector<Box>();
   const Buffer<Box> boxes = comm::values_of_first<Box>(comm, own);
   ++spent.reductions;
-  if (boxes.size() > 0) gather_outermost(comm, particles, {boxes.begin(), boxes.end()}, stride, sample, spent);
+  if (boxes.size() > 0) gather_outermost(comm, particles, boxes.span(), stride, sample, spent);
 }
 
 }  // namespace rcb::partition

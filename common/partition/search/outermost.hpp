@@ -26,10 +26,11 @@ OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double o
 // it costs to `spent`. Collective (at most one gather). Reads every position once.
 //   boxes   of its particles on either side of the root's expected cut; the same on all ranks
 //   stride  one particle of so many was sampled
-bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::vector<geometry::Box> boxes,
+bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::span<const geometry::Box> boxes,
                       std::uint64_t stride, SortedSample& sample, PartitionResult& spent);
 
-// The same where the sample leaves the longest axis open, unless that is done already. Collective (at most two gathers).
+// The same where the sample leaves the longest axis open, unless that is done already. Collective (at most two
+// gathers).
 void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& particles,
                               const PartitionOptions& options, std::uint64_t stride, SortedSample& sample,
                               PartitionResult& spent);

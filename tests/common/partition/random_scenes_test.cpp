@@ -263,7 +263,7 @@ std::string wrong_with(const RandomScene& from) {
   if (from.guess > 0) {
     // Of any set; the guess and the brackets may be as bad as can be.
     const auto code = static_cast<std::uint64_t>(from.guess);
-    options.limits.guess = {0, 2, from.buckets ? 1 : 1 << 30, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0,
+    options.limits.guess = {0, 2, from.buckets ? 1 : 8, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0,
                             0, 0};
     if (code % 4 == 0) options.limits.guess.tied_max = 1;
     options.limits.bracket_sigmas = code % 8 == 0 ? 1 : 0;
@@ -405,7 +405,7 @@ TEST(RandomScenes, ManyCopies) {
 TEST(RandomScenes, Guessed) {
   judge_scenes(2500, 600, [](RandomScene& scene, const Codes& codes) {
     scene.guess = 1 + codes[0];
-    scene.parts = 2 + scene.parts % 12;
+    scene.parts = 2 + scene.parts % 7;
     if (codes[1] % 3 == 0) scene.weights = 1 + codes[1] % kWeightFamilies;
     if (codes[1] % 5 == 0) scene.band_axis = codes[1] % scene.dims;
     if (codes[2] % 4 == 0) give_sizes(scene, codes[2]);
