@@ -20,12 +20,6 @@ constexpr std::uint64_t kSampleMin = 4096;
 constexpr std::uint64_t kSampleMax = 8192;
 constexpr double kFewOfSide = 8;  // a place within this fraction of a side is sorted out by a heap
 
-// The upper cuts of a tree, as rank 0 guesses them.
-struct UpperCuts {
-  Splitters splitters;
-  std::array<double, Splitters::kNodes> at{};  // where the new cuts are expected
-};
-
 // Descends from a root and guesses the new cuts; each node gets the sampled particles that the guessed cuts above leave
 // it.
 class BracketGuess {
@@ -44,29 +38,22 @@ class BracketGuess {
   }
 
   // Guesses those of the whole tree.
-  UpperCuts upper_cuts() {
-    UpperCuts upper;
-    for (std::size_t a = 0; a < at(tree_.dims); ++a)
-      upper.splitters.rounded.fit(a, sample_.particles.position[a].span());
+  Splitters upper_cuts() {
+    Splitters upper;
+    for (std::size_t a = 0; a < at(tree_.dims); ++a) upper.rounded.fit(a, sample_.particles.position[a].span());
     visit_upper(tree_.root(), 0, sampled_in(tree_.root()), prefix_.back(), upper);
     return upper;
   }
 
   // Finds the inner regions of this rank's parts below a root: new cuts divide its particles among its own parts.
   //   upper  if it is the tree's root; else null
-  void visit_root(const NodeRange& range, const UpperCuts* upper) {
+  void visit_root(const NodeRange& range, const Splitters* upper) {
     upper_ = upper;
     visit(range, upper == nullptr ? Splitters::kNodes : 0, geometry::Box::unbounded(), sampled_in(range),
           load(range.first, range.last));
   }
 
  private:
-  struct Guess {
-    double lo = -kInfinity;
-    double at = -kInfinity;
-    double hi = kInfinity;
-  };
-
   std::span<std::uint32_t> sampled_in(const NodeRange& range) {
     indices_.clear();
     for (std::uint32_t k = 0; k < sample_.count(); ++k)
@@ -82,15 +69,12 @@ class BracketGuess {
 
   // number: of the node, among the splitters; own: its sampled particles; wanted: its load under the new cuts.
   void visit_upper(const NodeRange& range, std::size_t number, std::span<std::uint32_t> own, double wanted,
-                   UpperCuts& upper) {
+                   Splitters& upper) {
     if (range.leaf() || number >= Splitters::kNodes) return;
-    const auto axis = at(tree_.cuts[at(range.node)].axes[0]);
-    const Guess guess = guess_cut(range, own, wanted);
-    const RoundedAxes& rounded = upper.splitters.rounded;
-    upper.splitters.expected[number] = {static_cast<int>(axis), guess.lo, guess.hi};
-    upper.splitters.nodes[number] = {rounded(axis, guess.lo), rounded(axis, guess.hi), static_cast<int>(axis)};
-    upper.at[number] = guess.at;
-    const std::size_t left = divide_at(guess.at, axis, own);
+    const ExpectedCut cut = upper.expected[number] = guess_cut(range, own, wanted);
+    const auto axis = at(cut.axis);
+    upper.nodes[number] = {upper.rounded(axis, cut.least), upper.rounded(axis, cut.most), cut.axis};
+    const std::size_t left = divide_at(cut.likeliest, axis, own);
     visit_upper(range.left(), 2 * number + 1, own.first(left), wanted * share(range), upper);
     visit_upper(range.right(), 2 * number + 2, own.subspan(left), wanted * (1 - share(range)), upper);
   }
@@ -102,19 +86,13 @@ class BracketGuess {
       boxes_[at(range.first - own_.first)] = inner;
       return;
     }
-    const auto axis = at(tree_.cuts[at(range.node)].axes[0]);
-    Guess guess;
-    if (number < Splitters::kNodes) {
-      const ExpectedCut& expected = upper_->splitters.expected[number];
-      guess = {expected.least, upper_->at[number], expected.most};
-    } else {
-      guess = guess_cut(range, own, wanted);
-    }
+    const ExpectedCut cut = number < Splitters::kNodes ? upper_->expected[number] : guess_cut(range, own, wanted);
+    const auto axis = at(cut.axis);
     geometry::Box left = inner;
     geometry::Box right = inner;
-    left.hi[axis] = std::min(left.hi[axis], guess.lo);
-    right.lo[axis] = std::max(right.lo[axis], guess.hi);
-    const std::size_t before = divide_at(guess.at, axis, own);
+    left.hi[axis] = std::min(left.hi[axis], cut.least);
+    right.lo[axis] = std::max(right.lo[axis], cut.most);
+    const std::size_t before = divide_at(cut.likeliest, axis, own);
     visit(range.left(), 2 * number + 1, left, own.first(before), wanted * share(range));
     visit(range.right(), 2 * number + 2, right, own.subspan(before), wanted * (1 - share(range)));
   }
@@ -123,10 +101,10 @@ class BracketGuess {
     return divide(own, others_, [&](std::uint32_t k) { return sample_.x(axis, k) < at; });
   }
 
-  Guess guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, double wanted) {
+  ExpectedCut guess_cut(const NodeRange& range, std::span<const std::uint32_t> own, double wanted) {
     const Cut& cut = tree_.cuts[at(range.node)];
-    if (cut.right_empty) return {};
     const auto axis = at(cut.axes[0]);
+    if (cut.right_empty) return {.axis = cut.axes[0]};
     const double old = cut.key.at[0];
     left_.resize(own.size());
     right_.resize(own.size());
@@ -154,7 +132,7 @@ class BracketGuess {
     };
     const double lost = had(range.first, range.middle()) - static_cast<double>(stayed_left);
     const double load_of_one = prefix_.back() / static_cast<double>(sample_.count());
-    if (own.empty() || !(load_of_one > 0)) return {};
+    if (own.empty() || !(load_of_one > 0)) return {.axis = cut.axes[0]};
     const double excess = (load(range.first, range.middle()) - wanted * share(range)) / load_of_one + gained - lost;
     const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess) + gained + lost) + limits_.bracket_margin;
     // Places near the old cut: k > 0: the k-th below it; else the one in place -k above it.
@@ -164,7 +142,7 @@ class BracketGuess {
       if (places[k] > 0) found[k] = take_nearest(left_, places[k] - 1, -kInfinity, std::greater<>());
     for (std::size_t k = places.size(); k-- > 0;)
       if (!(places[k] > 0)) found[k] = take_nearest(right_, -places[k], kInfinity, std::less<>());
-    return {found[0], found[1], found[2]};
+    return {cut.axes[0], found[0], found[2], found[1]};
   }
 
   // The coordinate in this place on a side, 0 the nearest, or `none`; of the others, only nearer ones stay.
@@ -186,7 +164,7 @@ class BracketGuess {
   const SearchLimits& limits_;
   const Sample& sample_;
   std::span<geometry::Box> boxes_;  // [own parts]
-  const UpperCuts* upper_ = nullptr;
+  const Splitters* upper_ = nullptr;
   std::vector<double> prefix_;
   std::vector<double> size_prefix_;
   std::vector<std::size_t> sampled_prefix_;
@@ -215,13 +193,11 @@ InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& part
   InnerRegions found;
   found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
   BracketGuess walk(tree, loads, own, limits, sample, found.boxes);
-  UpperCuts upper;
   if (whole) {
-    if (comm.rank() == 0) upper = walk.upper_cuts();
-    upper = comm::values_of_first<UpperCuts>(comm, {&upper, 1})[0];
+    if (comm.rank() == 0) found.splitters = walk.upper_cuts();
+    found.splitters = comm::values_of_first<Splitters>(comm, {&found.splitters, 1})[0];
   }
-  for (const NodeRange& root : roots) walk.visit_root(root, whole ? &upper : nullptr);
-  found.splitters = upper.splitters;
+  for (const NodeRange& root : roots) walk.visit_root(root, whole ? &found.splitters : nullptr);
   return found;
 }
 

@@ -16,6 +16,7 @@ struct ExpectedCut {
   int axis = -1;  // < 0: not known, since the node lies below the splitters
   double least = -geometry::Box::kInfinity;
   double most = geometry::Box::kInfinity;
+  double likeliest = -geometry::Box::kInfinity;  // set by inner_regions() alone
 
   bool anywhere() const { return least == -geometry::Box::kInfinity && most == geometry::Box::kInfinity; }
 };
