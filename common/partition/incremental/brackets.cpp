@@ -9,6 +9,7 @@
 #include "common/comm/gather.hpp"
 #include "common/partition/search/divide.hpp"
 #include "common/partition/search/sample.hpp"
+#include "common/partition/search/split_rule.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -24,14 +25,11 @@ constexpr double kFewOfSide = 8;  // a place within this fraction of a side is s
 // it.
 class BracketGuess {
  public:
-  BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const SearchLimits& limits,
+  BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const PartitionOptions& options,
                const Sample& sample, std::span<geometry::Box> boxes)
-      : tree_(tree), own_(own), limits_(limits), sample_(sample), boxes_(boxes) {
+      : tree_(tree), rule_(options, tree.dims), own_(own), limits_(options.limits), sample_(sample), boxes_(boxes) {
     prefix_.assign(1, 0.0);
     for (const double load : loads) prefix_.push_back(prefix_.back() + load);
-    size_prefix_.assign(1, 0.0);
-    for (int p = 0; p < tree.parts; ++p)
-      size_prefix_.push_back(size_prefix_.back() + (tree.part_sizes.empty() ? 1.0 : tree.part_sizes[at(p)]));
     sampled_prefix_.assign(at(tree.parts) + 1, 0);
     for (std::uint32_t k = 0; k < sample.count(); ++k) ++sampled_prefix_[at(sample.part[k]) + 1];
     std::partial_sum(sampled_prefix_.begin(), sampled_prefix_.end(), sampled_prefix_.begin());
@@ -62,10 +60,6 @@ class BracketGuess {
   }
 
   double load(int first, int last) const { return prefix_[at(last)] - prefix_[at(first)]; }
-  double share(const NodeRange& range) const {
-    return (size_prefix_[at(range.middle())] - size_prefix_[at(range.first)]) /
-           (size_prefix_[at(range.last)] - size_prefix_[at(range.first)]);
-  }
 
   // number: of the node, among the splitters; own: its sampled particles; wanted: its load under the new cuts.
   void visit_upper(const NodeRange& range, std::size_t number, std::span<std::uint32_t> own, double wanted,
@@ -75,8 +69,9 @@ class BracketGuess {
     const auto axis = at(cut.axis);
     upper.nodes[number] = {upper.rounded(axis, cut.least), upper.rounded(axis, cut.most), cut.axis};
     const std::size_t left = divide_at(cut.likeliest, axis, own);
-    visit_upper(range.left(), 2 * number + 1, own.first(left), wanted * share(range), upper);
-    visit_upper(range.right(), 2 * number + 2, own.subspan(left), wanted * (1 - share(range)), upper);
+    const double share = rule_.left_share(range);
+    visit_upper(range.left(), 2 * number + 1, own.first(left), wanted * share, upper);
+    visit_upper(range.right(), 2 * number + 2, own.subspan(left), wanted * (1 - share), upper);
   }
 
   void visit(const NodeRange& range, std::size_t number, const geometry::Box& inner, std::span<std::uint32_t> own,
@@ -93,8 +88,9 @@ class BracketGuess {
     left.hi[axis] = std::min(left.hi[axis], cut.least);
     right.lo[axis] = std::max(right.lo[axis], cut.most);
     const std::size_t before = divide_at(cut.likeliest, axis, own);
-    visit(range.left(), 2 * number + 1, left, own.first(before), wanted * share(range));
-    visit(range.right(), 2 * number + 2, right, own.subspan(before), wanted * (1 - share(range)));
+    const double share = rule_.left_share(range);
+    visit(range.left(), 2 * number + 1, left, own.first(before), wanted * share);
+    visit(range.right(), 2 * number + 2, right, own.subspan(before), wanted * (1 - share));
   }
 
   std::size_t divide_at(double at, std::size_t axis, std::span<std::uint32_t> own) {
@@ -133,7 +129,8 @@ class BracketGuess {
     const double lost = had(range.first, range.middle()) - static_cast<double>(stayed_left);
     const double load_of_one = prefix_.back() / static_cast<double>(sample_.count());
     if (own.empty() || !(load_of_one > 0)) return {.axis = cut.axes[0]};
-    const double excess = (load(range.first, range.middle()) - wanted * share(range)) / load_of_one + gained - lost;
+    const double excess =
+        (load(range.first, range.middle()) - wanted * rule_.left_share(range)) / load_of_one + gained - lost;
     const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess) + gained + lost) + limits_.bracket_margin;
     // Places near the old cut: k > 0: the k-th below it; else the one in place -k above it.
     const std::array<double, 3> places{std::ceil(excess + margin), std::round(excess), std::floor(excess - margin)};
@@ -160,13 +157,13 @@ class BracketGuess {
   }
 
   const CutTree& tree_;
+  SplitRule rule_;
   OwnParts own_;
   const SearchLimits& limits_;
   const Sample& sample_;
   std::span<geometry::Box> boxes_;  // [own parts]
   const Splitters* upper_ = nullptr;
   std::vector<double> prefix_;
-  std::vector<double> size_prefix_;
   std::vector<std::size_t> sampled_prefix_;
   std::vector<std::uint32_t> indices_;
   std::vector<std::uint32_t> others_;
@@ -179,7 +176,7 @@ class BracketGuess {
 InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
                            std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
                            std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
-                           const SearchLimits& limits) {
+                           const PartitionOptions& options) {
   const std::uint64_t wanted =
       std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
   const std::vector<std::size_t> slots = pick(particles.count, std::max<std::uint64_t>(count / wanted, 1));
@@ -192,7 +189,7 @@ InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& part
                                     : share_sample(comm, particles, slots, fields, part.data());
   InnerRegions found;
   found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
-  BracketGuess walk(tree, loads, own, limits, sample, found.boxes);
+  BracketGuess walk(tree, loads, own, options, sample, found.boxes);
   if (whole) {
     if (comm.rank() == 0) found.splitters = walk.upper_cuts();
     found.splitters = comm::values_of_first<Splitters>(comm, {&found.splitters, 1})[0];

@@ -36,10 +36,11 @@ struct InnerRegions {
 //   count  of all ranks' particles
 //   loads  of each part, all ranks; only their ratios count
 //   roots  nodes to be cut again; all other cuts stay
+//   options  those of the tree
 // Collective (one gather of a sample of some thousand particles; one more if the one root is the tree's).
 InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
                            std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
                            std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
-                           const SearchLimits& limits);
+                           const PartitionOptions& options);
 
 }  // namespace rcb::partition

@@ -23,11 +23,9 @@ class SampleWalk {
       : sample_(sorted.sample()),
         sorted_(std::move(sorted)),
         options_(options),
-        band_axis_(SplitRule(options, dims()).band_axis()),
+        rule_(options, dims()),
+        band_axis_(rule_.band_axis()),
         out_(out) {
-    size_prefix_.assign(1, 0.0);
-    for (int p = 0; p < options.parts; ++p)
-      size_prefix_.push_back(size_prefix_.back() + (options.part_sizes.empty() ? 1.0 : options.part_sizes[at(p)]));
     const auto& weight = sample_.particles.weight;
     weighted_ = std::ranges::any_of(weight, [&](double w) { return w != weight[0]; });
   }
@@ -163,8 +161,7 @@ class SampleWalk {
   // The bracket of a node's cut; divides the node's sampled particles at the expected one.
   Bracket bracket_of(const Node& node, const Range& own, const AxisOrder& axes, double sigmas) {
     const auto axis = at(axes[0]);
-    const double all = size_prefix_[at(node.range.last)] - size_prefix_[at(node.range.first)];
-    const double share = (size_prefix_[at(node.range.middle())] - size_prefix_[at(node.range.first)]) / all;
+    const double share = rule_.left_share(node.range);
     const std::span<const std::uint32_t> sorted = sorted_.particles(own, axis);
     const auto size = static_cast<double>(own.size());
     double load = weighted_ ? 0 : size;
@@ -267,10 +264,10 @@ class SampleWalk {
   const Sample& sample_;
   SortedSample sorted_;
   const PartitionOptions& options_;
+  SplitRule rule_;
   std::optional<int> band_axis_;
   AxisOrder axes_of_bands_{};  // of all cuts, once the root's are known
   Guess& out_;
-  std::vector<double> size_prefix_;
   bool weighted_ = false;
   const Guess* before_ = nullptr;
   double levels_ = 0;  // guessed cuts above a particle, on average

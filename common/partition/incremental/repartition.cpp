@@ -72,8 +72,8 @@ class Repartitioning {
   // Collective (one gather).
   OwnInterior look() {
     std::vector<double> loads(current_.loads.loads.begin(), current_.loads.loads.end());
-    InnerRegions inner = inner_regions(comm_, particles_, current_.part, current_.tree, n_, loads, roots_, current_.own,
-                                       options_.limits);
+    InnerRegions inner =
+        inner_regions(comm_, particles_, current_.part, current_.tree, n_, loads, roots_, current_.own, options_);
     if (whole_) splitters_ = std::move(inner.splitters);
     // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
     const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());

@@ -2,11 +2,10 @@
 
 #include <algorithm>
 #include <array>
-#include <numeric>
 
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
-#include "common/partition/balance/load.hpp"
+#include "common/partition/search/split_rule.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -67,19 +66,12 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
   return slots;
 }
 
-// The share of the root's left side.
-double left_share(const PartitionOptions& options) {
-  const std::vector<u128> sizes = exact_sizes(options.part_sizes, options.parts);
-  const auto middle = sizes.begin() + NodeRange{0, 0, options.parts}.middle();
-  const u128 left = std::accumulate(sizes.begin(), middle, u128{0});
-  return quotient(left, std::accumulate(middle, sizes.end(), left));
-}
-
 // The boxes of a sample's particles on either side of the root's cut, if the longest axis is open; else none.
 std::vector<Box> boxes_if_open(SortedSample sample, const PartitionOptions& options, int dims) {
   const AxisOrder axes = geometry::order_by_extent(sample.extents(sample.all()), dims);
   if (!open_order(sample, axes, options.limits.guess.overhang).first) return {};
-  const auto left = static_cast<std::size_t>(left_share(options) * static_cast<double>(sample.all().size()));
+  const double share = SplitRule(options, dims).left_share({0, 0, options.parts});
+  const auto left = static_cast<std::size_t>(share * static_cast<double>(sample.all().size()));
   const SortedSample::Halves halves = sample.split(sample.all(), at(axes[0]), left);
   return {sample.box(halves.left), sample.box(halves.right)};
 }

@@ -23,15 +23,20 @@ std::optional<int> band_axis_of(Method method) {
 }  // namespace
 
 SplitRule::SplitRule(const PartitionOptions& options, int axes)
-    : options_(&options), axes_(axes), band_axis_(band_axis_of(options.method)) {}
+    : options_(&options), axes_(axes), band_axis_(band_axis_of(options.method)) {
+  size_prefix_.assign(1, 0);
+  for (const u128 size : exact_sizes(options.part_sizes, options.parts))
+    size_prefix_.push_back(size_prefix_.back() + size);
+}
 
 void SplitRule::set_all(std::uint64_t count, const Point& extents) {
-  size_prefix_.assign(1, 0);
-  for (const u128 size : exact_sizes(options_->part_sizes, options_->parts))
-    size_prefix_.push_back(size_prefix_.back() + size);
   quota_prefix_.clear();
   for (const u128 prefix : size_prefix_) quota_prefix_.push_back(floor_share(count, prefix, size_prefix_.back()));
   fixed_axes_ = order_of({0, 0, options_->parts}, extents);
+}
+
+double SplitRule::left_share(const NodeRange& range) const {
+  return quotient(size(range.first, range.middle()), size(range.first, range.last));
 }
 
 std::optional<AxisOrder> SplitRule::axes_of(const NodeRange& range, const Extents& extents) const {

@@ -36,6 +36,8 @@ class SplitRule {
   std::uint64_t quota(int first, int last) const {
     return quota_prefix_[static_cast<std::size_t>(last)] - quota_prefix_[static_cast<std::size_t>(first)];
   }
+  // The share of its left side in a node's load.
+  double left_share(const NodeRange& range) const;
   // The exact sizes of parts [first, last) together.
   u128 size(int first, int last) const {
     return size_prefix_[static_cast<std::size_t>(last)] - size_prefix_[static_cast<std::size_t>(first)];

@@ -4,7 +4,6 @@
 
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
-#include "common/partition/balance/load.hpp"
 #include "common/partition/search/split_rule.hpp"
 
 namespace rcb::partition {
@@ -24,7 +23,7 @@ class SampleTree {
     if (range.leaf() || node >= Splitters::kNodes || own.size() < 2) return;
     const Point extents = sample_.extents(own);
     const int axis = (*rule_.axes_of(range, {extents, extents}))[0];
-    const double share = quotient(rule_.size(range.first, range.middle()), rule_.size(range.first, range.last));
+    const double share = rule_.left_share(range);
     const ExpectedCut expected = expect_cut(sample_, own, axis, share, limits_);
     out_.expected[node] = expected;
     out_.nodes[node] = {out_.rounded(at(axis), expected.least), out_.rounded(at(axis), expected.most), axis};
