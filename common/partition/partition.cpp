@@ -30,7 +30,7 @@ Status check(const PartitionOptions& options, int dims) {
     return bad("axis_hysteresis is not a finite number >= 1", "1 follows the extents alone");
   if (!std::isfinite(options.cut_tolerance) || !(options.cut_tolerance >= 0))
     return bad("cut_tolerance is not a finite number >= 0", "0 gives exact cuts");
-  if ((options.method == Method::bands_y && dims < 2) || (options.method == Method::bands_z && dims < 3))
+  if (band_axis(options.method).value_or(0) >= dims)
     return bad(std::string(method_name(options.method)) + " needs an axis that " + std::to_string(dims) +
                    "-dimensional positions lack",
                "choose rcb or bands-x");
@@ -57,10 +57,7 @@ void halve(CutTree& tree, const NodeRange& range, const Point& lo, const Point& 
 PartitionResult equal_boxes(comm::Comm& comm, const particles::ParticleView& particles,
                             const PartitionOptions& options) {
   PartitionResult result;
-  result.tree.dims = particles.dims;
-  result.tree.method = options.method;
-  result.tree.parts = options.parts;
-  result.tree.cuts.resize(static_cast<std::size_t>(options.parts) - 1);
+  result.tree = uncut_tree(options, particles.dims);
   const geometry::Box box = bounding_box(comm, particles);
   ++result.reductions;
   if (box.empty(particles.dims)) {
@@ -79,14 +76,28 @@ Result<PartitionResult> build(TreeBuilder builder, const comm::GoOn& go_on) {
   return result;
 }
 
+// Where all particles lie in one place, ids alone divide them.
+Result<PartitionResult> file_order(comm::Comm& comm, const particles::ParticleView& particles,
+                                   const PartitionOptions& options, const comm::GoOn& go_on) {
+  Buffer<double> place(particles.count);
+  std::fill(place.begin(), place.end(), 0.0);
+  particles::ParticleView in_one_place = particles;
+  in_one_place.dims = 1;
+  in_one_place.position = {place.data()};
+  in_one_place.weight = nullptr;
+  const PartitionOptions by_id{.parts = options.parts, .part_sizes = options.part_sizes, .limits = options.limits};
+  auto result = build({comm, in_one_place, by_id}, go_on);
+  if (result.ok()) result->tree = CutTree{};
+  return result;
+}
+
 }  // namespace
 
 Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleView& particles,
                                   const PartitionOptions& options, const comm::GoOn& go_on) {
   if (Status status = check(options, particles.dims); !status.ok()) return status;
-  if (options.method == Method::equal_boxes || options.method == Method::file_order)
-    return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is a baseline of compare",
-                  "choose rcb, bands-x, bands-y or bands-z");
+  if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
+  if (options.method == Method::file_order) return file_order(comm, particles, options, go_on);
   PartitionResult in_vain;
   std::optional<LargeSetSample> large;
   const bool guess = may_guess(options);
@@ -100,26 +111,6 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (!result.ok()) return result;
   result->reductions += in_vain.reductions;
   result->traffic += in_vain.traffic;
-  return result;
-}
-
-Result<PartitionResult> baseline(comm::Comm& comm, const particles::ParticleView& particles,
-                                 const PartitionOptions& options, const comm::GoOn& go_on) {
-  if (Status status = check(options, particles.dims); !status.ok()) return status;
-  if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
-  if (options.method != Method::file_order)
-    return Status(Code::invalid_argument, std::string(method_name(options.method)) + " is no baseline",
-                  "choose equal-boxes or file-order");
-  // Where all particles lie in one place, ids alone divide them.
-  Buffer<double> place(particles.count);
-  std::fill(place.begin(), place.end(), 0.0);
-  particles::ParticleView in_one_place = particles;
-  in_one_place.dims = 1;
-  in_one_place.position = {place.data()};
-  in_one_place.weight = nullptr;
-  const PartitionOptions by_id{.parts = options.parts, .part_sizes = options.part_sizes, .limits = options.limits};
-  auto result = build({comm, in_one_place, by_id}, go_on);
-  if (result.ok()) result->tree = CutTree{};
   return result;
 }
 

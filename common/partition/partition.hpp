@@ -1,5 +1,5 @@
-// Partitions a distributed particle set into P parts: exact RCB, or bands (a tree with one axis order). Particles stay
-// where they are; the result names each local particle's part.
+// Partitions a distributed particle set into P parts: exact RCB, bands (a tree with one axis order), or a baseline to
+// compare with. Particles stay where they are; the result names each local particle's part.
 //
 // Source: Berger and Bokhari 1987, doi:10.1109/TC.1987.1676942 (recursive bisection).
 #pragma once
@@ -15,13 +15,10 @@ namespace rcb::partition {
 //   go_on      called between the levels of the tree
 // Errors: invalid_argument (the same on every rank): parts < 1, bad sizes, dims against method; aborted if go_on says
 // no.
+//
+// The baselines: equal_boxes cuts at the middle of each box (a coordinate equal to the middle goes right). file_order
+// returns only `part` (blocks in ascending id by the quotas, weights ignored) and a default tree.
 Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleView& particles,
                                   const PartitionOptions& options, const comm::GoOn& go_on = {});
-
-// The part of each particle for the baseline methods, which need no search. equal_boxes also returns its tree (cuts at
-// the middle of each box; a coordinate equal to the middle goes right). file_order returns only `part` (blocks in
-// ascending id by the quotas, weights ignored) and a default tree. Collective.
-Result<PartitionResult> baseline(comm::Comm& comm, const particles::ParticleView& particles,
-                                 const PartitionOptions& options, const comm::GoOn& go_on = {});
 
 }  // namespace rcb::partition

@@ -115,13 +115,8 @@ std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes
   const u128 all = std::accumulate(exact.begin(), exact.end(), u128{0});
   std::vector<std::uint64_t> result(exact.size());
   u128 running = 0;
-  std::uint64_t before = 0;
-  for (std::size_t p = 0; p < exact.size(); ++p) {
-    running += exact[p];
-    const std::uint64_t prefix = floor_share(n, running, all);
-    result[p] = prefix - before;
-    before = prefix;
-  }
+  for (std::size_t p = 0; p < exact.size(); ++p) result[p] = floor_share(n, running += exact[p], all);
+  std::adjacent_difference(result.begin(), result.end(), result.begin());
   return result;
 }
 
@@ -149,9 +144,11 @@ LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& par
   const bool any_weights = counts[count] > 0;
   counts.pop_back();
   if (!any_weights) return summarise_counts(std::move(counts), sizes);
-  const std::optional<WeightRange> range = weight_range(comm, particles);
-  if (!range) return summarise_counts(std::move(counts), sizes);
-  const ExactScale scale(range->largest, std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}));
+  std::array<std::uint64_t, 2> order_bits = weight_order_bits(particles);
+  comm.all_min(order_bits);
+  const std::optional<double> greatest = greatest_weight(order_bits);
+  if (!greatest) return summarise_counts(std::move(counts), sizes);
+  const ExactScale scale(*greatest, std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}));
   LoadSummary summary;
   summary.weighted = true;
   summary.scale_exponent = scale.exponent();
@@ -203,15 +200,9 @@ std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& pa
   return {geometry::order_bits(least), ~geometry::order_bits(most)};
 }
 
-std::optional<WeightRange> weight_range_of_order_bits(std::span<const std::uint64_t, 2> reduced) {
+std::optional<double> greatest_weight(std::span<const std::uint64_t, 2> reduced) {
   if (reduced[0] == ~std::uint64_t{0} || reduced[0] == ~reduced[1]) return std::nullopt;
-  return WeightRange{geometry::value_of_order_bits(reduced[0]), geometry::value_of_order_bits(~reduced[1])};
-}
-
-std::optional<WeightRange> weight_range(comm::Comm& comm, const particles::ParticleView& particles) {
-  std::array<std::uint64_t, 2> order_bits = weight_order_bits(particles);
-  comm.all_min(order_bits);
-  return weight_range_of_order_bits(order_bits);
+  return geometry::value_of_order_bits(~reduced[1]);
 }
 
 double relative_error(u128 load, u128 total, u128 size, u128 all) {

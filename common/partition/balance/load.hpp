@@ -22,7 +22,6 @@ namespace rcb::partition {
 // bits).
 class ExactScale {
  public:
-  ExactScale() = default;
   // largest: the greatest value, > 0; count: how many values are summed, >= 1.
   ExactScale(double largest, std::uint64_t count);
   explicit ExactScale(int exponent) : exponent_(exponent) {}
@@ -43,18 +42,11 @@ std::vector<std::uint64_t> quotas(std::uint64_t n, std::span<const double> sizes
 // floor(n * part / whole), exactly; part <= whole, whole > 0.
 std::uint64_t floor_share(std::uint64_t n, u128 part, u128 whole);
 
-// The least and greatest weight of all particles.
-struct WeightRange {
-  double least = 0;
-  double largest = 0;
-};
 // The order bits of the least weight and the complement of those of the greatest; all ones if there are no weights.
-// Their minima over the ranks (Comm::all_min) are what weight_range_of_order_bits() takes. Local.
+// Their minima over the ranks (Comm::all_min) are what greatest_weight() takes. Local.
 std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& particles);
 // nullopt where weights don't count: absent on all ranks, all equal, or all zero. Local.
-std::optional<WeightRange> weight_range_of_order_bits(std::span<const std::uint64_t, 2> reduced);
-// Both, with the reduction between them. Collective (one reduction).
-std::optional<WeightRange> weight_range(comm::Comm& comm, const particles::ParticleView& particles);
+std::optional<double> greatest_weight(std::span<const std::uint64_t, 2> reduced);
 
 // Load per part and what follows from it. Weighted loads are exact integers in the scene's scale. In the formulas W is
 // the sum of all loads, s a part's size and S the sum of all sizes.
@@ -70,7 +62,7 @@ struct LoadSummary {
   std::vector<double> load_values;    // loads in the user's unit, rounded once
 };
 
-// Collective (one reduction without weights, three with).
+// Collective (one reduction without weights, three with; two if all are equal).
 //   part  [particles.count], each 0..parts-1
 LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& particles,
                             std::span<const std::int32_t> part, std::span<const double> sizes, int parts);

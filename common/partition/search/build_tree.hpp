@@ -174,9 +174,9 @@ class TreeBuilder {
   const Interior* interior_ = nullptr;
   SplitRule rule_;
   double level_tolerance_ = 0;
-  std::optional<ExactScale> scale_;  // of the weights, if they count
-  std::optional<WeightRange> weights_;
-  Point lo_{};  // of all particles
+  std::optional<ExactScale> scale_;        // of the weights, if they count
+  std::optional<double> greatest_weight_;  // if they count
+  Point lo_{};                             // of all particles
   Point hi_{};
   AxisMaps maps_;
   std::array<std::uint64_t, geometry::kDimsMax> lossless_{};  // 1: nothing lost in the sample; see quantise()

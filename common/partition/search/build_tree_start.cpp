@@ -95,7 +95,7 @@ bool TreeBuilder::find_bounds() {
     lo_[a] = geometry::value_of_order_bits(least[a]);
     hi_[a] = geometry::value_of_order_bits(~least[geometry::kDimsMax + a]);
   }
-  if (start_ == nullptr) weights_ = weight_range_of_order_bits(std::span<const std::uint64_t>(least).last<2>());
+  if (start_ == nullptr) greatest_weight_ = greatest_weight(std::span<const std::uint64_t>(least).last<2>());
   return !none;
 }
 
@@ -130,7 +130,7 @@ void TreeBuilder::measure_all() {
       level_[r].bounds.hi[a] = maps_[a](box.hi[a]);
     }
   }
-  if (weights_) scale_.emplace(weights_->largest, count);
+  if (greatest_weight_) scale_.emplace(*greatest_weight_, count);
   if (scale_) weigh_roots();
 }
 

@@ -5,25 +5,8 @@
 #include "common/partition/balance/load.hpp"
 
 namespace rcb::partition {
-namespace {
-
-std::optional<int> band_axis_of(Method method) {
-  switch (method) {
-    case Method::bands_x:
-      return 0;
-    case Method::bands_y:
-      return 1;
-    case Method::bands_z:
-      return 2;
-    default:
-      return std::nullopt;
-  }
-}
-
-}  // namespace
-
 SplitRule::SplitRule(const PartitionOptions& options, int axes)
-    : options_(&options), axes_(axes), band_axis_(band_axis_of(options.method)) {
+    : options_(&options), axes_(axes), band_axis_(partition::band_axis(options.method)) {
   size_prefix_.assign(1, 0);
   for (const u128 size : exact_sizes(options.part_sizes, options.parts))
     size_prefix_.push_back(size_prefix_.back() + size);

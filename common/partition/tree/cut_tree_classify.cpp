@@ -5,11 +5,10 @@
 #include <array>
 #if defined(__x86_64__)
 #include <immintrin.h>
+#endif
 
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
-#endif
-
 #include "common/partition/tree/cut_tree.hpp"
 
 namespace rcb::partition {

@@ -1,4 +1,5 @@
 // The canonical bytes of a cut tree (docs/hash.md) and their hash.
+#include <algorithm>
 #include <bit>
 
 #include <xxhash.h>
@@ -10,27 +11,6 @@ namespace {
 
 constexpr char kMagic[8] = {'R', 'C', 'B', 'T', 'R', 'E', 'E', '1'};
 
-class Writer {
- public:
-  explicit Writer(std::vector<std::byte>& out) : out_(out) {}
-  void u8(std::uint64_t value) { unsigned_of(value, 1); }
-  void u32(std::uint64_t value) { unsigned_of(value, 4); }
-  void u64(std::uint64_t value) { unsigned_of(value, 8); }
-  void f64(double value) { u64(std::bit_cast<std::uint64_t>(value + 0.0)); }
-
- private:
-  void unsigned_of(std::uint64_t value, unsigned bytes) {
-    for (unsigned i = 0; i < bytes; ++i) out_.push_back(static_cast<std::byte>(value >> (8U * i)));
-  }
-  std::vector<std::byte>& out_;
-};
-
-bool all_equal(std::span<const double> sizes) {
-  for (const double size : sizes)
-    if (size != sizes[0]) return false;
-  return true;
-}
-
 }  // namespace
 
 std::uint64_t CutTree::hash() const {
@@ -40,23 +20,27 @@ std::uint64_t CutTree::hash() const {
 
 std::vector<std::byte> CutTree::encode() const {
   std::vector<std::byte> out;
-  const bool sized = !all_equal(part_sizes);
+  const bool sized = !std::ranges::all_of(part_sizes, [&](double size) { return size == part_sizes[0]; });
   const auto axes = static_cast<std::size_t>(dims);
   out.reserve(24 + (sized ? part_sizes.size() * 8 : 0) + cuts.size() * (9 + 9 * axes));
-  Writer writer(out);
-  for (const char c : kMagic) writer.u8(static_cast<unsigned char>(c));
-  writer.u32(static_cast<std::uint64_t>(dims));
-  writer.u32(static_cast<std::uint64_t>(method));
-  writer.u32(static_cast<std::uint64_t>(parts));
-  writer.u32(sized ? part_sizes.size() : 0);
+  const auto put = [&out](auto value, unsigned bytes) {
+    for (unsigned i = 0; i < bytes; ++i)
+      out.push_back(static_cast<std::byte>(static_cast<std::uint64_t>(value) >> (8U * i)));
+  };
+  const auto put_double = [&put](double value) { put(std::bit_cast<std::uint64_t>(value + 0.0), 8); };
+  for (const char c : kMagic) put(c, 1);
+  put(dims, 4);
+  put(method, 4);
+  put(parts, 4);
+  put(sized ? part_sizes.size() : 0, 4);
   if (sized)
-    for (const double size : part_sizes) writer.f64(size);
+    for (const double size : part_sizes) put_double(size);
   for (const Cut& cut : cuts) {
-    for (std::size_t i = 0; i < axes; ++i) writer.u8(static_cast<std::uint64_t>(cut.axes[i]));
-    writer.u8(cut.right_empty ? 0 : 1);
+    for (std::size_t i = 0; i < axes; ++i) put(cut.axes[i], 1);
+    put(cut.right_empty ? 0 : 1, 1);
     if (cut.right_empty) continue;
-    for (std::size_t i = 0; i < axes; ++i) writer.f64(cut.key.at[i]);
-    writer.u64(static_cast<std::uint64_t>(cut.key.id));
+    for (std::size_t i = 0; i < axes; ++i) put_double(cut.key.at[i]);
+    put(cut.key.id, 8);
   }
   return out;
 }

@@ -22,4 +22,9 @@ std::optional<Method> method_from_name(std::string_view name) {
 
 bool has_cut_tree(Method method) { return method != Method::file_order; }
 
+std::optional<int> band_axis(Method method) {
+  if (method < Method::bands_x || method > Method::bands_z) return std::nullopt;
+  return static_cast<int>(method) - static_cast<int>(Method::bands_x);
+}
+
 }  // namespace rcb::partition

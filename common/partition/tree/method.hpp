@@ -19,5 +19,7 @@ std::string_view method_name(Method method);  // "rcb", "bands-x", ..., "equal-b
 std::optional<Method> method_from_name(std::string_view name);
 // True if a cut tree describes the method's partitions, so that parts have regions and positions have owners.
 bool has_cut_tree(Method method);
+// The axis that bands lie along.
+std::optional<int> band_axis(Method method);
 
 }  // namespace rcb::partition

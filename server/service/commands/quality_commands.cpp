@@ -83,9 +83,7 @@ Status compare_one(Context& context, const Scene& scene, const partition::Partit
   context.comm.barrier();
   const double start = context.clock.seconds();
   Status time;
-  auto found = partition::has_cut_tree(options.method) && options.method != Method::equal_boxes
-                   ? partition::partition(context.comm, view, options, while_in_time(context, time))
-                   : partition::baseline(context.comm, view, options, while_in_time(context, time));
+  auto found = partition::partition(context.comm, view, options, while_in_time(context, time));
   if (!time.ok()) return time;
   CHECK(found.ok(), found.status().message());
   const double seconds = context.clock.seconds() - start;

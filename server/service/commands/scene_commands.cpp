@@ -63,7 +63,7 @@ Result<partition::Method> read_method(const wire::Json& request, int dims, parti
   if (!method || *method == partition::Method::equal_boxes || *method == partition::Method::file_order)
     return Status(Code::invalid_argument, fmt::format("unknown method '{}'", name.value()),
                   "methods: rcb, bands-x, bands-y, bands-z");
-  if ((*method == partition::Method::bands_y && dims < 2) || (*method == partition::Method::bands_z && dims < 3))
+  if (partition::band_axis(*method).value_or(0) >= dims)
     return Status(Code::invalid_argument,
                   fmt::format("method {} needs an axis that {} dimension(s) don't have", name.value(), dims));
   return *method;

@@ -17,7 +17,7 @@ class RcbdContender final : public Contender {
       : Contender(std::move(setting)), comm_(comm), method_(method) {}
 
   Status prepare(const Problem& problem) override {
-    const int band = method_ == Method::bands_y ? 1 : method_ == Method::bands_z ? 2 : 0;
+    const int band = partition::band_axis(method_).value_or(0);
     if (band >= problem.particles.dims) return {Code::unsupported, "bands along an axis that there isn't"};
     problem_ = problem;
     options_ = PartitionOptions{};

@@ -105,7 +105,7 @@ TEST(Partition, EndsBetweenTwoLevelsWhenItIsTold) {
       }
       EXPECT_EQ(asked, std::min(last + 1, 6));
       if (last < 6) {
-        EXPECT_FALSE(baseline(
+        EXPECT_FALSE(partition(
                          comm, share.particles.view(),
                          [] {
                            PartitionOptions order;
@@ -353,7 +353,6 @@ TEST(Partition, RefusesBadOptions) {
     EXPECT_TRUE(refused({.parts = 2, .part_sizes = {1, std::nan("")}}));
     EXPECT_TRUE(refused({.parts = 2, .axis_hysteresis = 0.5}));
     EXPECT_TRUE(refused({.method = Method::bands_z, .parts = 2}));
-    EXPECT_TRUE(refused({.method = Method::equal_boxes, .parts = 2}));
   });
 }
 

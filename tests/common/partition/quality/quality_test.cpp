@@ -171,7 +171,7 @@ TEST(Quality, InterfaceOfAKnownBox) {
     PartitionOptions options;
     options.method = Method::equal_boxes;
     options.parts = 4;
-    const PartitionResult got = baseline(comm, set.view(), options).value();
+    const PartitionResult got = partition(comm, set.view(), options).value();
     const Quality result = quality_of(comm, set.view(), got.part.span(), 4, &got.tree, 0.5);
     EXPECT_EQ(*result.interface_area, 3 + 2 * 2);  // 3 x 1 across x, twice 2 x 1 across y
     EXPECT_EQ(result.part_interface_area, (std::vector<double>{3.5, 3.5, 3.5, 3.5}));
@@ -224,7 +224,7 @@ TEST(Baseline, FileOrderIsBlocksByIds) {
         PartitionOptions options;
         options.method = Method::file_order;
         options.parts = 7;
-        const PartitionResult got = baseline(comm, share.particles.view(), options).value();
+        const PartitionResult got = partition(comm, share.particles.view(), options).value();
         for (std::size_t i = 0; i < share.row.size(); ++i) {
           const auto place = static_cast<std::uint64_t>(
               std::lower_bound(sorted.begin(), sorted.end(), share.particles.id[i]) - sorted.begin());
@@ -250,7 +250,7 @@ TEST(Baseline, EqualBoxesHalveTheLongestSide) {
     PartitionOptions options;
     options.method = Method::equal_boxes;
     options.parts = 3;  // left half in two, across y since it is now the longer side
-    const PartitionResult got = baseline(comm, set.view(), options).value();
+    const PartitionResult got = partition(comm, set.view(), options).value();
     EXPECT_EQ(got.tree.cuts[0].axes[0], 0);
     EXPECT_EQ(got.tree.cuts[0].key.at[0], 2);
     EXPECT_EQ(got.tree.cuts[1].axes[0], 1);
