@@ -71,9 +71,8 @@ PartitionResult equal_boxes(comm::Comm& comm, const particles::ParticleView& par
 }
 
 Result<PartitionResult> build(TreeBuilder builder, const comm::GoOn& go_on) {
-  PartitionResult result = builder.build(go_on);
-  if (builder.abandoned()) return Status(Code::aborted, "the partition was given up");
-  return result;
+  if (auto result = builder.build(go_on)) return *std::move(result);
+  return Status(Code::aborted, "the partition was given up");
 }
 
 // Where all particles lie in one place, ids alone divide them.
@@ -106,8 +105,9 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (large) sample = SortedSample(large->sample);
   if (large && guess)
     if (auto found = partition_from_guess(comm, particles, options, *large, sample, in_vain)) return *std::move(found);
-  auto result = large && large->buckets ? build({comm, particles, options, std::move(sample), large->stride}, go_on)
-                                        : build({comm, particles, options}, go_on);
+  Start start;
+  if (large && large->buckets) start = {.sample = std::move(sample), .stride = large->stride};
+  auto result = build({comm, particles, options, std::move(start)}, go_on);
   if (!result.ok()) return result;
   result->reductions += in_vain.reductions;
   result->traffic += in_vain.traffic;

@@ -62,8 +62,8 @@ class FirstPartition {
       return static_cast<std::uint64_t>(std::min(1.5 * limits_.boundary_max, 1.0) * static_cast<double>(count));
     };
     const std::uint64_t mean = large_.count / static_cast<std::uint64_t>(comm_.size());
-    const OwnInterior own = classify_guessed(particles_, guess, roots_, result_.part.span(),
-                                             most_of(std::max<std::uint64_t>(particles_.count, mean)));
+    OwnInterior own = classify_guessed(particles_, guess, roots_, result_.part.span(),
+                                       most_of(std::max<std::uint64_t>(particles_.count, mean)));
     // Positions, and the parts written, and read where there are some already; then the copies of boundary particles,
     // whose positions are read once more for their box.
     const std::size_t point = at(axes()) * sizeof(double);
@@ -77,25 +77,21 @@ class FirstPartition {
     ++result_.reductions;
     if (!interior) return false;
     interior->brackets.assign(guess.brackets.begin(), guess.brackets.end());
-    Buffer<std::int32_t> part = own.part;
-    const Start start{.roots = roots_,
-                      .part = part.span(),
-                      .tree = &result_.tree,
-                      .rule = first ? nullptr : &rule_,
-                      .scale = scale_,
-                      .interior = &*interior,
-                      .ends = guess.ends,
-                      .failed_max = large_.count};
-    TreeBuilder builder(comm_, own.view(particles_), options_, start);
-    PartitionResult found = builder.build();
-    if (builder.abandoned()) return false;
+    TreeBuilder builder(comm_, own.view(particles_), options_,
+                        {.roots = roots_,
+                         .part = own.part.span(),
+                         .tree = &result_.tree,
+                         .rule = first ? nullptr : &rule_,
+                         .scale = scale_,
+                         .interior = &*interior,
+                         .ends = guess.ends});
+    PartitionResult found = *builder.build();
     rule_ = builder.rule();
-    for (std::size_t k = 0; k < part.size(); ++k) result_.part[own.slot[k]] = part[k];
+    for (std::size_t k = 0; k < own.part.size(); ++k) result_.part[own.slot[k]] = own.part[k];
     add(std::move(found));
     roots_ = builder.uncut();
-    std::ranges::sort(roots_, {}, &NodeRange::first);
     guess_ = guess;
-    if (!roots_.empty()) measure_roots(own, part.span(), *interior);
+    if (!roots_.empty()) measure_roots(own, *interior);
     return true;
   }
 
@@ -117,17 +113,17 @@ class FirstPartition {
       return summarise_counts(std::move(counts), options_.part_sizes);
     }
     LoadSummary loads = summarise_loads(comm_, particles_, result_.part.span(), options_.part_sizes, options_.parts);
-    result_.reductions += loads.weighted ? 3 : 1;
+    result_.reductions += loads.weighted ? 3 : 2;
     if (loads.weighted) scale_.emplace(loads.scale_exponent);
     return loads;
   }
 
   // The exact boxes of the roots' particles, on all ranks. Collective (one reduction).
-  void measure_roots(const OwnInterior& own, std::span<const std::int32_t> part, const Interior& interior) {
+  void measure_roots(const OwnInterior& own, const Interior& interior) {
     // All of space is each part's inner region: so this finds the boxes of the boundary particles' parts.
     const std::vector<Box> anywhere(at(options_.parts), Box::unbounded());
-    const OwnInterior found =
-        classify_interior(own.view(particles_), nullptr, part, anywhere, {0, options_.parts}, part.size());
+    const OwnInterior found = classify_interior(own.view(particles_), nullptr, own.part.span(), anywhere,
+                                                {0, options_.parts}, own.part.size());
     boxes_.clear();
     for (const NodeRange& root : roots_) {
       Box& box = boxes_.emplace_back(interior.box(root.first, root.last));

@@ -90,22 +90,21 @@ class Repartitioning {
                                        current_.loads.loads, most, result_.looked_at);
     if (!interior) return false;
     Buffer<std::int32_t> part = own.part;
-    const Start start{.roots = roots_,
-                      .part = part.span(),
-                      .tree = &current_.tree,
-                      .rule = whole_ ? nullptr : &rule_,
-                      .scale = scale_,
-                      .interior = &*interior,
-                      .splitters = whole_ ? &splitters_ : nullptr,
-                      .failed_max = most};
-    TreeBuilder builder(comm_, own.view(particles_), options_, start);
-    PartitionResult found = builder.build();
-    if (builder.abandoned()) return false;
+    TreeBuilder builder(comm_, own.view(particles_), options_,
+                        {.roots = roots_,
+                         .part = part.span(),
+                         .tree = &current_.tree,
+                         .rule = whole_ ? nullptr : &rule_,
+                         .scale = scale_,
+                         .interior = &*interior,
+                         .splitters = whole_ ? &splitters_ : nullptr,
+                         .failed_max = most});
+    auto found = builder.build();
+    if (!found) return false;
     failed_ = builder.uncut();
-    std::ranges::sort(failed_, {}, &NodeRange::first);
     rule_ = builder.rule();
     tell_changes(part.span(), own.part.span(), [&own](std::size_t k) { return own.slot[k]; });
-    take(std::move(found), roots_);
+    take(*std::move(found), roots_);
     return true;
   }
 
@@ -122,12 +121,13 @@ class Repartitioning {
       large = sample_large_set(comm_, particles_, options_, false, result_.reductions);
     PartitionResult found;
     if (!whole) {
-      const Start start{.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_};
-      found = search_roots(comm_, particles_, options_, start);
+      found =
+          search_roots(comm_, particles_, options_,
+                       {.roots = failed_, .part = part.span(), .tree = &result_.tree, .rule = &rule_, .scale = scale_});
     } else {
-      found = (large ? TreeBuilder(comm_, particles_, options_, SortedSample(large->sample), large->stride)
-                     : TreeBuilder(comm_, particles_, options_))
-                  .build();
+      Start start;
+      if (large) start = {.sample = SortedSample(large->sample), .stride = large->stride};
+      found = *TreeBuilder(comm_, particles_, options_, std::move(start)).build();
       part = std::move(found.part);
     }
     tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <utility>
 
 #include "common/base/index.hpp"
 #include "common/comm/gather.hpp"
@@ -41,53 +40,51 @@ std::vector<std::int32_t> roots_of_parts(std::span<const NodeRange> roots, int p
   return root_of;
 }
 
-TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options)
-    : comm_(comm), particles_(particles), options_(options), axes_(particles.dims), rule_(options, particles.dims) {
-  result_.tree = uncut_tree(options, particles.dims);
+TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
+                         Start start)
+    : comm_(comm),
+      particles_(particles),
+      options_(options),
+      axes_(particles.dims),
+      start_(std::move(start)),
+      interior_(start_.interior),
+      rule_(start_.rule != nullptr ? *start_.rule : SplitRule(options, particles.dims)),
+      scale_(start_.scale) {
+  result_.tree = start_.tree != nullptr ? *start_.tree : uncut_tree(options, particles.dims);
+  if (start_.roots.empty()) start_.roots = {result_.tree.root()};
   // (1 + level tolerance)^levels <= 1 + tolerance
   const double levels = std::bit_width(static_cast<unsigned>(options.parts - 1));
   level_tolerance_ = std::expm1(std::log1p(options.cut_tolerance) / std::max(levels, 1.0));
 }
 
-TreeBuilder::TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-                         const Start& start)
-    : TreeBuilder(comm, particles, options) {
-  start_ = &start;
-  interior_ = start.interior;
-  scale_ = start.scale;
-  if (start.rule != nullptr) rule_ = *start.rule;
-  result_.tree = *start.tree;
-}
-
-PartitionResult TreeBuilder::build(const comm::GoOn& go_on) {
-  if (options_.parts == 1) {
+std::optional<PartitionResult> TreeBuilder::build(const comm::GoOn& go_on) {
+  if (start_.part.empty()) {
     result_.part.resize(particles_.count);
-    std::fill(result_.part.begin(), result_.part.end(), 0);
+    start_.part = result_.part.span();
+  }
+  if (options_.parts == 1) {
+    std::ranges::fill(start_.part, 0);
     return std::move(result_);
   }
   measure_all();
   if (!scale_) result_.counts.resize(at(options_.parts));
   quantise();
   lay_out_roots();
-  Selector selector(comm_, particles_, maps_, scale_ ? &*scale_ : nullptr, options_.limits);
+  Selector selector(comm_, particles_, maps_, scale_ ? &*scale_ : nullptr, options_.limits, result_);
   std::vector<CutRequest> wanted;
-  while (!level_.empty() && !abandoned()) {
-    stopped_ = go_on && !go_on();
-    if (stopped_) break;
+  while (!level_.empty()) {
+    if (go_on && !go_on()) return std::nullopt;
     order_axes();
     if (sampled()) expect_other_axes();
     wanted.clear();
     for (const Node& node : level_) wanted.push_back(request_of(node));
     split(wanted, selector.select(wanted));
+    if (failed_count_ > start_.failed_max) return std::nullopt;
     level_.swap(next_);
     spans_.swap(next_spans_);
   }
-  if (abandoned()) return {};
-  if (start_ == nullptr && bucket_.empty()) result_.part.resize(particles_.count);
-  result_.traffic.bytes += writer_.write(start_ == nullptr ? result_.part.span() : start_->part);
-  result_.rounds = selector.rounds();
-  result_.reductions += selector.reductions();
-  result_.traffic.bytes += selector.bytes_moved();
+  result_.traffic.bytes += writer_.write(start_.part);
+  std::ranges::sort(uncut_, {}, &NodeRange::first);
   return std::move(result_);
 }
 
@@ -223,7 +220,7 @@ void TreeBuilder::expect_other_axes() {
     const Node& node = level_[others[k]];
     const double rank = static_cast<double>(rule_.quota(node.range.first, node.range.middle()));
     own.push_back(
-        expect_cut(sample_, node.sampled, node.axes[0], rank / static_cast<double>(node.count), options_.limits));
+        expect_cut(start_.sample, node.sampled, node.axes[0], rank / static_cast<double>(node.count), options_.limits));
   }
   const Buffer<ExpectedCut> found = comm::values_of_first<ExpectedCut>(comm_, own);
   ++result_.reductions;
@@ -336,7 +333,7 @@ void TreeBuilder::split(std::span<const CutRequest> wanted, std::span<const CutF
     if (node.sampled.size() > 0 && right.number < Splitters::kNodes && !cut.right_empty) {
       const auto axis = at(cut.axes[0]);
       const SortedSample::Halves halves =
-          sample_.split(node.sampled, axis, sample_.below(node.sampled, axis, cut.key.at[0]));
+          start_.sample.split(node.sampled, axis, start_.sample.below(node.sampled, axis, cut.key.at[0]));
       left.sampled = halves.left;
       right.sampled = halves.right;
     }

@@ -38,8 +38,10 @@ std::vector<std::int32_t> roots_of_parts(std::span<const NodeRange> roots, int p
 
 // Where to begin, if not with all particles at the root.
 struct Start {
-  std::vector<NodeRange> roots;        // inner nodes, none below another, ascending
-  std::span<std::int32_t> part;        // of each particle so far; those of parts in no root are left out
+  std::vector<NodeRange> roots;  // inner nodes, none below another, ascending; empty: that of the whole tree
+  // Of each particle so far; those of parts in no root are left out. The parts found are written here instead of the
+  // result, whose `counts` are set for parts below the roots only. Empty: there are none.
+  std::span<std::int32_t> part;
   std::vector<geometry::Box> boxes;    // [roots]: of their particles on all ranks; empty: not known
   const CutTree* tree = nullptr;       // its cuts outside of the roots are kept
   const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
@@ -48,35 +50,26 @@ struct Start {
   std::span<const std::uint8_t> ends;  // [inner nodes]: 1: left uncut; empty: none
   // Where the cuts are expected, for buckets; null: not known. Not with several roots, or where `boxes` are known.
   const Splitters* splitters = nullptr;
-  std::uint64_t failed_max = 0;  // the build is abandoned once nodes that could not be cut hold more particles
+  // The build is abandoned once nodes that could not be cut hold more particles.
+  std::uint64_t failed_max = std::numeric_limits<std::uint64_t>::max();
+  // To begin with buckets; no particle may have a weight. A sample of all particles on rank 0, empty elsewhere; what
+  // was sampled must outlive the builder.
+  SortedSample sample;
+  std::uint64_t stride = 0;  // one particle of so many was sampled; 0: there is no sample
 };
 
 class TreeBuilder {
  public:
   // `options` must be valid.
-  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options);
-  // Begins with buckets; no particle has a weight.
-  //   sample  on rank 0, of all particles, and elsewhere empty; what was sampled must outlive this
-  //   stride  one particle of so many was sampled
   TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-              SortedSample sample, std::uint64_t stride)
-      : TreeBuilder(comm, particles, options) {
-    sample_ = std::move(sample);
-    stride_ = stride;
-  }
-  // `start` must outlive this.
-  TreeBuilder(comm::Comm& comm, const particles::ParticleView& particles, const PartitionOptions& options,
-              const Start& start);
+              Start start = {});
 
-  // With a start the parts found are written to Start::part instead of the result, whose `counts` are set for parts
-  // below the roots only. go_on: called before each level. Collective.
-  PartitionResult build(const comm::GoOn& go_on = {});
+  // nullopt if failed nodes hold too many particles or go_on, which is called before each level, said no. Collective.
+  std::optional<PartitionResult> build(const comm::GoOn& go_on = {});
 
-  // Nodes left uncut: those in Start::ends, and those that can't be cut without their interior particles. The cuts in
-  // them are unspecified, and their particles are all reported in the node's first part.
+  // Nodes left uncut, ascending: those in Start::ends, and those that can't be cut without their interior particles.
+  // The cuts in them are unspecified, and their particles are all reported in the node's first part.
   const std::vector<NodeRange>& uncut() const { return uncut_; }
-  // True if failed nodes hold too many particles or go_on said no: the result is then meaningless.
-  bool abandoned() const { return stopped_ || (start_ != nullptr && failed_count_ > start_->failed_max); }
   const SplitRule& rule() const { return rule_; }
 
  private:
@@ -104,9 +97,9 @@ class TreeBuilder {
   // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
   // sample (at most three gathers).
   geometry::Box own_box();
-  bool sampled() const { return stride_ > 0; }
+  bool sampled() const { return start_.stride > 0; }
   bool bucketed() const { return splitters_.has_value(); }
-  bool knows_bounds() const { return level_.size() == 1 || !start_->boxes.empty(); }
+  bool knows_bounds() const { return level_.size() == 1 || !start_.boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
   void weigh_roots();
@@ -130,15 +123,13 @@ class TreeBuilder {
   void add_interior(const NodeRange& range, CutRequest& wanted) const;
   // The axis of the bracket outside of which the node's interior particles lie.
   int axis_of_bracket(const NodeRange& range) const {
-    return interior_->brackets.empty() ? start_->tree->cuts[at(range.node)].axes[0]
+    return interior_->brackets.empty() ? result_.tree.cuts[at(range.node)].axes[0]
                                        : interior_->brackets[at(range.node)].axes[0];
   }
   // True if all interior particles stay on their side of the cut found.
   bool cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const;
   void leave_uncut(std::size_t node);
-  bool ends(const NodeRange& range) const {
-    return start_ != nullptr && !start_->ends.empty() && start_->ends[at(range.node)] != 0;
-  }
+  bool ends(const NodeRange& range) const { return !start_.ends.empty() && start_.ends[at(range.node)] != 0; }
   u128 slack_of(const Node& node) const;
   // Makes the level's cuts, and the next level's nodes.
   void split(std::span<const CutRequest> wanted, std::span<const CutFound> found);
@@ -162,16 +153,13 @@ class TreeBuilder {
   particles::ParticleView particles_;
   const PartitionOptions& options_;
   int axes_;
-  const Start* start_ = nullptr;
-  SortedSample sample_;       // on rank 0
-  std::uint64_t stride_ = 0;  // 0: no buckets are made from a sample
+  Start start_;
   std::optional<Splitters> splitters_;
   // Of each particle; empty: there are none. Those of a sample take the last quarter of the parts' memory until these
   // are written.
   std::span<std::uint8_t> bucket_;
   Buffer<std::uint8_t> own_bucket_;
-  bool stopped_ = false;
-  const Interior* interior_ = nullptr;
+  const Interior* interior_;
   SplitRule rule_;
   double level_tolerance_ = 0;
   std::optional<ExactScale> scale_;        // of the weights, if they count

@@ -21,16 +21,16 @@ constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 }  // namespace
 
 std::vector<std::uint64_t> TreeBuilder::find_roots() {
-  if (start_ == nullptr || start_->roots[0].parts() == options_.parts) return {particles_.count};
-  root_of_ = roots_of_parts(start_->roots, options_.parts);
+  if (start_.roots[0].parts() == options_.parts) return {particles_.count};
+  root_of_ = roots_of_parts(start_.roots, options_.parts);
   const std::vector<std::uint64_t> counts =
-      count_groups([this](std::size_t i) { return start_->part[i]; }, at(options_.parts), start_->part.size());
-  result_.traffic.bytes += start_->part.size_bytes();
+      count_groups([this](std::size_t i) { return start_.part[i]; }, at(options_.parts), start_.part.size());
+  result_.traffic.bytes += start_.part.size_bytes();
   std::vector<std::uint64_t> of_roots;
-  for (const NodeRange& root : start_->roots)
+  for (const NodeRange& root : start_.roots)
     of_roots.push_back(std::accumulate(counts.begin() + root.first, counts.begin() + root.last, std::uint64_t{0}));
   all_particles_ = std::accumulate(of_roots.begin(), of_roots.end(), std::size_t{0}) == particles_.count;
-  if (of_roots.size() > 1 || !all_particles_) roots_ = {of_roots.size(), start_->part, root_of_};
+  if (of_roots.size() > 1 || !all_particles_) roots_ = {of_roots.size(), start_.part, root_of_};
   return of_roots;
 }
 
@@ -39,14 +39,13 @@ geometry::Box TreeBuilder::own_box() {
   result_.traffic.bytes +=
       particles_.count * at(axes_) * (sizeof(double) + (all_particles_ ? 0 : sizeof(std::int32_t)));
   if (sampled()) {
-    gather_outermost_if_open(comm_, particles_, options_, stride_, sample_, result_);
-    splitters_ = share_splitters(comm_, sample_, options_, axes_);
+    gather_outermost_if_open(comm_, particles_, options_, start_.stride, start_.sample, result_);
+    splitters_ = share_splitters(comm_, start_.sample, options_, axes_);
     ++result_.reductions;
-    result_.part.resize(particles_.count);
-    auto* const bytes = reinterpret_cast<std::uint8_t*>(result_.part.data());
+    auto* const bytes = reinterpret_cast<std::uint8_t*>(start_.part.data());
     bucket_ = {bytes + particles_.count * (sizeof(std::int32_t) - 1), particles_.count};
-  } else if (start_ != nullptr && start_->splitters != nullptr) {
-    splitters_ = *start_->splitters;
+  } else if (start_.splitters != nullptr) {
+    splitters_ = *start_.splitters;
     own_bucket_.resize(particles_.count);
     bucket_ = own_bucket_.span();
   }
@@ -68,15 +67,15 @@ geometry::Box TreeBuilder::own_box() {
 }
 
 bool TreeBuilder::find_bounds() {
-  if (start_ != nullptr && !start_->boxes.empty()) {
+  if (!start_.boxes.empty()) {
     geometry::Box all;
-    for (const geometry::Box& box : start_->boxes) all.extend(box);
+    for (const geometry::Box& box : start_.boxes) all.extend(box);
     lo_ = all.lo;
     hi_ = all.hi;
     return !all.empty(axes_);
   }
   if (interior_ != nullptr) {
-    if (start_->splitters != nullptr) (void)own_box();  // for the buckets
+    if (start_.splitters != nullptr) (void)own_box();  // for the buckets
     lo_ = interior_->boundary.lo;
     hi_ = interior_->boundary.hi;
     return !interior_->boundary.empty(axes_);
@@ -95,14 +94,14 @@ bool TreeBuilder::find_bounds() {
     lo_[a] = geometry::value_of_order_bits(least[a]);
     hi_[a] = geometry::value_of_order_bits(~least[geometry::kDimsMax + a]);
   }
-  if (start_ == nullptr) greatest_weight_ = greatest_weight(std::span<const std::uint64_t>(least).last<2>());
+  if (start_.rule == nullptr) greatest_weight_ = greatest_weight(std::span<const std::uint64_t>(least).last<2>());
   return !none;
 }
 
 void TreeBuilder::measure_all() {
   const std::vector<std::uint64_t> counts = find_roots();
   const bool none = !find_bounds();
-  level_.resize(start_ == nullptr ? 1 : start_->roots.size());
+  level_.resize(start_.roots.size());
   std::vector<std::uint64_t> sums = sample_maps();
   const std::size_t samples = sums.size();
   sums.insert(sums.end(), counts.begin(), counts.end());
@@ -111,12 +110,12 @@ void TreeBuilder::measure_all() {
   choose_maps(sums);
   std::uint64_t count = interior_ == nullptr ? 0 : interior_->count_prefix.back();
   for (std::size_t r = 0; r < level_.size(); ++r) {
-    level_[r].range = start_ == nullptr ? result_.tree.root() : start_->roots[r];
+    level_[r].range = start_.roots[r];
     level_[r].count = sums[samples + r];
     result_.searched += sums[samples + r];
   }
   count += result_.searched;
-  if (start_ == nullptr || start_->rule == nullptr) {
+  if (start_.rule == nullptr) {
     geometry::Box all = interior_ == nullptr ? geometry::Box{} : interior_->box(0, options_.parts);
     if (!none) all.extend(lo_, axes_), all.extend(hi_, axes_);
     Point extents{};
@@ -124,7 +123,7 @@ void TreeBuilder::measure_all() {
     rule_.set_all(count, extents);
   }
   for (std::size_t r = 0; r < level_.size() && knows_bounds() && !none; ++r) {
-    const geometry::Box box = level_.size() == 1 ? geometry::Box{lo_, hi_} : start_->boxes[r];
+    const geometry::Box box = level_.size() == 1 ? geometry::Box{lo_, hi_} : start_.boxes[r];
     for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {
       level_[r].bounds.lo[a] = maps_[a](box.lo[a]);
       level_[r].bounds.hi[a] = maps_[a](box.hi[a]);
@@ -224,7 +223,7 @@ void TreeBuilder::lay_out_roots() {
     writer_.use_buckets(bucket_, options_.limits.chunk_max);
     std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
     level_[0].spans_last = spans_.size();
-    level_[0].sampled = sample_.all();
+    level_[0].sampled = start_.sample.all();
   } else if (knows_bounds()) {
     return;
   }

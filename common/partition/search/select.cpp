@@ -56,14 +56,13 @@ std::vector<CutFound> Selector::select(std::span<const CutRequest> nodes) {
   neighbours_.clear();
   gather_limit_ = nodes.empty() ? 0 : gather_limit();
   for (std::size_t n = 0; n < nodes.size(); ++n) start(n);
-  for (count_round(); any(Phase::count) || any(Phase::next_word); count_round()) next_word();
+  do {
+    count_round();
+    next_word();
+  } while (!in_phase(Phase::count).empty());
   gather_candidates();
   find_neighbours();
   return std::move(found_);
-}
-
-bool Selector::any(Phase phase) const {
-  return std::ranges::any_of(states_, [phase](const State& state) { return state.phase == phase; });
 }
 
 std::vector<std::size_t> Selector::in_phase(Phase phase) const {
@@ -155,7 +154,7 @@ QuantisedPoint* Selector::split_open(const Span& span, std::size_t axis, std::in
   const std::int64_t left = std::int64_t{at} - span.bounds.lo[axis];
   const std::int64_t right = std::int64_t{span.bounds.hi[axis]} - at;
   const bool few = left * kFew < right || right * kFew < left;
-  bytes_moved_ += (few ? 1 : 2) * sizeof(QuantisedPoint) * span.open().size();
+  spent_.traffic.bytes += (few ? 1 : 2) * sizeof(QuantisedPoint) * span.open().size();
   if (!few) return split(span.open(), axis, at);
   return left < right ? split_few(span.open(), axis, at - 1) : split_few_back(span.open(), axis, at);
 }
@@ -182,13 +181,8 @@ void Selector::choose_next_phase(std::size_t node, std::uint64_t before) {
     state.phase = Phase::next_word;
 }
 
-void Selector::sum_message() {
-  comm_.all_sum(message_.span());
-  ++reductions_;
-}
-
 void Selector::note_pass(std::size_t node, std::size_t bytes) {
-  for (const Span& span : spans_of(node)) bytes_moved_ += bytes * span.open().size();
+  for (const Span& span : spans_of(node)) spent_.traffic.bytes += bytes * span.open().size();
 }
 
 // Calls apply() with the counts of the message's cells from word `at` on.
@@ -243,7 +237,7 @@ std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t a
 void Selector::count_round() {
   const std::vector<std::size_t> asked = in_phase(Phase::count);
   if (asked.empty()) return;
-  ++rounds_;
+  ++spent_.rounds;
   std::uint64_t most = 0;
   for (const std::size_t node : asked) most = std::max(most, states_[node].inside);
   per_word_ = weighted() ? 1 : most < 0x100 ? 8 : most < 0x10000 ? 4 : most < 0x100000000 ? 2 : 1;
@@ -271,7 +265,8 @@ void Selector::count_round() {
     message_.resize(own.size() * words);
     std::fill(message_.begin(), message_.end(), 0);
     for (std::size_t n = 0; n < own.size(); ++n) count_node(own[n], shift(own[n]), used, n * words);
-    sum_message();
+    comm_.all_sum(message_.span());
+    ++spent_.reductions;
     for (std::size_t n = 0; n < own.size(); ++n) take_count(own[n], shift(own[n]), used, n * words);
   }
 }

@@ -94,9 +94,9 @@ u128 threshold_of(const CutRequest& wanted);
 
 class Selector {
  public:
-  // scale: null without weights.
+  // scale: null without weights. Adds what the search costs to `spent`.
   Selector(comm::Comm& comm, const particles::ParticleView& particles, const AxisMaps& maps, const ExactScale* scale,
-           const SearchLimits& limits)
+           const SearchLimits& limits, PartitionResult& spent)
       : comm_(comm),
         particles_(particles),
         maps_(maps),
@@ -104,14 +104,11 @@ class Selector {
         words_(axes_ + 1),
         scale_(scale),
         limits_(limits),
+        spent_(spent),
         cell_words_(scale == nullptr ? 1 : 4) {}
 
   // The cuts of a level's nodes. Collective.
   std::vector<CutFound> select(std::span<const CutRequest> nodes);
-
-  std::uint64_t rounds() const { return rounds_; }
-  std::uint64_t reductions() const { return reductions_; }
-  std::uint64_t bytes_moved() const { return bytes_moved_; }  // by this rank's passes
 
  private:
   enum class Phase : std::uint8_t { done, count, next_word, gather, neighbour };
@@ -120,7 +117,7 @@ class Selector {
   struct State {
     Phase phase = Phase::done;
     bool expected = false;  // `below`, and whether the bracket holds the key, aren't known before its first histogram
-    bool uniform = false;  // all integers that were replaced were `uniform_value`
+    bool uniform = false;   // all integers that were replaced were `uniform_value`
     std::int32_t uniform_value = 0;
     bool tie_break = false;  // the integers are replaced by a key word: (its value - base) >> shift
     bool by_id = false;      // the integers hold the id, or have held it
@@ -162,7 +159,6 @@ class Selector {
   QuantisedPoint* split_open(const Span& span, std::size_t axis, std::int32_t at);
   // Up to so many candidates of a node are gathered instead of counted.
   std::uint64_t gather_limit() const;
-  bool any(Phase phase) const;
   std::vector<std::size_t> in_phase(Phase phase) const;
   void choose_next_phase(std::size_t node, std::uint64_t before);
   // Histograms are summed over ranks in messages of bounded size, for a group of nodes at a time.
@@ -193,7 +189,6 @@ class Selector {
   void write_words(std::size_t node);
   void write_ids(Span& span, std::size_t axis, const State& state) const;
   void restore(std::size_t node);
-  void sum_message();
   void enter(std::size_t node, std::uint64_t lo, std::uint64_t hi);
   template <typename Apply>
   void with_counts(std::size_t at, const Apply& apply);
@@ -240,6 +235,7 @@ class Selector {
   std::size_t words_;
   const ExactScale* scale_;
   const SearchLimits& limits_;
+  PartitionResult& spent_;
   std::size_t cell_words_;  // words of a histogram's cell: a count; with weights also three limbs
 
   std::span<const CutRequest> nodes_;
@@ -251,10 +247,6 @@ class Selector {
   Buffer<std::uint64_t> message_;
   std::size_t per_word_ = 1;  // counts packed into a word of the message
   Buffer<std::uint32_t> bins_;
-
-  std::uint64_t rounds_ = 0;
-  std::uint64_t reductions_ = 0;
-  std::uint64_t bytes_moved_ = 0;
 };
 
 }  // namespace rcb::partition

@@ -43,7 +43,7 @@ void Selector::gather_group(std::span<const std::size_t> group) {
         mine.push_back(static_cast<std::uint64_t>(weight >> 64U));
       }
   const auto all = comm::all_gather_few_values<std::uint64_t>(comm_, mine);
-  ++reductions_;
+  ++spent_.reductions;
   std::vector<Candidate> candidates;
   candidates.reserve(all.size() / candidate_words());
   for (std::size_t at = 0; at < all.size(); at += candidate_words()) {
@@ -184,7 +184,7 @@ std::vector<std::uint8_t> Selector::nearest(std::span<const Neighbour> wanted, b
       mine.insert(mine.end(), keys[n].begin(), keys[n].begin() + static_cast<std::ptrdiff_t>(words_));
     }
     const auto all = comm::all_gather_few_values<std::uint64_t>(comm_, mine);
-    ++reductions_;
+    ++spent_.reductions;
     for (std::size_t at = 0; at < all.size(); at += point) {
       KeyWords key{};
       for (std::size_t w = 0; w < words_; ++w) key[w] = all[at + 1 + w];

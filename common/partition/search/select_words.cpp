@@ -27,7 +27,7 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
     QBounds integers;
     if (any_lossless || place) widen(integers, open);
     const bool known = place && integers.lo == *place && integers.hi == *place;
-    bytes_moved_ += open.size() * sizeof(QuantisedPoint);
+    spent_.traffic.bytes += open.size() * sizeof(QuantisedPoint);
     std::array<const double*, geometry::kDimsMax> x{};
     std::array<double, geometry::kDimsMax> first{};
     std::array<bool, geometry::kDimsMax> same{true, true, true};
@@ -43,8 +43,8 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
       look(w, geometry::order_bits(first[w]));
     }
     if (known) continue;  // all have the first one's coordinates (ids are measured only after integers were replaced)
-    bytes_moved_ += open.size() *
-                    (sizeof(QuantisedPoint) + (axes_ - from) * sizeof(double) + (states_[node].by_id ? sizeof(Id) : 0));
+    spent_.traffic.bytes += open.size() * (sizeof(QuantisedPoint) + (axes_ - from) * sizeof(double) +
+                                           (states_[node].by_id ? sizeof(Id) : 0));
     // Mostly all coordinates are equal, or the search would not have come here: one pass finds that out.
     if (x[0] != nullptr && x[1] != nullptr && x[2] != nullptr) {
       for (const QuantisedPoint& point : open) {
@@ -107,7 +107,7 @@ void Selector::next_word() {
     own[2 * axes_] = least;
     own[2 * axes_ + 1] = ~greatest;
   }
-  reductions_ += all_min_in_messages(comm_, bounds.span());
+  spent_.reductions += all_min_in_messages(comm_, bounds.span());
   for (std::size_t m = 0; m < measured.size(); ++m) {
     State& state = states_[measured[m]];
     const auto lo = [&] { return bounds[(m * words_ + state.word) * 2]; };
@@ -149,9 +149,9 @@ std::array<std::uint64_t, 2> Selector::known_ids(std::size_t node) {
       least[0] = std::min(least[0], id);
       least[1] = std::min(least[1], ~id);
     }
-    bytes_moved_ += particles_.count * sizeof(Id);
+    spent_.traffic.bytes += particles_.count * sizeof(Id);
     comm_.all_min(least);
-    ++reductions_;
+    ++spent_.reductions;
     ids_ = {least[0], ~least[1]};
   }
   const CutRequest& ask = nodes_[node];
@@ -240,8 +240,8 @@ void Selector::restore(std::size_t node) {
   if (!state.tie_break || found_[node].ids_kept) return;
   const std::size_t axis = axis_of(node);
   for (Span& span : spans_of(node)) {
-    bytes_moved_ += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
-                    static_cast<std::size_t>(span.tie_break_last - span.tie_break);
+    spent_.traffic.bytes += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
+                            static_cast<std::size_t>(span.tie_break_last - span.tie_break);
     for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
       point.q[axis] =
           state.uniform ? state.uniform_value : maps_[axis](particles_.position[axis][span.base + point.index]);
