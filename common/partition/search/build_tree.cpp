@@ -179,18 +179,9 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
 }
 
 CutRequest TreeBuilder::request_of(const Node& node) {
-  CutRequest wanted;
+  CutRequest wanted{node};
   wanted.spans = spans_of(node);
-  wanted.axes = node.axes;
-  wanted.bounds = node.bounds;
-  wanted.coincident = node.coincident;
   wanted.keep_ids = node.coincident && interior_ == nullptr && options_.cut_tolerance == 0;
-  wanted.ids_kept = node.ids_kept;
-  wanted.place = node.place;
-  wanted.id_first = node.id_first;
-  wanted.id_last = node.id_last;
-  wanted.count = node.count;
-  wanted.weight = node.weight;
   const auto [index, first, last] = node.range;
   wanted.left_size = rule_.size(first, node.range.middle());
   wanted.size = rule_.size(first, last);
@@ -389,14 +380,10 @@ void TreeBuilder::take_child(Node child, bool right, std::size_t parent) {
       writer_.note(span, {first, last}, child.range.first);
       continue;
     }
-    Span& own = next_spans_.emplace_back(
-        Span{.first = first,
-             .middle = first,
-             .upper = last,
-             .last = last,
-             .base = span.base,
-             .bounds = span.bounds,
-             .bucket = first == span.first && last == span.last ? span.bucket : Span::kNoBucket});
+    Span& own = next_spans_.emplace_back(span);
+    own.first = first;
+    own.last = last;
+    if (own.size() < span.size()) own.bucket = Span::kNoBucket;
     if (child.coincident) {
       own.bounds = level_[parent].bounds;
     } else if (own.size() < span.size() || own.bounds.empty()) {

@@ -73,22 +73,12 @@ class TreeBuilder {
   const SplitRule& rule() const { return rule_; }
 
  private:
-  struct Node {
+  struct Node : NodePoints {
     NodeRange range;
     std::size_t spans_first = 0;  // its spans: [spans_first, spans_last) of the level's
     std::size_t spans_last = 0;
     std::size_t number = 0;       // among the splitters, if the root has number 0
     SortedSample::Range sampled;  // its sampled particles, on rank 0
-    // Of the quantised points of all ranks.
-    std::uint64_t count = 0;  // without weights
-    u128 weight = 0;          // with weights
-    QBounds bounds;
-    AxisOrder axes{0, 1, 2};
-    bool coincident = false;        // they are known to lie in one place
-    bool ids_kept = false;          // as in CutRequest
-    std::optional<Integers> place;  // as in CutRequest
-    Id id_first = 0;                // those of a coincident node have ids from here
-    Id id_last = std::numeric_limits<Id>::max();
   };
 
   // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most

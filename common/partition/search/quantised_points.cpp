@@ -52,20 +52,7 @@ struct ByValue {
   }
 };
 
-// Where quantised points go: in order, or each behind the last one of its group, a root or a bucket.
-struct InOrder {
-  QuantisedPoint* out;
-  QuantisedPoint* next(std::size_t i) const { return out + i; }
-};
-struct RootOf {
-  const std::int32_t* part;
-  const std::int32_t* root_of;
-  std::size_t operator()(std::size_t i) const { return static_cast<std::size_t>(root_of[part[i]] + 1); }
-};
-struct BucketOf {
-  const std::uint8_t* bucket;
-  std::size_t operator()(std::size_t i) const { return std::size_t{bucket[i]} + 1; }
-};
+// Where quantised points go if not in order: each behind the last one of its group, a root or a bucket.
 template <typename Group>
 struct ByGroup {
   Group group;  // of each particle; 0: none
@@ -73,7 +60,7 @@ struct ByGroup {
   // not wait for the one before it. Those of no group all go to one place behind the last group.
   std::vector<QuantisedPoint*> cursor;
   static constexpr std::intptr_t kAhead = 8 * sizeof(QuantisedPoint);
-  QuantisedPoint* next(std::size_t i) {
+  QuantisedPoint* operator()(std::size_t i) {
     const std::size_t own = group(i);
     const bool odd = i % 2 != 0;
     const auto step = static_cast<std::ptrdiff_t>(own != 0);
@@ -111,7 +98,7 @@ template <bool kCheckLossless, typename Places>
         differ = _mm256_or_pd(differ, _mm256_sub_pd(again, point[k]));
         bits = _mm_or_si128(bits, q);
       }
-      _mm_store_si128(reinterpret_cast<__m128i*>(places.next(i + k)), _mm_insert_epi32(q, static_cast<int>(i + k), 3));
+      _mm_store_si128(reinterpret_cast<__m128i*>(places(i + k)), _mm_insert_epi32(q, static_cast<int>(i + k), 3));
     }
   }
   alignas(32) std::array<std::int64_t, 4> all_differ;
@@ -145,7 +132,7 @@ void fill_by_value(const particles::ParticleView& particles, std::size_t first, 
       point.q[a] = q;
     }
     point.index = static_cast<std::uint32_t>(i);
-    *places.next(i) = point;
+    *places(i) = point;
   }
   for (std::size_t a = 0; a < kAxes; ++a) {
     lossless[a].differ |= found[a].differ;
@@ -165,7 +152,7 @@ void fill(const particles::ParticleView& particles, std::size_t first, std::size
     QuantisedPoint point;
     for (std::size_t a = 0; a < kAxes; ++a) point.q[a] = maps[a](particles.position[a][first + i]);
     point.index = static_cast<std::uint32_t>(i);
-    *places.next(i) = point;
+    *places(i) = point;
   }
 }
 
@@ -206,9 +193,8 @@ AxisMap AxisMap::by_order_bits(double lo, double hi) {
 // Rounding moves a coordinate by far less than one step before it is truncated to an integer: a margin of one step is
 // enough.
 double AxisMap::least(std::int32_t q) const {
-  if (lossless_) return value(q);
-  if (linear()) return std::nextafter(2 * (half_base_ + (q - 1) / scale_), -kInfinity);
-  return geometry::value_of_order_bits(lo_ + (static_cast<std::uint64_t>(q) << shift_));
+  if (lossless_ || !linear()) return value(q);
+  return std::nextafter(2 * (half_base_ + (q - 1) / scale_), -kInfinity);
 }
 
 double AxisMap::most(std::int32_t q) const {
@@ -257,13 +243,17 @@ std::array<int, geometry::kDimsMax> QuantisedPoints::build(const particles::Part
       fill(particles, first, count, maps, ByGroup{group, std::move(cursor)}, check_lossless, lossless);
     };
     if (!bucket.empty()) {
-      fill_groups(BucketOf{bucket.data() + first}, kBuckets);
+      fill_groups([own = bucket.data() + first](std::size_t i) { return std::size_t{own[i]} + 1; }, kBuckets);
     } else if (!roots.one()) {
-      fill_groups(RootOf{roots.part.data() + first, roots.root_of.data()}, roots.count);
+      const auto root = [part = roots.part.data() + first, root_of = roots.root_of.data()](std::size_t i) {
+        return static_cast<std::size_t>(root_of[part[i]] + 1);
+      };
+      fill_groups(root, roots.count);
     } else {
       chunk.ends = {count};
       chunk.points.resize(count);
-      fill(particles, first, count, maps, InOrder{chunk.points.data()}, check_lossless, lossless);
+      const auto in_order = [out = chunk.points.data()](std::size_t i) { return out + i; };
+      fill(particles, first, count, maps, in_order, check_lossless, lossless);
     }
   }
   std::array<int, geometry::kDimsMax> zeros{-1, -1, -1};
@@ -283,7 +273,7 @@ std::vector<Span> QuantisedPoints::spans() {
     for (Chunk& chunk : chunks_) {
       QuantisedPoint* const first = chunk.points.data() + (r == 0 ? 0 : chunk.ends[r - 1]);
       QuantisedPoint* const last = chunk.points.data() + chunk.ends[r];
-      spans.push_back({.first = first, .middle = first, .upper = last, .last = last, .base = chunk.base});
+      spans.push_back({.first = first, .last = last, .base = chunk.base});
     }
   return spans;
 }

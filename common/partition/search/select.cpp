@@ -81,10 +81,7 @@ void Selector::start(std::size_t node) {
     span.upper = span.last;
   }
   if (!ask.search) {
-    CutFound& all_left = found_[node];
-    all_left.right_empty = true;
-    all_left.left_count = ask.below + ask.count;
-    all_left.left_weight = ask.weight;
+    found_[node].right_empty = true;
     for (Span& span : spans_of(node)) span.middle = span.last;
     return;
   }

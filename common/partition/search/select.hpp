@@ -44,29 +44,33 @@ inline constexpr std::size_t kMessageWordsMax = kMessageBytesMax / sizeof(std::u
 // Comm::all_min in messages of at most kMessageBytesMax; returns their number. Collective.
 std::uint64_t all_min_in_messages(comm::Comm& comm, std::span<std::uint64_t> values);
 
+// A node's quantised points, all ranks.
+struct NodePoints {
+  std::uint64_t count = 0;  // without weights
+  u128 weight = 0;          // with weights
+  QBounds bounds;           // of their integers
+  AxisOrder axes{0, 1, 2};
+  bool coincident = false;        // all of these are known to lie in one place: only ids tell them apart
+  bool ids_kept = false;          // ids have taken their integers' place: on axis 0, less the least id of all particles
+  std::optional<Integers> place;  // those with these integers are known to lie in one place
+  Id id_first = 0;                // coincident ones have ids from here
+  Id id_last = std::numeric_limits<Id>::max();
+};
+
 // A cut that is wanted.
-struct CutRequest {
+struct CutRequest : NodePoints {
   bool unanswerable = false;  // by the quantised points alone; then all else is unspecified
   bool search = true;         // false: nothing goes right, or it is unanswerable
   std::span<Span> spans;      // its quantised points; afterwards middle == upper, where the right side begins
-  AxisOrder axes{0, 1, 2};
-  QBounds bounds;                 // of the quantised points' integers, all ranks
-  bool coincident = false;        // all of these lie in one place: only ids tell them apart
-  bool keep_ids = false;          // of coincident ones: their integers aren't needed any more, ids may take their place
-  bool ids_kept = false;          // they have: on axis 0, less the least id of all particles (`bounds` are as before)
-  std::optional<Integers> place;  // those with these integers are known to lie in one place
-  Id id_first = 0;                // none of these has an id before this one
-  Id id_last = std::numeric_limits<Id>::max();
-  std::uint64_t count = 0;  // quantised points
+  bool keep_ids = false;      // of coincident ones: their integers aren't needed any more, ids may take their place
   // Interior particles of the left parts (they have no quantised point).
   std::uint64_t below = 0;
   u128 weight_below = 0;
   // Without weights: wanted is the key in this place (from 0) of the ascending keys of `below` and the quantised
   // points.
   std::uint64_t rank = 0;
-  // With weights: the left side takes the prefix with the weight nearest to weight * left_size / size; `weight` is that
-  // of all the node's particles, interior ones too.
-  u128 weight = 0;
+  // With weights: the left side takes the prefix with the weight nearest to weight * left_size / size; here `weight` is
+  // that of all the node's particles, interior ones too.
   u128 left_size = 0;
   u128 size = 1;
   // The left side may have so many particles (so much weight) more or less than wanted. 0: exact.
