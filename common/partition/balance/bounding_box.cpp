@@ -1,6 +1,6 @@
 #include "common/partition/balance/bounding_box.hpp"
 
-#include <cstdint>
+#include <algorithm>
 #include <vector>
 
 #include "common/geometry/axes.hpp"
@@ -15,7 +15,7 @@ geometry::Box bounding_box(comm::Comm& comm, const particles::ParticleView& part
   return box;
 }
 
-void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims) {
+void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims, std::span<std::uint64_t> more) {
   const auto axes = static_cast<std::size_t>(dims);
   std::vector<std::uint64_t> least;
   for (const geometry::Box& box : boxes)
@@ -23,6 +23,7 @@ void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims) {
       least.push_back(geometry::order_bits(box.lo[a]));
       least.push_back(~geometry::order_bits(box.hi[a]));
     }
+  least.insert(least.end(), more.begin(), more.end());
   comm.all_min(least);
   auto next = least.begin();
   for (geometry::Box& box : boxes)
@@ -30,6 +31,7 @@ void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims) {
       box.lo[a] = geometry::value_of_order_bits(*next++);
       box.hi[a] = geometry::value_of_order_bits(~*next++);
     }
+  std::copy(next, least.end(), more.begin());
 }
 
 }  // namespace rcb::partition

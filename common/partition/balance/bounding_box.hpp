@@ -1,6 +1,7 @@
 // The extents of all ranks' particles.
 #pragma once
 
+#include <cstdint>
 #include <span>
 
 #include "common/comm/comm.hpp"
@@ -13,6 +14,7 @@ namespace rcb::partition {
 geometry::Box bounding_box(comm::Comm& comm, const particles::ParticleView& particles);
 
 // Extends each box so that it holds that of every rank. Collective (one reduction).
-void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims);
+//   more  becomes the least values of all ranks in the same reduction
+void extend_by_all(comm::Comm& comm, std::span<geometry::Box> boxes, int dims, std::span<std::uint64_t> more = {});
 
 }  // namespace rcb::partition

@@ -91,8 +91,7 @@ std::optional<PartitionResult> TreeBuilder::build(const comm::GoOn& go_on) {
 Extents TreeBuilder::extents_of(const Node& node) const {
   Extents extents;
   const QBounds& bounds = node.bounds;
-  const geometry::Box beside =
-      interior_ == nullptr ? geometry::Box{} : interior_->box(node.range.first, node.range.last);
+  const geometry::Box beside = interior_box(node.range);
   const bool none = beside.empty(axes_);
   for (std::size_t a = 0; a < at(axes_); ++a) {
     const AxisMap& map = maps_[a];
@@ -122,7 +121,7 @@ void TreeBuilder::order_axes() {
   for (std::size_t n = 0; n < level_.size(); ++n) {
     Node& node = level_[n];
     node.coincident = node.coincident || one_lossless_place(node.bounds);
-    const bool alone = interior_ == nullptr || interior_->count(node.range.first, node.range.last) == 0;
+    const bool alone = interior_count(node.range) == 0;
     if (const auto axes = rule_.axes_of(node.range, node.coincident && alone ? Extents{} : extents_of(node)))
       node.axes = *axes;
     else
@@ -161,7 +160,7 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   std::vector<Point> extents(nodes.size());
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     const NodeRange& range = level_[nodes[n]].range;
-    const geometry::Box beside = interior_ == nullptr ? geometry::Box{} : interior_->box(range.first, range.last);
+    const geometry::Box beside = interior_box(range);
     bool coincident = !level_[nodes[n]].bounds.empty();
     for (std::size_t a = 0; a < at(axes_); ++a) {
       std::uint64_t lo = least[n * words + 2 * a];
@@ -223,7 +222,7 @@ std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& 
   const ExpectedCut& expected = splitters_->expected[node.number];
   if (expected.axis != node.axes[0] || expected.anywhere()) return std::nullopt;
   const auto axis = at(expected.axis);
-  const auto integer = [&](double x) { return maps_[axis](std::clamp(x, lo_[axis], hi_[axis])); };
+  const auto integer = [&](double x) { return maps_[axis](std::clamp(x, box_.lo[axis], box_.hi[axis])); };
   const std::int32_t lo = std::max(integer(expected.least), node.bounds.lo[axis]);
   const std::int32_t hi = std::min(integer(expected.most), node.bounds.hi[axis]);
   if (lo > hi) return std::nullopt;
@@ -231,8 +230,8 @@ std::optional<std::array<std::int32_t, 2>> TreeBuilder::expected_in(const Node& 
 }
 
 void TreeBuilder::add_interior(const NodeRange& range, CutRequest& wanted) const {
-  wanted.below = interior_->count(range.first, range.middle());
-  const std::uint64_t beyond = interior_->count(range.middle(), range.last);
+  wanted.below = interior_count(range.left());
+  const std::uint64_t beyond = interior_count(range.right());
   // If the cut axis flipped, hardly any interior particle stays: not worth a search.
   if (ends(range) || (wanted.axes[0] != axis_of_bracket(range) && wanted.below + beyond > 0)) {
     wanted.unanswerable = true;
@@ -257,8 +256,8 @@ void TreeBuilder::add_interior(const NodeRange& range, CutRequest& wanted) const
 
 bool TreeBuilder::cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const {
   if (wanted.unanswerable || found.failed) return false;
-  const geometry::Box left = interior_->box(range.first, range.middle());
-  const geometry::Box right = interior_->box(range.middle(), range.last);
+  const geometry::Box left = interior_box(range.left());
+  const geometry::Box right = interior_box(range.right());
   if (left.empty(axes_) && right.empty(axes_)) return true;
   if (!interior_->brackets.empty() && interior_->brackets[at(range.node)].whole) {
     const KeyBracket& bracket = interior_->brackets[at(range.node)];
@@ -276,7 +275,7 @@ bool TreeBuilder::cut_still_valid(const NodeRange& range, const CutRequest& want
 void TreeBuilder::leave_uncut(std::size_t node) {
   const NodeRange& range = level_[node].range;
   uncut_.push_back(range);
-  const std::uint64_t beside = interior_->count(range.first, range.last);
+  const std::uint64_t beside = interior_count(range);
   if (!scale_) result_.counts[at(range.first)] = level_[node].count + beside;
   if (!ends(range)) failed_count_ += (scale_ ? 0 : level_[node].count) + beside;
   for (const Span& span : spans_of(level_[node])) writer_.note(span, span.all(), range.first);
@@ -345,8 +344,7 @@ void TreeBuilder::settle_empty() {
   std::size_t kept = 0;
   for (std::size_t n = 0; n < next_.size(); ++n) {
     const NodeRange& range = next_[n].range;
-    const bool beside = interior_ != nullptr && interior_->count(range.first, range.last) > 0;
-    if (next_[n].bounds.empty() && !beside && !ends(range)) {
+    if (next_[n].bounds.empty() && interior_count(range) == 0 && !ends(range)) {
       cut_empty(range);
       continue;
     }
@@ -367,10 +365,7 @@ void TreeBuilder::cut_empty(const NodeRange& range) {
 
 void TreeBuilder::take_child(Node child, bool right, std::size_t parent) {
   const bool leaf = child.range.leaf();
-  if (leaf && !scale_) {
-    const std::uint64_t beside = interior_ == nullptr ? 0 : interior_->count(child.range.first, child.range.last);
-    result_.counts[at(child.range.first)] = child.count + beside;
-  }
+  if (leaf && !scale_) result_.counts[at(child.range.first)] = child.count + interior_count(child.range);
   child.spans_first = next_spans_.size();
   for (const Span& span : spans_of(level_[parent])) {
     QuantisedPoint* const first = right ? span.middle : span.first;

@@ -81,9 +81,9 @@ class TreeBuilder {
     SortedSample::Range sampled;  // its sampled particles, on rank 0
   };
 
-  // The box of all particles in the roots, and the range of their weights. False if there are none. Collective (at most
-  // one reduction, and what own_box() costs; none where interior particles tell the box of the others).
-  bool find_bounds();
+  // Sets box_ and greatest_weight_. Collective (at most one reduction, and what own_box() costs; no reduction where the
+  // roots' boxes or that of the boundary particles are known).
+  void find_box();
   // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
   // sample (at most three gathers).
   geometry::Box own_box();
@@ -111,6 +111,13 @@ class TreeBuilder {
   CutRequest request_of(const Node& node);
   // Adds the interior particles to a request, and marks it where the quantised points alone can't answer it.
   void add_interior(const NodeRange& range, CutRequest& wanted) const;
+  // Of the node's parts.
+  std::uint64_t interior_count(const NodeRange& range) const {
+    return interior_ == nullptr ? 0 : interior_->count(range.first, range.last);
+  }
+  geometry::Box interior_box(const NodeRange& range) const {
+    return interior_ == nullptr ? geometry::Box{} : interior_->box(range.first, range.last);
+  }
   // The axis of the bracket outside of which the node's interior particles lie.
   int axis_of_bracket(const NodeRange& range) const {
     return interior_->brackets.empty() ? result_.tree.cuts[at(range.node)].axes[0]
@@ -154,8 +161,7 @@ class TreeBuilder {
   double level_tolerance_ = 0;
   std::optional<ExactScale> scale_;        // of the weights, if they count
   std::optional<double> greatest_weight_;  // if they count
-  Point lo_{};                             // of all particles
-  Point hi_{};
+  geometry::Box box_;  // of all particles in the roots; of the boundary particles, if there are interior ones
   AxisMaps maps_;
   std::array<std::uint64_t, geometry::kDimsMax> lossless_{};  // 1: nothing lost in the sample; see quantise()
   Roots roots_;

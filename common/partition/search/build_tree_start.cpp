@@ -7,13 +7,13 @@
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
 #include "common/comm/wide_sum.hpp"
+#include "common/partition/balance/bounding_box.hpp"
 #include "common/partition/search/build_tree.hpp"
 #include "common/partition/search/outermost.hpp"
 
 namespace rcb::partition {
 namespace {
 
-constexpr std::uint64_t kNoOrderBits = ~std::uint64_t{0};
 constexpr std::size_t kSampleMax = 256;  // particles per rank, sampled to choose a map
 constexpr std::size_t kSampleBins = 512;
 constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
@@ -66,41 +66,26 @@ geometry::Box TreeBuilder::own_box() {
   return box;
 }
 
-bool TreeBuilder::find_bounds() {
+void TreeBuilder::find_box() {
   if (!start_.boxes.empty()) {
-    geometry::Box all;
-    for (const geometry::Box& box : start_.boxes) all.extend(box);
-    lo_ = all.lo;
-    hi_ = all.hi;
-    return !all.empty(axes_);
+    for (const geometry::Box& box : start_.boxes) box_.extend(box);
+    return;
   }
   if (interior_ != nullptr) {
     if (start_.splitters != nullptr) (void)own_box();  // for the buckets
-    lo_ = interior_->boundary.lo;
-    hi_ = interior_->boundary.hi;
-    return !interior_->boundary.empty(axes_);
+    box_ = interior_->boundary;
+    return;
   }
-  std::vector<std::uint64_t> least(2 * geometry::kDimsMax + 2, kNoOrderBits);
-  const geometry::Box box = own_box();
-  for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {
-    least[a] = geometry::order_bits(box.lo[a]);
-    least[geometry::kDimsMax + a] = ~geometry::order_bits(box.hi[a]);
-  }
-  std::ranges::copy(weight_order_bits(particles_), least.end() - 2);
-  comm_.all_min(least);
+  box_ = own_box();
+  std::array<std::uint64_t, 2> weights = weight_order_bits(particles_);
+  extend_by_all(comm_, {&box_, 1}, axes_, weights);
   ++result_.reductions;
-  const bool none = least[0] == kNoOrderBits;
-  for (std::size_t a = 0; a < at(axes_) && !none; ++a) {
-    lo_[a] = geometry::value_of_order_bits(least[a]);
-    hi_[a] = geometry::value_of_order_bits(~least[geometry::kDimsMax + a]);
-  }
-  if (start_.rule == nullptr) greatest_weight_ = greatest_weight(std::span<const std::uint64_t>(least).last<2>());
-  return !none;
+  if (start_.rule == nullptr) greatest_weight_ = greatest_weight(weights);
 }
 
 void TreeBuilder::measure_all() {
   const std::vector<std::uint64_t> counts = find_roots();
-  const bool none = !find_bounds();
+  find_box();
   level_.resize(start_.roots.size());
   std::vector<std::uint64_t> sums = sample_maps();
   const std::size_t samples = sums.size();
@@ -117,13 +102,13 @@ void TreeBuilder::measure_all() {
   count += result_.searched;
   if (start_.rule == nullptr) {
     geometry::Box all = interior_ == nullptr ? geometry::Box{} : interior_->box(0, options_.parts);
-    if (!none) all.extend(lo_, axes_), all.extend(hi_, axes_);
+    all.extend(box_);
     Point extents{};
     for (std::size_t a = 0; a < at(axes_) && count > 0; ++a) extents[a] = geometry::extent(all.lo[a], all.hi[a]);
     rule_.set_all(count, extents);
   }
-  for (std::size_t r = 0; r < level_.size() && knows_bounds() && !none; ++r) {
-    const geometry::Box box = level_.size() == 1 ? geometry::Box{lo_, hi_} : start_.boxes[r];
+  for (std::size_t r = 0; r < level_.size() && knows_bounds(); ++r) {
+    const geometry::Box& box = level_.size() == 1 ? box_ : start_.boxes[r];
     for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {
       level_[r].bounds.lo[a] = maps_[a](box.lo[a]);
       level_[r].bounds.hi[a] = maps_[a](box.hi[a]);
@@ -170,9 +155,9 @@ std::vector<std::uint64_t> TreeBuilder::sample_maps() const {
   for (std::size_t a = 0; a < at(axes_); ++a) {
     sample.clear();
     for (const std::size_t i : slots) sample.push_back(particles_.position[a][i]);
-    const std::array maps{AxisMap::by_value(lo_[a], hi_[a]), AxisMap::by_order_bits(lo_[a], hi_[a])};
+    const std::array maps{AxisMap::by_value(box_.lo[a], box_.hi[a]), AxisMap::by_order_bits(box_.lo[a], box_.hi[a])};
     for (std::size_t m = 0; m < maps.size(); ++m) {
-      const auto top = static_cast<std::uint64_t>(std::max(maps[m](hi_[a]), 1));
+      const auto top = static_cast<std::uint64_t>(std::max(maps[m](box_.hi[a]), 1));
       for (const double x : sample)
         ++counts[a * kSampleWords + m * kSampleBins + static_cast<std::uint64_t>(maps[m](x)) * (kSampleBins - 1) / top];
     }
@@ -186,7 +171,8 @@ void TreeBuilder::choose_maps(std::span<const std::uint64_t> samples) {
     const auto most = [&](std::size_t m) {
       return std::ranges::max(samples.subspan(a * kSampleWords + m * kSampleBins, kSampleBins));
     };
-    maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_order_bits(lo_[a], hi_[a]) : AxisMap::by_value(lo_[a], hi_[a]);
+    maps_[a] = most(0) > 2 * most(1) ? AxisMap::by_order_bits(box_.lo[a], box_.hi[a])
+                                     : AxisMap::by_value(box_.lo[a], box_.hi[a]);
     lossless_[a] = maps_[a].linear() && samples[(a + 1) * kSampleWords - 1] == 0 ? 1 : 0;
   }
 }
