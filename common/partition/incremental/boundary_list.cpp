@@ -22,6 +22,16 @@ Axes axes_of(const particles::ParticleView& particles) {
   return x;
 }
 
+BoundaryList::BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, std::size_t room,
+                           OwnInterior& out)
+    : x_(axes_of(particles)), weight_(particles.weight), part_(part), out_(out) {
+  out.boundary.dims = particles.dims;
+  out.boundary.has_weights = weight_ != nullptr;
+  for (std::size_t a = 0; a < at(particles.dims); ++a) out.boundary.position[a].reserve(room);
+  out.slot.reserve(room);
+  out.part.reserve(room);
+}
+
 // Eight slots are listed per step, whether or not so many are left: how many steps it takes can be predicted, where the
 // bits are can't. What is listed too many lies behind `size_` and is overwritten.
 void BoundaryList::append(std::size_t slot, std::uint64_t which) {
@@ -53,9 +63,13 @@ void BoundaryList::copy() {
   copied_ = size_;
 }
 
-void BoundaryList::finish() {
+void BoundaryList::finish(std::size_t most) {
   copy();
   resize(size_);
+  out_.too_many = size_ > most;
+  if (out_.too_many || weight_ == nullptr) return;
+  out_.boundary.weight.resize(size_);
+  for (std::size_t k = 0; k < size_; ++k) out_.boundary.weight[k] = weight_[out_.slot[k]];
 }
 
 void BoundaryList::resize(std::size_t count) {

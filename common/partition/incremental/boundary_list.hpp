@@ -20,20 +20,22 @@ inline constexpr std::size_t kParticlesAhead = 16 * particles::kBlock;
 class BoundaryList {
  public:
   // part: of each particle; from append() to finish() neither the positions nor the parts of those appended may change.
-  BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, OwnInterior& out)
-      : x_(axes_of(particles)), part_(part), out_(out) {}
+  // room: about how many are expected.
+  BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, std::size_t room, OwnInterior& out);
 
   std::size_t size() const { return size_; }
   // Appends those particles of a block whose bits are set in `which`. slot: of its first particle.
   void append(std::size_t slot, std::uint64_t which);
-  // After the last block.
-  void finish();
+  // After the last block. Copies weights, too, unless there are more than `most`: only now, to keep these scattered
+  // reads out of the pass.
+  void finish(std::size_t most);
 
  private:
   void copy();
   void resize(std::size_t count);
 
   Axes x_;
+  const double* weight_;
   const std::int32_t* part_;
   OwnInterior& out_;  // whose arrays are longer than size_ until finish()
   std::size_t size_ = 0;

@@ -25,12 +25,17 @@ constexpr double kFewOfSide = 8;  // a place within this fraction of a side is s
 // it.
 class BracketGuess {
  public:
-  BracketGuess(const CutTree& tree, std::span<const double> loads, OwnParts own, const PartitionOptions& options,
-               const Sample& sample, std::span<geometry::Box> boxes)
-      : tree_(tree), rule_(options, tree.dims), own_(own), limits_(options.limits), sample_(sample), boxes_(boxes) {
+  BracketGuess(const CurrentPartition& current, const PartitionOptions& options, const Sample& sample,
+               std::span<geometry::Box> boxes)
+      : tree_(current.tree),
+        rule_(options, tree_.dims),
+        own_(current.own),
+        limits_(options.limits),
+        sample_(sample),
+        boxes_(boxes) {
     prefix_.assign(1, 0.0);
-    for (const double load : loads) prefix_.push_back(prefix_.back() + load);
-    sampled_prefix_.assign(at(tree.parts) + 1, 0);
+    for (const u128 load : current.loads.loads) prefix_.push_back(prefix_.back() + static_cast<double>(load));
+    sampled_prefix_.assign(at(tree_.parts) + 1, 0);
     for (std::uint32_t k = 0; k < sample.count(); ++k) ++sampled_prefix_[at(sample.part[k]) + 1];
     std::partial_sum(sampled_prefix_.begin(), sampled_prefix_.end(), sampled_prefix_.begin());
   }
@@ -173,23 +178,21 @@ class BracketGuess {
 
 }  // namespace
 
-InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
-                           std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
-                           std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
-                           const PartitionOptions& options) {
-  const std::uint64_t wanted =
-      std::clamp(kSampleOfPart * static_cast<std::uint64_t>(tree.parts), kSampleMin, kSampleMax);
+InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles, const CurrentPartition& current,
+                           std::uint64_t count, std::span<const NodeRange> roots, const PartitionOptions& options) {
+  const int parts = current.tree.parts;
+  const std::uint64_t wanted = std::clamp(kSampleOfPart * static_cast<std::uint64_t>(parts), kSampleMin, kSampleMax);
   const std::vector<std::size_t> slots = pick(particles.count, std::max<std::uint64_t>(count / wanted, 1));
-  const bool whole = roots[0].parts() == tree.parts;
+  const bool whole = roots[0].parts() == parts;
   // With more ranks than cores, copies of the same work would take longer than the rest: so rank 0 alone guesses the
   // upper cuts, and tells the others.
-  const bool upper_alone = whole && at(tree.parts) <= Splitters::kNodes + 1;
+  const bool upper_alone = whole && at(parts) <= Splitters::kNodes + 1;
   const SampleFields fields{.parts = true};
-  const Sample sample = upper_alone ? gather_sample(comm, particles, slots, fields, part.data())
-                                    : share_sample(comm, particles, slots, fields, part.data());
+  const Sample sample = upper_alone ? gather_sample(comm, particles, slots, fields, current.part.data())
+                                    : share_sample(comm, particles, slots, fields, current.part.data());
   InnerRegions found;
-  found.boxes.assign(at(own.last - own.first), geometry::Box::unbounded());
-  BracketGuess walk(tree, loads, own, options, sample, found.boxes);
+  found.boxes.assign(at(current.own.last - current.own.first), geometry::Box::unbounded());
+  BracketGuess walk(current, options, sample, found.boxes);
   if (whole) {
     if (comm.rank() == 0) found.splitters = walk.upper_cuts();
     found.splitters = comm::values_of_first<Splitters>(comm, {&found.splitters, 1})[0];

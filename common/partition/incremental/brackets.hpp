@@ -12,6 +12,8 @@
 
 #include "common/comm/comm.hpp"
 #include "common/geometry/box.hpp"
+#include "common/particles/block_ranges.hpp"
+#include "common/partition/balance/load.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/splitters.hpp"
 #include "common/partition/tree/cut_tree.hpp"
@@ -25,6 +27,15 @@ struct OwnParts {
   int last = 0;
 };
 
+// The partition that is in force.
+struct CurrentPartition {
+  const CutTree& tree;
+  std::span<const std::int32_t> part;  // of the local particles, under the tree
+  const LoadSummary& loads;            // of those parts, all ranks
+  OwnParts own;
+  const particles::BlockRanges* blocks = nullptr;  // the ranges of the local positions; null: not known
+};
+
 struct InnerRegions {
   // Of this rank's own parts, [last - first]; open boxes, some unbounded, some empty. That of a part outside the roots
   // is all of space.
@@ -32,15 +43,11 @@ struct InnerRegions {
   Splitters splitters;  // the brackets of the upper cuts, the same on all ranks; only if the one root is the tree's
 };
 
-//   part   [particles.count]: the particles' parts under the tree
-//   count  of all ranks' particles
-//   loads  of each part, all ranks; only their ratios count
-//   roots  nodes to be cut again; all other cuts stay
+//   count    of all ranks' particles
+//   roots    nodes to be cut again; all other cuts stay
 //   options  those of the tree
 // Collective (one gather of a sample of some thousand particles; one more if the one root is the tree's).
-InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles,
-                           std::span<const std::int32_t> part, const CutTree& tree, std::uint64_t count,
-                           std::span<const double> loads, std::span<const NodeRange> roots, OwnParts own,
-                           const PartitionOptions& options);
+InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles, const CurrentPartition& current,
+                           std::uint64_t count, std::span<const NodeRange> roots, const PartitionOptions& options);
 
 }  // namespace rcb::partition

@@ -13,8 +13,7 @@ using particles::kBlock;
 OwnInterior classify_guessed(const particles::ParticleView& particles, const Guess& guess,
                              std::span<const NodeRange> roots, std::span<std::int32_t> part, std::size_t boundary_max) {
   OwnInterior out;
-  out.reserve(particles, particles.count / 8);
-  BoundaryList boundary(particles, part.data(), out);
+  BoundaryList boundary(particles, part.data(), particles.count / 8, out);
   GuessTables tables(guess, roots, particles.dims);
   LeafCounts sums{};
   const Axes all = axes_of(particles);
@@ -36,8 +35,7 @@ OwnInterior classify_guessed(const particles::ParticleView& particles, const Gue
   // several roots they are.
   if (!tables.several)
     std::fill(part.begin() + static_cast<std::ptrdiff_t>(std::min(begin, part.size())), part.end(), 0);
-  boundary.finish();
-  out.finish(particles, boundary_max);
+  boundary.finish(boundary_max);
   out.boxes.resize(at(guess.parts));
   out.counts.resize(at(guess.parts));
   const LeafCounts counts = counts_of(sums);

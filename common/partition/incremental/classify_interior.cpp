@@ -49,7 +49,7 @@ class Pass {
         first_(own.first),
         boundary_max_(boundary_max),
         x_(axes_of(particles)),
-        boundary_(particles, part.data(), out) {
+        boundary_(particles, part.data(), particles.count / 16, out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
     none.hi.fill(geometry::Box::kInfinity);
@@ -139,7 +139,7 @@ class Pass {
         grow(begin + static_cast<std::size_t>(std::countr_zero(left)));
       if (beyond != inside) boundary_.append(begin, beyond & ~inside);
     }
-    boundary_.finish();
+    boundary_.finish(boundary_max_);
   }
 
   // True if the ranges of a block of part p show that all its particles are interior; then p's box grows by the block.
@@ -287,14 +287,6 @@ class Pass {
 
 }  // namespace
 
-void OwnInterior::reserve(const particles::ParticleView& of, std::size_t room) {
-  boundary.dims = of.dims;
-  boundary.has_weights = of.weight != nullptr;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(of.dims); ++a) boundary.position[a].reserve(room);
-  slot.reserve(room);
-  part.reserve(room);
-}
-
 particles::ParticleView OwnInterior::view(const particles::ParticleView& of) const {
   particles::ParticleView view = boundary.view();
   view.count = slot.size();
@@ -303,21 +295,13 @@ particles::ParticleView OwnInterior::view(const particles::ParticleView& of) con
   return view;
 }
 
-void OwnInterior::finish(const particles::ParticleView& of, std::size_t boundary_max) {
-  too_many = slot.size() > boundary_max;
-  if (too_many) return;
-  if (boundary.has_weights) copy_of(of.weight, slot, boundary.weight);
-}
-
 OwnInterior classify_interior(const particles::ParticleView& particles, const particles::BlockRanges* blocks,
                               std::span<const std::int32_t> part, std::span<const geometry::Box> inner, OwnParts own,
                               std::size_t boundary_max) {
   OwnInterior out;
-  out.reserve(particles, particles.count / 16);
   Pass pass(particles, blocks, part, inner, own, boundary_max, out);
   if (blocks == nullptr) pass.seed();  // with blocks not needed: those that stay as a whole soon make the boxes grow
   pass.run();
-  out.finish(particles, boundary_max);
   for (std::size_t p = 0; p < inner.size(); ++p) out.boxes.push_back(pass.box(p));
   return out;
 }

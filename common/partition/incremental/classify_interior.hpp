@@ -1,5 +1,5 @@
-// A repartition's one pass over all particles: which are expected to stay in their part (interior), and which few have
-// to be searched (boundary).
+// One pass over all particles that have parts: which are expected to stay in theirs (interior), and which few have to
+// be searched (boundary).
 #pragma once
 
 #include <cstdint>
@@ -15,13 +15,6 @@
 
 namespace rcb::partition {
 
-// to[k] = from[slot[k]].
-template <typename T>
-void copy_of(const T* from, const Buffer<std::uint64_t>& slot, Buffer<T>& to) {
-  to.resize(slot.size());
-  for (std::size_t k = 0; k < slot.size(); ++k) to[k] = from[slot[k]];
-}
-
 struct OwnInterior {
   bool too_many = false;              // the pass stopped at boundary_max: the rest is meaningless
   particles::ParticleSet boundary;    // the boundary particles, copied, but without ids: few searches need these
@@ -32,10 +25,6 @@ struct OwnInterior {
 
   // The boundary particles, copied from these.
   particles::ParticleView view(const particles::ParticleView& of) const;
-  // Makes room for so many boundary particles.
-  void reserve(const particles::ParticleView& of, std::size_t room);
-  // Copies what the pass hasn't: after it, to keep these scattered reads out of its loop.
-  void finish(const particles::ParticleView& of, std::size_t boundary_max);
 };
 
 // inner: the inner regions of this rank's own parts; a particle strictly inside that of its part is interior. Particles
@@ -49,10 +38,9 @@ OwnInterior classify_interior(const particles::ParticleView& particles, const pa
 
 // The interior particles of all ranks. nullopt, on every rank, if boundary particles are more than `most` or one rank
 // has too many. Collective (one gather).
-//   counts, loads  of all particles of each part, all ranks; scale, loads: only if weights count
-//   boundary       grows by the number of boundary particles of all ranks
-std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts,
-                                     std::vector<std::uint64_t> counts, const ExactScale* scale,
-                                     std::vector<u128> loads, std::uint64_t most, std::uint64_t& boundary);
+//   loads     of all particles, all ranks
+//   boundary  grows by the number of boundary particles of all ranks
+std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts, const LoadSummary& loads,
+                                     std::uint64_t most, std::uint64_t& boundary);
 
 }  // namespace rcb::partition

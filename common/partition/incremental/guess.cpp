@@ -73,8 +73,7 @@ class SampleWalk {
     KeyBracket keys;
     SortedSample::Halves halves;
     double variance;
-    double share;          // of the sampled particles in the bracket
-    bool bounded = false;  // else there is no bracket
+    double share;  // of the sampled particles in the bracket
   };
   // Among sampled particles in the order of a cut: those at a bracket's ends, and the first one above the expected cut.
   struct Places {
@@ -89,7 +88,6 @@ class SampleWalk {
   double weight(std::uint32_t k) const { return weighted_ ? sample_.particles.weight[k] : 1.0; }
 
   void end(const Node& node, const Range& own) {
-    if (!node.range.leaf()) out_.ends[at(node.range.node)] = 1;
     const auto p = at(node.range.first);
     out_.inner[p] = node.inner;
     // Of those strictly inside: the outermost in the order of each axis.
@@ -119,7 +117,7 @@ class SampleWalk {
     const bool known = node.range.node != 0 || node.known != nullptr || sorted_.has_outermost();
     const OpenOrder open = known ? OpenOrder{} : open_order(sorted_, axes, options_.limits.guess.overhang);
     const Bracket bracket = bracket_of(node, own, axes, sigmas_of(node, axes));
-    if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.bounded) return end(node, own);
+    if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.keys.known) return end(node, own);
     if ((open.first && !band_axis_) || (open.others && bracket.keys.whole)) {
       out_.open = true;
       out_.sides = {sorted_.box(bracket.halves.left), sorted_.box(bracket.halves.right)};
@@ -154,7 +152,7 @@ class SampleWalk {
   // A cut that its bracket missed would be missed again: the sample is the same.
   double sigmas_of(const Node& node, const AxisOrder& axes) const {
     const auto n = at(node.range.node);
-    const bool missed = node.known != nullptr && before_->ends[n] == 0 && before_->brackets[n].axes == axes;
+    const bool missed = node.known != nullptr && before_->brackets[n].known && before_->brackets[n].axes == axes;
     return options_.limits.bracket_sigmas * (missed ? 2 : 1);
   }
 
@@ -182,7 +180,7 @@ class SampleWalk {
     };
     // By rounded coordinates, unless too many are equal.
     const double cut = sorted_.x(own, axis, by_x->cut);
-    found.keys = {axes, key(sorted[by_x->least], axes), key(sorted[by_x->most], axes)};
+    found.keys = {true, axes, key(sorted[by_x->least], axes), key(sorted[by_x->most], axes)};
     const std::size_t first = sorted_.below(own, axis, found.keys.least.at[0]);
     const std::size_t last = sorted_.up_to(own, axis, found.keys.most.at[0]);
     if (!tied(last - first, *by_x) && found.keys.least.at[0] <= cut && cut <= found.keys.most.at[0]) {
@@ -192,7 +190,6 @@ class SampleWalk {
       for (const std::uint32_t k : sorted.subspan(by_x->most, last - by_x->most))
         found.keys.most = std::max(found.keys.most, key(k, axes));
       found.share = static_cast<double>(last - first) / size;
-      found.bounded = true;
       found.halves = sorted_.split(own, axis, by_x->cut);
       return found;
     }
@@ -200,9 +197,8 @@ class SampleWalk {
     double before = 0;
     for (const std::uint32_t k : sorted.first(first)) before += weight(k);
     const auto by_key = places(keys_.size(), before, wanted, margin, [&](std::size_t i) { return keys_[i].weight; });
-    if (!by_key) return found;  // weights in another order may have another sum
-    found.bounded = true;
-    found.keys = {axes, keys_[by_key->least].key, keys_[by_key->most].key};
+    if (!by_key) return {};  // weights in another order may have another sum
+    found.keys = {true, axes, keys_[by_key->least].key, keys_[by_key->most].key};
     const Key expected = keys_[by_key->cut].key;
     const auto within = static_cast<std::size_t>(std::ranges::count_if(keys_, [&](const Keyed& one) {
       return one.key.at[0] >= found.keys.least.at[0] && one.key.at[0] <= found.keys.most.at[0];

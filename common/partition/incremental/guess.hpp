@@ -23,10 +23,9 @@ inline constexpr std::size_t kGuessLevels = 3;
 // Trivially copyable: it is sent as it is.
 struct Guess {
   int parts = 1;
-  std::array<std::uint8_t, kGuessParts - 1> ends{};    // [inner nodes]: 1: nothing is guessed from this node on
-  std::array<KeyBracket, kGuessParts - 1> brackets{};  // [inner nodes]
-  // [parts]: inner regions (brackets.hpp). The parts below a node of `ends` share one region, which stands at the first
-  // of them.
+  std::array<KeyBracket, kGuessParts - 1> brackets{};  // [inner nodes]; unknown: nothing is guessed from this node on
+  // [parts]: inner regions (brackets.hpp). The parts below a node without a bracket share one region, which stands
+  // at the first of them.
   std::array<geometry::Box, kGuessParts> inner{};
   std::array<geometry::Box, kGuessParts> seen{};  // [parts]: boxes of the sampled particles strictly inside of `inner`
   bool tied = false;                              // several sampled particles lie on one face of such a box

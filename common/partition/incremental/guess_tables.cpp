@@ -50,7 +50,7 @@ GuessTables::GuessTables(const Guess& guess, std::span<const NodeRange> roots, i
       levels = l + 1;
       add_cut(l, k, guess.brackets[at(range.node)]);
       for (const NodeRange& child : {range.left(), range.right()})
-        below.push_back({child, child.leaf() || guess.ends[at(child.node)] != 0, false});
+        below.push_back({child, child.leaf() || !guess.brackets[at(child.node)].known, false});
     }
     for (std::size_t k = 0; k < kLeaves; ++k) steps[l][k] = step(l, k);
     level = std::move(below);
@@ -79,7 +79,7 @@ std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::s
   for (const NodeRange& root : roots) {
     if (several) add_fixed(root.first);
     for (; several && p < root.last; ++p) first[at(p)] = static_cast<std::int32_t>(level.size());
-    level.push_back({root, root.leaf() || guess.ends[at(root.node)] != 0, false});
+    level.push_back({root, root.leaf() || !guess.brackets[at(root.node)].known, false});
   }
   if (several) add_fixed(guess.parts);
   return level;

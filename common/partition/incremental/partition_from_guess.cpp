@@ -71,9 +71,8 @@ class FirstPartition {
     result_.traffic.bytes +=
         particles_.count * (point + (roots_[0].parts() == options_.parts ? 1 : 2) * sizeof(std::int32_t)) +
         own.slot.size() * (3 * point + 2 * sizeof(std::uint64_t));
-    LoadSummary loads = loads_of(own);
-    auto interior = sum_interior(comm_, own, {0, options_.parts}, loads.counts, scale_ ? &*scale_ : nullptr,
-                                 std::move(loads.loads), most_of(large_.count), result_.searched);
+    auto interior =
+        sum_interior(comm_, own, {0, options_.parts}, loads_of(own), most_of(large_.count), result_.searched);
     ++result_.reductions;
     if (!interior) return false;
     interior->brackets.assign(guess.brackets.begin(), guess.brackets.end());
@@ -83,8 +82,7 @@ class FirstPartition {
                          .tree = &result_.tree,
                          .rule = first ? nullptr : &rule_,
                          .scale = scale_,
-                         .interior = &*interior,
-                         .ends = guess.ends});
+                         .interior = &*interior});
     PartitionResult found = *builder.build();
     rule_ = builder.rule();
     for (std::size_t k = 0; k < own.part.size(); ++k) result_.part[own.slot[k]] = own.part[k];

@@ -4,7 +4,6 @@
 #include <numeric>
 
 #include "common/base/index.hpp"
-#include "common/comm/gather.hpp"
 #include "common/partition/incremental/classify_interior.hpp"
 #include "common/partition/incremental/search_roots.hpp"
 #include "common/partition/search/build_tree.hpp"
@@ -51,43 +50,28 @@ class Repartitioning {
  private:
   // A part's quota is its share of its root's particles; parts outside the roots keep what they have.
   void share_roots_alone() {
-    rule_.set_all(n_, {});
-    std::vector<std::uint64_t> quotas = current_.loads.counts;
+    std::vector<std::uint64_t> prefix(current_.loads.counts.size() + 1, 0);
+    std::partial_sum(current_.loads.counts.begin(), current_.loads.counts.end(), prefix.begin() + 1);
     for (const NodeRange& root : roots_) {
-      const auto begin = quotas.begin() + root.first;
-      const std::uint64_t count = std::accumulate(begin, quotas.begin() + root.last, std::uint64_t{0});
-      std::uint64_t before = 0;
-      for (int p = root.first; p < root.last; ++p) {
-        const std::uint64_t prefix =
-            floor_share(count, rule_.size(root.first, p + 1), rule_.size(root.first, root.last));
-        quotas[at(p)] = prefix - before;
-        before = prefix;
-      }
+      const std::uint64_t before = prefix[at(root.first)];
+      const std::uint64_t count = prefix[at(root.last)] - before;
+      for (int p = root.first + 1; p < root.last; ++p)
+        prefix[at(p)] = before + floor_share(count, rule_.size(root.first, p), rule_.size(root.first, root.last));
     }
-    std::vector<std::uint64_t> prefix(quotas.size() + 1, 0);
-    std::partial_sum(quotas.begin(), quotas.end(), prefix.begin() + 1);
     rule_.set_quotas(std::move(prefix));
-  }
-
-  // Collective (one gather).
-  OwnInterior look() {
-    std::vector<double> loads(current_.loads.loads.begin(), current_.loads.loads.end());
-    InnerRegions inner =
-        inner_regions(comm_, particles_, current_.part, current_.tree, n_, loads, roots_, current_.own, options_);
-    if (whole_) splitters_ = std::move(inner.splitters);
-    // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
-    const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
-    return classify_interior(particles_, current_.blocks, current_.part, inner.boxes, current_.own,
-                             std::max<std::uint64_t>(particles_.count, mean) / options_.limits.boundary_divisor);
   }
 
   // The incremental search. False if it was abandoned; else failed_ has the nodes that it could not cut. Collective.
   bool search_boundary() {
-    const OwnInterior own = look();
+    const InnerRegions inner = inner_regions(comm_, particles_, current_, n_, roots_, options_);
+    // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
+    const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
+    const OwnInterior own =
+        classify_interior(particles_, current_.blocks, current_.part, inner.boxes, current_.own,
+                          std::max<std::uint64_t>(particles_.count, mean) / options_.limits.boundary_divisor);
     result_.reductions += whole_ ? 3 : 2;
     const std::uint64_t most = n_ / options_.limits.boundary_divisor;
-    const auto interior = sum_interior(comm_, own, current_.own, current_.loads.counts, scale_ ? &*scale_ : nullptr,
-                                       current_.loads.loads, most, result_.looked_at);
+    const auto interior = sum_interior(comm_, own, current_.own, current_.loads, most, result_.looked_at);
     if (!interior) return false;
     Buffer<std::int32_t> part = own.part;
     TreeBuilder builder(comm_, own.view(particles_), options_,
@@ -97,7 +81,7 @@ class Repartitioning {
                          .rule = whole_ ? nullptr : &rule_,
                          .scale = scale_,
                          .interior = &*interior,
-                         .splitters = whole_ ? &splitters_ : nullptr,
+                         .splitters = whole_ ? &inner.splitters : nullptr,
                          .failed_max = most});
     auto found = builder.build();
     if (!found) return false;
@@ -131,12 +115,8 @@ class Repartitioning {
       part = std::move(found.part);
     }
     tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });
+    result_.looked_at = (whole ? 0 : result_.looked_at) + found.searched;
     take(std::move(found), failed_);
-    if (whole) result_.looked_at = n_;
-    for (const NodeRange& root : failed_)
-      if (!whole)
-        result_.looked_at +=
-            std::accumulate(counts_.begin() + root.first, counts_.begin() + root.last, std::uint64_t{0});
   }
 
   // Sets result_.delta to the particles whose part isn't what it was. Without branches: half of them may have changed,
@@ -179,7 +159,6 @@ class Repartitioning {
   SplitRule rule_;
   std::optional<ExactScale> scale_;
   std::uint64_t n_ = 0;
-  Splitters splitters_;  // of an incremental search, if the one root is the tree's
   std::vector<NodeRange> failed_;
   std::vector<std::uint64_t> counts_;
   Repartition result_;

@@ -16,21 +16,11 @@
 #include <vector>
 
 #include "common/base/buffer.hpp"
-#include "common/particles/block_ranges.hpp"
 #include "common/partition/balance/load.hpp"
 #include "common/partition/incremental/brackets.hpp"
 #include "common/partition/search/request.hpp"
 
 namespace rcb::partition {
-
-// The partition that is in force.
-struct CurrentPartition {
-  const CutTree& tree;
-  std::span<const std::int32_t> part;  // of the local particles, under the tree
-  const LoadSummary& loads;            // of those parts, all ranks
-  OwnParts own;
-  const particles::BlockRanges* blocks = nullptr;  // the ranges of the local positions; null: not known
-};
 
 // Local particles whose part changes.
 struct PartDelta {

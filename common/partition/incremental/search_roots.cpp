@@ -17,16 +17,14 @@ std::optional<OwnInterior> copy_of_roots(const particles::ParticleView& particle
   const std::size_t most = particles.count / 4;
   const std::vector<std::int32_t> root_of = roots_of_parts(start.roots, parts);
   OwnInterior all;
-  all.reserve(particles, 0);
-  BoundaryList list(particles, start.part.data(), all);
+  BoundaryList list(particles, start.part.data(), 0, all);
   for (std::size_t begin = 0; begin < particles.count && list.size() <= most; begin += kBlock) {
     std::uint64_t which = 0;
     for (std::size_t i = 0; i < std::min(kBlock, particles.count - begin); ++i)
       which |= std::uint64_t{root_of[at(start.part[begin + i])] != Roots::kNone} << i;
     if (which != 0) list.append(begin, which);
   }
-  list.finish();
-  all.finish(particles, most);
+  list.finish(most);
   return all.too_many ? std::nullopt : std::optional(std::move(all));
 }
 

@@ -8,18 +8,19 @@
 
 namespace rcb::partition {
 
-std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts,
-                                     std::vector<std::uint64_t> counts, const ExactScale* scale,
-                                     std::vector<u128> loads, std::uint64_t most, std::uint64_t& boundary) {
+std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, OwnParts parts, const LoadSummary& loads,
+                                     std::uint64_t most, std::uint64_t& boundary) {
+  std::vector<std::uint64_t> counts = loads.counts;
+  std::vector<u128> weights(counts.size(), 0);
   // The message: whether this rank has too many boundary particles; how many own parts have interior ones; the box of
   // the boundary particles; each such part and its box; then every part with boundary particles, their number and
   // weight.
   const std::size_t own_count = own.too_many ? 0 : own.part.size();
   const std::vector<std::uint64_t> listed =
       count_groups([&](std::size_t k) { return own.part[k]; }, counts.size(), own_count);
-  std::vector<u128> weights(counts.size(), 0);
-  for (std::size_t k = 0; k < own_count && scale != nullptr; ++k)
-    weights[at(own.part[k])] += (*scale)(own.boundary.weight[k]);
+  const ExactScale scale(loads.scale_exponent);
+  for (std::size_t k = 0; k < own_count && loads.weighted; ++k)
+    weights[at(own.part[k])] += scale(own.boundary.weight[k]);
   std::vector<std::uint64_t> mine{own.too_many ? 1U : 0U, 0};
   const auto send = [&mine](const geometry::Box& box) {
     for (const double x : box.lo) mine.push_back(std::bit_cast<std::uint64_t>(x));
@@ -42,7 +43,7 @@ std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, O
   const auto all = comm::all_gather_values<std::uint64_t>(comm, mine);
 
   // All particles but those on the boundary are interior.
-  if (scale == nullptr) loads.assign(counts.size(), 0);
+  if (loads.weighted) weights = loads.loads;
   Interior interior;
   interior.boxes.assign(counts.size(), geometry::Box{});
   bool too_many = false;
@@ -65,7 +66,7 @@ std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, O
     }
     for (; word < end; word += 4) {
       counts[word[0]] -= word[1];
-      loads[word[0]] -= word[2] | (u128{word[3]} << 64U);
+      weights[word[0]] -= word[2] | (u128{word[3]} << 64U);
       total += word[1];
     }
   }
@@ -73,9 +74,9 @@ std::optional<Interior> sum_interior(comm::Comm& comm, const OwnInterior& own, O
   if (too_many || total > most) return std::nullopt;
   interior.count_prefix.assign(1, 0);
   for (const std::uint64_t count : counts) interior.count_prefix.push_back(interior.count_prefix.back() + count);
-  if (scale == nullptr) return interior;
+  if (!loads.weighted) return interior;
   interior.weight_prefix.assign(1, 0);
-  for (const u128 load : loads) interior.weight_prefix.push_back(interior.weight_prefix.back() + load);
+  for (const u128 load : weights) interior.weight_prefix.push_back(interior.weight_prefix.back() + load);
   return interior;
 }
 

@@ -47,7 +47,6 @@ struct Start {
   const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
   std::optional<ExactScale> scale;     // of the weights, if they count
   const Interior* interior = nullptr;  // particles that are not searched; null: none
-  std::span<const std::uint8_t> ends;  // [inner nodes]: 1: left uncut; empty: none
   // Where the cuts are expected, for buckets; null: not known. Not with several roots, or where `boxes` are known.
   const Splitters* splitters = nullptr;
   // The build is abandoned once nodes that could not be cut hold more particles.
@@ -67,7 +66,7 @@ class TreeBuilder {
   // nullopt if failed nodes hold too many particles or go_on, which is called before each level, said no. Collective.
   std::optional<PartitionResult> build(const comm::GoOn& go_on = {});
 
-  // Nodes left uncut, ascending: those in Start::ends, and those that can't be cut without their interior particles.
+  // Nodes left uncut, ascending: those without a bracket, and those that can't be cut without their interior particles.
   // The cuts in them are unspecified, and their particles are all reported in the node's first part.
   const std::vector<NodeRange>& uncut() const { return uncut_; }
   const SplitRule& rule() const { return rule_; }
@@ -126,7 +125,10 @@ class TreeBuilder {
   // True if all interior particles stay on their side of the cut found.
   bool cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const;
   void leave_uncut(std::size_t node);
-  bool ends(const NodeRange& range) const { return !start_.ends.empty() && start_.ends[at(range.node)] != 0; }
+  // True if no cut of this node was guessed.
+  bool ends(const NodeRange& range) const {
+    return interior_ != nullptr && !interior_->brackets.empty() && !interior_->brackets[at(range.node)].known;
+  }
   u128 slack_of(const Node& node) const;
   // Makes the level's cuts, and the next level's nodes.
   void split(std::span<const CutRequest> wanted, std::span<const CutFound> found);

@@ -9,7 +9,6 @@
 //    coordinates on the cut's axis do; where many lie on its plane, the bracket of their keys.
 #pragma once
 
-#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -22,6 +21,7 @@ namespace rcb::partition {
 // Where a node's cut is expected. All interior particles of its left parts have lesser keys than `least`, all those of
 // its right parts greater ones than `most`.
 struct KeyBracket {
+  bool known = false;  // else the node is left uncut
   AxisOrder axes{0, 1, 2};
   Key least;
   Key most;

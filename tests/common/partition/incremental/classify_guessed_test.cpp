@@ -21,7 +21,7 @@ using namespace testing;
 
 // The first part below the node where the guess ends, or -1 for a particle in a bracket.
 int interior_part(const Guess& guess, NodeRange range, const particles::ParticleView& particles, std::size_t i) {
-  while (!range.leaf() && guess.ends[at(range.node)] == 0) {
+  while (!range.leaf() && guess.brackets[at(range.node)].known) {
     const KeyBracket& bracket = guess.brackets[at(range.node)];
     const Key key = key_of(particles.point(i), particles.id[i], bracket.axes, particles.dims);
     const bool left = bracket.whole ? key < bracket.least : key.at[0] < bracket.least.at[0];
