@@ -76,10 +76,23 @@ class Pass {
   }
 
   void run() {
-#if defined(__x86_64__)
-    if (has_avx2()) return run_blocks<true>();
-#endif
-    run_blocks<false>();
+    for (std::size_t begin = 0; begin < particles_.count && boundary_.size() <= boundary_max_; begin += kBlock) {
+      const std::size_t count = std::min(kBlock, particles_.count - begin);
+      const std::int32_t* const part = part_.data() + begin;
+      std::int32_t other = 0;
+      for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
+      if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index_of(part[0]))) continue;
+      const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
+      for (const double* axis : x)
+        for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
+      const std::uint64_t beyond =
+          other == 0 ? beyond_same(x, box_[index_of(part[0])], count) : beyond_own(x, part, count);
+      const std::uint64_t inside = beyond == 0 ? 0 : interior_of(begin, beyond);
+      for (std::uint64_t left = inside; left != 0; left &= left - 1)
+        grow(begin + static_cast<std::size_t>(std::countr_zero(left)));
+      if (beyond != inside) boundary_.append(begin, beyond & ~inside);
+    }
+    boundary_.finish(boundary_max_);
   }
 
   geometry::Box box(std::size_t p) const {
@@ -121,27 +134,6 @@ class Pass {
     }
   }
 
-  template <bool kAvx2>
-  void run_blocks() {
-    for (std::size_t begin = 0; begin < particles_.count && boundary_.size() <= boundary_max_; begin += kBlock) {
-      const std::size_t count = std::min(kBlock, particles_.count - begin);
-      const std::int32_t* const part = part_.data() + begin;
-      std::int32_t other = 0;
-      for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
-      if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index_of(part[0]))) continue;
-      const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
-      for (const double* axis : x)
-        for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
-      const std::uint64_t beyond =
-          other == 0 ? beyond_same<kAvx2>(x, box_[index_of(part[0])], count) : beyond_own<kAvx2>(x, part, count);
-      const std::uint64_t inside = beyond == 0 ? 0 : interior_of<kAvx2>(begin, beyond);
-      for (std::uint64_t left = inside; left != 0; left &= left - 1)
-        grow(begin + static_cast<std::size_t>(std::countr_zero(left)));
-      if (beyond != inside) boundary_.append(begin, beyond & ~inside);
-    }
-    boundary_.finish(boundary_max_);
-  }
-
   // True if the ranges of a block of part p show that all its particles are interior; then p's box grows by the block.
   bool stays(std::size_t block, std::size_t p) {
     bool inside = true;
@@ -153,20 +145,18 @@ class Pass {
 
   // The particles of a block, one bit each, that lie outside of these bounds; in beyond_own, outside of their own
   // part's.
-  template <bool kAvx2>
   std::uint64_t beyond_same(const Axes& x, const Bounds& box, std::size_t count) const {
 #if defined(__x86_64__)
-    if constexpr (kAvx2) return beyond_same_avx2(x, box, count);
+    if (avx2_) return beyond_same_avx2(x, box, count);
 #endif
     std::uint64_t beyond = 0;
     for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box, i) << i;
     return beyond;
   }
-  template <bool kAvx2>
   std::uint64_t beyond_own(const Axes& x, const std::int32_t* part, std::size_t count) const {
 #if defined(__x86_64__)
     if (few_) return beyond_few_avx512(x, part, count);
-    if constexpr (kAvx2) return beyond_own_avx2(x, part, count);
+    if (avx2_) return beyond_own_avx2(x, part, count);
 #endif
     std::uint64_t beyond = 0;
     for (std::size_t i = 0; i < count; ++i) beyond |= is_beyond(x, box_[index_of(part[i])], i) << i;
@@ -174,10 +164,9 @@ class Pass {
   }
   // Those of `which`, of the block that begins here, that are interior. Without branches: most of them lie on the
   // boundary, but not all.
-  template <bool kAvx2>
   std::uint64_t interior_of(std::size_t begin, std::uint64_t which) const {
 #if defined(__x86_64__)
-    if constexpr (kAvx2) return interior_of_avx2(begin, which);
+    if (avx2_) return interior_of_avx2(begin, which);
 #endif
     std::uint64_t inside = 0;
     for (; which != 0; which &= which - 1) {
@@ -271,6 +260,7 @@ class Pass {
   }
 #endif
 
+  [[maybe_unused]] const bool avx2_ = has_avx2();
   const particles::ParticleView& particles_;
   const particles::BlockRanges* blocks_;
   std::span<const std::int32_t> part_;

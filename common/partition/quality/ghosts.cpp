@@ -81,13 +81,8 @@ class BoxTree {
   }
   template <typename Visit>
   std::uint64_t descend(const NodeRange& range, const Point& point, const Visit& visit) const {
-    if (range.leaf()) {
-      if (!far(leaves_[at(range.first)], point)) visit(range.first, range.last);
-      return 1;
-    }
-    const Bounds& bounds = inner_[at(range.node)];
-    if (far(bounds.around, point)) return 1;
-    if (all_near(bounds, point)) {
+    if (far(range.leaf() ? leaves_[at(range.first)] : inner_[at(range.node)].around, point)) return 1;
+    if (range.leaf() || all_near(inner_[at(range.node)], point)) {
       visit(range.first, range.last);
       return 1;
     }

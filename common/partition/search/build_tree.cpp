@@ -276,7 +276,6 @@ void TreeBuilder::leave_uncut(std::size_t node) {
   const NodeRange& range = level_[node].range;
   uncut_.push_back(range);
   const std::uint64_t beside = interior_count(range);
-  if (!scale_) result_.counts[at(range.first)] = level_[node].count + beside;
   failed_count_ += (scale_ ? 0 : level_[node].count) + beside;
   for (const Span& span : spans_of(level_[node])) writer_.note(span, span.all(), range.first);
 }

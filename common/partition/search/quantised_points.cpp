@@ -325,7 +325,7 @@ void for_each_of(Iterator points, std::size_t size, const Wanted& wanted, const 
 QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at) {
   QuantisedPoint* next = points.data();
   for_each_of(
-      points.begin(), points.size(), [=](const QuantisedPoint& point) { return point.q[axis] <= at; },
+      points.begin(), points.size(), [=](const QuantisedPoint& point) { return point.q[axis] < at; },
       [&](QuantisedPoint& point) { std::swap(point, *next++); });
   return next;
 }

@@ -167,7 +167,7 @@ int zeros_of_lossless(const AxisMap& map, std::span<const double> x);
 
 // Moves points with q < at on this axis to the front; returns where the others begin.
 QuantisedPoint* split(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
-// Moves points with q <= at (expected to be few) to the front; returns where the others begin.
+// The same where these are expected to be few.
 QuantisedPoint* split_few(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);
 // Moves points with q >= at (expected to be few) to the back; returns where they begin.
 QuantisedPoint* split_few_back(std::span<QuantisedPoint> points, std::size_t axis, std::int32_t at);

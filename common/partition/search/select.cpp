@@ -153,7 +153,7 @@ QuantisedPoint* Selector::split_open(const Span& span, std::size_t axis, std::in
   const bool few = left * kFew < right || right * kFew < left;
   spent_.traffic.bytes += (few ? 1 : 2) * sizeof(QuantisedPoint) * span.open().size();
   if (!few) return split(span.open(), axis, at);
-  return left < right ? split_few(span.open(), axis, at - 1) : split_few_back(span.open(), axis, at);
+  return left < right ? split_few(span.open(), axis, at) : split_few_back(span.open(), axis, at);
 }
 
 // Each candidate costs every rank about 0.2 us, and a round more of counting one collective. With slack the limit is
@@ -369,9 +369,9 @@ void Selector::narrow(std::size_t node, std::int32_t lo, std::int32_t hi, bool f
     note_pass(node, 2 * sizeof(QuantisedPoint));
     for (Span& span : spans_of(node)) span.middle = split(span.open(), axis, lo);
   }
-  if (hi < state.hi) note_pass(node, (few ? 1 : 2) * sizeof(QuantisedPoint));
-  for (Span& span : spans_of(node)) {
-    if (hi < state.hi) span.upper = few ? split_few(span.open(), axis, hi) : split(span.open(), axis, hi + 1);
+  if (hi < state.hi) {
+    note_pass(node, (few ? 1 : 2) * sizeof(QuantisedPoint));
+    for (Span& span : spans_of(node)) span.upper = (few ? split_few : split)(span.open(), axis, hi + 1);
   }
   state.lo = lo;
   state.hi = hi;

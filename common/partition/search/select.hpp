@@ -121,10 +121,9 @@ class Selector {
   struct State {
     Phase phase = Phase::done;
     bool expected = false;  // `below`, and whether the bracket holds the key, aren't known before its first histogram
-    bool uniform = false;   // all integers that were replaced were `uniform_value`
-    std::int32_t uniform_value = 0;
-    bool tie_break = false;  // the integers are replaced by a key word: (its value - base) >> shift
-    bool by_id = false;      // the integers hold the id, or have held it
+    std::optional<std::int32_t> uniform;  // all integers that were replaced were this one
+    bool tie_break = false;               // the integers are replaced by a key word: (its value - base) >> shift
+    bool by_id = false;                   // the integers hold the id, or have held it
     std::size_t word = 0;
     std::size_t words = 1;  // how many key words the integers hold, from `word` on
     unsigned shift = 0;

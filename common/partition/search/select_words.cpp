@@ -69,10 +69,7 @@ void Selector::next_word() {
   std::vector<std::size_t> measured;
   for (const std::size_t node : in_phase(Phase::next_word)) {
     State& state = states_[node];
-    if (!state.tie_break) {
-      state.uniform = state.lo == state.hi;
-      state.uniform_value = state.lo;
-    }
+    if (!state.tie_break && state.lo == state.hi) state.uniform = state.lo;
     // A single integer decides the word if it determines the coordinate.
     const bool decided = state.tie_break ? state.shift == 0 : state.word == 0 && lossless(node, 0);
     if (state.lo == state.hi && decided) state.word += state.words;
@@ -114,10 +111,8 @@ void Selector::next_word() {
     const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
     note_place(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
     // All have one coordinate, hence one integer, which restore() can put back.
-    if (!state.tie_break && lo() == hi() && !lossless(measured[m], 0)) {
-      state.uniform = true;
-      state.uniform_value = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
-    }
+    if (!state.tie_break && lo() == hi() && !lossless(measured[m], 0))
+      state.uniform = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
     while (lo() == hi()) {
       CHECK(state.word + 1 < words_, "two particles have the same id");
       ++state.word;
@@ -243,8 +238,7 @@ void Selector::restore(std::size_t node) {
     spent_.traffic.bytes += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
                             static_cast<std::size_t>(span.tie_break_last - span.tie_break);
     for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
-      point.q[axis] =
-          state.uniform ? state.uniform_value : maps_[axis](particles_.position[axis][span.base + point.index]);
+      point.q[axis] = state.uniform ? *state.uniform : maps_[axis](particles_.position[axis][span.base + point.index]);
     }
   }
 }

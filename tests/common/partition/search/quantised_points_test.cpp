@@ -91,7 +91,7 @@ TEST(QuantisedPoints, PassesDoWhatTheySay) {
     for (const int way : {0, 1, 2}) {
       std::vector<QuantisedPoint> points = before;
       QuantisedPoint* const middle = way == 0   ? split(points, axis, at)
-                                     : way == 1 ? split_few(points, axis, at - 1)
+                                     : way == 1 ? split_few(points, axis, at)
                                                 : split_few_back(points, axis, at);
       for (QuantisedPoint* r = points.data(); r != points.data() + points.size(); ++r)
         EXPECT_EQ(r->q[axis] < at, r < middle);
