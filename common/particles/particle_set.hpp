@@ -12,11 +12,14 @@ namespace rcb::particles {
 
 using Id = std::int64_t;  // 0 .. 2^63-1
 
+// Coordinates by axis.
+using Axes = std::array<const double*, geometry::kDimsMax>;
+
 // A view of particles stored elsewhere. All arrays have `count` entries, but `id` where `id_slot` isn't null.
 struct ParticleView {
   int dims = 3;
   std::size_t count = 0;
-  std::array<const double*, geometry::kDimsMax> position{};  // axes >= dims are null
+  Axes position{};  // axes >= dims are null
   const Id* id = nullptr;
   const std::uint64_t* id_slot = nullptr;  // where each particle's id stands in `id`; null: in order
   const double* weight = nullptr;          // null: all weights are 1
@@ -26,6 +29,12 @@ struct ParticleView {
     geometry::Point p{};
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) p[a] = position[a][i];
     return p;
+  }
+  // The positions from particle `first` on; axes >= dims repeat the first one.
+  Axes all_axes(std::size_t first = 0) const {
+    Axes x;
+    for (std::size_t a = 0; a < x.size(); ++a) x[a] = position[a < static_cast<std::size_t>(dims) ? a : 0] + first;
+    return x;
   }
 };
 

@@ -16,15 +16,9 @@ constexpr std::size_t kWaiting = 64;  // about so many particles are copied at o
 
 }  // namespace
 
-Axes axes_of(const particles::ParticleView& particles) {
-  Axes x = particles.position;
-  for (std::size_t a = at(particles.dims); a < x.size(); ++a) x[a] = x[0];
-  return x;
-}
-
 BoundaryList::BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, std::size_t room,
                            OwnInterior& out)
-    : x_(axes_of(particles)), weight_(particles.weight), part_(part), out_(out) {
+    : x_(particles.all_axes()), weight_(particles.weight), part_(part), out_(out) {
   out.boundary.dims = particles.dims;
   out.boundary.has_weights = weight_ != nullptr;
   for (std::size_t a = 0; a < at(particles.dims); ++a) out.boundary.position[a].reserve(room);

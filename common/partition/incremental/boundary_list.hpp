@@ -8,10 +8,7 @@
 
 namespace rcb::partition {
 
-// Coordinates; where there are fewer axes, the others repeat the first.
-using Axes = std::array<const double*, geometry::kDimsMax>;
-
-Axes axes_of(const particles::ParticleView& particles);
+using particles::Axes;
 
 // Particles that a pass prefetches ahead: the work on those of a block that need it, whose branches depend on data,
 // would otherwise wait for memory.

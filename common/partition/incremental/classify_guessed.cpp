@@ -16,11 +16,10 @@ OwnInterior classify_guessed(const particles::ParticleView& particles, const Gue
   BoundaryList boundary(particles, part.data(), particles.count / 8, out);
   GuessTables tables(guess, roots, particles.dims);
   LeafCounts sums{};
-  const Axes all = axes_of(particles);
   std::size_t begin = 0;
   for (; begin < particles.count && boundary.size() <= boundary_max; begin += kBlock) {
     const std::size_t count = std::min(kBlock, particles.count - begin);
-    const Axes x{all[0] + begin, all[1] + begin, all[2] + begin};
+    const Axes x = particles.all_axes(begin);
     FoundLeaves found = find_leaves(tables, x, &part[begin], count);
     std::uint64_t beyond =
         found.unsure == 0 ? 0 : find_leaves_by_key(tables, x, particles.id + begin, &part[begin], found);

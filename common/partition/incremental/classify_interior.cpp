@@ -48,7 +48,7 @@ class Pass {
         own_parts_(inner.size()),
         first_(own.first),
         boundary_max_(boundary_max),
-        x_(axes_of(particles)),
+        x_(particles.all_axes()),
         boundary_(particles, part.data(), particles.count / 16, out) {
     Bounds none;
     none.lo.fill(-geometry::Box::kInfinity);
@@ -82,7 +82,7 @@ class Pass {
       std::int32_t other = 0;
       for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
       if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index_of(part[0]))) continue;
-      const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
+      const Axes x = particles_.all_axes(begin);
       for (const double* axis : x)
         for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
       const std::uint64_t beyond =
@@ -244,7 +244,7 @@ class Pass {
     return beyond;
   }
   [[gnu::target(RCB_AVX2)]] std::uint64_t interior_of_avx2(std::size_t begin, std::uint64_t which) const {
-    const Axes x{x_[0] + begin, x_[1] + begin, x_[2] + begin};
+    const Axes x = particles_.all_axes(begin);
     const std::int32_t* const part = part_.data() + begin;
     const Bounds* const inner = inner_.data();
     std::uint64_t inside = 0;

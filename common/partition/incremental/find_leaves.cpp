@@ -12,7 +12,6 @@ namespace rcb::partition {
 namespace {
 
 using Tables = GuessTables;
-using particles::kBlock;
 
 // The leaves of those particles from `i` on.
 void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::size_t i, std::size_t count,
@@ -36,11 +35,7 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
   }
 }
 
-#if defined(__x86_64__)
-[[gnu::always_inline]]
-#endif
-inline void
-add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
+[[gnu::always_inline]] inline void add_bits(const FoundLeaves& found, std::size_t count, LeafCounts& sums) {
   std::array<std::uint64_t, GuessTables::kLeaves> all;
   for (std::size_t bits = 1; bits < all.size(); ++bits) {
     const std::uint64_t low = found.bits[at(std::countr_zero(bits))];

@@ -14,8 +14,6 @@ namespace {
 
 using geometry::Box;
 
-constexpr double kInfinity = Box::kInfinity;
-
 // Descends from the root; each node gets the sampled particles that the guessed cuts above leave it.
 class SampleWalk {
  public:

@@ -77,11 +77,11 @@ std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::s
     }
   };
   for (const NodeRange& root : roots) {
-    if (several) add_fixed(root.first);
-    for (; several && p < root.last; ++p) first[at(p)] = static_cast<std::int32_t>(level.size());
+    add_fixed(root.first);
+    for (; p < root.last; ++p) first[at(p)] = static_cast<std::int32_t>(level.size());
     level.push_back({root, root.leaf() || !guess.brackets[at(root.node)].known, false});
   }
-  if (several) add_fixed(guess.parts);
+  add_fixed(guess.parts);
   return level;
 }
 

@@ -36,13 +36,11 @@ class FirstPartition {
 
   // False, on all ranks, if the root's cut was not found by a guess. Collective.
   bool run() {
-    result_.counts.resize(at(options_.parts));
     result_.part.resize(particles_.count);
     for (std::size_t stage = 0; stage < kGuessLevels && !roots_.empty(); ++stage)
       if (!cut_by_guess(stage == 0)) break;
     if (!roots_.empty() && roots_[0].parts() == options_.parts) return false;
     if (!roots_.empty()) cut_the_rest();
-    if (scale_) result_.counts.clear();
     return true;
   }
 
@@ -145,9 +143,12 @@ class FirstPartition {
   }
 
   void add(PartitionResult found) {
-    for (const NodeRange& root : roots_)
-      std::copy(found.counts.begin() + (found.counts.empty() ? 0 : root.first),
-                found.counts.begin() + (found.counts.empty() ? 0 : root.last), result_.counts.begin() + root.first);
+    if (!scale_) {
+      result_.counts.resize(at(options_.parts));
+      for (const NodeRange& root : roots_)
+        std::copy(found.counts.begin() + root.first, found.counts.begin() + root.last,
+                  result_.counts.begin() + root.first);
+    }
     result_.tree = std::move(found.tree);
     result_.rounds += found.rounds;
     result_.reductions += found.reductions;

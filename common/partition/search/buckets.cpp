@@ -11,7 +11,7 @@
 namespace rcb::partition {
 namespace {
 
-using Axes = std::array<const double*, geometry::kDimsMax>;
+using particles::Axes;
 
 // The particles from `i` on.
 void sort_one_by_one(const Axes& x, std::size_t i, std::size_t count, const Splitters& splitters, std::uint8_t* bucket,
@@ -206,9 +206,7 @@ std::size_t sort_in_vectors(const Axes& x, std::size_t count, const Splitters& s
 
 geometry::Box sort_into_buckets(const particles::ParticleView& particles, const Splitters& splitters,
                                 std::span<std::uint8_t> bucket) {
-  Axes x;
-  x.fill(particles.position[0]);  // no splitter lies on an axis that they lack
-  for (std::size_t a = 0; a < at(particles.dims); ++a) x[a] = particles.position[a];
+  const Axes x = particles.all_axes();  // no splitter lies on an axis that they lack
   geometry::Box box;
   std::size_t done = 0;
 #if defined(__x86_64__)

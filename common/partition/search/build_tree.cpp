@@ -27,8 +27,7 @@ CutTree uncut_tree(const PartitionOptions& options, int dims) {
   tree.dims = dims;
   tree.method = options.method;
   tree.parts = options.parts;
-  const auto& sizes = options.part_sizes;
-  if (std::ranges::any_of(sizes, [&](double size) { return size != sizes[0]; })) tree.part_sizes = sizes;
+  tree.part_sizes = options.part_sizes;
   tree.cuts.resize(at(options.parts) - 1);
   return tree;
 }

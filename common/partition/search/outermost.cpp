@@ -31,15 +31,12 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
   constexpr std::size_t kTogether = 16 * kLanes;
   using Lanes = double __attribute__((vector_size(32), aligned(8), may_alias));
   using Mask = std::int64_t __attribute__((vector_size(32)));
-  std::array<const double*, geometry::kDimsMax> x{};
-  for (std::size_t a = 0; a < x.size(); ++a) {
-    const std::size_t from = a < at(particles.dims) ? a : 0;  // an axis that they lack repeats the first one
-    x[a] = particles.position[from];
-    for (Box& box : boxes) {
-      box.lo[a] = box.lo[from];
-      box.hi[a] = box.hi[from];
+  const particles::Axes x = particles.all_axes();
+  for (Box& box : boxes)
+    for (std::size_t a = at(particles.dims); a < x.size(); ++a) {
+      box.lo[a] = box.lo[0];
+      box.hi[a] = box.hi[0];
     }
-  }
   std::vector<std::size_t> slots;
   std::size_t begin = 0;
   for (; begin + kTogether <= particles.count && slots.size() < most; begin += kTogether) {

@@ -36,15 +36,14 @@ struct Lossless {
 
 // The constants of maps by value, per axis: q = (x / 2 - base) * scale, and back. Axes >= dims give 0.
 struct ByValue {
-  std::array<const double*, geometry::kDimsMax> x;
+  particles::Axes x;
   alignas(32) std::array<double, 4> base{};
   alignas(32) std::array<double, 4> scale{};
   alignas(32) std::array<double, 4> step{};
 
-  ByValue(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps, std::size_t axes) {
-    x.fill(particles.position[0] + first);
+  ByValue(const particles::ParticleView& particles, std::size_t first, const AxisMaps& maps, std::size_t axes)
+      : x(particles.all_axes(first)) {
     for (std::size_t a = 0; a < axes; ++a) {
-      x[a] = particles.position[a] + first;
       base[a] = maps[a].half_base();
       scale[a] = maps[a].scale();
       step[a] = 1 / scale[a];  // exact: a power of two
