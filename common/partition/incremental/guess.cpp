@@ -7,7 +7,6 @@
 
 #include "common/base/index.hpp"
 #include "common/partition/search/outermost.hpp"
-#include "common/partition/search/split_rule.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -17,20 +16,15 @@ using geometry::Box;
 // Descends from the root; each node gets the sampled particles that the guessed cuts above leave it.
 class SampleWalk {
  public:
-  SampleWalk(SortedSample sorted, const PartitionOptions& options, Guess& out)
-      : sample_(sorted.sample()),
-        sorted_(std::move(sorted)),
-        options_(options),
-        rule_(options, dims()),
-        band_axis_(rule_.band_axis()),
-        out_(out) {
+  SampleWalk(SortedSample sorted, const PartitionOptions& options, const SplitRule& rule, Guess& out)
+      : sample_(sorted.sample()), sorted_(std::move(sorted)), options_(options), rule_(rule), out_(out) {
+    if (!rule_.known()) rule_.set_all(sample_.count(), sorted_.extents(sorted_.all()));
     const auto& weight = sample_.particles.weight;
     weighted_ = std::ranges::any_of(weight, [&](double w) { return w != weight[0]; });
   }
 
   void run(const GuessRoots& below) {
     before_ = below.before;
-    axes_of_bands_ = below.tree.cuts[0].axes;
     std::vector<std::int32_t> part;
     if (below.roots.size() > 1 || below.roots[0].parts() < options_.parts) {
       part.resize(sample_.count());
@@ -116,14 +110,13 @@ class SampleWalk {
     const OpenOrder open = known ? OpenOrder{} : open_order(sorted_, axes, options_.limits.guess.overhang);
     const Bracket bracket = bracket_of(node, own, axes, sigmas_of(node, axes));
     if (node.spent + bracket.share > options_.limits.guess.boundary_max || !bracket.keys.known) return end(node, own);
-    if ((open.first && !band_axis_) || (open.others && bracket.keys.whole)) {
+    if ((open.first && options_.method == Method::rcb) || (open.others && bracket.keys.whole)) {
       out_.open = true;
       out_.sides = {sorted_.box(bracket.halves.left), sorted_.box(bracket.halves.right)};
       return end(node, own);
     }
     out_.brackets[at(node.range.node)] = bracket.keys;
     levels_ += static_cast<double>(own.size()) / static_cast<double>(sample_.count());
-    if (node.range.node == 0) axes_of_bands_ = axes;
     Node left = node;
     Node right = node;
     left.range = node.range.left();
@@ -139,12 +132,10 @@ class SampleWalk {
 
   // The likeliest axis order.
   AxisOrder order_of(const Node& node, const Range& own) const {
-    if (band_axis_ && node.range.node != 0) return axes_of_bands_;
     const Box box = node.known != nullptr ? *node.known : sorted_.box(own);
     Point extents{};
     for (std::size_t a = 0; a < at(dims()); ++a) extents[a] = geometry::extent(box.lo[a], box.hi[a]);
-    const AxisOrder order = geometry::order_by_extent(extents, dims());
-    return band_axis_ ? geometry::with_first(order, *band_axis_, dims()) : order;
+    return *rule_.axes_of(node.range, {extents, extents});
   }
 
   // A cut that its bracket missed would be missed again: the sample is the same.
@@ -259,8 +250,6 @@ class SampleWalk {
   SortedSample sorted_;
   const PartitionOptions& options_;
   SplitRule rule_;
-  std::optional<int> band_axis_;
-  AxisOrder axes_of_bands_{};  // of all cuts, once the root's are known
   Guess& out_;
   bool weighted_ = false;
   const Guess* before_ = nullptr;
@@ -273,7 +262,7 @@ class SampleWalk {
 Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below) {
   Guess guess{.parts = options.parts};
   guess.inner.fill(Box::unbounded());
-  SampleWalk(sample, options, guess).run(below);
+  SampleWalk(sample, options, below.rule, guess).run(below);
   return guess;
 }
 

@@ -12,6 +12,7 @@
 #include "common/partition/search/interior.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/sorted_sample.hpp"
+#include "common/partition/search/split_rule.hpp"
 
 namespace rcb::partition {
 
@@ -41,6 +42,7 @@ struct GuessRoots {
   const CutTree& tree;                      // whose cuts above the roots are exact
   const std::vector<NodeRange>& roots;      // none below another
   const std::vector<geometry::Box>& boxes;  // [roots]: of their particles; empty: not known
+  const SplitRule& rule;                    // made from all particles, if the tree's root isn't among the roots
   const Guess* before = nullptr;            // the guess that left them uncut; null: none was made
 };
 

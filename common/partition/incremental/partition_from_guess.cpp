@@ -95,7 +95,7 @@ class FirstPartition {
   Guess share_guess() {
     Guess guess;
     if (comm_.rank() == 0)
-      guess = guess_cuts(sample_, options_, {result_.tree, roots_, boxes_, guess_ ? &*guess_ : nullptr});
+      guess = guess_cuts(sample_, options_, {result_.tree, roots_, boxes_, rule_, guess_ ? &*guess_ : nullptr});
     ++result_.reductions;
     return comm::values_of_first<Guess>(comm_, {&guess, 1})[0];
   }

@@ -29,8 +29,8 @@ class SplitRule {
 
   // The axis order of a node with these extents; nullopt if they leave it open. Local.
   std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;
-  // With bands, the axis of every cut.
-  std::optional<int> band_axis() const { return band_axis_; }
+  // True once set_all() was called.
+  bool known() const { return !quota_prefix_.empty(); }
 
   // Without weights: the particles of parts [first, last) together.
   std::uint64_t quota(int first, int last) const {

@@ -64,7 +64,8 @@ void check(const Trial& trial, std::uint64_t& interior) {
   const std::vector<std::int32_t> before = part;
   const Sample sample =
       share_sample(self, particles, pick(particles.count, trial.stride), {.weights = true, .ids = true});
-  const Guess guess = guess_cuts(SortedSample(sample), trial.options, {tree, roots, {}, nullptr});
+  const Guess guess =
+      guess_cuts(SortedSample(sample), trial.options, {tree, roots, {}, SplitRule(trial.options, particles.dims)});
   if (!guess.found) return;
   if (trial.stride == 1 && !trial.below_roots) {  // a sample of all tells the root's cut
     const Cut root_cut = partition(self, particles, trial.options)->tree.cuts[0];
