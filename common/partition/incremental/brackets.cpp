@@ -137,7 +137,7 @@ class BracketGuess {
     const double excess =
         (load(range.first, range.middle()) - wanted * rule_.left_share(range)) / load_of_one + gained - lost;
     const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess) + gained + lost) + limits_.bracket_margin;
-    // Places near the old cut: k > 0: the k-th below it; else the one in place -k above it.
+    // Places as seen from the old cut: k > 0: the k-th nearest below it; else number -k above it, counted from 0.
     const std::array<double, 3> places{std::ceil(excess + margin), std::round(excess), std::floor(excess - margin)};
     std::array<double, 3> found{-kInfinity, -kInfinity, -kInfinity};
     for (std::size_t k = 0; k < places.size(); ++k)
@@ -147,7 +147,8 @@ class BracketGuess {
     return {cut.axes[0], found[0], found[2], found[1]};
   }
 
-  // The coordinate in this place on a side, 0 the nearest, or `none`; of the others, only nearer ones stay.
+  // The coordinate in this place on a side, 0 the nearest, or `none`. Shortens the side to this place, so that a later
+  // call with a nearer one sorts less.
   template <typename Nearer>
   static double take_nearest(std::vector<double>& side, double place, double none, const Nearer& nearer) {
     if (place >= static_cast<double>(side.size())) return none;

@@ -50,13 +50,14 @@ class Pass {
         boundary_max_(boundary_max),
         x_(particles.all_axes()),
         boundary_(particles, part.data(), particles.count / 16, out) {
-    Bounds none;
-    none.lo.fill(-geometry::Box::kInfinity);
-    none.hi.fill(geometry::Box::kInfinity);
-    inner_.assign(own_parts_ + 1, none);
-    for (std::size_t a = 0; a < axes(); ++a) std::swap(none.lo[a], none.hi[a]);
-    box_.assign(own_parts_ + 1, none);
-    inner_.back() = none;
+    Bounds unbounded;
+    unbounded.lo.fill(-geometry::Box::kInfinity);
+    unbounded.hi.fill(geometry::Box::kInfinity);
+    Bounds empty = unbounded;
+    for (std::size_t a = 0; a < axes(); ++a) std::swap(empty.lo[a], empty.hi[a]);
+    inner_.assign(own_parts_ + 1, unbounded);
+    inner_.back() = empty;
+    box_.assign(own_parts_ + 1, empty);
     for (std::size_t p = 0; p < own_parts_; ++p) {
       std::copy_n(inner[p].lo.begin(), axes(), inner_[p].lo.begin());
       std::copy_n(inner[p].hi.begin(), axes(), inner_[p].hi.begin());

@@ -18,7 +18,7 @@ void find_one_by_one(const Tables& t, const Axes& x, std::int32_t* part, std::si
                      FoundLeaves& found) {
   for (; i < count; ++i) {
     const std::array<float, 3> own{t.rounded(0, x[0][i]), t.rounded(1, x[1][i]), t.rounded(2, x[2][i])};
-    std::size_t leaf = t.several ? at(t.first[at(part[i])]) : 0;
+    std::size_t leaf = t.below_root ? at(t.first[at(part[i])]) : 0;
     bool out = false;
     for (std::size_t level = 0; level < t.levels; ++level) {
       const float on = own[at(-t.on_y[level][leaf] - 2 * t.on_z[level][leaf])];
@@ -176,10 +176,10 @@ FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* 
 #if defined(__x86_64__)
   if (has_avx2()) {
     if (tables.dims > 2)
-      return tables.several ? find_in_vectors<true, 3>(tables, x, part, count)
-                            : find_in_vectors<false, 3>(tables, x, part, count);
-    return tables.several ? find_in_vectors<true, 2>(tables, x, part, count)
-                          : find_in_vectors<false, 2>(tables, x, part, count);
+      return tables.below_root ? find_in_vectors<true, 3>(tables, x, part, count)
+                               : find_in_vectors<false, 3>(tables, x, part, count);
+    return tables.below_root ? find_in_vectors<true, 2>(tables, x, part, count)
+                             : find_in_vectors<false, 2>(tables, x, part, count);
   }
 #endif
   FoundLeaves found;

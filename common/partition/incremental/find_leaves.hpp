@@ -16,7 +16,7 @@ using LeafCounts = std::array<std::uint64_t, GuessTables::kLeaves>;
 
 // The particles of a block, one bit each.
 struct FoundLeaves {
-  std::uint64_t boundary = 0;           // in a bracket; some few of them in none, where rounding can't tell that
+  std::uint64_t boundary = 0;           // in a bracket, or so near to one that their floats can't tell
   std::uint64_t unsure = 0;             // not decided by rounded coordinates
   std::array<std::uint64_t, 3> bits{};  // of the number of each particle's leaf
 
@@ -34,7 +34,8 @@ FoundLeaves find_leaves(const GuessTables& tables, const Axes& x, std::int32_t* 
 std::uint64_t find_leaves_by_key(const GuessTables& tables, const Axes& x, const particles::Id* id, std::int32_t* part,
                                  FoundLeaves& found);
 
-// Adds a block's particles to sums[k], for each k: those whose leaf's number has all bits of k set.
+// Adds to sums[k], for each k, how many of a block's particles lie in leaves whose number has all bits of k set: bits
+// of masks are counted faster than leaves. counts_of() subtracts what was counted more than once.
 void add_leaves(const FoundLeaves& found, std::size_t count, LeafCounts& sums);
 
 // How many particles each leaf has. sums: from add_leaves().

@@ -57,7 +57,7 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
     std::array<std::int64_t, kWords> own{0, 0, 0, id[k]};
     for (std::size_t a = 0; a < at(t.dims); ++a)
       own[a] = static_cast<std::int64_t>(geometry::order_bits(x[a][k]) ^ (std::uint64_t{1} << 63U));
-    auto n = at(t.several ? t.first[at(part[k])] : 0);
+    auto n = at(t.below_root ? t.first[at(part[k])] : 0);
     bool sure = true;
     for (const Tables::Keys& keys : std::span(t.keys).first(t.levels)) {
       const auto sign = [&](const auto& of) {
@@ -100,7 +100,7 @@ ByKey find_keys_one_by_one(const Tables& t, const Axes& x, const particles::Id* 
     __m256i own = _mm256_and_si256(_mm256_castpd_si256(point), used);
     const __m256i turn = _mm256_srli_epi64(_mm256_cmpgt_epi64(_mm256_setzero_si256(), own), 1);
     own = _mm256_insert_epi64(_mm256_xor_si256(own, turn), id[k], 3);
-    std::int32_t node = t.several ? t.first[at(part[k])] : 0;
+    std::int32_t node = t.below_root ? t.first[at(part[k])] : 0;
     bool sure = true;
     for (const auto& level : std::span(t.steps).first(t.levels)) {
       const Tables::Step& step = level[at(node)];
@@ -232,7 +232,7 @@ struct Unsure {
                                                       std::int32_t* part, std::uint64_t which) {
   Unsure unsure;
   for (std::size_t a = 0; a < x.size(); ++a) pick_eights(x[a], which, unsure.position[a].data());
-  std::uint64_t still = t.several ? which : 0;
+  std::uint64_t still = t.below_root ? which : 0;
   for (std::size_t j = 0; still != 0; still &= still - 1, ++j) unsure.part[j] = part[std::countr_zero(still)];
   const auto count = at(std::popcount(which));
   // Of the unsure ones in their order.
@@ -244,7 +244,7 @@ struct Unsure {
     for (std::size_t a = 0; a < own.size(); ++a)
       own[a] = a < at(t.dims) ? order_words(unsure.position[a].data(), j) : Sixteen{};
     Sixteen node{};
-    for (std::size_t h = 0; h < 2 && t.several; ++h) {
+    for (std::size_t h = 0; h < 2 && t.below_root; ++h) {
       const __m256i parts = _mm256_load_si256(reinterpret_cast<const __m256i*>(unsure.part.data() + j + 8 * h));
       const __m256i first = _mm256_load_si256(reinterpret_cast<const __m256i*>(t.first.data()));
       node.words[h] = _mm512_cvtepi32_epi64(_mm256_permutevar8x32_epi32(first, parts));

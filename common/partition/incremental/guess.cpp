@@ -201,7 +201,8 @@ class SampleWalk {
     return found;
   }
 
-  // Fills keys_, ascending; where there are no weights, only those in three places, descending, are where they belong.
+  // Fills keys_, ascending if there are weights. Else only the keys in these three places, which descend, are what a
+  // sort would put there.
   void take_keys(std::span<const std::uint32_t> particles, const AxisOrder& axes,
                  const std::array<std::size_t, 3>& places) {
     keys_.clear();

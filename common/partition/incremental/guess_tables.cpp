@@ -67,7 +67,7 @@ void GuessTables::fit_axes(const Guess& guess) {
 }
 
 std::vector<GuessTables::Node> GuessTables::add_roots(const Guess& guess, std::span<const NodeRange> roots) {
-  several = roots.size() > 1 || roots[0].parts() < guess.parts;
+  below_root = roots.size() > 1 || roots[0].parts() < guess.parts;
   std::vector<Node> level;
   int p = 0;
   const auto add_fixed = [&](int until) {

@@ -60,20 +60,22 @@ struct GuessTables {
   std::array<Floats, kGuessLevels> most;
   std::array<Integers, kGuessLevels> on_y{};  // -1 where the cut's axis is the second one; else 0
   std::array<Integers, kGuessLevels> on_z{};  // likewise, the third one
-  // By axis and leaf: the box of its interior particles so far, each bound attained by one of any rank.
+  // By axis and leaf: the box of its interior particles so far; each face touches a particle of some rank.
   alignas(64) std::array<Doubles, geometry::kDimsMax> box_lo;
   std::array<Doubles, geometry::kDimsMax> box_hi;
   std::array<Floats, geometry::kDimsMax> lo;  // rounded (set_bounds())
   std::array<Floats, geometry::kDimsMax> hi;
   std::array<Doubles, geometry::kDimsMax> inner_lo;  // of its inner region
   std::array<Doubles, geometry::kDimsMax> inner_hi;
-  std::array<Doubles, geometry::kDimsMax> sure_lo;  // the box, but for what lies on the inner region's faces
+  // Coordinates in [sure_lo, sure_hi] are in the box and strictly inside the inner region: interior without a look at
+  // keys.
+  std::array<Doubles, geometry::kDimsMax> sure_lo;
   std::array<Doubles, geometry::kDimsMax> sure_hi;
   Integers part{};  // of each leaf
   RoundedAxes rounded;
   int dims = 3;
   bool tied_faces = false;  // many particles may lie on a box's faces, and rounded coordinates don't tell these
-  bool several = false;     // more than one root, or parts in no root: part[] decides where a particle begins
+  bool below_root = false;  // each particle begins at the node of its part so far, not at the tree's root
   std::size_t levels = 0;   // with a cut
   std::size_t leaves = 0;
 
@@ -89,8 +91,8 @@ struct GuessTables {
   Step step(std::size_t level, std::size_t node) const;
   void add_leaf(std::size_t leaf, const Guess& guess, const Node& node);
   // Sets lo and hi of a leaf and an axis, so that a coordinate whose rounded value lies between them is certainly in
-  // the box. The reverse need not hold at the box's bounds: then it returns false. Neither goes beyond the inner
-  // region, outside of which the whole key may decide.
+  // the box and the inner region. False if a coordinate on the box's face has the same float as one outside, so that
+  // floats can't tell it.
   bool set_bounds(std::size_t leaf, std::size_t a);
 };
 

@@ -1,5 +1,5 @@
-// A first partition from a guess: every rank guesses the cuts from the same sample, and one pass finds the particles'
-// parts under them. The rest is a repartition (repartition.hpp), which searches few particles.
+// A first partition from a guess: rank 0 guesses the cuts from a sample and tells the others, and one pass finds the
+// particles' parts under them. The rest is a repartition (repartition.hpp), which searches few particles.
 //
 // Invariants
 // 1. The tree and the parts are those of a full search; `rounds` and `reductions` aren't.

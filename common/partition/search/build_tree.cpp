@@ -90,14 +90,14 @@ std::optional<PartitionResult> TreeBuilder::build(const comm::GoOn& go_on) {
 Extents TreeBuilder::extents_of(const Node& node) const {
   Extents extents;
   const QBounds& bounds = node.bounds;
-  const geometry::Box beside = interior_box(node.range);
-  const bool none = beside.empty(axes_);
+  const geometry::Box interior = interior_box(node.range);
+  const bool none = interior.empty(axes_);
   for (std::size_t a = 0; a < at(axes_); ++a) {
     const AxisMap& map = maps_[a];
     if (bounds.empty() && none) continue;
     // lo and hi: intervals that hold the least and the greatest coordinate.
-    std::array<double, 2> lo{beside.lo[a], beside.lo[a]};
-    std::array<double, 2> hi{beside.hi[a], beside.hi[a]};
+    std::array<double, 2> lo{interior.lo[a], interior.lo[a]};
+    std::array<double, 2> hi{interior.hi[a], interior.hi[a]};
     if (!bounds.empty()) {
       lo = {std::min(lo[0], map.least(bounds.lo[a])), std::min(lo[1], map.most(bounds.lo[a]))};
       hi = {std::max(hi[0], map.least(bounds.hi[a])), std::max(hi[1], map.most(bounds.hi[a]))};
@@ -159,15 +159,15 @@ std::vector<Point> TreeBuilder::measure(std::span<const std::size_t> nodes) {
   std::vector<Point> extents(nodes.size());
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     const NodeRange& range = level_[nodes[n]].range;
-    const geometry::Box beside = interior_box(range);
+    const geometry::Box interior = interior_box(range);
     bool coincident = !level_[nodes[n]].bounds.empty();
     for (std::size_t a = 0; a < at(axes_); ++a) {
       std::uint64_t lo = least[n * words + 2 * a];
       std::uint64_t hi = ~least[n * words + 2 * a + 1];
       coincident = coincident && lo == hi;
-      if (!beside.empty(axes_)) {
-        lo = std::min(lo, geometry::order_bits(beside.lo[a]));
-        hi = std::max(hi, geometry::order_bits(beside.hi[a]));
+      if (!interior.empty(axes_)) {
+        lo = std::min(lo, geometry::order_bits(interior.lo[a]));
+        hi = std::max(hi, geometry::order_bits(interior.hi[a]));
       }
       extents[n][a] = geometry::extent(geometry::value_of_order_bits(lo), geometry::value_of_order_bits(hi));
     }
@@ -274,8 +274,7 @@ bool TreeBuilder::cut_still_valid(const NodeRange& range, const CutRequest& want
 void TreeBuilder::leave_uncut(std::size_t node) {
   const NodeRange& range = level_[node].range;
   uncut_.push_back(range);
-  const std::uint64_t beside = interior_count(range);
-  failed_count_ += (scale_ ? 0 : level_[node].count) + beside;
+  failed_count_ += (scale_ ? 0 : level_[node].count) + interior_count(range);
   for (const Span& span : spans_of(level_[node])) writer_.note(span, span.all(), range.first);
 }
 

@@ -52,10 +52,10 @@ struct Span {
   QuantisedPoint* middle = nullptr;
   QuantisedPoint* upper = nullptr;
   QuantisedPoint* last = nullptr;
-  // [tie_break, tie_break_last): the quantised points whose integers on the cut axis are replaced by another key word
-  // for now.
-  QuantisedPoint* tie_break = nullptr;
-  QuantisedPoint* tie_break_last = nullptr;
+  // [replaced, replaced_last): the quantised points whose integers on the cut axis are replaced by another key word for
+  // now.
+  QuantisedPoint* replaced = nullptr;
+  QuantisedPoint* replaced_last = nullptr;
   std::uint64_t base = 0;           // the chunk's first particle
   QBounds bounds;                   // exact, if known
   std::int32_t bucket = kNoBucket;  // it holds all of this bucket in the chunk

@@ -38,7 +38,8 @@ struct GuessLimits {
   std::uint64_t bucketed_min = 256;
 };
 
-// Tuning of the search; the tree does not depend on it.
+// Tuning of the search. Exact cuts don't depend on it; within a cut tolerance they do, so it must be the same
+// everywhere.
 struct SearchLimits {
   std::uint64_t chunk_max = std::uint64_t{1} << 31U;  // particles per chunk, indexed with 32 bits
   std::uint64_t gather_max = 64;                      // candidates of a node that are gathered at once, >= 1
@@ -78,9 +79,9 @@ struct Traffic {
 struct PartitionResult {
   CutTree tree;
   Buffer<std::int32_t> part;          // [local count], the part of each local particle
-  std::vector<std::uint64_t> counts;  // of each part, all ranks; empty where weights count
+  std::vector<std::uint64_t> counts;  // of each part, all ranks; empty where weights count, or with one part
   std::uint64_t searched = 0;         // particles that were searched, all ranks
-  std::uint64_t rounds = 0;           // search rounds (a round: one histogram reduction for a group of nodes)
+  std::uint64_t rounds = 0;           // search rounds (a round: histograms of all nodes that still need one)
   std::uint64_t reductions = 0;       // collectives used
   Traffic traffic;                    // of this rank
 };

@@ -24,8 +24,9 @@ constexpr std::size_t kWeightedBinsMax = 256;     // with weights, where a cell 
 constexpr int kRoundsMax = 3;                     // before the integers are replaced by a key word
 constexpr std::uint64_t kGatherAlways = 8;        // so few candidates aren't worth a histogram
 constexpr std::uint64_t kGatheredTogether = 512;  // candidates of all nodes
-constexpr std::uint64_t kSpentFactor = 8;         // so many times as many where only key words would go on
-constexpr std::uint64_t kNetworkFactor = 4;       // and where a collective costs a network's latency
+// So many times as many are gathered where the integers separate nothing any more, since key words cost more passes.
+constexpr std::uint64_t kSpentFactor = 8;
+constexpr std::uint64_t kNetworkFactor = 4;  // likewise, where a collective costs a network's latency
 
 // Counts that share the words of a message.
 using Count8 = std::uint8_t __attribute__((may_alias));
@@ -93,7 +94,7 @@ void Selector::start(std::size_t node) {
   if (ask.ids_kept) {
     const auto [least, greatest] = known_ids(node);
     set_range(node, least, greatest);
-    state.tie_break = true;
+    state.replaced = true;
   }
   state.below = ask.below;
   state.weight_below = ask.weight_below;
@@ -170,8 +171,8 @@ void Selector::choose_next_phase(std::size_t node, std::uint64_t before) {
   State& state = states_[node];
   ++state.rounds;
   const bool tied = state.rounds > 1 && state.inside > before / 2;
-  const bool spent = state.lo == state.hi || (!state.tie_break && (tied || state.rounds >= kRoundsMax));
-  const bool cheap = state.lo == state.hi && !state.tie_break && lossless(node, 0) && lossless(node, 1);
+  const bool spent = state.lo == state.hi || (!state.replaced && (tied || state.rounds >= kRoundsMax));
+  const bool cheap = state.lo == state.hi && !state.replaced && lossless(node, 0) && lossless(node, 1);
   if (state.inside <= gather_limit_ || (spent && !cheap && state.inside <= kSpentFactor * gather_limit_))
     state.phase = Phase::gather;
   else if (spent)
@@ -251,7 +252,7 @@ void Selector::count_round() {
     const auto shift = [&](std::size_t node) {
       const State& state = states_[node];
       // A lossless axis' integers are multiples of 2^zeros: narrower bins would stay empty.
-      const unsigned least = state.tie_break ? 0 : zeros_of(node, 0);
+      const unsigned least = state.replaced ? 0 : zeros_of(node, 0);
       return std::max(shift_to(static_cast<std::uint64_t>(state.hi - state.lo), bin_bits), least);
     };
     // Bins beyond the widest bracket would stay empty: they aren't sent.
@@ -329,7 +330,7 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
   if (take_near(node, shift, bin, found)) return;
   state.inside = found.count;
   const std::int32_t lo = state.lo + static_cast<std::int32_t>(bin << shift);
-  const bool uniform = !state.tie_break && lossless(node, 0) && shift == zeros_of(node, 0);
+  const bool uniform = !state.replaced && lossless(node, 0) && shift == zeros_of(node, 0);
   const auto step = uniform ? 0 : static_cast<std::int32_t>((std::uint64_t{1} << shift) - 1);
   narrow(node, lo, state.hi - lo > step ? lo + step : state.hi, found.count < before / 16);
   choose_next_phase(node, before);
@@ -339,7 +340,7 @@ void Selector::take_count(std::size_t node, unsigned shift, std::size_t bins, st
 bool Selector::take_near(std::size_t node, unsigned shift, std::size_t bin, const BinSum& cell) {
   const CutRequest& ask = nodes_[node];
   const State& state = states_[node];
-  if (ask.slack == 0 || state.tie_break) return false;
+  if (ask.slack == 0 || state.replaced) return false;
   const u128 wanted =
       weighted() ? static_cast<u128>(Wide(Wide(ask.weight) * ask.left_size / ask.size)) : u128{ask.rank};
   const u128 before = weighted() ? state.weight_below : state.below;

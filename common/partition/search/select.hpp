@@ -122,7 +122,7 @@ class Selector {
     Phase phase = Phase::done;
     bool expected = false;  // `below`, and whether the bracket holds the key, aren't known before its first histogram
     std::optional<std::int32_t> uniform;  // all integers that were replaced were this one
-    bool tie_break = false;               // the integers are replaced by a key word: (its value - base) >> shift
+    bool replaced = false;                // the integers hold a key word instead: (its value - base) >> shift
     bool by_id = false;                   // the integers hold the id, or have held it
     std::size_t word = 0;
     std::size_t words = 1;  // how many key words the integers hold, from `word` on
@@ -149,8 +149,9 @@ class Selector {
   // A request for the key next to a bound, among all of a node's particles (weights only).
   struct Neighbour {
     std::size_t node = 0;
-    bool weighted_before_bound = false;  // step back first: to the last particle before the bound that has weight
-    bool from_start = false;             // no bound: the node's first key is wanted
+    // First backward: the last particle before `bound` that has weight becomes the bound.
+    bool weighted_before_bound = false;
+    bool from_start = false;  // no bound: the node's first key is wanted
     KeyWords bound{};
   };
 
@@ -204,7 +205,7 @@ class Selector {
   void gather_group(std::span<const std::size_t> group);
   void pick(std::span<const Candidate> candidates);
   void pick_weighted(std::span<const Candidate> candidates);
-  void look_beside(const Neighbour& wanted);
+  void find_next_key(const Neighbour& wanted);
   void find_neighbours();
   // The key nearest to each bound: after it or, if backward, before it and with weight > 0. False where there is none.
   std::vector<std::uint8_t> nearest(std::span<const Neighbour> wanted, bool backward, std::vector<KeyWords>& keys);

@@ -98,7 +98,7 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     if (crossing + 1 < candidates.size())
       found.key = found.highest_relied_on = candidates[crossing + 1].key;
     else
-      look_beside(
+      find_next_key(
           {.node = index, .weighted_before_bound = false, .from_start = false, .bound = candidates[crossing].key});
     return;
   }
@@ -108,13 +108,13 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     found.key = candidates[crossing].key;
     found.lowest_relied_on = candidates[crossing > 0 ? crossing - 1 : 0].key;
   } else if (state.weight_below == 0) {
-    look_beside({.node = index, .weighted_before_bound = false, .from_start = true, .bound = {}});
+    find_next_key({.node = index, .weighted_before_bound = false, .from_start = true, .bound = {}});
   } else {
-    look_beside({.node = index, .weighted_before_bound = true, .from_start = false, .bound = candidates[0].key});
+    find_next_key({.node = index, .weighted_before_bound = true, .from_start = false, .bound = candidates[0].key});
   }
 }
 
-void Selector::look_beside(const Neighbour& wanted) {
+void Selector::find_next_key(const Neighbour& wanted) {
   neighbours_.push_back(wanted);
   states_[wanted.node].phase = Phase::neighbour;
 }

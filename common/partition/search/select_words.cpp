@@ -20,7 +20,7 @@ void Selector::measure_words(std::size_t node, std::span<std::uint64_t> bounds) 
   };
   bool any_lossless = false;
   for (std::size_t w = from; w < axes_; ++w) any_lossless |= lossless(node, w);
-  const std::optional<Integers> place = states_[node].tie_break ? std::nullopt : nodes_[node].place;
+  const std::optional<Integers> place = states_[node].replaced ? std::nullopt : nodes_[node].place;
   for (const Span& span : spans_of(node)) {
     const std::span<const QuantisedPoint> open = span.open();
     if (open.empty()) continue;
@@ -69,9 +69,9 @@ void Selector::next_word() {
   std::vector<std::size_t> measured;
   for (const std::size_t node : in_phase(Phase::next_word)) {
     State& state = states_[node];
-    if (!state.tie_break && state.lo == state.hi) state.uniform = state.lo;
+    if (!state.replaced && state.lo == state.hi) state.uniform = state.lo;
     // A single integer decides the word if it determines the coordinate.
-    const bool decided = state.tie_break ? state.shift == 0 : state.word == 0 && lossless(node, 0);
+    const bool decided = state.replaced ? state.shift == 0 : state.word == 0 && lossless(node, 0);
     if (state.lo == state.hi && decided) state.word += state.words;
     state.words = 1;
     CHECK(state.word < words_, "two particles have the same id");
@@ -111,7 +111,7 @@ void Selector::next_word() {
     const auto hi = [&] { return ~bounds[(m * words_ + state.word) * 2 + 1]; };
     note_place(measured[m], bounds.span().subspan(m * words_ * 2, words_ * 2));
     // All have one coordinate, hence one integer, which restore() can put back.
-    if (!state.tie_break && lo() == hi() && !lossless(measured[m], 0))
+    if (!state.replaced && lo() == hi() && !lossless(measured[m], 0))
       state.uniform = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
     while (lo() == hi()) {
       CHECK(state.word + 1 < words_, "two particles have the same id");
@@ -124,7 +124,7 @@ void Selector::next_word() {
 // If all open quantised points turn out to lie in one place, so do all of the node's that have their integers: a
 // quantised point that isn't open has another integer on the cut axis.
 void Selector::note_place(std::size_t node, std::span<const std::uint64_t> bounds) {
-  if (states_[node].word > 0 || states_[node].tie_break) return;
+  if (states_[node].word > 0 || states_[node].replaced) return;
   Integers place{};
   for (std::size_t w = 0; w < axes_; ++w) {
     const std::uint64_t value = bounds[2 * w];
@@ -162,7 +162,7 @@ void Selector::enter(std::size_t node, std::uint64_t lo, std::uint64_t hi) {
   state.rounds = 0;
   set_range(node, lo, hi);
   write_words(node);
-  state.tie_break = true;
+  state.replaced = true;
 }
 
 // The integers hold this word from here on, and its values lie in [lo, hi]. Kept ids count from the least of all.
@@ -211,9 +211,9 @@ void Selector::write_words(std::size_t node) {
   const std::size_t from = state.word < axes_ ? static_cast<std::size_t>(nodes_[node].axes[state.word]) : 0;
   note_pass(node, 2 * sizeof(QuantisedPoint) + (lossless(node, state.word) ? 0 : sizeof(double)));
   for (Span& span : spans_of(node)) {
-    if (!state.tie_break) {
-      span.tie_break = span.middle;
-      span.tie_break_last = span.upper;
+    if (!state.replaced) {
+      span.replaced = span.middle;
+      span.replaced_last = span.upper;
     }
     if (state.words == 2)
       write_both(span, axis, steps_of(node, state.word), steps_of(node, state.word + 1));
@@ -232,12 +232,12 @@ void Selector::write_words(std::size_t node) {
 // Puts the quantised coordinates of the cut axis back in place.
 void Selector::restore(std::size_t node) {
   const State& state = states_[node];
-  if (!state.tie_break || found_[node].ids_kept) return;
+  if (!state.replaced || found_[node].ids_kept) return;
   const std::size_t axis = axis_of(node);
   for (Span& span : spans_of(node)) {
     spent_.traffic.bytes += (2 * sizeof(QuantisedPoint) + (state.uniform ? 0 : sizeof(double))) *
-                            static_cast<std::size_t>(span.tie_break_last - span.tie_break);
-    for (QuantisedPoint& point : std::span(span.tie_break, span.tie_break_last)) {
+                            static_cast<std::size_t>(span.replaced_last - span.replaced);
+    for (QuantisedPoint& point : std::span(span.replaced, span.replaced_last)) {
       point.q[axis] = state.uniform ? *state.uniform : maps_[axis](particles_.position[axis][span.base + point.index]);
     }
   }

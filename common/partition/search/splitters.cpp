@@ -44,9 +44,9 @@ class SampleTree {
 ExpectedCut expect_cut(const SortedSample& sample, const SortedSample::Range& node, int axis, double share,
                        const SearchLimits& limits) {
   const auto n = static_cast<double>(node.size());
-  const double beside = limits.bracket_sigmas * std::sqrt(share * (1 - share) * n) + limits.bracket_margin;
-  const double least = std::floor(share * n - beside);
-  const double most = std::ceil(share * n + beside);
+  const double half_width = limits.bracket_sigmas * std::sqrt(share * (1 - share) * n) + limits.bracket_margin;
+  const double least = std::floor(share * n - half_width);
+  const double most = std::ceil(share * n + half_width);
   ExpectedCut expected{.axis = axis};
   if (least >= 0 && least < n) expected.least = sample.x(node, at(axis), static_cast<std::size_t>(least));
   if (most < n) expected.most = sample.x(node, at(axis), static_cast<std::size_t>(most));

@@ -13,7 +13,7 @@ namespace rcb::partition {
 
 // Where a node's cut is expected: across this axis, in [least, most].
 struct ExpectedCut {
-  int axis = -1;  // < 0: not known, since the node lies below the splitters
+  int axis = -1;  // < 0: not known: the tree has no such node, or too few sampled particles lie there
   double least = -geometry::Box::kInfinity;
   double most = geometry::Box::kInfinity;
   double likeliest = -geometry::Box::kInfinity;  // set by inner_regions() alone
