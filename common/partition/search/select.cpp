@@ -105,10 +105,7 @@ void Selector::start(std::size_t node) {
     return;
   }
   state.threshold = threshold_of(ask);
-  if (state.threshold == 0) {  // no weight at all: the left side takes nothing
-    state.phase = Phase::neighbour;
-    neighbours_.push_back({.node = node, .weighted_before_bound = false, .from_start = true, .bound = {}});
-  }
+  if (state.threshold == 0) find_next_key({.node = node});  // no weight at all: the left side takes nothing
 }
 
 void Selector::narrow_to_expected(std::size_t node) {

@@ -151,8 +151,7 @@ class Selector {
     std::size_t node = 0;
     // First backward: the last particle before `bound` that has weight becomes the bound.
     bool weighted_before_bound = false;
-    bool from_start = false;  // no bound: the node's first key is wanted
-    KeyWords bound{};
+    KeyWords bound{};  // less than any key: the node's first key is wanted
   };
 
   void start(std::size_t node);
@@ -207,8 +206,9 @@ class Selector {
   void pick_weighted(std::span<const Candidate> candidates);
   void find_next_key(const Neighbour& wanted);
   void find_neighbours();
-  // The key nearest to each bound: after it or, if backward, before it and with weight > 0. False where there is none.
-  std::vector<std::uint8_t> nearest(std::span<const Neighbour> wanted, bool backward, std::vector<KeyWords>& keys);
+  // The key nearest to each bound: after it or, if backward, before it and with weight > 0. Where there is none, the
+  // greatest key that there can be; if backward, the least. Collective.
+  std::vector<KeyWords> nearest(std::span<const Neighbour> wanted, bool backward);
   // Divides the open quantised points by the key found. Where it may lie outside of the bracket, all must be open
   // again.
   void divide(std::size_t node);

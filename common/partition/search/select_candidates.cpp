@@ -13,6 +13,10 @@ namespace {
 
 using Wide = boost::multiprecision::uint512_t;
 
+// No particle has these: the first word of a finite coordinate is neither 0 nor all ones.
+constexpr KeyWords kLeastKey{};
+constexpr KeyWords kGreatestKey{~std::uint64_t{0}, ~std::uint64_t{0}, ~std::uint64_t{0}, ~std::uint64_t{0}};
+
 }  // namespace
 
 void Selector::gather_candidates() {
@@ -98,8 +102,7 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     if (crossing + 1 < candidates.size())
       found.key = found.highest_relied_on = candidates[crossing + 1].key;
     else
-      find_next_key(
-          {.node = index, .weighted_before_bound = false, .from_start = false, .bound = candidates[crossing].key});
+      find_next_key({.node = index, .bound = candidates[crossing].key});
     return;
   }
   found.left_weight = before;
@@ -108,9 +111,9 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
     found.key = candidates[crossing].key;
     found.lowest_relied_on = candidates[crossing > 0 ? crossing - 1 : 0].key;
   } else if (state.weight_below == 0) {
-    find_next_key({.node = index, .weighted_before_bound = false, .from_start = true, .bound = {}});
+    find_next_key({.node = index});
   } else {
-    find_next_key({.node = index, .weighted_before_bound = true, .from_start = false, .bound = candidates[0].key});
+    find_next_key({.node = index, .weighted_before_bound = true, .bound = candidates[0].key});
   }
 }
 
@@ -121,28 +124,25 @@ void Selector::find_next_key(const Neighbour& wanted) {
 
 void Selector::find_neighbours() {
   if (neighbours_.empty()) return;
-  std::vector<KeyWords> keys;
   std::vector<Neighbour> backward;
   std::ranges::copy_if(neighbours_, std::back_inserter(backward), &Neighbour::weighted_before_bound);
   if (!backward.empty()) {
-    const std::vector<std::uint8_t> found = nearest(backward, true, keys);
-    std::size_t b = 0;
+    const std::vector<KeyWords> keys = nearest(backward, true);
+    auto key = keys.begin();
     for (Neighbour& neighbour : neighbours_) {
       if (!neighbour.weighted_before_bound) continue;
-      CutFound& cut = found_[neighbour.node];
-      CHECK(found[b] != 0 || nodes_[neighbour.node].below > 0, "weight lies below the bracket");
-      cut.failed = found[b] == 0;
-      neighbour.bound = cut.lowest_relied_on = keys[b++];
+      CHECK(*key != kLeastKey || nodes_[neighbour.node].below > 0, "weight lies below the bracket");
+      neighbour.bound = found_[neighbour.node].lowest_relied_on = *key++;
     }
   }
-  const std::vector<std::uint8_t> found = nearest(neighbours_, false, keys);
+  const std::vector<KeyWords> keys = nearest(neighbours_, false);
   for (std::size_t n = 0; n < neighbours_.size(); ++n) {
     const std::size_t node = neighbours_[n].node;
     CutFound& cut = found_[node];
-    cut.right_empty = found[n] == 0;
+    cut.right_empty = keys[n] == kGreatestKey;
     cut.key = keys[n];
     cut.highest_relied_on = std::max(cut.highest_relied_on, keys[n]);
-    if (neighbours_[n].from_start) {
+    if (neighbours_[n].bound == kLeastKey) {
       cut.lowest_relied_on = keys[n];
       cut.failed = nodes_[node].below > 0;
     }
@@ -155,43 +155,34 @@ void Selector::find_neighbours() {
   }
 }
 
-std::vector<std::uint8_t> Selector::nearest(std::span<const Neighbour> wanted, bool backward,
-                                            std::vector<KeyWords>& keys) {
-  std::vector<std::uint8_t> found(wanted.size(), 0);
-  keys.assign(wanted.size(), KeyWords{});
+std::vector<KeyWords> Selector::nearest(std::span<const Neighbour> wanted, bool backward) {
+  const KeyWords none = backward ? kLeastKey : kGreatestKey;
+  std::vector<KeyWords> keys(wanted.size(), none);
   const auto offer = [&](std::size_t n, const KeyWords& key) {
-    if (found[n] == 0 || (backward ? keys[n] < key : key < keys[n])) keys[n] = key;
-    found[n] = 1;
+    keys[n] = backward ? std::max(keys[n], key) : std::min(keys[n], key);
   };
   for (std::size_t n = 0; n < wanted.size(); ++n)
     for (const Span& span : spans_of(wanted[n].node))
       for (const QuantisedPoint& point : span.all()) {
         const std::size_t particle = span.base + point.index;
         const KeyWords key = key_words(wanted[n].node, particle);
-        if (backward ? key < wanted[n].bound && (*scale_)(particles_.weight[particle]) > 0
-                     : wanted[n].from_start || wanted[n].bound < key)
+        if (backward ? key < wanted[n].bound && (*scale_)(particles_.weight[particle]) > 0 : wanted[n].bound < key)
           offer(n, key);
       }
-  const std::size_t point = words_ + 1;
+  struct Found {
+    std::uint64_t n;
+    KeyWords key;
+  };
   const std::size_t group =
-      std::max<std::size_t>(kMessageWordsMax / (point * static_cast<std::size_t>(comm_.size())), 1);
-  const std::vector<std::uint8_t> found_here = found;
+      std::max<std::size_t>(kMessageBytesMax / (sizeof(Found) * static_cast<std::size_t>(comm_.size())), 1);
   for (std::size_t first = 0; first < wanted.size(); first += group) {
-    std::vector<std::uint64_t> mine;
-    for (std::size_t n = first; n < std::min(first + group, wanted.size()); ++n) {
-      if (found_here[n] == 0) continue;
-      mine.push_back(n);
-      mine.insert(mine.end(), keys[n].begin(), keys[n].begin() + static_cast<std::ptrdiff_t>(words_));
-    }
-    const auto all = comm::all_gather_few_values<std::uint64_t>(comm_, mine);
+    std::vector<Found> mine;
+    for (std::size_t n = first; n < std::min(first + group, wanted.size()); ++n)
+      if (keys[n] != none) mine.push_back({n, keys[n]});
+    for (const Found& found : comm::all_gather_few_values<Found>(comm_, mine)) offer(found.n, found.key);
     ++spent_.reductions;
-    for (std::size_t at = 0; at < all.size(); at += point) {
-      KeyWords key{};
-      for (std::size_t w = 0; w < words_; ++w) key[w] = all[at + 1 + w];
-      offer(all[at], key);
-    }
   }
-  return found;
+  return keys;
 }
 
 }  // namespace rcb::partition
