@@ -263,8 +263,7 @@ std::string wrong_with(const RandomScene& from) {
   if (from.guess > 0) {
     // Of any set; the guess and the brackets may be as bad as can be.
     const auto code = static_cast<std::uint64_t>(from.guess);
-    options.limits.guess = {0, 2, from.buckets ? 1 : 8, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0,
-                            0, 0};
+    options.limits.guess = {0, 2, from.buckets ? 1 : 8, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0, 0, 0};
     if (code % 4 == 0) options.limits.guess.tied_max = 1;
     options.limits.bracket_sigmas = code % 8 == 0 ? 1 : 0;
     options.limits.bracket_margin = code % 7 == 0 ? 1 : 0;
