@@ -24,7 +24,7 @@ struct ParticleView {
   const std::uint64_t* id_slot = nullptr;  // where each particle's id stands in `id`; null: in order
   const double* weight = nullptr;          // null: all weights are 1
 
-  Id id_of(std::size_t i) const { return id[id_slot == nullptr ? i : id_slot[i]]; }
+  const Id& id_of(std::size_t i) const { return id[id_slot == nullptr ? i : id_slot[i]]; }
   geometry::Point point(std::size_t i) const {
     geometry::Point p{};
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) p[a] = position[a][i];

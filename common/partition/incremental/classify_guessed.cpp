@@ -32,8 +32,7 @@ OwnInterior classify_guessed(const particles::ParticleView& particles, const Gue
   }
   // If it stopped early, the result will not be used, but the rest of `part` must be valid parts all the same. With
   // several roots they are.
-  if (!tables.below_root)
-    std::fill(part.begin() + static_cast<std::ptrdiff_t>(std::min(begin, part.size())), part.end(), 0);
+  if (!tables.below_root) std::ranges::fill(part.subspan(std::min(begin, part.size())), 0);
   boundary.finish(boundary_max);
   out.boxes.resize(at(guess.parts));
   out.counts.resize(at(guess.parts));

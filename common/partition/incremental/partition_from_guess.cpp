@@ -81,7 +81,7 @@ class FirstPartition {
                          .rule = first ? nullptr : &rule_,
                          .scale = scale_,
                          .interior = &*interior});
-    PartitionResult found = *builder.build();
+    PartitionResult found = builder.build().value();
     rule_ = builder.rule();
     for (std::size_t k = 0; k < own.part.size(); ++k) result_.part[own.slot[k]] = own.part[k];
     add(std::move(found));

@@ -111,7 +111,7 @@ class Repartitioning {
     } else {
       Start start;
       if (large) start = {.sample = SortedSample(large->sample), .stride = large->stride};
-      found = *TreeBuilder(comm_, particles_, options_, std::move(start)).build();
+      found = TreeBuilder(comm_, particles_, options_, std::move(start)).build().value();
       part = std::move(found.part);
     }
     tell_changes(part.span(), current_.part, [](std::size_t i) { return i; });

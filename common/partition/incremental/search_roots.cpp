@@ -33,9 +33,9 @@ std::optional<OwnInterior> copy_of_roots(const particles::ParticleView& particle
 PartitionResult search_roots(comm::Comm& comm, const particles::ParticleView& particles,
                              const PartitionOptions& options, Start start) {
   auto own = copy_of_roots(particles, start, options.parts);
-  if (!own) return *TreeBuilder(comm, particles, options, std::move(start)).build();
+  if (!own) return TreeBuilder(comm, particles, options, std::move(start)).build().value();
   const std::span<std::int32_t> part = std::exchange(start.part, own->part.span());
-  PartitionResult found = *TreeBuilder(comm, own->view(particles), options, std::move(start)).build();
+  PartitionResult found = TreeBuilder(comm, own->view(particles), options, std::move(start)).build().value();
   for (std::size_t k = 0; k < own->part.size(); ++k) part[own->slot[k]] = own->part[k];
   return found;
 }

@@ -83,8 +83,8 @@ class TreeBuilder {
   // Sets box_ and greatest_weight_. Collective (at most one reduction, and what own_box() costs; no reduction where the
   // roots' boxes or that of the boundary particles are known).
   void find_box();
-  // That of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with a
-  // sample (at most three gathers).
+  // The box of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with
+  // a sample (at most three gathers).
   geometry::Box own_box();
   bool sampled() const { return start_.stride > 0; }
   bool bucketed() const { return splitters_.has_value(); }

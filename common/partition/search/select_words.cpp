@@ -198,7 +198,7 @@ void Selector::write_ids(Span& span, std::size_t axis, const State& state) const
   constexpr std::size_t kAhead = 16;
   const std::span<QuantisedPoint> open = span.open();
   for (std::size_t i = 0; i < open.size(); ++i) {
-    if (i + kAhead < open.size()) __builtin_prefetch(particles_.id + span.base + open[i + kAhead].index);
+    if (i + kAhead < open.size()) __builtin_prefetch(&particles_.id_of(span.base + open[i + kAhead].index));
     const auto id = static_cast<std::uint64_t>(particles_.id_of(span.base + open[i].index));
     open[i].q[axis] = static_cast<std::int32_t>((id - state.base) >> state.shift);
   }

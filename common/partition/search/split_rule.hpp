@@ -29,14 +29,14 @@ class SplitRule {
 
   // The axis order of a node with these extents; nullopt if they leave it open. Local.
   std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;
-  // True once set_all() was called.
+  // True once the quotas are known.
   bool known() const { return !quota_prefix_.empty(); }
 
   // Without weights: the particles of parts [first, last) together.
   std::uint64_t quota(int first, int last) const {
     return quota_prefix_[static_cast<std::size_t>(last)] - quota_prefix_[static_cast<std::size_t>(first)];
   }
-  // The share of its left side in a node's load.
+  // The share of its left side in a node's load, rounded: for guesses, not for cuts.
   double left_share(const NodeRange& range) const;
   // The exact sizes of parts [first, last) together.
   u128 size(int first, int last) const {

@@ -51,7 +51,7 @@ class CutTree {
   int dims = 3;
   Method method = Method::rcb;
   int parts = 1;
-  std::vector<double> part_sizes;  // empty: equal; unequal ones belong to the encoding and the hash
+  std::vector<double> part_sizes;  // relative; empty, or all the same: equal parts
   std::vector<Cut> cuts;           // parts - 1, in preorder
 
   NodeRange root() const { return {0, 0, parts}; }

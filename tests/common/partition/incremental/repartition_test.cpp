@@ -288,5 +288,20 @@ TEST(Recut, FindsTheSmallestSubtreesThatHelp) {
   EXPECT_EQ(roots_of({110, 90, 100, 100}, 0.05, Method::bands_x), (Roots{{0, 4}}));
 }
 
+TEST(Repartition, BandsKeepTheirAxisBelowSomeRoots) {
+  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 2000, false, 3);
+  for (const Method method : {Method::bands_x, Method::bands_y, Method::bands_z})
+    on_ranks([&](comm::Comm& comm) {
+      const Share share = deal(scene, comm.rank(), comm.size(), 5);
+      RepartitionOptions options{.partition = {.method = method, .parts = 11}, .incremental = false};
+      const PartitionResult before = partition(comm, share.particles.view(), options.partition).value();
+      options.roots = {before.tree.root().left().left(), before.tree.root().right()};
+      const LoadSummary loads = summarise_loads(comm, share.particles.view(), before.part.span(), {}, 11);
+      const Repartition got =
+          repartition(comm, share.particles.view(), options, {before.tree, before.part.span(), loads, {0, 11}});
+      for (const Cut& cut : got.tree.cuts) EXPECT_EQ(cut.axes[0], *band_axis(method));
+    });
+}
+
 }  // namespace
 }  // namespace rcb::partition
