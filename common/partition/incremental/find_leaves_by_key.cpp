@@ -296,7 +296,7 @@ ByKey find_keys(const Tables& t, const Axes& x, const particles::Id* id, std::in
 
 // Which of the unsure particles lie in the box of the leaf that was found for them. Rounded coordinates can't tell that
 // of those on the box's faces.
-std::uint64_t in_own_boxes_one_by_one(const Tables& t, const Axes& x, const FoundLeaves& found) {
+std::uint64_t in_own_boxes(const Tables& t, const Axes& x, const FoundLeaves& found) {
   std::uint64_t in_box = 0;
   for (std::uint64_t still = found.unsure; still != 0; still &= still - 1) {
     const auto k = at(std::countr_zero(still));
@@ -306,35 +306,6 @@ std::uint64_t in_own_boxes_one_by_one(const Tables& t, const Axes& x, const Foun
     in_box |= std::uint64_t{in ? 1U : 0U} << k;
   }
   return in_box;
-}
-
-#if defined(__x86_64__)
-[[gnu::target(RCB_AVX512)]] std::uint64_t in_own_boxes_in_avx512(const Tables& t, const Axes& x,
-                                                                 const FoundLeaves& found) {
-  std::uint64_t in_box = 0;
-  for (std::size_t i = 0; i < kBlock; i += 8) {
-    auto in = static_cast<__mmask8>(found.unsure >> i);
-    if (in == 0) continue;
-    Words leaf = _mm512_maskz_set1_epi64(static_cast<__mmask8>(found.bits[0] >> i), 1);
-    leaf = _mm512_mask_or_epi64(leaf, static_cast<__mmask8>(found.bits[1] >> i), leaf, _mm512_set1_epi64(2));
-    leaf = _mm512_mask_or_epi64(leaf, static_cast<__mmask8>(found.bits[2] >> i), leaf, _mm512_set1_epi64(4));
-    for (std::size_t a = 0; a < x.size(); ++a) {
-      const __m512d value = _mm512_maskz_loadu_pd(in, x[a] + i);
-      const __m512d lo = _mm512_permutexvar_pd(leaf, _mm512_loadu_pd(t.sure_lo[a].data()));
-      const __m512d hi = _mm512_permutexvar_pd(leaf, _mm512_loadu_pd(t.sure_hi[a].data()));
-      in = _mm512_mask_cmp_pd_mask(_mm512_mask_cmp_pd_mask(in, value, lo, _CMP_GE_OQ), value, hi, _CMP_LE_OQ);
-    }
-    in_box |= std::uint64_t{in} << i;
-  }
-  return in_box;
-}
-#endif
-
-std::uint64_t in_own_boxes(const Tables& t, const Axes& x, const FoundLeaves& found) {
-#if defined(__x86_64__)
-  if (has_avx512()) return in_own_boxes_in_avx512(t, x, found);
-#endif
-  return in_own_boxes_one_by_one(t, x, found);
 }
 
 }  // namespace

@@ -132,17 +132,16 @@ class GhostSearch {
         ghost_differences_(at(parts) + 1, 0),
         neighbour_differences_(at(parts) + 1, 0) {}
 
-  bool run(const comm::GoOn& go_on, GhostCounts& counts) {
+  std::optional<GhostCounts> run(const comm::GoOn& go_on) {
     std::uint64_t done = 0;
     while (done < static_cast<std::uint64_t>(parts_)) {
-      if (!go_on()) return false;
+      if (!go_on()) return std::nullopt;
       advance();
       done = static_cast<std::uint64_t>(turn_);
       comm_.all_min({&done, 1});
       count_finished_owners(static_cast<std::int32_t>(done));
     }
-    finish(counts);
-    return true;
+    return finish();
   }
 
  private:
@@ -199,7 +198,8 @@ class GhostSearch {
 
   // Prefix sums give counts. A part is near its own particles, too: these are no ghosts, and it is not its own
   // neighbour.
-  void finish(GhostCounts& counts) {
+  GhostCounts finish() {
+    GhostCounts counts;
     counts.ghosts.resize(at(parts_));
     std::vector<std::uint64_t> neighbours(at(parts_));
     std::uint64_t ghosts = 0;
@@ -215,6 +215,7 @@ class GhostSearch {
     comm_.broadcast(std::as_writable_bytes(std::span(neighbours)), 0);
     for (std::size_t p = 0; p < at(parts_); ++p)
       counts.neighbours.push_back(static_cast<std::int32_t>(neighbours[p] - (own[p] > 0 ? 1 : 0)));
+    return counts;
   }
 
   comm::Comm& comm_;
@@ -236,10 +237,11 @@ class GhostSearch {
 
 }  // namespace
 
-bool count_ghosts(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                  int parts, double width, const comm::GoOn& go_on, GhostCounts& counts, const GhostLimits& limits) {
+std::optional<GhostCounts> count_ghosts(comm::Comm& comm, const particles::ParticleView& particles,
+                                        std::span<const std::int32_t> part, int parts, double width,
+                                        const comm::GoOn& go_on, const GhostLimits& limits) {
   CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
-  return GhostSearch(comm, particles, part, parts, width, limits).run(go_on, counts);
+  return GhostSearch(comm, particles, part, parts, width, limits).run(go_on);
 }
 
 }  // namespace rcb::partition

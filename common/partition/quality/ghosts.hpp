@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -18,7 +19,8 @@
 namespace rcb::partition {
 
 struct GhostCounts {
-  std::vector<std::uint64_t> ghosts;     // per part: particles of other parts within the width (maximum norm)
+  // Per part: particles of other parts within the width (maximum norm) of the box of its particles.
+  std::vector<std::uint64_t> ghosts;
   std::vector<std::int32_t> neighbours;  // per part: how many parts own those
 };
 
@@ -27,10 +29,10 @@ struct GhostLimits {
   std::size_t pending_max = std::size_t{1} << 19U;       // ranges of parts that a rank keeps while other ranks catch up
 };
 
-// False if go_on said no: `counts` is then meaningless. Collective.
+// nullopt if go_on said no. Collective.
 //   part  [particles.count], 0 .. parts - 1
-bool count_ghosts(comm::Comm& comm, const particles::ParticleView& particles, std::span<const std::int32_t> part,
-                  int parts, double width, const comm::GoOn& go_on, GhostCounts& counts,
-                  const GhostLimits& limits = {});
+std::optional<GhostCounts> count_ghosts(comm::Comm& comm, const particles::ParticleView& particles,
+                                        std::span<const std::int32_t> part, int parts, double width,
+                                        const comm::GoOn& go_on, const GhostLimits& limits = {});
 
 }  // namespace rcb::partition

@@ -92,10 +92,9 @@ std::optional<Quality> quality(comm::Comm& comm, const particles::ParticleView& 
   std::uint64_t count = particles.count;
   comm.all_sum({&count, 1});
   result.ghost_width = ghost_width ? *ghost_width : default_ghost_width(result.bounds, count, particles.dims);
-  GhostCounts counts;
-  if (!count_ghosts(comm, particles, part, parts, result.ghost_width, go_on, counts)) return std::nullopt;
-  result.ghosts = std::move(counts.ghosts);
-  result.neighbours = std::move(counts.neighbours);
+  auto counts = count_ghosts(comm, particles, part, parts, result.ghost_width, go_on);
+  if (!counts) return std::nullopt;
+  static_cast<GhostCounts&>(result) = *std::move(counts);
   if (tree != nullptr) Interfaces(*tree, result.bounds, result);
   return result;
 }

@@ -15,12 +15,9 @@
 
 namespace rcb::partition {
 
-struct Quality {
+struct Quality : GhostCounts {
   double ghost_width = 0;
   geometry::Box bounds;                     // of all particles
-  std::vector<std::uint64_t> ghosts;        // per part: particles of other parts within ghost_width (max norm)
-                                            // of the bounding box of the part's particles
-  std::vector<std::int32_t> neighbours;     // per part: how many parts own those ghosts
   std::optional<double> interface_area;     // common faces of regions clipped to `bounds`; nullopt without
                                             // a cut tree. In 2-D a length, in 1-D a number of points. A face
                                             // between two parts counts once here and once for each of them below

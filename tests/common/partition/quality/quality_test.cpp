@@ -121,15 +121,16 @@ TEST(Ghosts, AreCountedInRoundsThatCanBeGivenUp) {
     for (const double width : {0.0, 0.02, 10.0}) {
       const Expected expected = by_all_pairs(scene, part_of_row, kParts, width);
       int asked = 0;
-      GhostCounts counts;
-      ASSERT_TRUE(count_ghosts(comm, share.particles.view(), part, kParts, width, [&] { return ++asked > 0; }, counts,
-                               {.round_visits = 1, .pending_max = 1}));
-      EXPECT_EQ(counts.ghosts, expected.ghosts);
-      EXPECT_EQ(counts.neighbours, expected.neighbours);
+      const GhostLimits limits{.round_visits = 1, .pending_max = 1};
+      const auto counts = count_ghosts(
+          comm, share.particles.view(), part, kParts, width, [&] { return ++asked > 0; }, limits);
+      ASSERT_TRUE(counts);
+      EXPECT_EQ(counts->ghosts, expected.ghosts);
+      EXPECT_EQ(counts->neighbours, expected.neighbours);
       EXPECT_GE(asked, static_cast<int>(scene.count()) / comm.size());
       int left = 5;
-      EXPECT_FALSE(count_ghosts(comm, share.particles.view(), part, kParts, width, [&] { return --left > 0; }, counts,
-                                {.round_visits = 1, .pending_max = 1}));
+      EXPECT_FALSE(count_ghosts(
+          comm, share.particles.view(), part, kParts, width, [&] { return --left > 0; }, limits));
       EXPECT_EQ(left, 0);
     }
   });
@@ -144,14 +145,14 @@ TEST(Ghosts, OfAnyWidthCostNoMore) {
     std::vector<std::int32_t> part;
     for (const std::size_t row : share.row) part.push_back(static_cast<std::int32_t>(row % kParts));
     int rounds = 0;
-    GhostCounts counts;
-    ASSERT_TRUE(count_ghosts(comm, share.particles.view(), part, kParts, 1e300, [&] { return ++rounds > 0; }, counts,
-                             {.round_visits = 20000}));
+    const auto counts = count_ghosts(comm, share.particles.view(), part, kParts, 1e300, [&] { return ++rounds > 0; },
+                                     {.round_visits = 20000});
+    ASSERT_TRUE(counts);
     EXPECT_LE(rounds, 3);
     std::vector<std::uint64_t> all_but_own(kParts, 20000 - 1);
     std::fill_n(all_but_own.begin(), 20000 - kParts, 20000 - 2);  // these parts have two
-    EXPECT_EQ(counts.ghosts, all_but_own);
-    EXPECT_EQ(counts.neighbours, std::vector<std::int32_t>(kParts, kParts - 1));
+    EXPECT_EQ(counts->ghosts, all_but_own);
+    EXPECT_EQ(counts->neighbours, std::vector<std::int32_t>(kParts, kParts - 1));
   });
 }
 
