@@ -22,6 +22,20 @@ void add_scene_name(CLI::App& command, std::string& name) {
   add_value(command, "NAME", name, kind::text("NAME"), "the scene")->required();
 }
 
+void add_scene_options(CLI::App& command, client::SceneOptions& scene) {
+  add_value(command, "--method", scene.method, kind::method(), "rcb, bands-x, bands-y or bands-z")
+      ->capture_default_str();
+  add_value(command, "--tolerance", scene.tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
+  add_value(command, "--axis-hysteresis", scene.axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
+      ->capture_default_str();
+  add_value(command, "--cut-tolerance", scene.cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
+      ->capture_default_str();
+  add_value(command, "--policy", scene.policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(command, "--recut", scene.recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_list(command, "--part-sizes", scene.part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
+  command.add_flag("--replace", scene.replace, "drop a scene of that name first");
+}
+
 Status check_endpoint(const Context& context) {
   if (context.endpoint.empty()) return {};
   if (context.endpoint.starts_with(client::kFilePrefix)) return {};  // the file is read when it is needed

@@ -72,6 +72,8 @@ Added<Options> add_command(CLI::App& parent, Context& context, const CommandText
 
 // Adds the argument NAME of a command on a scene.
 void add_scene_name(CLI::App& command, std::string& name);
+// Adds the options of a scene that is to be made, except for --parts and --dims.
+void add_scene_options(CLI::App& command, client::SceneOptions& scene);
 
 // One function for each family of commands.
 void add_service_commands(CLI::App& app, Context& context);    // up, down

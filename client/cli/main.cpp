@@ -21,9 +21,10 @@ namespace {
 constexpr const char* kFooter = R"(rcbctl COMMAND --help tells what each command takes.
 
 Environment:
-  RCBD_ENDPOINT  the service: unix:PATH, HOST:PORT or file:PATH (--endpoint wins)
-  RCBD_BIN_DIR   where rcbd is
-  NO_COLOR       no colours
+  RCBD_ENDPOINT    the service: unix:PATH, HOST:PORT or file:PATH (--endpoint wins)
+  RCBD_TOKEN_FILE  the service's token, for one over TCP that runs on another machine; RCBD_TOKEN: the token itself
+  RCBD_BIN_DIR     where rcbd is
+  NO_COLOR         no colours
 
 Exit codes: 0 done; 1 the service refused or failed; 2 wrong usage; 3 no service reachable; 4 not authorised;
 5 a deadline passed.

@@ -40,6 +40,7 @@ std::string telling_lines(const std::string& text) {
   std::vector<std::string> of_mpirun;  // its first message: later ones tell what came of it
   int rules = 0;
   for (std::string line; std::getline(in, line);) {
+    if (line.ends_with('\r')) line.pop_back();
     if (is_rule(line)) {
       ++rules;
       continue;
@@ -48,7 +49,7 @@ std::string telling_lines(const std::string& text) {
     if ((in_frame && rules > 1) || (!in_frame && is_sequel(line))) continue;
     std::vector<std::string>& lines = in_frame ? of_mpirun : own;
     // All ranks tend to write the same line.
-    if (line.find_first_not_of(" \t\r") != std::string::npos &&
+    if (line.find_first_not_of(" \t") != std::string::npos &&
         std::find(lines.begin(), lines.end(), line) == lines.end())
       lines.push_back(line);
   }

@@ -76,6 +76,7 @@ class Supervisor {
   void drain() { events_.drain(keep_output_); }
   // Adds what the job has said last.
   std::string with_tail(const std::string& text);
+  std::string hosts_hint() const;
   void tell_state(double start_at_unix);
   void notify(const Status& status);
 
@@ -204,7 +205,8 @@ Status Supervisor::await_first_answer(Job& job) {
       if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");
       return {Code::aborted, with_tail(fmt::format("the service ended ({})", end->text)),
-              (by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "") + log_hint("the whole log")};
+              (by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "") + hosts_hint() +
+                  log_hint("the whole log")};
     }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && ask_service(job, kProbeDeadlineSeconds) == Answer::heard) return {};
@@ -217,6 +219,12 @@ Status Supervisor::await_first_answer(Job& job) {
 // The log of a service for one command is removed with it.
 std::string Supervisor::log_hint(const char* name) const {
   return options_.embedded ? "a service that rcbctl up starts keeps its log" : fmt::format("{}: {}", name, log_.path());
+}
+
+// Whether processes can be started on other machines at all, mpirun alone tells soonest.
+std::string Supervisor::hosts_hint() const {
+  const std::string& list = options_.hosts.list;
+  return list.empty() ? "" : fmt::format("does 'mpirun --host {} hostname' work? ", list);
 }
 
 // Watches and restarts the service until it has ended for good.

@@ -37,16 +37,16 @@ enum class Path { automatic, shared, direct, gateway };
 struct ConnectOptions {
   // unix:PATH, HOST:PORT or file:PATH (what `rcbctl up --publish` writes); empty: RCBD_ENDPOINT, else the default
   // socket, else 127.0.0.1:7470.
-  std::string endpoint;
+  std::string endpoint{};
   double deadline_seconds = 5;  // for connecting and saying hello
   std::string name = "rcb client";
   // TCP only; empty: RCBD_TOKEN, else the file RCBD_TOKEN_FILE, else, for a service on this machine, the token in its
   // data directory.
-  std::string token;
+  std::string token{};
   Path path = Path::automatic;
   // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. May be
   // empty. It must not throw, nor call the client.
-  std::function<void(const std::string&)> on_notice;
+  std::function<void(const std::string&)> on_notice{};
   // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
   // again; if false, one new connection is tried, and a lost scene is an error.
   bool outlive = true;
@@ -61,7 +61,7 @@ struct SceneOptions {
   double cut_tolerance = 0;          // 0 to 1: how far a part may be off its target, as a fraction of it; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
   std::string recut = "all";         // or "subtree": a repartition recuts only what the error requires
-  std::vector<double> part_sizes;    // [parts] > 0, in no unit: the share of each; empty: equal shares
+  std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 
@@ -100,9 +100,9 @@ struct Positions {
 
 // Particles that a step adds.
 struct Insertion {
-  Positions positions;                // [count], by rows or axes; double or float32, as those of the step
-  std::span<const std::int64_t> ids;  // [count], distinct, not in the scene; empty: the service chooses them
-  std::span<const double> weights;    // [count] if the scene has weights, else empty
+  Positions positions{};                // [count], by rows or axes; double or float32, as those of the step
+  std::span<const std::int64_t> ids{};  // [count], distinct, not in the scene; empty: the service chooses them
+  std::span<const double> weights{};    // [count] if the scene has weights, else empty
 };
 
 struct StepReport {
@@ -140,8 +140,8 @@ struct StepReport {
 // Selects step reports of a scene. Neither given: all. `first` alone: that many of the oldest. `last` alone: that many
 // of the newest. Both: the oldest `first` among the newest `last`.
 struct HistoryRange {
-  std::optional<std::uint64_t> first;
-  std::optional<std::uint64_t> last;
+  std::optional<std::uint64_t> first{};
+  std::optional<std::uint64_t> last{};
 };
 
 struct HistoryRead {
@@ -157,21 +157,21 @@ struct PartChange {
 };
 
 struct StepOptions {
-  std::optional<std::int64_t> step;  // default: the last step + 1; 0 for the first
+  std::optional<std::int64_t> step{};  // default: the last step + 1; 0 for the first
   // [count], distinct, >= 0; empty: 0..count-1. To be given at the scene's first push, and at the first step of a Scene
   // that was opened when the scene already had ids given by a solver; later they may be left out.
-  std::span<const std::int64_t> ids;
+  std::span<const std::int64_t> ids{};
   // [count]; empty: the scene has none, or they are unchanged. Whether a scene has weights is decided by its first
   // push, which must bring at least one particle for it.
-  std::span<const double> weights;
+  std::span<const double> weights{};
   // Computing time of the solver since its last push, on its slowest process; the policy "cost" decides by it.
-  std::optional<double> step_seconds;
+  std::optional<double> step_seconds{};
   // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged
   // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, and until this
   // Scene has had its first answer, all rows are sent. Not with positions in the order of the plan, nor with new
   // weights.
-  std::optional<std::span<const std::uint64_t>> moved;
-  std::span<const std::int64_t> removed;  // ids, distinct, of particles in the scene
+  std::optional<std::span<const std::uint64_t>> moved{};
+  std::span<const std::int64_t> removed{};  // ids, distinct, of particles in the scene
   const Insertion* inserted = nullptr;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes

@@ -38,18 +38,18 @@ struct MemberOptions {
 };
 
 struct MemberStepOptions {
-  std::optional<std::int64_t> step;  // default: the scene's last step + 1; 0 for the first
-  std::span<const double>
-      weights;  // [count]; empty: none, or unchanged. Either all members that bring particles give them, or none
-  std::optional<double> step_seconds;  // computing time of this member since its last push
+  std::optional<std::int64_t> step{};  // default: the scene's last step + 1; 0 for the first
+  // [count]; empty: none, or unchanged. Either all members that bring particles give them, or none.
+  std::span<const double> weights{};
+  std::optional<double> step_seconds{};  // computing time of this member since its last push
   // Rows that moved since this member's last step, distinct, in any order: the positions of the others are unchanged
   // and need not be sent. Not given: all. All are sent nevertheless with new weights, where the service can't build on
   // that step, and without `follow`: then the service knows a member's particles only from what it sends.
-  std::optional<std::span<const std::uint64_t>> moved;
+  std::optional<std::span<const std::uint64_t>> moved{};
   bool unmoved = false;  // no particle has moved: as an empty `moved`
   // Particles among `ids` that go with this step, and new ones that come. Members that insert in the same step either
   // all give ids, or none does.
-  std::span<const std::int64_t> removed;  // ids, distinct
+  std::span<const std::int64_t> removed{};  // ids, distinct
   const Insertion* inserted = nullptr;
   bool want_changes = false;  // fill MemberStep::changes
   double deadline_seconds = 60;

@@ -96,10 +96,7 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOp
         ->default_str(fmt::format("{}", *program.numbers[k].value))
         ->group("Physics");
   app.set_version_flag("--version", program.name + " " + program.version);
-  app.footer(
-      "Exit codes: 0 done, 1 the service or the physics failed, 2 wrong usage, 3 no service reachable,\n"
-      "4 not authorised, 5 a deadline passed.\n"
-      "Start a service first with: rcbctl up");
+  app.footer(kFooter);
 }
 
 Status wrong(const std::string& option, const Status& why) {

@@ -66,6 +66,12 @@ Status flush_output();
 // Prints on stderr what a push waits for, in place of the progress line if there is one.
 void say_notice(const std::string& program, const std::string& text);
 
+// The end of each solver's --help.
+inline constexpr const char* kFooter =
+    "Exit codes: 0 done, 1 the service or the physics failed, 2 wrong usage, 3 no service reachable,\n"
+    "4 not authorised, 5 a deadline passed.\n"
+    "Start a service first with: rcbctl up";
+
 // Options that a solver of several processes has too: --endpoint and --trajectory; --no-outlive.
 void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajectory);
 void add_outlive_option(CLI::App& app, bool& outlive);

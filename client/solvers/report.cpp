@@ -78,7 +78,9 @@ std::string summary(const Program& program, const RunOptions& options, double in
   std::string text = fmt::format("{}: {} points, {} steps of {:g} s in {} substeps", program.name, options.points,
                                  options.steps, interval, record.substeps);
   if (!options.no_service) {
-    text += fmt::format(", scene {} in {} parts, tolerance {:g}", options.scene, options.parts, options.tolerance);
+    const int last = record.reports.empty() ? options.parts : record.reports.back().parts;
+    text += fmt::format(", scene {} in {} parts{}, tolerance {:g}", options.scene, options.parts,
+                        last == options.parts ? "" : fmt::format(" ({} at the end)", last), options.tolerance);
     if (options.policy != RunOptions{}.policy) text += ", policy " + options.policy;
   }
   text += '\n';

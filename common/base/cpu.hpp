@@ -6,6 +6,14 @@
 
 namespace rcb {
 
+// True if RCBD_CPU names instructions that there are to choose from, or isn't set.
+inline bool cpu_is_known() {
+  const char* const named = std::getenv("RCBD_CPU");
+  const std::string_view name = named == nullptr ? "" : named;
+  return name.empty() || name == "baseline" || name == "avx2";
+}
+inline constexpr std::string_view kUnknownCpu = "RCBD_CPU is neither baseline nor avx2";
+
 #if defined(__x86_64__)
 enum class InstructionSet { baseline, avx2, avx512 };
 

@@ -41,18 +41,27 @@ class Handle {
 // HDF5 prints every error to stderr unless told not to, in each thread.
 void silence() { H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr); }
 
-herr_t note_link(hid_t, const char* name, const H5L_info_t*, void* names) {
+struct Contents {
+  std::vector<std::string> datasets;
+  int links = 0;  // looked at
+};
+
+herr_t note_dataset(hid_t file, const char* name, const H5L_info_t* link, void* contents) {
   constexpr std::size_t kNamesMax = 12;
-  auto& list = *static_cast<std::vector<std::string>*>(names);
-  list.push_back("/" + io::shown(name));
-  return list.size() < kNamesMax ? 0 : 1;
+  constexpr int kLinksMax = 1000;
+  auto& found = *static_cast<Contents*>(contents);
+  if (++found.links > kLinksMax) return 1;
+  if (link->type != H5L_TYPE_HARD) return 0;  // others may lead anywhere
+  const Handle object(H5Oopen(file, name, H5P_DEFAULT), H5Oclose);
+  if (object.ok() && H5Iget_type(object.id()) == H5I_DATASET) found.datasets.push_back("/" + io::shown(name));
+  return found.datasets.size() < kNamesMax ? 0 : 1;
 }
 
 std::string what_it_has(hid_t file, const ReadOptions& options) {
   if (options.below != nullptr) return "name one that it has";
-  std::vector<std::string> names;
-  H5Literate(file, H5_INDEX_NAME, H5_ITER_INC, nullptr, note_link, &names);
-  return names.empty() ? "it is empty" : fmt::format("it has {}", fmt::join(names, ", "));
+  Contents found;
+  H5Lvisit(file, H5_INDEX_NAME, H5_ITER_INC, note_dataset, &found);
+  return found.datasets.empty() ? "it has no datasets" : fmt::format("it has {}", fmt::join(found.datasets, ", "));
 }
 
 // Refuses links to other files, which may lie anywhere.

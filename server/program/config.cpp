@@ -4,8 +4,10 @@
 #include <sstream>
 
 #include <CLI/CLI.hpp>
+#include <fmt/format.h>
 
 #include "common/base/byte_size.hpp"
+#include "common/base/cpu.hpp"
 #include "common/files/paths.hpp"
 #include "server/service/scene/no_skip.hpp"
 
@@ -48,6 +50,7 @@ void add_options(CLI::App& app, Config& config) {
   app.set_version_flag("--version", "rcbd " RCB_VERSION);
   app.set_config("--config", "", "configuration file: the options below without dashes, as name = value")
       ->envname("RCBD_CONFIG");
+  app.allow_config_extras(CLI::config_extras_mode::error);
   app.add_option("--socket", config.socket,
                  "Unix socket to listen on [default without --listen: " + default_socket_path() + "]")
       ->envname("RCBD_SOCKET")
@@ -124,6 +127,17 @@ void add_options(CLI::App& app, Config& config) {
 
 }  // namespace
 
+namespace {
+
+ParsedConfig refuse(const std::string& message) {
+  ParsedConfig refused;
+  refused.exit_code = 2;
+  refused.error = fmt::format("rcbd: {}\n  rcbd --help lists the options, and the variable of each\n", message);
+  return refused;
+}
+
+}  // namespace
+
 ParsedConfig parse_config(int argc, const char* const* argv) {
   ParsedConfig parsed;
   CLI::App app("rcbd, a partitioning service for particle codes", "rcbd");
@@ -133,15 +147,21 @@ ParsedConfig parse_config(int argc, const char* const* argv) {
   add_options(app, parsed.config);
   try {
     app.parse(argc, argv);
-  } catch (const CLI::ParseError& fault) {
+  } catch (const CLI::Success& asked) {
     std::ostringstream out;
-    std::ostringstream error;
-    const int code = app.exit(fault, out, error);
+    app.exit(asked, out, out);
     parsed.out = out.str();
-    parsed.error = error.str();
-    parsed.exit_code = code == 0 ? 0 : 2;
     return parsed;
+  } catch (const CLI::ConfigError& fault) {
+    constexpr std::string_view kBefore = "INI was not able to parse ";
+    const std::string_view text = fault.what();
+    return refuse(text.starts_with(kBefore)
+                      ? fmt::format("the configuration file has '{}', which is no option", text.substr(kBefore.size()))
+                      : fmt::format("the configuration file: {}", text));
+  } catch (const CLI::ParseError& fault) {
+    return refuse(fault.what());
   }
+  if (!cpu_is_known()) return refuse(std::string(kUnknownCpu));
   if (parsed.config.socket.empty() && parsed.config.listen.empty()) parsed.config.socket = default_socket_path();
   complete_file_options(parsed.config);
   parsed.run = true;

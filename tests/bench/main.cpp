@@ -130,23 +130,24 @@ void add_options(CLI::App& command, Options& options) {
   command.add_option("--json", options.json, "write the result to this file");
 }
 
-std::string footer() {
+std::string scene_list() {
   std::string text = "Scenes:\n";
   for (const SceneKind& kind : scene_kinds())
     text += fmt::format("  {:<16} {}; {} points\n", kind.name, kind.what, kind.points);
-  return text +
-         "\nExamples:\n"
-         "  rcb_bench static --json static.json --figure static.svg\n"
-         "  rcb_bench static --scenes uniform,offset --parts 8 --ranks 2\n"
-         "  rcb_bench static --ranks 2 --parts 8,64 --methods rcb --cut-tolerances 0 --points 1e6,2e6,4e6,8e6,16e6\n"
-         "  rcb_bench scaling --json scaling.json\n"
-         "  rcb_bench dynamic --json dynamic.json --figure dynamic.svg\n"
-         "  rcb_bench step --json step.json\n"
-         "  rcb_bench memory --points 10000000 --ranks 2 --json memory.json\n"
-         "  rcb_bench skips --json skips.json\n"
-         "  rcb_bench drift --json drift.json\n"
-         "  rcb_bench idle --ranks 8\n"
-         "  rcb_bench hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json\n";
+  return text + '\n';
+}
+
+// The examples of one subcommand; empty: of all.
+std::string examples(const std::string& subcommand) {
+  std::string text = "Examples:\n";
+  for (const std::string line :
+       {"static --json static.json --figure static.svg", "static --scenes uniform,offset --parts 8 --ranks 2",
+        "static --ranks 2 --parts 8,64 --methods rcb --cut-tolerances 0 --points 1e6,2e6,4e6,8e6,16e6",
+        "scaling --json scaling.json", "dynamic --json dynamic.json --figure dynamic.svg", "step --json step.json",
+        "memory --points 10000000 --ranks 2 --json memory.json", "skips --json skips.json", "drift --json drift.json",
+        "idle --ranks 8", "hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json"})
+    if (line.starts_with(subcommand)) text += "  rcb_bench " + line + '\n';
+  return text;
 }
 
 int drive(int argc, char** argv) {
@@ -154,7 +155,7 @@ int drive(int argc, char** argv) {
                "rcb_bench");
   app.set_version_flag("--version", std::string("rcb_bench " RCB_VERSION " (" RCB_COMMIT "), " + describe_peers()));
   app.require_subcommand(1);
-  app.footer(footer());
+  app.footer(scene_list() + examples(""));
   Options of_static, of_scaling;
   of_static.parts = {8, 64, 1024};
   of_static.methods = kMethods;
@@ -187,6 +188,11 @@ int drive(int argc, char** argv) {
   const auto* idle = add_idle(app, of_idle);
   HostsOptions of_hosts;
   const auto* hosts = add_hosts(app, of_hosts);
+  for (CLI::App* subcommand : app.get_subcommands({})) {
+    const std::string name = subcommand->get_name();
+    const bool of_scenes = name == "static" || name == "scaling" || name == "drift";
+    subcommand->footer((of_scenes ? scene_list() : "") + examples(name));
+  }
   return run_program(app, argc, argv, [&] {
     if (hosts->parsed()) return run_hosts(of_hosts, start_document("hosts", of_hosts.repeats));
     if (idle->parsed()) return run_idle(of_idle, start_document("idle", 1));

@@ -2,13 +2,15 @@
 
 #include <cstdio>
 
+#include "common/base/cpu.hpp"
+
 namespace rcb::bench {
 
 int run_program(CLI::App& app, int argc, char** argv, const std::function<Status()>& run) {
   Status status;
   try {
     app.parse(argc, argv);
-    status = run();
+    status = cpu_is_known() ? run() : Status(Code::usage, std::string(kUnknownCpu));
   } catch (const CLI::Success& done) {
     return app.exit(done);
   } catch (const CLI::ParseError& error) {

@@ -222,7 +222,8 @@ class Replay {
 
   Status open(client::Client& client, const io::Points& points) {
     client::SceneOptions scene = options_.scene;
-    scene.parts = parts_ = options_.parts.value_or(client.ranks());
+    const int parts = scene.part_sizes.empty() ? client.ranks() : static_cast<int>(scene.part_sizes.size());
+    scene.parts = parts_ = options_.parts.value_or(parts);
     scene.dims = points.dims;
     if (Status status = client.create_scene(options_.name, scene); !status) return status;
     auto opened = client.open_scene(options_.name);
@@ -304,13 +305,9 @@ void add_push_commands(CLI::App& app, Context& context) {
             "one file per step, or a .npy of shape (steps, n, dims)")
       ->required()
       ->expected(-1);
-  replays.add_flag("--replace", replayed.scene.replace, "drop a scene of that name first");
-  add_value(replays, "--parts", replayed.parts, kind::part_count(), "number of parts (default: one per rank)");
-  add_value(replays, "--tolerance", replayed.scene.tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
-  add_value(replays, "--axis-hysteresis", replayed.scene.axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
-      ->capture_default_str();
-  add_value(replays, "--policy", replayed.scene.policy, kind::policy(), kPolicyHelp)->capture_default_str();
-  add_value(replays, "--recut", replayed.scene.recut, kind::recut(), kRecutHelp)->capture_default_str();
+  add_value(replays, "--parts", replayed.parts, kind::part_count(),
+            "number of parts (default: one for each of --part-sizes, else one per rank)");
+  add_scene_options(replays, replayed.scene);
   add_value(replays, "--step-seconds", replayed.step_seconds, kind::number_from_zero("SECONDS"),
             std::string(kStepSecondsHelp) + "; the same at each step");
   add_value(replays, "--dims", replayed.file.dims, kind::dimensions(), kDimsHelp);

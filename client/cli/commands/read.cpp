@@ -75,8 +75,8 @@ Status print_stats(client::Client& client, const ReadOptions& options, const Jso
   Facts facts;
   facts.add("scene", fmt::format("{}: {} points in {}-D, {} parts by {}", options.name, text_of(*shown, "n"),
                                  text_of(*shown, "dims"), text_of(*shown, "parts"), text_of(*shown, "method")));
-  facts.add("steps", fmt::format("{}, the last numbered {}; {} repartition{}, epoch {}", text_of(reply, "steps"),
-                                 text_of(*shown, "step"), text_of(reply, "repartitions"),
+  facts.add("steps", fmt::format("{}, the last numbered {}; {} repartition{} by steps, epoch {}",
+                                 text_of(reply, "steps"), text_of(*shown, "step"), text_of(reply, "repartitions"),
                                  reply.at("repartitions") == 1 ? "" : "s", text_of(*shown, "epoch")));
   facts.add("error", fmt::format("{} (tolerance {}), imbalance {}", text_of(*shown, "error"),
                                  text_of(*shown, "tolerance"), text_of(*shown, "imbalance")));

@@ -83,17 +83,7 @@ void add_scene_commands(CLI::App& app, Context& context) {
   add_value(creation, "NAME", options.name, kind::text("NAME"), "1 to 64 of letters, digits, . _ -")->required();
   add_value(creation, "--parts", made.parts, kind::part_count(), "number of parts")->required();
   add_value(creation, "--dims", made.dims, kind::dimensions(), "1, 2 or 3 dimensions")->capture_default_str();
-  add_value(creation, "--method", made.method, kind::method(), "rcb, bands-x, bands-y or bands-z")
-      ->capture_default_str();
-  add_value(creation, "--tolerance", made.tolerance, kind::tolerance(), kToleranceHelp)->capture_default_str();
-  add_value(creation, "--axis-hysteresis", made.axis_hysteresis, kind::number_from_one("H"), kHysteresisHelp)
-      ->capture_default_str();
-  add_value(creation, "--cut-tolerance", made.cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
-      ->capture_default_str();
-  add_value(creation, "--policy", made.policy, kind::policy(), kPolicyHelp)->capture_default_str();
-  add_value(creation, "--recut", made.recut, kind::recut(), kRecutHelp)->capture_default_str();
-  add_list(creation, "--part-sizes", made.part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
-  creation.add_flag("--replace", made.replace, "drop a scene of that name first");
+  add_scene_options(creation, made);
 
   add_command(*scene, context, {"list", "All scenes", "  rcbctl scene list --json"}, [&context] {
     return ask_and_show(context, "scene.list", Json::object(),

@@ -246,15 +246,19 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
 
 int run_on(MpiCores& cores, int argc, char** argv) {
   CLI::App app(
-      "The submarine slope of `slope` on several processes: mpirun -n 4 slope_mpi. Each is a member of the scene and\n"
-      "holds the points of its own parts; the service's reports say which points they hand over.");
+      "The submarine slope of `slope` on several processes. Each is a member of the scene and holds the points of its\n"
+      "own parts; the service's reports say which points they hand over:\n"
+      "  mpirun --oversubscribe -n 4 slope_mpi        (as root also --allow-run-as-root)",
+      "slope_mpi");
+  app.footer(kFooter);
   Options options;
   declare(app, options);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     if (cores.rank() != 0) return error.get_exit_code() == 0 ? 0 : exit_code(Code::usage);
-    return app.exit(error) == 0 ? 0 : exit_code(Code::usage);
+    if (error.get_exit_code() == 0) return app.exit(error);
+    return tell_failure("slope_mpi", options.json, {Code::usage, error.what(), "see slope_mpi --help"});
   }
   Record record;
   Status status = run(options, cores, record);

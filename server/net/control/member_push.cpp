@@ -78,7 +78,9 @@ Status MemberGroups::begin(ContributionBegin begin) {
     return {
         Code::stale_step,
         fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
-        fmt::format("push step {} or a later one", *info->second.step + 1)};
+        fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
+                    "scene anew with replace",
+                    *info->second.step + 1)};
   }
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;

@@ -7,6 +7,7 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/directory.hpp"
 #include "tests/support/variable.hpp"
 
 namespace rcb::server {
@@ -70,6 +71,24 @@ TEST(Config, WhatIsWrongIsToldAndEndsIt) {
     EXPECT_EQ(parsed.exit_code, 2) << wrong[0];
     EXPECT_FALSE(parsed.error.empty()) << wrong[0];
   }
+}
+
+TEST(Config, WhatAFileHasThatIsNoOptionIsRefused) {
+  const testing::Directory directory;
+  const std::string file = directory.write("rcbd.conf", "log-level = warn\n");
+  EXPECT_EQ(parse({"--config", file.c_str()}).config.log_level, "warn");
+  directory.write("rcbd.conf", "scoket = /tmp/elsewhere.sock\n");
+  const ParsedConfig parsed = parse({"--config", file.c_str()});
+  EXPECT_FALSE(parsed.run);
+  EXPECT_EQ(parsed.exit_code, 2);
+  EXPECT_NE(parsed.error.find("scoket"), std::string::npos) << parsed.error;
+}
+
+TEST(Config, InstructionsThatAreUnknownAreRefused) {
+  const Variable cpu("RCBD_CPU", "baselin");
+  const ParsedConfig parsed = parse({});
+  EXPECT_FALSE(parsed.run);
+  EXPECT_NE(parsed.error.find("RCBD_CPU"), std::string::npos) << parsed.error;
 }
 
 TEST(Config, HelpIsNoError) {
