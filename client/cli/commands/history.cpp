@@ -187,7 +187,7 @@ Status history(const HistoryOptions& options, const Context& context) {
 void add_history_command(CLI::App& app, Context& context) {
   auto [command, options] =
       add_command(app, context,
-                  {"history", "The report of every step",
+                  {"history", "The report of every step (a rebalance by hand is no step)",
                    "  rcbctl history jet --last 20\n  rcbctl history jet --csv jet.csv --plot jet.svg\n"
                    "  rcbctl history static --with dynamic --plot both.svg",
                    kAskGroup},

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
-#include <cmath>
 
 #include <fast_float/fast_float.h>
 
@@ -16,6 +15,21 @@ std::string_view unquoted(std::string_view field) {
     field = trimmed(field.substr(1, field.size() - 2));
   }
   return field;
+}
+
+// True if the digits of a number >= 0 say that it is whole: a double rounds others to whole ones, too.
+bool is_whole(std::string_view field) {
+  const std::string_view mantissa = field.substr(0, field.find_first_of("eEdD"));
+  int exponent = 0;
+  if (mantissa.size() < field.size()) {
+    std::string_view text = field.substr(mantissa.size() + 1);
+    if (text.starts_with('+')) text.remove_prefix(1);
+    if (std::from_chars(text.data(), text.data() + text.size(), exponent).ec != std::errc{}) return false;
+  }
+  std::int64_t place = static_cast<std::int64_t>(std::min(mantissa.find('.'), mantissa.size())) + exponent;
+  for (const char c : mantissa)
+    if (c != '.' && --place < 0 && c != '0') return false;
+  return true;
 }
 
 // The end of the field that begins at `begin`; a separator in double quotes does not end it.
@@ -85,7 +99,7 @@ std::optional<std::int64_t> id_in(std::string_view field) {
   const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), id);
   if (error == std::errc{} && end == field.data() + field.size()) return id >= 0 ? std::optional(id) : std::nullopt;
   const auto number = number_in(field);
-  if (!number || !(*number >= 0) || *number > 0x1p53 || *number != std::floor(*number)) return std::nullopt;
+  if (!number || !(*number >= 0) || *number >= 0x1p53 || !is_whole(field)) return std::nullopt;
   return static_cast<std::int64_t>(*number);
 }
 

@@ -1,5 +1,6 @@
 // The layout of a text file, from its first lines: separator, header, columns, XYZ.
 #include <algorithm>
+#include <array>
 #include <charconv>
 
 #include "common/io/formats/fields.hpp"
@@ -107,11 +108,19 @@ std::optional<Result<std::optional<TextLayout>>> xyz_layout(const std::string& f
   return Result(std::optional(std::move(layout)));
 }
 
-// True for a field meant as a number, even a broken one: its row must not pass for a header and be lost.
+// True for a field meant as a number, even a broken or a missing one: its row must not pass for a header and be lost.
 bool begins_as_number(std::string_view field) {
-  const auto digit = [&](std::size_t at) { return at < field.size() && field[at] >= '0' && field[at] <= '9'; };
-  return number_in(field) || digit(0) ||
-         (!field.empty() && std::string_view("+-.").find(field[0]) != std::string_view::npos && digit(1));
+  constexpr std::array<std::string_view, 5> kMissing{"na", "n/a", "null", "none", "missing"};
+  // Minus signs, blanks and marks that are no ASCII; Fortran fills a field that is too short with asterisks.
+  constexpr std::array<std::string_view, 4> kNoNames{"\xE2\x88\x92", "\xE2\x80", "\xC2\xA0", kByteOrderMark};
+  if (field.empty()) return false;
+  std::string lower(field);
+  std::transform(lower.begin(), lower.end(), lower.begin(), [](char c) { return c >= 'A' && c <= 'Z' ? c | 0x20 : c; });
+  const auto first = static_cast<unsigned char>(field[0]);
+  return number_in(field) || first <= 0x20 || first == 0x7F || (first >= '0' && first <= '9') ||
+         std::string_view("+-.*").find(field[0]) != std::string_view::npos ||
+         std::any_of(kNoNames.begin(), kNoNames.end(), [&](auto begin) { return field.starts_with(begin); }) ||
+         std::find(kMissing.begin(), kMissing.end(), lower) != kMissing.end();
 }
 
 bool is_named(std::string_view field) {

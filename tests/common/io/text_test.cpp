@@ -85,6 +85,33 @@ TEST_F(Text, ColumnsByName) {
   EXPECT_EQ(points.id, std::vector<std::int64_t>{4});
 }
 
+TEST_F(Text, AFirstRowOfBrokenNumbersIsNoHeader) {
+  for (const char* row : {"****,****",
+                          "\xE2\x88\x92"
+                          "1.5,\xE2\x88\x92"
+                          "2",
+                          "- 1.5,- 2",
+                          "\xC2\xA0"
+                          "1.5,\xC2\xA0"
+                          "2.5",
+                          "N/A,N/A",
+                          "\xEF\xBB\xBF\xEF\xBB\xBF"
+                          "1.5,2",
+                          "-.,-.",
+                          "\x1B[31m1.5,\x1B"
+                          "2.5",
+                          "na,NULL"})
+    EXPECT_TRUE(has(bad(std::string(row) + "\n1,2\n"), "is not a number")) << row;
+  EXPECT_EQ(good("\xC3\xA9tendue,_b\n1,2\n").position, (std::vector<Column>{{1}, {2}}));
+}
+
+TEST_F(Text, IdsAreReadDigitByDigit) {
+  EXPECT_EQ(good("x,id\n1,9007199254740991.0\n2,17.0\n3,1.5e1\n4,0.0\n5,120e-1\n6,1.8D1\n7,+5.\n").id,
+            (std::vector<std::int64_t>{9007199254740991, 17, 15, 0, 12, 18, 5}));
+  for (const char* id : {"0.99999999999999999999", "9007199254740993.0", "1.5", "1e16", "15e-1", "1e-400", "-1.0"})
+    EXPECT_TRUE(has(bad("x,id\n1," + std::string(id) + "\n"), "is not an id")) << id;
+}
+
 TEST_F(Text, WeightsByNumberAndName) {
   EXPECT_EQ(good("5,1,2\n", {0, "0"}).position, (std::vector<Column>{{1}, {2}}));
   EXPECT_EQ(good("5,1,2\n", {0, "0"}).weight, Column{5});
