@@ -66,6 +66,9 @@ Status flush_output();
 // Prints on stderr what a push waits for, in place of the progress line if there is one.
 void say_notice(const std::string& program, const std::string& text);
 
+// "8 parts"; of a scene whose parts another client has changed, how many there are at the end, too.
+std::string parts_text(int asked, const std::vector<client::StepReport>& reports);
+
 // The end of each solver's --help.
 inline constexpr const char* kFooter =
     "Exit codes: 0 done, 1 the service or the physics failed, 2 wrong usage, 3 no service reachable,\n"

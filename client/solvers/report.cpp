@@ -73,14 +73,18 @@ std::string json_document(const Program& program, const RunOptions& options, con
   return text_of(document);
 }
 
+std::string parts_text(int asked, const std::vector<client::StepReport>& reports) {
+  const int last = reports.empty() ? asked : reports.back().parts;
+  return last == asked ? fmt::format("{} parts", asked) : fmt::format("{} parts ({} at the end)", asked, last);
+}
+
 std::string summary(const Program& program, const RunOptions& options, double interval, const RunRecord& record) {
   const double frames = static_cast<double>(record.steps_done + 1);
   std::string text = fmt::format("{}: {} points, {} steps of {:g} s in {} substeps", program.name, options.points,
                                  options.steps, interval, record.substeps);
   if (!options.no_service) {
-    const int last = record.reports.empty() ? options.parts : record.reports.back().parts;
-    text += fmt::format(", scene {} in {} parts{}, tolerance {:g}", options.scene, options.parts,
-                        last == options.parts ? "" : fmt::format(" ({} at the end)", last), options.tolerance);
+    text += fmt::format(", scene {} in {}, tolerance {:g}", options.scene, parts_text(options.parts, record.reports),
+                        options.tolerance);
     if (options.policy != RunOptions{}.policy) text += ", policy " + options.policy;
   }
   text += '\n';

@@ -6,13 +6,16 @@
 
 namespace rcb {
 
-// True if RCBD_CPU names instructions that there are to choose from, or isn't set.
-inline bool cpu_is_known() {
+// What RCBD_CPU says, `baseline` or `avx2`: to use fewer instructions than the processor has. Empty: all.
+inline std::string_view cpu_asked_for() {
   const char* const named = std::getenv("RCBD_CPU");
-  const std::string_view name = named == nullptr ? "" : named;
+  return named == nullptr ? "" : named;
+}
+inline bool cpu_is_known() {
+  const std::string_view name = cpu_asked_for();
   return name.empty() || name == "baseline" || name == "avx2";
 }
-inline constexpr std::string_view kUnknownCpu = "RCBD_CPU is neither baseline nor avx2";
+inline constexpr const char* kUnknownCpu = "RCBD_CPU is neither baseline nor avx2";
 
 #if defined(__x86_64__)
 enum class InstructionSet { baseline, avx2, avx512 };
@@ -21,11 +24,10 @@ enum class InstructionSet { baseline, avx2, avx512 };
 #define RCB_AVX2 "avx2,popcnt,bmi"
 #define RCB_AVX512 RCB_AVX2 ",avx512f,avx512dq,avx512bw,avx512vl,bmi2"
 
-// What the processor has, or less where RCBD_CPU is `baseline` or `avx2`: to compare, and to test each.
+// What the processor has, or less where that is asked for: to compare, and to test each.
 inline InstructionSet instruction_set() {
   static const InstructionSet set = [] {
-    const char* const named = std::getenv("RCBD_CPU");
-    const std::string_view most = named == nullptr ? "" : named;
+    const std::string_view most = cpu_asked_for();
     const auto all = [](auto... supported) { return (... && (supported != 0)); };
     if (most == "baseline" ||
         !all(__builtin_cpu_supports("avx2"), __builtin_cpu_supports("popcnt"), __builtin_cpu_supports("bmi")))

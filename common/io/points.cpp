@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include "common/io/files/roots.hpp"
+#include "common/io/formats/fields.hpp"
 #include "common/io/formats/foreign.hpp"
 #include "common/io/formats/hdf5_file.hpp"
 #include "common/io/formats/npy.hpp"
@@ -14,12 +15,7 @@
 namespace rcb::io {
 namespace {
 
-bool ends_with_npy(const std::string& path) {
-  if (path.size() < 4) return false;
-  std::string ending = path.substr(path.size() - 4);
-  for (char& c : ending) c = static_cast<char>(c | 0x20);
-  return ending == ".npy";
-}
+bool ends_with_npy(const std::string& path) { return lowered(path).ends_with(".npy"); }
 
 // Returns the points, or reading's error; but if the file was changed meanwhile, the error that says so, whatever
 // reading returned.

@@ -79,6 +79,14 @@ Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
   return arrays;
 }
 
+Status stale_step(const PushId& push, std::int64_t last) {
+  return {Code::stale_step,
+          fmt::format("step {} of scene '{}' is not above the last one, {}", push.step, push.scene, last),
+          fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
+                      "scene anew with replace",
+                      last + 1)};
+}
+
 Result<PushId> read_push_id(const wire::Json& request, const std::string& session) {
   wire::FieldReader fields(request);
   PushId id;

@@ -23,6 +23,9 @@ struct PushId {
   auto operator<=>(const PushId&) const = default;
 };
 
+// The refusal of a step that is not above the scene's last one.
+Status stale_step(const PushId& push, std::int64_t last);
+
 // `session` is used if the message names none. Errors: invalid_argument.
 Result<PushId> read_push_id(const wire::Json& request, const std::string& session);
 

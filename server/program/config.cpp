@@ -125,10 +125,6 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_RESTARTED");
 }
 
-}  // namespace
-
-namespace {
-
 ParsedConfig refuse(const std::string& message) {
   ParsedConfig refused;
   refused.exit_code = 2;
@@ -161,7 +157,7 @@ ParsedConfig parse_config(int argc, const char* const* argv) {
   } catch (const CLI::ParseError& fault) {
     return refuse(fault.what());
   }
-  if (!cpu_is_known()) return refuse(std::string(kUnknownCpu));
+  if (!cpu_is_known()) return refuse(kUnknownCpu);
   if (parsed.config.socket.empty() && parsed.config.listen.empty()) parsed.config.socket = default_socket_path();
   complete_file_options(parsed.config);
   parsed.run = true;

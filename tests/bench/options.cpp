@@ -10,7 +10,7 @@ int run_program(CLI::App& app, int argc, char** argv, const std::function<Status
   Status status;
   try {
     app.parse(argc, argv);
-    status = cpu_is_known() ? run() : Status(Code::usage, std::string(kUnknownCpu));
+    status = cpu_is_known() ? run() : Status(Code::usage, kUnknownCpu);
   } catch (const CLI::Success& done) {
     return app.exit(done);
   } catch (const CLI::ParseError& error) {

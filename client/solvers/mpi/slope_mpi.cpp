@@ -209,13 +209,13 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
   const Balance& end = record.physics.end;
   if (!options.json) {
     fmt::print(
-        "slope_mpi: {} points on {} processes, {} steps of {:g} s in {} substeps, scene {} in {} parts\n"
+        "slope_mpi: {} points on {} processes, {} steps of {:g} s in {} substeps, scene {} in {}\n"
         "  repartitions   {} (the first partition included)\n"
         "{}"
         "  handed over    {} points\n"
         "  wall clock     {:.3g} s physics, {:.3g} s service, {:.3g} s handing over\n",
         options.slope.points, cores.size(), options.steps, options.slope.interval, record.substeps, options.scene,
-        options.parts, record.repartitions(),
+        parts_text(options.parts, record.reports), record.repartitions(),
         recreations > 0 ? fmt::format("  service lost   {}; the scene was made anew\n", recreations) : "", handed_over,
         record.seconds_physics, record.seconds_service, record.seconds_exchange);
     return;

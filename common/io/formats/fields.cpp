@@ -51,6 +51,11 @@ std::string_view trimmed(std::string_view text) {
   return text;
 }
 
+std::string lowered(std::string text) {
+  for (char& c : text) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c | 0x20 : c);
+  return text;
+}
+
 char separator_of(std::string_view line) {
   // Semicolons first: beside them a comma can only be a decimal one, which is then reported as no number.
   if (line.find(';') != std::string_view::npos) return ';';

@@ -14,6 +14,7 @@ constexpr char kBlankSeparator = ' ';
 
 inline bool is_blank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\f' || c == '\v'; }
 std::string_view trimmed(std::string_view text);
+std::string lowered(std::string text);  // ASCII letters
 
 char separator_of(std::string_view line);
 // Fields come trimmed and without quotes; a separator at the end of the line adds no empty field.
@@ -21,7 +22,7 @@ std::vector<std::string_view> split_fields(std::string_view line, char separator
 
 // Any usual syntax: -.5, +2, 1e3, 1.5D+02, nan, inf, in quotes too. nullopt if it is no number.
 std::optional<double> number_in(std::string_view field);
-// 0 .. 2^63-1, written as an integer or as an exactly integral number up to 2^53.
+// 0 .. 2^63-1, written as an integer, or as a decimal that is whole and below 2^53.
 std::optional<std::int64_t> id_in(std::string_view field);
 
 }  // namespace rcb::io

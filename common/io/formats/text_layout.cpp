@@ -27,13 +27,7 @@ struct Lines {
   }
 };
 
-bool is_xyz_name(const std::string& file) {
-  const std::size_t dot = file.rfind('.');
-  if (dot == std::string::npos) return false;
-  std::string ending = file.substr(dot);
-  std::transform(ending.begin(), ending.end(), ending.begin(), [](char c) { return static_cast<char>(c | 0x20); });
-  return ending == ".xyz";
-}
+bool is_xyz_name(const std::string& file) { return lowered(file).ends_with(".xyz"); }
 
 std::optional<std::uint64_t> lone_count(std::string_view line) {
   std::uint64_t count = 0;
@@ -111,16 +105,15 @@ std::optional<Result<std::optional<TextLayout>>> xyz_layout(const std::string& f
 // True for a field meant as a number, even a broken or a missing one: its row must not pass for a header and be lost.
 bool begins_as_number(std::string_view field) {
   constexpr std::array<std::string_view, 5> kMissing{"na", "n/a", "null", "none", "missing"};
-  // Minus signs, blanks and marks that are no ASCII; Fortran fills a field that is too short with asterisks.
-  constexpr std::array<std::string_view, 4> kNoNames{"\xE2\x88\x92", "\xE2\x80", "\xC2\xA0", kByteOrderMark};
+  // A minus sign, dashes and spaces of typography, a no-break space. Below: Fortran fills a field that is too short for
+  // its number with asterisks.
+  constexpr std::array<std::string_view, 4> kNoNames{"\u2212", "\xE2\x80", "\u00A0", kByteOrderMark};
   if (field.empty()) return false;
-  std::string lower(field);
-  std::transform(lower.begin(), lower.end(), lower.begin(), [](char c) { return c >= 'A' && c <= 'Z' ? c | 0x20 : c; });
   const auto first = static_cast<unsigned char>(field[0]);
   return number_in(field) || first <= 0x20 || first == 0x7F || (first >= '0' && first <= '9') ||
          std::string_view("+-.*").find(field[0]) != std::string_view::npos ||
          std::any_of(kNoNames.begin(), kNoNames.end(), [&](auto begin) { return field.starts_with(begin); }) ||
-         std::find(kMissing.begin(), kMissing.end(), lower) != kMissing.end();
+         std::find(kMissing.begin(), kMissing.end(), lowered(std::string(field))) != kMissing.end();
 }
 
 bool is_named(std::string_view field) {

@@ -87,14 +87,13 @@ double default_ghost_width(const Box& bounds, std::uint64_t n, int dims) {
 std::optional<Quality> quality(comm::Comm& comm, const particles::ParticleView& particles,
                                std::span<const std::int32_t> part, int parts, const CutTree* tree,
                                std::optional<double> ghost_width, const comm::GoOn& go_on) {
-  Quality result;
-  result.bounds = bounding_box(comm, particles);
+  const Box bounds = bounding_box(comm, particles);
   std::uint64_t count = particles.count;
   comm.all_sum({&count, 1});
-  result.ghost_width = ghost_width ? *ghost_width : default_ghost_width(result.bounds, count, particles.dims);
-  auto counts = count_ghosts(comm, particles, part, parts, result.ghost_width, go_on);
+  const double width = ghost_width ? *ghost_width : default_ghost_width(bounds, count, particles.dims);
+  auto counts = count_ghosts(comm, particles, part, parts, width, go_on);
   if (!counts) return std::nullopt;
-  static_cast<GhostCounts&>(result) = *std::move(counts);
+  Quality result{*std::move(counts), width, bounds, {}, {}};
   if (tree != nullptr) Interfaces(*tree, result.bounds, result);
   return result;
 }

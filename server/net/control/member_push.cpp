@@ -75,12 +75,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
     if (begin.id.step == *info->second.step && group->last &&
         answer_again(*group->last, group->delivery.get(), member, begin))
       return {};
-    return {
-        Code::stale_step,
-        fmt::format("step {} of scene '{}' is not above the last one, {}", begin.id.step, scene, *info->second.step),
-        fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
-                    "scene anew with replace",
-                    *info->second.step + 1)};
+    return api::stale_step(begin.id, *info->second.step);
   }
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;

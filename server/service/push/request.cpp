@@ -49,13 +49,7 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
 }
 
 Status check_request(const Scene& scene, const PushRequest& push) {
-  if (scene.step && push.id.step <= *scene.step)
-    return {
-        Code::stale_step,
-        fmt::format("step {} of scene '{}' is not above the last one, {}", push.id.step, scene.name, *scene.step),
-        fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
-                    "scene anew with replace",
-                    *scene.step + 1)};
+  if (scene.step && push.id.step <= *scene.step) return api::stale_step(push.id, *scene.step);
   if (scene.pushed && push.n != scene.n)
     return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
             "push all of the scene's particles, or create a scene anew with --replace"};

@@ -206,6 +206,7 @@ TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
             "A call failed\n  Error: No space");
   EXPECT_EQ(telling_lines("[b:2] PMIX ERROR: OUT-OF-RESOURCE\n" + rule + "1 process returned\n" + rule),
             "[b:2] PMIX ERROR: OUT-OF-RESOURCE");
+  EXPECT_EQ(telling_lines("ssh: no host a\r\n\r\nssh: no host a\n"), "ssh: no host a");
   EXPECT_EQ(log_tail(path + ".none"), "");
 }
 

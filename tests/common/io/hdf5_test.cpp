@@ -98,7 +98,7 @@ TEST_F(Hdf5, Refusals) {
   const std::string path = make({2, 2}, {1, 2, 3, 4}, {});
   const auto missing = read_points(directory_ / "a.h5:/run/none", {});
   EXPECT_EQ(missing.status().code(), Code::not_found);
-  EXPECT_TRUE(has(refusal(missing), "it has /run")) << refusal(missing);
+  EXPECT_TRUE(has(refusal(missing), "it has /run/points")) << refusal(missing);
   EXPECT_TRUE(has(refusal(read_points(directory_ / "a.h5:/run", {})), "is not a dataset"));
   EXPECT_TRUE(has(refusal(read_points(directory_ / "a.h5", {})), "no dataset is named"));
   EXPECT_EQ(read_points(directory_ / "none.h5:/run", {}).status().code(), Code::not_found);

@@ -86,23 +86,10 @@ TEST_F(Text, ColumnsByName) {
 }
 
 TEST_F(Text, AFirstRowOfBrokenNumbersIsNoHeader) {
-  for (const char* row : {"****,****",
-                          "\xE2\x88\x92"
-                          "1.5,\xE2\x88\x92"
-                          "2",
-                          "- 1.5,- 2",
-                          "\xC2\xA0"
-                          "1.5,\xC2\xA0"
-                          "2.5",
-                          "N/A,N/A",
-                          "\xEF\xBB\xBF\xEF\xBB\xBF"
-                          "1.5,2",
-                          "-.,-.",
-                          "\x1B[31m1.5,\x1B"
-                          "2.5",
-                          "na,NULL"})
+  for (const char* row : {"****,****", "\u22121.5,\u22122", "- 1.5,- 2", "\u00A01.5,\u00A02.5", "N/A,N/A",
+                          "\uFEFF\uFEFF1.5,2", "-.,-.", "\033[31m1.5,\0332.5", "na,NULL"})
     EXPECT_TRUE(has(bad(std::string(row) + "\n1,2\n"), "is not a number")) << row;
-  EXPECT_EQ(good("\xC3\xA9tendue,_b\n1,2\n").position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_EQ(good("\u00E9tendue,_b\n1,2\n").position, (std::vector<Column>{{1}, {2}}));
 }
 
 TEST_F(Text, IdsAreReadDigitByDigit) {
