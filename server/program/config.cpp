@@ -8,6 +8,7 @@
 
 #include "common/base/byte_size.hpp"
 #include "common/base/cpu.hpp"
+#include "common/base/text.hpp"
 #include "common/files/paths.hpp"
 #include "server/service/scene/no_skip.hpp"
 
@@ -128,7 +129,8 @@ void add_options(CLI::App& app, Config& config) {
 ParsedConfig refuse(const std::string& message) {
   ParsedConfig refused;
   refused.exit_code = 2;
-  refused.error = fmt::format("rcbd: {}\n  rcbd --help lists the options, and the variable of each\n", message);
+  refused.error = fmt::format("rcbd: {}\n  rcbd --help lists the options, and the variable of each\n",
+                              escape_controls(message, "\n"));
   return refused;
 }
 
@@ -150,10 +152,11 @@ ParsedConfig parse_config(int argc, const char* const* argv) {
     return parsed;
   } catch (const CLI::ConfigError& fault) {
     constexpr std::string_view kBefore = "INI was not able to parse ";
+    constexpr std::size_t kNameMax = 64;
     const std::string_view text = fault.what();
-    return refuse(text.starts_with(kBefore)
-                      ? fmt::format("the configuration file has '{}', which is no option", text.substr(kBefore.size()))
-                      : fmt::format("the configuration file: {}", text));
+    if (!text.starts_with(kBefore)) return refuse(fmt::format("the configuration file: {}", text));
+    const std::string_view name = text.substr(kBefore.size(), kNameMax);
+    return refuse(fmt::format("the configuration file has '{}', which is no option", name.substr(0, name.find(".++"))));
   } catch (const CLI::ParseError& fault) {
     return refuse(fault.what());
   }

@@ -82,6 +82,10 @@ TEST(Config, WhatAFileHasThatIsNoOptionIsRefused) {
   EXPECT_FALSE(parsed.run);
   EXPECT_EQ(parsed.exit_code, 2);
   EXPECT_NE(parsed.error.find("scoket"), std::string::npos) << parsed.error;
+  directory.write("rcbd.conf", "a\033[31m" + std::string(100000, 'a') + " = 1\n");
+  const std::string error = parse({"--config", file.c_str()}).error;
+  EXPECT_NE(error.find("a\\x1b[31m"), std::string::npos) << error;
+  EXPECT_LT(error.size(), 300U);
 }
 
 TEST(Config, InstructionsThatAreUnknownAreRefused) {
