@@ -26,7 +26,10 @@ constexpr std::size_t kTextPieceBytes = std::size_t{1} << 20U;  // memory reserv
 }  // namespace
 
 Connection::Connection(Socket socket, double frame_seconds)
-    : socket_(std::move(socket)), frame_time_(duration_of(frame_seconds)), watch_(socket_.get_executor()) {
+    : socket_(std::move(socket)),
+      frame_time_(duration_of(frame_seconds)),
+      watch_(socket_.get_executor()),
+      sent_(socket_.get_executor(), TimePoint::max()) {
   error_code ignored;
   socket_.non_blocking(true, ignored);
 }
@@ -362,7 +365,7 @@ awaitable<void> Connection::write_all() {
   if (closes_when_sent_) close();
   write_end_ = TimePoint::max();
   writing_ = false;
-  for (Timer* timer : std::exchange(flushing_, {})) timer->cancel();
+  sent_.cancel();
 }
 
 awaitable<bool> Connection::write_span(std::span<const std::byte> bytes) {
@@ -385,10 +388,7 @@ awaitable<bool> Connection::write_span(std::span<const std::byte> bytes) {
 }
 
 awaitable<void> Connection::flush() {
-  if (!writing_) co_return;
-  Timer done(socket_.get_executor(), TimePoint::max());
-  flushing_.push_back(&done);
-  co_await done.async_wait(kAwait);
+  if (writing_) co_await sent_.async_wait(kAwait);
 }
 
 awaitable<void> Connection::end_gently() {

@@ -1,30 +1,19 @@
 #include "server/net/sockets/large_json.hpp"
 
-#include <algorithm>
-
 #include <boost/asio/this_coro.hpp>
 
 namespace rcb::net {
 
 asio::execution_context::id LargeJson::id;
 
-// Places that are freed one after the other, before anybody has run, must each wake somebody: so all are woken, and
-// those who find no place wait on.
-void LargeJson::wake_waiting() {
-  for (Timer* timer : waiting_) timer->cancel();
-}
-
 awaitable<LargeJson::Place> LargeJson::take_place() {
-  while (places_taken_ >= kTextsMax) {
-    Timer timer(co_await asio::this_coro::executor, TimePoint::max());
-    waiting_.push_back(&timer);
-    co_await timer.async_wait(kAwait);
-    std::erase(waiting_, &timer);
-  }
+  while (places_taken_ >= kTextsMax) co_await place_freed_.async_wait(kAwait);
   ++places_taken_;
   co_return Place(this, [](LargeJson* of) {
     --of->places_taken_;
-    of->wake_waiting();
+    // Places that are freed one after the other, before anybody has run, must each wake somebody: so all are woken, and
+    // those who find no place wait on.
+    of->place_freed_.cancel();
   });
 }
 

@@ -7,7 +7,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -28,8 +27,10 @@ class LargeJson : public asio::execution_context::service {
   static constexpr int kTextsMax = 4;
   static constexpr std::uint64_t kWithoutPlaceBytes = std::uint64_t{1} << 20U;
 
+  // context: an io_context, which is what Asio's use_service() hands on as its base.
   explicit LargeJson(asio::execution_context& context, SideThread::Start start = {})
       : service(context),
+        place_freed_(static_cast<asio::io_context&>(context), TimePoint::max()),
         thread_(std::in_place, wire::kJsonBytesMax * kTextsMax + kWithoutPlaceBytes * wire::kSessionsMax,
                 std::move(start)) {}
   static LargeJson& of(asio::io_context& context) { return asio::use_service<LargeJson>(context); }
@@ -42,10 +43,9 @@ class LargeJson : public asio::execution_context::service {
 
  private:
   void shutdown() override { thread_.reset(); }
-  void wake_waiting();
 
   int places_taken_ = 0;
-  std::deque<Timer*> waiting_;
+  Timer place_freed_;  // cancelled to wake all who wait for a place; where they end while they wait, it knows
   std::optional<SideThread> thread_;
 };
 

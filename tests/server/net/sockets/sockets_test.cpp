@@ -35,6 +35,23 @@ TEST(LargeJson, PlacesThatAreFreedTogetherAreTakenByAllWhoWait) {
   run_until(context, [&] { return places.size() == kMax; });
 }
 
+// So it is where a service ends while clients send large requests: whoever holds a place frees it for those who have
+// ended before.
+TEST(LargeJson, WhoWaitsMayEndBeforeWhoHoldsAPlace) {
+  constexpr std::size_t kMax = LargeJson::kTextsMax;
+  std::size_t holding = 0;
+  asio::io_context context;
+  const auto hold = [&]() -> awaitable<void> {
+    const LargeJson::Place place = co_await LargeJson::of(context).take_place();
+    ++holding;
+    Timer never(context, TimePoint::max());
+    co_await never.async_wait(kAwait);
+  };
+  for (std::size_t k = 0; k < kMax + 3; ++k) asio::co_spawn(context, hold, asio::detached);
+  context.poll();
+  EXPECT_EQ(holding, kMax);
+}
+
 // A context's LargeJson to which the system gives no thread.
 TEST(LargeJson, WithoutAThreadItIsParsedAllTheSame) {
   asio::io_context context;
