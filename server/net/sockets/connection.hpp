@@ -129,7 +129,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   bool writing_ = false;
   bool closes_when_sent_ = false;
   std::deque<Outgoing> queue_;
-  Timer sent_;  // cancelled when the queue is empty, for those who flush()
+  Timer sent_;  // flush() waits here; cancelled when the queue is empty
   std::array<std::byte, 16384> inbox_;
   std::size_t inbox_begin_ = 0;
   std::size_t inbox_end_ = 0;

@@ -27,7 +27,7 @@ class LargeJson : public asio::execution_context::service {
   static constexpr int kTextsMax = 4;
   static constexpr std::uint64_t kWithoutPlaceBytes = std::uint64_t{1} << 20U;
 
-  // context: an io_context, which is what Asio's use_service() hands on as its base.
+  // context: an io_context; Asio's use_service() knows it by its base class.
   explicit LargeJson(asio::execution_context& context, SideThread::Start start = {})
       : service(context),
         place_freed_(static_cast<asio::io_context&>(context), TimePoint::max()),
@@ -45,7 +45,9 @@ class LargeJson : public asio::execution_context::service {
   void shutdown() override { thread_.reset(); }
 
   int places_taken_ = 0;
-  Timer place_freed_;  // cancelled to wake all who wait for a place; where they end while they wait, it knows
+  // Whoever wants a place waits here; cancelled when one is freed. Asio knows who waits, also at the end of the
+  // context, when it destroys those who wait and those who hold places in any order.
+  Timer place_freed_;
   std::optional<SideThread> thread_;
 };
 

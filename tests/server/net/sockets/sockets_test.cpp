@@ -35,8 +35,8 @@ TEST(LargeJson, PlacesThatAreFreedTogetherAreTakenByAllWhoWait) {
   run_until(context, [&] { return places.size() == kMax; });
 }
 
-// So it is where a service ends while clients send large requests: whoever holds a place frees it for those who have
-// ended before.
+// When a service ends while clients send large requests, coroutines that wait for a place may be destroyed before those
+// that hold one, and thereby free it. The address sanitizer tells whether that touches what has gone.
 TEST(LargeJson, WhoWaitsMayEndBeforeWhoHoldsAPlace) {
   constexpr std::size_t kMax = LargeJson::kTextsMax;
   std::size_t holding = 0;
