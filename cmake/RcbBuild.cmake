@@ -4,9 +4,14 @@ option(RCB_SERVICE "build the service, its programs and the solvers; off: the cl
 option(RCB_TESTS "build the tests and benchmarks" ${PROJECT_IS_TOP_LEVEL})
 option(RCB_PCH "precompile the large headers of other libraries" ON)
 set(RCB_TOGETHER 8 CACHE STRING "how many sources of a large folder are compiled at a time: 8 halve the time of a whole build")
+option(RCB_WERROR "let a compiler's warning end the build" ${PROJECT_IS_TOP_LEVEL})
 set(RCB_SANITIZE "" CACHE STRING "sanitizers, as -fsanitize takes them (address,undefined or thread)")
 
-if(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
+# In another project's build (add_subdirectory) the kind of build is that project's to choose; and it may link the client
+# library into a shared library of its own.
+if(NOT PROJECT_IS_TOP_LEVEL)
+  set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+elseif(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
   set(CMAKE_BUILD_TYPE Release CACHE STRING "build type" FORCE)
 endif()
 set(CMAKE_CXX_STANDARD 20)
@@ -18,7 +23,7 @@ set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/bin")
 # costs compile time and gains nothing.
 set(CMAKE_CXX_FLAGS_RELEASE "-O2")
 find_program(RCB_CCACHE ccache)
-if(RCB_CCACHE)
+if(RCB_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
   # Without this it would not cache what uses a precompiled header.
   set(CMAKE_CXX_COMPILER_LAUNCHER "${CMAKE_COMMAND}" -E env CCACHE_SLOPPINESS=pch_defines,time_macros "${RCB_CCACHE}")
 endif()
@@ -31,7 +36,11 @@ add_library(rcb_flags INTERFACE)
 target_link_libraries(rcb_flags INTERFACE rcb_usage)
 target_compile_options(rcb_flags INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wold-style-cast -Wnon-virtual-dtor
-  -Woverloaded-virtual -Werror -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math)
+  -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math)
+target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED)
+if(RCB_WERROR)
+  target_compile_options(rcb_flags INTERFACE -Werror)
+endif()
 # GCC 12 sees these in the standard library, fmt and nlohmann-json where there is nothing;
 # Clang does not know the names.
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")

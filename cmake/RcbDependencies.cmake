@@ -5,7 +5,6 @@ find_package(Threads REQUIRED)
 find_package(Boost 1.81 REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(fmt REQUIRED)
-find_package(spdlog REQUIRED)
 find_package(OpenSSL 3.0 REQUIRED COMPONENTS Crypto SSL)
 
 find_path(RCB_XXHASH_INCLUDE xxhash.h REQUIRED)
@@ -16,7 +15,6 @@ target_link_libraries(rcb_xxhash INTERFACE "${RCB_XXHASH_LIBRARY}")
 
 add_library(rcb_boost INTERFACE)
 target_include_directories(rcb_boost SYSTEM INTERFACE ${Boost_INCLUDE_DIRS})
-target_compile_definitions(rcb_boost INTERFACE BOOST_ASIO_NO_DEPRECATED)
 
 if(NOT RCB_SERVICE)
   return()
@@ -24,6 +22,7 @@ endif()
 
 # The service's and its programs'.
 find_package(MPI REQUIRED COMPONENTS CXX)
+find_package(spdlog REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(HDF5 REQUIRED COMPONENTS C)
 find_package(ZLIB REQUIRED)  # comes with HDF5, whose deflated chunks are checked with it
@@ -35,6 +34,15 @@ target_include_directories(rcb_fast_float SYSTEM INTERFACE "${RCB_FAST_FLOAT_INC
 add_library(rcb_hdf5 INTERFACE)
 target_include_directories(rcb_hdf5 SYSTEM INTERFACE ${HDF5_C_INCLUDE_DIRS})
 target_link_libraries(rcb_hdf5 INTERFACE ${HDF5_C_LIBRARIES} ZLIB::ZLIB)
+
+if(RCB_TESTS)
+  find_package(GTest QUIET)
+  find_package(rapidcheck QUIET)
+  if(NOT GTest_FOUND OR NOT rapidcheck_FOUND)
+    message(FATAL_ERROR "the tests need GoogleTest and RapidCheck: deploy/dependencies --tests installs them; "
+                        "-DRCB_TESTS=OFF builds the programs alone")
+  endif()
+endif()
 
 # The benchmark's peers, optional. Plain libraries instead of their CMake packages, which want all of Trilinos.
 find_path(RCB_TRILINOS_INCLUDE zoltan.h PATH_SUFFIXES trilinos)
