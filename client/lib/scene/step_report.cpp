@@ -1,5 +1,6 @@
 #include "client/lib/scene/step_report.hpp"
 
+#include <algorithm>
 #include <limits>
 
 #include "client/lib/session/session.hpp"
@@ -17,7 +18,7 @@ class Reader {
 
   template <typename T>
   void count(const char* name, T& out) {
-    constexpr std::int64_t kMost = std::numeric_limits<T>::digits < 63 ? std::numeric_limits<T>::max() : kLarge;
+    constexpr auto kMost = static_cast<std::int64_t>(std::min<std::uint64_t>(std::numeric_limits<T>::max(), kLarge));
     out = static_cast<T>(fields_.integer_or(name, 0, kMost, 0));
   }
   void number(const char* name, double& out) { out = fields_.number_or(name, -kHuge, kHuge, out); }
