@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "client/launch/events.hpp"
+#include "client/launch/job/environment.hpp"
 #include "client/launch/job/job.hpp"
 #include "client/launch/probe.hpp"
 #include "client/launch/reach.hpp"
@@ -76,7 +77,7 @@ class Supervisor {
   void drain() { events_.drain(keep_output_); }
   // Adds what the job has said last.
   std::string with_tail(const std::string& text);
-  std::string hosts_hint() const;
+  std::string start_hint(const std::string& told) const;
   void tell_state(double start_at_unix);
   void notify(const Status& status);
 
@@ -204,16 +205,17 @@ Status Supervisor::await_first_answer(Job& job) {
     if (const auto end = job.poll()) {
       if (end->clean && job.ready()) return {};  // somebody was quicker than this process, and told it to end
       const bool by_signal = end->text.starts_with("signal");
-      return {Code::aborted, with_tail(fmt::format("the service ended ({})", end->text)),
-              (by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "") + hosts_hint() +
+      const std::string told = with_tail(fmt::format("the service ended ({})", end->text));
+      return {Code::aborted, told,
+              (by_signal ? "maybe a limit of this shell is too small (ulimit -a); " : "") + start_hint(told) +
                   log_hint("the whole log")};
     }
     // The job itself must be ready, too: another program may have taken its TCP port and answer there.
     if (job.ready() && ask_service(job, kProbeDeadlineSeconds) == Answer::heard) return {};
   }
-  return {Code::deadline_exceeded,
-          with_tail(fmt::format("the service did not answer within {} s of its start", options_.ready_seconds)),
-          log_hint("its log")};
+  const std::string told =
+      with_tail(fmt::format("the service did not answer within {} s of its start", options_.ready_seconds));
+  return {Code::deadline_exceeded, told, start_hint(told) + log_hint("its log")};
 }
 
 // The log of a service for one command is removed with it.
@@ -221,10 +223,14 @@ std::string Supervisor::log_hint(const char* name) const {
   return options_.embedded ? "a service that rcbctl up starts keeps its log" : fmt::format("{}: {}", name, log_.path());
 }
 
-// Whether processes can be started on other machines at all, mpirun alone tells soonest.
-std::string Supervisor::hosts_hint() const {
+// What may have kept it from starting, unless it has itself told why. Whether processes can be started on other
+// machines at all, mpirun alone tells soonest.
+std::string Supervisor::start_hint(const std::string& told) const {
+  if (told.find("\nrcbd: ") != std::string::npos) return "";
   const std::string& list = options_.hosts.list;
-  return list.empty() ? "" : fmt::format("does 'mpirun --host {} hostname' work? ", list);
+  const std::string odd = odd_surroundings(options_.hosts);
+  return (list.empty() ? "" : fmt::format("does 'mpirun --host {} hostname' work? ", list)) + odd +
+         (odd.empty() ? "" : "; ");
 }
 
 // Watches and restarts the service until it has ended for good.

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <ctime>
+#include <filesystem>
 #include <sstream>
 
 #include <fmt/format.h>
@@ -70,13 +71,18 @@ Result<LockFile> take_endpoint(const EndpointNote& note) {
   const bool is_unix = note.endpoint.starts_with("unix:");
   const std::string folder = is_unix ? default_socket_directory() : data_directory_for(note.endpoint);
   if (!is_unix || note.endpoint == "unix:" + default_socket_path())
-    if (Status made = make_private_directory(folder); !made.ok()) return made;
+    if (Status made = make_private_directory(folder); !made.ok())
+      return naming(is_unix ? "--endpoint" : "XDG_STATE_HOME", made);
   auto lock = LockFile::take(path, note.text());
   if (lock.ok()) return lock;
   if (lock.status().code() == Code::busy) return served_already(note.endpoint);
   if (lock.status().code() == Code::not_found)
     return Status(Code::io_error, fmt::format("the folder of the socket {} isn't there", note.endpoint),
                   "make it, or name another endpoint");
+  if (is_unix && lock.status().code() == Code::not_authorised &&
+      !is_own_directory(std::filesystem::path(path).parent_path()))
+    return Status(Code::not_authorised, lock.status().message(),
+                  "choose a folder of yours for the socket, with --endpoint");
   return lock;
 }
 

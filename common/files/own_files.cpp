@@ -141,6 +141,10 @@ Status walk(const std::string& path, bool own) {
 
 Status make_own_directory(const std::string& path) { return walk(path, true); }
 
+Status naming(std::string_view option, const Status& status) {
+  return {status.code(), status.message(), fmt::format("{}, with {}", status.hint(), option)};
+}
+
 Status check_parent_directory(const std::string& path) { return walk(path, false); }
 
 bool is_own_directory(const std::string& path) {

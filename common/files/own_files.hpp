@@ -24,6 +24,8 @@ Status make_own_directory(const std::string& path);
 
 // Checks an existing directory in which this user is about to make one. The same rules, but it may be sticky.
 Status check_parent_directory(const std::string& path);
+// The failure of one of these, whose hint now says which option or variable names another place.
+Status naming(std::string_view option, const Status& status);
 
 // True if `path` is a directory of this user, and not a link to one.
 bool is_own_directory(const std::string& path);

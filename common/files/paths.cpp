@@ -29,6 +29,11 @@ std::string absolute_variable(const char* name) {
   return value != nullptr && value[0] == '/' ? value : "";
 }
 
+bool is_own_folder(const std::string& path) {
+  struct stat info {};
+  return ::stat(path.c_str(), &info) == 0 && S_ISDIR(info.st_mode) && info.st_uid == ::geteuid();
+}
+
 std::string home_directory() {
   if (std::string home = absolute_variable("HOME"); !home.empty()) return home;
   const passwd* entry = ::getpwuid(::geteuid());
@@ -56,7 +61,8 @@ std::string escape(std::string_view text) {
 }  // namespace
 
 std::string default_socket_directory() {
-  if (const std::string runtime = absolute_variable("XDG_RUNTIME_DIR"); !runtime.empty())
+  // Batch systems hand it on from another machine, where the folder isn't, and su from another user.
+  if (const std::string runtime = absolute_variable("XDG_RUNTIME_DIR"); is_own_folder(runtime))
     return join_path(runtime, "rcbd");
   return fmt::format("/tmp/rcbd-{}", ::geteuid());
 }

@@ -33,7 +33,7 @@ inline constexpr std::string_view kReadyFile = "ready";        // made in the jo
 // The longest path that fits a socket address.
 inline constexpr std::size_t kSocketPathMax = 107;
 
-// $XDG_RUNTIME_DIR/rcbd; /tmp/rcbd-UID if that variable is unset or a relative path.
+// $XDG_RUNTIME_DIR/rcbd; /tmp/rcbd-UID if that variable doesn't name, by an absolute path, a folder of this user's.
 std::string default_socket_directory();
 // The path of rcbd.sock in that directory.
 std::string default_socket_path();

@@ -179,8 +179,7 @@ Status Rank0::listen_tcp(const std::string& where) {
   if (!bound.ok()) return bound.status();
   endpoints_.push_back(*bound);
   if (setup_.hosts.several && bound->starts_with("127.") && !where.starts_with("127."))
-    return {Code::invalid_argument,
-            fmt::format("--listen {} is {} on this machine, which no other reaches", where, *bound),
+    return {Code::invalid_argument, fmt::format("{} is {} on this machine, which no other reaches", where, *bound),
             "give the machine's address on the network"};
   if (Status status = offer_token(where, *bound); !status.ok()) return status;
   spdlog::info("listening on {}, token in {}", *bound, join_path(data_->path(), kTokenFile));

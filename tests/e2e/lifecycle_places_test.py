@@ -9,18 +9,6 @@ import threading
 from listener import Listener
 from support import *
 
-STRANGER = 12345
-
-
-def only_root(test):
-    """Skips aloud where this user can't make what belongs to another one."""
-    def run_test(self):
-        if os.geteuid() != 0:
-            print(f"SKIPPED: {test.__name__} needs root", file=sys.stderr)
-            self.skipTest("needs root")
-        test(self)
-    return run_test
-
 
 class Places(unittest.TestCase):
     def setUp(self):
@@ -152,8 +140,8 @@ class Places(unittest.TestCase):
         self.dir = tempfile.mkdtemp(prefix="rcb-e2e-", dir="/tmp")
         self.endpoint = f"unix:{self.dir}/s"
         if os.geteuid() == 0:
-            os.chown(self.dir, STRANGER, STRANGER)
-            namespace = ["setpriv", "--reuid", str(STRANGER), "--regid", str(STRANGER), "--clear-groups", *namespace]
+            os.chown(self.dir, ANOTHER_USER, ANOTHER_USER)
+            namespace = ["setpriv", "--reuid", str(ANOTHER_USER), "--regid", str(ANOTHER_USER), "--clear-groups", *namespace]
         if subprocess.run([*namespace, "true"], capture_output=True).returncode != 0:
             print("SKIPPED: no user namespaces here", file=sys.stderr)
             self.skipTest("no user namespaces here")
@@ -226,11 +214,11 @@ class Places(unittest.TestCase):
         os.mkdir(theirs)
         os.symlink(precious, os.path.join(theirs, "rcbd.log"))
         os.symlink(precious, os.path.join(theirs, "lock"))
-        os.chown(theirs, STRANGER, STRANGER)
+        os.chown(theirs, ANOTHER_USER, ANOTHER_USER)
         for data in ("theirs", "theirs/data"):
             up = self.up(data)
             self.assertNotEqual(up.returncode, 0)
-            self.assertIn(f"{theirs} belongs to user {STRANGER}", up.stderr)
+            self.assertIn(f"{theirs} belongs to user {ANOTHER_USER}", up.stderr)
         self.assertEqual(text_of(precious), "precious")
         self.assertEqual(sorted(os.listdir(theirs)), ["lock", "rcbd.log"])
         # Files in a folder of our own that lead elsewhere.
@@ -244,7 +232,7 @@ class Places(unittest.TestCase):
     @only_root
     def test_another_users_lock_is_not_taken_for_ours(self):
         open(f"{self.dir}/s.lock", "w").close()
-        os.chown(f"{self.dir}/s.lock", STRANGER, STRANGER)
+        os.chown(f"{self.dir}/s.lock", ANOTHER_USER, ANOTHER_USER)
         up = self.up()
         self.assertNotEqual(up.returncode, 0)
         self.assertIn(f"{self.dir}/s.lock", up.stderr)

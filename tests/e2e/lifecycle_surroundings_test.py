@@ -3,6 +3,7 @@ share, the place of its data, what its starter ignores, other children of its su
 import glob
 import re
 import resource
+import socket
 
 from protocol_client import Client
 from support import *
@@ -87,6 +88,86 @@ class Starters(unittest.TestCase):
             for pid in others:
                 if process_name(pid) == "sleep":
                     os.kill(pid, signal.SIGKILL)
+
+
+class Environments(unittest.TestCase):
+    """What is left in the environment from elsewhere, or lacks there, keeps a service from starting only with a reason."""
+
+    def setUp(self):
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.addCleanup(shutil.rmtree, self.dir)
+        self.endpoint = f"unix:{self.dir}/s"
+        self.addCleanup(lambda: run("down", endpoint=self.endpoint))
+
+    def up(self, *options, ranks=2, before=(), endpoint=None, **environment):
+        return run(*before, "env", *(f"{name}={value}" for name, value in environment.items()), RCBCTL, "up", "-n", ranks,
+                   "--data-dir", f"{self.dir}/data", *options, program="env", endpoint=endpoint or self.endpoint)
+
+    def test_what_other_jobs_tell_open_mpi(self):
+        """How many ranks a core may have, which networks there are: a service on one machine heeds none of it."""
+        told = {"rmaps_base_no_oversubscribe": 1, "rmaps_base_mapping_policy": "ppr:1:core", "oob_tcp_if_include": "eth77",
+                "btl": "nothere", "pml": "nothere", "plm_rsh_agent": "/nonexistent", "hwloc_base_binding_policy": "core"}
+        up = self.up(ranks=os.cpu_count() + 1, **{f"OMPI_MCA_{name}": value for name, value in told.items()})
+        self.assertEqual(up.returncode, 0, up.stderr)
+
+    def test_what_open_mpi_heeds_is_named(self):
+        up = self.up(OMPI_MCA_coll="nothere")
+        self.assertEqual(up.returncode, 1)
+        self.assertIn("OMPI_MCA_coll=nothere", up.stderr)
+
+    def test_no_search_path(self):
+        up = run("-u", "PATH", RCBCTL, "up", "-n", 2, "--data-dir", f"{self.dir}/data", program="/usr/bin/env",
+                 endpoint=self.endpoint)
+        self.assertEqual(up.returncode, 0, up.stderr)
+
+    def test_another_allocation_of_slurm(self):
+        job = {"SLURM_JOB_ID": 999, "SLURM_JOBID": 999, "SLURM_NTASKS": 4, "SLURM_TASKS_PER_NODE": "2(x2)"}
+        for nodes in ("elsewhere[1-2]", f"elsewhere,{socket.gethostname()}"):
+            up = self.up(SLURM_JOB_NODELIST=nodes, SLURM_NODELIST=nodes, SLURM_NNODES=2, SLURM_JOB_NUM_NODES=2, **job)
+            self.assertEqual(up.returncode, 1)
+            self.assertIn("SLURM_JOB_ID", up.stderr)
+            self.assertIn("unset", up.stderr)
+
+    def test_no_network(self):
+        up = self.up(before=("unshare", "--net"))
+        if "unshare failed" in up.stderr:
+            self.skipTest("no namespaces here")
+        self.assertEqual(up.returncode, 1)
+        self.assertIn("needs an IPv4 address", up.stderr)
+
+    def test_a_port_in_use(self):
+        with socket.socket() as other:
+            other.bind(("127.0.0.1", 0))
+            other.listen()
+            up = self.up(endpoint="127.0.0.1:%d" % other.getsockname()[1])
+        self.assertEqual(up.returncode, 1)
+        self.assertRegex(up.stderr, "in use by another program.*--endpoint")
+        self.assertNotIn("--listen", up.stderr)
+
+    @only_root
+    def test_places_of_other_users(self):
+        os.mkdir(f"{self.dir}/theirs", 0o755)
+        os.mkdir(f"{self.dir}/closed", 0o700)
+        os.chmod(self.dir, 0o755)
+        stranger = ("setpriv", f"--reuid={ANOTHER_USER}", f"--regid={ANOTHER_USER}", "--clear-groups")
+        for folder in ("theirs", "closed"):
+            up = self.up(before=stranger, endpoint=f"unix:{self.dir}/{folder}/s")
+            self.assertRegex(up.stderr, "choose a folder of yours for the socket, with --endpoint")
+
+        # As in a batch job, or a container, of a user who has no home there.
+        def ctl(*args):
+            return run(*stranger, "env", "-u", "XDG_STATE_HOME", "XDG_RUNTIME_DIR=/nonexistent", "HOME=/", RCBCTL, *args,
+                       program="env")
+
+        self.addCleanup(shutil.rmtree, f"/tmp/rcbd-{ANOTHER_USER}", ignore_errors=True)
+        self.addCleanup(ctl, "down")
+        self.assertRegex(ctl("up", "-n", 1).stderr, "can't be made: .*\n.*with --data-dir")
+        self.assertRegex(ctl("up", "-n", 1, "--endpoint", "127.0.0.1:17496").stderr, "with XDG_STATE_HOME")
+        os.mkdir(f"{self.dir}/own")
+        os.chown(f"{self.dir}/own", ANOTHER_USER, ANOTHER_USER)
+        up = ctl("up", "-n", 1, "--data-dir", f"{self.dir}/own")
+        self.assertIn(f"/tmp/rcbd-{ANOTHER_USER}/", up.stdout, up.stderr)
+        self.assertEqual(ctl("status").returncode, 0)
 
 
 class Supervisors(unittest.TestCase):

@@ -146,6 +146,19 @@ def hard_scenes(seed=1):
     return scenes
 
 
+ANOTHER_USER = 12345  # a user that nobody is
+
+
+def only_root(test):
+    """Skips aloud where this user can't make what belongs to another one."""
+    def run_test(self):
+        if os.geteuid() != 0:
+            print(f"SKIPPED: {test.__name__} needs root", file=sys.stderr)
+            self.skipTest("needs root")
+        test(self)
+    return run_test
+
+
 def processes_of(text):
     """Command lines of running processes that contain the text, this one excepted."""
     found = []
@@ -219,6 +232,6 @@ def fill_disk(folder, files=0):
             open(os.path.join(folder, f"fill.{i}"), "a").close()
 
 
-__all__ = ["BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk", "free_port", "hard_scenes",
-           "json", "np", "os", "process_name", "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys",
-           "tempfile", "text_of", "time", "token_of", "unittest", "wait_for", "write_text"]
+__all__ = ["ANOTHER_USER", "BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk", "free_port",
+           "hard_scenes", "json", "np", "only_root", "os", "process_name", "processes_of", "random_walk", "run", "shutil",
+           "signal", "subprocess", "sys", "tempfile", "text_of", "time", "token_of", "unittest", "wait_for", "write_text"]

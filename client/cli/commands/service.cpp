@@ -61,6 +61,7 @@ Status up(const UpOptions& options, const Context& context) {
   service.endpoint = endpoint->text();
   service.hosts = options.hosts;
   if (!service.hosts.several()) {
+    if (Status status = launch::check_job_is_here(); !status) return status;
     service.hosts = launch::hosts_of_job();
     service.hosts.interface = options.hosts.interface;
   }
@@ -80,13 +81,18 @@ Status up(const UpOptions& options, const Context& context) {
   service.ask_seconds = std::min(service.ask_seconds, options.answer_seconds / 3);
   service.service_arguments = service_arguments(options, *endpoint);
   auto running = launch::reach(service.endpoint, "rcbctl up");
-  if (!running && running.status().code() == Code::not_authorised) return running.status();
+  if (!running && running.status().code() == Code::not_authorised) {
+    if (!endpoint->is_unix) return running.status();
+    return {Code::not_authorised, running.status().message(),
+            "choose a folder of yours for the socket, with --endpoint"};
+  }
   if (running)
     return {Code::already_exists, "a service already answers at " + service.endpoint,
             "use it, or stop it first: rcbctl down"};
   if (options.data_dir.empty()) {
     service.data_dir = client::data_directory(*endpoint);
-    if (Status status = make_private_directory(service.data_dir); !status) return status;
+    if (Status status = make_private_directory(service.data_dir); !status)
+      return naming(endpoint->is_unix ? "--data-dir" : "XDG_STATE_HOME", status);
   } else {
     service.data_dir = std::filesystem::absolute(options.data_dir).lexically_normal().string();
     if (Status status = make_own_directory(service.data_dir); !status) return status;

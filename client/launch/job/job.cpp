@@ -14,48 +14,15 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "client/launch/job/environment.hpp"
 #include "common/base/child.hpp"
 #include "common/files/descriptor.hpp"
 #include "common/files/paths.hpp"
-
-extern char** environ;
 
 namespace rcb::launch {
 namespace {
 
 constexpr int kKillRoundsMax = 500;  // pauses of 10 ms
-
-// Whether an environment entry is left out for the job: those of an outer MPI job, by which mpirun would take itself
-// for one of its ranks, and variables that the job gets anew or must not have.
-bool excluded_from_job(std::string_view entry) {
-  for (const std::string_view prefix :
-       {"PMIX_", "OMPI_COMM_WORLD_", "OMPI_MCA_ess", "OMPI_MCA_orte_", "OMPI_MCA_pmix", "OMPI_UNIVERSE", "OMPI_APP_CTX",
-        "OMPI_FIRST_RANKS", "OMPI_NUM_APP", "ORTE_", "RCBD_ENDPOINT=", "RCBD_RESTARTED=", "RCBD_LAUNCHER_HOST=",
-        "RCBD_SUPERVISOR=", "RCBD_JOB_FOLDER=", "SLURM_EXPORT_ENV=", "SLURM_OVERLAP="})
-    if (entry.starts_with(prefix)) return true;
-  return false;
-}
-
-std::vector<std::string> job_environment(const JobSpec& spec, bool restarted) {
-  const bool several = spec.hosts.several();
-  std::vector<std::string> environment;
-  for (char** entry = environ; *entry != nullptr; ++entry)
-    if (!excluded_from_job(*entry) && (several || !std::string_view(*entry).starts_with("TMPDIR=")))
-      environment.emplace_back(*entry);
-  // srun hands TMPDIR to the other machines, where Slurm would make such a folder and leave it behind; so where there
-  // are several, mpirun gets an option instead (programs.cpp).
-  if (!several) environment.push_back("TMPDIR=" + spec.folder);
-  // In a Slurm job mpirun starts its daemons on the other machines by srun, which takes options from here. They overlap
-  // other steps: else they keep their cores for themselves as long as the service runs, and a solver in the same job
-  // waits for them. They get the whole environment, also in a job that was submitted with --export=NONE.
-  environment.emplace_back("SLURM_OVERLAP=1");
-  environment.emplace_back("SLURM_EXPORT_ENV=ALL");
-  environment.push_back(fmt::format("{}={}", kJobFolderVariable, spec.folder));
-  environment.push_back(fmt::format("{}={}", kSupervisorVariable, ProcessId::self().text()));
-  environment.push_back(fmt::format("{}={}", kLauncherHostVariable, host_name()));
-  if (restarted) environment.emplace_back("RCBD_RESTARTED=1");
-  return environment;
-}
 
 std::vector<char*> pointers(std::vector<std::string>& strings) {
   std::vector<char*> list;

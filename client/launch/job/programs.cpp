@@ -107,12 +107,62 @@ std::pair<int, int> machines_and_tasks(const std::string& text) {
   return {machines, tasks};
 }
 
+// Whether the machine's name goes on with one of these numbers, "01-03,7", and then with the rest of a list's item.
+bool has_number(std::string_view numbers, std::string_view rest, std::string_view machine) {
+  const std::size_t digits = std::min(machine.find_first_not_of("0123456789"), machine.size());
+  const auto number = [](std::string_view text) {
+    int value = -1;
+    std::from_chars(text.data(), text.data() + text.size(), value);
+    return value;
+  };
+  const int own = number(machine.substr(0, digits));
+  for (std::size_t begin = 0; begin <= numbers.size() && digits > 0;) {
+    const std::size_t end = std::min(numbers.find(',', begin), numbers.size());
+    const std::string_view range = numbers.substr(begin, end - begin);
+    const std::string_view first = range.substr(0, range.find('-'));
+    const std::string_view last = range.substr(range.find('-') == std::string_view::npos ? 0 : first.size() + 1);
+    if (digits >= first.size() && own >= number(first) && own <= number(last))
+      return has_machine(rest, machine.substr(digits));
+    begin = end + 1;
+  }
+  return false;
+}
+
+}  // namespace
+
 std::string path_variable() {
   const char* path = std::getenv("PATH");
   return path != nullptr ? path : "/usr/local/bin:/usr/bin:/bin";
 }
 
-}  // namespace
+bool has_machine(std::string_view list, std::string_view machine) {
+  const std::size_t bracket = list.find('[');
+  const std::size_t end = std::min(list.find(','), list.size());
+  if (bracket >= end) {
+    if (list.substr(0, end) == machine) return true;
+    return end < list.size() && has_machine(list.substr(end + 1), machine);
+  }
+  const std::size_t closing = std::min(list.find(']'), list.size());
+  const std::size_t next = std::min(list.find(',', closing), list.size());
+  const std::string_view rest = list.substr(std::min(closing + 1, next), next - std::min(closing + 1, next));
+  if (machine.starts_with(list.substr(0, bracket)) &&
+      has_number(list.substr(bracket + 1, closing - bracket - 1), rest, machine.substr(bracket)))
+    return true;
+  return next < list.size() && has_machine(list.substr(next + 1), machine);
+}
+
+Status check_job_is_here() {
+  const std::string nodes = variable("SLURM_JOB_NODELIST");
+  const std::string machine = host_name();
+  if (variable("SLURM_JOB_ID").empty() || nodes.empty() || has_machine(nodes, machine) ||
+      has_machine(nodes, machine.substr(0, machine.find('.'))) || has_machine(nodes, variable("SLURMD_NODENAME")))
+    return {};
+  return {
+      Code::invalid_argument,
+      fmt::format("SLURM_JOB_ID names job {}, which is on {}, and this machine is {}", variable("SLURM_JOB_ID"), nodes,
+                  machine),
+      "run this in the job (a batch script, or srun --pty bash); if there is no such job any more, unset SLURM_JOB_ID"};
+}
 
 Hosts hosts_of_job() {
   Hosts hosts;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "common/base/status.hpp"
@@ -10,6 +11,9 @@ namespace rcb::launch {
 
 // The number of cores that this process may use, at most 8.
 int default_ranks();
+
+// PATH; where that isn't set, what shells take for it.
+std::string path_variable();
 
 // rcbd in RCBD_BIN_DIR if that is set; else beside this program, then in PATH. Errors: not_found, with the places
 // searched.
@@ -32,6 +36,10 @@ struct Hosts {
 
 // The machines of the Slurm or PBS job that this program is in. All empty: in none.
 Hosts hosts_of_job();
+// Errors: invalid_argument: the Slurm job of this environment isn't on this machine.
+Status check_job_is_here();
+// Whether Slurm's list of machines, such as "a[01-03,7],b", has this one.
+bool has_machine(std::string_view list, std::string_view machine);
 
 struct JobSpec {
   std::string endpoint;  // unix:PATH or HOST:PORT

@@ -41,7 +41,7 @@ std::string private_token(const std::string& path) {
 
 Result<DataDirectory> DataDirectory::open(const std::string& path, bool named_by_user, EndpointNote who) {
   const Status made = named_by_user ? make_own_directory(path) : make_private_directory(path);
-  if (!made.ok()) return made;
+  if (!made.ok()) return named_by_user ? made : naming("--data-dir", made);
   who.data_dir = path;
   DataDirectory directory(path);
   auto lock = take_data_directory(who);

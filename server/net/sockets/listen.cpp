@@ -129,13 +129,13 @@ Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& whe
   asio::ip::tcp::resolver resolver(context);
   const auto found = resolver.resolve(parts.host, std::to_string(*port), asio::ip::tcp::resolver::passive, error);
   if (error || found.empty())
-    return Status(Code::invalid_argument, fmt::format("--listen {}: no such host: {}", where, error.message()));
+    return Status(Code::invalid_argument, fmt::format("{}: no such host: {}", where, error.message()));
   const asio::ip::tcp::endpoint endpoint = found.begin()->endpoint();
   if (network == Network::loopback && !endpoint.address().is_loopback())
     return Status(
         Code::invalid_argument,
-        fmt::format("--listen {}: other machines reach {}, and this machine's OpenSSL can't encrypt what travels there",
-                    where, endpoint.address().to_string()),
+        fmt::format("{}: other machines reach {}, and this machine's OpenSSL can't encrypt what travels there", where,
+                    endpoint.address().to_string()),
         "mend OpenSSL (the log has its reason), listen on 127.0.0.1 and reach it through a tunnel (ssh -L "
         "7470:127.0.0.1:7470 HOST), or say with --trusted-network that nobody on the network is to be feared");
   TcpAcceptor acceptor(context);
@@ -146,7 +146,8 @@ Result<TcpAcceptor> listen_tcp(asio::io_context& context, const std::string& whe
   if (!error) acceptor.bind(endpoint, error);
   if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
   if (error == asio::error::address_in_use)
-    return Status(Code::busy, fmt::format("{} is in use by another program", where), "name another with --listen");
+    return Status(Code::busy, fmt::format("{} is in use by another program", where),
+                  "give the service another port, with --endpoint");
   if (error) return Status(Code::io_error, fmt::format("can't listen on {}: {}", where, error.message()));
   return acceptor;
 }

@@ -26,12 +26,18 @@ class Paths : public testing::DirectoryTest {
 using testing::mode_of;
 
 TEST_F(Paths, DefaultSocketFollowsTheEnvironment) {
-  run_.set("/run/user/7");
-  EXPECT_EQ(default_socket_path(), "/run/user/7/rcbd/rcbd.sock");
+  run_.set(directory_.c_str());
+  EXPECT_EQ(default_socket_path(), directory_ + "/rcbd/rcbd.sock");
+  std::filesystem::create_directory(directory_ + "/another's");
+  const bool root = ::chown((directory_ + "/another's").c_str(), 12345, 12345) == 0;
   const std::string fallback = "/tmp/rcbd-" + std::to_string(::getuid()) + "/rcbd.sock";
+  // As batch systems and su hand it on: not there, no folder, another user's.
+  for (const std::string& runtime : {std::string("relative"), directory_ + "/absent", std::string("/proc/self/comm"),
+                                     root ? directory_ + "/another's" : std::string("/")}) {
+    run_.set(runtime.c_str());
+    EXPECT_EQ(default_socket_path(), fallback) << runtime;
+  }
   run_.set(nullptr);
-  EXPECT_EQ(default_socket_path(), fallback);
-  run_.set("relative");
   EXPECT_EQ(default_socket_path(), fallback);
 }
 
