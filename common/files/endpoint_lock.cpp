@@ -79,17 +79,18 @@ Result<LockFile> take_endpoint(const EndpointNote& note) {
   if (lock.status().code() == Code::not_found)
     return Status(Code::io_error, fmt::format("the folder of the socket {} isn't there", note.endpoint),
                   "make it, or name another endpoint");
-  if (is_unix && lock.status().code() == Code::not_authorised &&
-      !is_own_directory(std::filesystem::path(path).parent_path()))
-    return Status(Code::not_authorised, lock.status().message(),
-                  "choose a folder of yours for the socket, with --endpoint");
+  const Status why = lock.status();
+  if (is_unix && (why.hint().empty() || !is_own_directory(std::filesystem::path(path).parent_path())))
+    return Status(why.code(), why.message(), "choose a folder of yours for the socket, with --endpoint");
   return lock;
 }
 
 Result<LockFile> take_data_directory(const EndpointNote& note) {
   const std::string path = join_path(note.data_dir, kLockFile);
   auto lock = LockFile::take(path, note.text());
-  if (lock.ok() || lock.status().code() != Code::busy) return lock;
+  if (lock.ok()) return lock;
+  if (const Status why = lock.status(); why.code() != Code::busy)
+    return Status(why.code(), why.message(), why.hint().empty() ? "name another place with --data-dir" : why.hint());
   const auto holder = LockFile::holder(path);
   return Status(Code::busy,
                 fmt::format("the data directory {} is in use by {}", note.data_dir,

@@ -6,6 +6,8 @@ from support import *
 
 ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
 
+WITH_PROGRAMS = dict(os.environ, PATH=f"{os.path.abspath(BIN)}:{os.environ['PATH']}")
+
 
 def block(document, language, number=0):
     return re.findall(r"^```" + language + r"\n(.*?)^```", text_of(ROOT, document), re.S | re.M)[number]
@@ -93,19 +95,17 @@ class Documents(ServiceTest):
         history = self.service.json("history", "jet")
         self.assertEqual([report["step"] for report in history], list(range(201)))
 
-    def test_the_first_session(self):
-        points = os.path.join(self.dir, "positions.csv")
-        np.savetxt(points, np.random.default_rng(1).random((100, 3)), delimiter=",", header="x,y,z", comments="")
-        commands = re.findall(r"^\$ rcbctl (.*?)(?: +#.*)?$", re.search(
-            r"## A first session\n\n```\n(.*?)^```", text_of(ROOT, "README.md"), re.S | re.M).group(1), re.M)
-        self.assertEqual(len(commands), 7)
-        for command in commands:
-            words = command.replace("positions.csv", points).replace("jet", "first").split()
-            if words[0] in ("up", "down"):
-                continue  # the test has its own service
-            if "--plot" in words:
-                words[-1] = os.path.join(self.dir, words[-1])
-            self.service.ctl(*words, check=True)
+    def test_the_readmes_python(self):
+        program = os.path.join(self.dir, "steps.py")
+        write_text(program, block("README.md", "python"))
+        done = subprocess.run(["/usr/bin/python3", program], capture_output=True, text=True, timeout=120, cwd=self.dir,
+                              env=WITH_PROGRAMS | {"RCBD_ENDPOINT": self.service.endpoint})
+        self.assertEqual(done.returncode, 0, done.stderr)
+        history = self.service.json("history", "cloud")
+        self.assertEqual([report["step"] for report in history], list(range(10)))
+        self.assertGreater(sum(report["repartitioned"] for report in history), 1)
+        part = np.load(os.path.join(self.dir, "part.npy"))
+        self.assertEqual(np.bincount(part).tolist(), self.service.json("counts", "cloud")["counts"])
 
     def test_the_protocol_pages_client(self):
         client = os.path.join(self.dir, "client.py")
@@ -114,6 +114,52 @@ class Documents(ServiceTest):
                               timeout=60)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("first positions", done.stdout)
+
+
+class Sessions(unittest.TestCase):
+    """What the README shows for a terminal, line by line in a shell, for a user with nothing but the programs and points."""
+
+    def setUp(self):
+        self.dir = tempfile.mkdtemp(prefix="rcb-e2e-")
+        self.addCleanup(shutil.rmtree, self.dir)
+        # Their default socket and data directory are in here.
+        self.user = {name: value for name, value in WITH_PROGRAMS.items() if name != "RCBD_ENDPOINT"}
+        self.user |= {"XDG_RUNTIME_DIR": self.dir, "XDG_STATE_HOME": self.dir}
+        self.addCleanup(self.said, "rcbctl down", may_fail=True)
+
+    def said(self, line, may_fail=False):
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=120, cwd=self.dir, env=self.user,
+                              stdin=subprocess.DEVNULL)
+        self.assertTrue(may_fail or done.returncode == 0, f"{line}: {done.stderr}")
+        return done.stdout
+
+    def points(self, name):
+        np.savetxt(os.path.join(self.dir, name), np.random.default_rng(1).random((100, 3)), delimiter=",", header="x,y,z",
+                   comments="")
+
+    def test_the_first_session(self):
+        text = re.search(r"## A first session\n\n```\n(.*?)^```", text_of(ROOT, "README.md"), re.S | re.M).group(1)
+        lines = re.findall(r"^\$ (.*)$", text, re.M)
+        self.assertEqual(len(lines), len(text.splitlines()))
+        self.points("positions.csv")
+        said = {line.split()[1]: self.said(line) for line in lines}  # by command
+        self.assertIn(f"unix:{self.dir}/rcbd/rcbd.sock", said["up"])
+        parts = re.findall(r"^ *(\d+) +(\d+)", said["counts"], re.M)
+        self.assertEqual([int(part) for part, _ in parts], list(range(8)))
+        self.assertEqual(sum(int(count) for _, count in parts), 100)
+        self.assertRegex(said["owner"], r"\b[0-7]\b")
+        self.assertIn("<svg", text_of(self.dir, "jet.svg"))
+        self.assertTrue(wait_for(lambda: not processes_of(self.dir)), "all is gone after the last line")
+
+    def test_a_file_divided_once(self):
+        lines = re.findall(r"`(rcbctl (?:partition|compare) points\.csv [^`]*)`", text_of(ROOT, "README.md"))
+        self.assertEqual(len(lines), 2)
+        self.points("points.csv")
+        said = [self.said(line) for line in lines]
+        counts = np.bincount(np.load(os.path.join(self.dir, "part.npy")), minlength=64)
+        self.assertEqual((len(counts), counts.sum(), counts.max() - counts.min()), (64, 100, 1))
+        self.assertEqual(json.loads(text_of(self.dir, "cuts.json"))["parts"], 64)
+        self.assertIn("bands-x", said[1])
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@
 #include <ifaddrs.h>
 #include <net/if.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/paths.hpp"
@@ -84,8 +85,10 @@ std::string odd_surroundings(const Hosts& hosts) {
   for (char** entry = environ; *entry != nullptr; ++entry)
     if (std::string_view(*entry).starts_with(kForOpenMpi) && !excluded_from_job(*entry, hosts))
       heeded.emplace_back(*entry);
-  if (!heeded.empty())
-    return fmt::format("Open MPI heeds {} of the environment: does it start without?", fmt::join(heeded, ", "));
+  const char* const home = std::getenv("HOME");
+  const std::string settings = join_path(home == nullptr ? "" : home, ".openmpi/mca-params.conf");
+  if (::access(settings.c_str(), R_OK) == 0) heeded.push_back(settings);
+  if (!heeded.empty()) return fmt::format("Open MPI heeds {}: does it start without?", fmt::join(heeded, ", "));
   const char* const job = std::getenv("SLURM_JOB_ID");
   if (job != nullptr && hosts.job_machines > 1)
     return fmt::format("is this shell in job {}, which SLURM_JOB_ID names? If not, unset that", job);

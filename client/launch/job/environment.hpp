@@ -12,7 +12,7 @@ namespace rcb::launch {
 std::vector<std::string> job_environment(const JobSpec& spec, bool restarted);
 
 // What around a job that didn't start may be why, and what to do then, for a hint; empty if there is nothing odd:
-// variables that Open MPI heeds, a Slurm job that may be another's, a machine without an IPv4 address.
+// settings that Open MPI heeds, a Slurm job that may be another's, a machine without an IPv4 address.
 std::string odd_surroundings(const Hosts& hosts);
 
 }  // namespace rcb::launch
