@@ -111,7 +111,7 @@ class Auth(Refusals, unittest.TestCase):
             with Client(endpoint, token=old) as client:
                 for pid, line in processes_of(service.dir):
                     if line.split()[0].endswith("/rcbd"):
-                        os.kill(pid, signal.SIGKILL)
+                        kill(pid)
                 with self.assertRaises((EOFError, OSError)):
                     client.answer()
             deadline = time.time() + 60

@@ -258,7 +258,7 @@ class HostsTest(MachinesTest):
         instance = self.ctl("status", "--json", endpoint=endpoint)["pid"]
         for pid in self.hosts.processes("b"):
             if process_name(pid) == "rcbd":
-                os.kill(pid, signal.SIGKILL)
+                kill(pid)
         self.assertTrue(wait_for(another, 120), self.log())
         self.assertEqual(listed("/dev/shm/*"), set())
         sockets = listed("/tmp/rcbd-*")

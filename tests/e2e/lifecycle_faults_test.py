@@ -339,7 +339,7 @@ def on_a_full_disk():
         assert not left(), left()
     finally:
         for pid, _ in left():
-            os.kill(pid, signal.SIGKILL)
+            kill(pid)
         subprocess.run(["umount", "-l", folder])
         os.rmdir(folder)
     return 0

@@ -13,6 +13,7 @@ import unittest
 
 import numpy as np
 import protocol_client
+from ranks import kill
 
 BIN = os.environ.get("RCBD_BIN_DIR") or os.path.join(os.path.dirname(__file__), "..", "..", "build", "release", "bin")
 RCBCTL = os.path.join(BIN, "rcbctl")
@@ -75,7 +76,7 @@ class Service:
         down = self.ctl("down")
         if down.returncode not in (0, 3):  # nothing is left running, whatever the test has found
             for pid, _ in processes_of(self.dir):
-                os.kill(pid, signal.SIGKILL)
+                kill(pid)
         shutil.rmtree(self.dir, ignore_errors=True)
         return down
 

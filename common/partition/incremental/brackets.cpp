@@ -14,7 +14,6 @@
 namespace rcb::partition {
 namespace {
 
-constexpr double kInfinity = geometry::Box::kInfinity;
 // Sampled particles of all ranks together: so many per part, within these limits.
 constexpr std::uint64_t kSampleOfPart = 128;
 constexpr std::uint64_t kSampleMin = 4096;
@@ -139,11 +138,11 @@ class BracketGuess {
     const double margin = limits_.bracket_sigmas * std::sqrt(std::abs(excess) + gained + lost) + limits_.bracket_margin;
     // Places as seen from the old cut: k > 0: the k-th nearest below it; else number -k above it, counted from 0.
     const std::array<double, 3> places{std::ceil(excess + margin), std::round(excess), std::floor(excess - margin)};
-    std::array<double, 3> found{-kInfinity, -kInfinity, -kInfinity};
+    std::array<double, 3> found{-geometry::Box::kInfinity, -geometry::Box::kInfinity, -geometry::Box::kInfinity};
     for (std::size_t k = 0; k < places.size(); ++k)
-      if (places[k] > 0) found[k] = take_nearest(left_, places[k] - 1, -kInfinity, std::greater<>());
+      if (places[k] > 0) found[k] = take_nearest(left_, places[k] - 1, -geometry::Box::kInfinity, std::greater<>());
     for (std::size_t k = places.size(); k-- > 0;)
-      if (!(places[k] > 0)) found[k] = take_nearest(right_, -places[k], kInfinity, std::less<>());
+      if (!(places[k] > 0)) found[k] = take_nearest(right_, -places[k], geometry::Box::kInfinity, std::less<>());
     return {cut.axes[0], found[0], found[2], found[1]};
   }
 

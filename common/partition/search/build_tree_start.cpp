@@ -14,7 +14,7 @@
 namespace rcb::partition {
 namespace {
 
-constexpr std::size_t kSampleMax = 256;  // particles per rank, sampled to choose a map
+constexpr std::size_t kMapSampleMax = 256;  // particles per rank, sampled to choose a map
 constexpr std::size_t kSampleBins = 512;
 constexpr std::size_t kSampleWords = 2 * kSampleBins + 1;
 
@@ -139,7 +139,7 @@ std::vector<std::size_t> TreeBuilder::sampled_slots() const {
         slots.push_back(i);
     return slots;
   }
-  const std::size_t stride = std::max<std::size_t>(particles_.count / kSampleMax, 1);
+  const std::size_t stride = std::max<std::size_t>(particles_.count / kMapSampleMax, 1);
   for (std::size_t i = 0; i < particles_.count; i += stride)
     if (roots_.of(i) != Roots::kNone) slots.push_back(i);
   return slots;

@@ -27,8 +27,8 @@ __attribute__((target_clones("avx2", "default")))
 #endif
 std::vector<std::size_t>
 slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, std::uint64_t most) {
-  constexpr std::size_t kLanes = 4;
-  constexpr std::size_t kTogether = 16 * kLanes;
+  constexpr std::size_t kRowLanes = 4;
+  constexpr std::size_t kRowsTogether = 16 * kRowLanes;
   using Lanes = double __attribute__((vector_size(32), aligned(8), may_alias));
   using Mask = std::int64_t __attribute__((vector_size(32)));
   const particles::Axes x = particles.all_axes();
@@ -39,11 +39,11 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
     }
   std::vector<std::size_t> slots;
   std::size_t begin = 0;
-  for (; begin + kTogether <= particles.count && slots.size() < most; begin += kTogether) {
-    std::array<Mask, kTogether / kLanes> beyond;
+  for (; begin + kRowsTogether <= particles.count && slots.size() < most; begin += kRowsTogether) {
+    std::array<Mask, kRowsTogether / kRowLanes> beyond;
     beyond.fill(~Mask{});
     for (std::size_t a = 0; a < x.size(); ++a)
-      for (std::size_t i = 0; i < kTogether; i += 8) __builtin_prefetch(x[a] + begin + kAhead + i);
+      for (std::size_t i = 0; i < kRowsTogether; i += 8) __builtin_prefetch(x[a] + begin + kAhead + i);
     for (const Box& box : boxes)
       for (std::size_t g = 0; g < beyond.size(); ++g) {
         Mask out{};
@@ -56,8 +56,8 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
     Mask any{};
     for (const Mask& mask : beyond) any |= mask;
     if ((any[0] | any[1] | any[2] | any[3]) == 0) continue;
-    for (std::size_t i = 0; i < kTogether; ++i)
-      if (beyond[i / kLanes][i % kLanes] != 0) slots.push_back(begin + i);
+    for (std::size_t i = 0; i < kRowsTogether; ++i)
+      if (beyond[i / kRowLanes][i % kRowLanes] != 0) slots.push_back(begin + i);
   }
   for (; begin < particles.count && slots.size() < most; ++begin) slots.push_back(begin);
   return slots;

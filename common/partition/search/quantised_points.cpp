@@ -305,11 +305,11 @@ namespace {
 // wanted, and a branch on each would often be mispredicted.
 template <typename Iterator, typename Wanted, typename Move>
 void for_each_of(Iterator points, std::size_t size, const Wanted& wanted, const Move& move) {
-  constexpr std::size_t kTogether = 512;
-  std::array<std::uint32_t, kTogether> found;
-  for (std::size_t begin = 0; begin < size; begin += kTogether) {
+  constexpr std::size_t kRowsTogether = 512;
+  std::array<std::uint32_t, kRowsTogether> found;
+  for (std::size_t begin = 0; begin < size; begin += kRowsTogether) {
     const auto block = points + static_cast<std::ptrdiff_t>(begin);
-    const auto most = static_cast<std::uint32_t>(std::min(kTogether, size - begin));
+    const auto most = static_cast<std::uint32_t>(std::min(kRowsTogether, size - begin));
     std::size_t count = 0;
     for (std::uint32_t k = 0; k < most; ++k) {
       found[count] = k;

@@ -9,6 +9,7 @@
 #include <system_error>
 #include <thread>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "common/io/files/roots.hpp"

@@ -19,7 +19,7 @@ namespace {
 constexpr int kChangesParts = 6;
 constexpr std::size_t kAtFirst = 240;
 
-using Particle = std::array<double, 2>;
+using Point2 = std::array<double, 2>;
 using Where = std::pair<int, std::uint64_t>;  // rank and slot
 
 // What one member does in a step.
@@ -27,7 +27,7 @@ struct Deeds {
   std::string moved = "all";
   std::vector<std::int64_t> few;  // ascending; of "some"
   std::vector<std::int64_t> removed;
-  std::vector<std::pair<std::int64_t, Particle>> inserted;  // the id counts where ids are given
+  std::vector<std::pair<std::int64_t, Point2>> inserted;  // the id counts where ids are given
 };
 
 // Several spans of values, one behind the other.
@@ -36,7 +36,7 @@ struct Columns {
   std::vector<std::uint64_t> slot;
   std::vector<double> x, y, w;
 
-  void add(const Particle& at, double weight) {
+  void add(const Point2& at, double weight) {
     x.push_back(at[0]);
     y.push_back(at[1]);
     w.push_back(weight);
@@ -135,8 +135,8 @@ class TeamWorld {
   }
 
  private:
-  Particle draw() { return {random_.uniform(), random_.uniform()}; }
-  Particle nearby(Particle at) {
+  Point2 draw() { return {random_.uniform(), random_.uniform()}; }
+  Point2 nearby(Point2 at) {
     for (double& value : at) value += random_.uniform(-0.03, 0.03);
     return at;
   }
@@ -352,7 +352,7 @@ class TeamWorld {
   int members_;
   bool weighted_;
   Random random_;
-  std::map<std::int64_t, Particle> world_;
+  std::map<std::int64_t, Point2> world_;
   std::vector<std::set<std::int64_t>> held_;  // by member
   std::map<std::int64_t, Where> places_;
   Json team_plan_;
