@@ -233,6 +233,7 @@ def fill_disk(folder, files=0):
             open(os.path.join(folder, f"fill.{i}"), "a").close()
 
 
-__all__ = ["ANOTHER_USER", "BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk", "free_port",
-           "hard_scenes", "json", "np", "only_root", "os", "process_name", "processes_of", "random_walk", "run", "shutil",
-           "signal", "subprocess", "sys", "tempfile", "text_of", "time", "token_of", "unittest", "wait_for", "write_text"]
+__all__ = ["ANOTHER_USER", "BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk",
+           "free_port", "hard_scenes", "json", "kill", "np", "only_root", "os", "process_name", "processes_of",
+           "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "text_of", "time", "token_of",
+           "unittest", "wait_for", "write_text"]
