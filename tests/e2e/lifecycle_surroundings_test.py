@@ -99,9 +99,9 @@ class Environments(unittest.TestCase):
         self.endpoint = f"unix:{self.dir}/s"
         self.addCleanup(lambda: run("down", endpoint=self.endpoint))
 
-    def up(self, *options, ranks=2, before=(), endpoint=None, **environment):
-        return run(*before, "env", *(f"{name}={value}" for name, value in environment.items()), RCBCTL, "up", "-n", ranks,
-                   "--data-dir", f"{self.dir}/data", *options, program="env", endpoint=endpoint or self.endpoint)
+    def up(self, *before, ranks=2, endpoint=None, **environment):
+        return run(*before, RCBCTL, "up", "-n", ranks, "--data-dir", f"{self.dir}/data", program="/usr/bin/env",
+                   endpoint=endpoint or self.endpoint, env={name: str(value) for name, value in environment.items()})
 
     def test_what_other_jobs_tell_open_mpi(self):
         """How many ranks a core may have, which networks there are: a service on one machine heeds none of it."""
@@ -116,8 +116,7 @@ class Environments(unittest.TestCase):
         self.assertIn("OMPI_MCA_coll=nothere", up.stderr)
 
     def test_no_search_path(self):
-        up = run("-u", "PATH", RCBCTL, "up", "-n", 2, "--data-dir", f"{self.dir}/data", program="/usr/bin/env",
-                 endpoint=self.endpoint)
+        up = self.up("-u", "PATH")
         self.assertEqual(up.returncode, 0, up.stderr)
 
     def test_another_allocation_of_slurm(self):
@@ -129,7 +128,7 @@ class Environments(unittest.TestCase):
             self.assertIn("unset", up.stderr)
 
     def test_no_network(self):
-        up = self.up(before=("unshare", "--net"))
+        up = self.up("unshare", "--net")
         if "unshare failed" in up.stderr:
             self.skipTest("no namespaces here")
         self.assertEqual(up.returncode, 1)
@@ -145,27 +144,26 @@ class Environments(unittest.TestCase):
         self.assertNotIn("--listen", up.stderr)
 
     @only_root
-    def test_places_of_other_users(self):
-        os.mkdir(f"{self.dir}/theirs", 0o755)
-        os.mkdir(f"{self.dir}/closed", 0o700)
+    def test_a_user_without_a_home_and_places_of_other_users(self):
+        """As in a batch job, or in a container."""
         os.chmod(self.dir, 0o755)
-        stranger = ("setpriv", f"--reuid={ANOTHER_USER}", f"--regid={ANOTHER_USER}", "--clear-groups")
-        for folder in ("theirs", "closed"):
-            up = self.up(before=stranger, endpoint=f"unix:{self.dir}/{folder}/s")
-            self.assertRegex(up.stderr, "choose a folder of yours for the socket, with --endpoint")
+        for folder, mode in (("theirs", 0o755), ("closed", 0o700), ("own", 0o755)):
+            os.mkdir(f"{self.dir}/{folder}", mode)
+        os.chown(f"{self.dir}/own", ANOTHER_USER, ANOTHER_USER)
+        data = ("--data-dir", f"{self.dir}/own")
 
-        # As in a batch job, or a container, of a user who has no home there.
         def ctl(*args):
-            return run(*stranger, "env", "-u", "XDG_STATE_HOME", "XDG_RUNTIME_DIR=/nonexistent", "HOME=/", RCBCTL, *args,
-                       program="env")
+            return run(f"--reuid={ANOTHER_USER}", f"--regid={ANOTHER_USER}", "--clear-groups", "env", "-u", "XDG_STATE_HOME",
+                       "XDG_RUNTIME_DIR=/nonexistent", "HOME=/", RCBCTL, *args, program="setpriv")
 
         self.addCleanup(shutil.rmtree, f"/tmp/rcbd-{ANOTHER_USER}", ignore_errors=True)
         self.addCleanup(ctl, "down")
+        for folder in ("theirs", "closed"):
+            self.assertIn("choose a folder of yours for the socket, with --endpoint",
+                          ctl("up", "--endpoint", f"unix:{self.dir}/{folder}/s", *data).stderr)
         self.assertRegex(ctl("up", "-n", 1).stderr, "can't be made: .*\n.*with --data-dir")
         self.assertRegex(ctl("up", "-n", 1, "--endpoint", "127.0.0.1:17496").stderr, "with XDG_STATE_HOME")
-        os.mkdir(f"{self.dir}/own")
-        os.chown(f"{self.dir}/own", ANOTHER_USER, ANOTHER_USER)
-        up = ctl("up", "-n", 1, "--data-dir", f"{self.dir}/own")
+        up = ctl("up", "-n", 1, *data)
         self.assertIn(f"/tmp/rcbd-{ANOTHER_USER}/", up.stdout, up.stderr)
         self.assertEqual(ctl("status").returncode, 0)
 
