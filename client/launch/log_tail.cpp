@@ -38,6 +38,7 @@ std::string telling_lines(const std::string& text) {
   std::istringstream in(text);
   std::vector<std::string> own;
   std::vector<std::string> of_mpirun;  // its first message: later ones tell what came of it
+  std::vector<std::string> sequels;    // told where mpirun has ended before it wrote that message
   int rules = 0;
   for (std::string line; std::getline(in, line);) {
     if (line.ends_with('\r')) line.pop_back();
@@ -46,14 +47,15 @@ std::string telling_lines(const std::string& text) {
       continue;
     }
     const bool in_frame = rules % 2 == 1;
-    if ((in_frame && rules > 1) || (!in_frame && is_sequel(line))) continue;
-    std::vector<std::string>& lines = in_frame ? of_mpirun : own;
+    if (in_frame && rules > 1) continue;
+    std::vector<std::string>& lines = in_frame ? of_mpirun : is_sequel(line) ? sequels : own;
     // All ranks tend to write the same line.
     if (line.find_first_not_of(" \t") != std::string::npos &&
         std::find(lines.begin(), lines.end(), line) == lines.end())
       lines.push_back(line);
   }
   of_mpirun.resize(std::min(of_mpirun.size(), kMpirunLinesMax));
+  if (own.empty() && of_mpirun.empty()) own = std::move(sequels);
   const auto told = own.empty() ? std::span(of_mpirun) : std::span(own).last(std::min(own.size(), kLinesMax));
   return fmt::format("{}", fmt::join(told, "\n"));
 }

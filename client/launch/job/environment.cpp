@@ -88,10 +88,10 @@ std::string odd_surroundings(const Hosts& hosts) {
   const char* const home = std::getenv("HOME");
   const std::string settings = join_path(home == nullptr ? "" : home, ".openmpi/mca-params.conf");
   if (::access(settings.c_str(), R_OK) == 0) heeded.push_back(settings);
-  if (!heeded.empty()) return fmt::format("Open MPI heeds {}: does it start without?", fmt::join(heeded, ", "));
+  if (!heeded.empty()) return fmt::format("Open MPI heeds {}: try without", fmt::join(heeded, ", "));
   const char* const job = std::getenv("SLURM_JOB_ID");
   if (job != nullptr && hosts.job_machines > 1)
-    return fmt::format("is this shell in job {}, which SLURM_JOB_ID names? If not, unset that", job);
+    return fmt::format("if job {} of SLURM_JOB_ID has ended, or is elsewhere, unset that", job);
   return {};
 }
 

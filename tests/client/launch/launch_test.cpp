@@ -207,6 +207,8 @@ TEST_F(Launch, TheLogsTailIsWhatTheProgramSaid) {
   EXPECT_EQ(telling_lines("[b:2] PMIX ERROR: OUT-OF-RESOURCE\n" + rule + "1 process returned\n" + rule),
             "[b:2] PMIX ERROR: OUT-OF-RESOURCE");
   EXPECT_EQ(telling_lines("ssh: no host a\r\n\r\nssh: no host a\n"), "ssh: no host a");
+  EXPECT_EQ(telling_lines("[b:2] *** An error occurred in MPI_Init_thread\n"),
+            "[b:2] *** An error occurred in MPI_Init_thread");  // mpirun has ended before it wrote why
   EXPECT_EQ(log_tail(path + ".none"), "");
 }
 
