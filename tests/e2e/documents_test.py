@@ -13,6 +13,22 @@ def block(document, language, number=0):
     return re.findall(r"^```" + language + r"\n(.*?)^```", text_of(ROOT, document), re.S | re.M)[number]
 
 
+# A LAMMPS run of 500 atoms, without its dump.
+MELT = """
+units lj
+lattice fcc 0.8442
+region box block 0 5 0 5 0 5
+create_box 1 box
+create_atoms 1 box
+mass 1 1.0
+velocity all create 3.0 87287
+pair_style lj/cut 2.5
+pair_coeff 1 1 1.0 1.0 2.5
+fix 1 all nve
+{dump}
+run 500
+"""
+
 # What a solver has and the README doesn't show.
 SOLVER = """
 #include <cmath>
@@ -95,18 +111,6 @@ class Documents(ServiceTest):
         history = self.service.json("history", "jet")
         self.assertEqual([report["step"] for report in history], list(range(201)))
 
-    def test_the_readmes_python(self):
-        program = os.path.join(self.dir, "steps.py")
-        write_text(program, block("README.md", "python"))
-        done = subprocess.run(["/usr/bin/python3", program], capture_output=True, text=True, timeout=120, cwd=self.dir,
-                              env=WITH_PROGRAMS | {"RCBD_ENDPOINT": self.service.endpoint})
-        self.assertEqual(done.returncode, 0, done.stderr)
-        history = self.service.json("history", "cloud")
-        self.assertEqual([report["step"] for report in history], list(range(10)))
-        self.assertGreater(sum(report["repartitioned"] for report in history), 1)
-        part = np.load(os.path.join(self.dir, "part.npy"))
-        self.assertEqual(np.bincount(part).tolist(), self.service.json("counts", "cloud")["counts"])
-
     def test_the_protocol_pages_client(self):
         client = os.path.join(self.dir, "client.py")
         write_text(client, block("common/wire/PROTOCOL.md", "python"))
@@ -160,6 +164,19 @@ class Sessions(unittest.TestCase):
         self.assertEqual((len(counts), counts.sum(), counts.max() - counts.min()), (64, 100, 1))
         self.assertEqual(json.loads(text_of(self.dir, "cuts.json"))["parts"], 64)
         self.assertIn("bands-x", said[1])
+
+    @unittest.skipUnless(shutil.which("lmp"), "lmp, of Debian's package lammps, isn't installed")
+    def test_a_lammps_run(self):
+        text = re.search(r"```\n(\$ mkfifo.*?)^```", text_of(ROOT, "docs/coupling.md"), re.S | re.M).group(1)
+        dump = re.search(r"with the line: (dump .*)$", text, re.M).group(1)
+        write_text(os.path.join(self.dir, "in.jet"), MELT.format(dump=dump))
+        lines = re.findall(r"^\$ (.*)$", text, re.M)
+        self.said("rcbctl up -n 2")
+        # The last line asks for the history of a run that has ended.
+        self.said("\n".join(["set -e", *lines[:-1], "wait $!", lines[-1]]))
+        history = json.loads(self.said("rcbctl history jet --json"))
+        self.assertEqual([(report["step"], report["n"]) for report in history], [(step, 500) for step in range(0, 501, 100)])
+        self.assertIn("<svg", text_of(self.dir, "jet.svg"))
 
 
 if __name__ == "__main__":
