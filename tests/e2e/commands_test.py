@@ -1,5 +1,6 @@
 """Every command of rcbctl, its --json fields as promised, its human form, and that neither mixes with the other."""
 import judge
+from protocol_client import Client
 from support import *
 
 STEP_REPORT = {"scene", "step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason",
@@ -226,6 +227,22 @@ class Commands(ServiceTest):
                         "cuts", "history", "stats", "owner", "box", "assign", "quality", "rebalance", "export", "watch"):
             done = run(command, "--help", check=True)
             self.assertIn(command, done.stdout)
+
+    def test_a_solvers_scene_is_pushed_by_force_alone(self):
+        points = np.random.default_rng(5).random((50, 3))
+        path = self.save("foreign.npy", points)
+        with Client(self.path) as solver:
+            solver.ask("scene.create", scene="theirs", parts=2, replace=True)
+            solver.ask("scene.open", scene="theirs")
+            solver.push("theirs", 0, points)
+            failure = self.service.failure("push", "theirs", path)
+            self.assertEqual((failure["code"], failure["exit"]), ("busy", 1))
+            self.assertIn("e2e", failure["message"])
+            self.assertIn("--force", failure["hint"])
+            solver.push("theirs", 1, points + 1)  # it goes on
+            self.assertEqual(self.service.json("push", "theirs", path, "--force")["step"], 2)
+            solver.ask("scene.close", scene="theirs")
+            self.assertEqual(self.service.json("push", "theirs", path)["step"], 3)
 
     def test_scene_is_not_replaced_under_a_client(self):
         solver = subprocess.Popen([os.path.join(BIN, "two_spheres"), "--points", "60000", "--steps", "100", "--scene",

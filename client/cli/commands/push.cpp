@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "client/cli/app.hpp"
 #include "client/cli/files/frame_order.hpp"
@@ -23,6 +24,7 @@ struct PushOptions {
   std::vector<std::int64_t> removed;
   std::optional<std::int64_t> step;
   std::optional<double> step_seconds;
+  bool force = false;
 };
 
 struct ReplayOptions {
@@ -90,6 +92,16 @@ Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::
           : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
+// A solver that has the scene open numbers its steps by itself: its next one would be refused (stale_step), and the
+// solver would end. shown: the answer to scene.show.
+Status check_not_held(const Json& shown, const std::string& scene) {
+  const auto holders = shown.at("members").get<std::vector<std::string>>();
+  if (holders.empty()) return {};
+  return {Code::busy, fmt::format("scene '{}' is held open by {}", scene, fmt::join(holders, ", ")),
+          "try again when it is closed; with --force the step is pushed all the same, and a solver whose next step has "
+          "the same number fails"};
+}
+
 Status push(const PushOptions& options, const Context& context) {
   if (options.file.path.empty() && !options.unmoved && options.inserted.path.empty() && options.removed.empty())
     return {Code::usage, "push: FILE, --unmoved, --insert or --remove is wanted", "rcbctl push --help"};
@@ -97,6 +109,7 @@ Status push(const PushOptions& options, const Context& context) {
   if (!client) return client.status();
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
   if (!shown) return shown.status();
+  if (Status free = check_not_held(*shown, options.name); !free && !options.force) return free;
   const int dims = shown->at("dims").get<int>();
   const auto read = [dims, &options](const FileOptions& file) -> Result<io::Points> {
     if (file.path.empty()) return io::Points{.dims = dims};
@@ -297,6 +310,10 @@ void add_push_commands(CLI::App& app, Context& context) {
   add_value(pushes, "--step", pushed.step, kind::whole_number("K", 0, wire::kStepMax),
             "its number (default: the last + 1, 0 at first)");
   add_value(pushes, "--step-seconds", pushed.step_seconds, kind::number_from_zero("SECONDS"), kStepSecondsHelp);
+  pushes.add_flag(
+      "--force", pushed.force,
+      "push also while a solver has the scene open; without it that is refused, since the solver's next step "
+      "would fail");
 
   auto [replays, replayed] =
       add_command(app, context,
