@@ -17,6 +17,7 @@ namespace rcb {
 template <typename T>
 class Buffer {
   static_assert(std::is_trivially_copyable_v<T>);
+  static_assert(alignof(T) <= alignof(std::max_align_t), "realloc aligns for these alone");
 
  public:
   Buffer() = default;

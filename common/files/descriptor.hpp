@@ -23,6 +23,8 @@ class Descriptor {
 
   int get() const { return number_; }  // -1: there is none
   bool open() const { return number_ >= 0; }
+  // Gives it away: its new owner closes it.
+  int release() { return std::exchange(number_, -1); }
   // Closes it before its end, for those who want to know of an error: false, with errno.
   bool close() { return ::close(std::exchange(number_, -1)) == 0; }
 

@@ -177,7 +177,7 @@ Status Connection::State::open(const Deadline& deadline) {
     } else {
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
       // A service may leave a slice unread until its push is opened.
-      set_keep_alive(socket.native_handle(), 2 * kPeerGoneSeconds);
+      set_keep_alive(socket.native_handle(), kPeerGoneSeconds, 2 * kPeerGoneSeconds);
       const Address remote = socket.remote_endpoint(ignored);
       const auto peer = as_tcp(remote);
       const auto own = as_tcp(socket.local_endpoint(ignored));

@@ -8,6 +8,7 @@
 #include <bit>
 
 #include "common/base/cpu.hpp"
+#include "common/base/prefetch.hpp"
 #include "common/partition/incremental/boundary_list.hpp"
 #include "common/partition/search/four_points.hpp"
 
@@ -85,7 +86,7 @@ class Pass {
       if (blocks_ != nullptr && other == 0 && stays(begin / kBlock, index_of(part[0]))) continue;
       const Axes x = particles_.all_axes(begin);
       for (const double* axis : x)
-        for (std::size_t i = 0; i < kBlock; i += 8) __builtin_prefetch(axis + kParticlesAhead + i);
+        for (std::size_t i = 0; i < kBlock; i += 8) prefetch(axis, kParticlesAhead + i);
       const std::uint64_t beyond =
           other == 0 ? beyond_same(x, box_[index_of(part[0])], count) : beyond_own(x, part, count);
       const std::uint64_t inside = beyond == 0 ? 0 : interior_of(begin, beyond);

@@ -7,6 +7,7 @@
 
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
+#include "common/base/prefetch.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -66,7 +67,7 @@ template <bool kSeveral, std::size_t kAxes>
   for (; i + 8 <= count; i += 8) {
     __m256 own[kAxes];
     for (std::size_t a = 0; a < kAxes; ++a) {
-      _mm_prefetch(x[a] + i + kParticlesAhead, _MM_HINT_T0);
+      prefetch(x[a], i + kParticlesAhead);
       own[a] = rounded8(t.rounded, a, x[a] + i);
     }
     __m256i leaf = _mm256_setzero_si256();
@@ -132,8 +133,8 @@ template <bool kSeveral, std::size_t kAxes>
   for (; i + 16 <= count; i += 16) {
     __m512 own[kAxes];
     for (std::size_t a = 0; a < kAxes; ++a) {
-      _mm_prefetch(x[a] + i + kParticlesAhead, _MM_HINT_T0);
-      _mm_prefetch(x[a] + i + kParticlesAhead + 8, _MM_HINT_T0);
+      prefetch(x[a], i + kParticlesAhead);
+      prefetch(x[a], i + kParticlesAhead + 8);
       own[a] = rounded16(t.rounded, a, x[a] + i);
     }
     __m512i leaf = _mm512_setzero_si512();

@@ -7,6 +7,7 @@
 
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
+#include "common/base/prefetch.hpp"
 #include "common/geometry/axes.hpp"
 #include "common/partition/incremental/find_leaves.hpp"
 
@@ -258,7 +259,7 @@ struct Unsure {
       if (keys.whole && state.any_open(known)) {
         if (!unsure.has_ids) {
           pick_eights(id, which, unsure.id.data());
-          for (std::size_t i = 0; i < kBlock; i += 8) _mm_prefetch(id + kParticlesAhead + i, _MM_HINT_T0);
+          for (std::size_t i = 0; i < kBlock; i += 8) prefetch(id, kParticlesAhead + i);
           unsure.has_ids = true;
         }
         const Sixteen ids{{_mm512_load_si512(unsure.id.data() + j), _mm512_load_si512(unsure.id.data() + j + 8)}};

@@ -4,6 +4,7 @@
 #include <array>
 
 #include "common/base/index.hpp"
+#include "common/base/prefetch.hpp"
 #include "common/comm/gather.hpp"
 #include "common/partition/search/split_rule.hpp"
 
@@ -43,7 +44,7 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
     std::array<Mask, kRowsTogether / kRowLanes> beyond;
     beyond.fill(~Mask{});
     for (std::size_t a = 0; a < x.size(); ++a)
-      for (std::size_t i = 0; i < kRowsTogether; i += 8) __builtin_prefetch(x[a] + begin + kAhead + i);
+      for (std::size_t i = 0; i < kRowsTogether; i += 8) prefetch(x[a], begin + kAhead + i);
     for (const Box& box : boxes)
       for (std::size_t g = 0; g < beyond.size(); ++g) {
         Mask out{};

@@ -116,7 +116,7 @@ Result<asio::ip::tcp::socket> connect_to_any(asio::io_context& context, const st
     if (!error) {
       asio::ip::tcp::socket connected(context, endpoint.protocol(), socket.release());
       connected.set_option(asio::ip::tcp::no_delay(true), error);
-      set_keep_alive(connected.native_handle());
+      set_keep_alive(connected.native_handle(), kPeerGoneSeconds, kPeerGoneSeconds);
       return connected;
     }
     tried += fmt::format("{}{} ({})", tried.empty() ? "" : ", ", address, error.message());
@@ -159,7 +159,8 @@ struct DoorbellHub::State : std::enable_shared_from_this<State> {
   template <typename Acceptor>
   void accept(Acceptor& acceptor) {
     auto take = [self = shared_from_this()](Socket socket, const Status& peer) {
-      if (!peer.ok()) return;  // closes it
+      if (!peer.ok()) return;                                                      // closes it
+      set_keep_alive(socket.native_handle(), kPeerGoneSeconds, kPeerGoneSeconds);  // longer than for clients
       auto connection = std::make_shared<Connection>(std::move(socket), kFrameSeconds);
       asio::co_spawn(
           self->loop.context(), [self, connection] { return self->serve(connection); }, asio::detached);
@@ -279,8 +280,11 @@ Status DoorbellHub::wait_connected(double seconds) {
 }
 
 void DoorbellHub::ring(std::uint64_t number, const std::string& request) {
+  // Encoded once, however many ranks there are.
+  const auto frame = std::make_shared<const std::string>(
+      wire::encode_frame({.type = wire::FrameType::request, .request = number}, request));
   for (State::Peer& peer : state_->peers)
-    if (peer.connection) peer.connection->send_text(wire::FrameType::request, number, request);
+    if (peer.connection) peer.connection->send_shared(frame);
 }
 
 void DoorbellHub::on_peer_message(PeerMessageHandler handler) { state_->message = std::move(handler); }

@@ -249,6 +249,13 @@ awaitable<Result<Frame>> Connection::read_frame(std::uint64_t json_bytes_max, st
     if (!status.ok() && status.code() == Code::unavailable) co_return Status(Code::unavailable, "");
     if (!status.ok()) co_return status;
   }
+  reading_message_ = true;
+  Result<Frame> frame = co_await read_message(json_bytes_max, bulk_bytes_max);
+  reading_message_ = false;
+  co_return frame;
+}
+
+awaitable<Result<Frame>> Connection::read_message(std::uint64_t json_bytes_max, std::uint64_t bulk_bytes_max) {
   touch_reading();
   arm();
   wire::HeaderBytes bytes;
@@ -344,6 +351,10 @@ void Connection::send_text(wire::FrameType type, std::uint64_t request, const st
   enqueue({wire::encode_frame(header, json), {}});
 }
 
+void Connection::send_shared(std::shared_ptr<const std::string> frame) {
+  if (!broken_) enqueue({{}, {}, nullptr, std::move(frame)});
+}
+
 void Connection::enqueue(Outgoing outgoing) {
   queue_.push_back(std::move(outgoing));
   if (writing_) return;
@@ -357,7 +368,7 @@ awaitable<void> Connection::write_all() {
   while (!queue_.empty() && !broken_) {
     const Outgoing outgoing = std::move(queue_.front());
     queue_.pop_front();
-    bool sent = co_await write_span(std::as_bytes(std::span(outgoing.head)));
+    bool sent = co_await write_span(std::as_bytes(std::span(outgoing.frame ? *outgoing.frame : outgoing.head)));
     for (std::size_t i = 0; sent && i < outgoing.arrays.size(); ++i)
       sent = co_await write_span(outgoing.arrays[i].bytes.span());
     if (!sent) close();

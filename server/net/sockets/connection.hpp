@@ -54,6 +54,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
   // Reads the next frame up to the end of its JSON. Errors: unavailable (the peer is gone; the message is "" if it
   // closed between two frames), protocol_error, too_large, deadline_exceeded.
   awaitable<Result<Frame>> read_frame(std::uint64_t json_bytes_max, std::uint64_t bulk_bytes_max);
+  // Whether some of a frame has come, and read_frame() hasn't returned it yet.
+  bool reading_message() const { return reading_message_; }
   awaitable<Status> read_bulk(std::span<std::byte> into);
   // Reads and drops the rest of a frame: `bytes` of bulk, then the checksum if there is one.
   awaitable<Status> skip_bulk(const Frame& frame, std::uint64_t bytes);
@@ -77,6 +79,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void send_text(wire::FrameType type, std::uint64_t request, const std::string& json);
   // Waits until everything is sent or the connection is broken.
   awaitable<void> flush();
+  // A whole frame that others send as well.
+  void send_shared(std::shared_ptr<const std::string> frame);
   // Sends what is queued, then closes so that the peer can still read it: a plain close with unread input would make
   // the kernel discard it. So it waits, for a second at most, until the peer closes.
   awaitable<void> end_gently();
@@ -96,8 +100,11 @@ class Connection : public std::enable_shared_from_this<Connection> {
     std::string head;
     std::vector<wire::Array> arrays;
     std::shared_ptr<void> held = nullptr;
+    std::shared_ptr<const std::string> frame = nullptr;  // instead of `head`
   };
 
+  // The rest of a frame of which something has come.
+  awaitable<Result<Frame>> read_message(std::uint64_t json_bytes_max, std::uint64_t bulk_bytes_max);
   awaitable<Status> read_exactly(std::span<std::byte> into);
   awaitable<Status> read_text(std::string& text, std::size_t bytes);
   awaitable<Status> refill();
@@ -125,6 +132,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   TimePoint limit_end_ = TimePoint::max();  // fixed by limit_reading()
   TimePoint write_end_ = TimePoint::max();
   bool read_late_ = false;
+  bool reading_message_ = false;
   bool broken_ = false;
   bool writing_ = false;
   bool closes_when_sent_ = false;

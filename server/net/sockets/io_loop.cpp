@@ -91,12 +91,10 @@ void IoLoop::start() {
 void IoLoop::post(std::function<void()> task) { asio::post(state_->context, std::move(task)); }
 
 void IoLoop::run(const std::function<void()>& task) {
-  std::promise<void> done;
-  post([&] {
-    task();
-    done.set_value();
-  });
-  done.get_future().wait();
+  const auto shared = std::make_shared<std::packaged_task<void()>>(task);
+  auto done = shared->get_future();
+  post([shared] { (*shared)(); });
+  done.get();
 }
 
 void IoLoop::every(double seconds, std::function<void()> task) {

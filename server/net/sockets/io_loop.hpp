@@ -22,7 +22,7 @@ class IoLoop {
   void start();
   // Any thread: runs `task` on the I/O thread, soon.
   void post(std::function<void()> task);
-  // Any thread but the I/O thread: runs `task` on the I/O thread and waits for its end.
+  // Any thread but the I/O thread: runs `task` on the I/O thread and waits for its end. Throws what `task` throws.
   void run(const std::function<void()>& task);
   // Before start(): calls `task` on the I/O thread every `seconds` until the loop ends, first after one period.
   void every(double seconds, std::function<void()> task);

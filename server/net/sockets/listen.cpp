@@ -8,9 +8,11 @@
 #include <fmt/format.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include "common/base/host_port.hpp"
+#include "common/files/descriptor.hpp"
 #include "common/files/paths.hpp"
 #include "common/files/socket_file.hpp"
 #include "common/tls/off_loopback.hpp"
@@ -37,28 +39,53 @@ Status remove_stale(const std::string& path) {
   return {Code::io_error, fmt::format("can't remove the stale socket {}: {}", path, std::strerror(errno))};
 }
 
-}  // namespace
+Status cannot_listen(const std::string& path, int fault) {
+  return {Code::io_error, fmt::format("can't listen on unix:{}: {}", path, std::strerror(fault)),
+          "make the socket's directory, or give the service another endpoint"};
+}
 
-Result<UnixListener> listen_unix(asio::io_context& context, const std::string& path) {
+// A socket that listens, and needs no context yet: on the thread of the files there may be none any more.
+struct BoundSocket {
+  Descriptor socket;
+  SocketName name;  // destroyed before the socket, whose end frees the inode
+};
+
+Result<BoundSocket> bind_unix(const std::string& path) {
   if (path.empty() || path.size() > kSocketPathMax)
     return Status(
         Code::invalid_argument,
         fmt::format("the socket path has {} bytes, 1 to {} are possible: {}", path.size(), kSocketPathMax, path),
         "give the service an endpoint with a shorter path");
   if (Status status = remove_stale(path); !status.ok()) return status;
+  Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::memcpy(address.sun_path, path.data(), path.size());
+  // The name that bind() makes has the mode of the socket (Linux). The umask would be that of all threads, also of one
+  // that makes a folder meanwhile.
+  const auto* const where = reinterpret_cast<const sockaddr*>(&address);
+  if (!socket.open() || ::fchmod(socket.get(), 0600) != 0 || ::bind(socket.get(), where, sizeof(address)) != 0)
+    return cannot_listen(path, errno);
+  SocketName name(path);
+  if (::listen(socket.get(), asio::socket_base::max_listen_connections) != 0) return cannot_listen(path, errno);
+  return BoundSocket{std::move(socket), std::move(name)};
+}
+
+Result<UnixListener> take(asio::io_context& context, BoundSocket bound) {
   UnixAcceptor acceptor(context);
   error_code error;
-  acceptor.open({}, error);
-  const mode_t mask = ::umask(0177);
-  if (!error) acceptor.bind({path}, error);
-  ::umask(mask);
-  if (error)
-    return Status(Code::io_error, fmt::format("can't listen on unix:{}: {}", path, error.message()),
-                  "make the socket's directory, or give the service another endpoint");
-  SocketName name(path);
-  acceptor.listen(asio::socket_base::max_listen_connections, error);
-  if (error) return Status(Code::io_error, fmt::format("can't listen on unix:{}: {}", path, error.message()));
-  return UnixListener{std::move(acceptor), std::move(name)};
+  acceptor.assign({}, bound.socket.get(), error);
+  if (error) return Status(Code::io_error, fmt::format("a socket can't be watched: {}", error.message()));
+  static_cast<void>(bound.socket.release());
+  return UnixListener{std::move(acceptor), std::move(bound.name)};
+}
+
+}  // namespace
+
+Result<UnixListener> listen_unix(asio::io_context& context, const std::string& path) {
+  Result<BoundSocket> bound = bind_unix(path);
+  if (!bound.ok()) return bound.status();
+  return take(context, std::move(*bound));
 }
 
 Status LastingListener::listen(asio::io_context& context, const std::string& path) {
@@ -77,17 +104,17 @@ void LastingListener::start(std::function<void(UnixAcceptor&)> accept) {
 
 struct LastingListener::Look {
   bool in_place = false;
-  std::optional<Result<UnixListener>> again;
+  std::optional<Result<BoundSocket>> again;
 };
 
 void LastingListener::look() {
   if (!accept_ || looking_ || listeners_.empty() || !listeners_.back().acceptor.is_open()) return;
   const auto look = std::make_shared<Look>();
   const Status begun = FileThread::of(*context_).run(
-      [look, place = listeners_.back().name.place(), path = path_, context = context_, there = std::weak_ptr(there_)] {
+      [look, place = listeners_.back().name.place(), path = path_, there = std::weak_ptr(there_)] {
         look->in_place = place.taken();
-        // The disk may have answered only after the end of this object, and of the context.
-        if (!look->in_place && !there.expired()) look->again.emplace(listen_unix(*context, path));
+        // The disk may have answered only after the end of this object.
+        if (!look->in_place && !there.expired()) look->again.emplace(bind_unix(path));
       },
       [this, look, there = std::weak_ptr(there_)] {
         if (there.expired()) return;
@@ -100,8 +127,10 @@ void LastingListener::look() {
 void LastingListener::found(Look& look) {
   if (look.in_place || !listeners_.back().acceptor.is_open())
     return;  // closed meanwhile: the new socket goes with `look`
-  if (!look.again->ok()) {
-    const std::string why = look.again->status().message();
+  Result<UnixListener> again =
+      look.again->ok() ? take(*context_, std::move(**look.again)) : Result<UnixListener>(look.again->status());
+  if (!again.ok()) {
+    const std::string why = again.status().message();
     if (std::exchange(complaint_, why) != why)
       spdlog::error("the socket {} was removed and can't be made again: {}", path_, complaint_);
     return;
@@ -109,7 +138,7 @@ void LastingListener::found(Look& look) {
   spdlog::warn("the socket {} was removed; it is made again", path_);
   complaint_.clear();
   close();
-  listeners_.push_back(std::move(**look.again));
+  listeners_.push_back(std::move(*again));
   accept_(listeners_.back().acceptor);
 }
 

@@ -86,7 +86,7 @@ awaitable<void> accept_all(asio::io_context& context, Acceptor& acceptor, Take t
     if constexpr (std::is_same_v<Acceptor, TcpAcceptor>) {
       error_code ignored;
       socket.set_option(asio::ip::tcp::no_delay(true), ignored);
-      set_keep_alive(socket.native_handle());
+      set_keep_alive(socket.native_handle(), kClientGoneSeconds, kClientGoneSeconds);
     }
     Status peer;
     if constexpr (std::is_same_v<Acceptor, UnixAcceptor>) peer = check_peer_user(socket.native_handle());

@@ -6,6 +6,8 @@
 #include <new>
 #include <utility>
 
+#include <fmt/format.h>
+
 #include "server/service/context/collective.hpp"
 
 namespace rcb::service {
@@ -46,6 +48,8 @@ void FileWork::run(std::function<Status()> job) {
     } catch (const std::bad_alloc&) {
       status = Status(Code::too_large, "a rank has no memory for the file",
                       "give the file to more ranks or a larger machine");
+    } catch (const std::exception& fault) {
+      status = Status(Code::internal, fmt::format("an internal fault in the work on a file: {}", fault.what()));
     }
     job = {};  // what it owns goes before its end is known
     state->end(status);

@@ -34,8 +34,18 @@ Response with_reports(const History& history, std::uint64_t first, std::uint64_t
   answer.later = [reading = history.reading(first, last), fill = std::move(fill)](Response base, api::TakeAnswer take) {
     auto awaited = std::make_shared<Awaited>(std::move(take));
     auto filled = std::make_shared<Response>(std::move(base));
-    const Status begun = reading([fill, filled](FoundReports found) { fill(std::move(found), *filled); },
-                                 [awaited, filled] { awaited->set(std::move(*filled)); });
+    auto whole = std::make_shared<bool>(false);
+    const Status begun = reading(
+        [fill, filled, whole](FoundReports found) {
+          fill(std::move(found), *filled);
+          *whole = true;
+        },
+        [awaited, filled, whole] {
+          // Most likely memory has run out.
+          awaited->set(*whole ? std::move(*filled)
+                              : failed({Code::too_large, "there is no memory for the older step reports",
+                                        "ask for fewer at a time, or a page"}));
+        });
     if (!begun.ok()) awaited->set(failed(begun));
   };
   return answer;

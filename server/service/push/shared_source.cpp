@@ -27,7 +27,7 @@ void read_rows(const std::byte* first, std::uint64_t stride, std::span<const par
 
 template <auto kRead, typename T>
 void read_range(const std::byte* first, std::uint64_t stride, std::uint64_t count, T* to) {
-  for (std::uint64_t i = 0; i < count; ++i, first += stride) to[i] = kRead(first);
+  for (std::uint64_t i = 0; i < count; ++i) to[i] = kRead(first + i * stride);
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <malloc.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
@@ -130,6 +131,27 @@ TEST_F(Bells, RingAlikeEverywhereAndLeaveNoFile) {
     ASSERT_TRUE(rank->orders.wait_for(200));
     EXPECT_EQ(rank->orders.lines(), expected);
   }
+}
+
+// What is queued for the ranks is one text. Under sanitizers, whose allocators don't count so, this tells nothing.
+TEST_F(Bells, AnOrderIsInMemoryOnce) {
+  constexpr std::size_t kRanks = 5;
+  constexpr std::size_t kBytes = std::size_t{8} << 20U;
+  start(kRanks);
+  if (HasFatalFailure()) return;
+  const auto taken = [] {
+    const struct mallinfo2 info = ::mallinfo2();
+    return info.uordblks + info.hblkhd;
+  };
+  const std::string text = R"({"fill":")" + std::string(kBytes, 'x') + R"("})";
+  std::size_t grown = 0;
+  loop_.run([&] {
+    const std::size_t before = taken();
+    hub_->ring(1, text);
+    grown = taken() - before;
+  });
+  EXPECT_LT(grown, 2 * kBytes);
+  for (const auto& rank : ranks_) EXPECT_TRUE(rank->orders.wait_for(1));
 }
 
 TEST_F(Bells, ACleanEndLosesNobody) {

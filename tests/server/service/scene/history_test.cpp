@@ -6,6 +6,7 @@
 #include <fstream>
 #include <future>
 #include <memory>
+#include <new>
 #include <thread>
 
 #include <fmt/format.h>
@@ -16,6 +17,7 @@
 #include <unistd.h>
 
 #include "common/comm/self_comm.hpp"
+#include "server/service/commands/with_reports.hpp"
 #include "server/service/service.hpp"
 #include "tests/server/service/driver.hpp"
 #include "tests/support/directory.hpp"
@@ -269,6 +271,18 @@ TEST(History, ADiskThatStandsStillHoldsUpNobody) {
   EXPECT_EQ(loss(history), "");
   settle(room);
   EXPECT_FALSE(fs::exists(service::report_file_path(directory.reports, "gone")));
+}
+
+TEST(History, AnAnswerThatCouldNotBeFilledIsAFailure) {
+  const ReportDirectory directory;
+  HistoryMemory room(8, directory.reports);
+  History history(room, "jet");
+  add(history, 0, 100);
+  std::promise<Status> told;
+  api::complete(service::with_reports(history, 0, 100,
+                                      [](service::FoundReports, const service::Response&) { throw std::bad_alloc(); }),
+                [&told](const api::Answer& answer) { told.set_value(answer.status); });
+  EXPECT_EQ(told.get_future().get().code(), Code::too_large);
 }
 
 TEST(History, WhatADiskDoesNotTakeInTimeIsLostAndCountedAndTheRestIsThere) {
