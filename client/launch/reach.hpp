@@ -18,6 +18,7 @@ inline Result<client::Client> reach(const std::string& endpoint, const std::stri
   options.deadline_seconds = deadline_seconds;
   options.token = token;
   options.outlive = false;
+  options.on_notice = [](const std::string&) {};
   return client::Client::connect(options);
 }
 

@@ -44,11 +44,12 @@ struct ConnectOptions {
   // data directory.
   std::string token{};
   Path path = Path::automatic;
-  // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. May be
-  // empty. It must not throw, nor call the client.
+  // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. Empty:
+  // the text goes to standard error, after `name`. It must not throw, nor call the client.
   std::function<void(const std::string&)> on_notice{};
   // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
-  // again; if false, one new connection is tried, and a lost scene is an error.
+  // again; so do create_scene() and drop_scene(), and a member for its seat, for another client that holds the scene.
+  // If false, one new connection is tried, and a lost scene or a held one is an error.
   bool outlive = true;
 };
 

@@ -82,7 +82,8 @@ struct MemberStep {
 class MemberScene {
  public:
   // Takes the seat. The scene must have been created by create_scene(), by a member or another client. Errors: busy
-  // (the seat is taken), invalid_argument (other terms than those of the other members), not_found.
+  // (another client has the seat, and keeps it until the deadline), invalid_argument (other terms than those of the
+  // other members), not_found.
   static Result<MemberScene> open(Client& client, const std::string& name, const MemberOptions& options);
   MemberScene(MemberScene&&) noexcept;
   MemberScene& operator=(MemberScene&&) noexcept;

@@ -159,6 +159,19 @@ class Outlive(unittest.TestCase):
                                            "--interval", 0.05, "--parts", 4, "--scene", "b", "--json", "--check"), "b",
                                "slope_mpi 0 of 3")
 
+    def test_a_solver_says_at_once_that_its_service_was_stopped_and_goes_on_with_the_next(self):
+        running = self.solver(os.path.join(BIN, "two_spheres"), "--steps", 1500, "--scene", "d", "--json", "--deadline", 120)
+        try:
+            wait_for(lambda: self.step("d") >= 2)
+            self.assertEqual(self.service.ctl("down").returncode, 0)
+            self.assertRegex(running.stderr.readline(), "^two_spheres: the service at .* was stopped; ")
+            run("up", "-n", 2, "--data-dir", self.service.data, endpoint=self.service.endpoint, check=True)
+            out, err = running.communicate(timeout=200)
+        finally:
+            running.kill()
+        self.assertEqual(running.returncode, 0, out[-2000:] + err)
+        self.assertEqual(sum(report["scene_recreated"] for report in json.loads(out)["reports"]), 1)
+
     def test_a_solver_that_does_not_outlive_ends_and_the_hint_is_true(self):
         running = self.solver(os.path.join(BIN, "two_spheres"), "--steps", 100000, "--scene", "c", "--json", "--no-outlive")
         try:

@@ -62,9 +62,10 @@ Status MemberScene::State::open() {
   Retry retry(options.deadline_seconds);
   const auto mend = [&](const Status& status) {
     // Not found: another member, which has created the scene and so knows its options, will create it again. Busy: the
-    // service may not have noticed yet that our previous connection, which holds the seat, was lost.
+    // service may not have noticed yet that the connection which holds the seat was lost: our previous one, or that of
+    // a process in whose place this one was started.
     const bool scene_lost = status.code() == Code::not_found && session().restarted();
-    const bool taken = status.code() == Code::busy && retry.failures() > 0;
+    const bool taken = status.code() == Code::busy;
     const std::string what =
         scene_lost ? fmt::format("scene '{}', which was lost, to be made anew", name) : status.message();
     return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();

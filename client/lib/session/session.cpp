@@ -12,6 +12,7 @@
 #include <sys/random.h>
 
 #include "client/lib/session/data_path.hpp"
+#include "common/base/text.hpp"
 #include "common/files/endpoint_lock.hpp"
 #include "common/files/paths.hpp"
 #include "common/wire/frame.hpp"
@@ -99,7 +100,12 @@ std::string request_frame(std::uint64_t request, const wire::Json& json) {
   return frame_of(wire::FrameType::request, request, json);
 }
 
-Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {}
+Session::Session(ConnectOptions options) : options_(std::move(options)), number_(random_session()) {
+  if (!options_.on_notice)
+    options_.on_notice = [name = options_.name](const std::string& text) {
+      fmt::print(stderr, "{}: {}\n", name, escape_controls(text));
+    };
+}
 
 Session::~Session() {
   if (!connected()) return;
@@ -131,10 +137,17 @@ void Session::drop_connection() {
   connection_.reset();
 }
 
-std::string Session::gone() const { return fmt::format("the service at {}, which has gone", endpoint_text_); }
+std::string Session::gone() const {
+  return fmt::format("the service at {}, which {}", endpoint_text_,
+                     told_goodbye_ ? "was stopped, to be started again" : "has gone");
+}
 
-void Session::notice(const std::string& text) const {
-  if (options_.on_notice) options_.on_notice(text);
+void Session::notice(const std::string& text) const { options_.on_notice(text); }
+
+void Session::tell_of_stop() {
+  if (told_goodbye_ && options_.outlive && !std::exchange(told_caller_of_stop_, true))
+    notice(fmt::format("the service at {} was stopped; calls wait until their deadlines for it to be started again",
+                       endpoint_text_));
 }
 
 Status Session::wait(Retry& retry, const Status& why, const std::string& what) const {
@@ -158,7 +171,7 @@ Status Session::connect(const Deadline& deadline) {
       if (status) {
         endpoints_ = {Endpoint(endpoint)};
         if (generation_++ == 0) first_instance_ = instance_;
-        told_goodbye_ = false;
+        told_goodbye_ = told_caller_of_stop_ = false;
         return {};
       }
       const bool was_taken = std::exchange(connection_, nullptr) != nullptr;
@@ -169,12 +182,14 @@ Status Session::connect(const Deadline& deadline) {
     }
   } while (taken && retry.wait(fmt::format("a connection to {}", joined(endpoints_)), options_.on_notice));
   if (taken) return lost;
+  tell_of_stop();
   if (const std::string& published = endpoints_.front().published; !published.empty())
     return {Code::unavailable, fmt::format("{} no longer answers", published),
             fmt::format("it was at {}; one that is started elsewhere writes the file anew", endpoints_.front().text())};
   if (generation_ > 0)
-    return {Code::unavailable, fmt::format("the service at {} has gone", endpoint_text_),
-            told_goodbye_ ? "it was stopped; start it again: rcbctl up"
+    return {Code::unavailable,
+            fmt::format("the service at {} {}", endpoint_text_, told_goodbye_ ? "was stopped" : "has gone"),
+            told_goodbye_ ? "start it again: rcbctl up"
                           : "one that rcbctl up started comes back by itself: see rcbctl status, and its log"};
   const bool comes_back = std::any_of(endpoints_.begin(), endpoints_.end(), [](const Endpoint& endpoint) {
     return endpoint_holder(endpoint.text()).has_value();
@@ -296,6 +311,7 @@ Result<Frame> Session::await_answer(Connection& link, std::uint64_t request, con
     if (!failure && frame->type != wire::FrameType::reply) continue;
     if (!failure) return frame;
     const auto json = frame->json();
+    if (json && json->contains("failure") && wire::is_true(json->at("failure"), "ending")) told_goodbye_ = true;
     return json ? wire::status_from_failure(*json) : json.status();
   }
 }
@@ -323,8 +339,7 @@ Result<Frame> Session::exchange_frames(std::uint64_t request, const std::string&
 
 Result<Frame> Session::await_answer_to(std::uint64_t request, const std::string& what, const Deadline& deadline) {
   auto answer = await_answer(*connection_, request, deadline);
-  // A service that answers `unavailable` is about to end.
-  if (!connection_->lost() || answer.status().code() == Code::unavailable) drop_connection();
+  if (!connection_->lost() || told_goodbye_) drop_connection();
   if (!answer && answer.status().code() == Code::deadline_exceeded && !connection_)
     return Status(Code::deadline_exceeded, fmt::format("{} did not answer '{}' in time", endpoint_text_, what),
                   "the service may be stopped or overloaded; see its log, or wait longer");
@@ -348,6 +363,13 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
     return call_once(std::move(request), retry);
   }
   std::optional<std::string> sent_to;  // instance to which the command was sent; it may have been done there
+  const bool frees = *command == "scene.create" || *command == "scene.drop";
+  // Whoever holds the scene may be a solver whose machine has vanished, which the service notices in a while.
+  const auto mend = [&](const Status& status) {
+    sent_to.reset();
+    return frees && status.code() == Code::busy && options_.outlive &&
+           wait(retry, status, fmt::format("'{}' to be possible: {}", *command, status.message())).ok();
+  };
   const auto once = [&]() -> Result<Frame> {
     if (!repeatable(*command) && sent_to == instance_)
       return Status(
@@ -355,9 +377,11 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
           fmt::format("the connection to {} was lost; whether '{}' was done is not known", endpoint_text_, *command),
           "ask the service, then repeat it if need be");
     sent_to = instance_;
-    return call_once(request, retry);
+    auto answer = call_once(request, retry);
+    if (!answer && told_goodbye_) sent_to.reset();  // a service that ends has answered whatever it has begun
+    return answer;
   };
-  return retry_until_deadline(retry, once);
+  return retry_until_deadline(retry, once, mend);
 }
 
 }  // namespace rcb::client

@@ -96,6 +96,8 @@ class Session {
   Status wait(Retry& retry, const Status& why, const std::string& what) const;
   // "the service at E, which has gone"
   std::string gone() const;
+  // Of a lost service which has said that it was told to end: that, once.
+  void tell_of_stop();
   void notice(const std::string& text) const;
   std::uint64_t next_request() { return next_request_++; }
   // Number of a push. A scene that is created again starts at step 0, but the attempt number makes each push unique.
@@ -189,7 +191,8 @@ class Session {
   int ranks_ = 0;
   std::string instance_, first_instance_;
   pid_t process_ = 0;          // the one that made the connection
-  bool told_goodbye_ = false;  // the service said goodbye: it was told to end
+  bool told_goodbye_ = false;  // the service said that it was told to end
+  bool told_caller_of_stop_ = false;
   std::uint64_t generation_ = 0;
   std::uint64_t next_request_ = 1;
   std::int64_t next_attempt_ = 1;

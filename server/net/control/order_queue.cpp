@@ -59,8 +59,9 @@ void OrderQueue::release() {
   for (Waiting& one : std::exchange(waiting_, {})) {
     for (const auto& scene : {reading_, changing_})
       if (scene) passed_over.insert(*scene);
-    if (credits_.room(one.order.text.size()) && (one.kind == Kind::brief || long_one_may_start(one)) &&
-        !passed_over.contains(one.scene)) {
+    const bool turn =
+        one.is_end ? left.empty() : !passed_over.contains(one.scene);  // after the end nothing is answered
+    if (turn && credits_.room(one.order.text.size()) && (one.kind == Kind::brief || long_one_may_start(one))) {
       send(std::move(one));
     } else {
       if (one.kind != Kind::long_reading) passed_over.insert(one.scene);

@@ -2,7 +2,8 @@
 // - while a rank is too far behind (Credits),
 // - while a long command (api::CommandInfo::gives_way: it may take seconds) of the same scene is unfinished,
 // - if it is long itself, while another long one is unfinished. But one that changes its scene, such as a rebalance, is
-//   executed in the middle of one that only reads, such as a compare.
+//   executed in the middle of one that only reads, such as a compare,
+// - if it is the end of the service, while any other waits.
 // Orders of other scenes overtake, so that the ranks can execute them in the middle of the long command.
 //
 // Invariants

@@ -54,7 +54,9 @@ Session::Session(std::shared_ptr<Coordinator> coordinator, Socket socket, Entran
 Session::~Session() = default;
 
 void Session::fail(std::uint64_t request, const Status& why) {
-  connection_->send(FrameType::failure, request, wire::failure_json(why));
+  Json json = wire::failure_json(why);
+  if (why.code() == Code::unavailable && coordinator_->shutting_down()) json["failure"]["ending"] = true;
+  connection_->send(FrameType::failure, request, json);
 }
 
 awaitable<void> Session::refuse(Status why) {
@@ -72,6 +74,7 @@ awaitable<void> Session::run() {
       end = co_await serve(std::move(*frame));
     else
       end = frame.status();
+    if (end.ok() && goodbye_due_) say_goodbye();
   }
   coordinator_->leave(this);
   if (end.code() == Code::unavailable) {  // the peer is gone or said goodbye
@@ -162,10 +165,12 @@ awaitable<Status> Session::serve(Frame frame) {
   }
   Request request{frame.header.request,  info,      std::move(*command),
                   std::move(frame.json), *deadline, now() + duration_of(*deadline)};
+  ++answering_;
   if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())
     co_await dispatch(request);
   else
     refuse(request, admitted);
+  --answering_;
   co_return Status();
 }
 
@@ -270,7 +275,8 @@ awaitable<void> Session::scene_change(Request& request) {
   else
     turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
   const bool changes = changes_parts(request.command, request.json, coordinator_->snapshot(), *scene);
-  if (turn.ok() && (drops || changes)) {
+  const bool loads = request.command == "load";  // a first push, which those who have the scene open would not know of
+  if (turn.ok() && (drops || changes || loads)) {
     const auto holders = coordinator_->members(*scene, number_);
     if (!holders.empty())
       turn = Status(
@@ -280,7 +286,7 @@ awaitable<void> Session::scene_change(Request& request) {
                   : "try again when it is closed");
   }
   // A file's particles are a push, too.
-  if (turn.ok() && request.command == "load") turn = coordinator_->groups().check_free(*scene);
+  if (turn.ok() && loads) turn = coordinator_->groups().check_free(*scene);
   if (!turn.ok()) {
     fail(request.number, turn);
     coordinator_->wake_queue(*scene);
@@ -426,7 +432,7 @@ awaitable<void> Session::nap(Timer& timer, const Request& request, TimePoint& no
 }
 
 void Session::say_goodbye() {
-  goodbye_due_ = answering_ > 0;
+  goodbye_due_ = answering_ > 0 || connection_->reading_message();
   if (goodbye_due_) return;
   connection_->send(FrameType::goodbye, 0, Json::object());
   asio::co_spawn(

@@ -135,6 +135,25 @@ TEST(MemberScene, ReturnsWithAHigherGenerationAndPushesAgain) {
   EXPECT_LT(begun[0]["attempt"], begun[1]["attempt"]);
 }
 
+// Its last holder may be a process whose machine has vanished, in whose place this one was started.
+TEST(MemberScene, WaitsForASeatThatIsTaken) {
+  for (const bool outlive : {true, false}) {
+    FakeService service([](Peer& peer, int) {
+      peer.greet(2);
+      const auto open = peer.receive();
+      peer.fail(*open, {Code::busy, "member 1 of scene 's' is 'jet', generation 3", ""});
+      const auto again = peer.receive();
+      if (!again || again->json.value("command", "") != "scene.open") return;
+      peer.reply(*again, seat_reply(4, -1));
+      answer_close(peer);
+    });
+    auto client = Client::connect({.endpoint = service.endpoint(), .outlive = outlive});
+    ASSERT_TRUE(client.ok()) << client.status().message();
+    const auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    EXPECT_EQ(scene.status().code(), outlive ? Code::ok : Code::busy) << scene.status().message();
+  }
+}
+
 // A connection is lost before the service's answer, which has taken the seat: that generation is used up. One that was
 // refused is not, since somebody else has the seat.
 TEST(MemberScene, AsksForNoGenerationTwiceUnlessItWasRefused) {

@@ -15,8 +15,9 @@ class OrderQueueTest : public ::testing::Test {
  protected:
   using Cancelled = std::shared_ptr<std::atomic<bool>>;
 
-  void add(const std::string& command, const std::string& scene, Cancelled cancelled = nullptr) {
+  void add(const std::string& command, const std::string& scene, Cancelled cancelled = nullptr, std::size_t bytes = 0) {
     Order order;
+    order.text.resize(bytes);
     order.request = {{"command", command}, {"scene", scene}};
     order.cancelled = std::move(cancelled);
     const std::string name = command + " " + scene;
@@ -115,6 +116,14 @@ TEST_F(OrderQueueTest, TheEndComesAfterEverything) {
   EXPECT_EQ(gone(), (Names{"compare a long"}));
   queue.long_order_ended(OrderQueue::Kind::long_reading);
   EXPECT_EQ(gone(), (Names{"push a", "shutdown  long"}));
+}
+
+TEST_F(OrderQueueTest, TheEndComesAfterWhatWaitsForRoom) {
+  for (const char* scene : {"a", "b"}) add("create", scene, nullptr, 600);
+  add("shutdown", "");
+  EXPECT_EQ(gone(), (Names{"create a"}));
+  queue.executed(1, 1);
+  EXPECT_EQ(gone(), (Names{"create b", "shutdown  long"}));
 }
 
 }  // namespace

@@ -245,7 +245,8 @@ TEST(Session, AnOpenSceneIsNotTakenFromUnderItsClient) {
   anna.call("scene.create", {{"scene", "s"}});
   EXPECT_EQ(anna.call("scene.open", {{"scene", "s"}}).json["members"], Json({"anna"}));
   for (const auto& [command, more] :
-       {std::pair("scene.drop", Json::object()), std::pair("scene.create", Json{{"replace", true}})}) {
+       {std::pair("scene.drop", Json::object()), std::pair("scene.create", Json{{"replace", true}}),
+        std::pair("load", Json{{"path", "/points.csv"}})}) {
     Json arguments{{"scene", "s"}};
     arguments.update(more);
     const Received refused = bert.call(command, arguments);
@@ -385,6 +386,23 @@ TEST(Session, WhoCameWhenAllWasTakenGivesWayToTheNext) {
   EXPECT_EQ(late[1].call("status").type, FrameType::reply);
   EXPECT_EQ(one.call("error").json["echo"], "error");
   EXPECT_EQ(owner.call("shutdown").type, FrameType::reply);
+}
+
+TEST(Session, WhatHasBegunToArriveIsAnsweredBeforeTheGoodbye) {
+  TestService service;
+  Client late = service.client("late");
+  Client owner = service.client("owner", kBert);
+  const std::string whole = frame(FrameType::request, 7, R"({"command":"error","scene":"s"})");
+  late.send_bytes(whole.substr(0, 50));
+  for (int k = 0; k < 2; ++k) owner.call("status");  // by then it is read
+  EXPECT_EQ(owner.call("shutdown").type, FrameType::reply);
+  EXPECT_EQ(owner.receive().type, FrameType::goodbye);
+  late.send_bytes(whole.substr(50));
+  const Received refused = late.receive();
+  EXPECT_EQ(refused.request, 7U);
+  EXPECT_EQ(refused.code(), "unavailable");
+  EXPECT_EQ(refused.json["failure"]["ending"], true);
+  EXPECT_EQ(late.receive().type, FrameType::goodbye);
 }
 
 TEST(Session, ASlowReaderLosesItsConnectionOnly) {
