@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "client/cli/interrupt.hpp"
 #include "client/cli/lists.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/lib/connect/endpoint.hpp"
@@ -47,13 +48,20 @@ Status check_endpoint(const Context& context) {
 
 namespace {
 
+client::ConnectOptions connect_options(const std::string& endpoint) {
+  client::ConnectOptions options;
+  options.endpoint = endpoint;
+  options.name = "rcbctl " RCB_VERSION;
+  options.on_notice = note;
+  options.on_wait = go_on_waiting;
+  return options;
+}
+
 Result<client::Client> connect_as(const Context& context, bool outlive) {
   if (Status status = check_endpoint(context); !status) return status;
-  client::ConnectOptions options;
-  options.endpoint = context.endpoint;
-  options.name = "rcbctl " RCB_VERSION;
+  catch_interrupts();
+  client::ConnectOptions options = connect_options(context.endpoint);
   options.outlive = outlive;
-  options.on_notice = note;
   auto client = launch::connect_awaiting_restart(options);
   if (!client) return launch::explain_absence(context.endpoint, client.status());
   return client;
@@ -73,6 +81,7 @@ Result<Session> Session::open(const Context& context, int ranks) {
       return session;
     }
     if (running.status().code() != Code::unavailable) return running.status();
+    if (interrupted()) return interruption("before a service was started");
     ranks = launch::default_ranks();
   }
   Progress progress(fmt::format("starting an embedded service of {} rank{}", ranks, ranks == 1 ? "" : "s"));
@@ -80,7 +89,10 @@ Result<Session> Session::open(const Context& context, int ranks) {
   progress.clear();
   if (!embedded) return embedded.status();
   session.embedded.emplace(std::move(*embedded));
-  auto client = launch::reach(session.embedded->endpoint(), "rcbctl " RCB_VERSION);
+  catch_interrupts();  // again, since what the launcher does at Ctrl-C while it starts a service has taken the place
+  client::ConnectOptions options = connect_options(session.embedded->endpoint());
+  options.outlive = false;
+  auto client = client::Client::connect(options);
   if (!client) return session.explain(client.status());
   session.client = std::move(*client);
   return session;

@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/interrupt.hpp"
 #include "client/cli/options.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/usage.hpp"
@@ -27,7 +28,7 @@ Environment:
   NO_COLOR         no colours
 
 Exit codes: 0 done; 1 the service refused or failed; 2 wrong usage; 3 no service reachable; 4 not authorised;
-5 a deadline passed.
+5 a deadline passed; 130 interrupted by Ctrl-C.
 
 Examples:
   rcbctl partition points.csv --parts 8
@@ -125,6 +126,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
   Status status = run(context.action);
   if (status) status = flush_output();
   if (status && output_cut_off()) return end_by_closed_pipe();
+  if (!status && interrupted() && status.code() != Code::interrupted) status = interruption(": " + status.message());
   return status ? 0 : print_failure(status, context.json && !context.document_begun);
 }
 

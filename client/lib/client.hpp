@@ -47,6 +47,9 @@ struct ConnectOptions {
   // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. May be
   // empty. It must not throw, nor call the client.
   std::function<void(const std::string&)> on_notice{};
+  // Called about ten times a second while a call waits for the service. If it returns false, the call ends with
+  // `interrupted`; whether the service does what was asked is then not known. It must not throw, nor call the client.
+  std::function<bool()> on_wait{};
   // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
   // again; if false, one new connection is tried, and a lost scene is an error.
   bool outlive = true;

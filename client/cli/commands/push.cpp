@@ -5,6 +5,7 @@
 
 #include "client/cli/app.hpp"
 #include "client/cli/files/point_file.hpp"
+#include "client/cli/interrupt.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/report_csv.hpp"
 #include "common/base/clock.hpp"
@@ -180,23 +181,30 @@ class Replay {
     for (const std::string& file : options_.files)
       if (status = replay_file(*client, file); !status) break;
     progress_.clear();
-    // The steps before a bad frame are committed, so their history is written, too.
+    // The steps before a bad frame, or before Ctrl-C, are committed, so their history is written, too.
     if (!options_.history.empty() && !tally_.reports.empty()) {
       std::string table = reports_csv_header();
       for (const Json& report : tally_.reports) table += report_csv_line(report);
       if (Status written = io::write_file(options_.history, table); !written) return written;
+      if (!status)
+        note(fmt::format("{} has the reports of the {} steps before", options_.history, tally_.reports.size()));
     }
     return status ? show_end(clock_.seconds() - start) : status;
   }
 
  private:
   Status replay_file(client::Client& client, const std::string& path) {
-    auto reader = io::open_trajectory(path, {options_.file.dims, options_.file.weights});
+    FileOptions file = options_.file;
+    file.path = path;
+    if (options_.files.size() == 1) progress_.stage("reading " + path);
+    auto reader = io::open_trajectory(path, read_options(file));
+    if (interrupted()) return stopped();
     if (!reader) return reader.status();
     const std::uint64_t frames = (*reader)->frames();
     if (frames == 0) return {Code::invalid_argument, path + ": holds no frames", "save at least one step in it"};
     for (std::uint64_t k = 0; k < frames; ++k) {
       auto points = (*reader)->frame(k);
+      if (interrupted()) return stopped();
       if (!points) return points.status();
       sort_by_id(*points);
       if (!scene_ && points->count == 0) return no_points(path, options_.name);
@@ -209,6 +217,9 @@ class Replay {
       step.ids = points->id;
       const CompactPositions sent(*points);
       auto result = scene_->step(sent.positions(), step);
+      if (result.status().code() == Code::interrupted)
+        return interruption(fmt::format("during step {}, which the service may still do; the {} before it stand",
+                                        tally_.reports.size(), tally_.reports.size()));
       if (!result)
         return {result.status().code(),
                 fmt::format("{}, frame {} (step {}): {}", path, k, tally_.reports.size(), result.status().message()),
@@ -218,6 +229,13 @@ class Replay {
       progress_.at(tally_.reports.size(), total, "error " + number(result->report.error));
     }
     return {};
+  }
+
+  // Between two steps.
+  Status stopped() const {
+    const std::size_t steps = tally_.reports.size();
+    return interruption(fmt::format("after {} step{}{}", steps, steps == 1 ? "" : "s",
+                                    steps == 0 ? "" : fmt::format(", which stand in scene '{}'", options_.name)));
   }
 
   Status open(client::Client& client, const io::Points& points) {

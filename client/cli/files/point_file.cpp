@@ -11,6 +11,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "client/cli/interrupt.hpp"
 #include "client/cli/print/output.hpp"
 #include "common/base/clock.hpp"
 
@@ -51,7 +52,7 @@ std::string unique_name() {
 
 // The dims of a file that ranks can read in slices, from its first rows.
 Result<int> sliceable_dims(const FileOptions& options) {
-  auto slice = io::read_points_slice(options.path, {options.dims, options.weights}, 0, kProbeSlices);
+  auto slice = io::read_points_slice(options.path, read_options(options), 0, kProbeSlices);
   if (!slice) return slice.status();
   return slice->dims > 0 ? slice->dims : kDimsDefault;
 }
@@ -64,6 +65,8 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
   Json arguments{{"scene", scene->name()}, {"path", absolute_path(options.path)}};
   if (options.dims > 0) arguments["dims"] = options.dims;
   if (!options.weights.empty()) arguments["weights"] = options.weights;
+  Progress progress(options.path);
+  progress.stage("read and divided by the ranks");
   auto reply = ask(*session.client, "load", arguments, kLongSeconds);
   if (!reply) {
     // The service doesn't quote the file's content in messages; this program may, since its user can read the file.
@@ -89,8 +92,13 @@ CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
 
 std::string absolute_path(const std::string& path) { return std::filesystem::absolute(path).string(); }
 
+io::ReadOptions read_options(const FileOptions& options) {
+  return {.dims = options.dims, .weights = options.weights, .stop = &interrupt_flag()};
+}
+
 Result<io::Points> read_single(const FileOptions& options) {
-  auto reader = io::open_trajectory(options.path, {options.dims, options.weights});
+  auto reader = io::open_trajectory(options.path, read_options(options));
+  if (interrupted()) return interruption(fmt::format("while {} was read", options.path));
   if (!reader) return reader.status();
   if ((*reader)->frames() != 1)
     return Status(Code::invalid_argument,
@@ -159,6 +167,7 @@ Result<TemporaryScene> TemporaryScene::create(Session& session, Json arguments) 
 }
 
 TemporaryScene::~TemporaryScene() {
+  const TidyingUp tidying;
   // An embedded service ends with all its scenes.
   if (!lifeline_.open()) return;
   const char done = 'd';
@@ -177,6 +186,8 @@ Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Jso
     const auto dims = sliceable_dims(options);
     if (dims) return load_in_ranks(session, options, *dims, std::move(scene_arguments));
   }
+  Progress progress(options.path);
+  progress.stage("read");
   auto points = read_single(options);
   if (!points) return points.status();
   const double read_seconds = clock.seconds() - start;
@@ -189,6 +200,7 @@ Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Jso
   step.ids = points->id;
   step.weights = points->weight;
   step.deadline_seconds = kLongSeconds;
+  progress.stage("divided by the service");
   auto result = open->step(positions_of(*points), step);
   if (!result) return result.status();
   return LoadedScene{std::move(*scene), Json::parse(result->report.json), read_seconds};

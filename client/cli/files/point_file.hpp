@@ -31,7 +31,10 @@ inline constexpr const char* kWeightsHelp = "the column of weights, by name or b
 // Adds FILE, --dims and --weights; returns FILE's option.
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 
-// The only frame of a point file or trajectory. Errors: those of io; invalid_argument if there are more frames.
+// What io must know to read it. Ctrl-C ends the reading.
+io::ReadOptions read_options(const FileOptions& options);
+// The only frame of a point file or trajectory. Errors: those of io; invalid_argument if there are more frames;
+// interrupted.
 Result<io::Points> read_single(const FileOptions& options);
 // Refuses an option whose file is one of those that are read.
 Status check_not_overwritten(const char* option, const std::string& written, std::span<const std::string> read);
