@@ -37,6 +37,10 @@ void add_scene_options(CLI::App& command, client::SceneOptions& scene) {
   command.add_flag("--replace", scene.replace, "drop a scene of that name first");
 }
 
+void add_deadline(CLI::App& command, double& seconds) {
+  add_value(command, "--deadline", seconds, kind::deadline(), kDeadlineHelp)->capture_default_str();
+}
+
 Status check_endpoint(const Context& context) {
   if (context.endpoint.empty()) return {};
   if (context.endpoint.starts_with(client::kFilePrefix)) return {};  // the file is read when it is needed
@@ -98,8 +102,22 @@ Result<Session> Session::open(const Context& context, int ranks) {
   return session;
 }
 
+bool is_utf8(const std::string& text) {
+  try {
+    return !Json(text).dump().empty();
+  } catch (const Json::type_error&) {
+    return false;
+  }
+}
+
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
                           double deadline_seconds) {
+  for (const auto& [name, value] : arguments.items())
+    if (value.is_string() && !is_utf8(value.get_ref<const std::string&>()))
+      return Status(Code::usage, fmt::format("the {} '{}' is not UTF-8", name, text_of(value)),
+                    "the service is told names in UTF-8 alone");
+  std::optional<Progress> waiting;
+  if (!Progress::any()) waiting.emplace(fmt::format("waiting for the answer to '{}'", command));
   auto reply = client.call(command, arguments.dump(), deadline_seconds);
   if (!reply) return reply.status();
   Json json = Json::parse(reply->json, nullptr, false);
@@ -129,10 +147,10 @@ Status show(const Context& context, const Json& document, const std::function<vo
 }
 
 Status ask_and_show(const Context& context, const std::string& command, const Json& arguments,
-                    const std::function<void(const Json& reply)>& for_people) {
+                    const std::function<void(const Json& reply)>& for_people, double deadline_seconds) {
   auto client = connect(context);
   if (!client) return client.status();
-  const auto reply = ask(*client, command, arguments);
+  const auto reply = ask(*client, command, arguments, deadline_seconds);
   if (!reply) return reply.status();
   return show(context, *reply, [&] { for_people(*reply); });
 }

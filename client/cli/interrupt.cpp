@@ -10,7 +10,6 @@ namespace {
 
 std::atomic<bool> g_interrupted{false};
 static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
-int g_tidying = 0;
 
 }  // namespace
 
@@ -28,10 +27,7 @@ Status interruption(const std::string& where) { return {Code::interrupted, "inte
 
 bool go_on_waiting() {
   Progress::tick();
-  return g_tidying > 0 || !g_interrupted;
+  return !g_interrupted;
 }
-
-TidyingUp::TidyingUp() { ++g_tidying; }
-TidyingUp::~TidyingUp() { --g_tidying; }
 
 }  // namespace rcb::cli

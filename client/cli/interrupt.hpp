@@ -20,13 +20,4 @@ Status interruption(const std::string& where);
 // client::ConnectOptions::on_wait of every connection: shows that time passes, and ends the call after Ctrl-C.
 bool go_on_waiting();
 
-// While one exists, calls to the service go on after Ctrl-C: they tidy up.
-class TidyingUp {
- public:
-  TidyingUp();
-  ~TidyingUp();
-  TidyingUp(const TidyingUp&) = delete;
-  TidyingUp& operator=(const TidyingUp&) = delete;
-};
-
 }  // namespace rcb::cli

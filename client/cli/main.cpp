@@ -1,5 +1,7 @@
 // rcbctl: the command line of the partitioning service.
 #include <algorithm>
+#include <cctype>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <string>
@@ -37,13 +39,15 @@ Examples:
   rcbctl history jet --plot error.svg
 )";
 
-// "-.5" is a number, but the parser takes it for an option "-.": so it is rewritten as "-0.5".
+// "-.5" and "-inf" are numbers, but the parser takes them for options "-." and "-i": so they are rewritten.
 std::string plain_number(const char* argument) {
   const std::string text = argument;
-  if (text.size() < 3 || text[0] != '-' || text[1] != '.') return text;
+  if (text.size() < 3 || text[0] != '-') return text;
   char* end = nullptr;
-  (void)std::strtod(argument, &end);
-  return *end == '\0' ? "-0" + text.substr(1) : text;
+  const double value = std::strtod(argument, &end);
+  if (*end != '\0') return text;
+  if (text[1] == '.') return "-0" + text.substr(1);
+  return std::isinf(value) && std::isalpha(static_cast<unsigned char>(text[1])) != 0 ? kMinusInfinity : text;
 }
 
 void add_commands(CLI::App& app, Context& context) {

@@ -129,6 +129,7 @@ struct StepReport {
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted, if the service chose their ids: they are consecutive
+  std::uint64_t weights_as_zero = 0;     // particles whose weight is too far below the greatest one to count
   std::uint64_t scanned = 0;             // particles whose positions were sent
   std::uint64_t searched = 0;            // particles that the search for cuts looked at
   std::uint64_t rounds = 0;              // of the search for cuts; 0: there was no search

@@ -1,6 +1,7 @@
 // Chooses the reader of a file; no exception thrown below leaves here.
 #include "common/io/points.hpp"
 
+#include <algorithm>
 #include <new>
 
 #include <fmt/format.h>
@@ -74,6 +75,46 @@ auto without_throwing(const std::string& path, const Read& read) -> decltype(rea
   }
 }
 
+std::string csv_cell(std::string_view text) {
+  if (text.find_first_of(",;\"\t ") == std::string_view::npos) return std::string(text);
+  std::string cell = "\"";
+  for (const char c : text) cell += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return cell + '"';
+}
+
+// The numbers of the columns that no role has.
+std::vector<std::size_t> further_columns_of(const TextLayout& layout) {
+  std::vector<std::size_t> further;
+  const Columns& used = layout.columns;
+  for (std::size_t c = 0; c < layout.column_count; ++c)
+    if (std::find(used.axis.begin(), used.axis.begin() + used.dims, c) == used.axis.begin() + used.dims &&
+        c != used.id && c != used.weight)
+      further.push_back(c);
+  return further;
+}
+
+Result<FurtherColumns> further_columns(const std::string& path, const ReadOptions& options) {
+  FurtherColumns further;
+  const auto file = open_file(path, options);
+  if (!file.ok() && split_hdf5_path(path)) return further;
+  if (!file.ok()) return file.status();
+  if (file->starts_with(kHdf5Magic) || file->starts_with(kNpyMagic) || ends_with_npy(path)) return further;
+  const auto layout = text_layout_of(*file, options);
+  if (!layout.ok()) return layout.status();
+  const std::vector<std::size_t> columns = further_columns_of(*layout);
+  if (columns.empty()) return further;
+  for (const std::size_t c : columns)
+    further.names += ',' + csv_cell(c < layout->names.size() && !layout->names[c].empty() ? layout->names[c]
+                                                                                          : fmt::format("column{}", c));
+  further.begin.push_back(0);
+  const Status read = visit_fields(*file, *layout, [&](const std::vector<std::string_view>& fields) {
+    for (const std::size_t c : columns) further.text += ',' + (c < fields.size() ? csv_cell(fields[c]) : "");
+    further.begin.push_back(further.text.size());
+  });
+  if (!read.ok()) return read;
+  return further;
+}
+
 class NpyTrajectory final : public TrajectoryReader {
  public:
   NpyTrajectory(NpyRows rows, const NpyHeader& header)
@@ -132,6 +173,10 @@ Result<std::unique_ptr<TrajectoryReader>> open_any(const std::string& path, cons
 }
 
 }  // namespace
+
+Result<FurtherColumns> read_further_columns(const std::string& path, const ReadOptions& options) {
+  return without_throwing(path, [&]() { return further_columns(path, options); });
+}
 
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of) {
   CHECK(of >= 1 && k >= 0 && k < of, "share k of `of`");

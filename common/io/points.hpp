@@ -7,6 +7,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "common/base/status.hpp"
@@ -24,6 +25,18 @@ namespace rcb::io {
 // infinity, duplicate or negative ids and ragged rows are refused: "points.csv:17: ...".
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of);
 
+// The columns of a text file that are neither positions nor ids nor weights, as CSV.
+struct FurtherColumns {
+  std::string names;               // ",vx,mass"; empty: there are none
+  std::string text;                // ",0.5,3" of every row, one behind the other
+  std::vector<std::size_t> begin;  // of each row in `text`, and its end
+
+  std::size_t rows() const { return begin.empty() ? 0 : begin.size() - 1; }
+  std::string_view row(std::size_t k) const { return std::string_view(text).substr(begin[k], begin[k + 1] - begin[k]); }
+};
+// Of a file that isn't text: none. Errors: those of reading it.
+Result<FurtherColumns> read_further_columns(const std::string& path, const ReadOptions& options);
+
 // Writes the columns x, y, z, id, weight (id and weight only if given), with as few digits as read back to the same
 // number.
 Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
@@ -32,10 +45,11 @@ Status write_csv(const std::string& path, int dims, std::span<const double* cons
 // The same, piece by piece.
 class CsvWriter {
  public:
-  CsvWriter(OutputFile file, int dims, bool ids, bool weights);
-  // id, weight: as many as `count` if the file has them.
+  // further: the names of further columns, as in FurtherColumns.
+  CsvWriter(OutputFile file, int dims, bool ids, bool weights, const std::string& further = {});
+  // id, weight: as many as `count` if the file has them. further: likewise, the text of each row's further columns.
   Status append(std::span<const double* const> position, std::size_t count, std::span<const std::int64_t> id,
-                std::span<const double> weight);
+                std::span<const double> weight, std::span<const std::string_view> further = {});
   Status commit();
 
  private:
@@ -51,6 +65,7 @@ class CsvWriter {
 // .npy files, version 1.0, C order, little-endian.
 Status write_npy(const std::string& path, std::span<const std::int32_t> values);
 Status write_npy(const std::string& path, std::span<const std::int64_t> values);
+Status write_npy(const std::string& path, std::span<const std::int64_t> values, std::vector<std::uint64_t> shape);
 Status write_npy(const std::string& path, std::span<const double> values, std::vector<std::uint64_t> shape);
 
 // Reads a trajectory frame by frame: .npy of shape (steps, n, dims), or one point file = one frame.

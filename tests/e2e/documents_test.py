@@ -107,6 +107,19 @@ class Documents(ServiceTest):
         part = np.load(os.path.join(self.dir, "part.npy"))
         self.assertEqual(np.bincount(part).tolist(), self.service.json("counts", "cloud")["counts"])
 
+    def test_the_python_example(self):
+        """It runs, and says why where the service refuses."""
+        script = os.path.join(self.dir, "example.py")
+        write_text(script, block("README.md", "python"))
+        def example(endpoint):
+            return run(script, program="/usr/bin/python3", endpoint=endpoint, cwd=self.dir,
+                       env={"PATH": BIN + ":" + os.environ["PATH"]})
+        done = example(self.service.endpoint)
+        self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
+        self.assertEqual(len(self.service.json("history", "cloud")), 10)
+        done = example("unix:/nonexistent/s")
+        self.assertEqual((done.returncode, done.stderr), (1, "no service answers at unix:/nonexistent/s\n"))
+
     def test_the_protocol_pages_client(self):
         client = os.path.join(self.dir, "client.py")
         write_text(client, block("common/wire/PROTOCOL.md", "python"))

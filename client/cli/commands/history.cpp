@@ -197,8 +197,8 @@ void add_history_command(CLI::App& app, Context& context) {
   add_value(command, "--first", options.range.first, kind::whole_number("K", 0),
             "only so many, the oldest (of those that --last leaves)");
   add_value(command, "--csv", options.csv, kind::output_file(kind::Format::csv), "write them to this file");
-  CLI::Option* plot = add_value(command, "--plot", options.plot, kind::output_file(kind::Format::svg),
-                                "draw error against step, repartitions as red dots (SVG, by gnuplot)");
+  CLI::Option* plot = add_value(command, "--plot", options.plot, kind::output_file(kind::Format::figure),
+                                "draw error against step, repartitions as red dots (SVG or PNG, by gnuplot)");
   add_value(command, "--with", options.with, kind::text("NAME"), "another scene in the same figure; may be repeated")
       ->allow_extra_args(false)
       ->needs(plot);

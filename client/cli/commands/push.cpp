@@ -134,16 +134,19 @@ Status push(const PushOptions& options, const Context& context) {
                                  : scene->step(sent.positions(single), step);
   if (!result) return result.status();
   const Json report = Json::parse(result->report.json);
+  note_empty_parts(result->report.n, result->report.parts);
+  note_lost_weights(report);
   return show(context, report, [&] { print_report(report); });
 }
 
-// Puts rows that have ids in the order of these, since each file may have an order of its own.
-void sort_by_id(io::Points& points) {
-  if (std::ranges::is_sorted(points.id)) return;
+// Puts rows that have ids in the order of the first file's rows, since each file may have an order of its own.
+// first: the rows of the first file by id.
+void sort_like(const std::vector<std::size_t>& first, io::Points& points) {
+  if (points.id.empty() || points.id.size() != first.size()) return;
   const std::vector<std::size_t> rows = rows_by_id(points);
-  const auto sort = [&rows](auto& values) {
+  const auto sort = [&](auto& values) {
     auto sorted = values;
-    for (std::size_t k = 0; k < values.size(); ++k) sorted[k] = values[rows[k]];
+    for (std::size_t k = 0; k < values.size(); ++k) sorted[first[k]] = values[rows[k]];
     values = std::move(sorted);
   };
   for (auto& axis : points.position) sort(axis);
@@ -189,7 +192,10 @@ class Replay {
       if (!status)
         note(fmt::format("{} has the reports of the {} steps before", options_.history, tally_.reports.size()));
     }
-    return status ? show_end(clock_.seconds() - start) : status;
+    if (!status) return status;
+    note_empty_parts(tally_.reports.back().at("n").get<std::uint64_t>(), parts_);
+    note_lost_weights(tally_.reports.back());
+    return show_end(clock_.seconds() - start);
   }
 
  private:
@@ -206,8 +212,9 @@ class Replay {
       auto points = (*reader)->frame(k);
       if (interrupted()) return stopped();
       if (!points) return points.status();
-      sort_by_id(*points);
       if (!scene_ && points->count == 0) return no_points(path, options_.name);
+      if (!scene_) first_rows_ = rows_by_id(*points);
+      sort_like(first_rows_, *points);
       if (!scene_)
         if (Status status = open(client, *points); !status) return status;
       client::StepOptions step;
@@ -282,6 +289,7 @@ class Replay {
   Progress progress_;
   Tally tally_;
   int parts_ = 0;
+  std::vector<std::size_t> first_rows_;  // of the first file, by id
   std::optional<client::Scene> scene_;
 };
 

@@ -84,6 +84,7 @@ class Watcher {
 
   // Ends the array. If it has items, a failure is told on stderr only, since stdout has its one document.
   Status closed(Status status) const {
+    if (status.code() == Code::interrupted) status = {};  // the usual end
     if (!context_.json) return status;
     if (shown_ == 0 && !status) return status;
     print_line(shown_ == 0 ? "[]" : "]");
@@ -96,10 +97,7 @@ class Watcher {
   std::uint64_t shown_ = 0;
 };
 
-Status watch(const WatchOptions& options, const Context& context) {
-  const TidyingUp ends_in_order;  // Ctrl-C is how it ends, so that the call under way is finished
-  return Watcher(options, context).run();
-}
+Status watch(const WatchOptions& options, const Context& context) { return Watcher(options, context).run(); }
 
 }  // namespace
 

@@ -66,7 +66,7 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
   if (options.dims > 0) arguments["dims"] = options.dims;
   if (!options.weights.empty()) arguments["weights"] = options.weights;
   Progress progress(options.path);
-  progress.stage("read and divided by the ranks");
+  progress.stage("the ranks read and divide it");
   auto reply = ask(*session.client, "load", arguments, kLongSeconds);
   if (!reply) {
     // The service doesn't quote the file's content in messages; this program may, since its user can read the file.
@@ -133,6 +133,30 @@ std::vector<std::size_t> rows_by_id(const io::Points& points) {
   return rows;
 }
 
+Status changed_meanwhile(const FileOptions& options) {
+  return {Code::aborted, options.path + " changed while it was read", "run it again"};
+}
+
+Result<std::vector<std::size_t>> rows_of_ids(const FileOptions& options, std::size_t count) {
+  std::vector<std::size_t> rows(count);
+  std::iota(rows.begin(), rows.end(), std::size_t{0});
+  auto points = read_single(options);
+  if (!points) return points.status();
+  if (points->count != count) return changed_meanwhile(options);
+  return points->id.empty() ? rows : rows_by_id(*points);
+}
+
+void note_empty_parts(std::uint64_t particles, int parts) {
+  if (particles < static_cast<std::uint64_t>(parts))
+    note(fmt::format("{} parts for {} point{}: some parts are empty", parts, particles, particles == 1 ? "" : "s"));
+}
+
+void note_lost_weights(const Json& report) {
+  if (const auto lost = report.find("weights_as_zero"); lost != report.end())
+    note(fmt::format("{} of the weights above 0 {} so small beside the greatest that {} 0", text_of(*lost),
+                     *lost == 1 ? "is" : "are", *lost == 1 ? "it counts as" : "they count as"));
+}
+
 client::Positions positions_of(const io::Points& points) {
   client::Positions positions;
   positions.count = points.count;
@@ -167,30 +191,30 @@ Result<TemporaryScene> TemporaryScene::create(Session& session, Json arguments) 
 }
 
 TemporaryScene::~TemporaryScene() {
-  const TidyingUp tidying;
   // An embedded service ends with all its scenes.
   if (!lifeline_.open()) return;
   const char done = 'd';
-  const bool dropped = client_ == nullptr || client_->drop_scene(name_).ok();
-  // Otherwise the janitor tries on a connection of its own.
+  const bool dropped = client_ == nullptr || (!interrupted() && client_->drop_scene(name_).ok());
+  // Otherwise the janitor tries on a connection of its own. After Ctrl-C nobody waits for that.
   if (dropped && write(lifeline_.get(), &done, 1) != 1) note("the process that watches the temporary scene has gone");
   lifeline_.close();
-  if (janitor_ > 0) waitpid(janitor_, nullptr, 0);
+  if (janitor_ > 0 && (dropped || !interrupted())) waitpid(janitor_, nullptr, 0);
 }
 
 Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Json scene_arguments) {
   const SteadyClock clock;
   const double start = clock.seconds();
-  if (session.embedded) {
+  if (session.embedded && is_utf8(options.path) && is_utf8(options.weights)) {
     // A file that can't be sliced, such as a trajectory of one frame, or can't be read at all, is read by this program.
     const auto dims = sliceable_dims(options);
     if (dims) return load_in_ranks(session, options, *dims, std::move(scene_arguments));
   }
   Progress progress(options.path);
-  progress.stage("read");
+  progress.stage("reading");
   auto points = read_single(options);
   if (!points) return points.status();
   const double read_seconds = clock.seconds() - start;
+  progress.stage("dividing");
   scene_arguments["dims"] = points->dims > 0 ? points->dims : kDimsDefault;
   auto scene = TemporaryScene::create(session, std::move(scene_arguments));
   if (!scene) return scene.status();
@@ -200,7 +224,6 @@ Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Jso
   step.ids = points->id;
   step.weights = points->weight;
   step.deadline_seconds = kLongSeconds;
-  progress.stage("divided by the service");
   auto result = open->step(positions_of(*points), step);
   if (!result) return result.status();
   return LoadedScene{std::move(*scene), Json::parse(result->report.json), read_seconds};

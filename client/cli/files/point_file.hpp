@@ -43,6 +43,15 @@ Status check_written_once(const std::pair<const char*, std::string>& one,
                           const std::pair<const char*, std::string>& other);
 // The rows in ascending order of their ids.
 std::vector<std::size_t> rows_by_id(const io::Points& points);
+// Row numbers of a file whose points the service has, in ascending order of their ids; `count`: how many it has. Errors
+// also: aborted, if the file has another number.
+Result<std::vector<std::size_t>> rows_of_ids(const FileOptions& options, std::size_t count);
+Status changed_meanwhile(const FileOptions& options);
+
+// Remarks on stderr. The first: where there are more parts than particles, so that some have none.
+void note_empty_parts(std::uint64_t particles, int parts);
+// report: of a step or scene. If some weights are so small beside the greatest that they count as 0.
+void note_lost_weights(const Json& report);
 client::Positions positions_of(const io::Points& points);
 // "FILE" or "FILE.h5:/path", absolute.
 std::string absolute_path(const std::string& path);

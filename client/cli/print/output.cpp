@@ -160,7 +160,11 @@ Status flush_output() {
 }
 
 Progress::Progress(const std::string& title)
-    : title_(escape_controls(title)), outer_(std::exchange(g_progress, this)), terminal_(isatty(STDERR_FILENO) != 0) {}
+    : title_(escape_controls(title)),
+      outer_(std::exchange(g_progress, this)),
+      terminal_(isatty(STDERR_FILENO) != 0),
+      text_(title_),
+      since_(SteadyClock().seconds()) {}
 
 Progress::~Progress() {
   clear();
@@ -182,12 +186,14 @@ void Progress::show(const std::string& text) {
 }
 
 void Progress::tick() {
-  if (g_progress == nullptr || g_progress->text_.empty()) return;
+  if (g_progress == nullptr || !g_progress->terminal_ || g_progress->text_.empty()) return;
   const double now = SteadyClock().seconds();
   const double stood = now - g_progress->since_;
-  if (now - g_progress->drawn_ >= kProgressSeconds)
-    g_progress->put_line(g_progress->text_ + (stood < 1 ? "" : fmt::format(" ({:.0f} s)", std::floor(stood))));
+  if (stood >= 1 && now - g_progress->drawn_ >= kProgressSeconds)
+    g_progress->put_line(fmt::format("{} ({:.0f} s)", g_progress->text_, std::floor(stood)));
 }
+
+bool Progress::any() { return g_progress != nullptr; }
 
 void Progress::make_way() {
   if (g_progress != nullptr) g_progress->clear_line();

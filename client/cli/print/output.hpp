@@ -85,8 +85,9 @@ class Progress {
   // total: 0 if it isn't known.
   void at(std::uint64_t done, std::uint64_t total, const std::string& remark);
   void clear();
-  // To be called while the program waits: adds to the newest line how long it has stood.
+  // To be called while the program waits: once the newest text has stood for a second, shows it, and for how long.
   static void tick();
+  static bool any();
   // Before anything else is written to stderr.
   static void make_way();
 
@@ -99,8 +100,8 @@ class Progress {
   Progress* outer_;  // the one before this one
   bool terminal_;
   bool shown_ = false;
-  std::string text_;  // of the last call of show()
-  double since_ = 0;  // when it was called
+  std::string text_;  // what is being done; at first the title
+  double since_;      // since when
   double drawn_ = 0;  // when the line was last drawn
 };
 

@@ -128,7 +128,8 @@ struct Connection::State {
   }
   bool interrupt() {
     if (standing.ok())
-      standing = Status(Code::interrupted, fmt::format("interrupted; {} was not waited for", endpoint.text()));
+      standing = Status(Code::interrupted,
+                        fmt::format("interrupted; what {} was asked for may still be done", endpoint.text()));
     return lose(standing);
   }
 

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "common/base/buffer.hpp"
+#include "common/io/formats/fields.hpp"
 
 namespace rcb::io {
 namespace {
@@ -157,6 +158,20 @@ std::optional<std::pair<std::size_t, std::size_t>> find_duplicate(const std::vec
 }
 
 }  // namespace
+
+Result<TextLayout> text_layout_of(const InputFile& file, const ReadOptions& options) {
+  Window window;
+  return find_layout(file, options, window);
+}
+
+Status visit_fields(const InputFile& file, const TextLayout& layout,
+                    const std::function<void(const std::vector<std::string_view>&)>& visit) {
+  Window window;
+  if (Status read = load(file, 0, file.size(), window); !read.ok()) return read;
+  std::size_t at = layout.data_begin;
+  while (const auto row = next_row(window.text(), at)) visit(split_fields(*row, layout.separator));
+  return {};
+}
 
 Result<Points> read_text(const InputFile& file, const ReadOptions& options, int k, int of) {
   Window window;
