@@ -1,4 +1,5 @@
 """Ctrl-C: a command says where it stood, keeps what it has, and ends with 130; and the progress that a terminal shows."""
+import contextlib
 import csv
 import pty
 import re

@@ -140,7 +140,10 @@ Status export_scene(const ExportOptions& options, const Context& context) {
   const auto& [shown, answer, left] = *exported;
   auto set = fetched(answer.reply);
   if (!set) return set.status();
+  Progress progress("export " + options.name);
+  progress.stage("writing");
   if (Status status = write_files(*set, options, shown); !status) return status;
+  progress.clear();
   if (Status status = left.remove(); !status) return status;
   Json files = Json::array();
   for (const std::string& name : file_names(options, shown)) files.push_back(join_path(options.directory, name));

@@ -165,6 +165,7 @@ Status history(const HistoryOptions& options, const Context& context) {
     sinks.push_back(std::make_unique<CsvFile>(std::move(*file)));
   }
   if (!options.plot.empty()) sinks.push_back(std::make_unique<Drawn>(curves.front()));
+  Progress progress("history " + options.name);
   const auto steps = read(*client, options.name, options, sinks);
   if (!steps) return steps.status();
   for (std::size_t k = 1; k < curves.size(); ++k) {
@@ -173,8 +174,10 @@ Status history(const HistoryOptions& options, const Context& context) {
     const auto drawn = read(*client, scenes[k], options, other);
     if (!drawn) return drawn.status();
   }
+  if (!options.plot.empty()) progress.stage("drawing " + options.plot);
   if (!options.plot.empty())
     if (Status status = plot_history(options.plot, curves); !status) return status;
+  progress.clear();
   // Last, since the document is whole only when everything else is done.
   if (context.json) print_line(context.document_begun ? "]" : "[]");
   for (const std::string& file : {options.csv, options.plot})

@@ -97,8 +97,10 @@ Status push(const PushOptions& options, const Context& context) {
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
   if (!shown) return shown.status();
   const int dims = shown->at("dims").get<int>();
-  const auto read = [dims, &options](const FileOptions& file) -> Result<io::Points> {
+  Progress progress("push " + options.name);
+  const auto read = [&](const FileOptions& file) -> Result<io::Points> {
     if (file.path.empty()) return io::Points{.dims = dims};
+    progress.stage("reading " + file.path);
     return read_for_scene(file, dims, options.name);
   };
   const auto points = read(options.file);
@@ -116,6 +118,7 @@ Status push(const PushOptions& options, const Context& context) {
   if (options.subset && points->id.size() != points->count)
     return {Code::invalid_argument, fmt::format("{}: no column 'id' says which particles moved", options.file.path),
             "name the columns, as in \"id,x,y,z\""};
+  progress.stage("waiting for the step");
   auto scene = client->open_scene(options.name);
   if (!scene) return scene.status();
   client::StepOptions step;
@@ -132,6 +135,7 @@ Status push(const PushOptions& options, const Context& context) {
   auto result = alone            ? scene->step_unmoved(step)
                 : options.subset ? scene->step_moved(points->id, sent.positions(single), step)
                                  : scene->step(sent.positions(single), step);
+  progress.clear();
   if (!result) return result.status();
   const Json report = Json::parse(result->report.json);
   note_empty_parts(result->report.n, result->report.parts);

@@ -119,9 +119,13 @@ std::string text_of(const Json& object, const char* field) {
 
 std::string warning(const std::string& text) { return colours() ? "\033[31m" + text + "\033[0m" : text; }
 
-void print_line(const std::string& line) { put(stdout, line + "\n"); }
+void print_line(const std::string& line) {
+  Progress::make_way();
+  put(stdout, line + "\n");
+}
 
 void print_json(const Json& document) {
+  Progress::make_way();
   put(stdout, document.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 

@@ -71,8 +71,8 @@ bool reader_gone();
 // Whether it did so before everything was written.
 bool output_cut_off();
 
-// A progress line that overwrites itself, if stderr is a terminal; else nothing. What else is written to stderr
-// meanwhile takes its place.
+// A progress line that overwrites itself, if stderr is a terminal; else nothing. What else is written meanwhile
+// takes its place.
 class Progress {
  public:
   explicit Progress(const std::string& title);
@@ -88,7 +88,7 @@ class Progress {
   // To be called while the program waits: once the newest text has stood for a second, shows it, and for how long.
   static void tick();
   static bool any();
-  // Before anything else is written to stderr.
+  // Before anything else is written, which may go to the same terminal.
   static void make_way();
 
  private:

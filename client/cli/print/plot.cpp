@@ -57,7 +57,7 @@ std::string plot_of(const std::vector<Curve>& curves, const std::vector<std::siz
   for (const std::size_t c : shown) {
     // A line of one point would not be seen.
     plots += fmt::format("{}$line{} using 1:2 with {} linecolor '{}' title '{}'", plots.empty() ? "plot " : ", ", c,
-                         curves[c].one_step() ? "points pointtype 7 pointsize 0.8" : "lines linewidth 1.8",
+                         curves[c].one_step() ? "points pointtype 7" : "lines linewidth 1.8",
                          kColours[c % kColours.size()], title_of(curves[c]));
     if (curves[c].tolerance) tolerances.insert(*curves[c].tolerance);
   }
@@ -93,8 +93,8 @@ std::string step_axis(const std::vector<Curve>& curves) {
     first = std::min(first, curve.first_step());
     last = std::max(last, curve.last_step());
   }
-  if (last - first > kTicksMax) return "";
-  return "set xtics 1\n" + (first == last ? fmt::format("set xrange [{}:{}]\n", first - 1, last + 1) : "");
+  if (first == last) return fmt::format("set xtics ({})\nset xrange [{}:{}]\n", first, first - 1, last + 1);
+  return last - first > kTicksMax ? "" : "set xtics 1\n";
 }
 
 bool is_png(const std::string& path) {
