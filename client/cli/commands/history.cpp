@@ -181,7 +181,7 @@ Status history(const HistoryOptions& options, const Context& context) {
   // Last, since the document is whole only when everything else is done.
   if (context.json) print_line(context.document_begun ? "]" : "[]");
   for (const std::string& file : {options.csv, options.plot})
-    if (!file.empty() && !context.json) print_line(fmt::format("{}: {} steps", file, *steps));
+    if (!file.empty() && !context.json) print_line(fmt::format("{}: {} step{}", file, *steps, *steps == 1 ? "" : "s"));
   return {};
 }
 
