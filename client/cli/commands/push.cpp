@@ -27,7 +27,7 @@ struct PushOptions {
 struct ReplayOptions {
   std::string name;
   std::vector<std::string> files;
-  FileOptions file;  // dims and weights of each file
+  FileOptions file;  // the columns of each file
   std::optional<int> parts;
   client::SceneOptions scene;  // but for its parts and dims
   std::optional<double> step_seconds;
@@ -104,8 +104,8 @@ Status push(const PushOptions& options, const Context& context) {
   if (!points) return points.status();
   if (points->count == 0 && !options.file.path.empty() && shown->at("n") == 0)
     return no_points(options.file.path, options.name);
-  FileOptions new_file = options.inserted;
-  new_file.weights = options.file.weights;
+  FileOptions new_file = options.file;
+  new_file.path = options.inserted.path;
   const auto inserted = read(new_file);
   if (!inserted) return inserted.status();
   if (inserted->count > 0 && inserted->weight.empty() && shown->at("weights").get<bool>())
@@ -191,7 +191,7 @@ class Replay {
 
  private:
   Status replay_file(client::Client& client, const std::string& path) {
-    auto reader = io::open_trajectory(path, {options_.file.dims, options_.file.weights});
+    auto reader = io::open_trajectory(path, read_options(options_.file));
     if (!reader) return reader.status();
     const std::uint64_t frames = (*reader)->frames();
     if (frames == 0) return {Code::invalid_argument, path + ": holds no frames", "save at least one step in it"};
@@ -286,7 +286,8 @@ void add_push_commands(CLI::App& app, Context& context) {
   unmoved->excludes(file);
   pushes.add_flag("--subset", pushed.subset, "FILE holds only the particles that moved: columns id,x,y,z")->needs(file);
   add_value(pushes, "--insert", pushed.inserted.path, kind::text("FILE"),
-            "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
+            "a file of particles to add; ids of its own, or the service chooses them; options of columns hold for both "
+            "files");
   add_list(pushes, "--remove", pushed.removed, kind::whole_number("IDS", 0),
            "ids of particles to remove, with commas between");
   add_value(pushes, "--step", pushed.step, kind::whole_number("K", 0, wire::kStepMax),
@@ -310,8 +311,7 @@ void add_push_commands(CLI::App& app, Context& context) {
   add_scene_options(replays, replayed.scene);
   add_value(replays, "--step-seconds", replayed.step_seconds, kind::number_from_zero("SECONDS"),
             std::string(kStepSecondsHelp) + "; the same at each step");
-  add_value(replays, "--dims", replayed.file.dims, kind::dimensions(), kDimsHelp);
-  add_value(replays, "--weights", replayed.file.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_column_options(replays, replayed.file);
   add_value(replays, "--history", replayed.history, kind::output_file(kind::Format::csv),
             "also write the step reports to this file");
 }

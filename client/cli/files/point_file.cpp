@@ -51,7 +51,7 @@ std::string unique_name() {
 
 // The dims of a file that ranks can read in slices, from its first rows.
 Result<int> sliceable_dims(const FileOptions& options) {
-  auto slice = io::read_points_slice(options.path, {options.dims, options.weights}, 0, kProbeSlices);
+  auto slice = io::read_points_slice(options.path, read_options(options), 0, kProbeSlices);
   if (!slice) return slice.status();
   return slice->dims > 0 ? slice->dims : kDimsDefault;
 }
@@ -64,6 +64,8 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
   Json arguments{{"scene", scene->name()}, {"path", absolute_path(options.path)}};
   if (options.dims > 0) arguments["dims"] = options.dims;
   if (!options.weights.empty()) arguments["weights"] = options.weights;
+  if (!options.columns.empty()) arguments["columns"] = options.columns;
+  if (!options.ids.empty()) arguments["ids"] = options.ids;
   auto reply = ask(*session.client, "load", arguments, kLongSeconds);
   if (!reply) {
     // The service doesn't quote the file's content in messages; this program may, since its user can read the file.
@@ -79,18 +81,28 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
 
 }  // namespace
 
+io::ReadOptions read_options(const FileOptions& options) {
+  return {.dims = options.dims, .weights = options.weights, .columns = options.columns, .ids = options.ids};
+}
+
+void add_column_options(CLI::App& command, FileOptions& options) {
+  add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
+  add_list(command, "--columns", options.columns, kind::text("X,Y,Z"), kColumnsHelp);
+  add_value(command, "--ids", options.ids, kind::text("COLUMN"), kIdsHelp);
+  add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
+}
+
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
   CLI::Option* file = add_value(command, "FILE", options.path, kind::text("FILE"),
                                 "CSV or text, .xyz, .npy, or FILE.h5:/path; a column named id is taken as ids");
-  add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
-  add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_column_options(command, options);
   return file->required();
 }
 
 std::string absolute_path(const std::string& path) { return std::filesystem::absolute(path).string(); }
 
 Result<io::Points> read_single(const FileOptions& options) {
-  auto reader = io::open_trajectory(options.path, {options.dims, options.weights});
+  auto reader = io::open_trajectory(options.path, read_options(options));
   if (!reader) return reader.status();
   if ((*reader)->frames() != 1)
     return Status(Code::invalid_argument,

@@ -21,9 +21,11 @@ namespace rcb::io {
 class Roots;
 
 struct ReadOptions {
-  int dims = 0;         // 1..3; 0: columns named x, y, z, else all columns but the weights one (more than 3: refused,
-                        // with the advice --dims)
+  int dims = 0;         // 1..3; 0: columns named x, y, z, else all columns but those of weights and ids (more than 3:
+                        // refused)
   std::string weights;  // a column's name, or its number from 0; empty: none
+  std::vector<std::string> columns;  // likewise, those of the positions; empty: x, y, z, else the first ones
+  std::string ids;                   // likewise; empty: the one named id
   // Set when files are read for a client: only files below these, and no message shows what a file holds. Null:
   // whatever this process may read.
   const Roots* below = nullptr;

@@ -51,6 +51,8 @@ Result<LoadRequest> read_load(const wire::Json& request) {
   wire::FieldReader fields(request);
   load.options.dims = static_cast<int>(fields.integer_or("dims", 1, 3, 0));
   if (fields.has("weights")) load.options.weights = fields.text("weights");
+  load.options.columns = fields.texts("columns", 3);
+  if (fields.has("ids")) load.options.ids = fields.text("ids");
   load.step = fields.integer_or("step", 0, wire::kStepMax, 0);
   if (!fields.ok()) return fields.status();
   return load;
