@@ -59,8 +59,7 @@ Status write_assignment(const PartitionOptions& options, Session& session, const
   const client::Array* array = answer->reply.find("part");
   if (array == nullptr) return {Code::protocol_error, "the answer to assign lacks its parts"};
   const auto part = array->i4();
-  // An .npy file never has ids of its own, so id order is row order.
-  auto points = options.file.path.ends_with(".npy") ? Result<io::Points>(io::Points{}) : read_single(options.file);
+  auto points = read_single(options.file);
   if (!points) return points.status();
   if (points->id.empty()) return io::write_npy(options.assign, part);
   if (points->id.size() != part.size())

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/files/frame_order.hpp"
 #include "client/cli/files/point_file.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/report_csv.hpp"
@@ -84,7 +85,7 @@ Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::
                 fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, points->dims,
                             points->dims == 1 ? "" : "s", scene, dims),
                 points->dims > dims
-                    ? fmt::format("--dims {} takes the first {} columns of positions", dims, dims)
+                    ? fmt::format("say with --columns which {} of its columns are the positions", dims)
                     : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
@@ -177,7 +178,9 @@ class Replay {
     if (!client) return client.status();
     const double start = clock_.seconds();
     Status status;
-    for (const std::string& file : options_.files)
+    const FrameOrder order = in_frame_order(options_.files);
+    if (!order.changed.empty()) note(order.changed);
+    for (const std::string& file : order.files)
       if (status = replay_file(*client, file); !status) break;
     progress_.clear();
     // The steps before a bad frame are committed, so their history is written, too.
@@ -302,8 +305,10 @@ void add_push_commands(CLI::App& app, Context& context) {
                    kSceneGroup},
                   replay);
   add_scene_name(replays, replayed.name);
-  add_value(replays, "FILES", replayed.files, kind::text("FILE..."),
-            "one file per step, or a .npy of shape (steps, n, dims)")
+  add_value(
+      replays, "FILES", replayed.files, kind::text("FILE..."),
+      "one file per step, or a .npy of shape (steps, n, dims). Files that differ only in numbers and are given in "
+      "alphabetical order, as a shell's * does, are taken in the order of the numbers: step.20 before step.100")
       ->required()
       ->expected(-1);
   add_value(replays, "--parts", replayed.parts, kind::part_count(),

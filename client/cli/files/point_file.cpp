@@ -56,6 +56,19 @@ Result<int> sliceable_dims(const FileOptions& options) {
   return slice->dims > 0 ? slice->dims : kDimsDefault;
 }
 
+// Points that this program has read, as the scene's first step.
+Result<LoadedScene> push_points(Session& session, TemporaryScene scene, const io::Points& points, double read_seconds) {
+  auto open = session.client->open_scene(scene.name());
+  if (!open) return open.status();
+  client::StepOptions step;
+  step.ids = points.id;
+  step.weights = points.weight;
+  step.deadline_seconds = kLongSeconds;
+  auto result = open->step(positions_of(points), step);
+  if (!result) return result.status();
+  return LoadedScene{std::move(scene), Json::parse(result->report.json), read_seconds};
+}
+
 // Every rank of the service reads its own slice of the file.
 Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, int dims, Json scene_arguments) {
   scene_arguments["dims"] = dims;
@@ -70,9 +83,11 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
   if (!reply) {
     // The service doesn't quote the file's content in messages; this program may, since its user can read the file.
     const Code code = reply.status().code();
-    const auto own =
-        code == Code::invalid_argument || code == Code::not_finite ? read_single(options).status() : Status();
-    return own ? session.explain(reply.status()) : own;
+    if (code != Code::invalid_argument && code != Code::not_finite) return session.explain(reply.status());
+    const auto own = read_single(options);
+    if (!own) return own.status();
+    // Ranks don't load a file without points; here it has an answer.
+    return own->count == 0 ? push_points(session, std::move(*scene), *own, 0) : session.explain(reply.status());
   }
   Json report = reply->at("report");
   const double read_seconds = report.at("seconds").at("receive").get<double>();
@@ -195,15 +210,7 @@ Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Jso
   scene_arguments["dims"] = points->dims > 0 ? points->dims : kDimsDefault;
   auto scene = TemporaryScene::create(session, std::move(scene_arguments));
   if (!scene) return scene.status();
-  auto open = session.client->open_scene(scene->name());
-  if (!open) return open.status();
-  client::StepOptions step;
-  step.ids = points->id;
-  step.weights = points->weight;
-  step.deadline_seconds = kLongSeconds;
-  auto result = open->step(positions_of(*points), step);
-  if (!result) return result.status();
-  return LoadedScene{std::move(*scene), Json::parse(result->report.json), read_seconds};
+  return push_points(session, std::move(*scene), *points, read_seconds);
 }
 
 }  // namespace rcb::cli
