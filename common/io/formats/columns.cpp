@@ -13,7 +13,9 @@
 namespace rcb::io {
 namespace {
 
-constexpr std::size_t kColumnsMax = 4096;  // whole rows are read, and points have few columns
+constexpr std::size_t kColumnsMax = 4096;     // whole rows are read, and points have few columns
+constexpr std::size_t kLyingColumnsMin = 16;  // more columns than that in at most 3 rows: (dims, n)
+constexpr std::size_t kPointColumnsMax = 64;  // likewise in any number of rows, perhaps
 constexpr const char* kTransposeHint = "a point is a row: if the array is (dims, n), transpose it";
 constexpr const char* kColumnsHint = "say with --columns which are the positions, by name or by number, counted from 0";
 
@@ -34,9 +36,11 @@ Status check_options(const std::string& file, const ReadOptions& options) {
     return {Code::invalid_argument, fmt::format("{} dimensions", options.dims), "give 1, 2 or 3 (--dims)"};
   const std::size_t axes = options.columns.size();
   if (axes > 3)
-    return {Code::invalid_argument, fmt::format("{} columns of positions", axes), "give 1, 2 or 3 (--columns)"};
+    return {Code::invalid_argument, fmt::format("{}: {} columns of positions are asked for", file, axes),
+            "give 1, 2 or 3 (--columns)"};
   if (axes > 0 && options.dims > 0 && axes != static_cast<std::size_t>(options.dims))
-    return {Code::invalid_argument, fmt::format("{} columns of positions in {} dimensions", axes, options.dims),
+    return {Code::invalid_argument,
+            fmt::format("{}: {} columns of positions are asked for in {} dimension(s)", file, axes, options.dims),
             "give as many --columns as --dims, or leave --dims out"};
   std::vector<std::string_view> columns(options.columns.begin(), options.columns.end());
   columns.insert(columns.end(), {options.weights, options.ids});
@@ -125,9 +129,12 @@ Result<std::vector<std::size_t>> first_axes(const Table& table, const Columns& c
     if (c != columns.id && c != columns.weight) axes.push_back(c);
   if (axes.empty())
     return Status(Code::invalid_argument, table.file + ": has no column of positions", "name columns x, y, z");
-  if (table.options.dims != 0 || axes.size() <= 3) return axes;
+  // An array (dims, n) lies on its side: --dims would make three points of it.
+  const bool few_rows = rows && *rows > 0 && *rows <= 3;
+  const bool lies = few_rows && axes.size() > kLyingColumnsMin;
+  if (table.options.dims != 0 ? !lies : axes.size() <= 3) return axes;
   return Status(Code::invalid_argument, fmt::format("{}: {} columns could be positions", table.file, axes.size()),
-                rows && *rows > 0 && *rows <= 3
+                few_rows || axes.size() > kPointColumnsMax
                     ? kTransposeHint
                     : "say which are: --columns 0,1,2 (their numbers, counted from 0; or --dims 3 for the first 3), or "
                       "name the columns x, y, z in a header");
@@ -139,7 +146,8 @@ Result<std::vector<std::size_t>> asked_axes(const Table& table) {
     const auto column = find_asked(table, wanted, "positions");
     if (!column.ok()) return column.status();
     if (std::find(axes.begin(), axes.end(), *column) != axes.end())
-      return Status(Code::invalid_argument, fmt::format("column '{}' is given twice", shown(wanted)),
+      return Status(Code::invalid_argument,
+                    fmt::format("{}: column '{}' is asked for twice", table.file, shown(wanted)),
                     "give every axis a column of its own (--columns)");
     axes.push_back(*column);
   }

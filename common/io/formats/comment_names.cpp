@@ -12,18 +12,18 @@ namespace {
 using Fields = std::vector<std::string_view>;
 
 // They make a sentence of a comment.
-constexpr std::array<std::string_view, 42> kSentenceWords{
-    "all", "an",   "and",  "are",  "as",    "at",    "be",   "by",   "each", "every", "for",  "from", "has",   "have",
-    "if",  "in",   "into", "is",   "it",    "its",   "no",   "not",  "of",   "on",    "one",  "only", "or",    "our",
-    "per", "that", "the",  "then", "there", "these", "they", "this", "to",   "was",   "were", "we",   "which", "with"};
-constexpr std::array<std::string_view, 58> kQuantities{
-    "acceleration", "alpha",    "alt",     "altitude", "angle",     "beta",        "bond",      "charge",   "cluster",
-    "color",        "colour",   "density", "depth",    "diameter",  "easting",     "elevation", "element",  "energy",
-    "force",        "gamma",    "group",   "height",   "ids",       "index",       "kind",      "label",    "lat",
-    "latitude",     "level",    "lon",     "long",     "longitude", "mass",        "mol",       "molecule", "northing",
-    "number",       "phi",      "pos",     "pressure", "proc",      "radius",      "rank",      "rho",      "row",
-    "size",         "species",  "speed",   "step",     "temp",      "temperature", "theta",     "time",     "type",
-    "vel",          "velocity", "volume",  "weight"};
+constexpr auto kSentenceWords = std::to_array<std::string_view>(
+    {"all",  "an",  "and",  "are",   "as",    "at",   "be",   "by", "each", "every", "for",  "from",  "has", "have",
+     "if",   "in",  "into", "is",    "it",    "its",  "not",  "of", "on",   "one",   "only", "or",    "our", "per",
+     "that", "the", "then", "there", "these", "they", "this", "to", "was",  "were",  "we",   "which", "with"});
+constexpr auto kQuantities = std::to_array<std::string_view>(
+    {"acceleration", "alpha",    "alt",     "altitude", "angle",     "beta",        "bond",      "charge",   "cluster",
+     "color",        "colour",   "density", "depth",    "diameter",  "easting",     "elevation", "element",  "energy",
+     "force",        "gamma",    "group",   "height",   "ids",       "index",       "kind",      "label",    "lat",
+     "latitude",     "level",    "lon",     "long",     "longitude", "mass",        "mol",       "molecule", "northing",
+     "number",       "phi",      "pos",     "pressure", "proc",      "radius",      "rank",      "rho",      "row",
+     "size",         "species",  "speed",   "step",     "temp",      "temperature", "theta",     "time",     "type",
+     "vel",          "velocity", "volume",  "weight"});
 
 template <std::size_t kCount>
 bool is_one_of(const std::array<std::string_view, kCount>& words, std::string_view field) {
