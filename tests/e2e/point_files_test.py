@@ -1,5 +1,5 @@
 """Point files as users have them: which columns are read, by every command that reads any, and in which order frames come."""
-from protocol_client import Client
+from protocol_client import Client, arrays_of
 from support import *
 
 
@@ -34,9 +34,8 @@ class PointFiles(ServiceTest, Refusals):
         return path
 
     def fetched(self, scene):
-        client = Client(self.service.endpoint[5:])
-        self.addCleanup(client.close)
-        return client.ask("fetch", scene=scene)[1]
+        with Client(self.service.endpoint[5:]) as client:
+            return arrays_of(*client.ask("fetch", scene=scene))
 
     def assert_is_the_reference(self, scene, **what):
         arrays = self.fetched(scene)
@@ -68,7 +67,7 @@ class PointFiles(ServiceTest, Refusals):
             for file in (self.named, self.numbered):
                 client.ask("scene.create", scene="l", parts=5, dims=2, replace=True)
                 client.ask("load", scene="l", path=file, columns=["2", "0"], ids="1", weights="3")
-                arrays = client.ask("fetch", scene="l")[1]
+                arrays = arrays_of(*client.ask("fetch", scene="l"))
                 np.testing.assert_array_equal(arrays["id"], np.sort(self.ids))
                 np.testing.assert_array_equal(arrays["x"], self.points[np.argsort(self.ids), 0])
             client.ask("scene.create", scene="l", parts=5, dims=2, replace=True)

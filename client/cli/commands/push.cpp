@@ -81,12 +81,13 @@ Status no_points(const std::string& file, const std::string& scene) {
 Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::string& scene) {
   auto points = read_single(file);
   if (!points || file.dims != 0 || points->dims == dims || points->count == 0) return points;
-  return Status(Code::invalid_argument,
-                fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, points->dims,
-                            points->dims == 1 ? "" : "s", scene, dims),
-                points->dims > dims
-                    ? fmt::format("say with --columns which {} of its columns are the positions", dims)
-                    : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
+  return Status(
+      Code::invalid_argument,
+      fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, points->dims,
+                  points->dims == 1 ? "" : "s", scene, dims),
+      points->dims > dims
+          ? fmt::format("say with --columns which of its columns are the positions (--dims {}: the first)", dims)
+          : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
 Status push(const PushOptions& options, const Context& context) {

@@ -102,7 +102,7 @@ io::ReadOptions read_options(const FileOptions& options) {
 
 void add_column_options(CLI::App& command, FileOptions& options) {
   add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
-  add_list(command, "--columns", options.columns, kind::text("X,Y,Z"), kColumnsHelp);
+  add_list(command, "--columns", options.columns, kind::text("COLUMNS"), kColumnsHelp);
   add_value(command, "--ids", options.ids, kind::text("COLUMN"), kIdsHelp);
   add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
 }

@@ -30,9 +30,8 @@ inline constexpr const char* kDimsHelp =
     "1, 2 or 3 dimensions (default: as many as there are columns named x, y, z, or else columns)";
 inline constexpr const char* kWeightsHelp = "the column of weights, by name or by number, counted from 0";
 inline constexpr const char* kColumnsHelp =
-    "the columns of positions, likewise, with commas between (default: those named x, y, z)";
-inline constexpr const char* kIdsHelp =
-    "the column of ids, likewise (default: the one named id; else rows are counted)";
+    "the columns of positions, by name or by number, with commas between (default: those named x, y, z)";
+inline constexpr const char* kIdsHelp = "the column of ids (default: the one named id; else rows are counted)";
 
 // Adds --dims, --columns, --ids and --weights.
 void add_column_options(CLI::App& command, FileOptions& options);

@@ -133,11 +133,14 @@ Result<std::vector<std::size_t>> first_axes(const Table& table, const Columns& c
   const bool few_rows = rows && *rows > 0 && *rows <= 3;
   const bool lies = few_rows && axes.size() > kLyingColumnsMin;
   if (table.options.dims != 0 ? !lies : axes.size() <= 3) return axes;
+  std::string hint =
+      "say which are: --columns 0,1,2 (their numbers, counted from 0; or --dims 3 for the first 3), or name the "
+      "columns "
+      "x, y, z in a header";
+  if (few_rows) hint += fmt::format("; {}", kTransposeHint);
+  if (lies || axes.size() > kPointColumnsMax) hint = kTransposeHint;
   return Status(Code::invalid_argument, fmt::format("{}: {} columns could be positions", table.file, axes.size()),
-                few_rows || axes.size() > kPointColumnsMax
-                    ? kTransposeHint
-                    : "say which are: --columns 0,1,2 (their numbers, counted from 0; or --dims 3 for the first 3), or "
-                      "name the columns x, y, z in a header");
+                hint);
 }
 
 Result<std::vector<std::size_t>> asked_axes(const Table& table) {
