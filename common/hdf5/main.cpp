@@ -41,10 +41,13 @@ Status send(const rcb::io::Points& points) {
   Hdf5Head head;
   head.dims = static_cast<std::uint16_t>(points.dims);
   head.weighted = points.weight.empty() ? 0 : 1;
+  head.has_ids = points.id.empty() ? 0 : 1;
   head.count = points.count;
   bool sent = put(&head, sizeof head);
   for (const auto& axis : points.position) sent = sent && put(axis.data(), axis.size() * sizeof(double));
-  if (!points.position.empty()) sent = sent && put(points.weight.data(), points.weight.size() * sizeof(double));
+  if (!points.position.empty())
+    sent = sent && put(points.weight.data(), points.weight.size() * sizeof(double)) &&
+           put(points.id.data(), points.id.size() * sizeof(std::int64_t));
   if (!sent) return {Code::io_error, "nobody reads what is read"};
   return {};
 }
@@ -67,8 +70,10 @@ Status run(std::span<char*> arguments) {
   rcb::io::ReadOptions options;
   options.dims = std::atoi(arguments[4]);
   options.weights = arguments[5];
-  options.bytes_max = std::strtoull(arguments[6], nullptr, 10);
-  options.below = arguments[7] == std::string("1") ? &none : nullptr;
+  options.ids = arguments[6];
+  options.bytes_max = std::strtoull(arguments[7], nullptr, 10);
+  options.below = arguments[8] == std::string("1") ? &none : nullptr;
+  for (const char* column : arguments.subspan(rcb::io::kHdf5Arguments)) options.columns.emplace_back(column);
   return rcb::hdf5::read(*file, arguments[1], options, std::atoi(arguments[2]), std::atoi(arguments[3]), send);
 }
 
@@ -76,7 +81,7 @@ Status run(std::span<char*> arguments) {
 
 int main(int argc, char** argv) {
   const std::span arguments(argv + 1, static_cast<std::size_t>(std::max(0, argc - 1)));
-  if (arguments.size() != rcb::io::kHdf5Arguments || ::isatty(STDOUT_FILENO) != 0) {
+  if (arguments.size() < rcb::io::kHdf5Arguments || ::isatty(STDOUT_FILENO) != 0) {
     std::fputs("rcb_read_hdf5 reads HDF5 files for rcbd and rcbctl, which start it: rcbctl push SCENE FILE.h5:/PATH\n",
                stderr);
     return 2;

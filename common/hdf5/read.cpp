@@ -146,7 +146,7 @@ std::size_t chunk_rows(hid_t dataset) {
 }
 
 Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, const Columns& columns,
-                 const Sink& sink) {
+                 const io::NumberType& type, const Sink& sink) {
   const auto width = static_cast<std::size_t>(shape.width);
   const std::size_t whole = chunk_rows(dataset);
   const std::size_t wanted = std::max<std::size_t>(1, kBlockBytes / (width * sizeof(double)));
@@ -162,24 +162,21 @@ Status read_rows(const std::string& where, hid_t dataset, const Shape& shape, co
     const Handle to(H5Screate_simple(shape.axes, count.data(), nullptr), H5Sclose);
     if (!from.ok() || !to.ok() ||
         H5Sselect_hyperslab(from.id(), H5S_SELECT_SET, start.data(), nullptr, count.data(), nullptr) < 0 ||
-        H5Dread(dataset, H5T_NATIVE_DOUBLE, to.id(), from.id(), H5P_DEFAULT, block.data()) < 0) {
+        H5Dread(dataset, type.bytes == 4 ? H5T_NATIVE_FLOAT : H5T_NATIVE_DOUBLE, to.id(), from.id(), H5P_DEFAULT,
+                block.data()) < 0) {
       return broken(where);
     }
     Points points = io::make_points(columns, static_cast<std::size_t>(rows));
     const auto* bytes = reinterpret_cast<const std::byte*>(block.data());
-    const auto bad = io::store_rows({bytes, width * sizeof(double), sizeof(double), io::NumberType{}}, points.count,
-                                    columns, 0, points);
+    const auto bad = io::store_rows({bytes, width * type.bytes, type.bytes, type}, points.count, columns, 0, points);
     if (!bad) {
       if (const Status taken = sink(points); !taken.ok()) return taken;
       continue;
     }
     const std::uint64_t row = begin + bad->row;
-    const std::string index = shape.axes == 1 ? fmt::format("({},)", row) : fmt::format("({}, {})", row, bad->column);
-    const std::string value = io::describe(bad->value);
-    const bool negative = bad->value < 0 && value.find("infinity") == std::string::npos;
-    return Status(
-        negative ? Code::invalid_argument : Code::not_finite, fmt::format("{}: {} at index {}", where, value, index),
-        negative ? "weights are 0 or more" : "positions and weights must be finite: correct or drop that row");
+    return io::refusal_of(
+        *bad, where,
+        shape.axes == 1 ? fmt::format("at index ({},)", row) : fmt::format("at index ({}, {})", row, bad->column));
   }
   return {};
 }
@@ -213,7 +210,7 @@ Status read(const InputFile& file, const std::string& dataset, const ReadOptions
   if (const Status storage = check_storage(file, where, object.id(), *shape, type_bytes); !storage.ok()) {
     return storage;
   }
-  const auto columns = io::choose_columns(where, options, {}, static_cast<std::size_t>(shape->width));
+  const auto columns = io::choose_columns(where, options, {}, static_cast<std::size_t>(shape->width), shape->rows);
   if (!columns.ok()) return columns.status();
   const u128 all = u128{shape->rows} * io::point_bytes(*columns);
   if (const Status fits = io::check_bytes(where, all, options); !fits.ok()) return fits;
@@ -221,8 +218,9 @@ Status read(const InputFile& file, const std::string& dataset, const ReadOptions
   whole.dims = columns->dims;
   whole.count = static_cast<std::size_t>(shape->end - shape->begin);
   if (columns->weighted()) whole.weight.resize(1);
+  if (columns->id != io::kNoColumn) whole.id.resize(1);
   if (const Status taken = sink(whole); !taken.ok()) return taken;
-  return read_rows(where, object.id(), *shape, *columns, sink);
+  return read_rows(where, object.id(), *shape, *columns, io::NumberType{type_bytes}, sink);
 }
 
 }  // namespace rcb::hdf5

@@ -26,6 +26,15 @@ Result<Points> if_unchanged(const InputFile& file, Result<Points> points) {
   return points;
 }
 
+// The rows of arrays have numbers, not lines.
+Status check_distinct(const std::string& file, const std::vector<std::int64_t>& ids) {
+  const auto twice = find_duplicate(ids);
+  if (!twice) return {};
+  return {Code::invalid_argument,
+          fmt::format("{}: row {} has the id {} of row {}", file, twice->second, ids[twice->first], twice->first),
+          "give every particle an id of its own"};
+}
+
 Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int of) {
   const auto header = read_npy_header(file, options);
   if (!header.ok()) return header.status();
@@ -40,7 +49,8 @@ Result<Points> read_npy(InputFile file, const ReadOptions& options, int k, int o
     return fits;
   const std::uint64_t begin = share_begin(rows->rows(), k, of);
   Points points;
-  const Status read = rows->read(begin, static_cast<std::size_t>(share_begin(rows->rows(), k + 1, of) - begin), points);
+  Status read = rows->read(begin, static_cast<std::size_t>(share_begin(rows->rows(), k + 1, of) - begin), points);
+  if (read.ok() && of == 1) read = check_distinct(rows->file().path(), points.id);
   return if_unchanged(rows->file(), read.ok() ? Result<Points>(std::move(points)) : read);
 }
 
@@ -54,7 +64,11 @@ Result<Points> read_any(const std::string& path, const ReadOptions& options, int
   auto file = open_file(path, options);
   if (const auto hdf5 = split_hdf5_path(path); hdf5 && file.status().code() == Code::not_found) {
     file = open_file(hdf5->first, options);
-    if (file.ok()) return if_unchanged(*file, read_hdf5(*file, hdf5->second, options, k, of));
+    if (!file.ok()) return file.status();
+    auto points = read_hdf5(*file, hdf5->second, options, k, of);
+    if (Status distinct = points.ok() && of == 1 ? check_distinct(path, points->id) : Status(); !distinct.ok())
+      return distinct;
+    return if_unchanged(*file, std::move(points));
   }
   if (!file.ok()) return file.status();
   if (file->starts_with(kHdf5Magic)) return read_hdf5(*file, "", options, k, of);
@@ -125,7 +139,8 @@ class NpyTrajectory final : public TrajectoryReader {
     return without_throwing("a frame", [&]() -> Result<Points> {
       if (k >= steps_) return Status(Code::not_found, fmt::format("frame {} of {}", k, steps_));
       Points points;
-      const Status read = rows_.read(k * n_, static_cast<std::size_t>(n_), points);
+      Status read = rows_.read(k * n_, static_cast<std::size_t>(n_), points);
+      if (read.ok()) read = check_distinct(fmt::format("{}: frame {}", rows_.file().path(), k), points.id);
       if (!read.ok()) return read;
       return points;
     });

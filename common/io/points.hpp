@@ -20,9 +20,10 @@ namespace rcb::io {
 // Ids by row are NOT filled in (only the caller knows how many rows precede); the caller must find duplicates across
 // slices. path: an .npy file (recognised by its name or first bytes; also a trajectory of one step), FILE.h5:/dataset,
 // else text, which is taken for XYZ if it begins with a count line. Columns named x, y, z, id (in any case; also
-// Points:0 and so on, as ParaView writes them) are taken by name; without x, y, z the first `dims` columns that are
-// neither id nor weights. An empty text file has no points, in `dims` dimensions or 3. Only regular files. NaN,
-// infinity, duplicate or negative ids and ragged rows are refused: "points.csv:17: ...".
+// Points:0 and so on, as ParaView writes them) are taken by name, and other names are refused unless the options say
+// which columns to take; without names the first `dims` columns that are neither id nor weights (docs/files.md). An empty
+// text file has no points, in `dims` dimensions or 3. Only regular files. NaN, infinity, duplicate or negative ids and
+// ragged rows are refused: "points.csv:17: ...".
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of);
 
 // The columns of a text file that are neither positions nor ids nor weights, as CSV.

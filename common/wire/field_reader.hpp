@@ -45,6 +45,9 @@ class FieldReader {
   std::vector<double> numbers(const char* name, std::size_t count_max) {
     return keep(numbers_field_or_empty(json_, name, count_max), std::vector<double>());
   }
+  std::vector<std::string> texts(const char* name, std::size_t count_max) {
+    return keep(strings_field_or_empty(json_, name, count_max), std::vector<std::string>());
+  }
   // An error that the caller has found; kept if it is the first.
   void fail(Status status) {
     if (status_.ok()) status_ = std::move(status);

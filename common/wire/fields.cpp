@@ -127,6 +127,17 @@ Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char*
   return numbers;
 }
 
+Result<std::vector<std::string>> strings_field_or_empty(const Json& json, const char* name, std::size_t count_max) {
+  const Json* value = field(json, name);
+  if (value == nullptr) return std::vector<std::string>{};
+  const auto good = [](const Json& entry) {
+    return entry.is_string() && entry.get_ref<const std::string&>().find('\0') == std::string::npos;
+  };
+  if (!value->is_array() || value->size() > count_max || !std::all_of(value->begin(), value->end(), good))
+    return unexpected(name, fmt::format("a list of at most {} strings", count_max), value);
+  return value->get<std::vector<std::string>>();
+}
+
 bool FieldReader::has(const char* name) const { return field(json_, name) != nullptr; }
 
 std::string FieldReader::word(const char* name, std::initializer_list<const char*> words) {

@@ -74,6 +74,7 @@ Result<bool> bool_field(const Json& json, const char* name);  // false if absent
 bool is_true(const Json& json, const char* name);             // false, too, if it isn't a boolean
 // A list of finite numbers; empty if the field is absent or null.
 Result<std::vector<double>> numbers_field_or_empty(const Json& json, const char* name, std::size_t count_max);
+Result<std::vector<std::string>> strings_field_or_empty(const Json& json, const char* name, std::size_t count_max);
 // 1 to 64 characters of [A-Za-z0-9._-]. Errors: invalid_argument.
 Status check_scene_name(const std::string& name);
 

@@ -27,7 +27,7 @@ constexpr std::array<Fields, 2> kAssign{"scene", "checksum"};
 constexpr std::array<Fields, 2> kQuality{"scene", "ghost_width"};
 constexpr std::array<Fields, 4> kCompare{"scene", "parts", "ghost_width", "methods"};
 constexpr std::array<Fields, 6> kRebalance{"scene", "method", "parts", "tolerance", "dry_run", "force"};
-constexpr std::array<Fields, 5> kLoad{"scene", "path", "step", "dims", "weights"};
+constexpr std::array<Fields, 7> kLoad{"scene", "path", "step", "dims", "weights", "columns", "ids"};
 constexpr std::array<Fields, 3> kWriteParts{"scene", "directory", "prefix"};
 
 constexpr bool kFiles = true;

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/files/frame_order.hpp"
 #include "client/cli/files/point_file.hpp"
 #include "client/cli/interrupt.hpp"
 #include "client/cli/print/output.hpp"
@@ -28,7 +29,7 @@ struct PushOptions {
 struct ReplayOptions {
   std::string name;
   std::vector<std::string> files;
-  FileOptions file;  // dims and weights of each file
+  FileOptions file;  // the columns of each file
   std::optional<int> parts;
   client::SceneOptions scene;  // but for its parts and dims
   std::optional<double> step_seconds;
@@ -81,12 +82,13 @@ Status no_points(const std::string& file, const std::string& scene) {
 Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::string& scene) {
   auto points = read_single(file);
   if (!points || file.dims != 0 || points->dims == dims || points->count == 0) return points;
-  return Status(Code::invalid_argument,
-                fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, points->dims,
-                            points->dims == 1 ? "" : "s", scene, dims),
-                points->dims > dims
-                    ? fmt::format("--dims {} takes the first {} columns of positions", dims, dims)
-                    : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
+  return Status(
+      Code::invalid_argument,
+      fmt::format("{}: its points have {} dimension{}, scene '{}' has {}", file.path, points->dims,
+                  points->dims == 1 ? "" : "s", scene, dims),
+      points->dims > dims
+          ? fmt::format("say with --columns which of its columns are the positions (--dims {}: the first)", dims)
+          : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
 Status push(const PushOptions& options, const Context& context) {
@@ -107,8 +109,8 @@ Status push(const PushOptions& options, const Context& context) {
   if (!points) return points.status();
   if (points->count == 0 && !options.file.path.empty() && shown->at("n") == 0)
     return no_points(options.file.path, options.name);
-  FileOptions new_file = options.inserted;
-  new_file.weights = options.file.weights;
+  FileOptions new_file = options.file;
+  new_file.path = options.inserted.path;
   const auto inserted = read(new_file);
   if (!inserted) return inserted.status();
   if (inserted->count > 0 && inserted->weight.empty() && shown->at("weights").get<bool>())
@@ -185,7 +187,9 @@ class Replay {
     if (!client) return client.status();
     const double start = clock_.seconds();
     Status status;
-    for (const std::string& file : options_.files)
+    const FrameOrder order = in_frame_order(options_.files);
+    if (!order.changed.empty()) note(order.changed);
+    for (const std::string& file : order.files)
       if (status = replay_file(*client, file); !status) break;
     progress_.clear();
     // The steps before a bad frame, or before Ctrl-C, are committed, so their history is written, too.
@@ -316,7 +320,8 @@ void add_push_commands(CLI::App& app, Context& context) {
   unmoved->excludes(file);
   pushes.add_flag("--subset", pushed.subset, "FILE holds only the particles that moved: columns id,x,y,z")->needs(file);
   add_value(pushes, "--insert", pushed.inserted.path, kind::text("FILE"),
-            "a file of particles to add; ids of its own, or the service chooses them; --weights holds for both files");
+            "a file of particles to add; ids of its own, or the service chooses them; options of columns hold for both "
+            "files");
   add_list(pushes, "--remove", pushed.removed, kind::whole_number("IDS", 0),
            "ids of particles to remove, with commas between");
   add_value(pushes, "--step", pushed.step, kind::whole_number("K", 0, wire::kStepMax),
@@ -331,8 +336,10 @@ void add_push_commands(CLI::App& app, Context& context) {
                    kSceneGroup},
                   replay);
   add_scene_name(replays, replayed.name);
-  add_value(replays, "FILES", replayed.files, kind::text("FILE..."),
-            "one file per step, or a .npy of shape (steps, n, dims)")
+  add_value(
+      replays, "FILES", replayed.files, kind::text("FILE..."),
+      "one file per step, or a .npy of shape (steps, n, dims). Files that differ only in numbers and are given in "
+      "alphabetical order, as a shell's * does, are taken in the order of the numbers: step.20 before step.100")
       ->required()
       ->expected(-1);
   add_value(replays, "--parts", replayed.parts, kind::part_count(),
@@ -340,8 +347,7 @@ void add_push_commands(CLI::App& app, Context& context) {
   add_scene_options(replays, replayed.scene);
   add_value(replays, "--step-seconds", replayed.step_seconds, kind::number_from_zero("SECONDS"),
             std::string(kStepSecondsHelp) + "; the same at each step");
-  add_value(replays, "--dims", replayed.file.dims, kind::dimensions(), kDimsHelp);
-  add_value(replays, "--weights", replayed.file.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_column_options(replays, replayed.file);
   add_value(replays, "--history", replayed.history, kind::output_file(kind::Format::csv),
             "also write the step reports to this file");
 }

@@ -50,11 +50,30 @@ std::string unique_name() {
   _exit(0);
 }
 
+// Whether all of it can be named in JSON.
+bool all_utf8(const FileOptions& options) {
+  return is_utf8(options.path) && is_utf8(options.weights) && is_utf8(options.ids) &&
+         std::ranges::all_of(options.columns, [](const std::string& column) { return is_utf8(column); });
+}
+
 // The dims of a file that ranks can read in slices, from its first rows.
 Result<int> sliceable_dims(const FileOptions& options) {
   auto slice = io::read_points_slice(options.path, read_options(options), 0, kProbeSlices);
   if (!slice) return slice.status();
   return slice->dims > 0 ? slice->dims : kDimsDefault;
+}
+
+// Points that this program has read, as the scene's first step.
+Result<LoadedScene> push_points(Session& session, TemporaryScene scene, const io::Points& points, double read_seconds) {
+  auto open = session.client->open_scene(scene.name());
+  if (!open) return open.status();
+  client::StepOptions step;
+  step.ids = points.id;
+  step.weights = points.weight;
+  step.deadline_seconds = kLongSeconds;
+  auto result = open->step(positions_of(points), step);
+  if (!result) return result.status();
+  return LoadedScene{std::move(scene), Json::parse(result->report.json), read_seconds};
 }
 
 // Every rank of the service reads its own slice of the file.
@@ -65,15 +84,19 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
   Json arguments{{"scene", scene->name()}, {"path", absolute_path(options.path)}};
   if (options.dims > 0) arguments["dims"] = options.dims;
   if (!options.weights.empty()) arguments["weights"] = options.weights;
+  if (!options.columns.empty()) arguments["columns"] = options.columns;
+  if (!options.ids.empty()) arguments["ids"] = options.ids;
   Progress progress(options.path);
   progress.stage("the ranks read and divide it");
   auto reply = ask(*session.client, "load", arguments, kLongSeconds);
   if (!reply) {
     // The service doesn't quote the file's content in messages; this program may, since its user can read the file.
     const Code code = reply.status().code();
-    const auto own =
-        code == Code::invalid_argument || code == Code::not_finite ? read_single(options).status() : Status();
-    return own ? session.explain(reply.status()) : own;
+    if (code != Code::invalid_argument && code != Code::not_finite) return session.explain(reply.status());
+    const auto own = read_single(options);
+    if (!own) return own.status();
+    // Ranks don't load a file without points; here it has an answer.
+    return own->count == 0 ? push_points(session, std::move(*scene), *own, 0) : session.explain(reply.status());
   }
   Json report = reply->at("report");
   const double read_seconds = report.at("seconds").at("receive").get<double>();
@@ -82,18 +105,28 @@ Result<LoadedScene> load_in_ranks(Session& session, const FileOptions& options, 
 
 }  // namespace
 
+void add_column_options(CLI::App& command, FileOptions& options) {
+  add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
+  add_list(command, "--columns", options.columns, kind::text("COLUMNS"), kColumnsHelp);
+  add_value(command, "--ids", options.ids, kind::text("COLUMN"), kIdsHelp);
+  add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
+}
+
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options) {
   CLI::Option* file = add_value(command, "FILE", options.path, kind::text("FILE"),
                                 "CSV or text, .xyz, .npy, or FILE.h5:/path; a column named id is taken as ids");
-  add_value(command, "--dims", options.dims, kind::dimensions(), kDimsHelp);
-  add_value(command, "--weights", options.weights, kind::text("COLUMN"), kWeightsHelp);
+  add_column_options(command, options);
   return file->required();
 }
 
 std::string absolute_path(const std::string& path) { return std::filesystem::absolute(path).string(); }
 
 io::ReadOptions read_options(const FileOptions& options) {
-  return {.dims = options.dims, .weights = options.weights, .stop = &interrupt_flag()};
+  return {.dims = options.dims,
+          .weights = options.weights,
+          .columns = options.columns,
+          .ids = options.ids,
+          .stop = &interrupt_flag()};
 }
 
 Result<io::Points> read_single(const FileOptions& options) {
@@ -204,7 +237,7 @@ TemporaryScene::~TemporaryScene() {
 Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Json scene_arguments) {
   const SteadyClock clock;
   const double start = clock.seconds();
-  if (session.embedded && is_utf8(options.path) && is_utf8(options.weights)) {
+  if (session.embedded && all_utf8(options)) {
     // A file that can't be sliced, such as a trajectory of one frame, or can't be read at all, is read by this program.
     const auto dims = sliceable_dims(options);
     if (dims) return load_in_ranks(session, options, *dims, std::move(scene_arguments));
@@ -218,15 +251,7 @@ Result<LoadedScene> load_scene(Session& session, const FileOptions& options, Jso
   scene_arguments["dims"] = points->dims > 0 ? points->dims : kDimsDefault;
   auto scene = TemporaryScene::create(session, std::move(scene_arguments));
   if (!scene) return scene.status();
-  auto open = session.client->open_scene(scene->name());
-  if (!open) return open.status();
-  client::StepOptions step;
-  step.ids = points->id;
-  step.weights = points->weight;
-  step.deadline_seconds = kLongSeconds;
-  auto result = open->step(positions_of(*points), step);
-  if (!result) return result.status();
-  return LoadedScene{std::move(*scene), Json::parse(result->report.json), read_seconds};
+  return push_points(session, std::move(*scene), *points, read_seconds);
 }
 
 }  // namespace rcb::cli

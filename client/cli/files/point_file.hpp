@@ -20,15 +20,22 @@ namespace rcb::cli {
 
 struct FileOptions {
   std::string path;
-  int dims = 0;         // 0: as the file says
-  std::string weights;  // a column; empty: none
+  int dims = 0;                      // 0: as the file says
+  std::string weights;               // a column; empty: none
+  std::vector<std::string> columns;  // of the positions; empty: as the file says
+  std::string ids;                   // likewise
 };
 
 inline constexpr const char* kDimsHelp =
     "1, 2 or 3 dimensions (default: as many as there are columns named x, y, z, or else columns)";
 inline constexpr const char* kWeightsHelp = "the column of weights, by name or by number, counted from 0";
+inline constexpr const char* kColumnsHelp =
+    "the columns of positions, by name or by number, with commas between (default: those named x, y, z)";
+inline constexpr const char* kIdsHelp = "the column of ids (default: the one named id; else rows are counted)";
 
-// Adds FILE, --dims and --weights; returns FILE's option.
+// Adds --dims, --columns, --ids and --weights.
+void add_column_options(CLI::App& command, FileOptions& options);
+// The same after FILE, whose option it returns.
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 
 // What io must know to read it. Ctrl-C ends the reading.

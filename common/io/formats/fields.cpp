@@ -56,6 +56,26 @@ std::string lowered(std::string text) {
   return text;
 }
 
+std::string plain_name(std::string_view name) {
+  name = trimmed(name);
+  const std::size_t open = name.find_last_of("[(");
+  const bool unit = open != std::string_view::npos && open > 0 && open + 2 < name.size() &&
+                    name.back() == (name[open] == '[' ? ']' : ')') && (name[open + 1] < '0' || name[open + 1] > '9');
+  return lowered(std::string(unit ? trimmed(name.substr(0, open)) : name));
+}
+
+bool has_decimal_commas(std::string_view line) {
+  bool any = false;
+  for (const std::string_view field : split_fields(line, kBlankSeparator)) {
+    std::string text(field);
+    const std::size_t comma = text.find(',');
+    if (comma != std::string::npos) text[comma] = '.';
+    if (!number_in(text) || (comma != std::string::npos && (comma + 1 == text.size() || comma == 0))) return false;
+    any = any || comma != std::string::npos;
+  }
+  return any;
+}
+
 char separator_of(std::string_view line) {
   // Semicolons first: beside them a comma can only be a decimal one, which is then reported as no number.
   if (line.find(';') != std::string_view::npos) return ';';

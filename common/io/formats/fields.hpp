@@ -15,6 +15,10 @@ constexpr char kBlankSeparator = ' ';
 inline bool is_blank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\f' || c == '\v'; }
 std::string_view trimmed(std::string_view text);
 std::string lowered(std::string text);  // ASCII letters
+// The name of a column in lower case, without a unit in brackets behind it: "x" of "X [m]".
+std::string plain_name(std::string_view name);
+// Whether these are numbers with decimal commas, with blanks between: "1,5\t2,5".
+bool has_decimal_commas(std::string_view line);
 
 char separator_of(std::string_view line);
 // Fields come trimmed and without quotes; a separator at the end of the line adds no empty field.

@@ -6,19 +6,20 @@
 
 namespace rcb::io {
 
-// The program, and its arguments: FILE (for messages) DATASET K OF DIMS WEIGHTS BYTES_MAX FOR_CLIENT. An empty DATASET:
-// none was named, and the failure lists what there is. FOR_CLIENT 1: no message shows what the file holds, and no link
-// leads to another file. The file itself is its standard input.
+// The program, and its arguments: FILE (for messages) DATASET K OF DIMS WEIGHTS IDS BYTES_MAX FOR_CLIENT, then the
+// columns of positions, if asked for. An empty DATASET: none was named, and the failure lists what there is. FOR_CLIENT
+// 1: no message shows what the file holds, and no link leads to another file. The file itself is its standard input.
 constexpr const char* kHdf5Program = "rcb_read_hdf5";
-constexpr int kHdf5Arguments = 8;
+constexpr int kHdf5Arguments = 9;
 
 struct Hdf5Head {
-  std::uint64_t count = 0;  // points; in a block: dims arrays of float64 of so many follow, then the weights if any
+  std::uint64_t count = 0;  // points; in a block: dims arrays of float64 of so many follow, weights if any, ids if any
   std::uint32_t code = 0;   // Code of the failure; 0: none
   std::uint32_t message_bytes = 0;  // of a failure: its message and its hint follow
   std::uint32_t hint_bytes = 0;
   std::uint16_t dims = 0;
-  std::uint16_t weighted = 0;
+  std::uint8_t weighted = 0;
+  std::uint8_t has_ids = 0;
 };
 
 constexpr std::uint32_t kHdf5TextBytesMax = 8192;  // longer texts are cut

@@ -1,5 +1,6 @@
 #include "common/io/formats/hdf5_file.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <csignal>
@@ -157,11 +158,17 @@ Result<Points> read_hdf5(const InputFile& file, const std::string& dataset, cons
   if (!file.starts_with(kHdf5Magic))
     return Status(Code::invalid_argument, file.path() + ": is not an HDF5 file", "give FILE.h5:/PATH");
   Reader reader(file);
-  if (Status started =
-          reader.start({file.path(), dataset, std::to_string(k), std::to_string(of), std::to_string(options.dims),
-                        options.weights, std::to_string(options.bytes_max), options.below != nullptr ? "1" : "0"});
-      !started.ok())
-    return started;
+  std::vector<std::string> arguments{file.path(),
+                                     dataset,
+                                     std::to_string(k),
+                                     std::to_string(of),
+                                     std::to_string(options.dims),
+                                     options.weights,
+                                     options.ids,
+                                     std::to_string(options.bytes_max),
+                                     options.below != nullptr ? "1" : "0"};
+  arguments.insert(arguments.end(), options.columns.begin(), options.columns.end());
+  if (Status started = reader.start(std::move(arguments)); !started.ok()) return started;
   const auto whole = take_head(reader);
   if (!whole.ok()) return whole.status();
   // It isn't believed: points that a file of this size can't hold are none.
@@ -169,6 +176,7 @@ Result<Points> read_hdf5(const InputFile& file, const std::string& dataset, cons
   Columns columns;
   columns.dims = static_cast<int>(whole->dims);
   columns.weight = whole->weighted != 0 ? 0 : kNoColumn;
+  columns.id = whole->has_ids != 0 ? 0 : kNoColumn;
   if (Status fits = check_bytes(file.path(), u128{whole->count} * point_bytes(columns), options); !fits.ok())
     return fits;
   Points points = make_points(columns, static_cast<std::size_t>(whole->count));
@@ -181,6 +189,9 @@ Result<Points> read_hdf5(const InputFile& file, const std::string& dataset, cons
       if (Status taken = reader.take(axis.data() + done, bytes); !taken.ok()) return taken;
     if (columns.weighted())
       if (Status taken = reader.take(points.weight.data() + done, bytes); !taken.ok()) return taken;
+    if (!points.id.empty())
+      if (Status taken = reader.take(points.id.data() + done, bytes); !taken.ok()) return taken;
+    if (std::any_of(points.id.begin(), points.id.end(), [](std::int64_t id) { return id < 0; })) return reader.broken();
     done += static_cast<std::size_t>(block->count);
   }
   return points;

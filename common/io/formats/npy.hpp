@@ -2,7 +2,8 @@
 //
 // Invariants
 // 1. Nothing is allocated for the header's shape before it is checked against the file's length.
-// 2. A row is the last axis; an array of three axes (steps, n, dims) is read as steps * n rows.
+// 2. A row is the last axis; an array of three axes (steps, n, dims) is read as steps * n rows. A structured array's
+//    element is a row.
 #pragma once
 
 #include <cstdint>
@@ -18,11 +19,15 @@ namespace rcb::io {
 
 constexpr std::string_view kNpyMagic = "\x93NUMPY";
 
+// A structured array, whose elements have named fields, counts as one with a further axis of columns.
 struct NpyHeader {
   NumberType type;
+  std::size_t item_bytes = 8;  // of a number or, of a structured array, of an element
   bool fortran_order = false;
-  std::vector<std::uint64_t> shape;  // 1 to 3 axes; their product times a number's size is the rest of the file
+  std::vector<std::uint64_t> shape;  // 1 to 3 axes
   std::uint64_t data_begin = 0;
+  std::vector<Field> fields;       // of a structured array, else empty
+  std::vector<std::string> names;  // theirs; NAME:0, NAME:1 ... where a field holds several numbers
 };
 
 Result<NpyHeader> read_npy_header(const InputFile& file, const ReadOptions& options);
@@ -48,9 +53,11 @@ class NpyRows {
                    Points& points) const;
   Status turn_into_c_order();
   Status refuse(std::uint64_t row, const BadValue& bad) const;
+  std::size_t row_bytes() const { return header_.fields.empty() ? width_ * header_.item_bytes : header_.item_bytes; }
 
   InputFile file_;
   NpyHeader header_;
+  bool names_shown_ = true;  // in messages
   Columns columns_;
   std::uint64_t rows_ = 0;
   std::size_t width_ = 1;      // numbers per row

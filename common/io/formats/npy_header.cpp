@@ -15,9 +15,19 @@ namespace {
 
 constexpr std::size_t kHeaderBytesMax = std::size_t{1} << 20U;
 constexpr u128 kBytesMax = u128{1} << 62U;
+constexpr std::size_t kItemBytesMax = std::size_t{1} << 24U;  // of an element of a structured array
+constexpr std::size_t kMembersMax = 4096;
+
+// A field of a structured type, as the header lists it; several numbers: their count as `shape`.
+struct Member {
+  std::string name;
+  std::string descr;
+  std::vector<std::uint64_t> shape;
+};
 
 struct Fields {
-  std::optional<std::string> descr;
+  std::optional<std::string> descr;  // empty for a structured type
+  std::vector<Member> members;
   std::optional<bool> fortran_order;
   std::optional<std::vector<std::uint64_t>> shape;
 };
@@ -68,14 +78,9 @@ class Dictionary {
   }
   bool value(const std::string& key, Fields& fields) {
     if (key == "descr" && !fields.descr) {
-      skip_blanks();
-      // A list is a structured type: reported as such rather than as a broken header.
-      if (!text_.empty() && text_[0] == '[') {
-        const std::size_t end = text_.find(']');
-        if (end == std::string_view::npos) return false;
-        fields.descr = std::string(text_.substr(0, end + 1));
-        text_.remove_prefix(end + 1);
-        return true;
+      if (take('[')) {
+        fields.descr.emplace();
+        return members(fields.members);
       }
       fields.descr = quoted();
       return fields.descr.has_value();
@@ -85,6 +90,26 @@ class Dictionary {
       return *fields.fortran_order || take("False");
     }
     return key == "shape" && !fields.shape && shape(fields.shape.emplace());
+  }
+  // "('x', '<f8'), ('q', '<f4', (3,))]"; instead of a name a pair (title, name) may stand.
+  bool members(std::vector<Member>& members) {
+    while (!take(']')) {
+      Member member;
+      if (members.size() == kMembersMax || !take('(')) return false;
+      const bool titled = take('(');
+      if (titled && (!quoted() || !take(','))) return false;
+      const auto name = quoted();
+      if (!name || (titled && !take(')')) || !take(',')) return false;
+      const auto descr = quoted();
+      if (!descr || (take(',') && !shape(member.shape)) || !take(')')) return false;
+      member.name = *name;
+      member.descr = *descr;
+      members.push_back(std::move(member));
+      if (take(',')) continue;
+      if (!take(']')) return false;
+      break;
+    }
+    return true;
   }
   bool shape(std::vector<std::uint64_t>& axes) {
     if (!take('(')) return false;
@@ -106,19 +131,60 @@ class Dictionary {
   std::string_view text_;
 };
 
-Result<NumberType> number_type(const std::string& file, const std::string& descr, const ReadOptions& options) {
-  if (descr.size() == 3 && descr[1] == 'f' && (descr[2] == '4' || descr[2] == '8') &&
-      std::string_view("<>=").find(descr[0]) != std::string_view::npos) {
-    return NumberType{descr[2] == '4' ? std::size_t{4} : std::size_t{8}, descr[0] == '>'};
+// Of "<f8" and the like. Types that are not read, such as text, have just a size; nullopt: not even that.
+std::optional<NumberType> type_of(std::string_view descr) {
+  if (descr.size() < 3 || std::string_view("<>=|").find(descr[0]) == std::string_view::npos) return std::nullopt;
+  NumberType type{0, descr[0] == '>', NumberType::Kind::unread};
+  const auto [end, error] = std::from_chars(descr.data() + 2, descr.data() + descr.size(), type.bytes);
+  const char* behind = descr.data() + descr.size();
+  const bool dated = descr[1] == 'M' || descr[1] == 'm';  // "<M8[ns]"
+  if (error != std::errc{} || (end != behind && !dated) || type.bytes > kItemBytesMax) return std::nullopt;
+  const bool one_word = type.bytes == 1 || type.bytes == 2 || type.bytes == 4 || type.bytes == 8;
+  if (descr[1] == 'f' && (type.bytes == 4 || type.bytes == 8)) type.kind = NumberType::Kind::real;
+  if (descr[1] == 'i' && one_word) type.kind = NumberType::Kind::integer;
+  if (descr[1] == 'u' && one_word) type.kind = NumberType::Kind::natural;
+  if (descr[1] == 'U') type.bytes *= 4;
+  return std::string_view("fiubcSaUVMm").find(descr[1]) == std::string_view::npos ? std::nullopt : std::optional(type);
+}
+
+Status set_type(const std::string& file, const Fields& fields, const ReadOptions& options, NpyHeader& header) {
+  if (fields.members.empty()) {
+    const auto type = type_of(*fields.descr);
+    if (!type || type->kind != NumberType::Kind::real)
+      return {Code::invalid_argument,
+              fmt::format("{}: its type {} is not float32 or float64", file,
+                          quoted(*fields.descr, "(in its header)", options)),
+              "save it with .astype('float64')"};
+    header.type = *type;
+    header.item_bytes = type->bytes;
+    return {};
   }
-  return Status(
-      Code::invalid_argument,
-      fmt::format("{}: its type {} is not float32 or float64", file, quoted(descr, "(in its header)", options)),
-      "save it with .astype('float64')");
+  header.item_bytes = 0;
+  for (const Member& member : fields.members) {
+    auto type = type_of(member.descr);
+    u128 count = 1;
+    for (const std::uint64_t length : member.shape) count = count > kItemBytesMax ? count : count * length;
+    if (!type || header.item_bytes + count * type->bytes > kItemBytesMax)
+      return {Code::invalid_argument,
+              fmt::format("{}: its field {} is of the type {}, which isn't known", file,
+                          quoted(member.name, "(of its header)", options),
+                          quoted(member.descr, "(in its header)", options)),
+              "save the fields x, y, z and id alone: numpy.save('points.npy', a[['x', 'y', 'z', 'id']])"};
+    const bool several = member.shape.size() == 1 && type->kind != NumberType::Kind::unread && count <= kMembersMax;
+    const std::size_t columns = member.name.empty() ? 0 : several ? static_cast<std::size_t>(count) : 1;
+    for (std::size_t c = 0; c < columns; ++c) {
+      header.names.push_back(several ? fmt::format("{}:{}", member.name, c) : member.name);
+      header.fields.push_back({header.item_bytes + c * type->bytes, *type});
+      if (member.shape.size() > 1) header.fields.back().type.kind = NumberType::Kind::unread;
+    }
+    header.item_bytes += static_cast<std::size_t>(count) * type->bytes;
+  }
+  if (header.item_bytes > 0 && !header.fields.empty()) return {};
+  return {Code::invalid_argument, file + ": its elements have no fields", "save positions as fields x, y, z"};
 }
 
 Status check_size(const InputFile& file, const NpyHeader& header) {
-  u128 bytes = header.type.bytes;
+  u128 bytes = header.item_bytes;
   for (const std::uint64_t length : header.shape) {
     if (length == 0) bytes = 0;
   }
@@ -165,16 +231,26 @@ Result<NpyHeader> read_npy_header(const InputFile& file, const ReadOptions& opti
   const auto fields = Dictionary(text).read();
   if (!fields || !fields->descr || !fields->fortran_order || !fields->shape)
     return broken("has a header that can't be read");
-  const auto type = number_type(file.path(), *fields->descr, options);
-  if (!type.ok()) return type.status();
-  NpyHeader header{*type, *fields->fortran_order, *fields->shape, begin + length};
-  if (header.shape.empty() || header.shape.size() > 3) {
-    return Status(Code::invalid_argument,
-                  fmt::format("{}: its shape ({}) is not (n,), (n, dims) or (steps, n, dims)", file.path(),
-                              fmt::join(header.shape, ", ")),
-                  "reshape it before saving");
+  NpyHeader header;
+  header.fortran_order = *fields->fortran_order;
+  header.shape = *fields->shape;
+  header.data_begin = begin + length;
+  if (Status type = set_type(file.path(), *fields, options, header); !type.ok()) return type;
+  const bool structured = !header.fields.empty();
+  if (header.shape.empty() || header.shape.size() > (structured ? 2U : 3U)) {
+    return Status(
+        Code::invalid_argument,
+        fmt::format("{}: its shape ({}) is not {}", file.path(), fmt::join(header.shape, ", "),
+                    structured ? "(n,) or (steps, n), as it has named fields" : "(n,), (n, dims) or (steps, n, dims)"),
+        "reshape it before saving");
   }
   if (const Status size = check_size(file, header); !size.ok()) return size;
+  if (!structured) return header;
+  if (header.fortran_order && header.shape.size() == 2)
+    return Status(Code::invalid_argument, file.path() + ": a structured array of two axes in Fortran order isn't read",
+                  "save it with numpy.ascontiguousarray");
+  header.fortran_order = false;
+  header.shape.push_back(header.fields.size());
   return header;
 }
 

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 
@@ -10,6 +9,20 @@ namespace {
 
 // Bytes read at once: few enough to stay in the caches of a core while rows are turned into columns.
 constexpr std::size_t kNpyBlockBytes = std::size_t{256} << 10U;
+
+// The columns that are taken must hold numbers.
+Status check_fields(const std::string& file, const NpyHeader& header, const Columns& columns,
+                    const ReadOptions& options) {
+  std::vector<std::size_t> taken(columns.axis.begin(), columns.axis.begin() + columns.dims);
+  taken.insert(taken.end(), {columns.id, columns.weight});
+  for (const std::size_t column : taken)
+    if (column < header.fields.size() && header.fields[column].type.kind == NumberType::Kind::unread)
+      return {Code::invalid_argument,
+              fmt::format("{}: its field {} holds neither float32, float64 nor integers", file,
+                          quoted(header.names[column], "(of its header)", options)),
+              "save it as float64, or choose other columns (--columns, --ids, --weights)"};
+  return {};
+}
 
 }  // namespace
 
@@ -27,9 +40,12 @@ Result<NpyRows> NpyRows::open(InputFile file, const NpyHeader& header, const Rea
     const bool none = shape[0] == 0 || shape[1] == 0 || shape[2] == 0;
     rows.rows_ = none ? 0 : shape[0] * shape[1];
   }
-  auto columns = choose_columns(rows.file_.path(), options, {}, rows.width_);
+  const std::uint64_t points = shape.size() == 3 ? shape[1] : shape[0];
+  auto columns = choose_columns(rows.file_.path(), options, header.names, rows.width_, points);
   if (!columns.ok()) return columns.status();
   rows.columns_ = *columns;
+  rows.names_shown_ = options.below == nullptr;
+  if (Status read = check_fields(rows.file_.path(), header, *columns, options); !read.ok()) return read;
   if (header.fortran_order && shape.size() == 3 && rows.rows_ > 0) {
     if (const Status turned = rows.turn_into_c_order(); !turned.ok()) return turned;
   }
@@ -69,39 +85,38 @@ Status NpyRows::turn_into_c_order() {
 
 Status NpyRows::refuse(std::uint64_t row, const BadValue& bad) const {
   const bool several = header_.shape.size() == 3;
-  std::string where = fmt::format("{}: ", file_.path());
-  std::string index = header_.shape.size() == 1 ? fmt::format("({},)", row) : fmt::format("({}, {})", row, bad.column);
-  if (several) {
-    const std::uint64_t n = header_.shape[1];
-    where += fmt::format("frame {}: ", row / n);
-    index = fmt::format("({}, {}, {})", row / n, row % n, bad.column);
+  const std::uint64_t n = several ? header_.shape[1] : rows_;
+  const std::string file = several ? fmt::format("{}: frame {}", file_.path(), row / n) : file_.path();
+  std::string index = several ? fmt::format("{}, {}", row / n, row % n) : fmt::format("{},", row);
+  if (header_.fields.empty()) {
+    if (several) index += fmt::format(", {}", bad.column);
+    if (header_.shape.size() == 2) index += fmt::format(" {}", bad.column);
+    return refusal_of(bad, file, fmt::format("at index ({})", index));
   }
-  const bool finite = bad.value < 0 && bad.value >= std::numeric_limits<double>::lowest();
-  return Status(finite ? Code::invalid_argument : Code::not_finite,
-                fmt::format("{}{} at index {}", where, describe(bad.value), index),
-                finite ? "weights are 0 or more" : "positions and weights must be finite: correct or drop that row");
+  const std::string name = names_shown_ ? "'" + shown(header_.names[bad.column]) + "'" : std::to_string(bad.column);
+  return refusal_of(bad, file, fmt::format("at index ({}) of field {}", index, name));
 }
 
 Status NpyRows::read_into(std::uint64_t begin, std::size_t count, std::size_t to, Buffer<std::byte>& scratch,
                           Points& points) const {
   const std::size_t bytes = header_.type.bytes;
-  RowBlock block{nullptr, width_ * bytes, bytes, header_.type};
+  RowBlock block{nullptr, row_bytes(), bytes, header_.type, header_.fields};
   if (!in_c_order_.empty()) {
     block = {reinterpret_cast<const std::byte*>(in_c_order_.data() + begin * width_), width_ * 8, 8, NumberType{}};
   } else if (header_.fortran_order && width_ > 1) {
     // Each column is contiguous; only those that are asked for are read.
     scratch.resize(count * bytes * width_);
     for (std::size_t c = 0; c < width_; ++c) {
-      if (c != columns_.weight && std::find(columns_.axis.begin(), columns_.axis.end(), c) == columns_.axis.end())
-        continue;
+      const bool axis = std::find(columns_.axis.begin(), columns_.axis.end(), c) != columns_.axis.end();
+      if (!axis && c != columns_.id && c != columns_.weight) continue;
       const std::uint64_t at = header_.data_begin + (c * rows_ + begin) * bytes;
       if (const Status read = file_.read_at(at, scratch.data() + c * count * bytes, count * bytes); !read.ok())
         return read;
     }
     block = {scratch.data(), bytes, count * bytes, header_.type};
   } else {
-    scratch.resize(count * width_ * bytes);
-    const Status read = file_.read_at(header_.data_begin + begin * width_ * bytes, scratch.data(), scratch.size());
+    scratch.resize(count * row_bytes());
+    const Status read = file_.read_at(header_.data_begin + begin * row_bytes(), scratch.data(), scratch.size());
     if (!read.ok()) return read;
     block.first = scratch.data();
   }
@@ -111,7 +126,7 @@ Status NpyRows::read_into(std::uint64_t begin, std::size_t count, std::size_t to
 
 Status NpyRows::read(std::uint64_t begin, std::size_t count, Points& points) const {
   points = make_points(columns_, count);
-  const std::size_t step = std::max<std::size_t>(1, kNpyBlockBytes / (width_ * header_.type.bytes));
+  const std::size_t step = std::max<std::size_t>(1, kNpyBlockBytes / row_bytes());
   Buffer<std::byte> scratch;
   for (std::size_t done = 0; done < count; done += step) {
     const std::size_t rows = std::min(step, count - done);
@@ -121,7 +136,7 @@ Status NpyRows::read(std::uint64_t begin, std::size_t count, Points& points) con
 }
 
 Status NpyRows::check() const {
-  const std::size_t step = std::max<std::size_t>(1, kNpyBlockBytes / (width_ * header_.type.bytes));
+  const std::size_t step = std::max<std::size_t>(1, kNpyBlockBytes / row_bytes());
   Points scrap = make_points(columns_, step);
   Buffer<std::byte> scratch;
   for (std::uint64_t begin = 0; begin < rows_; begin += step) {

@@ -114,6 +114,9 @@ Status check_row_count(const InputFile& file, const TextLayout& layout, const Wi
     }
   }
   if (rows == *layout.row_count) return {};
+  if (rows + 1 == *layout.row_count && layout.comment_is_row)
+    return Status(Code::invalid_argument, file.path() + ":2: is a row, where XYZ has a comment behind the count",
+                  "remove the count, or put a line between");
   return Status(Code::invalid_argument,
                 fmt::format("{}: its count line says {} rows, it has {}", file.path(),
                             options.below == nullptr ? std::to_string(*layout.row_count) : "another number of", rows),
@@ -138,23 +141,7 @@ Status duplicate_id(const InputFile& file, const TextLayout& layout, const Windo
   }
   return Status(Code::invalid_argument,
                 fmt::format("{}:{}: id {} stands in line {} already", file.path(), lines[1], id, lines[0]),
-                "give every particle an id of its own");
-}
-
-// Two rows with the same id; of several such pairs, the one whose second row comes first.
-std::optional<std::pair<std::size_t, std::size_t>> find_duplicate(const std::vector<std::int64_t>& ids) {
-  bool ascending = true;
-  for (std::size_t i = 1; i < ids.size() && ascending; ++i) ascending = ids[i - 1] < ids[i];
-  if (ascending) return std::nullopt;
-  std::vector<std::pair<std::int64_t, std::size_t>> sorted(ids.size());
-  for (std::size_t i = 0; i < ids.size(); ++i) sorted[i] = {ids[i], i};
-  std::sort(sorted.begin(), sorted.end());
-  std::optional<std::pair<std::size_t, std::size_t>> found;
-  for (std::size_t i = 1; i < sorted.size(); ++i) {
-    if (sorted[i - 1].first != sorted[i].first) continue;
-    if (!found || sorted[i].second < found->second) found = {sorted[i - 1].second, sorted[i].second};
-  }
-  return found;
+                "give every particle an id of its own; numpy.savetxt writes whole numbers in full with fmt='%d'");
 }
 
 }  // namespace

@@ -2,7 +2,8 @@
 // fast loop), the faults (what is wrong in a line that the loop refused).
 //
 // Invariants
-// 1. A row is a line that is neither blank nor a comment; every row has as many fields as the first line.
+// 1. A row is a line that is neither blank nor a comment; every row has as many fields as the first line. A comment
+//    begins with #; behind the first row or header a blank must follow, so that a row whose first field is #N/A counts.
 // 2. Share k of K has the rows whose lines begin in its range of bytes, so K shares together have every row once.
 // 3. A fault names the line of the whole file; lines are counted only then.
 #pragma once
@@ -24,9 +25,10 @@ struct TextLayout {
   std::size_t data_begin = 0;  // the byte of the file at which rows may begin
   char separator = ' ';
   std::size_t column_count = 0;
-  std::vector<std::string> names;  // of the header, empty without one
+  std::vector<std::string> names;  // of a header or a comment; empty without these
   Columns columns;
   std::optional<std::uint64_t> row_count;  // as an XYZ file's first line claims
+  bool comment_is_row = false;             // of an XYZ file: whether its second line could be a row, too
 };
 
 // head: the beginning of the file; whole: true if that is all of it. nullopt if more of the file is needed to decide.

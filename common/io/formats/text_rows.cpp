@@ -14,6 +14,8 @@
 namespace rcb::io {
 namespace {
 
+constexpr const char* kCommentHint = "correct the line; if it is a comment, it needs a blank behind its #";
+
 enum class Role : std::uint8_t { skip, position, id, weight };
 
 struct Column {
@@ -131,7 +133,8 @@ std::optional<std::string_view> next_row(std::string_view text, std::size_t& at)
     std::size_t begin = at;
     at = found == nullptr ? end : end + 1;
     while (begin < end && is_blank(text[begin])) ++begin;
-    if (begin == end || text[begin] == '#') continue;
+    const bool comment = begin < end && text[begin] == '#' && (begin + 1 == end || is_blank(text[begin + 1]));
+    if (begin == end || comment) continue;
     std::size_t behind = end;
     while (is_blank(text[behind - 1])) --behind;
     return text.substr(begin, behind - begin);
@@ -166,6 +169,7 @@ Status row_fault(const std::string& file, std::uint64_t line, std::string_view r
   const auto fields = split_fields(row, layout.separator);
   const auto& columns = layout.columns;
   const std::vector<Column> roles = roles_of(layout);
+  const bool like_comment = row.starts_with('#');
   for (std::size_t c = 0; c < std::min(fields.size(), roles.size()); ++c) {
     const bool weight = c == columns.weight;
     if (roles[c].role == Role::skip && !weight) continue;
@@ -177,12 +181,14 @@ Status row_fault(const std::string& file, std::uint64_t line, std::string_view r
     if (roles[c].role == Role::id) {
       if (id_in(fields[c])) continue;
       return Status(Code::invalid_argument, fmt::format("{}{} is not an id", column, text),
-                    "ids are whole numbers from 0 to 9223372036854775807");
+                    "ids are whole numbers from 0 to 9223372036854775807; --ids says which column holds them");
     }
     const auto value = number_in(fields[c]);
     if (!value && fields.size() == roles.size()) {
       return Status(Code::invalid_argument, fmt::format("{}{} is not a number", column, text),
-                    "correct the line; numbers are written like 1.5 or -2e3");
+                    like_comment                    ? kCommentHint
+                    : has_decimal_commas(fields[c]) ? "write numbers with a decimal point, as in 1.5"
+                                                    : "correct the line; numbers are written like 1.5 or -2e3");
     }
     if (value && !std::isfinite(*value)) {
       return Status(Code::not_finite, fmt::format("{}{} is not a finite number", column, text),
@@ -196,7 +202,7 @@ Status row_fault(const std::string& file, std::uint64_t line, std::string_view r
   return Status(Code::invalid_argument,
                 fmt::format("{}{} column{}, but the file's first line has {}", where, fields.size(),
                             fields.size() == 1 ? "" : "s", layout.column_count),
-                "give every line the same columns");
+                like_comment ? kCommentHint : "give every line the same columns");
 }
 
 }  // namespace rcb::io

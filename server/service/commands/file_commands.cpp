@@ -51,6 +51,8 @@ Result<LoadRequest> read_load(const wire::Json& request) {
   wire::FieldReader fields(request);
   load.options.dims = static_cast<int>(fields.integer_or("dims", 1, 3, 0));
   if (fields.has("weights")) load.options.weights = fields.text("weights");
+  load.options.columns = fields.texts("columns", 3);
+  if (fields.has("ids")) load.options.ids = fields.text("ids");
   load.step = fields.integer_or("step", 0, wire::kStepMax, 0);
   if (!fields.ok()) return fields.status();
   return load;
@@ -158,7 +160,10 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
     return failed({Code::io_error,
                    fmt::format("{}: was changed while it was read, or isn't the same for all ranks", load->path),
                    "wait until it is written, then try again"});
-  if (slices.total > 0 && slices.dims != scene.options.dims)
+  if (slices.total == 0)
+    return failed({Code::invalid_argument, load->path + ": holds no points",
+                   "load a file that holds some; was this one written to its end?"});
+  if (slices.dims != scene.options.dims)
     return failed({Code::invalid_argument, fmt::format("{} has {} dimension(s), scene '{}' has {}", load->path,
                                                        slices.dims, scene.name, scene.options.dims)});
   Staged staged;

@@ -76,7 +76,9 @@ void fuzz(const std::string& good, std::string_view name, std::uint64_t seed, in
   for (int round = 0; round < rounds; ++round) {
     SCOPED_TRACE(::testing::Message() << "seed " << seed << " round " << round);
     const std::string path = directory.write(name, damaged(random, good));
-    const ReadOptions options{static_cast<int>(random.below(4)), random.below(3) == 0 ? "1" : ""};
+    ReadOptions options{static_cast<int>(random.below(4)), random.below(3) == 0 ? "1" : ""};
+    if (random.below(4) == 0) options.ids = "0";
+    if (options.dims == 0 && random.below(2) == 0) options.columns = {"1", "y"};
     judge(path + dataset, options);
     if (::testing::Test::HasFailure()) {
       ADD_FAILURE() << contents(path).substr(0, 400);
@@ -92,6 +94,15 @@ TEST(Fuzz, Text) {
 }
 
 TEST(Fuzz, Npy) {
+  std::string structured = npy_with_header(1,
+                                           "{'descr': [('id', '<i4'), ('x', '<f8'), ('y', '>f4', (2,)), ('n', '|S3')], "
+                                           "'fortran_order': False, 'shape': (3,), }");
+  for (int row = 0; row < 3; ++row) {
+    put_number<std::int32_t>(structured, row, false);
+    put_number<double>(structured, 1.5, false);
+    structured += std::string(11, '\0');
+  }
+  fuzz(structured, "fuzz.npy", 203, 1500);
   fuzz(npy({4, 3}, {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}, {}), "fuzz.npy", 201, 1500);
   fuzz(npy({2, 3, 2}, {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}, {2, true, true, true}), "fuzz.npy", 202, 1500);
 }

@@ -66,6 +66,11 @@ TEST_F(Hdf5, EveryKind) {
       const auto weighted = read_points(path, {0, "0"});
       EXPECT_EQ(weighted->position, (std::vector<Column>{{2, 4, 6, .5}}));
       EXPECT_EQ(weighted->weight, (Column{1, 3, 5, 7}));
+      const auto asked = read_points(path, {.weights = "0", .columns = {"1"}, .ids = "0"});
+      ASSERT_TRUE(asked.ok()) << refusal(asked);
+      EXPECT_EQ(asked->position, (std::vector<Column>{{2, 4, 6, .5}}));
+      EXPECT_EQ(asked->id, (std::vector<std::int64_t>{1, 3, 5, 7}));
+      EXPECT_EQ(asked->weight, (Column{1, 3, 5, 7}));
     }
   }
   const auto line = read_points(make({3}, {1, 2, 3}, {}), {});
@@ -91,7 +96,10 @@ TEST_F(Hdf5, Refusals) {
   EXPECT_TRUE(has(refusal(bad), "a.h5:/run/points: -infinity at index (1, 1)")) << refusal(bad);
   EXPECT_EQ(bad.status().code(), Code::not_finite);
   EXPECT_TRUE(has(refusal(read_points(make({2, 2}, {1, 2, 3, -4}, {}), {0, "1"})), "weight -4"));
-  EXPECT_TRUE(has(refusal(read_points(make({1, 4}, {1, 2, 3, 4}, {}), {})), "--dims"));
+  EXPECT_TRUE(has(refusal(read_points(make({1, 4}, {1, 2, 3, 4}, {}), {})), "transpose"));
+  EXPECT_TRUE(has(refusal(read_points(make({4, 4}, std::vector<double>(16), {}), {})), "--columns"));
+  EXPECT_TRUE(has(refusal(read_points(make({2, 2}, {1, 2, 1, 4}, {}), {.ids = "0"})), "row 1 has the id 1 of row 0"));
+  EXPECT_TRUE(has(refusal(read_points(make({1, 2}, {1.5, 2}, {}), {.ids = "0"})), "1.5 at index (0, 0) is not an id"));
   EXPECT_TRUE(has(refusal(read_points(make({1, 1, 1}, {1}, {}), {})), "has 3 axes"));
   EXPECT_TRUE(has(refusal(read_points(make({2, 2}, {1, 2, 3, 4}, {H5T_STD_I32LE, false, false}), {})), "not float32"));
 

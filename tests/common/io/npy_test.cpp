@@ -1,4 +1,5 @@
 // .npy: every kind is read alike; hostile headers are refused before anything is allocated for them.
+#include <cmath>
 #include <limits>
 
 #include <gtest/gtest.h>
@@ -64,7 +65,12 @@ TEST(Npy, ManyRowsInEveryOrder) {
 TEST(Npy, ColumnsAndDims) {
   const Directory directory;
   const std::string path = directory.write("a.npy", npy({2, 4}, {1, 2, 3, 4, 5, 6, 7, 8}, {}));
-  EXPECT_TRUE(has(refusal(read_points(path, {})), "--dims"));
+  EXPECT_TRUE(has(refusal(read_points(path, {})), "transpose"));
+  const std::string turned = directory.write("w.npy", npy({3, 40}, std::vector<double>(120), {}));
+  EXPECT_TRUE(has(refusal(read_points(turned, {3, ""})), "transpose"));
+  EXPECT_EQ(read_points(turned, {.columns = {"0", "1"}})->count, 3U);
+  const std::string tall = directory.write("t.npy", npy({4, 4}, std::vector<double>(16), {}));
+  EXPECT_TRUE(has(refusal(read_points(tall, {})), "--columns 0,1,2"));
   const auto weighted = read_points(path, {0, "1"});
   ASSERT_TRUE(weighted.ok());
   EXPECT_EQ(weighted->position, (std::vector<Column>{{1, 5}, {3, 7}, {4, 8}}));
@@ -74,6 +80,80 @@ TEST(Npy, ColumnsAndDims) {
   EXPECT_EQ(read_points(directory.write("e.npy", npy({0, 3}, {}, {})), {})->dims, 3);
   EXPECT_EQ(read_points(directory.write("e.npy", npy({0, 3}, {}, {})), {})->count, 0U);
   EXPECT_EQ(read_points(directory.write("e.npy", npy({0}, {}, {})), {})->count, 0U);
+}
+
+// {'id': i4 or u8, 'x': f4, 'y': f8, 'q': (2,) f4}, with a gap and text between; of either byte order.
+std::string structured(const std::string& shape, int count, bool big, double bad_y = -3) {
+  const std::string order = big ? ">" : "<";
+  std::string file =
+      npy_with_header(1, "{'descr': [('id', '" + order + "i4'), ('', '|V4'), (('Title', 'x'), '" + order +
+                             "f4'), ('name', '<U1'), ('y', '" + order + "f8'), ('q', '" + order +
+                             "f4', (2,)), ('n', '|u1')], 'fortran_order': False, 'shape': " + shape + ", }");
+  for (int i = 0; i < count; ++i) {
+    put_number<std::int32_t>(file, 10 * i, big);
+    file += "....";
+    put_number<float>(file, i + .5, big);
+    file += std::string("n\0\0\0", 4);
+    put_number<double>(file, i == 3 ? bad_y : -i, big);
+    put_number<float>(file, 3, big);
+    put_number<float>(file, i, big);
+    file += static_cast<char>(200 + i);
+  }
+  return file;
+}
+
+TEST(Npy, StructuredArrays) {
+  const Directory directory;
+  for (const bool big : {false, true}) {
+    const std::string path = directory.write("a.npy", structured("(5,)", 5, big));
+    const auto points = read_points(path, {});
+    ASSERT_TRUE(points.ok()) << refusal(points);
+    EXPECT_EQ(points->position, (std::vector<Column>{{.5, 1.5, 2.5, 3.5, 4.5}, {0, -1, -2, -3, -4}}));
+    EXPECT_EQ(points->id, (std::vector<std::int64_t>{0, 10, 20, 30, 40}));
+    for (const int of : {2, 3, 7}) expect_same(joined(path, {}, of), *points);
+    const auto asked = read_points(path, {.weights = "n", .columns = {"q:1", "id"}, .ids = "q:1"});
+    EXPECT_TRUE(has(refusal(asked), "both ids and positions"));
+    const auto others = read_points(path, {.weights = "n", .columns = {"Y", "id"}, .ids = "q:1"});
+    ASSERT_TRUE(others.ok()) << refusal(others);
+    EXPECT_EQ(others->position, (std::vector<Column>{{0, -1, -2, -3, -4}, {0, 10, 20, 30, 40}}));
+    EXPECT_EQ(others->id, (std::vector<std::int64_t>{0, 1, 2, 3, 4}));
+    EXPECT_EQ(others->weight, (Column{200, 201, 202, 203, 204}));
+    EXPECT_TRUE(has(refusal(read_points(path, {.columns = {"name"}})), "its field 'name' holds neither"));
+    const auto twice = read_points(path, {.columns = {"x"}, .ids = "q:0"});
+    EXPECT_TRUE(has(refusal(twice), "a.npy: row 1 has the id 3 of row 0")) << refusal(twice);
+    const auto nan = read_points(directory.write("b.npy", structured("(5,)", 5, big, NAN)), {});
+    EXPECT_TRUE(has(refusal(nan), "b.npy: NaN at index (3,) of field 'y'")) << refusal(nan);
+    const auto reader = open_trajectory(directory.write("t.npy", structured("(2, 3)", 6, big, 1)), {});
+    ASSERT_TRUE(reader.ok()) << refusal(reader);
+    EXPECT_EQ(reader.value()->frames(), 2U);
+    EXPECT_EQ(reader.value()->frame(1)->position, (std::vector<Column>{{3.5, 4.5, 5.5}, {1, -4, -5}}));
+    EXPECT_EQ(reader.value()->frame(1)->id, (std::vector<std::int64_t>{30, 40, 50}));
+  }
+}
+
+TEST(Npy, ColumnsAndIdsByNumber) {
+  const Directory directory;
+  const auto options = [](std::vector<std::string> columns, std::string ids) {
+    return ReadOptions{.columns = std::move(columns), .ids = std::move(ids)};
+  };
+  for (const NpyKind& kind : all_kinds()) {
+    const std::string path = directory.write("a.npy", npy({2, 4}, {1, 2, 3, 4, 5, 6, 7, 8.5}, kind));
+    const auto points = read_points(path, options({"3", "0"}, "1"));
+    ASSERT_TRUE(points.ok()) << refusal(points);
+    EXPECT_EQ(points->position, (std::vector<Column>{{4, 8.5}, {1, 5}}));
+    EXPECT_EQ(points->id, (std::vector<std::int64_t>{2, 6}));
+    EXPECT_EQ(read_points(path, options({}, "3")).status().message(), path + ": 8.5 at index (1, 3) is not an id");
+    const auto frame = open_trajectory(directory.write("t.npy", npy({1, 2, 2}, {1, 2, 3, 4}, kind)), options({}, "0"));
+    ASSERT_TRUE(frame.ok()) << refusal(frame);
+    EXPECT_EQ(frame.value()->frame(0)->id, (std::vector<std::int64_t>{1, 3}));
+  }
+  for (const double id : {-1.0, 0.5, 9007199254740992.0, 1e300, double(NAN)})
+    EXPECT_TRUE(
+        has(refusal(read_points(directory.write("b.npy", npy({1, 2}, {id, 2}, {})), options({}, "0"))), "an id"))
+        << id;
+  EXPECT_TRUE(has(refusal(read_points(directory.write("b.npy", npy({1, 2}, {16777216, 2}, {1, false, false, true})),
+                                      options({}, "0"))),
+                  "an id"));
 }
 
 TEST(Npy, WhatIsNotFiniteIsNamedByItsIndex) {
@@ -128,7 +208,21 @@ TEST(Npy, HostileHeaders) {
   refuse("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", "'|O' is not float32 or float64");
   refuse("{'descr': '<i8', 'fortran_order': False, 'shape': (1,), }", "'<i8' is not float32 or float64");
   refuse("{'descr': '<f16', 'fortran_order': False, 'shape': (1,), }", "is not float32 or float64");
-  refuse("{'descr': [('x', '<f8')], 'fortran_order': False, 'shape': (1,), }", "is not float32 or float64");
+  const auto structured = [&](const std::string& fields, std::string_view words) {
+    refuse("{'descr': [" + fields + "], 'fortran_order': False, 'shape': (1,), }", words);
+  };
+  structured("('x', '<f8'), ('y', '<f8')", "needs 16 bytes of data, 8 found");
+  structured("('x', '|O')", "field 'x' is of the type '|O', which isn't known");
+  structured("('x', '|S8')", "field 'x' holds neither float32, float64 nor integers");
+  structured("('x', '<f4', (2,))", "named x:0, x:1, not x");
+  structured("('a', '<f8')", "its columns are named a, not x, y and z");
+  structured("('x', '<f8', (4611686018427387904, 4))", "isn't known");
+  structured("('x', '<f8', (0,))", "no fields");
+  structured("('', '|V8')", "no fields");
+  structured("", "is not float32");
+  for (const char* broken :
+       {"('x' '<f8')", "('x',", "'x'", "('x', [('y', '<f8')])", "('x', '<f8', 3)", "(('x', '<f8')"})
+    structured(broken, "can't be read");
   refuse("{'descr': '<f8', 'fortran_order': 0, 'shape': (1,), }", "can't be read");
   refuse("{'descr': '<f8', 'fortran_order': False}", "can't be read");
   refuse("{'descr': '<f8', 'fortran_order': False, 'shape': (1,), 'descr': '<f4'}", "can't be read");

@@ -78,18 +78,108 @@ TEST_F(Text, ColumnsByName) {
     EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}, {3}})) << header;
   }
   EXPECT_EQ(good("Points:0,Points:1,x\n1,2,3\n").position, (std::vector<Column>{{3}}));
-  // Names, but none of an axis: the columns beside id and weights.
-  points = good("id;a;b;w\n4;1;2;3\n", {0, "W"});
-  EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}}));
-  EXPECT_EQ(points.weight, Column{3});
-  EXPECT_EQ(points.id, std::vector<std::int64_t>{4});
+  EXPECT_EQ(good("X [m],Y (mm),id\n1,2,3\n").position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_EQ(good("y,z\n1,2\n").position, (std::vector<Column>{{1}, {2}}));
+}
+
+TEST_F(Text, NamesThatAreNotOfAxesAreRefused) {
+  for (const char* header : {"Rank,t[s],vx", "a,b,c", "lon,lat,z", "r,z,p", "id,posx,posy", "x[0],x[1],x[2]"}) {
+    for (const int dims : {0, 2}) {
+      const std::string said = bad(std::string(header) + "\n1,2,3\n", {dims, ""});
+      EXPECT_TRUE(has(said, "its columns are named ") && has(said, "say with --columns")) << said;
+      EXPECT_FALSE(has(said, "--dims")) << said;
+    }
+  }
+  EXPECT_TRUE(has(bad("Rank,t[s],vx\n1,2,3\n"), "its columns are named Rank, t[s], vx, not x, y and z"));
+}
+
+ReadOptions columns(std::vector<std::string> names, std::string ids = "", std::string weights = "") {
+  return {.weights = std::move(weights), .columns = std::move(names), .ids = std::move(ids)};
+}
+
+TEST_F(Text, ColumnsThatAreAskedFor) {
+  const char* named = "tag;a;B;w;x\n4;1;2;3;9\n";
+  for (const auto& axes : {std::vector<std::string>{"B", "a"}, {"b", "A"}, {"2", "1"}}) {
+    const Points points = good(named, columns(axes, "tag", "w"));
+    EXPECT_EQ(points.position, (std::vector<Column>{{2}, {1}}));
+    EXPECT_EQ(points.id, std::vector<std::int64_t>{4});
+    EXPECT_EQ(points.weight, Column{3});
+  }
+  EXPECT_EQ(good(named, columns({}, "0")).position, (std::vector<Column>{{9}}));
+  EXPECT_EQ(good("7 1 2\n", columns({}, "0")).position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_EQ(good("7 1 2\n", columns({}, "0")).id, std::vector<std::int64_t>{7});
+  EXPECT_EQ(good("1 2 3 4 5\n", columns({"4", "0"})).position, (std::vector<Column>{{5}, {1}}));
+  EXPECT_EQ(good("id,x,y\n1,2,3\n", columns({"x"}, "y")).id, std::vector<std::int64_t>{3});
+  EXPECT_EQ(good("1\n\nH 1 2 3 0.5 0.5 7\n", columns({"z", "1", "2"}, "6"), "a.xyz").position,
+            (std::vector<Column>{{3}, {1}, {2}}));
+  EXPECT_TRUE(
+      has(bad(named, columns({"a", "c"})), "no column 'c' for the positions | the columns are tag, a, B, w, x"));
+  EXPECT_TRUE(has(bad(named, columns({"a"}, "c")), "no column 'c' for the ids"));
+  EXPECT_TRUE(has(bad("1 2\n", columns({"0", "2"})), "no column '2'"));
+  EXPECT_TRUE(has(bad("q,q,x\n1,2,3\n", columns({"q"})), "two columns are named 'q' | give the number of one"));
+  EXPECT_TRUE(has(bad("x,y\n1,2\n", columns({}, "x")), "can't be both ids and positions"));
+  for (const auto& axes : {std::vector<std::string>{"0", "0"}, {"0", "1", "2", "3"}})
+    EXPECT_FALSE(read("1 2 3 4\n", columns(axes)).ok());
+  EXPECT_TRUE(has(bad("1 2 3\n", {.dims = 3, .columns = {"0", "1"}}), "in 3 dimension"));
+  EXPECT_TRUE(has(bad("id,x\n1.5,2\n"), "--ids says which column holds them"));
+}
+
+TEST_F(Text, NamesInAComment) {
+  // Each as wide as three columns.
+  for (const char* comment :
+       {"# id x y", "#id,x,y", "# id, x, y", "# id\tx\ty", "#  ID  X  Y  ", "# \"id\" \"x\" \"y\"", "## id;x;y",
+        "# columns: id x y", "# id (1) x [m] y [m]", "# id x y\n# made by hand", "# my grains\n#\n# id x y\n\n"}) {
+    for (const char* rows : {"4 1 2\n", "4,1,2\n", "4;1;2\n"}) {
+      const Points points = good(std::string(comment) + "\n" + rows);
+      EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}})) << comment;
+      EXPECT_EQ(points.id, std::vector<std::int64_t>{4}) << comment;
+    }
+  }
+  EXPECT_EQ(good("#z,y,x\n1,2,3\n").position, (std::vector<Column>{{3}, {2}, {1}}));
+  EXPECT_EQ(good("#\tx\ty\n1\t2\t3\n").position, (std::vector<Column>{{2}, {3}}));
+  EXPECT_EQ(good("# tag a b\n4 1 2\n", columns({"b", "a"}, "tag")).position, (std::vector<Column>{{2}, {1}}));
+  EXPECT_EQ(good("# Rank t[s] vx\n4 1 2\n", columns({"1", "2"})).position, (std::vector<Column>{{1}, {2}}));
+  for (const char* comment : {"# Rank t[s] vx", "# vx vy vz", "# id posx posy", "# lon,lat,alt", "# mass radius foo_1",
+                              "# number of grains\n# foo,bar,baz", "#1:rank 2:vx 3:vy"})
+    EXPECT_TRUE(has(bad(std::string(comment) + "\n1 2 3\n"), "say with --columns")) << comment;
+}
+
+TEST_F(Text, ACommentThatIsASentenceSaysNothing) {
+  for (const char* comment :
+       {"# made by hand", "# dam break, coarse", "# Particle positions [m]", "# t = 0.5", "# step 100 x",
+        "# the x axis", "# LIGGGHTS v3.8 run", "# two colliding spheres", "# 2024-01-02 12:00:00 UTC", "# Smith et al.",
+        "# x y", "# x y z w", "# nothing", "#", "# t=0 dt=1 n=5", "# see http://x.org/y now"}) {
+    const Points points = good(std::string(comment) + "\n1 2 3\n");
+    EXPECT_EQ(points.position, (std::vector<Column>{{1}, {2}, {3}})) << comment;
+    EXPECT_TRUE(points.id.empty()) << comment;
+  }
+}
+
+TEST_F(Text, ARowThatBeginsLikeACommentIsNotLost) {
+  for (const char* row : {"#N/A,2,3", "#DIV/0!,2,3", "#,2,3", "#REF!", "########,2,3", "#no blank"}) {
+    const std::string said = bad("x,y,z\n1,2,3\n" + std::string(row) + "\n4,5,6\n");
+    EXPECT_TRUE(has(said, "points.csv:3: ") && has(said, "needs a blank behind its #")) << said;
+  }
+  for (const char* begin : {"", "x,y,z\n"})
+    EXPECT_TRUE(has(bad(std::string(begin) + "#N/A,2,3\n4,5,6\n"), "is not a number")) << begin;
+  EXPECT_EQ(good("x,y\n#m,m\n1,2\n# c\n#\n#\tc\r\n3,4\n").count, 2U);
+  EXPECT_EQ(good("name,x\n#N/A,2\nb,3\n").count, 2U);
+}
+
+TEST_F(Text, FirstLinesThatAreNoRow) {
+  EXPECT_TRUE(has(bad("sep=;\nx;y\n1;2\n"), "its first line, sep=, is for Excel alone"));
+  EXPECT_TRUE(has(bad("2\n1,2,3\n4,5,6\n"), "its first line is one number alone, before rows of 3 columns"));
+  EXPECT_TRUE(has(bad("3\n1 2 3\n4 5 6\n7 8 9\n", {}, "a.txt"), "a.txt:2: is a row, where XYZ has a comment"));
+  EXPECT_TRUE(has(bad("1,5\t2,5\n1,5\t3,5\n"), "its numbers have decimal commas"));
+  EXPECT_TRUE(has(bad("x\ty\n1,5\t2,5\n"), "'1,5' is not a number | write numbers with a decimal point"));
+  EXPECT_TRUE(has(bad("1 2 3 4 5\n6 7 8 9 0\n1 2 3 4 5\n"), "transpose it"));
 }
 
 TEST_F(Text, AFirstRowOfBrokenNumbersIsNoHeader) {
   for (const char* row : {"****,****", "\u22121.5,\u22122", "- 1.5,- 2", "\u00A01.5,\u00A02.5", "N/A,N/A",
                           "\uFEFF\uFEFF1.5,2", "-.,-.", "\033[31m1.5,\0332.5", "na,NULL"})
     EXPECT_TRUE(has(bad(std::string(row) + "\n1,2\n"), "is not a number")) << row;
-  EXPECT_EQ(good("\u00E9tendue,_b\n1,2\n").position, (std::vector<Column>{{1}, {2}}));
+  EXPECT_TRUE(has(bad("\u00E9tendue,_b\n1,2\n"), ", _b, not x, y and z"));
 }
 
 TEST_F(Text, IdsAreReadDigitByDigit) {
@@ -129,7 +219,7 @@ TEST_F(Text, DimsRule) {
   EXPECT_EQ(good("1 2 3\n").dims, 3);
   EXPECT_EQ(good("1 2 3 4\n", {2, ""}).position, (std::vector<Column>{{1}, {2}}));
   EXPECT_EQ(good("1 2 3 4\n", {0, "3"}).dims, 3);
-  EXPECT_TRUE(has(bad("1 2 3 4\n"), "--dims"));
+  EXPECT_TRUE(has(bad("1 2 3 4\n1 2 3 4\n1 2 3 4\n1 2 3 4\n"), "--columns 0,1,2"));
   EXPECT_TRUE(has(bad("1,2\n", {3, ""}), "has 2 columns of positions, 3 are asked for"));
   EXPECT_TRUE(has(bad("x,y,z,x\n1,2,3,4\n"), "two columns are named 'x'"));
   EXPECT_FALSE(read("1,2\n", {4, ""}).ok());
@@ -211,6 +301,11 @@ TEST_F(Text, Xyz) {
   EXPECT_EQ(extended.position, (std::vector<Column>{{1, 4}, {2, 5}, {3, 6}}));
   EXPECT_EQ(extended.id, (std::vector<std::int64_t>{8, 6}));
   EXPECT_EQ(extended.weight, (Column{.5, .25}));
+  for (const char* properties : {"species:S:1:pos:R:3:q:R:1", "pos:R:3", "species:S:1:pos:R", "x", ""})
+    EXPECT_TRUE(
+        has(bad("1\nProperties=" + std::string(properties) + "\nH 1 2 3\n", {}, "a.xyz"), "a.xyz:2: its Properties"))
+        << properties;
+  EXPECT_TRUE(has(bad("1\nProperties=species:S:1:vel:R:3\nH 1 2 3\n", {}, "a.xyz"), "vel:0, vel:1, vel:2, not x"));
   // A cloud of points that is only named so, and one column of numbers that begins with a whole one.
   EXPECT_EQ(good("1 2 3\n4 5 6\n", {}, "cloud.xyz").count, 2U);
   EXPECT_EQ(good("2\n3\n4\n", {}, "column.txt").position, (std::vector<Column>{{2, 3, 4}}));
