@@ -84,7 +84,8 @@ void add_status_command(CLI::App& app, Context& context);      // status
 void add_partition_command(CLI::App& app, Context& context);   // partition
 void add_compare_command(CLI::App& app, Context& context);     // compare
 void add_scene_commands(CLI::App& app, Context& context);      // scene create, list, show, drop
-void add_push_commands(CLI::App& app, Context& context);       // push, replay
+void add_push_command(CLI::App& app, Context& context);        // push
+void add_replay_commands(CLI::App& app, Context& context);     // replay, stream
 void add_read_commands(CLI::App& app, Context& context);       // error, counts, stats, quality
 void add_cuts_command(CLI::App& app, Context& context);        // cuts
 void add_where_commands(CLI::App& app, Context& context);      // owner, box, assign

@@ -66,7 +66,8 @@ void add_commands(CLI::App& app, Context& context) {
   add_partition_command(app, context);
   add_compare_command(app, context);
   add_scene_commands(app, context);
-  add_push_commands(app, context);
+  add_push_command(app, context);
+  add_replay_commands(app, context);
   add_read_commands(app, context);
   add_cuts_command(app, context);
   add_where_commands(app, context);

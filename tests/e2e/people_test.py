@@ -344,7 +344,7 @@ class People(ServiceTest):
                               capture_output=True, text=True, timeout=60,
                               env=dict(os.environ, HOME=self.dir, PATH=BIN + ":" + os.environ["PATH"]))
         self.assertEqual(done.stderr, "")
-        self.assertEqual([line.split("\t")[0] for line in done.stdout.splitlines()], ["stats", "status"])
+        self.assertEqual([line.split("\t")[0] for line in done.stdout.splitlines()], ["stats", "status", "stream"])
 
     def test_columns_that_could_be_anything_are_refused(self):
         wide = self.save("wide.npy", self.rng.random((20, 4)))

@@ -57,13 +57,14 @@ Status check(const PartitionOptions& options) {
 }
 
 // Writes the parts in the order of the file's rows; the service returns them in ascending id.
-Status write_assignment(const PartitionOptions& options, Session& session, const std::string& scene) {
-  auto answer = ask_arrays(*session.client, "assign", {{"scene", scene}}, kLongSeconds);
+Status write_assignment(const PartitionOptions& options, Session& session, const LoadedScene& loaded) {
+  auto answer = ask_arrays(*session.client, "assign", {{"scene", loaded.scene.name()}}, kLongSeconds);
   if (!answer) return answer.status();
   const client::Array* part = answer->reply.find("part");
   if (part == nullptr) return {Code::protocol_error, "the answer to assign lacks its parts"};
-  const auto rows = rows_of_ids(options.file, part->i4().size());
+  const auto rows = loaded.rows ? Result(*loaded.rows) : rows_of_ids(options.file, part->i4().size());
   if (!rows) return rows.status();
+  if (rows->size() != part->i4().size()) return changed_meanwhile(options.file);
   std::vector<std::int32_t> by_row(rows->size());
   for (std::size_t k = 0; k < by_row.size(); ++k) by_row[(*rows)[k]] = part->i4()[k];
   return io::write_npy(options.assign, by_row);
@@ -93,9 +94,10 @@ Status write_parts(const PartitionOptions& options, Session& session, const std:
 
 // All that is asked for, or nothing in the folder.
 Status write_outputs(const PartitionOptions& options, const LeftoverFiles& left, std::optional<NewFiles>& files,
-                     Session& session, const std::string& scene) {
+                     Session& session, const LoadedScene& loaded) {
+  const std::string& scene = loaded.scene.name();
   if (!options.assign.empty())
-    if (Status status = write_assignment(options, session, scene); !status) return status;
+    if (Status status = write_assignment(options, session, loaded); !status) return status;
   if (!options.cuts.empty()) {
     auto cuts = ask_cuts(*session.client, scene);
     if (!cuts) return cuts.status();
@@ -190,7 +192,7 @@ Status partition(const PartitionOptions& options, const Context& context) {
   }
   Progress progress(options.file.path);
   progress.stage("writing");
-  const Status written = write_outputs(options, left, files, *session, loaded->scene.name());
+  const Status written = write_outputs(options, left, files, *session, *loaded);
   progress.clear();
   if (!written && interrupted())
     return interruption(files ? fmt::format("while the parts were written; {} is as it was", options.out)

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <utility>
@@ -48,7 +49,7 @@ Status check_not_overwritten(const char* option, const std::string& written, std
 // Refuses two options, given with the files that they write, if both write one.
 Status check_written_once(const std::pair<const char*, std::string>& one,
                           const std::pair<const char*, std::string>& other);
-// The rows in ascending order of their ids.
+// The rows in ascending order of their ids; all as they are, where there are none.
 std::vector<std::size_t> rows_by_id(const io::Points& points);
 // Row numbers of a file whose points the service has, in ascending order of their ids; `count`: how many it has. Errors
 // also: aborted, if the file has another number.
@@ -86,6 +87,8 @@ struct LoadedScene {
   TemporaryScene scene;
   Json report;              // of its first step
   double read_seconds = 0;  // until the points were in memory, in the ranks or here
+  // Of a file that can be read only once: its rows in ascending order of their ids.
+  std::optional<std::vector<std::size_t>> rows;
 };
 
 // Loads the file as a scene of `session`. scene_arguments: those of scene.create except name and dims.

@@ -110,7 +110,7 @@ Status check_row_count(const InputFile& file, const TextLayout& layout, const Wi
       return Status(Code::invalid_argument,
                     fmt::format("{}:{}: more rows than the {} of the count line", file.path(), *line,
                                 options.below == nullptr ? std::to_string(*layout.row_count) : "number"),
-                    "a file of several frames isn't read: write one file a frame");
+                    "is the first line right? A file of several frames is a trajectory, for rcbctl replay");
     }
   }
   if (rows == *layout.row_count) return {};
