@@ -25,7 +25,7 @@ find_package(MPI REQUIRED COMPONENTS CXX)
 find_package(spdlog REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(HDF5 REQUIRED COMPONENTS C)
-find_package(ZLIB REQUIRED)  # comes with HDF5, whose deflated chunks are checked with it
+find_package(ZLIB REQUIRED)  # comes with HDF5, whose deflated chunks are checked with it; gzip is unpacked with it, too
 
 find_path(RCB_FAST_FLOAT_INCLUDE fast_float/fast_float.h REQUIRED)
 add_library(rcb_fast_float INTERFACE)

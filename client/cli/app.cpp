@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "client/cli/interrupt.hpp"
 #include "client/cli/lists.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/lib/connect/endpoint.hpp"
@@ -36,6 +37,10 @@ void add_scene_options(CLI::App& command, client::SceneOptions& scene) {
   command.add_flag("--replace", scene.replace, "drop a scene of that name first");
 }
 
+void add_deadline(CLI::App& command, double& seconds) {
+  add_value(command, "--deadline", seconds, kind::deadline(), kDeadlineHelp)->capture_default_str();
+}
+
 Status check_endpoint(const Context& context) {
   if (context.endpoint.empty()) return {};
   if (context.endpoint.starts_with(client::kFilePrefix)) return {};  // the file is read when it is needed
@@ -47,13 +52,20 @@ Status check_endpoint(const Context& context) {
 
 namespace {
 
+client::ConnectOptions connect_options(const std::string& endpoint) {
+  client::ConnectOptions options;
+  options.endpoint = endpoint;
+  options.name = "rcbctl " RCB_VERSION;
+  options.on_notice = note;
+  options.on_wait = go_on_waiting;
+  return options;
+}
+
 Result<client::Client> connect_as(const Context& context, bool outlive) {
   if (Status status = check_endpoint(context); !status) return status;
-  client::ConnectOptions options;
-  options.endpoint = context.endpoint;
-  options.name = "rcbctl " RCB_VERSION;
+  catch_interrupts();
+  client::ConnectOptions options = connect_options(context.endpoint);
   options.outlive = outlive;
-  options.on_notice = note;
   auto client = launch::connect_awaiting_restart(options);
   if (!client) return launch::explain_absence(context.endpoint, client.status());
   return client;
@@ -73,6 +85,7 @@ Result<Session> Session::open(const Context& context, int ranks) {
       return session;
     }
     if (running.status().code() != Code::unavailable) return running.status();
+    if (interrupted()) return interruption("before a service was started");
     ranks = launch::default_ranks();
   }
   Progress progress(fmt::format("starting an embedded service of {} rank{}", ranks, ranks == 1 ? "" : "s"));
@@ -80,14 +93,31 @@ Result<Session> Session::open(const Context& context, int ranks) {
   progress.clear();
   if (!embedded) return embedded.status();
   session.embedded.emplace(std::move(*embedded));
-  auto client = launch::reach(session.embedded->endpoint(), "rcbctl " RCB_VERSION);
+  catch_interrupts();  // again, since what the launcher does at Ctrl-C while it starts a service has taken the place
+  client::ConnectOptions options = connect_options(session.embedded->endpoint());
+  options.outlive = false;
+  auto client = client::Client::connect(options);
   if (!client) return session.explain(client.status());
   session.client = std::move(*client);
   return session;
 }
 
+bool is_utf8(const std::string& text) {
+  try {
+    return !Json(text).dump().empty();
+  } catch (const Json::type_error&) {
+    return false;
+  }
+}
+
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
                           double deadline_seconds) {
+  for (const auto& [name, value] : arguments.items())
+    if (value.is_string() && !is_utf8(value.get_ref<const std::string&>()))
+      return Status(Code::usage, fmt::format("the {} '{}' is not UTF-8", name, text_of(value)),
+                    "the service is told names in UTF-8 alone");
+  std::optional<Progress> waiting;
+  if (!Progress::any()) waiting.emplace(fmt::format("waiting for the answer to '{}'", command));
   auto reply = client.call(command, arguments.dump(), deadline_seconds);
   if (!reply) return reply.status();
   Json json = Json::parse(reply->json, nullptr, false);
@@ -117,10 +147,10 @@ Status show(const Context& context, const Json& document, const std::function<vo
 }
 
 Status ask_and_show(const Context& context, const std::string& command, const Json& arguments,
-                    const std::function<void(const Json& reply)>& for_people) {
+                    const std::function<void(const Json& reply)>& for_people, double deadline_seconds) {
   auto client = connect(context);
   if (!client) return client.status();
-  const auto reply = ask(*client, command, arguments);
+  const auto reply = ask(*client, command, arguments, deadline_seconds);
   if (!reply) return reply.status();
   return show(context, *reply, [&] { for_people(*reply); });
 }

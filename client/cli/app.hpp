@@ -75,13 +75,17 @@ void add_scene_name(CLI::App& command, std::string& name);
 // Adds the options of a scene that is to be made, except for --parts and --dims.
 void add_scene_options(CLI::App& command, client::SceneOptions& scene);
 
+// Adds --deadline, for a command that may take long.
+void add_deadline(CLI::App& command, double& seconds);
+
 // One function for each family of commands.
 void add_service_commands(CLI::App& app, Context& context);    // up, down
 void add_status_command(CLI::App& app, Context& context);      // status
 void add_partition_command(CLI::App& app, Context& context);   // partition
 void add_compare_command(CLI::App& app, Context& context);     // compare
 void add_scene_commands(CLI::App& app, Context& context);      // scene create, list, show, drop
-void add_push_commands(CLI::App& app, Context& context);       // push, replay
+void add_push_command(CLI::App& app, Context& context);        // push
+void add_replay_commands(CLI::App& app, Context& context);     // replay, stream
 void add_read_commands(CLI::App& app, Context& context);       // error, counts, stats, quality
 void add_cuts_command(CLI::App& app, Context& context);        // cuts
 void add_where_commands(CLI::App& app, Context& context);      // owner, box, assign
@@ -112,23 +116,29 @@ struct Session {
   Status explain(Status status) const { return embedded ? embedded->explain(std::move(status)) : status; }
 };
 
+// The deadline of a question, unless its user says another one.
+inline constexpr double kQuestionSeconds = 60;
 // The deadline of what a file of any size takes.
 inline constexpr double kLongSeconds = 3600;
 
-// A command's reply, parsed, with its long lists filled in. Errors: the service's; protocol_error if it isn't JSON.
+// JSON, and so the service, is told no other text.
+bool is_utf8(const std::string& text);
+// A command's reply, parsed, with its long lists filled in. Errors: the service's; protocol_error if it isn't JSON;
+// usage if an argument isn't UTF-8.
 Result<Json> ask(client::Client& client, const std::string& command, const Json& arguments,
-                 double deadline_seconds = 60);
+                 double deadline_seconds = kQuestionSeconds);
 // The parsed reply and the arrays that came with it.
 struct Answer {
   Json json;
   client::Reply reply;
 };
 Result<Answer> ask_arrays(client::Client& client, const std::string& command, const Json& arguments,
-                          double deadline_seconds = 60);
+                          double deadline_seconds = kQuestionSeconds);
 
 // A whole command: connects, asks, and shows the reply. Errors: those of connect() and ask().
 Status ask_and_show(const Context& context, const std::string& command, const Json& arguments,
-                    const std::function<void(const Json& reply)>& for_people);
+                    const std::function<void(const Json& reply)>& for_people,
+                    double deadline_seconds = kQuestionSeconds);
 
 // The reply to `cuts`, assembled from its pages. Errors also: aborted, if the cuts kept changing.
 Result<Json> ask_cuts(client::Client& client, const std::string& scene);

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <span>
 
 namespace rcb::cli {
@@ -9,7 +10,8 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-// NaN becomes null; if there is no number at all, the whole list is null.
+// Infinity becomes "inf", as in the protocol's JSON, and NaN null; if there is no number at all, the whole list is
+// null.
 template <typename T>
 Json list_of(std::span<const std::byte> bytes) {
   Json list = Json::array();
@@ -19,7 +21,7 @@ Json list_of(std::span<const std::byte> bytes) {
     std::memcpy(&value, bytes.data() + at, sizeof value);
     const bool is_number = !std::isnan(static_cast<double>(value));
     any = any || is_number;
-    list.push_back(is_number ? Json(value) : Json());
+    list.push_back(!is_number ? Json() : std::isinf(static_cast<double>(value)) ? Json("inf") : Json(value));
   }
   return any ? list : Json();
 }
@@ -46,6 +48,15 @@ void fill_rows(Json& rows, const client::Array& array) {
 }
 
 }  // namespace
+
+std::vector<double> numbers(const Json& list) {
+  std::vector<double> values;
+  for (const Json& item : list)
+    values.push_back(item.is_number() ? item.get<double>()
+                     : item == "inf"  ? std::numeric_limits<double>::infinity()
+                                      : std::nan(""));
+  return values;
+}
 
 void fill_lists(Json& json, const client::Reply& reply) {
   for (const client::Array& array : reply.arrays) {

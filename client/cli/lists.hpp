@@ -10,4 +10,7 @@ namespace rcb::cli {
 
 void fill_lists(nlohmann::ordered_json& json, const client::Reply& reply);
 
+// Numbers of a list by part: null becomes NaN, and "inf" infinity.
+std::vector<double> numbers(const nlohmann::ordered_json& list);
+
 }  // namespace rcb::cli

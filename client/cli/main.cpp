@@ -1,5 +1,7 @@
 // rcbctl: the command line of the partitioning service.
 #include <algorithm>
+#include <cctype>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <string>
@@ -9,6 +11,7 @@
 #include <sys/stat.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/interrupt.hpp"
 #include "client/cli/options.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/usage.hpp"
@@ -27,7 +30,7 @@ Environment:
   NO_COLOR         no colours
 
 Exit codes: 0 done; 1 the service refused or failed; 2 wrong usage; 3 no service reachable; 4 not authorised;
-5 a deadline passed.
+5 a deadline passed; 130 interrupted by Ctrl-C.
 
 Examples:
   rcbctl partition points.csv --parts 8
@@ -36,13 +39,15 @@ Examples:
   rcbctl history jet --plot error.svg
 )";
 
-// "-.5" is a number, but the parser takes it for an option "-.": so it is rewritten as "-0.5".
+// "-.5" and "-inf" are numbers, but the parser takes them for options "-." and "-i": so they are rewritten.
 std::string plain_number(const char* argument) {
   const std::string text = argument;
-  if (text.size() < 3 || text[0] != '-' || text[1] != '.') return text;
+  if (text.size() < 3 || text[0] != '-') return text;
   char* end = nullptr;
-  (void)std::strtod(argument, &end);
-  return *end == '\0' ? "-0" + text.substr(1) : text;
+  const double value = std::strtod(argument, &end);
+  if (*end != '\0') return text;
+  if (text[1] == '.') return "-0" + text.substr(1);
+  return std::isinf(value) && std::isalpha(static_cast<unsigned char>(text[1])) != 0 ? kMinusInfinity : text;
 }
 
 void add_commands(CLI::App& app, Context& context) {
@@ -61,7 +66,8 @@ void add_commands(CLI::App& app, Context& context) {
   add_partition_command(app, context);
   add_compare_command(app, context);
   add_scene_commands(app, context);
-  add_push_commands(app, context);
+  add_push_command(app, context);
+  add_replay_commands(app, context);
   add_read_commands(app, context);
   add_cuts_command(app, context);
   add_where_commands(app, context);
@@ -125,6 +131,7 @@ int main_in(const std::vector<std::string>& arguments, bool json_asked) {
   Status status = run(context.action);
   if (status) status = flush_output();
   if (status && output_cut_off()) return end_by_closed_pipe();
+  if (!status && interrupted() && status.code() != Code::interrupted) status = interruption(": " + status.message());
   return status ? 0 : print_failure(status, context.json && !context.document_begun);
 }
 

@@ -52,7 +52,11 @@ std::optional<std::int64_t> whole_in(const std::string& text) {
 
 // fault_of: what is wrong with a value; for CLI11 an empty text means that it passes.
 Kind checked(const std::string& shown, std::function<std::string(std::string&)> fault_of) {
-  return {shown, CLI::Validator(std::move(fault_of), "")};
+  const auto check = [fault_of = std::move(fault_of)](std::string& text) {
+    if (text == kMinusInfinity) text = "-inf";
+    return fault_of(text);
+  };
+  return {shown, CLI::Validator(check, "")};
 }
 
 Kind number_kind(const std::string& shown, const std::string& wanted, std::function<bool(double)> good) {
@@ -74,23 +78,22 @@ std::string ending_of(const std::string& path) {
 }
 
 struct FormatNames {
-  const char* ending;
   const char* name;
-  bool is_text;  // may also be called .txt
+  std::vector<std::string> endings;  // that a file of this format may have
 };
 
 FormatNames names_of(Format format) {
   switch (format) {
     case Format::csv:
-      return {".csv", "CSV", true};
+      return {"CSV", {".csv", ".txt"}};
     case Format::npy:
-      return {".npy", "an .npy array", false};
+      return {"an .npy array", {".npy"}};
     case Format::json:
-      return {".json", "JSON", true};
-    case Format::svg:
+      return {"JSON", {".json", ".txt"}};
+    case Format::figure:
       break;
   }
-  return {".svg", "an SVG figure", false};
+  return {"a figure", {".svg", ".png"}};
 }
 
 // Extensions by which other programs recognise a format.
@@ -111,6 +114,10 @@ Kind memory_size() {
 
 Kind number(const std::string& shown) {
   return number_kind(shown, "a number", [](double v) { return std::isfinite(v); });
+}
+
+Kind number_or_infinity(const std::string& shown) {
+  return number_kind(shown, "a number, inf or -inf", [](double) { return true; });
 }
 
 Kind positive_number(const std::string& shown) {
@@ -149,6 +156,10 @@ Kind whole_number(const std::string& shown, std::int64_t least, std::int64_t mos
   });
 }
 
+Kind deadline() {
+  return number_kind("SECONDS", fmt::format("a number above 0 and up to {}", wire::kDeadlineSecondsMax),
+                     [](double v) { return v > 0 && v <= wire::kDeadlineSecondsMax; });
+}
 Kind part_count() { return whole_number("P", 1, wire::kPartsMax); }
 Kind rank_count() { return whole_number("R", 1, kRanksMax); }
 Kind dimensions() { return whole_number("D", 1, 3); }
@@ -166,14 +177,14 @@ Kind recut() { return one_of("WHAT", {"all", "subtree"}); }
 
 Kind output_file(Format format) {
   const FormatNames names = names_of(format);
-  return checked(fmt::format("F{}", names.ending), [names](std::string& path) {
+  return checked("F" + names.endings.front(), [names](std::string& path) {
     if (path.empty()) return std::string("it is empty");
     if (path == "-") return std::string("name a file; one of this name is ./-");
     const std::string ending = ending_of(path);
-    const bool other = std::ranges::count(kKnownEndings, ending) > 0;
-    if (ending == names.ending || !other || (names.is_text && ending == ".txt")) return std::string();
+    if (std::ranges::count(kKnownEndings, ending) == 0 || std::ranges::count(names.endings, ending) > 0)
+      return std::string();
     return fmt::format("{} is written, and '{}' names another format; end the name in {}", names.name, path,
-                       names.ending);
+                       fmt::join(names.endings, " or "));
   });
 }
 

@@ -24,6 +24,9 @@ CLI::Option* add_value(CLI::App& command, const std::string& names, T& variable,
   return command.add_option(names, variable, help)->type_name(kind.shown)->transform(kind.check);
 }
 
+// Stands for -inf on the command line, whose parser would take that for an option.
+inline constexpr const char* kMinusInfinity = "-0inf";
+
 // The values of a list with commas between. Throws CLI::ValidationError, in the words of the check.
 std::vector<std::string> read_list(const std::string& names, const std::string& text, const Kind& kind);
 
@@ -43,6 +46,7 @@ namespace kind {
 Kind text(const std::string& shown);  // must not be empty
 Kind memory_size();                   // 65536, 512mb, 4gb
 Kind number(const std::string& shown);
+Kind number_or_infinity(const std::string& shown);  // inf and -inf, too
 Kind positive_number(const std::string& shown);
 Kind number_from_zero(const std::string& shown);
 Kind number_from_one(const std::string& shown);
@@ -51,6 +55,7 @@ Kind tolerance();  // 0 to inf
 // Also in the form 1e3.
 Kind whole_number(const std::string& shown, std::int64_t least,
                   std::int64_t most = std::numeric_limits<std::int64_t>::max());
+Kind deadline();
 Kind part_count();
 Kind rank_count();
 Kind dimensions();
@@ -59,7 +64,7 @@ Kind method();
 Kind policy();
 Kind recut();
 // A file to be written: its extension may not be that of another format.
-enum class Format { csv, npy, json, svg };
+enum class Format { csv, npy, json, figure };
 Kind output_file(Format format);
 
 }  // namespace kind
@@ -83,6 +88,7 @@ inline constexpr const char* kGhostWidthHelp =
 inline constexpr const char* kTemporaryRanksHelp =
     "start a temporary service with this many ranks (default: use the running service, or a temporary one if there is "
     "none)";
+inline constexpr const char* kDeadlineHelp = "give up after so many seconds, at most 3600; the exit code is then 5";
 inline constexpr const char* kAllHelp = "show every part, however many";
 
 // Formats the pages of --help.

@@ -47,6 +47,9 @@ struct ConnectOptions {
   // Called with a text that says what a call waits for: a notice from the service, or that the service has gone. Empty:
   // the text goes to standard error, after `name`. It must not throw, nor call the client.
   std::function<void(const std::string&)> on_notice{};
+  // Called about ten times a second while a call waits for the service. If it returns false, the call ends with
+  // `interrupted`; whether the service does what was asked is then not known. It must not throw, nor call the client.
+  std::function<bool()> on_wait{};
   // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
   // again; so do create_scene() and drop_scene(), and a member for its seat, for another client that holds the scene.
   // If false, one new connection is tried, and a lost scene or a held one is an error.
@@ -127,6 +130,7 @@ struct StepReport {
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted, if the service chose their ids: they are consecutive
+  std::uint64_t weights_as_zero = 0;     // particles whose weight is too far below the greatest one to count
   std::uint64_t scanned = 0;             // particles whose positions were sent
   std::uint64_t searched = 0;            // particles that the search for cuts looked at
   std::uint64_t rounds = 0;              // of the search for cuts; 0: there was no search

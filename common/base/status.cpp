@@ -30,6 +30,7 @@ constexpr std::array kEntries{
     Entry{Code::unsupported, "unsupported"},
     Entry{Code::internal, "internal"},
     Entry{Code::usage, "usage"},
+    Entry{Code::interrupted, "interrupted"},
 };
 
 }  // namespace
@@ -58,6 +59,8 @@ int exit_code(Code code) {
       return 4;
     case Code::deadline_exceeded:
       return 5;
+    case Code::interrupted:
+      return 130;  // as a shell reports what SIGINT ended
     default:
       return 1;
   }

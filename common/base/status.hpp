@@ -32,13 +32,15 @@ enum class Code : std::uint16_t {
   unsupported = 16,        // an unknown command, or what this service, endpoint or scene can't do
   internal = 17,           // a bug of ours that the service has survived
   usage = 18,              // wrong command line
+  interrupted = 19,        // the caller gave up waiting, for instance by Ctrl-C
 };
 
 // The name of a code in the protocol and in --json, such as "invalid_argument".
 std::string_view code_name(Code code);
 // The code of that name; Code::internal for an unknown name (a newer peer may know more codes).
 Code code_from_name(std::string_view name);
-// rcbctl's exit code: 1 refused or failed, 2 usage, 3 unreachable, 4 not authorised, 5 deadline.
+// rcbctl's exit code: 1 refused or failed, 2 usage, 3 unreachable, 4 not authorised, 5 deadline, 130
+// interrupted.
 int exit_code(Code code);
 
 class [[nodiscard]] Status {

@@ -7,23 +7,39 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "common/base/status.hpp"
 #include "common/io/files/output_file.hpp"
 #include "common/io/formats/columns.hpp"
+#include "common/io/formats/frames.hpp"
 
 namespace rcb::io {
 
 // Reads share k of `of` of the rows of a file, in order: rows for .npy and HDF5, whole lines by byte range for text.
 // Ids by row are NOT filled in (only the caller knows how many rows precede); the caller must find duplicates across
 // slices. path: an .npy file (recognised by its name or first bytes; also a trajectory of one step), FILE.h5:/dataset,
-// else text, which is taken for XYZ if it begins with a count line. Columns named x, y, z, id (in any case; also
+// else text, which is taken for XYZ if it begins with a count line (a LAMMPS dump, and what gzip has
+// compressed, is for open_trajectory alone: it has no slices). Columns named x, y, z, id (in any case; also
 // Points:0 and so on, as ParaView writes them) are taken by name, and other names are refused unless the options say
-// which columns to take; without names the first `dims` columns that are neither id nor weights (docs/files.md). An empty
-// text file has no points, in `dims` dimensions or 3. Only regular files. NaN, infinity, duplicate or negative ids and
-// ragged rows are refused: "points.csv:17: ...".
+// which columns to take; without names the first `dims` columns that are neither id nor weights (docs/files.md). An
+// empty text file has no points, in `dims` dimensions or 3. Only regular files. NaN, infinity, duplicate or negative
+// ids and ragged rows are refused: "points.csv:17: ...".
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of);
+
+// The columns of a text file that are neither positions nor ids nor weights, as CSV.
+struct FurtherColumns {
+  std::string names;               // ",vx,mass"; empty: there are none
+  std::string text;                // ",0.5,3" of every row, one behind the other
+  std::vector<std::size_t> begin;  // of each row in `text`, and its end
+
+  std::size_t rows() const { return begin.empty() ? 0 : begin.size() - 1; }
+  std::string_view row(std::size_t k) const { return std::string_view(text).substr(begin[k], begin[k + 1] - begin[k]); }
+};
+// Of a file that isn't plain text, of a LAMMPS dump, and of what can be read only once: none. Errors: those of reading
+// it.
+Result<FurtherColumns> read_further_columns(const std::string& path, const ReadOptions& options);
 
 // Writes the columns x, y, z, id, weight (id and weight only if given), with as few digits as read back to the same
 // number.
@@ -33,10 +49,11 @@ Status write_csv(const std::string& path, int dims, std::span<const double* cons
 // The same, piece by piece.
 class CsvWriter {
  public:
-  CsvWriter(OutputFile file, int dims, bool ids, bool weights);
-  // id, weight: as many as `count` if the file has them.
+  // further: the names of further columns, as in FurtherColumns.
+  CsvWriter(OutputFile file, int dims, bool ids, bool weights, const std::string& further = {});
+  // id, weight: as many as `count` if the file has them. further: likewise, the text of each row's further columns.
   Status append(std::span<const double* const> position, std::size_t count, std::span<const std::int64_t> id,
-                std::span<const double> weight);
+                std::span<const double> weight, std::span<const std::string_view> further = {});
   Status commit();
 
  private:
@@ -52,19 +69,17 @@ class CsvWriter {
 // .npy files, version 1.0, C order, little-endian.
 Status write_npy(const std::string& path, std::span<const std::int32_t> values);
 Status write_npy(const std::string& path, std::span<const std::int64_t> values);
+Status write_npy(const std::string& path, std::span<const std::int64_t> values, std::vector<std::uint64_t> shape);
 Status write_npy(const std::string& path, std::span<const double> values, std::vector<std::uint64_t> shape);
 
-// Reads a trajectory frame by frame: .npy of shape (steps, n, dims), or one point file = one frame.
-class TrajectoryReader {
- public:
-  virtual ~TrajectoryReader() = default;
-  virtual int dims() const = 0;
-  virtual std::uint64_t frames() const = 0;
-  // Frame k; ids only if the file has them. Errors name file and frame.
-  virtual Result<Points> frame(std::uint64_t k) = 0;
-};
-// Opens and checks: an .npy file is checked as a whole (size, finite values) before this returns.
+// Opens a trajectory to read it frame by frame: an .npy file of shape (steps, n, dims), a LAMMPS dump, an XYZ file; any
+// other point file is one frame. path "-": standard input; that and FIFOs are read as they come, and what isn't frames
+// of text only once it has ended. Text may be compressed by gzip. An .npy file is checked as a whole (size, finite
+// values) before this returns.
 Result<std::unique_ptr<TrajectoryReader>> open_trajectory(const std::string& path, const ReadOptions& options);
+// The same for a trajectory of that format alone; none: by its first lines. Nothing is read yet where one is given.
+Result<std::unique_ptr<TrajectoryReader>> open_frames(const std::string& path, const ReadOptions& options,
+                                                      std::optional<FrameFormat> format);
 
 // Writes (steps, n, dims) float64 as the frames come; the header is completed by close(). The file appears under its
 // name at close() (written beside it, then renamed).

@@ -44,6 +44,9 @@ std::string_view bytes_of(std::span<const Number> values) {
 
 Status write_array(const std::string& path, std::string_view descr, const std::vector<std::uint64_t>& shape,
                    std::string_view bytes) {
+  std::uint64_t count = 1;
+  for (const std::uint64_t length : shape) count *= length;
+  CHECK(count * (descr == "<i4" ? 4 : 8) == bytes.size(), "the shape of the values");
   auto file = OutputFile::create(path);
   if (!file.ok()) return file.status();
   if (Status head = file->write(npy_head(descr, shape)); !head.ok()) return head;
@@ -100,19 +103,22 @@ Status write_csv(const std::string& path, int dims, std::span<const double* cons
   return writer.commit();
 }
 
-CsvWriter::CsvWriter(OutputFile file, int dims, bool ids, bool weights)
+CsvWriter::CsvWriter(OutputFile file, int dims, bool ids, bool weights, const std::string& further)
     : file_(std::move(file)), dims_(dims), ids_(ids), weights_(weights) {
   CHECK(dims >= 1 && dims <= 3, "dimensions");
   text_ = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
   if (ids) text_ += ",id";
   if (weights) text_ += ",weight";
+  text_ += further;
   text_ += '\n';
 }
 
 Status CsvWriter::append(std::span<const double* const> position, std::size_t count, std::span<const std::int64_t> id,
-                         std::span<const double> weight) {
+                         std::span<const double> weight, std::span<const std::string_view> further) {
   CHECK(position.size() >= static_cast<std::size_t>(dims_), "an array for each axis");
-  CHECK((!ids_ || id.size() == count) && (!weights_ || weight.size() == count), "a value for each point");
+  CHECK((!ids_ || id.size() == count) && (!weights_ || weight.size() == count) &&
+            (further.empty() || further.size() == count),
+        "a value for each point");
   for (std::size_t i = 0; i < count; ++i) {
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
       if (a > 0) text_ += ',';
@@ -120,6 +126,7 @@ Status CsvWriter::append(std::span<const double* const> position, std::size_t co
     }
     if (ids_) append_number(text_ += ',', id[i]);
     if (weights_) append_number(text_ += ',', weight[i]);
+    if (!further.empty()) text_ += further[i];
     text_ += '\n';
     if (text_.size() < kWriteBytes) continue;
     if (Status written = flush(); !written.ok()) return written;
@@ -146,10 +153,11 @@ Status write_npy(const std::string& path, std::span<const std::int64_t> values) 
   return write_array(path, "<i8", {values.size()}, bytes_of(values));
 }
 
+Status write_npy(const std::string& path, std::span<const std::int64_t> values, std::vector<std::uint64_t> shape) {
+  return write_array(path, "<i8", shape, bytes_of(values));
+}
+
 Status write_npy(const std::string& path, std::span<const double> values, std::vector<std::uint64_t> shape) {
-  std::uint64_t count = 1;
-  for (const std::uint64_t length : shape) count *= length;
-  CHECK(count == values.size(), "the shape of the values");
   return write_array(path, "<f8", shape, bytes_of(values));
 }
 

@@ -111,6 +111,25 @@ class Documents(ServiceTest):
         history = self.service.json("history", "jet")
         self.assertEqual([report["step"] for report in history], list(range(201)))
 
+    def test_the_python_example(self):
+        """It runs, and says why where the service refuses."""
+        script = os.path.join(self.dir, "example.py")
+        write_text(script, block("README.md", "python"))
+
+        def example(endpoint):
+            return run(script, program="/usr/bin/python3", endpoint=endpoint, cwd=self.dir,
+                       env={"PATH": BIN + ":" + os.environ["PATH"]})
+
+        done = example(self.service.endpoint)
+        self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
+        history = self.service.json("history", "cloud")
+        self.assertEqual([report["step"] for report in history], list(range(10)))
+        self.assertGreater(sum(report["repartitioned"] for report in history), 1)
+        part = np.load(os.path.join(self.dir, "part.npy"))
+        self.assertEqual(np.bincount(part).tolist(), self.service.json("counts", "cloud")["counts"])
+        done = example("unix:/nonexistent/s")
+        self.assertEqual((done.returncode, done.stderr), (1, "no service answers at unix:/nonexistent/s\n"))
+
     def test_the_protocol_pages_client(self):
         client = os.path.join(self.dir, "client.py")
         write_text(client, block("common/wire/PROTOCOL.md", "python"))

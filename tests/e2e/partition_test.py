@@ -92,6 +92,49 @@ class Partition(unittest.TestCase):
             order = np.argsort(table["id"])
             np.testing.assert_array_equal(table["x"][order], points[ids, 0])
 
+    def test_part_files_keep_further_columns(self):
+        """As the text that they were, with the rows in any order of their ids; also a file without names."""
+        points = self.scenes["uniform"][:200]
+        ids = np.random.default_rng(5).permutation(200) * 3
+        rows = {int(i): [repr(float(v)) for v in p] + [f"{i % 7}.50", f'"kind, {i % 3}"'] for i, p in zip(ids, points)}
+        named = os.path.join(self.dir, "further.csv")
+        write_text(named, "vx,id,x,y,z,kind\n" + "".join(f"{r[3]},{i},{r[0]},{r[1]},{r[2]},{r[4]}\n" for i, r in rows.items()))
+        plain = os.path.join(self.dir, "further.txt")
+        write_text(plain, "".join(f"{r[0]} {r[1]} {r[2]} {r[3]}\n" for r in rows.values()))
+        with Service(2) as service:
+            for place in ([], ["--ranks", 2]):
+                out = os.path.join(self.dir, "further" + "-".join(map(str, place)))
+                service.json("partition", named, "--parts", 3, "--out", out, *place)
+                seen = {}
+                for name in sorted(os.listdir(out)):
+                    head, *lines = text_of(out, name).splitlines()
+                    self.assertEqual(head, "x,y,z,id,vx,kind")
+                    for x, y, z, i, rest in (line.split(",", 4) for line in lines):
+                        seen[int(i)] = [*(repr(float(v)) for v in (x, y, z)), *rest.split(",", 1)]
+                self.assertEqual(seen, rows)
+                service.json("partition", plain, "--dims", 3, "--parts", 3, "--out", out, *place)
+                head, first, *_ = text_of(out, "part-0.csv").splitlines()
+                self.assertEqual(head, "x,y,z,id,column3")
+                self.assertEqual(first.split(",")[4], list(rows.values())[int(first.split(",")[3])][3])
+
+    def test_part_files_are_all_there_or_none(self):
+        """Where one of them can't be written, as on a full disk."""
+        csv = os.path.join(self.dir, "sizes.csv")
+        np.savetxt(csv, self.scenes["uniform"], delimiter=",", header="x,y,z", comments="", fmt="%.17g")
+        with Service(2) as service:
+            for place in ([], ["--ranks", 2]):
+                out = os.path.join(self.dir, "blocked" + "-".join(map(str, place)))
+                os.makedirs(os.path.join(out, "part-2.csv"))
+                failure = service.failure("partition", csv, "--parts", 3, "--out", out, *place)
+                self.assertIn("part-2.csv: is a directory", failure["message"])
+                self.assertEqual(os.listdir(out), ["part-2.csv"])
+            missing = os.path.join(self.dir, "never", "made")
+            limited = f"ulimit -f 20; exec {RCBCTL} partition {csv} --parts 3 --part-sizes 1,1,20 --out {missing}"
+            done = run("-c", limited, program="/bin/bash", endpoint=service.endpoint)
+            self.assertEqual(done.returncode, 1, done.stdout)
+            self.assertIn("part-2.csv", done.stderr)
+            self.assertFalse(os.path.exists(missing))
+
     def test_a_part_without_points_is_a_file_that_can_be_read(self):
         csv = os.path.join(self.dir, "two.csv")
         write_text(csv, "x,y\n1,2\n3,4\n")

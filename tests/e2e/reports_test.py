@@ -1,4 +1,6 @@
 """The main job: two colliding spheres drive the service; every field of every report is predicted."""
+import re
+
 import judge
 from support import *
 
@@ -51,7 +53,7 @@ class Reports(ServiceTest):
         self.assertEqual(list(rows["step"]), list(range(201)))
         fields = {field for report in self.runs["0.1"] for field in report} - {"seconds"}
         fields |= {"seconds_" + name for name in self.runs["0.1"][0]["seconds"]}
-        self.assertEqual(set(rows.dtype.names), fields | {"first_id"})
+        self.assertEqual(set(rows.dtype.names), fields | {"first_id", "weights_as_zero"})
         np.testing.assert_array_equal(rows["scanned"], [1500] * 201)
         np.testing.assert_array_equal(rows["error"], [report["error"] for report in self.runs["0.1"]])
 
@@ -59,6 +61,27 @@ class Reports(ServiceTest):
         figure = os.path.join(self.dir, "h.svg")
         self.service.ctl("history", "spheres-0.1", "--plot", figure, check=True)
         self.assertIn("<svg", text_of(figure))
+        self.service.ctl("history", "spheres-0.1", "--plot", os.path.join(self.dir, "h.PNG"), check=True)
+        with open(os.path.join(self.dir, "h.PNG"), "rb") as figure:
+            self.assertEqual(figure.read(8), b"\x89PNG\r\n\x1a\n")
+
+    def test_plot_of_one_step(self):
+        """A dot, and whole steps on the axis; beside a longer history it gets no figure of its own."""
+        points = os.path.join(self.dir, "one.npy")
+        np.save(points, np.random.default_rng(3).random((100, 2)))
+        self.service.json("replay", "one", points, "--parts", 3)
+
+        def drawn(*words):
+            figure = os.path.join(self.dir, "one.svg")
+            self.assertEqual(self.service.ctl("history", *words, "--plot", figure, check=True).stderr, "")
+            return text_of(figure)
+
+        alone = drawn("one")
+        self.assertEqual(alone.count("<use xlink:href='#gpPt6'"), 2, "the dot, and that of the key")
+        written = re.findall(r"<text> ?(-?[\d.]+)</text>", alone)
+        self.assertEqual(written[written.index("0", 1):], ["0"], "the step's tick alone follows those of the error")
+        self.assertNotIn("enlarged", drawn("spheres-inf", "--with", "one"))
+        self.assertIn("enlarged", drawn("spheres-inf", "--with", "spheres-0.1"))
 
     def test_replay_of_random_walks(self):
         rng = np.random.default_rng(5)

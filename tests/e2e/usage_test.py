@@ -5,7 +5,7 @@ from support import *
 
 NOWHERE = "unix:/nonexistent/rcbd.sock"
 COMMANDS = ("up", "down", "status", "partition", "compare", "scene create", "scene list", "scene show", "scene drop",
-            "push", "replay", "error", "counts", "cuts", "history", "stats", "owner", "box", "assign", "quality",
+            "push", "replay", "stream", "error", "counts", "cuts", "history", "stats", "owner", "box", "assign", "quality",
             "rebalance", "export", "watch", "completion")
 # The parser's own words for types and faults, which are for those who write such parsers.
 PARSER_WORDS = re.compile(r"\b(TEXT|FLOAT|INT|UINT|REQUIRED|OPTIONS:|Could not convert|in \[\d|not in range|\(\d+x\)|"
@@ -40,7 +40,7 @@ class Usage(unittest.TestCase):
     def line(self, command):
         """A line of that command which is right but for what is added."""
         needed = {"partition": ["p.csv", "--parts", "2"], "compare": ["p.csv", "--parts", "2"],
-                  "scene create": ["s", "--parts", "2"], "replay": ["s", "p.npy"], "owner": ["s", "0"],
+                  "scene create": ["s", "--parts", "2"], "replay": ["s", "p.npy"], "stream": ["s", "-"], "owner": ["s", "0"],
                   "box": ["s", "0", "1"], "assign": ["s", "--out", "a.npy"], "export": ["s", "d"],
                   "completion": ["bash"]}
         alone = ("up", "down", "status", "scene list")
@@ -91,7 +91,11 @@ class Usage(unittest.TestCase):
     def test_positions_are_numbers(self):
         for position in (("a",), ("nan", 0, 0), (0, "inf"), ("a,b,c",), (0, 0, "1e999")):
             self.refuse("owner", "s", *position, says=["is not a number"])
-            self.refuse("box", "s", *position, 1, 1, says=["is not a number"])
+            if "inf" not in position:
+                self.refuse("box", "s", *position, 1, 1, says=["is not a number"])
+        self.refuse("owner", "s", "-inf", 0, says=["'-inf' is not a number"])
+        self.refuse("box", "s", 0, "inf", 1, 1, says=["low corner"])
+        self.refuse("box", "s", 0, 0, "-INF", 1, says=["high corner"])
         self.refuse("owner", "s", says=["X is missing"])
         self.refuse("box", "s", 1, 2, 3, says=["two corners"])
 
@@ -127,14 +131,14 @@ class Usage(unittest.TestCase):
             self.assertIn(f"'{endpoint}'", done.stderr)
 
     def test_an_ending_that_names_another_format(self):
-        for args in (("history", "s", "--plot", "x.png"), ("history", "s", "--plot", "x.PDF"),
+        for args in (("history", "s", "--plot", "x.eps"), ("history", "s", "--plot", "x.PDF"),
                      ("history", "s", "--csv", "x.npy"), ("history", "s", "--csv", "x.json"),
                      ("replay", "s", "f.npy", "--history", "h.svg"), ("assign", "s", "--out", "a.csv"),
                      ("partition", "f.csv", "--parts", 2, "--assign", "a.csv"),
                      ("partition", "f.csv", "--parts", 2, "--cuts", "c.npy"),
                      ("compare", "f.csv", "--parts", 2, "--save", "c.csv")):
             self.refuse(*args, says=[args[-2], args[-1], "names another format"])
-        for args in (("history", "s", "--plot", "x.svg"), ("history", "s", "--csv", "x.txt"),
+        for args in (("history", "s", "--plot", "x.svg"), ("history", "s", "--plot", "x.PNG"), ("history", "s", "--csv", "x.txt"),
                      ("assign", "s", "--out", "/dev/null"), ("assign", "s", "--out", "./a.b/part")):
             self.assertEqual(run(*args, endpoint=NOWHERE).returncode, 3, args)
 

@@ -82,6 +82,7 @@ Status compare(const CompareOptions& options, const Context& context) {
   for (const char* field : {"n", "parts", "ghost_width", "methods"}) result[field] = reply->at(field);
   if (!options.save.empty())
     if (Status status = io::write_file(options.save, wire::dump_json(result) + "\n"); !status) return status;
+  note_empty_parts(result["n"].get<std::uint64_t>(), options.parts);
   return show(context, result, [&] { print(options, result); });
 }
 

@@ -97,10 +97,20 @@ complete -o default -F _rcbctl rcbctl
                      fmt::join(valued, "|"), cases, words(app), fmt::join(scene_takers(app), "'|'"));
 }
 
+// In quotes, in which fish knows two escapes.
+std::string fish_quoted(const std::string& text) {
+  std::string quoted = "'";
+  for (const char c : text) {
+    if (c == '\'' || c == '\\') quoted += '\\';
+    quoted += c;
+  }
+  return quoted + "'";
+}
+
 void append_fish(const CLI::App& app, const std::string& condition, std::string& out) {
   for (const CLI::App* command : children(app)) {
-    out += fmt::format("complete -c rcbctl -n '{}' -f -a {} -d '{}'\n", condition, command->get_name(),
-                       command->get_description());
+    out += fmt::format("complete -c rcbctl -n {} -f -a {} -d {}\n", fish_quoted(condition), command->get_name(),
+                       fish_quoted(command->get_description()));
     const std::string inside = "__fish_seen_subcommand_from " + command->get_name();
     for (const CLI::Option* option : command->get_options())
       for (const std::string& name : option->get_lnames())

@@ -8,7 +8,9 @@
 
 #include "client/cli/app.hpp"
 #include "client/cli/files/fetched.hpp"
+#include "client/cli/files/new_files.hpp"
 #include "client/cli/files/part_files.hpp"
+#include "client/cli/interrupt.hpp"
 #include "client/cli/print/output.hpp"
 #include "common/files/paths.hpp"
 #include "common/io/files/output_file.hpp"
@@ -22,6 +24,7 @@ struct ExportOptions {
   std::string directory;
   std::vector<std::string> formats{"csv"};
   bool replace = false;
+  double deadline_seconds = kQuestionSeconds;
 };
 
 // Legacy VTK is big-endian.
@@ -49,34 +52,29 @@ std::string vtk_text(const Fetched& set, const std::string& scene) {
   for (const std::int32_t part : set.part) append_big(out, part);
   out += "\nSCALARS id vtktypeint64 1\nLOOKUP_TABLE default\n";  // VTK reads it into 64 bits on every system
   for (const std::int64_t id : set.id) append_big(out, id);
-  if (!set.weight.empty()) {
+  if (set.weight) {
     out += "\nSCALARS weight double 1\nLOOKUP_TABLE default\n";
-    for (const double weight : set.weight) append_big(out, weight);
+    for (const double weight : *set.weight) append_big(out, weight);
   }
   return out + "\n";
 }
 
-Status write_vtk(const Fetched& set, const ExportOptions& options, Json& files) {
+Status write_vtk(const Fetched& set, const ExportOptions& options, const std::string& folder) {
   if (set.id.size() > static_cast<std::size_t>(std::numeric_limits<std::int32_t>::max()))
     return {Code::too_large, "legacy VTK holds at most 2^31 - 1 points", "--format npy"};
-  const std::string path = join_path(options.directory, options.name + ".vtk");
-  files.push_back(path);
-  return io::write_file(path, vtk_text(set, options.name));
+  return io::write_file(join_path(folder, options.name + ".vtk"), vtk_text(set, options.name));
 }
 
-Status write_arrays(const Fetched& set, const ExportOptions& options, Json& files) {
+Status write_arrays(const Fetched& set, const std::string& folder) {
   const std::size_t dims = set.axes.size();
   std::vector<double> rows(set.id.size() * dims);
   for (std::size_t a = 0; a < dims; ++a)
     for (std::size_t i = 0; i < set.id.size(); ++i) rows[i * dims + a] = set.axes[a][i];
-  const auto path = [&](const char* name) {
-    files.push_back(join_path(options.directory, name));
-    return files.back().get<std::string>();
-  };
+  const auto path = [&](const char* name) { return join_path(folder, name); };
   if (Status status = io::write_npy(path("positions.npy"), rows, {set.id.size(), dims}); !status) return status;
   if (Status status = io::write_npy(path("id.npy"), set.id); !status) return status;
-  if (!set.weight.empty())
-    if (Status status = io::write_npy(path("weight.npy"), set.weight, {set.weight.size()}); !status) return status;
+  if (set.weight)
+    if (Status status = io::write_npy(path("weight.npy"), *set.weight, {set.weight->size()}); !status) return status;
   return io::write_npy(path("part.npy"), set.part);
 }
 
@@ -90,21 +88,25 @@ std::vector<std::string> file_names(const ExportOptions& options, const Json& sh
   std::vector<std::string> names;
   if (wants(options, "csv"))
     for (std::string& name : part_file_names(shown.at("parts").get<int>())) names.push_back(std::move(name));
-  if (wants(options, "vtk")) names.push_back(options.name + ".vtk");
   if (wants(options, "npy")) {
-    names.insert(names.end(), {"positions.npy", "id.npy", "part.npy"});
+    names.insert(names.end(), {"positions.npy", "id.npy"});
     if (shown.at("weights").get<bool>()) names.push_back("weight.npy");
+    names.push_back("part.npy");
   }
+  if (wants(options, "vtk")) names.push_back(options.name + ".vtk");
   return names;
 }
 
-Status write_files(const Fetched& set, const ExportOptions& options, int parts, Json& files) {
-  if (Status status = make_directory(options.directory); !status) return status;
+// All of them, or none.
+Status write_files(const Fetched& set, const ExportOptions& options, const Json& shown) {
+  auto files = NewFiles::begin(options.directory);
+  if (!files) return files.status();
   Status status;
-  if (wants(options, "csv")) status = write_part_files(set, parts, options.directory, files);
-  if (status && wants(options, "npy")) status = write_arrays(set, options, files);
-  if (status && wants(options, "vtk")) status = write_vtk(set, options, files);
-  return status;
+  if (wants(options, "csv")) status = write_part_files(set, shown.at("parts").get<int>(), files->hidden());
+  if (status && wants(options, "npy")) status = write_arrays(set, files->hidden());
+  if (status && wants(options, "vtk")) status = write_vtk(set, options, files->hidden());
+  if (status && interrupted()) status = interruption(fmt::format("while {} was written", options.directory));
+  return status ? files->commit(file_names(options, shown)) : status;
 }
 
 // A scene, and its particles in the same parts.
@@ -121,7 +123,7 @@ Result<Exported> fetch_scene(client::Client& client, const ExportOptions& option
     if (!shown) return shown.status();
     auto left = LeftoverFiles::find(options.directory, file_names(options, *shown), options.replace);
     if (!left) return left.status();
-    auto answer = ask_arrays(client, "fetch", {{"scene", options.name}});
+    auto answer = ask_arrays(client, "fetch", {{"scene", options.name}}, options.deadline_seconds);
     if (!answer) return answer.status();
     if (answer->json.at("epoch") == shown->at("epoch"))
       return Exported{std::move(*shown), std::move(*answer), std::move(*left)};
@@ -138,9 +140,13 @@ Status export_scene(const ExportOptions& options, const Context& context) {
   const auto& [shown, answer, left] = *exported;
   auto set = fetched(answer.reply);
   if (!set) return set.status();
-  Json files = Json::array();
-  if (Status status = write_files(*set, options, shown.at("parts").get<int>(), files); !status) return status;
+  Progress progress("export " + options.name);
+  progress.stage("writing");
+  if (Status status = write_files(*set, options, shown); !status) return status;
+  progress.clear();
   if (Status status = left.remove(); !status) return status;
+  Json files = Json::array();
+  for (const std::string& name : file_names(options, shown)) files.push_back(join_path(options.directory, name));
   return show(context,
               {{"scene", options.name},
                {"n", answer.json.at("n")},
@@ -166,6 +172,7 @@ void add_export_command(CLI::App& app, Context& context) {
            "csv (part-0.csv, ...), npy (positions.npy, id.npy, part.npy, weight.npy), vtk (NAME.vtk); several with "
            "commas between")
       ->default_str("csv");
+  add_deadline(command, options.deadline_seconds);
   command.add_flag("--replace", options.replace,
                    "remove the files of other parts from DIR, and overwrite arrays that no export wrote");
 }

@@ -165,6 +165,7 @@ Status history(const HistoryOptions& options, const Context& context) {
     sinks.push_back(std::make_unique<CsvFile>(std::move(*file)));
   }
   if (!options.plot.empty()) sinks.push_back(std::make_unique<Drawn>(curves.front()));
+  Progress progress("history " + options.name);
   const auto steps = read(*client, options.name, options, sinks);
   if (!steps) return steps.status();
   for (std::size_t k = 1; k < curves.size(); ++k) {
@@ -173,12 +174,14 @@ Status history(const HistoryOptions& options, const Context& context) {
     const auto drawn = read(*client, scenes[k], options, other);
     if (!drawn) return drawn.status();
   }
+  if (!options.plot.empty()) progress.stage("drawing " + options.plot);
   if (!options.plot.empty())
     if (Status status = plot_history(options.plot, curves); !status) return status;
+  progress.clear();
   // Last, since the document is whole only when everything else is done.
   if (context.json) print_line(context.document_begun ? "]" : "[]");
   for (const std::string& file : {options.csv, options.plot})
-    if (!file.empty() && !context.json) print_line(fmt::format("{}: {} steps", file, *steps));
+    if (!file.empty() && !context.json) print_line(fmt::format("{}: {} step{}", file, *steps, *steps == 1 ? "" : "s"));
   return {};
 }
 
@@ -197,8 +200,8 @@ void add_history_command(CLI::App& app, Context& context) {
   add_value(command, "--first", options.range.first, kind::whole_number("K", 0),
             "only so many, the oldest (of those that --last leaves)");
   add_value(command, "--csv", options.csv, kind::output_file(kind::Format::csv), "write them to this file");
-  CLI::Option* plot = add_value(command, "--plot", options.plot, kind::output_file(kind::Format::svg),
-                                "draw error against step, repartitions as red dots (SVG, by gnuplot)");
+  CLI::Option* plot = add_value(command, "--plot", options.plot, kind::output_file(kind::Format::figure),
+                                "draw error against step, repartitions as red dots (SVG or PNG, by gnuplot)");
   add_value(command, "--with", options.with, kind::text("NAME"), "another scene in the same figure; may be repeated")
       ->allow_extra_args(false)
       ->needs(plot);

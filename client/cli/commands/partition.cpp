@@ -1,6 +1,7 @@
 // partition: partitions one file, once.
 #include <algorithm>
 #include <filesystem>
+#include <optional>
 #include <system_error>
 #include <utility>
 
@@ -8,8 +9,11 @@
 
 #include "client/cli/app.hpp"
 #include "client/cli/files/fetched.hpp"
+#include "client/cli/files/new_files.hpp"
 #include "client/cli/files/part_files.hpp"
 #include "client/cli/files/point_file.hpp"
+#include "client/cli/interrupt.hpp"
+#include "client/cli/lists.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/parts_table.hpp"
 #include "common/base/clock.hpp"
@@ -52,56 +56,63 @@ Status check(const PartitionOptions& options) {
   return {};
 }
 
-// Writes the parts in the order of the file's rows; the service returns them in id order.
-Status write_assignment(const PartitionOptions& options, Session& session, const std::string& scene) {
-  auto answer = ask_arrays(*session.client, "assign", {{"scene", scene}}, kLongSeconds);
+// Writes the parts in the order of the file's rows; the service returns them in ascending id.
+Status write_assignment(const PartitionOptions& options, Session& session, const LoadedScene& loaded) {
+  auto answer = ask_arrays(*session.client, "assign", {{"scene", loaded.scene.name()}}, kLongSeconds);
   if (!answer) return answer.status();
-  const client::Array* array = answer->reply.find("part");
-  if (array == nullptr) return {Code::protocol_error, "the answer to assign lacks its parts"};
-  const auto part = array->i4();
-  auto points = read_single(options.file);
-  if (!points) return points.status();
-  if (points->id.empty()) return io::write_npy(options.assign, part);
-  if (points->id.size() != part.size())
-    return {Code::aborted, options.file.path + " changed while it was partitioned", "run it again"};
-  const std::vector<std::size_t> row = rows_by_id(*points);
-  std::vector<std::int32_t> by_row(part.size());
-  for (std::size_t k = 0; k < row.size(); ++k) by_row[row[k]] = part[k];
+  const client::Array* part = answer->reply.find("part");
+  if (part == nullptr) return {Code::protocol_error, "the answer to assign lacks its parts"};
+  const auto rows = loaded.rows ? Result(*loaded.rows) : rows_of_ids(options.file, part->i4().size());
+  if (!rows) return rows.status();
+  if (rows->size() != part->i4().size()) return changed_meanwhile(options.file);
+  std::vector<std::int32_t> by_row(rows->size());
+  for (std::size_t k = 0; k < by_row.size(); ++k) by_row[(*rows)[k]] = part->i4()[k];
   return io::write_npy(options.assign, by_row);
 }
 
-Status write_parts(const PartitionOptions& options, Session& session, const std::string& scene) {
-  if (session.embedded)
-    return ask(*session.client, "write_parts", {{"scene", scene}, {"directory", absolute_path(options.out)}},
-               kLongSeconds)
+// Writes the part files, into `folder`. The ranks write their own, unless the file has columns that they don't know.
+Status write_parts(const PartitionOptions& options, Session& session, const std::string& scene,
+                   const std::string& folder) {
+  const auto further = io::read_further_columns(options.file.path, read_options(options.file));
+  if (!further) return further.status();
+  if (session.embedded && further->names.empty() && is_utf8(folder))
+    return ask(*session.client, "write_parts", {{"scene", scene}, {"directory", absolute_path(folder)}}, kLongSeconds)
         .status();
   auto answer = ask_arrays(*session.client, "fetch", {{"scene", scene}}, kLongSeconds);
   if (!answer) return answer.status();
   auto set = fetched(answer->reply);
   if (!set) return set.status();
-  if (Status status = make_directory(options.out); !status) return status;
-  Json files = Json::array();
-  return write_part_files(*set, options.parts, options.out, files);
+  Beside beside{further->names, {}};
+  if (!beside.names.empty()) {
+    const auto rows = rows_of_ids(options.file, further->rows());
+    if (!rows) return rows.status();
+    if (rows->size() != set->id.size()) return changed_meanwhile(options.file);
+    for (const std::size_t row : *rows) beside.cells.push_back(further->row(row));
+  }
+  return write_part_files(*set, options.parts, folder, beside);
 }
 
-Status write_outputs(const PartitionOptions& options, const LeftoverFiles& left, Session& session,
-                     const std::string& scene) {
-  if (!options.out.empty()) {
-    if (Status status = write_parts(options, session, scene); !status) return status;
-    if (Status status = left.remove(); !status) return status;
-  }
+// All that is asked for, or nothing in the folder.
+Status write_outputs(const PartitionOptions& options, const LeftoverFiles& left, std::optional<NewFiles>& files,
+                     Session& session, const LoadedScene& loaded) {
+  const std::string& scene = loaded.scene.name();
   if (!options.assign.empty())
-    if (Status status = write_assignment(options, session, scene); !status) return status;
-  if (options.cuts.empty()) return {};
-  auto cuts = ask_cuts(*session.client, scene);
-  if (!cuts) return cuts.status();
-  return io::write_file(options.cuts, cuts->dump() + "\n");
+    if (Status status = write_assignment(options, session, loaded); !status) return status;
+  if (!options.cuts.empty()) {
+    auto cuts = ask_cuts(*session.client, scene);
+    if (!cuts) return cuts.status();
+    if (Status status = io::write_file(options.cuts, cuts->dump() + "\n"); !status) return status;
+  }
+  if (!files) return {};
+  if (Status status = write_parts(options, session, scene, files->hidden()); !status) return status;
+  if (interrupted()) return interruption("");
+  if (Status status = files->commit(part_file_names(options.parts)); !status) return status;
+  return left.remove();
 }
 
 std::string per_part_text(const Json& values, bool all) {
-  const auto numbers = values.get<std::vector<double>>();
-  if (!summarised(numbers.size(), all)) return text_of(values);
-  const auto [least, median, largest] = least_median_largest(numbers);
+  if (!summarised(values.size(), all)) return text_of(values);
+  const auto [least, median, largest] = least_median_largest(numbers(values));
   return fmt::format("least {}, median {}, largest {}", number(least), number(median), number(largest));
 }
 
@@ -135,6 +146,7 @@ Json result_of(const PartitionOptions& options, const Session& session, const Lo
               {"counts", shown.at("counts")}};
   if (shown.contains("loads") && shown["loads"].is_array()) result["loads"] = shown["loads"];
   for (const char* field : {"targets", "hash", "rounds", "reductions"}) result[field] = shown.at(field);
+  if (shown.contains("weights_as_zero")) result["weights_as_zero"] = shown["weights_as_zero"];
   for (const char* field : {"moved", "migrated"}) result[field] = report.at(field);
   result["seconds"] = {{"read", loaded.read_seconds},
                        {"partition", report.at("seconds").at("search")},
@@ -142,15 +154,25 @@ Json result_of(const PartitionOptions& options, const Session& session, const Lo
   return result;
 }
 
+void print_remarks(const PartitionOptions& options, const Json& result) {
+  if (result["n"] == 0)
+    note(options.file.path + ": holds no points");
+  else
+    note_empty_parts(result["n"].get<std::uint64_t>(), options.parts);
+  note_lost_weights(result);
+}
+
 Status partition(const PartitionOptions& options, const Context& context) {
   if (Status status = check(options); !status) return status;
   LeftoverFiles left;
+  std::optional<NewFiles> files;  // outlives the session: ranks that are stopped don't write into it any more
   if (!options.out.empty()) {
     auto found = LeftoverFiles::find(options.out, part_file_names(options.parts), options.replace);
     if (!found) return found.status();
     left = std::move(*found);
   }
   auto session = Session::open(context, options.ranks);
+  if (interrupted()) return interruption(fmt::format("before {} was read; nothing was written", options.file.path));
   if (!session) return session.status();
   const SteadyClock clock;
   const double start = clock.seconds();
@@ -158,16 +180,28 @@ Status partition(const PartitionOptions& options, const Context& context) {
   if (!options.part_sizes.empty()) arguments["part_sizes"] = options.part_sizes;
   arguments["cut_tolerance"] = options.cut_tolerance;
   auto loaded = load_scene(*session, options.file, std::move(arguments));
+  if (interrupted()) return interruption(fmt::format("while {} was divided; nothing was written", options.file.path));
   if (!loaded) return loaded.status();
   auto shown = ask(*session->client, "scene.show", {{"scene", loaded->scene.name()}});
   if (!shown) return session->explain(shown.status());
   const double before_write = clock.seconds();
-  if (Status status = write_outputs(options, left, *session, loaded->scene.name()); !status)
-    return session->explain(status);
+  if (!options.out.empty()) {
+    auto begun = NewFiles::begin(options.out);
+    if (!begun) return begun.status();
+    files.emplace(std::move(*begun));
+  }
+  Progress progress(options.file.path);
+  progress.stage("writing");
+  const Status written = write_outputs(options, left, files, *session, *loaded);
+  progress.clear();
+  if (!written && interrupted())
+    return interruption(files ? fmt::format("while the parts were written; {} is as it was", options.out)
+                              : "while the results were written");
+  if (!written) return session->explain(written);
   Json result = result_of(options, *session, *loaded, *shown);
   result["seconds"]["write"] = clock.seconds() - before_write;
   result["seconds"]["total"] = clock.seconds() - start;
-  if (result["n"] == 0) note(options.file.path + ": holds no points");
+  print_remarks(options, result);
   return show(context, result, [&] { print(options, result); });
 }
 
@@ -189,10 +223,11 @@ void add_partition_command(CLI::App& app, Context& context) {
   add_list(command, "--part-sizes", options.part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
   add_value(command, "--cut-tolerance", options.cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
-  add_value(command, "--out", options.out, kind::text("DIR"), "a folder for one CSV per part");
+  add_value(command, "--out", options.out, kind::text("DIR"),
+            "a folder for one CSV per part, with all columns of a text file");
   command.add_flag("--replace", options.replace, "remove the files of other parts from DIR");
   add_value(command, "--assign", options.assign, kind::output_file(kind::Format::npy),
-            "the part of each point, int32, in input order");
+            "the part of each of the file's rows, int32");
   add_value(command, "--cuts", options.cuts, kind::output_file(kind::Format::json), "the cuts and regions");
   command.add_flag("--all", options.all, kAllHelp);
 }

@@ -1,15 +1,11 @@
-// push, replay: steps from files.
-#include <algorithm>
-
+// push: one step from a file.
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include "client/cli/app.hpp"
-#include "client/cli/files/frame_order.hpp"
+#include "client/cli/files/frame_pusher.hpp"
 #include "client/cli/files/point_file.hpp"
 #include "client/cli/print/output.hpp"
-#include "client/cli/print/report_csv.hpp"
-#include "common/base/clock.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::cli {
@@ -27,39 +23,6 @@ struct PushOptions {
   bool force = false;
 };
 
-struct ReplayOptions {
-  std::string name;
-  std::vector<std::string> files;
-  FileOptions file;  // the columns of each file
-  std::optional<int> parts;
-  client::SceneOptions scene;  // but for its parts and dims
-  std::optional<double> step_seconds;
-  std::string history;
-};
-
-// Positions that float32 represents exactly are sent as float32: half the bytes, the same values.
-class CompactPositions {
- public:
-  explicit CompactPositions(const io::Points& points) : points_(points) {
-    for (const auto& axis : points.position)
-      for (const double value : axis)
-        if (static_cast<double>(static_cast<float>(value)) != value) return;
-    for (const auto& axis : points.position) single_.emplace_back(axis.begin(), axis.end());
-  }
-  bool single() const { return !single_.empty() && points_.count > 0; }
-  client::Positions positions(bool as_single) const {
-    if (!as_single) return positions_of(points_);
-    std::vector<const float*> axes;
-    for (const auto& axis : single_) axes.push_back(axis.data());
-    return client::Positions::axes(axes, points_.count);
-  }
-  client::Positions positions() const { return positions(single()); }
-
- private:
-  const io::Points& points_;
-  std::vector<std::vector<float>> single_;
-};
-
 void print_report(const Json& report) {
   Facts facts;
   facts.add("step", fmt::format("{}, epoch {}", text_of(report, "step"), text_of(report, "epoch")));
@@ -72,12 +35,6 @@ void print_report(const Json& report) {
   facts.add("skipped", text_of(report, "skipped"));
   facts.add("time", milliseconds(report.at("seconds").at("total").get<double>()) + " ms");
   facts.print();
-}
-
-// Such a push would make a scene without particles, which is hardly meant.
-Status no_points(const std::string& file, const std::string& scene) {
-  return {Code::invalid_argument, fmt::format("{}: holds no points, and scene '{}' has none yet", file, scene),
-          "push a file that holds some; was this one written to its end?"};
 }
 
 Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::string& scene) {
@@ -111,8 +68,10 @@ Status push(const PushOptions& options, const Context& context) {
   if (!shown) return shown.status();
   if (Status free = check_not_held(*shown, options.name); !free && !options.force) return free;
   const int dims = shown->at("dims").get<int>();
-  const auto read = [dims, &options](const FileOptions& file) -> Result<io::Points> {
+  Progress progress("push " + options.name);
+  const auto read = [&](const FileOptions& file) -> Result<io::Points> {
     if (file.path.empty()) return io::Points{.dims = dims};
+    progress.stage("reading " + file.path);
     return read_for_scene(file, dims, options.name);
   };
   const auto points = read(options.file);
@@ -130,6 +89,7 @@ Status push(const PushOptions& options, const Context& context) {
   if (options.subset && points->id.size() != points->count)
     return {Code::invalid_argument, fmt::format("{}: no column 'id' says which particles moved", options.file.path),
             "name the columns, as in \"id,x,y,z\""};
+  progress.stage("waiting for the step");
   auto scene = client->open_scene(options.name);
   if (!scene) return scene.status();
   client::StepOptions step;
@@ -146,149 +106,17 @@ Status push(const PushOptions& options, const Context& context) {
   auto result = alone            ? scene->step_unmoved(step)
                 : options.subset ? scene->step_moved(points->id, sent.positions(single), step)
                                  : scene->step(sent.positions(single), step);
+  progress.clear();
   if (!result) return result.status();
   const Json report = Json::parse(result->report.json);
+  note_empty_parts(result->report.n, result->report.parts);
+  note_lost_weights(report);
   return show(context, report, [&] { print_report(report); });
 }
 
-// Puts rows that have ids in the order of these, since each file may have an order of its own.
-void sort_by_id(io::Points& points) {
-  if (std::ranges::is_sorted(points.id)) return;
-  const std::vector<std::size_t> rows = rows_by_id(points);
-  const auto sort = [&rows](auto& values) {
-    auto sorted = values;
-    for (std::size_t k = 0; k < values.size(); ++k) sorted[k] = values[rows[k]];
-    values = std::move(sorted);
-  };
-  for (auto& axis : points.position) sort(axis);
-  sort(points.weight);
-  sort(points.id);
-}
-
-// Sums over a replay so far.
-struct Tally {
-  Json reports = Json::array();
-  std::uint64_t repartitions = 0;
-  double error_sum = 0;
-  double error_max = 0;
-};
-
-void add(Tally& tally, const client::StepReport& report) {
-  tally.reports.push_back(Json::parse(report.json));
-  if (report.repartitioned && report.error_before) ++tally.repartitions;
-  const double error = report.error_before.value_or(report.error);
-  tally.error_sum += error;
-  tally.error_max = std::max(tally.error_max, error);
-}
-
-class Replay {
- public:
-  Replay(const ReplayOptions& options, const Context& context)
-      : options_(options), context_(context), progress_("replay " + options.name) {}
-
-  Status run() {
-    if (Status status = check_not_overwritten("--history", options_.history, options_.files); !status) return status;
-    auto client = connect_persistent(context_);
-    if (!client) return client.status();
-    const double start = clock_.seconds();
-    Status status;
-    const FrameOrder order = in_frame_order(options_.files);
-    if (!order.changed.empty()) note(order.changed);
-    for (const std::string& file : order.files)
-      if (status = replay_file(*client, file); !status) break;
-    progress_.clear();
-    // The steps before a bad frame are committed, so their history is written, too.
-    if (!options_.history.empty() && !tally_.reports.empty()) {
-      std::string table = reports_csv_header();
-      for (const Json& report : tally_.reports) table += report_csv_line(report);
-      if (Status written = io::write_file(options_.history, table); !written) return written;
-    }
-    return status ? show_end(clock_.seconds() - start) : status;
-  }
-
- private:
-  Status replay_file(client::Client& client, const std::string& path) {
-    auto reader = io::open_trajectory(path, read_options(options_.file));
-    if (!reader) return reader.status();
-    const std::uint64_t frames = (*reader)->frames();
-    if (frames == 0) return {Code::invalid_argument, path + ": holds no frames", "save at least one step in it"};
-    for (std::uint64_t k = 0; k < frames; ++k) {
-      auto points = (*reader)->frame(k);
-      if (!points) return points.status();
-      sort_by_id(*points);
-      if (!scene_ && points->count == 0) return no_points(path, options_.name);
-      if (!scene_)
-        if (Status status = open(client, *points); !status) return status;
-      client::StepOptions step;
-      step.step = static_cast<std::int64_t>(tally_.reports.size());
-      step.step_seconds = options_.step_seconds;
-      step.weights = points->weight;
-      step.ids = points->id;
-      const CompactPositions sent(*points);
-      auto result = scene_->step(sent.positions(), step);
-      if (!result)
-        return {result.status().code(),
-                fmt::format("{}, frame {} (step {}): {}", path, k, tally_.reports.size(), result.status().message()),
-                result.status().hint()};
-      add(tally_, result->report);
-      const std::uint64_t total = options_.files.size() == 1 ? frames : options_.files.size();
-      progress_.at(tally_.reports.size(), total, "error " + number(result->report.error));
-    }
-    return {};
-  }
-
-  Status open(client::Client& client, const io::Points& points) {
-    client::SceneOptions scene = options_.scene;
-    const int parts = scene.part_sizes.empty() ? client.ranks() : static_cast<int>(scene.part_sizes.size());
-    scene.parts = parts_ = options_.parts.value_or(parts);
-    scene.dims = points.dims;
-    if (Status status = client.create_scene(options_.name, scene); !status) return status;
-    auto opened = client.open_scene(options_.name);
-    if (!opened) return opened.status();
-    scene_.emplace(std::move(*opened));
-    return {};
-  }
-
-  Status show_end(double seconds) const {
-    const double mean = tally_.reports.empty() ? 0 : tally_.error_sum / static_cast<double>(tally_.reports.size());
-    const double tolerance = options_.scene.tolerance;
-    return show(context_,
-                {{"scene", options_.name},
-                 {"steps", tally_.reports.size()},
-                 {"parts", parts_},
-                 {"tolerance", tolerance_json(tolerance)},
-                 {"policy", options_.scene.policy},
-                 {"repartitions", tally_.repartitions},
-                 {"error_mean", mean},
-                 {"error_max", tally_.error_max},
-                 {"seconds", seconds},
-                 {"last", tally_.reports.empty() ? Json() : tally_.reports.back()}},
-                [&] {
-                  Facts facts;
-                  facts.add("scene", fmt::format("{}, {} parts, tolerance {}", options_.name, parts_, tolerance));
-                  facts.add("steps", std::to_string(tally_.reports.size()));
-                  facts.add("repartitions", fmt::format("{} after the first partition", tally_.repartitions));
-                  facts.add("error", fmt::format("mean {}, largest {} (as found when a step arrived)", number(mean),
-                                                 number(tally_.error_max)));
-                  facts.add("time", fmt::format("{:.3g} s", seconds));
-                  facts.print();
-                });
-  }
-
-  const ReplayOptions& options_;
-  const Context& context_;
-  SteadyClock clock_;
-  Progress progress_;
-  Tally tally_;
-  int parts_ = 0;
-  std::optional<client::Scene> scene_;
-};
-
-Status replay(const ReplayOptions& options, const Context& context) { return Replay(options, context).run(); }
-
 }  // namespace
 
-void add_push_commands(CLI::App& app, Context& context) {
+void add_push_command(CLI::App& app, Context& context) {
   auto [pushes, pushed] =
       add_command(app, context,
                   {"push", "One step from a file",
@@ -314,29 +142,6 @@ void add_push_commands(CLI::App& app, Context& context) {
       "--force", pushed.force,
       "push also while a solver has the scene open; without it that is refused, since the solver's next step "
       "would fail");
-
-  auto [replays, replayed] =
-      add_command(app, context,
-                  {"replay", "Makes a scene and pushes a trajectory into it, steps numbered from 0",
-                   "  rcbctl replay jet run.npy --parts 8 --tolerance 0.1\n"
-                   "  rcbctl replay jet step*.csv --parts 8 --tolerance inf --history jet.csv --replace",
-                   kSceneGroup},
-                  replay);
-  add_scene_name(replays, replayed.name);
-  add_value(
-      replays, "FILES", replayed.files, kind::text("FILE..."),
-      "one file per step, or a .npy of shape (steps, n, dims). Files that differ only in numbers and are given in "
-      "alphabetical order, as a shell's * does, are taken in the order of the numbers: step.20 before step.100")
-      ->required()
-      ->expected(-1);
-  add_value(replays, "--parts", replayed.parts, kind::part_count(),
-            "number of parts (default: one for each of --part-sizes, else one per rank)");
-  add_scene_options(replays, replayed.scene);
-  add_value(replays, "--step-seconds", replayed.step_seconds, kind::number_from_zero("SECONDS"),
-            std::string(kStepSecondsHelp) + "; the same at each step");
-  add_column_options(replays, replayed.file);
-  add_value(replays, "--history", replayed.history, kind::output_file(kind::Format::csv),
-            "also write the step reports to this file");
 }
 
 }  // namespace rcb::cli

@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/lists.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/parts_table.hpp"
 
@@ -15,14 +16,8 @@ struct ReadOptions {
   std::string name;
   bool all = false;
   std::optional<double> ghost_width;
+  double deadline_seconds = kQuestionSeconds;
 };
-
-// Numbers of a JSON array; null becomes NaN.
-std::vector<double> numbers(const Json& array) {
-  std::vector<double> values;
-  for (const Json& item : array) values.push_back(item.is_number() ? item.get<double>() : std::nan(""));
-  return values;
-}
 
 Status print_error(client::Client&, const ReadOptions&, const Json& reply) {
   Facts facts;
@@ -119,7 +114,7 @@ CLI::App* add_read(CLI::App& app, Context& context, const CommandText& text, std
     if (!client) return client.status();
     Json arguments{{"scene", options->name}};
     if (options->ghost_width) arguments["ghost_width"] = *options->ghost_width;
-    auto reply = ask(*client, name, arguments);
+    auto reply = ask(*client, name, arguments, options->deadline_seconds);
     if (!reply) return reply.status();
     if (!context.json) return print(*client, *options, *reply);
     print_json(*reply);
@@ -148,6 +143,7 @@ void add_read_commands(CLI::App& app, Context& context) {
                                 "  rcbctl quality jet\n  rcbctl quality jet --ghost-width 0.05", kAskGroup},
                                options, print_quality);
   add_value(*quality, "--ghost-width", options->ghost_width, kind::number_from_zero("H"), kGhostWidthHelp);
+  add_deadline(*quality, options->deadline_seconds);
   quality->add_flag("--all", options->all, kAllHelp);
 }
 

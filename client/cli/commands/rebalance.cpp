@@ -15,6 +15,7 @@ struct RebalanceOptions {
   std::optional<double> tolerance;
   bool dry_run = false;
   bool force = false;
+  double deadline_seconds = kQuestionSeconds;
 };
 
 void print(const Json& reply, bool dry_run) {
@@ -42,7 +43,9 @@ Status rebalance(const RebalanceOptions& options, const Context& context) {
   if (options.method) arguments["method"] = *options.method;
   if (options.parts) arguments["parts"] = *options.parts;
   if (options.tolerance) arguments["tolerance"] = tolerance_json(*options.tolerance);
-  return ask_and_show(context, "rebalance", arguments, [&](const Json& reply) { print(reply, options.dry_run); });
+  return ask_and_show(
+      context, "rebalance", arguments, [&](const Json& reply) { print(reply, options.dry_run); },
+      options.deadline_seconds);
 }
 
 }  // namespace
@@ -58,6 +61,7 @@ void add_rebalance_command(CLI::App& app, Context& context) {
   add_value(command, "--parts", options.parts, kind::part_count(), "number of parts");
   add_value(command, "--tolerance", options.tolerance, kind::tolerance(), kToleranceHelp);
   command.add_flag("--force", options.force, "change the number of parts even under those who have the scene open");
+  add_deadline(command, options.deadline_seconds);
   command.add_flag("--dry-run", options.dry_run, "tell error, points to move and quality; change nothing");
 }
 

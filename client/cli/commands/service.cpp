@@ -120,7 +120,10 @@ Status up(const UpOptions& options, const Context& context) {
 
 Status down(double deadline, const Context& context) {
   if (Status status = check_endpoint(context); !status) return status;
+  Progress progress("down");
+  progress.stage("waiting for the service's end");
   const auto stopped = launch::stop_service(context.endpoint, deadline);
+  progress.clear();
   if (!stopped) return stopped.status();
   return show(context, {{"endpoint", stopped->endpoint}, {"stopped", true}, {"said", stopped->said}},
               [&] { print_line(stopped->said); });

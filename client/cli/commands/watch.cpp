@@ -2,21 +2,18 @@
 #include <algorithm>
 
 #include <fmt/format.h>
-#include <signal.h>
 #include <unistd.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/interrupt.hpp"
 #include "client/cli/print/output.hpp"
 #include "common/base/clock.hpp"
-#include "common/base/signals.hpp"
 
 namespace rcb::cli {
 namespace {
 
 constexpr useconds_t kPollMicroseconds = 200'000;
 constexpr std::uint64_t kReportsMax = 1000;  // asked for at once; if more come in a burst, the older ones aren't shown
-
-volatile sig_atomic_t g_interrupted = 0;
 
 struct WatchOptions {
   std::string name;
@@ -44,7 +41,7 @@ class Watcher {
     if (!client) return client.status();
     const SteadyClock clock;
     const double end = clock.seconds() + options_.seconds;
-    for (bool first = true; g_interrupted == 0 && !enough() && !reader_gone(); first = false) {
+    for (bool first = true; !interrupted() && !enough() && !reader_gone(); first = false) {
       if (options_.seconds > 0 && clock.seconds() > end) break;
       if (!first) usleep(kPollMicroseconds);
       auto newest = reports(*client, 1);
@@ -87,6 +84,7 @@ class Watcher {
 
   // Ends the array. If it has items, a failure is told on stderr only, since stdout has its one document.
   Status closed(Status status) const {
+    if (status.code() == Code::interrupted) status = {};  // the usual end
     if (!context_.json) return status;
     if (shown_ == 0 && !status) return status;
     print_line(shown_ == 0 ? "[]" : "]");
@@ -99,12 +97,7 @@ class Watcher {
   std::uint64_t shown_ = 0;
 };
 
-Status watch(const WatchOptions& options, const Context& context) {
-  struct sigaction action {};
-  action.sa_handler = [](int) { g_interrupted = 1; };
-  handle_unless_ignored(SIGINT, action);
-  return Watcher(options, context).run();
-}
+Status watch(const WatchOptions& options, const Context& context) { return Watcher(options, context).run(); }
 
 }  // namespace
 

@@ -1,8 +1,12 @@
 // owner, box, assign: which part owns a position, a box, each particle.
+#include <algorithm>
+#include <cmath>
+#include <span>
 
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
+#include "client/cli/files/point_file.hpp"
 #include "client/cli/print/output.hpp"
 #include "common/io/points.hpp"
 
@@ -20,9 +24,13 @@ struct BoxOptions {
   std::vector<double> corners;
 };
 
+enum class Ids { rows, own };  // of a scene: the numbers of the rows, or given by its solver
+
 struct AssignOptions {
   std::string name;
   std::string out;
+  FileOptions rows;
+  double deadline_seconds = kQuestionSeconds;
 };
 
 Status owner(const OwnerOptions& options, const Context& context) {
@@ -35,30 +43,86 @@ Status owner(const OwnerOptions& options, const Context& context) {
   });
 }
 
+// A corner in JSON, which has no infinity: null where the box is unbounded. outward: -1 for the low corner, 1 for the
+// high one.
+Result<Json> corner_json(std::span<const double> corner, double outward) {
+  Json json = Json::array();
+  for (const double value : corner) {
+    if (std::isinf(value) && value * outward < 0)
+      return Status(Code::usage, fmt::format("a box whose {} corner is at {}", outward < 0 ? "low" : "high", value),
+                    "-inf stands in the low corner, inf in the high one");
+    json.push_back(std::isinf(value) ? Json() : Json(value));
+  }
+  return json;
+}
+
 Status box(const BoxOptions& options, const Context& context) {
   const std::size_t dims = options.corners.size() / 2;
   if (options.corners.size() % 2 != 0)
     return {Code::usage, fmt::format("a box has two corners, but {} numbers were given", options.corners.size()),
             "rcbctl box NAME LO... HI..., such as: rcbctl box jet 0 0 1 1"};
-  const auto middle = options.corners.begin() + static_cast<std::ptrdiff_t>(dims);
-  return ask_and_show(context, "box",
-                      {{"scene", options.name},
-                       {"lo", std::vector<double>(options.corners.begin(), middle)},
-                       {"hi", std::vector<double>(middle, options.corners.end())}},
+  const auto lo = corner_json(std::span(options.corners).first(dims), -1);
+  if (!lo) return lo.status();
+  const auto hi = corner_json(std::span(options.corners).last(dims), 1);
+  if (!hi) return hi.status();
+  return ask_and_show(context, "box", {{"scene", options.name}, {"lo", *lo}, {"hi", *hi}},
                       [](const Json& reply) { print_line("parts " + text_of(reply, "parts")); });
 }
 
+// The parts of the particles that a file's rows name by their ids.
+Status write_by_rows(const AssignOptions& options, Ids ids, std::span<const std::int64_t> id,
+                     std::span<const std::int32_t> part) {
+  const auto points = read_single(options.rows);
+  if (!points) return points.status();
+  if (points->id.empty() && ids == Ids::own)
+    return {Code::invalid_argument,
+            fmt::format("{}: no column 'id', and scene '{}' has ids of its own", options.rows.path, options.name),
+            "name the columns, as in \"id,x,y,z\""};
+  std::vector<std::int32_t> by_row;
+  by_row.reserve(points->count);
+  for (std::size_t row = 0; row < points->count; ++row) {
+    const std::int64_t wanted = points->id.empty() ? static_cast<std::int64_t>(row) : points->id[row];
+    const auto found = std::ranges::lower_bound(id, wanted);
+    if (found == id.end() || *found != wanted)
+      return {Code::not_found, fmt::format("{}: scene '{}' has no id {}", options.rows.path, options.name, wanted),
+              "give the file that was pushed last"};
+    by_row.push_back(part[static_cast<std::size_t>(found - id.begin())]);
+  }
+  return io::write_npy(options.out, by_row);
+}
+
+// The parts by row. Where the scene has ids of its own the service doesn't know the rows: then those of a file, or the
+// ids come along.
+Status write_assignment(const AssignOptions& options, Ids ids, const client::Reply& reply) {
+  const client::Array* part = reply.find("part");
+  const client::Array* id = reply.find("id");
+  if (part == nullptr || id == nullptr || id->i8().size() != part->i4().size())
+    return {Code::protocol_error, "the answer to assign lacks its ids or parts"};
+  if (!options.rows.path.empty()) return write_by_rows(options, ids, id->i8(), part->i4());
+  if (ids == Ids::rows) return io::write_npy(options.out, part->i4());
+  std::vector<std::int64_t> pairs;
+  pairs.reserve(2 * part->i4().size());
+  for (std::size_t k = 0; k < part->i4().size(); ++k) pairs.insert(pairs.end(), {id->i8()[k], part->i4()[k]});
+  return io::write_npy(options.out, std::span<const std::int64_t>(pairs), {part->i4().size(), 2});
+}
+
 Status assign(const AssignOptions& options, const Context& context) {
+  if (Status status = check_not_overwritten("--out", options.out, {&options.rows.path, 1}); !status) return status;
   auto client = connect(context);
   if (!client) return client.status();
-  auto answer = ask_arrays(*client, "assign", {{"scene", options.name}, {"checksum", true}});
+  const auto shown = ask(*client, "scene.show", {{"scene", options.name}}, options.deadline_seconds);
+  if (!shown) return shown.status();
+  auto answer = ask_arrays(*client, "assign", {{"scene", options.name}, {"checksum", true}}, options.deadline_seconds);
   if (!answer) return answer.status();
-  const client::Array* part = answer->reply.find("part");
-  if (part == nullptr) return {Code::protocol_error, "the answer to assign lacks its parts"};
-  if (Status status = io::write_npy(options.out, part->i4()); !status) return status;
+  const Ids ids = shown->at("ids").get<bool>() ? Ids::own : Ids::rows;
+  if (Status status = write_assignment(options, ids, answer->reply); !status) return status;
+  const bool pairs = options.rows.path.empty() && ids == Ids::own;
   answer->json["file"] = options.out;
+  answer->json["columns"] = pairs ? Json{"id", "part"} : Json{"part"};
   return show(context, answer->json, [&] {
-    print_line(fmt::format("{}: the part of each of {} points, in id order", options.out, part->i4().size()));
+    print_line(fmt::format("{}: {}", options.out,
+                           pairs ? fmt::format("id and part of each of {} points", text_of(answer->json, "n"))
+                                 : fmt::format("the part of each of {} rows", text_of(answer->json, "n"))));
   });
 }
 
@@ -77,18 +141,29 @@ void add_where_commands(CLI::App& app, Context& context) {
   add_value(owns, "--id", position.id, kind::whole_number("I", 0), "of the particle: decides where positions tie");
 
   auto [touches, corners] =
-      add_command(app, context, {"box", "Which parts touch a box", "  rcbctl box jet -1 -1 -1 1 1 1", kAskGroup}, box);
+      add_command(app, context,
+                  {"box", "Which parts touch a box",
+                   "  rcbctl box jet -1 -1 -1 1 1 1\n  rcbctl box jet -inf 0 0 0.5 1 inf", kAskGroup},
+                  box);
   add_scene_name(touches, corners.name);
-  add_value(touches, "CORNERS", corners.corners, kind::number("LO... HI..."), "the low corner, then the high one")
+  add_value(touches, "CORNERS", corners.corners, kind::number_or_infinity("LO... HI..."),
+            "the low corner, then the high one; -inf and inf where it has no bound")
       ->required()
       ->expected(2, 6);
 
-  auto [assigns, array] = add_command(app, context,
-                                      {"assign", "Writes the part of each particle, in id order (int32)",
-                                       "  rcbctl assign jet --out parts.npy", kSceneGroup},
-                                      assign);
+  auto [assigns, array] =
+      add_command(app, context,
+                  {"assign", "Writes the part of each row (int32)",
+                   "  rcbctl assign jet --out parts.npy\n  rcbctl assign jet step7.csv --out parts.npy", kSceneGroup},
+                  assign);
   add_scene_name(assigns, array.name);
-  add_value(assigns, "--out", array.out, kind::output_file(kind::Format::npy), "the array")->required();
+  add_value(
+      assigns, "--out", array.out, kind::output_file(kind::Format::npy),
+      "the array: by row as first pushed or, where the scene has ids of its own and no FILE is given, two columns "
+      "(int64), id and part, by ascending id")
+      ->required();
+  add_file_options(assigns, array.rows)->required(false)->description("whose rows are meant, by their ids");
+  add_deadline(assigns, array.deadline_seconds);
 }
 
 }  // namespace rcb::cli

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -14,7 +15,7 @@ namespace rcb::cli {
 struct Fetched {
   std::vector<std::span<const double>> axes;
   std::span<const std::int64_t> id;
-  std::span<const double> weight;  // empty: none
+  std::optional<std::span<const double>> weight;
   std::span<const std::int32_t> part;
 };
 

@@ -36,6 +36,29 @@ bool same_kind(const std::string& name, const std::vector<std::string>& written)
                      [&name](const std::string& other) { return other.ends_with(name.substr(name.rfind('.'))); });
 }
 
+template <typename T>
+std::vector<T> chosen(std::span<const T> values, std::span<const std::size_t> rows) {
+  std::vector<T> list;
+  list.reserve(rows.size());
+  for (const std::size_t row : rows) list.push_back(values[row]);
+  return list;
+}
+
+Status write_part(const Fetched& set, std::span<const std::size_t> rows, const std::string& path,
+                  const Beside& beside) {
+  auto file = io::OutputFile::create(path);
+  if (!file) return file.status();
+  const int dims = static_cast<int>(set.axes.size());
+  io::CsvWriter writer(std::move(*file), dims, true, set.weight.has_value(), beside.names);
+  std::vector<std::vector<double>> axes;
+  std::vector<const double*> position;
+  for (const auto& axis : set.axes) position.push_back(axes.emplace_back(chosen(axis, rows)).data());
+  const auto weight = set.weight ? chosen(*set.weight, rows) : std::vector<double>();
+  const auto cells = beside.cells.empty() ? beside.cells : chosen<std::string_view>(beside.cells, rows);
+  if (Status status = writer.append(position, rows.size(), chosen(set.id, rows), weight, cells); !status) return status;
+  return writer.commit();
+}
+
 }  // namespace
 
 bool is_part_file_name(const std::string& name) {
@@ -83,7 +106,7 @@ Status LeftoverFiles::remove() const {
   return {};
 }
 
-Status write_part_files(const Fetched& set, int parts, const std::string& directory, nlohmann::ordered_json& files) {
+Status write_part_files(const Fetched& set, int parts, const std::string& directory, const Beside& beside) {
   // Rows sorted by part, within a part by id: one pass to count, one to place.
   std::vector<std::size_t> begin(static_cast<std::size_t>(parts) + 1);
   for (const std::int32_t part : set.part) {
@@ -95,27 +118,9 @@ Status write_part_files(const Fetched& set, int parts, const std::string& direct
   std::vector<std::size_t> next(begin.begin(), begin.end() - 1);
   for (std::size_t i = 0; i < row.size(); ++i) row[next[static_cast<std::size_t>(set.part[i])]++] = i;
   const std::vector<std::string> names = part_file_names(parts);
-  for (int p = 0; p < parts; ++p) {
-    const std::size_t from = begin[static_cast<std::size_t>(p)];
-    const std::size_t count = begin[static_cast<std::size_t>(p) + 1] - from;
-    std::vector<std::vector<double>> axes(set.axes.size(), std::vector<double>(count));
-    std::vector<std::int64_t> id(count);
-    std::vector<double> weight(set.weight.empty() ? 0 : count);
-    for (std::size_t k = 0; k < count; ++k) {
-      const std::size_t i = row[from + k];
-      for (std::size_t a = 0; a < axes.size(); ++a) axes[a][k] = set.axes[a][i];
-      id[k] = set.id[i];
-      if (!weight.empty()) weight[k] = set.weight[i];
-    }
-    std::vector<const double*> position;
-    for (const auto& axis : axes) position.push_back(axis.data());
-    const std::string path = join_path(directory, names[static_cast<std::size_t>(p)]);
-    if (Status status =
-            io::write_csv(path, static_cast<int>(axes.size()), position, count, id,
-                          set.weight.empty() ? std::nullopt : std::optional<std::span<const double>>(weight));
-        !status)
-      return status;
-    files.push_back(path);
+  for (std::size_t p = 0; p < names.size(); ++p) {
+    const auto rows = std::span(row).subspan(begin[p], begin[p + 1] - begin[p]);
+    if (Status status = write_part(set, rows, join_path(directory, names[p]), beside); !status) return status;
   }
   return {};
 }

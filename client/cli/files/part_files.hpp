@@ -4,9 +4,8 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
-
-#include <nlohmann/json.hpp>
 
 #include "client/cli/files/fetched.hpp"
 #include "common/base/status.hpp"
@@ -31,7 +30,12 @@ class LeftoverFiles {
   std::vector<std::string> paths_;
 };
 
-// Writes one CSV for each part and appends their paths to `files`. The directory must exist.
-Status write_part_files(const Fetched& set, int parts, const std::string& directory, nlohmann::ordered_json& files);
+// Columns that the part files have beside those of the service.
+struct Beside {
+  std::string names;                    // as in io::FurtherColumns
+  std::vector<std::string_view> cells;  // likewise, for each particle of the set; empty: none
+};
+// Writes one CSV for each part. The directory must exist.
+Status write_part_files(const Fetched& set, int parts, const std::string& directory, const Beside& beside = {});
 
 }  // namespace rcb::cli

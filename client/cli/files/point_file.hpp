@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <utility>
@@ -39,15 +40,27 @@ void add_column_options(CLI::App& command, FileOptions& options);
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
 io::ReadOptions read_options(const FileOptions& options);
 
-// The only frame of a point file or trajectory. Errors: those of io; invalid_argument if there are more frames.
+// What io must know to read it. Ctrl-C ends the reading.
+io::ReadOptions read_options(const FileOptions& options);
+// The only frame of a point file or trajectory. Errors: those of io; invalid_argument if there are more frames;
+// interrupted.
 Result<io::Points> read_single(const FileOptions& options);
 // Refuses an option whose file is one of those that are read.
 Status check_not_overwritten(const char* option, const std::string& written, std::span<const std::string> read);
 // Refuses two options, given with the files that they write, if both write one.
 Status check_written_once(const std::pair<const char*, std::string>& one,
                           const std::pair<const char*, std::string>& other);
-// The rows in ascending order of their ids.
+// The rows in ascending order of their ids; all as they are, where there are none.
 std::vector<std::size_t> rows_by_id(const io::Points& points);
+// Row numbers of a file whose points the service has, in ascending order of their ids; `count`: how many it has. Errors
+// also: aborted, if the file has another number.
+Result<std::vector<std::size_t>> rows_of_ids(const FileOptions& options, std::size_t count);
+Status changed_meanwhile(const FileOptions& options);
+
+// Remarks on stderr. The first: where there are more parts than particles, so that some have none.
+void note_empty_parts(std::uint64_t particles, int parts);
+// report: of a step or scene. If some weights are so small beside the greatest that they count as 0.
+void note_lost_weights(const Json& report);
 client::Positions positions_of(const io::Points& points);
 // "FILE" or "FILE.h5:/path", absolute.
 std::string absolute_path(const std::string& path);
@@ -75,6 +88,8 @@ struct LoadedScene {
   TemporaryScene scene;
   Json report;              // of its first step
   double read_seconds = 0;  // until the points were in memory, in the ranks or here
+  // Of a file that can be read only once: its rows in ascending order of their ids.
+  std::optional<std::vector<std::size_t>> rows;
 };
 
 // Loads the file as a scene of `session`. scene_arguments: those of scene.create except name and dims.

@@ -8,6 +8,8 @@
 namespace rcb::cli {
 
 void Curve::add(const client::StepReport& report) {
+  if (line_.empty()) first_step_ = report.step;
+  last_step_ = report.step;
   const Point after{report.step, report.error};
   const Point before{report.step, report.error_before.value_or(report.error)};
   if (report.repartitioned && report.error_before) dots_.push_back(before);

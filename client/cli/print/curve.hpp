@@ -22,6 +22,9 @@ class Curve {
   // In the order of the steps.
   void add(const client::StepReport& report);
   bool empty() const { return line_.empty(); }
+  bool one_step() const { return line_.size() == 1 && steps_in_last_ == 1; }
+  std::int64_t first_step() const { return first_step_; }
+  std::int64_t last_step() const { return last_step_; }
   double largest() const;  // error; 0 if there is none
   bool repartitioned() const { return !dots_.empty(); }
   // Data for gnuplot, one point a line. line_data: for each step the error before and after its repartition, which
@@ -44,6 +47,8 @@ class Curve {
   std::vector<Point> dots_;
   std::uint64_t steps_per_stretch_ = 1;  // steps in a full stretch
   std::uint64_t steps_in_last_ = 0;      // steps in the last stretch so far
+  std::int64_t first_step_ = 0;
+  std::int64_t last_step_ = 0;
 };
 
 }  // namespace rcb::cli

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <utility>
 
 #include <fmt/format.h>
 #include <poll.h>
@@ -20,6 +21,9 @@ using Json = nlohmann::ordered_json;
 
 constexpr double kProgressSeconds = 0.1;
 constexpr std::uint64_t kBarCells = 24;
+constexpr const char* kClearLine = "\r\033[K";
+
+Progress* g_progress = nullptr;  // the newest one
 
 bool colours() {
   const char* off = std::getenv("NO_COLOR");
@@ -115,14 +119,21 @@ std::string text_of(const Json& object, const char* field) {
 
 std::string warning(const std::string& text) { return colours() ? "\033[31m" + text + "\033[0m" : text; }
 
-void print_line(const std::string& line) { put(stdout, line + "\n"); }
+void print_line(const std::string& line) {
+  Progress::make_way();
+  put(stdout, line + "\n");
+}
 
 void print_json(const Json& document) {
+  Progress::make_way();
   put(stdout, document.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 // Control characters are escaped, since the text may come from a service, a file or a log.
-void note(const std::string& text) { put(stderr, "rcbctl: " + escape_controls(text, "\n\t") + "\n"); }
+void note(const std::string& text) {
+  Progress::make_way();
+  put(stderr, "rcbctl: " + escape_controls(text, "\n\t") + "\n");
+}
 
 int print_failure(const Status& status, bool json) {
   const int code = exit_code(status.code());
@@ -152,29 +163,67 @@ Status flush_output() {
           error == EBADF ? "it is closed" : "is there room where it goes?"};
 }
 
-Progress::Progress(std::string title) : title_(std::move(title)), terminal_(isatty(STDERR_FILENO) != 0) {}
+Progress::Progress(const std::string& title)
+    : title_(escape_controls(title)),
+      outer_(std::exchange(g_progress, this)),
+      terminal_(isatty(STDERR_FILENO) != 0),
+      text_(title_),
+      since_(SteadyClock().seconds()) {}
+
+Progress::~Progress() {
+  clear();
+  g_progress = outer_;
+}
+
+void Progress::put_line(const std::string& text) {
+  drawn_ = SteadyClock().seconds();
+  shown_ = true;
+  put(stderr, kClearLine + text);
+  std::fflush(stderr);
+}
 
 void Progress::show(const std::string& text) {
   if (!terminal_) return;
+  text_ = text;
+  since_ = SteadyClock().seconds();
+  if (!shown_ || since_ - drawn_ >= kProgressSeconds) put_line(text);
+}
+
+void Progress::tick() {
+  if (g_progress == nullptr || !g_progress->terminal_ || g_progress->text_.empty()) return;
   const double now = SteadyClock().seconds();
-  if (shown_ && now - last_ < kProgressSeconds) return;
-  last_ = now;
-  shown_ = true;
-  put(stderr, "\r\033[K" + text);
-  std::fflush(stderr);
+  const double stood = now - g_progress->since_;
+  if (stood >= 1 && now - g_progress->drawn_ >= kProgressSeconds)
+    g_progress->put_line(fmt::format("{} ({:.0f} s)", g_progress->text_, std::floor(stood)));
+}
+
+bool Progress::any() { return g_progress != nullptr; }
+
+void Progress::make_way() {
+  if (g_progress != nullptr) g_progress->clear_line();
+}
+
+void Progress::stage(const std::string& what) {
+  clear();
+  show(fmt::format("{}: {} ...", title_, escape_controls(what)));
 }
 
 void Progress::seconds(double waited) { show(fmt::format("{} ... {:.0f} s", title_, waited)); }
 
 void Progress::at(std::uint64_t done, std::uint64_t total, const std::string& remark) {
-  const std::uint64_t full = total == 0 ? kBarCells : std::min(kBarCells, done * kBarCells / total);
+  if (total == 0) return show(fmt::format("{}: {} {}", title_, done, remark));
+  const std::uint64_t full = std::min(kBarCells, done * kBarCells / total);
   show(fmt::format("{} [{}{}] {}/{} {}", title_, std::string(full, '#'), std::string(kBarCells - full, '.'), done,
                    total, remark));
 }
 
 void Progress::clear() {
-  if (shown_) put(stderr, "\r\033[K");
-  shown_ = false;
+  clear_line();
+  text_.clear();
+}
+
+void Progress::clear_line() {
+  if (std::exchange(shown_, false)) put(stderr, kClearLine);
 }
 
 }  // namespace rcb::cli

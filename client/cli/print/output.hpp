@@ -71,24 +71,38 @@ bool reader_gone();
 // Whether it did so before everything was written.
 bool output_cut_off();
 
-// A progress line that overwrites itself, if stderr is a terminal; else nothing.
+// A progress line that overwrites itself, if stderr is a terminal; else nothing. What else is written meanwhile
+// takes its place.
 class Progress {
  public:
-  explicit Progress(std::string title);
-  ~Progress() { clear(); }
+  explicit Progress(const std::string& title);
+  ~Progress();
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
+  // What is being done now, shown at once.
+  void stage(const std::string& what);
   void seconds(double waited);
+  // total: 0 if it isn't known.
   void at(std::uint64_t done, std::uint64_t total, const std::string& remark);
   void clear();
+  // To be called while the program waits: once the newest text has stood for a second, shows it, and for how long.
+  static void tick();
+  static bool any();
+  // Before anything else is written, which may go to the same terminal.
+  static void make_way();
 
  private:
   void show(const std::string& text);
+  void put_line(const std::string& text);
+  void clear_line();
 
   std::string title_;
+  Progress* outer_;  // the one before this one
   bool terminal_;
   bool shown_ = false;
-  double last_ = 0;
+  std::string text_;  // what is being done; at first the title
+  double since_;      // since when
+  double drawn_ = 0;  // when the line was last drawn
 };
 
 }  // namespace rcb::cli

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <cerrno>
 #include <cstring>
+#include <limits>
 #include <numeric>
 #include <set>
 #include <utility>
@@ -53,8 +55,10 @@ std::string plot_of(const std::vector<Curve>& curves, const std::vector<std::siz
   std::set<double> tolerances;
   bool dots = false;
   for (const std::size_t c : shown) {
-    plots += fmt::format("{}$line{} using 1:2 with lines linewidth 1.8 linecolor '{}' title '{}'",
-                         plots.empty() ? "plot " : ", ", c, kColours[c % kColours.size()], title_of(curves[c]));
+    // A line of one point would not be seen.
+    plots += fmt::format("{}$line{} using 1:2 with {} linecolor '{}' title '{}'", plots.empty() ? "plot " : ", ", c,
+                         curves[c].one_step() ? "points pointtype 7" : "lines linewidth 1.8",
+                         kColours[c % kColours.size()], title_of(curves[c]));
     if (curves[c].tolerance) tolerances.insert(*curves[c].tolerance);
   }
   for (const double tolerance : tolerances)
@@ -74,14 +78,42 @@ std::vector<std::size_t> low_curves(const std::vector<Curve>& curves) {
   for (const Curve& curve : curves) most = std::max(most, curve.largest());
   std::vector<std::size_t> low;
   for (std::size_t c = 0; c < curves.size(); ++c)
-    if (!curves[c].empty() && curves[c].largest() < kLow * most) low.push_back(c);
+    if (!curves[c].empty() && !curves[c].one_step() && curves[c].largest() > 0 && curves[c].largest() < kLow * most)
+      low.push_back(c);
   return low;
 }
 
-std::string script(const std::vector<Curve>& curves) {
+// Steps are whole numbers, so no tick stands between two of them; and a single step needs an axis around it.
+std::string step_axis(const std::vector<Curve>& curves) {
+  constexpr std::int64_t kTicksMax = 10;  // up to so many steps each has one
+  std::int64_t first = std::numeric_limits<std::int64_t>::max();
+  std::int64_t last = 0;
+  for (const Curve& curve : curves) {
+    if (curve.empty()) continue;
+    first = std::min(first, curve.first_step());
+    last = std::max(last, curve.last_step());
+  }
+  if (first == last) return fmt::format("set xtics ({})\nset xrange [{}:{}]\n", first, first - 1, last + 1);
+  return last - first > kTicksMax ? "" : "set xtics 1\n";
+}
+
+bool is_png(const std::string& path) {
+  constexpr std::string_view kEnding = ".png";
+  return path.size() > kEnding.size() &&
+         std::ranges::equal(std::string_view(path).substr(path.size() - kEnding.size()), kEnding,
+                            [](char a, char b) { return std::tolower(static_cast<unsigned char>(a)) == b; });
+}
+
+std::string terminal(const std::string& path, int height) {
+  if (is_png(path))
+    return fmt::format("set terminal pngcairo size 900,{} noenhanced font 'sans-serif,11' background '#ffffff'\n",
+                       height);
+  return fmt::format("set terminal svg size 900,{} noenhanced font 'sans-serif,14' background '#ffffff'\n", height);
+}
+
+std::string script(const std::string& path, const std::vector<Curve>& curves) {
   const std::vector<std::size_t> low = low_curves(curves);
-  std::string text = fmt::format("set terminal svg size 900,{} noenhanced font 'sans-serif,14' background '#ffffff'\n",
-                                 low.empty() ? 480 : 760) +
+  std::string text = terminal(path, low.empty() ? 480 : 760) +
                      "set border 3 linecolor '#444444'\n"
                      "set tics out nomirror textcolor '#222222'\n"
                      "set grid ytics linecolor '#dddddd' linetype 1 linewidth 0.5\n"
@@ -90,7 +122,8 @@ std::string script(const std::vector<Curve>& curves) {
                      "set ylabel 'largest error of a part'\n"
                      "set yrange [0:*]\n"
                      "set autoscale xfix\n"
-                     "set offsets 0, graph 0.01, graph 0.05, 0\n";
+                     "set offsets 0, graph 0.01, graph 0.05, 0\n" +
+                     step_axis(curves);
   std::vector<std::size_t> all(curves.size());
   std::iota(all.begin(), all.end(), std::size_t{0});
   for (const std::size_t c : all) {
@@ -136,7 +169,7 @@ Result<std::string> run_gnuplot(const std::string& commands) {
 Status plot_history(const std::string& path, const std::vector<Curve>& curves) {
   if (std::all_of(curves.begin(), curves.end(), [](const Curve& curve) { return curve.empty(); }))
     return {Code::invalid_argument, "there are no steps to plot yet", "push positions first"};
-  const auto figure = run_gnuplot(script(curves));
+  const auto figure = run_gnuplot(script(path, curves));
   if (!figure) return figure.status();
   return io::write_file(path, *figure);
 }

@@ -9,8 +9,8 @@
 
 namespace rcb::cli {
 
-// Writes an SVG to `path`, under another name first, then renamed. Errors: not_found without gnuplot, io_error,
-// deadline_exceeded.
+// Writes an SVG, or a PNG if `path` ends in .png, under another name first, then renamed. Errors: not_found without
+// gnuplot, io_error, deadline_exceeded.
 Status plot_history(const std::string& path, const std::vector<Curve>& curves);
 
 }  // namespace rcb::cli

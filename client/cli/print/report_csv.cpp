@@ -14,7 +14,7 @@ constexpr std::initializer_list<const char*> kColumns = {
     "reason",  "axes_flipped", "drifted", "moved",      "migrated",     "inserted", "removed",   "first_id",
     "scanned", "searched",     "rounds",  "reductions", "skipped",      "bytes"};
 // After the seconds: these fields were added last, and columns keep their places.
-constexpr std::initializer_list<const char*> kLastColumns = {"parts", "scene_recreated", "way"};
+constexpr std::initializer_list<const char*> kLastColumns = {"parts", "scene_recreated", "way", "weights_as_zero"};
 constexpr std::initializer_list<const char*> kSeconds = {"receive", "exchange", "search", "migrate", "total"};
 
 std::string csv_quoted(const std::string& text) {

@@ -46,6 +46,7 @@ constexpr std::size_t kTransferMax = 4U << 20U;        // bytes asked of the ker
 constexpr std::uint64_t kGrowthBytesMax = 64U << 20U;  // memory reserved before its bytes have come
 constexpr std::size_t kInboxMax = 64;                  // frames received that nobody has read yet
 constexpr int kPollRoundsMax = 64;
+constexpr double kAskSeconds = 0.1;  // between questions whether to go on waiting
 
 bool no_descriptors(const error_code& error) {
   return error == asio::error::no_descriptors || error == boost::system::errc::too_many_files_open_in_system;
@@ -84,6 +85,7 @@ struct Connection::State {
   Socket socket{io};
   Endpoint endpoint;
   NoticeHandler on_notice;
+  WaitHandler on_wait;
   std::deque<Frame> inbox;
   Status standing;                   // why no more frames can come; ok while the connection stands
   std::unique_ptr<tls::Stream> tls;  // none: not encrypted
@@ -115,10 +117,26 @@ struct Connection::State {
     return true;
   }
 
+  // The same, but asks the caller from time to time whether to go on. If not, the connection is lost.
+  template <typename Done>
+  bool run_and_ask(const Done& done, const Deadline& deadline) {
+    while (on_wait && standing.ok() && deadline.left_seconds() > kAskSeconds) {
+      if (run(done, deadline.within(kAskSeconds))) return true;
+      if (!on_wait()) return interrupt();
+    }
+    return run(done, deadline);
+  }
+  bool interrupt() {
+    if (standing.ok())
+      standing = Status(Code::interrupted,
+                        fmt::format("interrupted; what {} was asked for may still be done", endpoint.text()));
+    return lose(standing);
+  }
+
   // Runs handlers until one of them has set the outcome. False: it hasn't in time, and the socket is closed.
   bool await(const std::optional<error_code>& outcome, const Deadline& deadline) {
     const auto ended = [&] { return outcome.has_value(); };
-    if (run(ended, deadline)) return true;
+    if (run_and_ask(ended, deadline)) return true;
     error_code ignored;
     socket.close(ignored);
     run(ended, Deadline(1));  // the cancelled handler refers to `outcome`
@@ -160,6 +178,7 @@ Result<bool> Connection::State::connect(const Address& address, const Deadline& 
     if (error != asio::error::not_connected) return true;
     if (deadline.left_seconds() <= 0) break;
   }
+  if (!standing) return standing;
   return Status(Code::deadline_exceeded, fmt::format("{} did not take the connection in time", endpoint.text()));
 }
 
@@ -207,6 +226,7 @@ Status Connection::State::encrypt(const Deadline& deadline) {
   while (progress.next == tls::Next::wait_readable || progress.next == tls::Next::wait_writable) {
     if (!wait_for(progress.next, deadline)) {
       tls->end();
+      if (!standing) return standing;
       return {deadline.left_seconds() <= 0 ? Code::deadline_exceeded : Code::unavailable,
               fmt::format("{} takes connections but doesn't begin TLS", endpoint.text()),
               "the service may be stopped or busy; see its log"};
@@ -347,7 +367,7 @@ Connection::Connection(std::unique_ptr<State> state) : state_(std::move(state)) 
 Connection::~Connection() = default;
 
 Result<std::unique_ptr<Connection>> Connection::open(const Endpoint& endpoint, const Deadline& deadline,
-                                                     NoticeHandler on_notice) {
+                                                     NoticeHandler on_notice, WaitHandler on_wait) {
   std::unique_ptr<State> state;
   try {
     state = std::make_unique<State>();
@@ -357,6 +377,7 @@ Result<std::unique_ptr<Connection>> Connection::open(const Endpoint& endpoint, c
   }
   state->endpoint = endpoint;
   state->on_notice = std::move(on_notice);
+  state->on_wait = std::move(on_wait);
   if (Status status = state->open(deadline); !status) return status;
   return std::unique_ptr<Connection>(new Connection(std::move(state)));
 }
@@ -377,7 +398,7 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
     asio::async_write(s.socket, buffers, TransferLarge{},
                       [&outcome](const error_code& error, std::size_t) { outcome = error; });
   const auto written = [&] { return outcome.has_value(); };
-  if (!s.run(written, deadline)) {
+  if (!s.run_and_ask(written, deadline)) {
     s.lose(Code::deadline_exceeded, "it did not take what was sent in time");
     s.run(written, Deadline(1));
     CHECK(outcome.has_value(), "a closed socket still writes");
@@ -398,7 +419,7 @@ Status Connection::write(const std::string& frames, const Deadline& deadline) {
 Result<Frame> Connection::read(const Deadline& deadline) {
   State& s = *state_;
   s.start_reading();
-  if (!s.run([&] { return !s.inbox.empty() || !s.standing; }, deadline))
+  if (!s.run_and_ask([&] { return !s.inbox.empty() || !s.standing; }, deadline))
     s.lose(Code::deadline_exceeded, "no answer in time");
   if (s.inbox.empty()) return s.standing;
   Frame frame = std::move(s.inbox.front());
@@ -409,7 +430,7 @@ Result<Frame> Connection::read(const Deadline& deadline) {
 bool Connection::await_frame(const Deadline& deadline) {
   State& s = *state_;
   s.start_reading();
-  return s.run([&] { return !s.inbox.empty() || !s.standing; }, deadline);
+  return s.run_and_ask([&] { return !s.inbox.empty() || !s.standing; }, deadline);
 }
 
 bool Connection::has_frame() {

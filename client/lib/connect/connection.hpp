@@ -70,6 +70,7 @@ struct Frame {
 
 using Bytes = std::span<const std::byte>;
 using NoticeHandler = std::function<void(const std::string&)>;
+using WaitHandler = std::function<bool()>;  // ConnectOptions::on_wait
 
 // The hint of an `unavailable` whose cause is this process's own limit for open files.
 inline constexpr const char* kDescriptorsHint = "close files, or raise the limit: ulimit -n";
@@ -77,8 +78,9 @@ inline constexpr const char* kDescriptorsHint = "close files, or raise the limit
 class Connection {
  public:
   // Nothing is said yet. Errors: unavailable, deadline_exceeded, not_authorised (another user serves the socket).
+  // Each wait also ends when `on_wait` says so, with the error `interrupted`; the connection is lost then.
   static Result<std::unique_ptr<Connection>> open(const Endpoint& endpoint, const Deadline& deadline,
-                                                  NoticeHandler on_notice);
+                                                  NoticeHandler on_notice, WaitHandler on_wait);
   ~Connection();
 
   // Whether it leads to an address of TCP that isn't loopback, hence perhaps to another machine.

@@ -117,10 +117,13 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
 
 Status Client::drop_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
-  state_->created.erase(name);
   const auto dropped =
       state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault);
-  if (dropped) state_->begin_run(name, {});
+  const Code code = dropped.status().code();
+  if (dropped)
+    state_->begin_run(name, {});
+  else if (code == Code::unavailable || code == Code::deadline_exceeded || code == Code::interrupted)
+    state_->created.erase(name);  // it may be dropped: then it isn't to be made anew
   return dropped.status();
 }
 

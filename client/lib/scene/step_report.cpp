@@ -60,6 +60,7 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("rounds", report.rounds);
   reader.count("reductions", report.reductions);
   if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));
+  reader.count("weights_as_zero", report.weights_as_zero);
   reader.count("bytes", report.bytes);
   if (json.contains("way")) reader.text("way", report.way);
   if (const auto skipped = json.find("skipped"); skipped != json.end() && skipped->is_array())

@@ -152,6 +152,9 @@ void Session::tell_of_stop() {
 
 Status Session::wait(Retry& retry, const Status& why, const std::string& what) const {
   if (!options_.outlive && retry.failures() > 0) return why;
+  if (why.code() == Code::interrupted) return why;
+  if (options_.on_wait && !options_.on_wait())
+    return {Code::interrupted, fmt::format("interrupted; {} was not waited for", what)};
   if (retry.wait(what, options_.on_notice)) return {};
   return {why.code(), fmt::format("{}; {}", why.message(), retry.tried()), why.hint()};
 }
@@ -200,7 +203,7 @@ Status Session::connect(const Deadline& deadline) {
 }
 
 Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
-  auto connection = Connection::open(endpoint, deadline, options_.on_notice);
+  auto connection = Connection::open(endpoint, deadline, options_.on_notice, options_.on_wait);
   if (!connection) return connection.status();
   connection_ = std::move(*connection);
   process_ = ::getpid();
@@ -249,7 +252,7 @@ Result<wire::Json> Session::greet(std::unique_ptr<Connection>& link, const Endpo
     const Code code = reply.status().code();
     const bool refused = code == Code::not_authorised || code == Code::protocol_error;
     if (!refused || attempt + 1 >= tokens.size()) return reply;
-    auto connection = Connection::open(endpoint, deadline, options_.on_notice);
+    auto connection = Connection::open(endpoint, deadline, options_.on_notice, options_.on_wait);
     if (!connection) return connection.status();
     link = std::move(*connection);
   }

@@ -33,7 +33,7 @@ Result<std::unique_ptr<Connection>> Session::open_link(std::size_t rank, const D
   // A listener on all interfaces is reached at the host where the endpoint was found.
   if (!endpoint->is_unix && (endpoint->host == "0.0.0.0" || endpoint->host == "::"))
     endpoint->host = endpoints_.front().host;
-  auto link = Connection::open(*endpoint, deadline, options_.on_notice);
+  auto link = Connection::open(*endpoint, deadline, options_.on_notice, options_.on_wait);
   Status status = link.status();
   if (status) status = greet(*link, *endpoint, fmt::format("rank {}", rank), deadline).status();
   if (status) return link;

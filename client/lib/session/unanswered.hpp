@@ -24,7 +24,8 @@ class UnansweredStep {
   bool begin(std::int64_t number) { return std::exchange(number_, number) == number; }
   // After the failure of a push; tried_before: as begin() said. A number that is refused as stale is another session's.
   void failed(Code code, bool tried_before) {
-    const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted;
+    const bool unknown = code == Code::unavailable || code == Code::deadline_exceeded || code == Code::aborted ||
+                         code == Code::interrupted;
     if (code == Code::stale_step || (!unknown && !tried_before)) answered();
   }
   void answered() {

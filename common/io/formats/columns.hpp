@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -30,8 +31,11 @@ struct ReadOptions {
   // Set when files are read for a client: only files below these, and no message shows what a file holds. Null:
   // whatever this process may read.
   const Roots* below = nullptr;
-  std::uint64_t bytes_max = 0;              // of all ranks' points together, or of a text file; 0: no limit
-  const std::atomic<bool>* stop = nullptr;  // set by another thread to end reading, with the error aborted; may be null
+  std::uint64_t bytes_max = 0;  // of all ranks' points together, or of a text file; 0: no limit
+  // Set by another thread, or a signal handler, to end reading, with the error aborted; may be null.
+  const std::atomic<bool>* stop = nullptr;
+  // Called a few times a second while a FIFO or standard input gives nothing, with the seconds waited; may be empty.
+  std::function<void(double)> on_wait = {};
 };
 
 struct Points {
@@ -40,6 +44,7 @@ struct Points {
   std::vector<std::vector<double>> position;  // [dims][count]
   std::vector<std::int64_t> id;               // [count]; empty: ids by row
   std::vector<double> weight;                 // [count] or empty
+  std::optional<std::int64_t> timestep;       // of the program that wrote the frame, where the file says it
   FileVersion file;                           // all slices of a set must be of one file in one state
 };
 

@@ -9,7 +9,7 @@
 namespace rcb::io {
 namespace {
 
-using FieldList = std::vector<std::string_view>;
+using Words = std::vector<std::string_view>;
 
 // They make a sentence of a comment.
 constexpr auto kSentenceWords = std::to_array<std::string_view>(
@@ -43,7 +43,7 @@ bool breaks_names(std::string_view word) {
 }
 
 bool looks_like_a_name(std::string_view field) {
-  const FieldList words = split_fields(field, kBlankSeparator);
+  const Words words = split_fields(field, kBlankSeparator);
   return std::any_of(words.begin(), words.end(), [](std::string_view word) {
     const bool letters = std::all_of(word.begin(), word.end(), is_letter);
     return (letters && word.size() <= 2) || is_one_of(kQuantities, word) ||
@@ -63,14 +63,14 @@ std::string_view body_of(std::string_view line) {
 }
 
 struct Reading {
-  FieldList fields;
+  Words fields;
   bool listed;  // whether it is a list of words with commas, semicolons or tabs between, or in quotes
 };
 
 // The comment as so many fields, if it can be read so.
 std::optional<Reading> read_as(std::string_view text, std::size_t column_count) {
   for (const char separator : {separator_of(text), '\t', kBlankSeparator}) {
-    FieldList fields = split_fields(text, separator);
+    Words fields = split_fields(text, separator);
     if (fields.size() != column_count) std::erase_if(fields, is_unit);
     if (fields.size() != column_count) continue;
     const auto is_word = [](std::string_view field) { return split_fields(field, kBlankSeparator).size() == 1; };
@@ -92,20 +92,20 @@ std::optional<Reading> read_comment(std::string_view line, std::size_t column_co
   return read_as(body, column_count);
 }
 
-bool can_be_names(const FieldList& fields) {
+bool can_be_names(const Words& fields) {
   return std::none_of(fields.begin(), fields.end(), [](std::string_view field) {
-    const FieldList words = split_fields(field, kBlankSeparator);
+    const Words words = split_fields(field, kBlankSeparator);
     return number_in(field) || words.empty() || std::any_of(words.begin(), words.end(), breaks_names);
   });
 }
 
-bool names_x(const FieldList& fields) {
+bool names_x(const Words& fields) {
   constexpr std::array<std::string_view, 3> kX{"x", "points:0", "points_0"};
   return std::any_of(fields.begin(), fields.end(),
                      [&](std::string_view field) { return is_one_of(kX, plain_name(field)); });
 }
 
-bool names_asked(const FieldList& fields, const ReadOptions& options) {
+bool names_asked(const Words& fields, const ReadOptions& options) {
   std::vector<std::string> asked(options.columns);
   asked.insert(asked.end(), {options.ids, options.weights});
   return std::any_of(fields.begin(), fields.end(), [&](std::string_view field) {

@@ -117,6 +117,13 @@ std::optional<double> number_in(std::string_view field) {
   return value;
 }
 
+std::optional<std::uint64_t> lone_count(std::string_view line) {
+  std::uint64_t count = 0;
+  const auto [end, error] = std::from_chars(line.data(), line.data() + line.size(), count);
+  if (line.empty() || error != std::errc{} || end != line.data() + line.size()) return std::nullopt;
+  return count;
+}
+
 std::optional<std::int64_t> id_in(std::string_view field) {
   field = unquoted(field);
   if (!field.empty() && field.front() == '+') field.remove_prefix(1);

@@ -31,7 +31,6 @@ struct Magic {
 };
 
 constexpr std::array kMagics{
-    Magic{0, "\x1F\x8B"sv, {"compressed by gzip", kUnpack}},
     Magic{0, "BZh"sv, {"compressed by bzip2", kUnpack}},
     Magic{0,
           "\xFD"
@@ -47,10 +46,6 @@ constexpr std::array kMagics{
     Magic{0, "\xD0\xCF\x11\xE0"sv, {"an Excel workbook", "save the sheet as CSV"}},
     Magic{0, "# vtk DataFile"sv, {"a legacy VTK file", kVtkAsCsv}},
     Magic{0, "<VTKFile"sv, {"a VTK XML file", kVtkAsCsv}},
-    Magic{0,
-          "ITEM: "sv,
-          {"a LAMMPS dump",
-           "let LAMMPS write XYZ, a file a step: dump 1 all xyz 100 step.*.xyz; rcbctl replay takes them all"}},
     Magic{0, "ply\n"sv, {"a PLY file", kAsCsv}},
     Magic{0, "ply\r"sv, {"a PLY file", kAsCsv}},
     Magic{0, "# .PCD"sv, {"a PCD point cloud", kAsCsv}},
@@ -116,7 +111,7 @@ std::optional<Format> format_of(std::string_view head) {
   if (head.find('\n') == std::string_view::npos && head.substr(0, head.size() - 1).find('\r') != std::string_view::npos)
     return Format{"text whose lines end in a carriage return alone", "save it with the line ends of Unix or Windows"};
   if (head.substr(0, head.find('\n')).find('\0') != std::string_view::npos)
-    return Format{"no text", "what is read: CSV and other text, XYZ, .npy, HDF5"};
+    return Format{"no text", "what is read: CSV and other text, XYZ, LAMMPS dumps, .npy, HDF5"};
   return std::nullopt;
 }
 

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "common/base/buffer.hpp"
+#include "common/io/formats/fields.hpp"
 
 namespace rcb::io {
 namespace {
@@ -109,7 +110,7 @@ Status check_row_count(const InputFile& file, const TextLayout& layout, const Wi
       return Status(Code::invalid_argument,
                     fmt::format("{}:{}: more rows than the {} of the count line", file.path(), *line,
                                 options.below == nullptr ? std::to_string(*layout.row_count) : "number"),
-                    "a file of several frames isn't read: write one file a frame");
+                    "is the first line right? A file of several frames is a trajectory, for rcbctl replay");
     }
   }
   if (rows == *layout.row_count) return {};
@@ -144,6 +145,20 @@ Status duplicate_id(const InputFile& file, const TextLayout& layout, const Windo
 }
 
 }  // namespace
+
+Result<TextLayout> text_layout_of(const InputFile& file, const ReadOptions& options) {
+  Window window;
+  return find_layout(file, options, window);
+}
+
+Status visit_fields(const InputFile& file, const TextLayout& layout,
+                    const std::function<void(const std::vector<std::string_view>&)>& visit) {
+  Window window;
+  if (Status read = load(file, 0, file.size(), window); !read.ok()) return read;
+  std::size_t at = layout.data_begin;
+  while (const auto row = next_row(window.text(), at)) visit(split_fields(*row, layout.separator));
+  return {};
+}
 
 Result<Points> read_text(const InputFile& file, const ReadOptions& options, int k, int of) {
   Window window;

@@ -9,9 +9,11 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "common/base/status.hpp"
@@ -44,6 +46,11 @@ std::optional<std::string_view> parse_rows(std::string_view text, const TextLayo
 // Why parse_rows refused that row; line: its number in the file.
 Status row_fault(const std::string& file, std::uint64_t line, std::string_view row, const TextLayout& layout,
                  const ReadOptions& options);
+
+Result<TextLayout> text_layout_of(const InputFile& file, const ReadOptions& options);
+// Calls visit(fields) for each row of the file, with all its fields, in the file's order.
+Status visit_fields(const InputFile& file, const TextLayout& layout,
+                    const std::function<void(const std::vector<std::string_view>&)>& visit);
 
 Result<Points> read_text(const InputFile& file, const ReadOptions& options, int k, int of);
 

@@ -1,7 +1,6 @@
 // The layout of a text file, from its first lines: separator, header, columns, XYZ.
 #include <algorithm>
 #include <array>
-#include <charconv>
 
 #include <fmt/format.h>
 
@@ -11,8 +10,6 @@
 
 namespace rcb::io {
 namespace {
-
-constexpr std::string_view kByteOrderMark = "\xEF\xBB\xBF";
 
 // next() returns the trimmed line at `at` and moves `at` behind it; nullopt if the line isn't complete. whole: true if
 // `text` ends where the file does.
@@ -30,13 +27,9 @@ struct Lines {
   }
 };
 
-bool is_xyz_name(const std::string& file) { return lowered(file).ends_with(".xyz"); }
-
-std::optional<std::uint64_t> lone_count(std::string_view line) {
-  std::uint64_t count = 0;
-  const auto [end, error] = std::from_chars(line.data(), line.data() + line.size(), count);
-  if (line.empty() || error != std::errc{} || end != line.data() + line.size()) return std::nullopt;
-  return count;
+bool is_xyz_name(const std::string& file) {
+  const std::string name = lowered(file);
+  return name.ends_with(".xyz") || name.ends_with(".xyz.gz");
 }
 
 // "Properties=species:S:1:pos:R:3" of an extended XYZ comment, as column names; empty where they can't be read.

@@ -152,10 +152,15 @@ LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& par
   LoadSummary summary;
   summary.weighted = true;
   summary.scale_exponent = scale.exponent();
-  summary.loads.assign(count, u128{0});
-  for (std::size_t i = 0; i < particles.count; ++i)
-    summary.loads[static_cast<std::size_t>(part[i])] += scale(particles.weight[i]);
+  summary.loads.assign(count + 1, u128{0});  // the last one counts the weights that are too small
+  for (std::size_t i = 0; i < particles.count; ++i) {
+    const u128 weight = scale(particles.weight[i]);
+    summary.loads[static_cast<std::size_t>(part[i])] += weight;
+    if (weight == 0 && particles.weight[i] > 0) ++summary.loads[count];
+  }
   comm::all_sum_wide(comm, summary.loads);
+  summary.weights_as_zero = static_cast<std::uint64_t>(summary.loads[count]);
+  summary.loads.pop_back();
   summary.counts = std::move(counts);
   finish(summary, sizes);
   return summary;
@@ -183,6 +188,7 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
   LoadSummary summary;
   summary.weighted = before.weighted;
   summary.scale_exponent = before.scale_exponent;
+  summary.weights_as_zero = before.weights_as_zero;
   for (std::size_t p = 0; p < parts; ++p) {
     summary.counts.push_back(before.counts[p] + static_cast<std::uint64_t>(change[p] - change[parts + p]));
     summary.loads.push_back(before.weighted ? before.loads[p] + change[2 * parts + p] - change[3 * parts + p]

@@ -55,6 +55,8 @@ struct LoadSummary {
   std::vector<u128> loads;            // exact; equal to counts where nothing is weighted
   bool weighted = false;              // false where weights are absent, all equal or all zero
   int scale_exponent = 0;             // a load in the user's unit is loads[p] * 2^-scale_exponent
+  std::uint64_t weights_as_zero = 0;  // particles whose weight is above 0, but so far below the greatest that it counts
+                                      // as 0 in this scale
   double error = 0;                   // max |load*S - W*s| / (W*s), rounded once
   double imbalance = 1;               // max load*S / (W*s), rounded once
   std::vector<double> part_errors;    // likewise of each part

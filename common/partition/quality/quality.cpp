@@ -29,6 +29,8 @@ class Interfaces {
     std::array<bool, geometry::kDimsMax> hi{};
   };
 
+  // Sums stay finite, as a face does.
+  static void add(double& sum, double area) { sum = std::min(sum + area, std::numeric_limits<double>::max()); }
   double face(const Box& box, std::size_t axis) const {
     double area = 1;
     for (std::size_t a = 0; a < dims_; ++a)
@@ -38,7 +40,7 @@ class Interfaces {
   void visit(const NodeRange& range, const Box& box, const Sides& sides) {
     if (range.leaf()) {
       for (std::size_t a = 0; a < dims_; ++a)
-        out_.part_interface_area[at(range.first)] += face(box, a) * (static_cast<int>(sides.lo[a]) + sides.hi[a]);
+        add(out_.part_interface_area[at(range.first)], face(box, a) * (static_cast<int>(sides.lo[a]) + sides.hi[a]));
       return;
     }
     const Cut& cut = tree_.cuts[at(range.node)];
@@ -47,7 +49,7 @@ class Interfaces {
     // A cut outside the bounds leaves one side without a region.
     if (cut.right_empty || value > box.hi[axis]) return visit(range.left(), box, sides);
     if (value < box.lo[axis]) return visit(range.right(), box, sides);
-    *out_.interface_area += face(box, axis);
+    add(*out_.interface_area, face(box, axis));
     Box left = box;
     Box right = box;
     left.hi[axis] = right.lo[axis] = value;

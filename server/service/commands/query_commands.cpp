@@ -1,6 +1,7 @@
 // Queries: nothing here changes a scene.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <fmt/format.h>
 
@@ -80,10 +81,26 @@ Response owner(Context&, Scene& s, const wire::Json& request) {
   return response;
 }
 
+// A corner of a box: null, as `cuts` writes it, where the box has no bound.
+Result<geometry::Point> corner_field(const wire::Json& request, const char* name, int dims, double unbounded) {
+  wire::Json values = request.value(name, wire::Json());
+  std::vector<std::size_t> open;
+  for (std::size_t a = 0; values.is_array() && a < std::min<std::size_t>(values.size(), geometry::kDimsMax); ++a)
+    if (values[a].is_null()) {
+      open.push_back(a);
+      values[a] = 0;
+    }
+  auto point = point_field({{name, std::move(values)}}, name, dims);
+  if (!point.ok()) return point;
+  for (const std::size_t a : open) (*point)[a] = unbounded;
+  return point;
+}
+
 Response box(Context& context, Scene& s, const wire::Json& request) {
-  const auto lo = point_field(request, "lo", s.options.dims);
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  const auto lo = corner_field(request, "lo", s.options.dims, -kInfinity);
   if (!lo.ok()) return failed(lo.status());
-  const auto hi = point_field(request, "hi", s.options.dims);
+  const auto hi = corner_field(request, "hi", s.options.dims, kInfinity);
   if (!hi.ok()) return failed(hi.status());
   for (std::size_t a = 0; a < static_cast<std::size_t>(s.options.dims); ++a)
     if (lo.value()[a] > hi.value()[a])

@@ -143,6 +143,7 @@ Response describe_scene(Scene& scene) {
   response.json["hash"] = wire::hex64(scene.cuts_hash());
   response.json["rounds"] = scene.search_rounds;
   response.json["reductions"] = scene.search_reductions;
+  if (scene.loads.weights_as_zero > 0) response.json["weights_as_zero"] = scene.loads.weights_as_zero;
   put_loads(response, scene);
   return response;
 }

@@ -70,6 +70,7 @@ wire::Json to_json(const StepReport& report) {
                {"skipped", report.skipped.names()},
                {"way", api::name_of(report.way)}});
   if (report.first_id) json["first_id"] = *report.first_id;
+  if (report.weights_as_zero > 0) json["weights_as_zero"] = report.weights_as_zero;
   return json;
 }
 

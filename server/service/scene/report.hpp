@@ -74,6 +74,7 @@ struct StepReport : StepCounts {
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
   std::optional<std::int64_t> first_id;  // of the inserted particles, if the service chose their ids
+  std::uint64_t weights_as_zero = 0;     // particles whose weight is too far below the greatest one to count
   Skips skipped;
   api::Way way = api::Way::endpoint;
 };

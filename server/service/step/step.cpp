@@ -308,6 +308,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   report.epoch = scene.epoch;
   report.error = scene.loads.error;
   report.imbalance = scene.loads.imbalance;
+  report.weights_as_zero = scene.loads.weights_as_zero;
 
   PartChanges mine;
   const Drift& drift = staged.scan.drift;

@@ -41,14 +41,14 @@ double tolerance_of(const Json& json) {
 Status run_along(comm::Comm& comm, const std::string& plan_path, const std::string& rows_path) {
   const auto plan = load_peer_plan(plan_path);
   if (!comm::agree(comm, plan.ok())) return plan.status();
-  auto reader = io::open_trajectory(plan->trajectory.path, {});
-  if (!comm::agree(comm, reader.ok())) return reader.status();
   std::ofstream rows;
   if (comm.rank() == 0) rows.open(rows_path);
   for (const int parts : plan->parts)
     for (int repeat = 0; repeat < plan->repeats; ++repeat)
       for (std::size_t k = 0; k < plan->tolerances.size(); ++k) {
         const double tolerance = plan->tolerances[(k + static_cast<std::size_t>(repeat)) % plan->tolerances.size()];
+        const auto reader = io::open_trajectory(plan->trajectory.path, {});
+        if (!comm::agree(comm, reader.ok())) return reader.status();
         const auto run = drive_zoltan(comm, **reader, plan->trajectory, parts, tolerance);
         if (!comm::agree(comm, run.ok())) return run.status();
         if (comm.rank() == 0) rows << json_of(PeerRun{parts, tolerance, *run}) << std::endl;

@@ -63,18 +63,20 @@ Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, 
   auto reader = io::open_trajectory(trajectory.path, {});
   if (!reader) return reader.status();
   const SteadyClock clock;
-  const std::uint64_t frames = (*reader)->frames();
   DynamicRun run;
   double imbalance = 1;
-  for (std::uint64_t k = 0; k < frames; ++k) {
+  std::uint64_t frames = 0;
+  for (;; ++frames) {
     if (interrupted()) return Status(Code::aborted, "interrupted");
-    auto points = (*reader)->frame(k);
+    auto points = (*reader)->next();
     if (!points) return points.status();
+    if (!*points) break;
+    const std::uint64_t k = frames;
     const double balanced = trajectory.solver_seconds[k] / parts;
     client::StepOptions step;
     if (k > 0) step.step_seconds = balanced * imbalance;
     const double start = clock.seconds();
-    auto result = scene->step(positions_of(*points), step);
+    auto result = scene->step(positions_of(**points), step);
     const double waited = clock.seconds() - start;
     if (!result) return result.status();
     if (k > 0) {

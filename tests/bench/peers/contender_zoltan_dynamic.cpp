@@ -235,11 +235,13 @@ Result<DynamicRun> drive_zoltan(comm::Comm& comm, io::TrajectoryReader& reader, 
   DynamicRun run;
   Status status = drive.start(trajectory.points);
   double imbalance = 1;
-  const std::uint64_t frames = reader.frames();
-  for (std::uint64_t k = 0; k < frames; ++k) {
-    auto frame = status.ok() ? reader.frame(k) : Result<io::Points>(status);
+  std::uint64_t frames = 0;
+  for (;; ++frames) {
+    auto frame = status.ok() ? reader.next() : Result<std::optional<io::Points>>(status);
     if (!comm::agree(comm, frame.ok())) return frame.status();
-    status = k == 0 ? drive.first(*frame, run) : drive.step(*frame, run);
+    if (!*frame) break;
+    const std::uint64_t k = frames;
+    status = k == 0 ? drive.first(**frame, run) : drive.step(**frame, run);
     if (k > 0) run.seconds_lost += trajectory.solver_seconds[k] / parts * (imbalance - 1);
     imbalance = drive.imbalance();
   }

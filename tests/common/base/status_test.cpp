@@ -25,7 +25,7 @@ constexpr std::array kPromised{
     Promised{12, "unavailable", 3}, Promised{13, "deadline_exceeded", 5},
     Promised{14, "aborted", 1},     Promised{15, "io_error", 1},
     Promised{16, "unsupported", 1}, Promised{17, "internal", 1},
-    Promised{18, "usage", 2},
+    Promised{18, "usage", 2},       Promised{19, "interrupted", 130},
 };
 
 TEST(Status, NamesNumbersAndExitCodesAreThePromisedOnes) {

@@ -126,8 +126,11 @@ TEST(Npy, StructuredArrays) {
     const auto reader = open_trajectory(directory.write("t.npy", structured("(2, 3)", 6, big, 1)), {});
     ASSERT_TRUE(reader.ok()) << refusal(reader);
     EXPECT_EQ(reader.value()->frames(), 2U);
-    EXPECT_EQ(reader.value()->frame(1)->position, (std::vector<Column>{{3.5, 4.5, 5.5}, {1, -4, -5}}));
-    EXPECT_EQ(reader.value()->frame(1)->id, (std::vector<std::int64_t>{30, 40, 50}));
+    ASSERT_TRUE(reader.value()->next().ok());
+    const auto second = reader.value()->next();
+    ASSERT_TRUE(second.ok() && *second);
+    EXPECT_EQ((*second)->position, (std::vector<Column>{{3.5, 4.5, 5.5}, {1, -4, -5}}));
+    EXPECT_EQ((*second)->id, (std::vector<std::int64_t>{30, 40, 50}));
   }
 }
 
@@ -145,7 +148,7 @@ TEST(Npy, ColumnsAndIdsByNumber) {
     EXPECT_EQ(read_points(path, options({}, "3")).status().message(), path + ": 8.5 at index (1, 3) is not an id");
     const auto frame = open_trajectory(directory.write("t.npy", npy({1, 2, 2}, {1, 2, 3, 4}, kind)), options({}, "0"));
     ASSERT_TRUE(frame.ok()) << refusal(frame);
-    EXPECT_EQ(frame.value()->frame(0)->id, (std::vector<std::int64_t>{1, 3}));
+    EXPECT_EQ((*frame.value()->next())->id, (std::vector<std::int64_t>{1, 3}));
   }
   for (const double id : {-1.0, 0.5, 9007199254740992.0, 1e300, double(NAN)})
     EXPECT_TRUE(
@@ -271,16 +274,17 @@ TEST(Trajectory, FramesOfEveryKind) {
     const auto reader = open_trajectory(directory.write("t.npy", npy({5, 4, 3}, values, kind)), {});
     ASSERT_TRUE(reader.ok()) << refusal(reader);
     EXPECT_EQ(reader.value()->frames(), 5U);
-    EXPECT_EQ(reader.value()->dims(), 3);
     for (std::uint64_t k = 0; k < 5; ++k) {
-      const auto frame = reader.value()->frame(k);
-      ASSERT_TRUE(frame.ok()) << refusal(frame);
-      ASSERT_EQ(frame->count, 4U);
+      const auto next = reader.value()->next();
+      ASSERT_TRUE(next.ok() && *next) << refusal(next);
+      const Points& frame = **next;
+      ASSERT_EQ(frame.dims, 3);
+      ASSERT_EQ(frame.count, 4U);
       for (std::size_t i = 0; i < 4; ++i) {
-        for (std::size_t a = 0; a < 3; ++a) EXPECT_EQ(frame->position[a][i], values[(k * 4 + i) * 3 + a]);
+        for (std::size_t a = 0; a < 3; ++a) EXPECT_EQ(frame.position[a][i], values[(k * 4 + i) * 3 + a]);
       }
     }
-    EXPECT_FALSE(reader.value()->frame(5).ok());
+    EXPECT_FALSE(reader.value()->next()->has_value());
   }
 }
 
@@ -302,12 +306,10 @@ TEST(Trajectory, AnyOtherFileIsOneFrame) {
   const auto reader = open_trajectory(directory.write("p.csv", "x,y,id\n1,2,9\n"), {});
   ASSERT_TRUE(reader.ok());
   EXPECT_EQ(reader.value()->frames(), 1U);
-  for (int again = 0; again < 2; ++again) {
-    const auto frame = reader.value()->frame(0);
-    ASSERT_TRUE(frame.ok());
-    EXPECT_EQ(frame->id, std::vector<std::int64_t>{9});
-  }
-  EXPECT_FALSE(reader.value()->frame(1).ok());
+  const auto frame = reader.value()->next();
+  ASSERT_TRUE(frame.ok() && *frame);
+  EXPECT_EQ((*frame)->id, std::vector<std::int64_t>{9});
+  EXPECT_FALSE(reader.value()->next()->has_value());
   EXPECT_FALSE(open_trajectory(directory / "none.npy", {}).ok());
   EXPECT_EQ(open_trajectory(directory.write("q.npy", npy({4, 2}, std::vector<double>(8, 1), {})), {}).value()->frames(),
             1U);

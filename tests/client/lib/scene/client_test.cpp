@@ -458,6 +458,27 @@ TEST(Call, SilentServiceMeetsTheDeadlineAndTheNextCallConnectsAgain) {
   EXPECT_TRUE(client->call("status").ok());
 }
 
+// The caller, a program that was told to end for instance, is asked during every wait whether to go on.
+TEST(Call, EndsWhenItsCallerWaitsNoLonger) {
+  FakeService service([](Peer& peer, int number) {
+    if (number == 0 && peer.greet(1)) peer.receive();  // no answer to the command, and no welcome after that
+    peer.receive();
+  });
+  int asked = 0;
+  bool go_on = true;
+  ConnectOptions options{.endpoint = service.endpoint(), .deadline_seconds = 60};
+  options.on_wait = [&] { return ++asked < 3 || go_on; };
+  auto client = Client::connect(options);
+  ASSERT_TRUE(client.ok()) << client.status().message();
+  go_on = false;
+  for (const char* waited_for : {"an answer", "a connection"}) {
+    asked = 0;
+    const Status status = client->call("status", "{}", 60).status();
+    EXPECT_EQ(status.code(), Code::interrupted) << waited_for << ": " << status.message();
+    EXPECT_EQ(asked, 3);
+  }
+}
+
 TEST(Call, ReadsAreRepeatedOnALostConnectionAndOtherCommandsAreNot) {
   std::vector<std::string> sessions;
   FakeService service([&](Peer& peer, int number) {

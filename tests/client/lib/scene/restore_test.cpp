@@ -125,6 +125,38 @@ TEST(Restore, TheSceneIsMadeWithTheOptionsThatTheServiceSaidLast) {
             solver.notices.end());
 }
 
+// A drop that the service refuses leaves the scene as it was, also what is known of it.
+TEST(Restore, ASceneWhoseDropWasRefusedIsMadeAnew) {
+  std::vector<protocol::Json> created;
+  FakeService service([&](Peer& peer, int number) {
+    if (!peer.greet(1, "instance " + std::to_string(number))) return;
+    while (const auto request = peer.receive()) {
+      if (request->type == protocol::FrameType::goodbye) return;
+      const auto command = request->json["command"].get<std::string>();
+      if (number == 0 && command == "scene.open") return;  // the service dies
+      if (command == "scene.create") created.push_back(request->json);
+      if (command == "scene.drop")
+        peer.fail(*request, {Code::busy, "another client has it open"});
+      else if (command == "scene.open" && created.size() < 2)
+        peer.fail(*request, {Code::not_found, "no such scene"});
+      else
+        peer.reply(*request, {{"scene", "s"}, {"n", 0}, {"dims", 2}, {"parts", 7}, {"ranks", 1}, {"epoch", 0}});
+    }
+  });
+  {
+    auto client = Client::connect({.endpoint = service.endpoint()});
+    ASSERT_TRUE(client.ok());
+    ASSERT_TRUE(client->create_scene("s", {.parts = 7, .dims = 2}).ok());
+    EXPECT_EQ(client->drop_scene("s").code(), Code::busy);
+    const auto scene = client->open_scene("s");
+    EXPECT_TRUE(scene.ok()) << scene.status().message();
+  }
+  service.stop();
+  ASSERT_EQ(created.size(), 2U);
+  EXPECT_EQ(created[1]["parts"], 7);
+  EXPECT_EQ(created[1]["recreated"], true);
+}
+
 TEST(Restore, PartSizesThatCameAsAnArrayAreKept) {
   FakeScene fake = scene_that(Fault::die_before_commit, {1});
   fake.long_part_sizes = {5, 4, 3, 2, 1};

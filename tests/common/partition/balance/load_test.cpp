@@ -119,6 +119,28 @@ TEST(Load, NoParticles) {
   EXPECT_EQ(summary.targets, (std::vector<double>{0, 0}));
 }
 
+// Rule 6: a weight so far below the greatest that it counts as 0 is told, and so it stays when particles move.
+TEST(Load, SaysHowManyWeightsCountAsZero) {
+  on_ranks([](comm::Comm& comm) {
+    particles::ParticleSet set;
+    set.has_weights = true;
+    if (comm.rank() == 0) {
+      set.resize(5);
+      set.weight.assign(std::vector<double>{1e20, 0, 1e-10, 1e-18, 1e-300});  // 124 bits are left of the greatest
+      for (std::size_t i = 0; i < 5; ++i) set.id[i] = static_cast<particles::Id>(i);
+    }
+    const std::vector<std::int32_t> part(set.count(), 0);
+    const LoadSummary got = summarise_loads(comm, set.view(), part, {}, 2);
+    EXPECT_TRUE(got.weighted);
+    EXPECT_EQ(got.weights_as_zero, 2U);
+    std::vector<std::uint64_t> slot(set.count() > 0 ? 1 : 0, 2);
+    const std::vector<std::int32_t> to(slot.size(), 1);
+    const LoadSummary moved = moved_loads(comm, set.view(), got, part, slot, to, {});
+    EXPECT_EQ(moved.weights_as_zero, 2U);
+    EXPECT_GT(moved.loads[1], 0U);
+  });
+}
+
 TEST(Load, AgreesWithRationals) {
   for (int weights = 0; weights < testing::kWeights; ++weights)
     for (const bool sized : {false, true}) {

@@ -181,25 +181,28 @@ TEST(Quality, InterfaceOfAKnownBox) {
   });
 }
 
-// Two points at opposite ends of what a double holds: areas beyond it are the greatest there is, and no NaN.
+// Areas, and sums of areas, beyond what a double holds are the greatest there is, and no NaN or infinity.
 TEST(Quality, AreasBeyondADouble) {
-  on_ranks([](comm::Comm& comm) {
-    particles::ParticleSet set;
-    if (comm.rank() == 0) {
-      set.resize(2);
-      for (std::size_t i = 0; i < 2; ++i) {
-        for (std::size_t a = 0; a < 3; ++a) set.position[a][i] = i == 0 ? -1.7e308 : 1.7e308;
-        set.id[i] = static_cast<Id>(i);
+  for (const double far : {1.7e308, 6e153})  // of 6e153 each face fits, two together don't
+    on_ranks([far](comm::Comm& comm) {
+      particles::ParticleSet set;
+      if (comm.rank() == 0) {
+        set.resize(6);
+        for (std::size_t i = 0; i < 6; ++i) {
+          for (std::size_t a = 0; a < 3; ++a) set.position[a][i] = far / 3 * (static_cast<double>(i) - 3);
+          set.id[i] = static_cast<Id>(i);
+        }
       }
-    }
-    PartitionOptions options;
-    options.parts = 2;
-    const PartitionResult got = partition(comm, set.view(), options).value();
-    const Quality result = quality_of(comm, set.view(), got.part.span(), 2, &got.tree, 0.5);
-    const double greatest = std::numeric_limits<double>::max();
-    EXPECT_EQ(*result.interface_area, greatest);
-    EXPECT_EQ(result.part_interface_area, (std::vector<double>{greatest, greatest}));
-  });
+      PartitionOptions options;
+      options.method = Method::bands_x;
+      options.parts = 6;
+      const PartitionResult got = partition(comm, set.view(), options).value();
+      const Quality result = quality_of(comm, set.view(), got.part.span(), 6, &got.tree, 0.5);
+      const double greatest = std::numeric_limits<double>::max();
+      EXPECT_EQ(*result.interface_area, greatest);
+      EXPECT_EQ(result.part_interface_area[1], greatest);
+      for (const double area : result.part_interface_area) EXPECT_TRUE(std::isfinite(area) && area > 0);
+    });
 }
 
 TEST(Quality, DefaultWidth) {

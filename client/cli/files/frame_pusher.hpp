@@ -1,0 +1,67 @@
+// From a frame of a file to a step: frames with ids may list their particles in any order, and particles may come and
+// go from one to the next.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/cli/files/point_file.hpp"
+#include "client/lib/client.hpp"
+#include "common/io/points.hpp"
+
+namespace rcb::cli {
+
+// Positions that float32 represents exactly are sent as float32: half the bytes, the same values.
+class CompactPositions {
+ public:
+  explicit CompactPositions(const io::Points& points) : points_(points) {
+    for (const auto& axis : points.position)
+      for (const double value : axis)
+        if (static_cast<double>(static_cast<float>(value)) != value) return;
+    for (const auto& axis : points.position) single_.emplace_back(axis.begin(), axis.end());
+  }
+  bool single() const { return !single_.empty() && points_.count > 0; }
+  client::Positions positions(bool as_single) const {
+    if (!as_single) return positions_of(points_);
+    std::vector<const float*> axes;
+    for (const auto& axis : single_) axes.push_back(axis.data());
+    return client::Positions::axes(axes, points_.count);
+  }
+  client::Positions positions() const { return positions(single()); }
+
+ private:
+  const io::Points& points_;
+  std::vector<std::vector<float>> single_;
+};
+
+// Such a push would make a scene without particles, which is hardly meant.
+Status no_points(const std::string& file, const std::string& scene);
+
+class FramePusher {
+ public:
+  // A scene without particles.
+  explicit FramePusher(client::Scene scene) : scene_(std::move(scene)) {}
+  // A scene that has particles: count of them, with these ids, ascending; empty: their rows' numbers.
+  FramePusher(client::Scene scene, std::uint64_t count, std::vector<std::int64_t> ids);
+
+  // The scene's rows are those of the first frame, as long as none comes or goes. Errors: the service's;
+  // invalid_argument, if particles came or went, and there are no ids to tell which.
+  Result<client::StepResult> push(const io::Points& frame, client::StepOptions step);
+  bool has_particles() const { return has_particles_; }
+  std::optional<std::int64_t> last_step() const { return scene_.last_step(); }
+
+ private:
+  Result<client::StepResult> push_first(const io::Points& frame, client::StepOptions step);
+  Result<client::StepResult> push_changed(const io::Points& frame, client::StepOptions step);
+
+  client::Scene scene_;
+  bool has_particles_ = false;
+  bool own_ids_ = false;   // the particles have ids of their own
+  bool said_ids_ = false;  // the service has been told whose rows these are
+  std::uint64_t count_ = 0;
+  std::vector<std::int64_t> ids_;  // by row
+};
+
+}  // namespace rcb::cli
