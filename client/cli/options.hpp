@@ -81,10 +81,11 @@ inline constexpr const char* kPartSizesHelp = "a share for each part, such as 1,
 inline constexpr const char* kStepSecondsHelp =
     "the solver's computing time since its last push; used by the policy cost";
 inline constexpr const char* kCutToleranceHelp =
-    "end a search once no part can be off its target by more than this fraction, apart from rounding by at most one "
-    "particle a level of the tree; 0: exact";
+    "end a search once no part's load can be off its target by more than this fraction, apart from rounding by at most "
+    "one particle (with weights, half the greatest weight) a level of the tree; 0: exact";
 inline constexpr const char* kGhostWidthHelp =
-    "distance within which a point of another part is a ghost (default: 2 (box volume / points)^(1/dims))";
+    "a point of another part is a ghost if it is this near to the box around a part's points (default: 2 (box volume / "
+    "points)^(1/dims), without axes along which all points coincide)";
 inline constexpr const char* kTemporaryRanksHelp =
     "start a temporary service with this many ranks (default: use the running service, or a temporary one if there is "
     "none)";

@@ -62,7 +62,7 @@ struct SceneOptions {
   std::string method = "rcb";        // or "bands-x", "bands-y", "bands-z"
   double tolerance = 0.1;            // >= 0; infinity forbids automatic repartitions
   double axis_hysteresis = 1.2;      // >= 1: a cut keeps its axis until another is longer by this factor
-  double cut_tolerance = 0;          // 0 to 1: how far a part may be off, as a fraction of its target; 0: exact
+  double cut_tolerance = 0;          // 0 to 1: how far off target new cuts may leave a part, as a fraction; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
   std::string recut = "all";         // or "subtree": a repartition recuts only what the error requires
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares

@@ -2,6 +2,7 @@
 path and in every order they lead to the scene that full pushes of the same states lead to."""
 import time
 
+import judge
 from protocol_client import Client, Refused
 from push_client import WAYS, PushClient, Step
 from support import *
@@ -135,6 +136,20 @@ class Changes(ServiceTest):
                 self.assertEqual(shown[name], states[0][0][name], name)
             np.testing.assert_array_equal(parts, states[0][1])
         return same
+
+    def test_the_parts_of_what_is_inserted_are_told_with_the_changes(self):
+        points, more = np.split(np.random.default_rng(6).random((50, 3)), [40])
+        tree, _ = judge.partition(points, 4)
+        with PushClient(self.path) as client:
+            client.ask("scene.create", scene="told", parts=4, tolerance=0)
+            client.push_step("told", 0, Step(np.arange(40), points))
+            edit = {"moved": np.arange(0), "base_step": 0, "inserted": more}
+            _, arrays = client.push_step("told", 1, Step(np.arange(40), points, **edit))
+            self.assertEqual(arrays["inserted_part"].tolist(), tree.assign(more, 40 + np.arange(10)).tolist())
+            edit["base_step"] = 1
+            both = np.concatenate([points, more])
+            answer, arrays = client.push_step("told", 2, Step(np.arange(50), both, **edit), changes=False)
+            self.assertEqual((answer["report"]["inserted"], arrays), (10, {}))
 
     def test_what_is_refused_changes_nothing(self):
         model = {i: np.random.default_rng(5).random((300, 3))[i] for i in range(300)}

@@ -1,6 +1,7 @@
 """Every command of rcbctl, its --json fields as promised, its human form, and that neither mixes with the other."""
 import judge
 from protocol_client import Client
+from push_client import PushClient, Step
 from support import *
 
 STEP_REPORT = {"scene", "step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason",
@@ -10,7 +11,7 @@ PARTITION = {"n", "dims", "parts", "ranks", "method", "error", "imbalance", "cou
              "reductions", "moved", "migrated", "seconds"}
 
 
-class Commands(ServiceTest):
+class Commands(Refusals, ServiceTest):
     ranks = 3
 
     @classmethod
@@ -153,14 +154,43 @@ class Commands(ServiceTest):
         self.assertEqual(rows["file-order"]["counts"], list(blocks))
         self.assertIsNone(rows["file-order"]["interface_area"])
         self.assertLess(rows["rcb"]["interface_area"], rows["bands-x"]["interface_area"])
-        self.assertEqual(rows["equal-boxes"]["counts"], self.halved(8))
+        self.assertEqual(rows["equal-boxes"]["counts"], np.bincount(self.halves(8), minlength=8).tolist())
 
-    def halved(self, parts):
-        counts = [0] * parts
+    def test_compare_in_a_scene(self):
+        """Its fields are those of PROTOCOL.md, its rules those of design.md: with weights, part sizes, a cut tolerance and
+        a number of parts that is no power of two."""
+        rng = np.random.default_rng(12)
+        weights, sizes = rng.integers(1, 9, 400).astype(float), [1, 3, 1, 2, 2]
+        with PushClient(self.path) as client:
+            client.ask("scene.create", scene="compared", parts=5, part_sizes=sizes, cut_tolerance=1)
+            client.push_step("compared", 0, Step(np.arange(400), self.points, weights))
+            table = client.ask("compare", scene="compared", ghost_width=0.1)[0]
+            self.assertIn("sizes for 5 parts", self.refused("invalid_argument", client.ask, "compare", scene="compared", parts=8))
+            weighted = {row["method"]: row for row in table["methods"]}
+            client.ask("scene.create", scene="compared", parts=5, part_sizes=sizes, cut_tolerance=1, replace=True)
+            client.push("compared", 0, self.points)
+            unweighted = client.ask("compare", scene="compared", methods=["rcb"])[0]["methods"][0]
+        self.assertEqual(table.keys(), {"scene", "n", "parts", "ghost_width", "methods"})
+        self.assertEqual(unweighted["counts"], judge.quotas(400, 5, sizes), "exact, whatever the scene's cut tolerance")
+        targets = weights.sum() * np.array(sizes) / sum(sizes)
+        blocks = np.repeat(np.arange(5), judge.quotas(400, 5, sizes))
+        for method, part in (("equal-boxes", self.halves(5)), ("file-order", blocks)):
+            row = weighted[method]
+            self.assertEqual(row.keys(), {"method", "error", "imbalance", "errors", "counts", "ghost_width", "interface_area",
+                                          "interface_areas", "neighbours", "ghosts", "seconds"})
+            self.assertEqual(row["counts"], np.bincount(part, minlength=5).tolist(), method)
+            loads = np.bincount(part, weights, minlength=5)
+            np.testing.assert_allclose(row["errors"], abs(loads - targets) / targets, rtol=1e-14)
+            self.assertEqual(row["error"], max(row["errors"]))
+        self.assertIsNone(weighted["file-order"]["interface_areas"])
+
+    def halves(self, parts):
+        """The part of each point by equal-boxes."""
+        part = np.zeros(len(self.points), int)
 
         def halve(idx, a, b, lo, hi):
             if b - a == 1:
-                counts[a] = len(idx)
+                part[idx] = a
                 return
             m = a + (b - a + 1) // 2
             axis = judge.order_by_extent([h / 2 - l / 2 for l, h in zip(lo, hi)])[0]
@@ -170,7 +200,7 @@ class Commands(ServiceTest):
             halve(idx[right], m, b, [*lo[:axis], middle, *lo[axis + 1:]], hi)
 
         halve(np.arange(len(self.points)), 0, parts, list(self.points.min(axis=0)), list(self.points.max(axis=0)))
-        return counts
+        return part
 
     def test_rebalance(self):
         self.service.json("scene", "create", "r", "--parts", 4, "--tolerance", "inf", "--replace")
@@ -186,6 +216,9 @@ class Commands(ServiceTest):
         self.assertEqual(dry["error"], 0)
         self.assertIn("quality", dry)
         self.assertEqual(self.service.json("error", "r")["epoch"], 1)
+        more, _ = judge.partition(self.points ** 2, 8)  # whose node of the parts 0 to 3 is compared with the root of 4
+        flipped = [node for node in more.cuts if node in tree.cuts and more.cuts[node][0][0] != tree.cuts[node][0][0]]
+        self.assertEqual(self.service.json("rebalance", "r", "--dry-run", "--parts", 8)["axes_flipped"], len(flipped))
         done = self.service.json("rebalance", "r", "--parts", 5, "--method", "bands-y", "--tolerance", 0.3)
         self.assertEqual(done["epoch"], 2)
         shown = self.service.json("scene", "show", "r")

@@ -89,12 +89,13 @@ Status compare(const CompareOptions& options, const Context& context) {
 }  // namespace
 
 void add_compare_command(CLI::App& app, Context& context) {
-  auto [command, options] = add_command(app, context,
-                                        {"compare", "Each way of dividing a file of points, side by side",
-                                         "  rcbctl compare points.csv --parts 8\n"
-                                         "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json",
-                                         kFileGroup},
-                                        compare);
+  auto [command, options] = add_command(
+      app, context,
+      {"compare", "Each way of dividing a file of points, side by side: RCB, bands, equal boxes, file order",
+       "  rcbctl compare points.csv --parts 8\n"
+       "  rcbctl compare run.npy --parts 8 --ghost-width 0.05 --json",
+       kFileGroup},
+      compare);
   add_file_options(command, options.file);
   add_value(command, "--parts", options.parts, kind::part_count(), "number of parts")->required();
   add_value(command, "--ranks", options.ranks, kind::rank_count(), kTemporaryRanksHelp);

@@ -128,8 +128,10 @@ CLI::App* add_read(CLI::App& app, Context& context, const CommandText& text, std
 
 void add_read_commands(CLI::App& app, Context& context) {
   const auto options = std::make_shared<ReadOptions>();
-  add_read(app, context, {"error", "The load-balance error as it stands", "  rcbctl error jet", kAskGroup}, options,
-           print_error);
+  add_read(app, context,
+           {"error", "The load-balance error: the largest abs(load - target) / target over the parts",
+            "  rcbctl error jet", kAskGroup},
+           options, print_error);
   CLI::App* counts = add_read(
       app, context, {"counts", "Points of each part, beside its target", "  rcbctl counts jet --json", kAskGroup},
       options, print_counts);

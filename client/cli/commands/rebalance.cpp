@@ -51,11 +51,11 @@ Status rebalance(const RebalanceOptions& options, const Context& context) {
 }  // namespace
 
 void add_rebalance_command(CLI::App& app, Context& context) {
-  auto [command, options] =
-      add_command(app, context,
-                  {"rebalance", "Repartitions now; what is changed here holds from then on",
-                   "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12", kSceneGroup},
-                  rebalance);
+  auto [command, options] = add_command(
+      app, context,
+      {"rebalance", "Repartitions now; a method, tolerance or number of parts that is given holds from then on",
+       "  rcbctl rebalance jet --dry-run\n  rcbctl rebalance jet --parts 12", kSceneGroup},
+      rebalance);
   add_scene_name(command, options.name);
   add_value(command, "--method", options.method, kind::method(), "rcb, bands-x, bands-y or bands-z");
   add_value(command, "--parts", options.parts, kind::part_count(), "number of parts");

@@ -91,9 +91,11 @@ void add_scene_commands(CLI::App& app, Context& context) {
   });
 
   auto name = std::make_shared<std::string>();
-  CLI::App* command = add_command(*scene, context, {"show", "One scene", "  rcbctl scene show jet"}, [name, &context] {
-    return ask_and_show(context, "scene.show", {{"scene", *name}}, print_scene);
-  });
+  CLI::App* command =
+      add_command(*scene, context, {"show", "The options of a scene, and how it stands", "  rcbctl scene show jet"},
+                  [name, &context] {
+                    return ask_and_show(context, "scene.show", {{"scene", *name}}, print_scene);
+                  });
   add_scene_name(*command, *name);
   auto [drops, dropped] = add_command(*scene, context, {"drop", "Forgets a scene", "  rcbctl scene drop jet"}, drop);
   add_scene_name(drops, dropped);

@@ -60,7 +60,8 @@ struct PartitionOptions {
   std::vector<double> part_sizes;     // empty: equal; else `parts` finite numbers > 0
   double axis_hysteresis = 1.0;       // finite, >= 1; 1: always the longest axis
   const CutTree* previous = nullptr;  // the current tree, for hysteresis; null: none
-  // 0: exact. Else a cut is accepted as soon as no part's load can be off its target by more than this fraction.
+  // 0: exact. Else a cut is accepted as soon as no part's load can be off its target by more than this fraction, and by
+  // one particle (with weights, half the greatest weight) a level.
   double cut_tolerance = 0;
   SearchLimits limits;
 };

@@ -118,7 +118,10 @@ Response compare(Context& context, Scene& s, const wire::Json& request) {
 
   partition::PartitionOptions options;
   options.parts = static_cast<int>(parts.value());
-  if (options.parts == s.options.parts) options.part_sizes = s.options.part_sizes;
+  options.part_sizes = s.options.part_sizes;
+  if (!options.part_sizes.empty() && options.parts != s.options.parts)
+    return failed({Code::invalid_argument, fmt::format("scene '{}' has sizes for {} parts", s.name, s.options.parts),
+                   "leave 'parts' out, or compare in a scene without part sizes"});
   Response response = done({{"scene", s.name},
                             {"n", s.n},
                             {"parts", options.parts},

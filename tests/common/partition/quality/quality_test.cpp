@@ -181,6 +181,35 @@ TEST(Quality, InterfaceOfAKnownBox) {
   });
 }
 
+// Points in a plane of 3-D space: the flat axis has no length for areas, but is none for the default width.
+TEST(Quality, OfAFlatSet) {
+  on_ranks([](comm::Comm& comm) {
+    particles::ParticleSet set;
+    if (comm.rank() == 0) {
+      set.resize(16);
+      for (std::size_t i = 0; i < 16; ++i) {
+        set.position[0][i] = static_cast<double>(i % 4);
+        set.position[1][i] = static_cast<double>(i / 4);
+        set.position[2][i] = 7;
+        set.id[i] = static_cast<Id>(i);
+      }
+    }
+    PartitionOptions options;
+    options.parts = 2;
+    for (const Method method : {Method::rcb, Method::bands_z}) {
+      options.method = method;
+      const PartitionResult got = partition(comm, set.view(), options).value();
+      const Quality result = quality_of(comm, set.view(), got.part.span(), 2, &got.tree, std::nullopt);
+      EXPECT_EQ(result.ghost_width, 2 * std::sqrt(9 / 16.0));
+      const double area = method == Method::rcb ? 0 : 9;  // a cut across the flat axis has the set's own area
+      EXPECT_EQ(*result.interface_area, area);
+      EXPECT_EQ(result.part_interface_area, (std::vector<double>{area, area}));
+      EXPECT_EQ(result.ghosts, (std::vector<std::uint64_t>{4, 4})) << method_name(method);
+      EXPECT_EQ(result.neighbours, (std::vector<std::int32_t>{1, 1}));
+    }
+  });
+}
+
 // Areas, and sums of areas, beyond what a double holds are the greatest there is, and no NaN or infinity.
 TEST(Quality, AreasBeyondADouble) {
   for (const double far : {1.7e308, 6e153})  // of 6e153 each face fits, two together don't

@@ -184,6 +184,41 @@ TEST(ServicePolicy, CostDecidesTheSameOnAllRanks) {
   });
 }
 
+// The first push's time counts for nothing. A rebalance by hand begins the sum anew, and is none of the repartitions
+// whose times are remembered.
+TEST(ServicePolicy, WhatAFirstPushAndARebalanceDoToTheSum) {
+  on_ranks([](comm::Comm& comm) {
+    const RankClock clock(comm.rank());
+    Service service(comm, clock);
+    Driver driver(comm, service, "a");
+    driver.create({{"parts", 3}, {"policy", "cost"}, {"tolerance", 0}});
+    Particles particles = random_particles(3, 300, 3);
+    std::vector<std::string> reasons;
+    const auto push = [&](double step_seconds) {
+      driver.step_seconds = step_seconds;
+      const Response pushed = driver.push(particles, std::ssize(reasons));
+      reasons.push_back(comm.rank() == 0 ? pushed.json["report"]["reason"].get<std::string>() : "");
+      drift(particles, 77 + reasons.size(), 0.05);
+    };
+    push(1e6);
+    push(0);
+    push(1e-9);  // by now there is an imbalance
+    driver.ask("rebalance", {{"dry_run", true}});
+    push(0);
+    driver.ask("rebalance", {});
+    push(0);
+    if (comm.rank() != 0) return;
+    EXPECT_EQ(reasons[0], "first positions");
+    EXPECT_NE(reasons[1].find("has cost 0 s since step 0"), std::string::npos) << reasons[1];
+    EXPECT_EQ(reasons[2].find("has cost 0 s"), std::string::npos) << reasons[2];
+    const std::string lost = reasons[2].substr(reasons[2].find("imbalance"));
+    EXPECT_NE(reasons[3].find(lost), std::string::npos) << "a dry run changes nothing: " << reasons[3];
+    EXPECT_NE(reasons[4].find("has cost 0 s since the last repartition"), std::string::npos) << reasons[4];
+    const std::string price = lost.substr(lost.find("a repartition costs"));
+    EXPECT_NE(reasons[4].find(price), std::string::npos) << "that of the first partition: " << reasons[4];
+  });
+}
+
 TEST(ServicePolicy, WithoutStepTimesCostIsTolerance) {
   on_ranks([](comm::Comm& comm) {
     const RankClock clock(comm.rank());
