@@ -196,7 +196,7 @@ TEST(ServicePolicy, WhatAFirstPushAndARebalanceDoToTheSum) {
     std::vector<std::string> reasons;
     const auto push = [&](double step_seconds) {
       driver.step_seconds = step_seconds;
-      const Response pushed = driver.push(particles, std::ssize(reasons));
+      const Response pushed = driver.push_by_id(particles, std::ssize(reasons));
       reasons.push_back(comm.rank() == 0 ? pushed.json["report"]["reason"].get<std::string>() : "");
       drift(particles, 77 + reasons.size(), 0.05);
     };
