@@ -19,7 +19,7 @@ set(CMAKE_CXX_STANDARD_REQUIRED ON)
 set(CMAKE_CXX_EXTENSIONS OFF)
 set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
 set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/bin")
-# Asserts of our own (CHECK) stay on in release. The folders with loops over particles ask for -O3 (HOT); elsewhere it
+# Asserts of our own (RCB_CHECK) stay on in release. The folders with loops over particles ask for -O3 (HOT); elsewhere it
 # costs compile time and gains nothing.
 set(CMAKE_CXX_FLAGS_RELEASE "-O2")
 find_program(RCB_CCACHE ccache)

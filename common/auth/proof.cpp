@@ -27,8 +27,8 @@ std::string hex(std::span<const unsigned char> bytes) {
 }  // namespace
 
 std::string proof(Role role, std::string_view token, const Opening& opening) {
-  CHECK(is_nonce(opening.service_nonce) && is_nonce(opening.client_nonce), "a proof over what is no nonce");
-  CHECK(!token.empty() && token.size() <= std::numeric_limits<int>::max(), "a proof of no token");
+  RCB_CHECK(is_nonce(opening.service_nonce) && is_nonce(opening.client_nonce), "a proof over what is no nonce");
+  RCB_CHECK(!token.empty() && token.size() <= std::numeric_limits<int>::max(), "a proof of no token");
   // Fields contain no newlines, so different openings always give different texts.
   std::string text = fmt::format("rcbd proof 1\n{}\n{}\n{}\n{}\n{}\n", role == Role::client ? "client" : "service",
                                  opening.listener, opening.service_nonce, opening.client_nonce, opening.session);
@@ -37,7 +37,7 @@ std::string proof(Role role, std::string_view token, const Opening& opening) {
   unsigned size = 0;
   const auto* made = HMAC(EVP_sha256(), token.data(), static_cast<int>(token.size()),
                           reinterpret_cast<const unsigned char*>(text.data()), text.size(), digest.data(), &size);
-  CHECK(made != nullptr, "OpenSSL has no HMAC-SHA256");
+  RCB_CHECK(made != nullptr, "OpenSSL has no HMAC-SHA256");
   return hex(std::span(digest.data(), size));
 }
 
@@ -51,7 +51,7 @@ bool is_nonce(std::string_view text) {
 
 std::string random_hex(std::size_t bytes) {
   std::vector<unsigned char> raw(bytes);
-  CHECK(::getrandom(raw.data(), raw.size(), 0) == static_cast<ssize_t>(bytes), "the kernel gives no random bytes");
+  RCB_CHECK(::getrandom(raw.data(), raw.size(), 0) == static_cast<ssize_t>(bytes), "the kernel gives no random bytes");
   return hex(raw);
 }
 

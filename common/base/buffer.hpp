@@ -58,7 +58,7 @@ class Buffer {
     capacity_ = capacity;
     return true;
   }
-  void reserve(std::size_t capacity) { CHECK(try_reserve(capacity), "out of memory"); }
+  void reserve(std::size_t capacity) { RCB_CHECK(try_reserve(capacity), "out of memory"); }
   // New elements are uninitialised.
   void resize(std::size_t size) {
     if (size > capacity_) reserve(size);

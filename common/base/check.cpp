@@ -18,7 +18,7 @@ void set_check_context(std::string_view context) { check_context = context; }
 
 void check_failed(const char* file, int line_number, const char* expression, std::string_view message) {
   char line[PIPE_BUF];
-  const int bytes = std::snprintf(line, sizeof line, "rcb: bug: %s%s%s:%d: CHECK(%s) failed: %.*s\n",
+  const int bytes = std::snprintf(line, sizeof line, "rcb: bug: %s%s%s:%d: RCB_CHECK(%s) failed: %.*s\n",
                                   check_context.c_str(), check_context.empty() ? "" : ": ", file, line_number,
                                   expression, static_cast<int>(message.size()), message.data());
   // The reader of stderr may be a stopped process: write only if that can't block, so that this process surely ends.

@@ -10,7 +10,7 @@ namespace rcb {
 
 template <typename To, typename From>
 constexpr To narrow(From value) {
-  CHECK(std::in_range<To>(value), "integer out of range");
+  RCB_CHECK(std::in_range<To>(value), "integer out of range");
   return static_cast<To>(value);
 }
 

@@ -68,22 +68,22 @@ class [[nodiscard]] Result {
  public:
   Result(T value) : value_(std::in_place_index<0>, std::move(value)) {}        // NOLINT(google-explicit-constructor)
   Result(Status status) : value_(std::in_place_index<1>, std::move(status)) {  // NOLINT(google-explicit-constructor)
-    CHECK(!std::get<1>(value_).ok(), "a Result needs a value or a failure");
+    RCB_CHECK(!std::get<1>(value_).ok(), "a Result needs a value or a failure");
   }
 
   bool ok() const { return value_.index() == 0; }
   explicit operator bool() const { return ok(); }
   Status status() const { return ok() ? Status{} : std::get<1>(value_); }
   T& value() & {
-    CHECK(ok(), std::get<1>(value_).message());
+    RCB_CHECK(ok(), std::get<1>(value_).message());
     return std::get<0>(value_);
   }
   const T& value() const& {
-    CHECK(ok(), std::get<1>(value_).message());
+    RCB_CHECK(ok(), std::get<1>(value_).message());
     return std::get<0>(value_);
   }
   T&& value() && {
-    CHECK(ok(), std::get<1>(value_).message());
+    RCB_CHECK(ok(), std::get<1>(value_).message());
     return std::get<0>(std::move(value_));
   }
   T* operator->() { return &value(); }

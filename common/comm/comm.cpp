@@ -12,7 +12,7 @@ void Comm::all_gather_few(std::span<const std::byte> local, Buffer<std::byte>& a
 
 void exchange_counts(Comm& comm, std::span<const std::uint64_t> to, std::span<std::uint64_t> from) {
   const auto ranks = static_cast<std::size_t>(comm.size());
-  CHECK(to.size() == ranks && from.size() == ranks, "one count a rank");
+  RCB_CHECK(to.size() == ranks && from.size() == ranks, "one count a rank");
   std::vector<std::span<const std::byte>> send(ranks);
   std::vector<std::span<std::byte>> receive(ranks);
   for (std::size_t r = 0; r < ranks; ++r) {

@@ -8,7 +8,7 @@
 namespace rcb::comm {
 
 TreePlace place_in_tree(int rank, int size, int fan_out) {
-  CHECK(rank >= 0 && rank < size && fan_out >= 2, "a rank of the tree");
+  RCB_CHECK(rank >= 0 && rank < size && fan_out >= 2, "a rank of the tree");
   TreePlace place;
   // The ranks from `first` to, not including, `last` are a subtree.
   std::int64_t first = 0;

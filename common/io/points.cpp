@@ -140,7 +140,7 @@ Result<FurtherColumns> read_further_columns(const std::string& path, const ReadO
 }
 
 Result<Points> read_points_slice(const std::string& path, const ReadOptions& options, int k, int of) {
-  CHECK(of >= 1 && k >= 0 && k < of, "share k of `of`");
+  RCB_CHECK(of >= 1 && k >= 0 && k < of, "share k of `of`");
   return without_throwing(path, [&]() { return read_slice(path, options, k, of); });
 }
 

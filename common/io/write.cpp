@@ -28,7 +28,7 @@ std::string npy_head(std::string_view descr, const std::vector<std::uint64_t>& s
                                        fmt::join(shape, ", "), shape.size() == 1 ? "," : "");
   constexpr std::size_t kPreamble = 10;
   if (bytes == 0) bytes = (kPreamble + dictionary.size() + 1 + 63) / 64 * 64;
-  CHECK(bytes % 64 == 0 && bytes > kPreamble + dictionary.size() && bytes < 65536, "room for the .npy header");
+  RCB_CHECK(bytes % 64 == 0 && bytes > kPreamble + dictionary.size() && bytes < 65536, "room for the .npy header");
   dictionary.resize(bytes - kPreamble - 1, ' ');
   const auto length = static_cast<unsigned>(dictionary.size() + 1);
   std::string head("\x93NUMPY\x01\x00", 8);
@@ -46,7 +46,7 @@ Status write_array(const std::string& path, std::string_view descr, const std::v
                    std::string_view bytes) {
   std::uint64_t count = 1;
   for (const std::uint64_t length : shape) count *= length;
-  CHECK(count * (descr == "<i4" ? 4 : 8) == bytes.size(), "the shape of the values");
+  RCB_CHECK(count * (descr == "<i4" ? 4 : 8) == bytes.size(), "the shape of the values");
   auto file = OutputFile::create(path);
   if (!file.ok()) return file.status();
   if (Status head = file->write(npy_head(descr, shape)); !head.ok()) return head;
@@ -65,7 +65,7 @@ class NpyTrajectoryWriter final : public TrajectoryWriter {
   Status reserve_head() { return file_.write(head()); }
 
   Status append(std::span<const double> positions) override {
-    CHECK(!closed_ && positions.size() == count_ * dims_, "a frame has count * dims numbers");
+    RCB_CHECK(!closed_ && positions.size() == count_ * dims_, "a frame has count * dims numbers");
     Status written = file_.write(bytes_of(positions));
     // A frame written in part would shift all later ones: close() then refuses the file.
     if (written.ok()) ++steps_;
@@ -73,7 +73,7 @@ class NpyTrajectoryWriter final : public TrajectoryWriter {
     return written;
   }
   Status close() override {
-    CHECK(!closed_, "a trajectory is closed once");
+    RCB_CHECK(!closed_, "a trajectory is closed once");
     closed_ = true;
     if (failed_) return Status(Code::io_error, "the trajectory is not kept, since one of its frames was not written");
     if (Status done = file_.write_at_begin(head()); !done.ok()) return done;
@@ -105,7 +105,7 @@ Status write_csv(const std::string& path, int dims, std::span<const double* cons
 
 CsvWriter::CsvWriter(OutputFile file, int dims, bool ids, bool weights, const std::string& further)
     : file_(std::move(file)), dims_(dims), ids_(ids), weights_(weights) {
-  CHECK(dims >= 1 && dims <= 3, "dimensions");
+  RCB_CHECK(dims >= 1 && dims <= 3, "dimensions");
   text_ = std::string("x,y,z").substr(0, static_cast<std::size_t>(dims) * 2 - 1);
   if (ids) text_ += ",id";
   if (weights) text_ += ",weight";
@@ -115,10 +115,10 @@ CsvWriter::CsvWriter(OutputFile file, int dims, bool ids, bool weights, const st
 
 Status CsvWriter::append(std::span<const double* const> position, std::size_t count, std::span<const std::int64_t> id,
                          std::span<const double> weight, std::span<const std::string_view> further) {
-  CHECK(position.size() >= static_cast<std::size_t>(dims_), "an array for each axis");
-  CHECK((!ids_ || id.size() == count) && (!weights_ || weight.size() == count) &&
-            (further.empty() || further.size() == count),
-        "a value for each point");
+  RCB_CHECK(position.size() >= static_cast<std::size_t>(dims_), "an array for each axis");
+  RCB_CHECK((!ids_ || id.size() == count) && (!weights_ || weight.size() == count) &&
+                (further.empty() || further.size() == count),
+            "a value for each point");
   for (std::size_t i = 0; i < count; ++i) {
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
       if (a > 0) text_ += ',';

@@ -36,8 +36,8 @@ std::uint64_t checksum_of_rank(int rank, std::span<const Id> slot_ids) {
 bool is_full_change(std::uint64_t rank_changes, std::uint64_t count) { return rank_changes > count / 16; }
 
 SlotEdit edit_of_rank(std::uint64_t count, std::span<const std::uint64_t> leaving, std::uint64_t arrivals) {
-  CHECK(leaving.empty() || leaving.back() < count, "a leaver's slot lies behind the last");
-  for (std::size_t i = 1; i < leaving.size(); ++i) CHECK(leaving[i - 1] < leaving[i], "exports must be ascending");
+  RCB_CHECK(leaving.empty() || leaving.back() < count, "a leaver's slot lies behind the last");
+  for (std::size_t i = 1; i < leaving.size(); ++i) RCB_CHECK(leaving[i - 1] < leaving[i], "exports must be ascending");
 
   SlotEdit edit;
   edit.new_count = count - leaving.size() + arrivals;

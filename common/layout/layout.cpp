@@ -17,8 +17,8 @@ Status Layout::broken(const std::string& what) {
 Layout::Layout(std::uint64_t count, int ranks, std::span<const Id> ids) : count_(count) {
   static std::atomic<std::uint64_t> made{0};
   number_ = ++made;
-  CHECK(ranks >= 1, "a plan needs a rank");
-  CHECK(ids.empty() || ids.size() == count, "one id a row");
+  RCB_CHECK(ranks >= 1, "a plan needs a rank");
+  RCB_CHECK(ids.empty() || ids.size() == count, "one id a row");
   rows_.resize(static_cast<std::size_t>(ranks));
   rank_of_row_.assign(count, -1);
   slot_of_row_.resize(count);

@@ -16,7 +16,7 @@ constexpr std::uint64_t kBytesAheadMax = std::uint64_t{64} << 20U;
 api::Slice shared_slice(const net::DataPort& data, const wire::Json& push) {
   api::Slice slice{.rank = data.rank()};
   auto arrays = api::read_shared(push);
-  CHECK(arrays.ok(), arrays.status().message());
+  RCB_CHECK(arrays.ok(), arrays.status().message());
   const auto session = push.at("session").get<std::string>();
   for (api::SharedArray& where : *arrays) {
     auto memory = data.memory(session, where.memory);
@@ -112,7 +112,7 @@ void Bridge::send_to_rank_0(net::Order order, std::vector<api::Slice> slices, ne
   out.deadline_seconds = order.deadline_seconds;
   out.cancelled = std::move(order.cancelled);
   out.done = std::move(done);
-  CHECK(engine_.push(std::move(out)), "the engine's queue is full");
+  RCB_CHECK(engine_.push(std::move(out)), "the engine's queue is full");
 }
 
 }  // namespace rcb::server

@@ -93,7 +93,7 @@ int run(int argc, char** argv) {
   // Rank 0's option applies to all ranks, since their collectives must match.
   const std::string names = mpi->share(parsed.config.no_skip);
   const auto no_skip = service::NoSkip::parse(names);
-  CHECK(no_skip.ok(), no_skip.status().message());
+  RCB_CHECK(no_skip.ok(), no_skip.status().message());
   if (!names.empty() && mpi->rank() == 0) spdlog::warn("for measurement only: '{}' isn't skipped", names);
   if (!mpi->shares_memory() && mpi->rank() == 0)
     spdlog::info("some machine's ranks can't share memory, or are more than {}: sums over ranks take longer, by MPI",

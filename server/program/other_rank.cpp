@@ -45,7 +45,7 @@ int run_other_rank(const RankSetup& setup) {
                          },
                      .progress = [&mpi] { mpi.progress(); }});
   auto ordered = [&engine, &port](std::uint64_t number, wire::Json request) {
-    CHECK(engine.push(order_from(port, number, std::move(request))), "the engine's queue is full");
+    RCB_CHECK(engine.push(order_from(port, number, std::move(request))), "the engine's queue is full");
   };
   auto connected = net::Doorbell::connect(loop, mpi.rank(), net::DoorbellAddress::parse(where),
                                           setup.hosts.with_root[static_cast<std::size_t>(mpi.rank())],

@@ -20,14 +20,14 @@ static_assert(SharedCollectives::kSlotBytes / sizeof(std::uint64_t) == MpiComm::
 constexpr int kTag = 1;  // MPI keeps the order of messages between two ranks, so one tag is enough
 
 void copy(std::span<const std::byte> from, std::span<std::byte> to) {
-  CHECK(from.size() == to.size(), "both sides know the size");
+  RCB_CHECK(from.size() == to.size(), "both sides know the size");
   if (!from.empty()) std::memmove(to.data(), from.data(), from.size());
 }
 
 }  // namespace
 
 MpiComm::MpiComm(MPI_Comm parent, const Ways& ways) : ways_(ways) {
-  CHECK(ways.message_bytes_max > 0 && ways.message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
+  RCB_CHECK(ways.message_bytes_max > 0 && ways.message_bytes_max <= kMessageBytesMax, "MPI counts are ints");
   must(MPI_Comm_dup(parent, &everyone_.comm), "MPI_Comm_dup");
   measure(everyone_);
   find_machines();
@@ -286,8 +286,8 @@ void MpiComm::broadcast(std::span<std::byte> bytes, int root) {
 }
 
 void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
-  CHECK(pieces.size() == (everyone_.rank == root ? static_cast<std::size_t>(everyone_.size) : 0),
-        "root alone brings pieces");
+  RCB_CHECK(pieces.size() == (everyone_.rank == root ? static_cast<std::size_t>(everyone_.size) : 0),
+            "root alone brings pieces");
   std::vector<MPI_Request> requests;
   if (everyone_.rank == root) {
     for (int r = 0; r < everyone_.size; ++r)
@@ -302,7 +302,7 @@ void MpiComm::scatter(std::span<const std::span<const std::byte>> pieces, int ro
 void MpiComm::exchange(std::span<const std::span<const std::byte>> send,
                        std::span<const std::span<std::byte>> receive) {
   const auto ranks = static_cast<std::size_t>(everyone_.size);
-  CHECK(send.size() == ranks && receive.size() == ranks, "one piece a rank");
+  RCB_CHECK(send.size() == ranks && receive.size() == ranks, "one piece a rank");
   std::vector<MPI_Request> requests;
   for (int r = 0; r < everyone_.size; ++r)
     if (r != everyone_.rank) start_receive(receive[static_cast<std::size_t>(r)], r, requests);

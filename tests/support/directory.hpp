@@ -34,7 +34,7 @@ inline unsigned mode_of(const std::string& path) {
 // A new private directory, removed at the end. Its path is short enough for sockets.
 class Directory {
  public:
-  Directory() { CHECK(::mkdtemp(path_.data()) != nullptr, "a directory can be made in /tmp"); }
+  Directory() { RCB_CHECK(::mkdtemp(path_.data()) != nullptr, "a directory can be made in /tmp"); }
   Directory(const Directory&) = delete;
   Directory& operator=(const Directory&) = delete;
   ~Directory() {

@@ -14,7 +14,7 @@ namespace {
 constexpr std::chrono::seconds kMeetingLimit{60};
 
 void copy(std::span<const std::byte> from, std::span<std::byte> to) {
-  CHECK(from.size() == to.size(), "both sides know the size");
+  RCB_CHECK(from.size() == to.size(), "both sides know the size");
   if (!from.empty()) std::memcpy(to.data(), from.data(), from.size());
 }
 
@@ -31,15 +31,16 @@ void ThreadWorld::meet() {
     return;
   }
   const std::uint64_t meeting = meeting_;
-  CHECK(met_.wait_for(lock, kMeetingLimit, [&] { return meeting_ != meeting; }), "a rank did not come to a collective");
+  RCB_CHECK(met_.wait_for(lock, kMeetingLimit, [&] { return meeting_ != meeting; }),
+            "a rank did not come to a collective");
 }
 
 void ThreadComm::enter(const ThreadWorld::Call& call) {
   world_.calls_[static_cast<std::size_t>(rank_)] = call;
   world_.meet();
   for (const ThreadWorld::Call& other : world_.calls_)
-    CHECK(std::strcmp(other.name, call.name) == 0 && other.root == call.root,
-          std::string("ranks call different collectives: ") + call.name + " and " + other.name);
+    RCB_CHECK(std::strcmp(other.name, call.name) == 0 && other.root == call.root,
+              std::string("ranks call different collectives: ") + call.name + " and " + other.name);
 }
 
 template <typename Combine>
@@ -49,7 +50,7 @@ void ThreadComm::reduce(const char* name, std::span<std::uint64_t> values, const
   for (int r = 0; r < size(); ++r) {
     if (r == rank_) continue;
     const std::span<const std::byte> other = call_of(r).bytes;
-    CHECK(other.size() == values.size_bytes(), "ranks reduce arrays of different lengths");
+    RCB_CHECK(other.size() == values.size_bytes(), "ranks reduce arrays of different lengths");
     for (std::size_t i = 0; i < result.size(); ++i) {
       std::uint64_t value = 0;
       std::memcpy(&value, other.data() + i * sizeof(value), sizeof(value));
@@ -102,7 +103,7 @@ void ThreadComm::broadcast(std::span<std::byte> bytes, int root) {
 }
 
 void ThreadComm::scatter(std::span<const std::span<const std::byte>> pieces, int root, std::span<std::byte> mine) {
-  CHECK(pieces.size() == (rank_ == root ? static_cast<std::size_t>(size()) : 0), "root alone brings pieces");
+  RCB_CHECK(pieces.size() == (rank_ == root ? static_cast<std::size_t>(size()) : 0), "root alone brings pieces");
   enter({"scatter", root, {}, pieces});
   copy(call_of(root).pieces[static_cast<std::size_t>(rank_)], mine);
   world_.meet();
@@ -111,7 +112,7 @@ void ThreadComm::scatter(std::span<const std::span<const std::byte>> pieces, int
 void ThreadComm::exchange(std::span<const std::span<const std::byte>> send,
                           std::span<const std::span<std::byte>> receive) {
   const auto ranks = static_cast<std::size_t>(size());
-  CHECK(send.size() == ranks && receive.size() == ranks, "one piece a rank");
+  RCB_CHECK(send.size() == ranks && receive.size() == ranks, "one piece a rank");
   enter({"exchange", 0, {}, send});
   for (int r = 0; r < size(); ++r)
     copy(call_of(r).pieces[static_cast<std::size_t>(rank_)], receive[static_cast<std::size_t>(r)]);

@@ -1,5 +1,6 @@
 // ThreadComm: ranks as threads of one process. Every collective is two meetings: all publish what they bring, all
-// read, all leave. A meeting at which ranks call different collectives, or that lasts over a minute, is a failed CHECK.
+// read, all leave. A meeting at which ranks call different collectives, or that lasts over a minute, is a failed
+// RCB_CHECK.
 #pragma once
 
 #include <condition_variable>

@@ -140,7 +140,7 @@ struct Connection::State {
     error_code ignored;
     socket.close(ignored);
     run(ended, Deadline(1));  // the cancelled handler refers to `outcome`
-    CHECK(outcome.has_value(), "a closed socket still waits");
+    RCB_CHECK(outcome.has_value(), "a closed socket still waits");
     return false;
   }
 
@@ -401,7 +401,7 @@ Status Connection::write(std::span<const Bytes> pieces, const Deadline& deadline
   if (!s.run_and_ask(written, deadline)) {
     s.lose(Code::deadline_exceeded, "it did not take what was sent in time");
     s.run(written, Deadline(1));
-    CHECK(outcome.has_value(), "a closed socket still writes");
+    RCB_CHECK(outcome.has_value(), "a closed socket still writes");
   } else if (*outcome) {
     // The service's last message may still be in the socket, so the reader decides when the connection is lost.
     if (!s.run([&] { return !s.standing || !s.inbox.empty(); }, deadline.within(1)))
@@ -467,7 +467,7 @@ Result<std::size_t> Connection::send_some(std::span<const iovec> pieces) {
 }
 
 Status Connection::send_at_once(Bytes frame, int descriptor) {
-  CHECK(!state_->tls, "descriptors go over Unix sockets");
+  RCB_CHECK(!state_->tls, "descriptors go over Unix sockets");
   iovec piece{const_cast<std::byte*>(frame.data()), frame.size()};  // sendmsg only reads
   alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int))> control{};
   msghdr message{};

@@ -59,7 +59,7 @@ void MemberPlaces::take_all(const List& all, int ranks) {
 }
 
 void MemberPlaces::change(std::span<const std::int64_t> left, const List& placed) {
-  CHECK(left_.empty() && placed_.id.empty(), "changes of a step that was not pushed from here");
+  RCB_CHECK(left_.empty() && placed_.id.empty(), "changes of a step that was not pushed from here");
   const auto touch = [this](std::int64_t id) { may_have_changed_[static_cast<std::size_t>(id) % kTouched] = 1; };
   left_.assign(left.begin(), left.end());
   placed_.id.assign(placed.id.begin(), placed.id.end());

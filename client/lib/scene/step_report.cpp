@@ -84,7 +84,7 @@ void mark_recreated(StepReport& report) {
   if (report.scene_recreated) return;
   report.scene_recreated = true;
   auto json = wire::parse_json(report.json, wire::kReplyJsonBytesMax);
-  CHECK(json.ok(), "a report that was written here");
+  RCB_CHECK(json.ok(), "a report that was written here");
   (*json)["scene_recreated"] = true;
   report.json = wire::dump_json(*json);
 }

@@ -146,7 +146,7 @@ Status DataPath::send_some(Link& link, bool& moved) {
 Status DataPath::send(const wire::Json& slice, std::uint64_t request, const RankRows& rows,
                       std::span<const Column> columns, const std::function<bool()>& answered,
                       const Deadline& deadline) {
-  CHECK(rows.size() == links_.size(), "a connection for each rank");
+  RCB_CHECK(rows.size() == links_.size(), "a connection for each rank");
   std::size_t unfinished = 0;
   for (const auto& link : links_) {
     link->sent = 0;

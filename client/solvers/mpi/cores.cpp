@@ -57,7 +57,7 @@ struct Layout {
   explicit Layout(const std::vector<std::size_t>& counts) : count(counts.size()), first(counts.size()) {
     std::size_t at = 0;
     for (std::size_t r = 0; r < counts.size(); ++r) {
-      CHECK(at + counts[r] <= static_cast<std::size_t>(std::numeric_limits<int>::max()), "a message for MPI");
+      RCB_CHECK(at + counts[r] <= static_cast<std::size_t>(std::numeric_limits<int>::max()), "a message for MPI");
       count[r] = static_cast<int>(counts[r]);
       first[r] = static_cast<int>(at);
       at += counts[r];

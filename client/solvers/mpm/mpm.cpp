@@ -59,7 +59,7 @@ Status Mpm::add_body(std::shared_ptr<const Material> material, const Cloud& clou
   const std::size_t first = size();
   const std::size_t count = cloud.size();
   if (count == 0) return {};
-  CHECK(material != nullptr && volume > 0, "a body needs a material and a volume");
+  RCB_CHECK(material != nullptr && volume > 0, "a body needs a material and a volume");
   for (std::size_t a = 0; a < 3; ++a)
     for (std::size_t p = 0; p < count; ++p)
       if (!(cloud.position[a][p] >= lo_[a] && cloud.position[a][p] <= hi_[a]))
@@ -86,7 +86,7 @@ Status Mpm::add_body(std::shared_ptr<const Material> material, const Cloud& clou
 }
 
 Status Mpm::advance(double seconds, OtherCores* others) {
-  CHECK(seconds > 0, "time goes on");
+  RCB_CHECK(seconds > 0, "time goes on");
   const double end = time_ + seconds;
   double remaining = seconds;
   for (std::uint64_t done = 0; remaining > 0; ++done) {

@@ -60,9 +60,9 @@ void Mpm::exchange(std::span<const std::size_t> leaving, std::span<const PointSt
       of[state.body].push_back(state);
     }
   }
-  CHECK(next == leaving.size(), "places in ascending order");
+  RCB_CHECK(next == leaving.size(), "places in ascending order");
   for (const PointState& state : arriving) {
-    CHECK(state.body < bodies_.size(), "a point of a body that this core knows");
+    RCB_CHECK(state.body < bodies_.size(), "a point of a body that this core knows");
     potential_start_ += potential(state);
     of[state.body].push_back(state);
   }

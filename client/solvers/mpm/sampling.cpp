@@ -99,7 +99,7 @@ Cloud fill(const Shape& shape, std::size_t count, std::uint64_t seed) {
     const double share = static_cast<double>(cloud.size()) / static_cast<double>(count);
     spacing *= 0.998 * std::cbrt(std::max(share, 0.125));
   }
-  CHECK(false, "a shape that no lattice fills");
+  RCB_CHECK(false, "a shape that no lattice fills");
   return {};
 }
 

@@ -93,7 +93,7 @@ Result<TextLayout> find_layout(const InputFile& file, const ReadOptions& options
     if (const Status read = load(file, 0, std::min(bytes, file.size()), window); !read.ok()) return read;
     auto layout = text_layout(file.path(), window.text(), whole, options);
     if (layout) return std::move(*layout);
-    CHECK(!whole, "the whole of a file always has a layout");
+    RCB_CHECK(!whole, "the whole of a file always has a layout");
   }
 }
 

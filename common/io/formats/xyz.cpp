@@ -38,7 +38,7 @@ class XyzFrames final : public FrameText {
       return std::optional<Points>();
     const std::string head = fmt::format("{}\n{}\n{}", **first, **comment, *row);
     const auto layout = text_layout(lines_.name(), head, true, options_);
-    CHECK(layout, "the whole of a text always has a layout");
+    RCB_CHECK(layout, "the whole of a text always has a layout");
     if (!*layout) return at_its_line(layout->status());
     if (!(*layout)->row_count)
       return fault(begun_.line + 2, "its rows have a single column", "take another format than xyz for it");

@@ -81,7 +81,7 @@ void finish(LoadSummary& summary, std::span<const double> sizes) {
 }  // namespace
 
 ExactScale::ExactScale(double largest, std::uint64_t count) {
-  CHECK(largest > 0 && std::isfinite(largest) && count >= 1, "a positive largest value");
+  RCB_CHECK(largest > 0 && std::isfinite(largest) && count >= 1, "a positive largest value");
   int above = 0;
   std::frexp(largest, &above);                                            // largest < 2^above
   exponent_ = 127 - above - static_cast<int>(std::bit_width(count - 1));  // count <= 2^bit_width(count - 1)
@@ -96,14 +96,14 @@ u128 ExactScale::operator()(double value) const {
   if (shift <= -64) return 0;
   if (shift < 0) return significand >> static_cast<unsigned>(-shift);
   if (significand == 0) return 0;
-  CHECK(static_cast<int>(std::bit_width(significand)) + shift <= 127, "a value beyond the largest");
+  RCB_CHECK(static_cast<int>(std::bit_width(significand)) + shift <= 127, "a value beyond the largest");
   return u128{significand} << static_cast<unsigned>(shift);
 }
 
 std::vector<u128> exact_sizes(std::span<const double> sizes, int parts) {
   std::vector<u128> exact(static_cast<std::size_t>(parts), u128{1});
   if (sizes.empty() || std::ranges::all_of(sizes, [&](double size) { return size == sizes[0]; })) return exact;
-  CHECK(sizes.size() == exact.size(), "a size for each part");
+  RCB_CHECK(sizes.size() == exact.size(), "a size for each part");
   const ExactScale scale(*std::ranges::max_element(sizes), sizes.size());
   // A size too small for the common scale counts as 1, not 0, so that every part has a target.
   for (std::size_t p = 0; p < exact.size(); ++p) exact[p] = std::max(scale(sizes[p]), u128{1});
@@ -135,7 +135,7 @@ LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const 
 
 LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& particles,
                             std::span<const std::int32_t> part, std::span<const double> sizes, int parts) {
-  CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
+  RCB_CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
   const auto count = static_cast<std::size_t>(parts);
   // One more sum: the number of ranks with weights, since a rank without particles doesn't know whether there are any.
   std::vector<std::uint64_t> counts = count_groups([&](std::size_t i) { return part[i]; }, count + 1, part.size());
@@ -169,7 +169,7 @@ LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& par
 LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particles, const LoadSummary& before,
                         std::span<const std::int32_t> part, std::span<const std::uint64_t> slot,
                         std::span<const std::int32_t> to, std::span<const double> sizes) {
-  CHECK(slot.size() == to.size() && part.size() == particles.count, "a part for each particle");
+  RCB_CHECK(slot.size() == to.size() && part.size() == particles.count, "a part for each particle");
   const std::size_t parts = before.counts.size();
   const ExactScale scale(before.scale_exponent);
   // Of every part: counts gained, counts lost, then weights gained, weights lost.
@@ -223,7 +223,7 @@ double relative_error(u128 load, u128 total, u128 size, u128 all) {
 }
 
 double quotient(u128 numerator, u128 denominator) {
-  CHECK(denominator > 0, "a quotient needs a denominator");
+  RCB_CHECK(denominator > 0, "a quotient needs a denominator");
   return quotient_of_products(numerator, 1, denominator, 1, 0);
 }
 

@@ -261,7 +261,7 @@ class SampleWalk {
 }  // namespace
 
 Guess guess_cuts(const SortedSample& sample, const PartitionOptions& options, const GuessRoots& below) {
-  CHECK(at(options.parts) <= kGuessParts, "a guess has few parts");
+  RCB_CHECK(at(options.parts) <= kGuessParts, "a guess has few parts");
   Guess guess{.parts = options.parts};
   guess.inner.fill(Box::unbounded());
   SampleWalk(sample, options, below.rule, guess).run(below);

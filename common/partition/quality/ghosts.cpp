@@ -240,7 +240,7 @@ class GhostSearch {
 std::optional<GhostCounts> count_ghosts(comm::Comm& comm, const particles::ParticleView& particles,
                                         std::span<const std::int32_t> part, int parts, double width,
                                         const comm::GoOn& go_on, const GhostLimits& limits) {
-  CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
+  RCB_CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
   return GhostSearch(comm, particles, part, parts, width, limits).run(go_on);
 }
 

@@ -223,7 +223,7 @@ std::size_t Selector::crossing(std::size_t node, std::size_t bins, std::size_t a
       if (bin < bins) found = {counts[bin], 0};
     });
   }
-  CHECK(bin < bins || state.expected, "a bin holds the wanted key");
+  RCB_CHECK(bin < bins || state.expected, "a bin holds the wanted key");
   return bin;
 }
 

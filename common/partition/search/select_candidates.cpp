@@ -63,7 +63,7 @@ void Selector::gather_group(std::span<const std::size_t> group) {
     std::size_t last = first;
     while (last < candidates.size() && candidates[last].node == candidates[first].node) ++last;
     const std::span<const Candidate> own = std::span(candidates).subspan(first, last - first);
-    CHECK(own.size() == states_[own[0].node].inside, "the candidates are those counted");
+    RCB_CHECK(own.size() == states_[own[0].node].inside, "the candidates are those counted");
     states_[own[0].node].phase = Phase::done;
     if (weighted())
       pick_weighted(own);
@@ -93,7 +93,7 @@ void Selector::pick_weighted(std::span<const Candidate> candidates) {
   std::size_t crossing = 0;
   while (crossing < candidates.size() && before + candidates[crossing].weight < state.threshold)
     before += candidates[crossing++].weight;
-  CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
+  RCB_CHECK(crossing < candidates.size(), "the wanted weight is reached inside the bracket");
   const u128 after = before + candidates[crossing].weight;
   found.lowest_relied_on = found.highest_relied_on = candidates[crossing].key;
   const Wide wanted = Wide(node.weight) * node.left_size;
@@ -131,7 +131,7 @@ void Selector::find_neighbours() {
     auto key = keys.begin();
     for (Neighbour& neighbour : neighbours_) {
       if (!neighbour.weighted_before_bound) continue;
-      CHECK(*key != kLeastKey || nodes_[neighbour.node].below > 0, "weight lies below the bracket");
+      RCB_CHECK(*key != kLeastKey || nodes_[neighbour.node].below > 0, "weight lies below the bracket");
       neighbour.bound = found_[neighbour.node].lowest_relied_on = *key++;
     }
   }

@@ -74,7 +74,7 @@ void Selector::next_word() {
     const bool decided = state.replaced ? state.shift == 0 : state.word == 0 && lossless(node, 0);
     if (state.lo == state.hi && decided) state.word += state.words;
     state.words = 1;
-    CHECK(state.word < words_, "two particles have the same id");
+    RCB_CHECK(state.word < words_, "two particles have the same id");
     if (state.word > 0 && lossless(node, state.word)) {
       const WordValues own = steps_of(node, state.word);
       const std::uint64_t both =
@@ -114,7 +114,7 @@ void Selector::next_word() {
     if (!state.replaced && lo() == hi() && !lossless(measured[m], 0))
       state.uniform = maps_[axis_of(measured[m])](geometry::value_of_order_bits(lo()));
     while (lo() == hi()) {
-      CHECK(state.word + 1 < words_, "two particles have the same id");
+      RCB_CHECK(state.word + 1 < words_, "two particles have the same id");
       ++state.word;
     }
     enter(measured[m], lo(), hi());

@@ -114,7 +114,7 @@ std::vector<int> CutTree::parts_touching(const Box& box) const {
 }
 
 std::vector<Box> CutTree::regions(int first, int last) const {
-  CHECK(first >= 0 && first <= last && last <= parts, "no such parts");
+  RCB_CHECK(first >= 0 && first <= last && last <= parts, "no such parts");
   std::vector<Box> out(at(last - first));
   RegionWalk{*this, first, last, out}.visit(root(), Box::unbounded(), false);
   return out;

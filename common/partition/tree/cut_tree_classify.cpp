@@ -139,7 +139,8 @@ class Descent {
 }  // namespace
 
 void CutTree::classify(const particles::ParticleView& particles, std::span<std::int32_t> out) const {
-  CHECK(particles.dims == dims && out.size() == particles.count, "a part for each particle of the tree's dimensions");
+  RCB_CHECK(particles.dims == dims && out.size() == particles.count,
+            "a part for each particle of the tree's dimensions");
   // A descent copies the whole tree first, which few particles in many parts don't pay back.
   if (particles.count < static_cast<std::size_t>(parts)) {
     for (std::size_t i = 0; i < particles.count; ++i) out[i] = part_of(particles.point(i), particles.id[i]);

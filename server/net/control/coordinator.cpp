@@ -229,7 +229,7 @@ void Coordinator::close_push(std::shared_ptr<OpenPush> push) {
   push->closed = true;
   push->deadline.cancel();
   SceneGate& of = gate(push->slices.terms().id.scene);
-  CHECK(of.push == push, "the push isn't the open one");
+  RCB_CHECK(of.push == push, "the push isn't the open one");
   of.push.reset();
   of.wake();
 }
@@ -273,7 +273,7 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   if (counts.empty())  // the first push: equal blocks of rows
     for (std::uint64_t r = 0; r < ranks; ++r)
       counts.push_back(static_cast<std::uint64_t>(u128{terms.n} * (r + 1) / ranks - u128{terms.n} * r / ranks));
-  CHECK(counts.size() == ranks, "a count for each rank");
+  RCB_CHECK(counts.size() == ranks, "a count for each rank");
   std::vector<std::optional<std::uint64_t>> expected(ranks);
   for (std::size_t r = 0; r < ranks; ++r) {
     const bool member_has_none = push->round != nullptr && counts[r] == 0;

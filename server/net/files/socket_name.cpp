@@ -42,7 +42,7 @@ void remove_slot(Slot& slot) noexcept {
 }  // namespace
 
 SocketName::SocketName(const std::string& path) {
-  CHECK(path.size() <= kSocketPathMax, path);
+  RCB_CHECK(path.size() <= kSocketPathMax, path);
   struct stat info {};
   if (::lstat(path.c_str(), &info) != 0) return;  // somebody has removed it already
   for (std::size_t i = 0; i < g_slots.size(); ++i) {
@@ -56,7 +56,7 @@ SocketName::SocketName(const std::string& path) {
     slot_ = static_cast<int>(i);
     return;
   }
-  CHECK(false, "a process with so many listeners");
+  RCB_CHECK(false, "a process with so many listeners");
 }
 
 SocketName::SocketName(SocketName&& other) noexcept : slot_(std::exchange(other.slot_, -1)) {}

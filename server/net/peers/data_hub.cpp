@@ -25,11 +25,11 @@ void DataHub::drop(const PushId& id) {
 void apply_hub_message(DataPort& port, const wire::Json& message) {
   if (message.value("push", "") == "open") {
     auto ticket = read_ticket(message);
-    CHECK(ticket.ok(), ticket.status().message());
+    RCB_CHECK(ticket.ok(), ticket.status().message());
     port.open(std::move(*ticket));
   } else if (message.value("push", "") == "drop") {
     const auto id = read_push_id(message, "");
-    CHECK(id.ok(), id.status().message());
+    RCB_CHECK(id.ok(), id.status().message());
     port.drop(*id);
   }
 }

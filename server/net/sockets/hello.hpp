@@ -39,7 +39,7 @@ struct DoorOptions {
 class Door {
  public:
   explicit Door(DoorOptions options) : options_(std::move(options)) {
-    CHECK(!asks_for_token() || !options_.credentials->token.empty(), "a listener asks for a token and has none");
+    RCB_CHECK(!asks_for_token() || !options_.credentials->token.empty(), "a listener asks for a token and has none");
   }
   Door(const Door&) = delete;
   Door& operator=(const Door&) = delete;

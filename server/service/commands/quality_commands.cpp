@@ -85,7 +85,7 @@ Status compare_one(Context& context, const Scene& scene, const partition::Partit
   Status time;
   auto found = partition::partition(context.comm, view, options, while_in_time(context, time));
   if (!time.ok()) return time;
-  CHECK(found.ok(), found.status().message());
+  RCB_CHECK(found.ok(), found.status().message());
   const double seconds = context.clock.seconds() - start;
   const auto loads =
       partition::summarise_loads(context.comm, view, found->part.span(), options.part_sizes, options.parts);

@@ -68,7 +68,7 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
   auto found =
       partition::partition(context.comm, scene.particles.view(), search_options(options), while_in_time(context, time));
   if (!time.ok()) return failed(std::move(time));
-  CHECK(found.ok(), found.status().message());
+  RCB_CHECK(found.ok(), found.status().message());
   auto loads = partition::summarise_loads(context.comm, scene.particles.view(), found->part.span(), options.part_sizes,
                                           options.parts);
   std::uint64_t moved = count_differences(scene.part.span(), found->part.span());

@@ -271,7 +271,7 @@ Status check_later(Context& context, Scene& scene, const PushRequest& push, Stat
   if (staged.sums.faults == 0) return agree_room_to_migrate(comm, scene, staged.sums);
   if (Status status = agree_status(comm, ready); !status.ok()) return status;
   Status status = check_values(comm, view, false, 0);
-  CHECK(!status.ok(), "the pass found a fault that isn't there");
+  RCB_CHECK(!status.ok(), "the pass found a fault that isn't there");
   return status;
 }
 

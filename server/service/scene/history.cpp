@@ -120,7 +120,7 @@ void History::spill(std::size_t count) {
 }
 
 FoundReports History::newest(std::uint64_t first, std::uint64_t last) const {
-  CHECK(last <= total_, "reports that there are");
+  RCB_CHECK(last <= total_, "reports that there are");
   const std::uint64_t recent = total_ - recent_.size();
   FoundReports found;
   for (std::uint64_t number = std::max(first, recent); number < last; ++number)

@@ -121,7 +121,7 @@ Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefor
     while (b < from.size() && from[order_before[b]] < id) ++b;
     while (i < inserted.id.size() && inserted.id[order_inserted[i]] < id) ++i;
     const bool was = b < from.size() && from[order_before[b]] == id;
-    CHECK(was || (i < inserted.id.size() && inserted.id[order_inserted[i]] == id), "a particle came from nowhere");
+    RCB_CHECK(was || (i < inserted.id.size() && inserted.id[order_inserted[i]] == id), "a particle came from nowhere");
     changed.member.push_back(was ? member[order_before[b]] : inserted.member[order_inserted[i]]);
   }
   changed.part = in_order(part, order_now);

@@ -86,7 +86,7 @@ void apply_edits(comm::Comm& comm, Scene& scene, Edits& edits, Drift& drift) {
   for (std::uint64_t& slot : drift.slot) {
     if (slot < edit.new_count) continue;
     const auto found = std::lower_bound(moved.begin(), moved.end(), std::pair{slot, std::uint64_t{0}});
-    CHECK(found != moved.end() && found->first == slot, "a drifted particle is gone");
+    RCB_CHECK(found != moved.end() && found->first == slot, "a drifted particle is gone");
     slot = found->second;
     any = true;
   }

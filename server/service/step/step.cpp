@@ -85,7 +85,7 @@ void first_step(Context& context, Scene& scene, Staged& staged, StepReport& repo
   scene.pushed = true;
   const double start = context.clock.seconds();
   auto found = partition::partition(context.comm, scene.particles.view(), search_options(scene.options));
-  CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
+  RCB_CHECK(found.ok(), found.status().message());  // the options were checked when the scene was made
   report.searched = found->searched;
   report.rounds = found->rounds;
   report.reductions = found->reductions;
@@ -268,7 +268,7 @@ partition::PartitionOptions search_options(const SceneOptions& options) {
 }
 
 std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b) {
-  CHECK(a.size() == b.size(), "assignments of different length");
+  RCB_CHECK(a.size() == b.size(), "assignments of different length");
   std::uint64_t count = 0;
   for (std::size_t i = 0; i < a.size(); ++i) count += static_cast<std::uint64_t>(a[i] != b[i]);
   return count;

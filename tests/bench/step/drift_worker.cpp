@@ -55,7 +55,7 @@ Held hold(comm::Comm& comm, const SceneKind& kind, const Cell& cell) {
   partition::PartitionOptions options;
   options.parts = cell.parts;
   auto found = partition::partition(comm, scene.particles.view(), options);
-  CHECK(found.ok(), found.status().message());
+  RCB_CHECK(found.ok(), found.status().message());
   scene.tree = std::move(found->tree);
   scene.part = std::move(found->part);
   service::migrate(comm, scene, true);

@@ -28,10 +28,10 @@ TEST(CheckDeathTest, SaysWhoAndWhat) {
   EXPECT_DEATH(
       {
         set_check_context("rank 3 of 8");
-        CHECK(1 + 1 == 3, "sums");
+        RCB_CHECK(1 + 1 == 3, "sums");
       },
-      "rank 3 of 8: .*numbers_test.cpp:[0-9]+: CHECK\\(1 \\+ 1 == 3\\) failed: sums");
-  CHECK(true, "never said");
+      "rank 3 of 8: .*numbers_test.cpp:[0-9]+: RCB_CHECK\\(1 \\+ 1 == 3\\) failed: sums");
+  RCB_CHECK(true, "never said");
 }
 
 TEST(Random, IsSplitMix64) {

@@ -236,7 +236,7 @@ void old_axes(const CutTree& old_tree, const NodeRange& range, std::vector<int>&
   old_axes(old_tree, range.right(), out);
 }
 
-// A failed CHECK ends the program before rapidcheck can shrink or tell: the scene itself is better than nothing.
+// A failed RCB_CHECK ends the program before rapidcheck can shrink or tell: the scene itself is better than nothing.
 const RandomScene* g_running = nullptr;
 void tell_scene(int) {
   if (g_running != nullptr) showValue(*g_running, std::cerr);
