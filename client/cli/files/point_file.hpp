@@ -38,7 +38,6 @@ inline constexpr const char* kIdsHelp = "the column of ids (default: the one nam
 void add_column_options(CLI::App& command, FileOptions& options);
 // The same after FILE, whose option it returns.
 CLI::Option* add_file_options(CLI::App& command, FileOptions& options);
-io::ReadOptions read_options(const FileOptions& options);
 
 // What io must know to read it. Ctrl-C ends the reading.
 io::ReadOptions read_options(const FileOptions& options);
