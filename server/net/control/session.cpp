@@ -275,7 +275,9 @@ awaitable<void> Session::scene_change(Request& request) {
   else
     turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
   const bool changes = changes_parts(request.command, request.json, coordinator_->snapshot(), *scene);
-  const bool loads = request.command == "load";  // a first push, which those who have the scene open would not know of
+  // A file's particles are a push, too: a first one, of which those who have the scene open would not know.
+  const bool loads = request.command == "load";
+  if (turn.ok() && loads) turn = coordinator_->groups().check_free(*scene);
   if (turn.ok() && (drops || changes || loads)) {
     const auto holders = coordinator_->members(*scene, number_);
     if (!holders.empty())
@@ -285,8 +287,6 @@ awaitable<void> Session::scene_change(Request& request) {
                     "step's report tells"
                   : "try again when it is closed");
   }
-  // A file's particles are a push, too.
-  if (turn.ok() && loads) turn = coordinator_->groups().check_free(*scene);
   if (!turn.ok()) {
     fail(request.number, turn);
     coordinator_->wake_queue(*scene);
