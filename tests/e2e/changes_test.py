@@ -22,7 +22,7 @@ class Changing(PushClient):
         return self.answer() if send else None
 
 
-class Changes(ServiceTest):
+class Changes(Refusals, ServiceTest):
     ranks = 3
 
     def state(self, scene):
@@ -194,6 +194,18 @@ class Changes(ServiceTest):
                     self.assertTrue(again[0]["repeated"])
                 del moved[4]
                 self.check(scene, moved)
+
+    def test_the_slot_behind_a_ranks_last_is_refused(self):
+        ids, points = np.arange(300), np.random.default_rng(7).random((300, 3))
+        for how in ("gateway", "direct"):
+            scene = "slots-" + how
+            with self.subTest(how), PushClient(self.path, how) as client:
+                client.ask("scene.create", scene=scene, parts=5)
+                client.push_step(scene, 0, Step(ids, points))
+                rows, plan = client.layout(scene, Step(ids, points))
+                client.layout = lambda *_: ([np.insert(of, 0, of[0]) for of in rows], plan)  # every slot is one too high
+                last = Step(ids, points, moved=rows[1][-1:], base_step=0)
+                self.assertIn(f"slot {len(rows[1])} of rank 1", self.refused("invalid_argument", client.push_step, scene, 1, last))
 
     def test_a_client_that_dies_leaves_the_previous_step(self):
         model = {i: np.random.default_rng(6).random((300, 3))[i] for i in range(300)}

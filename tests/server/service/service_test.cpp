@@ -137,6 +137,21 @@ TEST(Service, ARefusedPushChangesNothing) {
   });
 }
 
+TEST(Service, AnyWeightBelowZeroIsRefusedAtALaterPushToo) {
+  on_ranks([](comm::Comm& comm) {
+    OwnDriver driver(comm, "a", {{"parts", 3}});
+    Particles particles = random_particles(1, 50, 3);
+    particles.weights.assign(50, 2);
+    driver.push(particles, 0);
+    particles.weights[31] = -1e-300;
+    const Response refused = driver.push(particles, 1);
+    if (comm.rank() != 0) return;
+    EXPECT_EQ(refused.status.code(), Code::invalid_argument);
+    EXPECT_NE(refused.status.message().find("particle 31: weight is -1e-300"), std::string::npos)
+        << refused.status.message();
+  });
+}
+
 TEST(Service, StalePlanIsRefused) {
   on_ranks([](comm::Comm& comm) {
     OwnDriver driver(comm, "a", {{"parts", 4}});

@@ -381,6 +381,28 @@ TEST(Changes, AllMayGoAndOthersCome) {
   });
 }
 
+// Ids are rows as long as what is inserted goes on where they end, without a gap.
+TEST(Changes, OneIdTooHighAndTheSceneHasIdsOfItsOwn) {
+  on_ranks([](comm::Comm& comm) {
+    Service service(comm, kClock);
+    Walk walk(comm, service, "gap", 2, false, comm.size() % 2 == 0);
+    Random random(5);
+    walk.begin(random, 40, {{"parts", 3}, {"tolerance", "inf"}});
+    std::vector<bool> own;
+    for (const std::vector<std::int64_t>& ids : {std::vector<std::int64_t>{40, 41}, {42, 44}}) {
+      Deed deed{.moved = "none"};
+      deed.inserted.assign(2, {{0.5, 0.5, 0}, 1});
+      deed.inserted_ids = ids;
+      walk.push(deed);
+      const Response shown = walk.ask("scene.show");
+      own.push_back(comm.rank() == 0 && shown.json["ids"].get<bool>());
+    }
+    if (comm.rank() == 0) {
+      EXPECT_EQ(own, (std::vector<bool>{false, true}));
+    }
+  });
+}
+
 TEST(Changes, WhatIsInsertedHasGoodValues) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   struct Bad {

@@ -269,6 +269,34 @@ TEST(ServicePolicy, AVainSearchSettlesTheAccount) {
   });
 }
 
+// A search in vain at one error forbids others up to that error, until there are new cuts, for which it proves nothing.
+TEST(ServicePolicy, NewCutsMakeAVainSearchForgotten) {
+  on_ranks([](comm::Comm& comm) {
+    const RankClock clock(comm.rank());
+    Service service(comm, clock);
+    Driver driver(comm, service, "a");
+    driver.create({{"parts", 2}, {"dims", 1}, {"tolerance", 0.1}});
+    Particles line;
+    line.dims = 1;
+    line.position = {{0, 1, 2}};
+    const auto push = [&](std::vector<double> weights, int step) {
+      line.weights = std::move(weights);
+      const Response pushed = driver.push_by_id(line, step);
+      return comm.rank() == 0 ? pushed.json["report"] : Json();
+    };
+    push({10, 1, 1}, 0);
+    const Json in_vain = push({10, 1, 1}, 1);
+    const Json held_back = push({1, 2, 1.5}, 2);
+    driver.ask("rebalance");
+    const Json searched = push({2, 2, 1}, 3);
+    if (comm.rank() != 0) return;
+    EXPECT_TRUE(in_vain["reason"].get<std::string>().ends_with("not adopted")) << in_vain;
+    EXPECT_NE(held_back["reason"].get<std::string>().find("it hasn't grown since"), std::string::npos) << held_back;
+    EXPECT_LT(searched["error_before"], in_vain["error"]);
+    EXPECT_TRUE(searched["repartitioned"]) << searched;
+  });
+}
+
 TEST(ServicePolicy, Refusals) {
   on_ranks([](comm::Comm& comm) {
     const RankClock clock(comm.rank());
