@@ -1,6 +1,5 @@
 // push: one step from a file.
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include "client/cli/app.hpp"
 #include "client/cli/files/frame_pusher.hpp"
@@ -49,16 +48,6 @@ Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::
           : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
-// A solver that has the scene open numbers its steps by itself: its next one would be refused (stale_step), and the
-// solver would end. shown: the answer to scene.show.
-Status check_not_held(const Json& shown, const std::string& scene) {
-  const auto holders = shown.at("members").get<std::vector<std::string>>();
-  if (holders.empty()) return {};
-  return {Code::busy, fmt::format("scene '{}' is held open by {}", scene, fmt::join(holders, ", ")),
-          "try again when it is closed; with --force the step is pushed all the same, and a solver whose next step has "
-          "the same number fails"};
-}
-
 Status push(const PushOptions& options, const Context& context) {
   if (options.file.path.empty() && !options.unmoved && options.inserted.path.empty() && options.removed.empty())
     return {Code::usage, "push: FILE, --unmoved, --insert or --remove is wanted", "rcbctl push --help"};
@@ -66,7 +55,12 @@ Status push(const PushOptions& options, const Context& context) {
   if (!client) return client.status();
   auto shown = ask(*client, "scene.show", {{"scene", options.name}});
   if (!shown) return shown.status();
-  if (Status free = check_not_held(*shown, options.name); !free && !options.force) return free;
+  if (!options.force) {
+    Status free = check_not_held(*shown, options.name,
+                                 "try again when it is closed; with --force the step is pushed all the same, and a "
+                                 "solver whose next step has the same number fails");
+    if (!free) return free;
+  }
   const int dims = shown->at("dims").get<int>();
   Progress progress("push " + options.name);
   const auto read = [&](const FileOptions& file) -> Result<io::Points> {

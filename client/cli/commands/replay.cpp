@@ -2,7 +2,6 @@
 #include <utility>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include "client/cli/app.hpp"
 #include "client/cli/commands/feed.hpp"
@@ -111,10 +110,9 @@ class Stream {
         return {Code::already_exists,
                 fmt::format("scene '{}' exists already, and {} is for a new one", options_.name, option->get_name()),
                 fmt::format("--replace makes it anew; without {} the stream goes on with it", option->get_name())};
-    const auto holders = shown->at("members").get<std::vector<std::string>>();
-    if (!holders.empty())  // whose next step would be stale
-      return {Code::busy, fmt::format("scene '{}' is held open by {}", options_.name, fmt::join(holders, ", ")),
-              "try again when it is closed, or give the stream a scene of its own"};
+    Status free =
+        check_not_held(*shown, options_.name, "try again when it is closed, or give the stream a scene of its own");
+    if (!free) return free;
     return feed_.go_on(*shown);
   }
 

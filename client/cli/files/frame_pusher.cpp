@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace rcb::cli {
 namespace {
@@ -66,6 +67,12 @@ void move_rows(const std::vector<client::RowMove>& moves, std::size_t count, con
 Status no_points(const std::string& file, const std::string& scene) {
   return {Code::invalid_argument, fmt::format("{}: holds no points, and scene '{}' has none yet", file, scene),
           "push a file that holds some; was this one written to its end?"};
+}
+
+Status check_not_held(const Json& shown, const std::string& scene, const std::string& hint) {
+  const auto holders = shown.at("members").get<std::vector<std::string>>();
+  if (holders.empty()) return {};
+  return {Code::busy, fmt::format("scene '{}' is held open by {}", scene, fmt::join(holders, ", ")), hint};
 }
 
 FramePusher::FramePusher(client::Scene scene, std::uint64_t count, std::vector<std::int64_t> ids)

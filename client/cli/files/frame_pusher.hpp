@@ -38,6 +38,9 @@ class CompactPositions {
 
 // Such a push would make a scene without particles, which is hardly meant.
 Status no_points(const std::string& file, const std::string& scene);
+// A solver that has the scene open numbers its steps by itself: if others pushed, its next one would be refused
+// (stale_step), and the solver would end. shown: the answer to scene.show.
+Status check_not_held(const Json& shown, const std::string& scene, const std::string& hint);
 
 class FramePusher {
  public:

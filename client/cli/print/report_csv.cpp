@@ -15,7 +15,7 @@ constexpr std::initializer_list<const char*> kColumns = {
     "scanned", "searched",     "rounds",  "reductions", "skipped",      "bytes"};
 // After the seconds: these fields were added last, and columns keep their places.
 constexpr std::initializer_list<const char*> kLastColumns = {"parts", "scene_recreated", "way", "weights_as_zero"};
-constexpr std::initializer_list<const char*> kSeconds = {"receive", "exchange", "search", "migrate", "total"};
+constexpr std::initializer_list<const char*> kPhases = {"receive", "exchange", "search", "migrate", "total"};
 
 std::string csv_quoted(const std::string& text) {
   if (text.find_first_of(",\"\n\r") == std::string::npos) return text;
@@ -40,7 +40,7 @@ std::string cell(const Json& report, const char* field) {
 std::string reports_csv_header() {
   std::string text;
   for (const char* column : kColumns) text += (text.empty() ? "" : ",") + std::string(column);
-  for (const char* name : kSeconds) text += fmt::format(",seconds_{}", name);
+  for (const char* name : kPhases) text += fmt::format(",seconds_{}", name);
   for (const char* column : kLastColumns) text += fmt::format(",{}", column);
   return text + '\n';
 }
@@ -49,7 +49,7 @@ std::string report_csv_line(const Json& report) {
   std::string line;
   for (const char* column : kColumns) line += (column == *kColumns.begin() ? "" : ",") + cell(report, column);
   const Json seconds = report.value("seconds", Json::object());
-  for (const char* name : kSeconds) line += "," + cell(seconds, name);
+  for (const char* name : kPhases) line += "," + cell(seconds, name);
   for (const char* column : kLastColumns) line += "," + cell(report, column);
   return line + '\n';
 }
