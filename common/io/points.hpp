@@ -69,7 +69,6 @@ class CsvWriter {
 // .npy files, version 1.0, C order, little-endian.
 Status write_npy(const std::string& path, std::span<const std::int32_t> values);
 Status write_npy(const std::string& path, std::span<const std::int64_t> values);
-Status write_npy(const std::string& path, std::span<const std::int64_t> values, std::vector<std::uint64_t> shape);
 Status write_npy(const std::string& path, std::span<const double> values, std::vector<std::uint64_t> shape);
 
 // Opens a trajectory to read it frame by frame: an .npy file of shape (steps, n, dims), a LAMMPS dump, an XYZ file; any

@@ -153,10 +153,6 @@ Status write_npy(const std::string& path, std::span<const std::int64_t> values) 
   return write_array(path, "<i8", {values.size()}, bytes_of(values));
 }
 
-Status write_npy(const std::string& path, std::span<const std::int64_t> values, std::vector<std::uint64_t> shape) {
-  return write_array(path, "<i8", shape, bytes_of(values));
-}
-
 Status write_npy(const std::string& path, std::span<const double> values, std::vector<std::uint64_t> shape) {
   return write_array(path, "<f8", shape, bytes_of(values));
 }

@@ -226,11 +226,13 @@ class People(ServiceTest):
         expected = parts("partition", plain, "--parts", 7, "--assign")[0]
         np.testing.assert_array_equal(parts("partition", own, "--parts", 7, "--assign")[0], expected)
         for name in ("by-row", "by-row-2"):
-            np.testing.assert_array_equal(parts("assign", name, "--out")[0], expected)
+            array, told = parts("assign", name, "--out")
+            self.assertEqual(told["order"], "rows")
+            np.testing.assert_array_equal(array, expected)
         for name in ("by-id", "by-id-2"):
             array, told = parts("assign", name, "--out")
-            self.assertEqual(told["columns"], ["id", "part"])
-            np.testing.assert_array_equal(array, np.column_stack([ids, expected])[np.argsort(ids)])
+            self.assertEqual((told["order"], array.dtype), ("ids", np.int32))
+            np.testing.assert_array_equal(array, expected[np.argsort(ids)])
             np.testing.assert_array_equal(parts("assign", name, own, "--out")[0], expected)
             np.testing.assert_array_equal(parts("assign", name, other, "--out")[0],
                                           parts("partition", other, "--parts", 7, "--assign")[0])

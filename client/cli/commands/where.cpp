@@ -91,19 +91,15 @@ Status write_by_rows(const AssignOptions& options, Ids ids, std::span<const std:
   return io::write_npy(options.out, by_row);
 }
 
-// The parts by row. Where the scene has ids of its own the service doesn't know the rows: then those of a file, or the
-// ids come along.
+// The parts by row. Where the scene has ids of its own the service doesn't know the rows: then those of a file or,
+// without one, in ascending order of the ids.
 Status write_assignment(const AssignOptions& options, Ids ids, const client::Reply& reply) {
   const client::Array* part = reply.find("part");
   const client::Array* id = reply.find("id");
   if (part == nullptr || id == nullptr || id->i8().size() != part->i4().size())
     return {Code::protocol_error, "the answer to assign lacks its ids or parts"};
   if (!options.rows.path.empty()) return write_by_rows(options, ids, id->i8(), part->i4());
-  if (ids == Ids::rows) return io::write_npy(options.out, part->i4());
-  std::vector<std::int64_t> pairs;
-  pairs.reserve(2 * part->i4().size());
-  for (std::size_t k = 0; k < part->i4().size(); ++k) pairs.insert(pairs.end(), {id->i8()[k], part->i4()[k]});
-  return io::write_npy(options.out, std::span<const std::int64_t>(pairs), {part->i4().size(), 2});
+  return io::write_npy(options.out, part->i4());
 }
 
 Status assign(const AssignOptions& options, const Context& context) {
@@ -116,13 +112,17 @@ Status assign(const AssignOptions& options, const Context& context) {
   if (!answer) return answer.status();
   const Ids ids = shown->at("ids").get<bool>() ? Ids::own : Ids::rows;
   if (Status status = write_assignment(options, ids, answer->reply); !status) return status;
-  const bool pairs = options.rows.path.empty() && ids == Ids::own;
+  const bool by_id = options.rows.path.empty() && ids == Ids::own;
   answer->json["file"] = options.out;
-  answer->json["columns"] = pairs ? Json{"id", "part"} : Json{"part"};
+  answer->json["order"] = by_id ? "ids" : "rows";
+  if (by_id)
+    note(
+        fmt::format("scene '{}' has ids of its own: the parts are in ascending order of these; with the file that was "
+                    "pushed (rcbctl assign {} FILE ...) they are in the order of its rows",
+                    options.name, options.name));
   return show(context, answer->json, [&] {
-    print_line(fmt::format("{}: {}", options.out,
-                           pairs ? fmt::format("id and part of each of {} points", text_of(answer->json, "n"))
-                                 : fmt::format("the part of each of {} rows", text_of(answer->json, "n"))));
+    print_line(fmt::format("{}: the part of each of {} {}", options.out, text_of(answer->json, "n"),
+                           by_id ? "points, by ascending id" : "rows"));
   });
 }
 
@@ -159,8 +159,7 @@ void add_where_commands(CLI::App& app, Context& context) {
   add_scene_name(assigns, array.name);
   add_value(
       assigns, "--out", array.out, kind::output_file(kind::Format::npy),
-      "the array: by row as first pushed or, where the scene has ids of its own and no FILE is given, two columns "
-      "(int64), id and part, by ascending id")
+      "the array: by row as first pushed or, where the scene has ids of its own and no FILE is given, by ascending id")
       ->required();
   add_file_options(assigns, array.rows)->required(false)->description("whose rows are meant, by their ids");
   add_deadline(assigns, array.deadline_seconds);
