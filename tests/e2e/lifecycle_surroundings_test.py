@@ -145,22 +145,27 @@ class Environments(unittest.TestCase):
 
     @only_root
     def test_a_user_without_a_home_and_places_of_other_users(self):
-        """As in a batch job, or in a container."""
-        os.chmod(self.dir, 0o755)
-        for folder, mode in (("theirs", 0o755), ("closed", 0o700), ("own", 0o755)):
-            os.mkdir(f"{self.dir}/{folder}", mode)
-        os.chown(f"{self.dir}/own", ANOTHER_USER, ANOTHER_USER)
-        data = ("--data-dir", f"{self.dir}/own")
+        """As in a batch job, or in a container. The other user may not look into TMPDIR, nor to where the programs are."""
+        place = tempfile.mkdtemp(prefix="rcb-e2e-", dir="/tmp")
+        self.addCleanup(shutil.rmtree, place)
+        os.chmod(place, 0o755)
+        for folder, mode in (("theirs", 0o755), ("closed", 0o700), ("own", 0o755), ("bin", 0o755)):
+            os.mkdir(f"{place}/{folder}", mode)
+        os.chown(f"{place}/own", ANOTHER_USER, ANOTHER_USER)
+        for program in ("rcbctl", "rcbd"):
+            shutil.copy(os.path.join(BIN, program), f"{place}/bin")
+        data = ("--data-dir", f"{place}/own")
 
         def ctl(*args):
             return run(f"--reuid={ANOTHER_USER}", f"--regid={ANOTHER_USER}", "--clear-groups", "env", "-u", "XDG_STATE_HOME",
-                       "XDG_RUNTIME_DIR=/nonexistent", "HOME=/", RCBCTL, *args, program="setpriv")
+                       "-u", "RCBD_BIN_DIR", "TMPDIR=/tmp", "XDG_RUNTIME_DIR=/nonexistent", "HOME=/", f"{place}/bin/rcbctl",
+                       *args, program="setpriv")
 
         self.addCleanup(shutil.rmtree, f"/tmp/rcbd-{ANOTHER_USER}", ignore_errors=True)
         self.addCleanup(ctl, "down")
         for folder in ("theirs", "closed"):
             self.assertIn("choose a folder of yours for the socket, with --endpoint",
-                          ctl("up", "--endpoint", f"unix:{self.dir}/{folder}/s", *data).stderr)
+                          ctl("up", "--endpoint", f"unix:{place}/{folder}/s", *data).stderr)
         self.assertRegex(ctl("up", "-n", 1).stderr, "can't be made: .*\n.*with --data-dir")
         self.assertRegex(ctl("up", "-n", 1, "--endpoint", "127.0.0.1:17496").stderr, "with XDG_STATE_HOME")
         up = ctl("up", "-n", 1, *data)
