@@ -24,7 +24,9 @@ set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/bin")
 set(CMAKE_CXX_FLAGS_RELEASE "-O2")
 find_program(RCB_CCACHE ccache)
 if(RCB_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
-  set(CMAKE_CXX_COMPILER_LAUNCHER "${RCB_CCACHE}")
+  # What was compiled in one checkout serves another one, in another folder.
+  set(CMAKE_CXX_COMPILER_LAUNCHER "${CMAKE_COMMAND}" -E env "CCACHE_BASEDIR=${PROJECT_SOURCE_DIR}" CCACHE_NOHASHDIR=1
+      "${RCB_CCACHE}")
 endif()
 
 # What whoever links a folder needs, and (rcb_flags) what our own sources are compiled with besides.
@@ -37,6 +39,7 @@ target_compile_options(rcb_flags INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wold-style-cast -Wnon-virtual-dtor
   -Woverloaded-virtual -Wno-missing-field-initializers -ffp-contract=off -fno-fast-math)
 target_compile_definitions(rcb_flags INTERFACE BOOST_ASIO_NO_DEPRECATED)
+target_compile_options(rcb_flags INTERFACE "-ffile-prefix-map=${PROJECT_SOURCE_DIR}/=")  # messages name files from here on
 if(RCB_WERROR)
   target_compile_options(rcb_flags INTERFACE -Werror)
 endif()
