@@ -13,22 +13,6 @@ def block(document, language, number=0):
     return re.findall(r"^```" + language + r"\n(.*?)^```", text_of(ROOT, document), re.S | re.M)[number]
 
 
-# A LAMMPS run of 500 atoms, without its dump.
-MELT = """
-units lj
-lattice fcc 0.8442
-region box block 0 5 0 5 0 5
-create_box 1 box
-create_atoms 1 box
-mass 1 1.0
-velocity all create 3.0 87287
-pair_style lj/cut 2.5
-pair_coeff 1 1 1.0 1.0 2.5
-fix 1 all nve
-{dump}
-run 500
-"""
-
 # What a solver has and the README doesn't show.
 SOLVER = """
 #include <cmath>
@@ -188,7 +172,7 @@ class Sessions(unittest.TestCase):
     def test_a_lammps_run(self):
         text = re.search(r"```\n(\$ mkfifo.*?)^```", text_of(ROOT, "docs/coupling.md"), re.S | re.M).group(1)
         dump = re.search(r"with the line: (dump .*)$", text, re.M).group(1)
-        write_text(os.path.join(self.dir, "in.jet"), MELT.format(dump=dump))
+        write_text(os.path.join(self.dir, "in.jet"), lammps_melt(dump, cells=5, steps=500))
         lines = re.findall(r"^\$ (.*)$", text, re.M)
         self.said("rcbctl up -n 2")
         # The last line asks for the history of a run that has ended.

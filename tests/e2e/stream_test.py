@@ -6,20 +6,6 @@ import threading
 from support import *
 
 LMP = shutil.which("lmp")
-LJ = """units lj
-atom_style atomic
-lattice fcc 0.8442
-region box block 0 4 0 4 0 4
-create_box 1 box
-create_atoms 1 box
-mass 1 1.0
-velocity all create 3.0 87287
-pair_style lj/cut 2.5
-pair_coeff 1 1 1.0 1.0 2.5
-fix 1 all nve
-{}
-run 100
-"""
 
 
 def dump(timestep, ids, points, columns="id x y z", bounds=((0, 1),) * 3):
@@ -238,7 +224,7 @@ class Lammps(Trajectories):
 
     def lammps(self, *dumps):
         folder = tempfile.mkdtemp(dir=self.dir)
-        write_text(os.path.join(folder, "in.lj"), LJ.format("\n".join(dumps)))
+        write_text(os.path.join(folder, "in.lj"), lammps_melt("\n".join(dumps), cells=4, steps=100))
         process = subprocess.Popen([LMP, "-in", "in.lj", "-log", "none"], cwd=folder, stdout=subprocess.PIPE,
                                    stderr=subprocess.STDOUT, text=True, env=dict(os.environ, OMP_NUM_THREADS="1"))
         return folder, process

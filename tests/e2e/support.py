@@ -223,6 +223,23 @@ def awaited(condition, seconds=20, not_yet=()):
     raise AssertionError(f"not within {seconds} s")
 
 
+def lammps_melt(dump, cells, steps):
+    """A LAMMPS run of 4 cells^3 atoms, with this command for its dump."""
+    return f"""units lj
+lattice fcc 0.8442
+region box block 0 {cells} 0 {cells} 0 {cells}
+create_box 1 box
+create_atoms 1 box
+mass 1 1.0
+velocity all create 3.0 87287
+pair_style lj/cut 2.5
+pair_coeff 1 1 1.0 1.0 2.5
+fix 1 all nve
+{dump}
+run {steps}
+"""
+
+
 def fill_disk(folder, files=0):
     """Takes every byte that is left there, then with up to so many empty files the inodes as well."""
     with contextlib.suppress(OSError), open(os.path.join(folder, "fill"), "ab", buffering=0) as file:
@@ -234,6 +251,6 @@ def fill_disk(folder, files=0):
 
 
 __all__ = ["ANOTHER_USER", "BIN", "MPIRUN", "RCBCTL", "Refusals", "Service", "ServiceTest", "awaited", "fill_disk",
-           "free_port", "hard_scenes", "json", "kill", "np", "only_root", "os", "process_name", "processes_of",
-           "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "text_of", "time", "token_of",
-           "unittest", "wait_for", "write_text"]
+           "free_port", "hard_scenes", "json", "kill", "lammps_melt", "np", "only_root", "os", "process_name",
+           "processes_of", "random_walk", "run", "shutil", "signal", "subprocess", "sys", "tempfile", "text_of", "time",
+           "token_of", "unittest", "wait_for", "write_text"]
