@@ -8,9 +8,9 @@
 namespace rcb::testing {
 namespace {
 
-using partition::Cut;
-using partition::CutTree;
-using partition::Method;
+using cuts::Cut;
+using cuts::CutTree;
+using cuts::Method;
 
 std::string wrong_cut(const CutTree& tree, const Judgement& judged) {
   if (tree.cuts.size() != judged.cuts.size()) return fmt::format("{} cuts", tree.cuts.size());

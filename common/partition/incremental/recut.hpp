@@ -4,9 +4,14 @@
 #include <vector>
 
 #include "common/partition/balance/load.hpp"
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
 namespace rcb::partition {
+
+using cuts::Cut;
+using cuts::CutTree;
+using cuts::Method;
+using cuts::NodeRange;
 
 // The smallest subtrees whose new cuts bring every part's error below `wanted`, judging by the loads: new cuts give
 // each part of a subtree its share of the subtree's load. Ascending, none below another. The root alone if nothing less

@@ -9,7 +9,7 @@
 #include "common/geometry/axes.hpp"
 #include "common/particles/by_part.hpp"
 #include "common/partition/balance/bounding_box.hpp"
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
 namespace rcb::partition {
 namespace {

@@ -11,9 +11,14 @@
 #include "common/comm/comm.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/quality/ghosts.hpp"
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
 namespace rcb::partition {
+
+using cuts::Cut;
+using cuts::CutTree;
+using cuts::Method;
+using cuts::NodeRange;
 
 struct Quality : GhostCounts {
   double ghost_width = 0;

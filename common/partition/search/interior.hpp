@@ -14,9 +14,16 @@
 
 #include "common/base/wide.hpp"
 #include "common/geometry/box.hpp"
-#include "common/partition/tree/key.hpp"
+#include "common/cuts/key.hpp"
 
 namespace rcb::partition {
+
+using cuts::AxisOrder;
+using cuts::Id;
+using cuts::Key;
+using cuts::key_between;
+using cuts::key_of;
+using cuts::Point;
 
 // Where a node's cut is expected. All interior particles of its left parts have lesser keys than `least`, all those of
 // its right parts greater ones than `most`.

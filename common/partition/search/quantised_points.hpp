@@ -17,9 +17,16 @@
 #include <vector>
 
 #include "common/base/buffer.hpp"
-#include "common/partition/tree/key.hpp"
+#include "common/cuts/key.hpp"
 
 namespace rcb::partition {
+
+using cuts::AxisOrder;
+using cuts::Id;
+using cuts::Key;
+using cuts::key_between;
+using cuts::key_of;
+using cuts::Point;
 
 using Integers = std::array<std::int32_t, geometry::kDimsMax>;
 

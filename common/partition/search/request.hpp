@@ -8,9 +8,20 @@
 #include <vector>
 
 #include "common/base/buffer.hpp"
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
 namespace rcb::partition {
+
+using cuts::AxisOrder;
+using cuts::Id;
+using cuts::Key;
+using cuts::key_between;
+using cuts::key_of;
+using cuts::Point;
+using cuts::Cut;
+using cuts::CutTree;
+using cuts::Method;
+using cuts::NodeRange;
 
 // When a partition begins with a sample, from which a tree is guessed (incremental/guess.hpp) or buckets are made
 // (buckets.hpp), and how much the sample is trusted.

@@ -11,9 +11,16 @@
 #include "common/geometry/box.hpp"
 #include "common/partition/search/rounded_axes.hpp"
 #include "common/partition/search/sample.hpp"
-#include "common/partition/tree/key.hpp"
+#include "common/cuts/key.hpp"
 
 namespace rcb::partition {
+
+using cuts::AxisOrder;
+using cuts::Id;
+using cuts::Key;
+using cuts::key_between;
+using cuts::key_of;
+using cuts::Point;
 
 class SortedSample {
  public:

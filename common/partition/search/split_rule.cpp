@@ -6,7 +6,7 @@
 
 namespace rcb::partition {
 SplitRule::SplitRule(const PartitionOptions& options, int axes)
-    : options_(&options), axes_(axes), band_axis_(partition::band_axis(options.method)) {
+    : options_(&options), axes_(axes), band_axis_(cuts::band_axis(options.method)) {
   size_prefix_.assign(1, 0);
   for (const u128 size : exact_sizes(options.part_sizes, options.parts))
     size_prefix_.push_back(size_prefix_.back() + size);

@@ -5,9 +5,9 @@
 namespace rcb::service {
 namespace {
 
-using partition::Cut;
-using partition::CutTree;
-using partition::NodeRange;
+using cuts::Cut;
+using cuts::CutTree;
+using cuts::NodeRange;
 
 wire::Json child_json(const NodeRange& child) {
   if (child.leaf()) return {{"part", child.first}};

@@ -1,14 +1,14 @@
 // A cut tree as JSON for clients: its cuts in preorder, and the region of each part.
 #pragma once
 
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 #include "common/wire/message.hpp"
 
 namespace rcb::service {
 
 // The cuts of those of the nodes [first, last) that exist.
-wire::Json cuts_json(const partition::CutTree& tree, int first, int last);
+wire::Json cuts_json(const cuts::CutTree& tree, int first, int last);
 // The regions of the parts [first, last).
-wire::Json regions_json(const partition::CutTree& tree, int first, int last);
+wire::Json regions_json(const cuts::CutTree& tree, int first, int last);
 
 }  // namespace rcb::service

@@ -59,7 +59,7 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
   if (!page.ok()) return failed(page.status());
   if (!context.root()) return {};
   wire::Json json{{"epoch", s.epoch},
-                  {"method", partition::method_name(s.tree.method)},
+                  {"method", cuts::method_name(s.tree.method)},
                   {"parts", parts},
                   {"hash", wire::hex64(s.cuts_hash())}};
   const auto from = static_cast<int>(page->from);

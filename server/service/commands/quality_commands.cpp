@@ -14,7 +14,7 @@
 namespace rcb::service {
 namespace {
 
-using partition::Method;
+using cuts::Method;
 
 // A short description of a value that is not a method.
 std::string shown(const wire::Json& value) {
@@ -65,7 +65,7 @@ Result<std::vector<Method>> read_methods(const wire::Json& request, int dims) {
   std::vector<Method> methods;
   const auto allowed = methods_for(dims);
   for (const wire::Json& name : request["methods"]) {
-    const auto method = name.is_string() ? partition::method_from_name(name.get<std::string>()) : std::nullopt;
+    const auto method = name.is_string() ? cuts::method_from_name(name.get<std::string>()) : std::nullopt;
     if (!method || std::find(allowed.begin(), allowed.end(), *method) == allowed.end())
       return Status(Code::invalid_argument, fmt::format("methods: {} isn't one for {} dimension(s)", shown(name), dims),
                     "methods: equal-boxes, file-order, bands-x, bands-y, bands-z, rcb");
@@ -92,11 +92,11 @@ Status compare_one(Context& context, const Scene& scene, const partition::Partit
   time = context.check_time();
   if (!time.ok()) return time;
   const auto metrics = partition::quality(context.comm, view, found->part.span(), options.parts,
-                                          partition::has_cut_tree(options.method) ? &found->tree : nullptr, width,
+                                          cuts::has_cut_tree(options.method) ? &found->tree : nullptr, width,
                                           while_in_time(context, time));
   if (!metrics) return time;
   if (!context.root()) return {};
-  wire::Json row{{"method", partition::method_name(options.method)},
+  wire::Json row{{"method", cuts::method_name(options.method)},
                  {"error", loads.error},
                  {"imbalance", loads.imbalance},
                  {"seconds", seconds}};

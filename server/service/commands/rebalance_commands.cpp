@@ -76,14 +76,14 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
   const std::uint64_t migrated = count_migrated(context.comm, found->part.span(), options.parts);
 
   wire::Json json{{"scene", scene.name},
-                  {"method", partition::method_name(options.method)},
+                  {"method", cuts::method_name(options.method)},
                   {"parts", options.parts},
                   {"error_before", scene.loads.error},
                   {"error", loads.error},
                   {"imbalance", loads.imbalance},
                   {"moved", moved},
                   {"migrated", migrated},
-                  {"axes_flipped", partition::axes_flipped(scene.tree, found->tree)},
+                  {"axes_flipped", cuts::axes_flipped(scene.tree, found->tree)},
                   {"adopted", !wanted->dry_run},
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
                   {"hash", wire::hex64(found->tree.hash())}};

@@ -55,15 +55,15 @@ Status read_part_sizes(const wire::Json& request, SceneOptions& options) {
 
 }  // namespace
 
-Result<partition::Method> read_method(const wire::Json& request, int dims, partition::Method otherwise) {
+Result<cuts::Method> read_method(const wire::Json& request, int dims, cuts::Method otherwise) {
   if (!request.contains("method") || request["method"].is_null()) return otherwise;
   const auto name = wire::string_field(request, "method", 64);
   if (!name.ok()) return name.status();
-  const auto method = partition::method_from_name(name.value());
-  if (!method || *method == partition::Method::equal_boxes || *method == partition::Method::file_order)
+  const auto method = cuts::method_from_name(name.value());
+  if (!method || *method == cuts::Method::equal_boxes || *method == cuts::Method::file_order)
     return Status(Code::invalid_argument, fmt::format("unknown method '{}'", name.value()),
                   "methods: rcb, bands-x, bands-y, bands-z");
-  if (partition::band_axis(*method).value_or(0) >= dims)
+  if (cuts::band_axis(*method).value_or(0) >= dims)
     return Status(Code::invalid_argument,
                   fmt::format("method {} needs an axis that {} dimension(s) don't have", name.value(), dims));
   return *method;
@@ -102,7 +102,7 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   options.cut_tolerance = fields.number_or("cut_tolerance", 0, 1, 0);
   const std::string recut = fields.text_or("recut", 16, "all");
   if (!fields.ok()) return fields.status();
-  const auto method = read_method(request, options.dims, partition::Method::rcb);
+  const auto method = read_method(request, options.dims, cuts::Method::rcb);
   if (!method.ok()) return method.status();
   options.method = method.value();
   const auto policy = read_policy(request);
@@ -121,7 +121,7 @@ Response describe_scene(Scene& scene) {
                   {"n", scene.n},
                   {"dims", options.dims},
                   {"parts", options.parts},
-                  {"method", partition::method_name(options.method)},
+                  {"method", cuts::method_name(options.method)},
                   {"tolerance", wire::number_json(options.tolerance)},
                   {"axis_hysteresis", options.axis_hysteresis},
                   {"cut_tolerance", options.cut_tolerance},

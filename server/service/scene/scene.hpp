@@ -23,7 +23,7 @@
 #include "common/base/buffer.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/balance/load.hpp"
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 #include "server/service/scene/history.hpp"
 #include "server/service/scene/policy.hpp"
 #include "server/service/scene/regions.hpp"
@@ -37,7 +37,7 @@ enum class Recut { all, subtree };
 struct SceneOptions {
   int parts = 1;
   int dims = 3;
-  partition::Method method = partition::Method::rcb;
+  cuts::Method method = cuts::Method::rcb;
   double tolerance = 0.1;  // may be infinity
   double axis_hysteresis = 1.2;
   double cut_tolerance = 0;  // for every search; 0: exact cuts
@@ -80,7 +80,7 @@ struct Scene {
   particles::ParticleSet particles;
   Buffer<std::int32_t> part;
 
-  partition::CutTree tree;
+  cuts::CutTree tree;
   std::optional<std::uint64_t> tree_hash;  // set by cuts_hash(), until the tree changes
   std::uint64_t epoch = 0;
   Regions regions;  // for the cuts of epoch regions_epoch

@@ -149,7 +149,7 @@ void try_repartition(Context& context, Scene& scene, Staged& staged, const Decis
   }
   report.repartitioned = true;
   report.reason = reason_adopted(decision, found.loads.error);
-  report.axes_flipped = partition::axes_flipped(scene.tree, found.tree);
+  report.axes_flipped = cuts::axes_flipped(scene.tree, found.tree);
   report.moved = found.delta.slot.size();
   context.comm.all_sum({&report.moved, 1});
   moves.slot = std::move(found.delta.slot);

@@ -24,7 +24,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
 partition::PartitionOptions search_options(const SceneOptions& options);
 
 struct NewCuts {
-  partition::CutTree tree;
+  cuts::CutTree tree;
   std::uint64_t rounds = 0;
   std::uint64_t reductions = 0;
 };

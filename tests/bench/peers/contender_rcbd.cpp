@@ -8,7 +8,7 @@
 namespace rcb::bench {
 namespace {
 
-using partition::Method;
+using cuts::Method;
 using partition::PartitionOptions;
 
 class RcbdContender final : public Contender {
@@ -17,7 +17,7 @@ class RcbdContender final : public Contender {
       : Contender(std::move(setting)), comm_(comm), method_(method) {}
 
   Status prepare(const Problem& problem) override {
-    const int band = partition::band_axis(method_).value_or(0);
+    const int band = cuts::band_axis(method_).value_or(0);
     if (band >= problem.particles.dims) return {Code::unsupported, "bands along an axis that there isn't"};
     problem_ = problem;
     options_ = PartitionOptions{};
@@ -90,7 +90,7 @@ bool Wish::has(const std::string& method) const {
 
 void add_rcbd(comm::Comm& comm, const Wish& wish, Contenders& out) {
   for (const Method method : {Method::rcb, Method::bands_x, Method::bands_y, Method::bands_z}) {
-    const std::string name(partition::method_name(method));
+    const std::string name(cuts::method_name(method));
     if (!wish.has(name)) continue;
     for (const double tolerance : wish.cut_tolerances)
       out.push_back(std::make_unique<RcbdContender>(Setting{"rcbd", name, kPartition, tolerance}, comm, method));

@@ -154,7 +154,7 @@ Json run_cell(comm::Comm& comm, const SceneKind& kind, const Cell& cell, double 
                            {"looked_at", found[w].looked_at},
                            {"warm", found[w].incremental},
                            {"reductions", found[w].reductions},
-                           {"axes_flipped", partition::axes_flipped(held.scene.tree, found[w].tree)},
+                           {"axes_flipped", cuts::axes_flipped(held.scene.tree, found[w].tree)},
                            {"error", found[w].loads.error},
                            {"hash", fmt::format("{:016x}", found[w].tree.hash())}});
   }

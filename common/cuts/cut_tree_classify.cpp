@@ -9,9 +9,9 @@
 
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
-namespace rcb::partition {
+namespace rcb::cuts {
 namespace {
 
 // A node as the descent reads it: steps_[n] is inner node n, steps_[inner nodes + p] is part p. A part is its own
@@ -157,4 +157,4 @@ void CutTree::classify(const particles::ParticleView& particles, std::span<std::
   }
 }
 
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

@@ -1,4 +1,4 @@
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
 #include <algorithm>
 #include <limits>
@@ -9,7 +9,7 @@
 #include "common/partition/partition.hpp"
 #include "tests/support/scenes.hpp"
 
-namespace rcb::partition {
+namespace rcb::cuts {
 namespace {
 
 using geometry::Box;
@@ -24,9 +24,9 @@ constexpr std::uint64_t kTreeSeed = 5150;
 CutTree tree_of(Shape shape, int dims, std::size_t count, int parts, std::uint64_t seed = kTreeSeed) {
   comm::SelfComm comm;
   const Share share = deal(make_scene(shape, Weights::none, dims, count, false, seed), 0, 1, seed);
-  PartitionOptions options;
+  partition::PartitionOptions options;
   options.parts = parts;
-  return partition(comm, share.particles.view(), options).value().tree;
+  return partition::partition(comm, share.particles.view(), options).value().tree;
 }
 
 // The example of docs/hash.md.
@@ -165,4 +165,4 @@ TEST(Method, NamesRoundTrip) {
 }
 
 }  // namespace
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

@@ -1,12 +1,12 @@
 // CutTree: questions that the tree alone answers. Classification of many particles is in cut_tree_classify.cpp, the
 // bytes (encode, hash) in cut_tree_codec.cpp.
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
 #include <limits>
 
 #include "common/base/index.hpp"
 
-namespace rcb::partition {
+namespace rcb::cuts {
 namespace {
 
 using geometry::Box;
@@ -134,4 +134,4 @@ int axes_flipped(const CutTree& old_tree, const CutTree& new_tree) {
   return flipped;
 }
 
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

@@ -4,9 +4,9 @@
 
 #include <xxhash.h>
 
-#include "common/partition/tree/cut_tree.hpp"
+#include "common/cuts/cut_tree.hpp"
 
-namespace rcb::partition {
+namespace rcb::cuts {
 namespace {
 
 constexpr char kMagic[8] = {'R', 'C', 'B', 'T', 'R', 'E', 'E', '1'};
@@ -45,4 +45,4 @@ std::vector<std::byte> CutTree::encode() const {
   return out;
 }
 
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

@@ -19,11 +19,11 @@
 #include <span>
 #include <vector>
 
+#include "common/cuts/key.hpp"
+#include "common/cuts/method.hpp"
 #include "common/geometry/box.hpp"
-#include "common/partition/tree/key.hpp"
-#include "common/partition/tree/method.hpp"
 
-namespace rcb::partition {
+namespace rcb::cuts {
 
 struct Cut {
   AxisOrder axes{0, 1, 2};  // axes[0] is the cut axis
@@ -80,4 +80,4 @@ class CutTree {
 // counterpart don't count. Local.
 int axes_flipped(const CutTree& old_tree, const CutTree& new_tree);
 
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

@@ -8,7 +8,7 @@
 #include "common/geometry/axes.hpp"
 #include "common/particles/particle_set.hpp"
 
-namespace rcb::partition {
+namespace rcb::cuts {
 
 using geometry::AxisOrder;
 using geometry::Point;
@@ -47,4 +47,4 @@ inline Key key_between(double first, int dims) {
   return key;
 }
 
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

@@ -7,7 +7,7 @@
 #include <optional>
 #include <string_view>
 
-namespace rcb::partition {
+namespace rcb::cuts {
 
 enum class Method {
   rcb,
@@ -35,4 +35,4 @@ constexpr std::optional<int> band_axis(Method method) {
   return static_cast<int>(method) - static_cast<int>(Method::bands_x);
 }
 
-}  // namespace rcb::partition
+}  // namespace rcb::cuts

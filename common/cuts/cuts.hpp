@@ -1,0 +1,82 @@
+// Room `cuts`: what the cuts of a partition tell without its particles: who owns a position, which particles a part
+// needs as halo, which parts are neighbours, where regions are. The service, its clients and solvers share it: it knows
+// neither MPI nor sockets.
+//
+// Cuts: an immutable snapshot of the cuts of one epoch. Copies are cheap and share it. All methods may be called by any
+// threads at the same time. Answers depend on the arguments alone: not on hints, threads or the processor.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "common/cuts/cut_tree.hpp"
+#include "common/cuts/halo.hpp"
+#include "common/cuts/periodic.hpp"
+#include "common/cuts/positions.hpp"
+
+namespace rcb::cuts {
+
+struct OwnerOptions {
+  std::span<const Id> ids{};  // [count]; empty: the row is the id. They decide between particles on a cut
+  std::span<const std::int32_t> last_part{};  // [count]: the part of each row before, a hint; empty: none
+  int threads = 1;
+};
+
+struct HaloOptions : OwnerOptions {
+  Near near{};                       // near.width counts where `widths` is empty
+  std::span<const double> widths{};  // [count], >= 0: a width for each row
+  int seats = 0;                     // lists for so many processes (seat_of_part()) instead of for the parts
+};
+
+// Part q is near a part where its particles are moved by `shift` periods.
+struct Neighbour {
+  std::int32_t part = 0;
+  Shift shift{};
+
+  bool operator==(const Neighbour&) const = default;
+};
+
+// The region with the smallest distance between two opposite faces.
+struct Narrowest {
+  std::int32_t part = 0;
+  int axis = 0;
+  double width = 0;
+};
+
+class Cuts {
+ public:
+  Cuts(CutTree tree, std::uint64_t epoch);
+
+  const CutTree& tree() const;
+  int parts() const;
+  int dims() const;
+  std::uint64_t epoch() const;
+  std::uint64_t hash() const;
+
+  // Sets part[i] to the part that owns position i. Errors: invalid_argument (lengths, dims), not_finite (names the
+  // row).
+  Status owner(const Positions& positions, const OwnerOptions& options, std::span<std::int32_t> part) const;
+  // The rows that each part needs from the particles given, which may be all or one process's. Errors: as owner(),
+  // those of Near::check(), too_large (no memory).
+  Result<Halo> halo(const Positions& positions, const HaloOptions& options) const;
+  // The parts within near.width of this part's region, ascending, each with its shifts, ascending; itself only by other
+  // images. So of particles in the region (and, along periodic axes, in the box) halo() names no other parts and
+  // shifts.
+  Result<std::vector<Neighbour>> neighbours(int part, const Near& near) const;
+  // Parts whose closed region touches the closed box, or one of its images; ascending. Bounds may be infinite.
+  Result<std::vector<int>> box(const geometry::Box& box, const PeriodicBox& periodic = {}) const;
+  // By part. Infinite where unbounded; empty() for a part that can own no position.
+  std::span<const geometry::Box> regions() const;
+  // Among faces that are not at infinity; nullopt if no region has two such opposite faces.
+  std::optional<Narrowest> narrowest(const PeriodicBox& periodic = {}) const;
+
+ private:
+  struct Data;
+  std::shared_ptr<const Data> data_;
+};
+
+}  // namespace rcb::cuts
