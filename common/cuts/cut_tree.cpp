@@ -2,6 +2,7 @@
 // bytes (encode, hash) in cut_tree_codec.cpp.
 #include "common/cuts/cut_tree.hpp"
 
+#include <algorithm>
 #include <limits>
 
 #include "common/base/index.hpp"
@@ -78,9 +79,13 @@ struct RegionWalk {
     const Cut& cut = tree.cuts[at(range.node)];
     Box left = box;
     Box right = box;
-    if (!cut.right_empty) left.hi[at(cut.axes[0])] = right.lo[at(cut.axes[0])] = cut.key.at[0];
-    visit(range.left(), left, empty);
-    visit(range.right(), right, empty || cut.right_empty);
+    const std::size_t a = at(cut.axes[0]);
+    if (!cut.right_empty) {  // a cut outside of its node's box leaves one side empty
+      left.hi[a] = std::min(box.hi[a], cut.key.at[0]);
+      right.lo[a] = std::max(box.lo[a], cut.key.at[0]);
+    }
+    visit(range.left(), left, empty || left.lo[a] > left.hi[a]);
+    visit(range.right(), right, empty || cut.right_empty || right.lo[a] > right.hi[a]);
   }
 };
 

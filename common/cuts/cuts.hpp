@@ -20,19 +20,7 @@
 
 namespace rcb::cuts {
 
-struct OwnerOptions {
-  std::span<const Id> ids{};  // [count]; empty: the row is the id. They decide between particles on a cut
-  std::span<const std::int32_t> last_part{};  // [count]: the part of each row before, a hint; empty: none
-  int threads = 1;
-};
-
-struct HaloOptions : OwnerOptions {
-  Near near{};                       // near.width counts where `widths` is empty
-  std::span<const double> widths{};  // [count], >= 0: a width for each row
-  int seats = 0;                     // lists for so many processes (seat_of_part()) instead of for the parts
-};
-
-// Part q is near a part where its particles are moved by `shift` periods.
+// Part q is near a part where that part's particles are moved by `shift` periods.
 struct Neighbour {
   std::int32_t part = 0;
   Shift shift{};
@@ -40,7 +28,7 @@ struct Neighbour {
   bool operator==(const Neighbour&) const = default;
 };
 
-// The region with the smallest distance between two opposite faces.
+// The smallest distance between two opposite faces of a region.
 struct Narrowest {
   std::int32_t part = 0;
   int axis = 0;
@@ -52,26 +40,26 @@ class Cuts {
   Cuts(CutTree tree, std::uint64_t epoch);
 
   const CutTree& tree() const;
-  int parts() const;
-  int dims() const;
+  int parts() const { return tree().parts; }
+  int dims() const { return tree().dims; }
   std::uint64_t epoch() const;
   std::uint64_t hash() const;
 
   // Sets part[i] to the part that owns position i. Errors: invalid_argument (lengths, dims), not_finite (names the
   // row).
   Status owner(const Positions& positions, const OwnerOptions& options, std::span<std::int32_t> part) const;
-  // The rows that each part needs from the particles given, which may be all or one process's. Errors: as owner(),
-  // those of Near::check(), too_large (no memory).
+  // The rows that each part needs from the particles given, which may be all or one process's. Errors also:
+  // invalid_argument (a width or periodic box, more than 65,536 images of a particle), too_large.
   Result<Halo> halo(const Positions& positions, const HaloOptions& options) const;
-  // The parts within near.width of this part's region, ascending, each with its shifts, ascending; itself only by other
-  // images. So of particles in the region (and, along periodic axes, in the box) halo() names no other parts and
-  // shifts.
+  // The parts within near.width of this part's region, ascending, each with its shifts, ascending; itself only by moved
+  // images. Of particles in the region (along periodic axes also in the box) halo() names no others. With shifts the
+  // answers for two parts may differ by a rounding error at their borders.
   Result<std::vector<Neighbour>> neighbours(int part, const Near& near) const;
-  // Parts whose closed region touches the closed box, or one of its images; ascending. Bounds may be infinite.
+  // Parts whose region touches the box or one of its images; ascending. Both are closed. Bounds may be infinite.
   Result<std::vector<int>> box(const geometry::Box& box, const PeriodicBox& periodic = {}) const;
   // By part. Infinite where unbounded; empty() for a part that can own no position.
   std::span<const geometry::Box> regions() const;
-  // Among faces that are not at infinity; nullopt if no region has two such opposite faces.
+  // Where no bound is infinite; along periodic axes the box bounds regions that have no bound. nullopt: no such region.
   std::optional<Narrowest> narrowest(const PeriodicBox& periodic = {}) const;
 
  private:

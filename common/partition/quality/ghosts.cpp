@@ -9,7 +9,7 @@
 #include "common/geometry/axes.hpp"
 #include "common/particles/by_part.hpp"
 #include "common/partition/balance/bounding_box.hpp"
-#include "common/cuts/cut_tree.hpp"
+#include "common/cuts/box_tree.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -25,75 +25,6 @@ std::vector<Box> part_boxes(comm::Comm& comm, const particles::ParticleView& par
   extend_by_all(comm, boxes, particles.dims);
   return boxes;
 }
-
-// A tree over the parts' boxes, its nodes numbered like NodeRange's.
-class BoxTree {
- public:
-  BoxTree(std::vector<Box> leaves, int dims, double width)
-      : leaves_(std::move(leaves)), inner_(leaves_.size()), dims_(at(dims)), width_(width) {
-    build(root());
-  }
-  // Calls visit(first, last) for ranges that together are the parts whose boxes are within the width of the point, in
-  // the maximum norm, ascending. Returns how many boxes were looked at.
-  template <typename Visit>
-  std::uint64_t near(const Point& point, const Visit& visit) const {
-    return descend(root(), point, visit);
-  }
-
- private:
-  // Of the boxes of a subtree: the box around all, the greatest of their lower faces and the least of their upper
-  // faces.
-  struct Bounds {
-    Box around;
-    Point last_lo;
-    Point first_hi;
-  };
-
-  NodeRange root() const { return {0, 0, static_cast<int>(leaves_.size())}; }
-  Bounds of(const NodeRange& range) const {
-    if (!range.leaf()) return inner_[at(range.node)];
-    const Box& box = leaves_[at(range.first)];
-    return {box, box.lo, box.hi};
-  }
-  void build(const NodeRange& range) {
-    if (range.leaf()) return;
-    build(range.left());
-    build(range.right());
-    Bounds bounds = of(range.left());
-    const Bounds right = of(range.right());
-    bounds.around.extend(right.around);
-    for (std::size_t a = 0; a < dims_; ++a) {
-      bounds.last_lo[a] = std::max(bounds.last_lo[a], right.last_lo[a]);
-      bounds.first_hi[a] = std::min(bounds.first_hi[a], right.first_hi[a]);
-    }
-    inner_[at(range.node)] = bounds;
-  }
-  // An empty box begins at infinity and ends at minus infinity: it is far from everything.
-  bool far(const Box& box, const Point& point) const {
-    for (std::size_t a = 0; a < dims_; ++a)
-      if (box.lo[a] > box.hi[a] || box.lo[a] - point[a] > width_ || point[a] - box.hi[a] > width_) return true;
-    return false;
-  }
-  bool all_near(const Bounds& bounds, const Point& point) const {
-    for (std::size_t a = 0; a < dims_; ++a)
-      if (bounds.last_lo[a] - point[a] > width_ || point[a] - bounds.first_hi[a] > width_) return false;
-    return true;
-  }
-  template <typename Visit>
-  std::uint64_t descend(const NodeRange& range, const Point& point, const Visit& visit) const {
-    if (far(range.leaf() ? leaves_[at(range.first)] : inner_[at(range.node)].around, point)) return 1;
-    if (range.leaf() || all_near(inner_[at(range.node)], point)) {
-      visit(range.first, range.last);
-      return 1;
-    }
-    return 1 + descend(range.left(), point, visit) + descend(range.right(), point, visit);
-  }
-
-  std::vector<Box> leaves_;
-  std::vector<Bounds> inner_;
-  std::size_t dims_;
-  double width_;
-};
 
 // The owner whose turn is number `owner_index` (see owner_of()) has particles near all parts of [first, last).
 struct NearRange {
@@ -127,7 +58,8 @@ class GhostSearch {
         particles_(particles),
         limits_(limits),
         parts_(parts),
-        boxes_(part_boxes(comm, particles, part, parts), particles.dims, width),
+        boxes_(part_boxes(comm, particles, part, parts), particles.dims),
+        within_(cuts::Norm::max, width),
         by_(particles::by_part(part, 0, parts)),
         ghost_differences_(at(parts) + 1, 0),
         neighbour_differences_(at(parts) + 1, 0) {}
@@ -164,7 +96,8 @@ class GhostSearch {
       const std::size_t before = own_.size();
       for (std::size_t k = by_.start[owner] + next_; k < by_.start[owner + 1]; ++k, ++next_) {
         if (visits >= limits_.round_visits || (pending_.size() > limits_.pending_max && before == 0)) return;
-        visits += boxes_.near(particles_.point(by_.particle[k]), [this](int first, int last) {
+        const Point point = particles_.point(by_.particle[k]);
+        visits += boxes_.near({point, point}, within_, [this](int first, int last) {
           ++ghost_differences_[at(first)];
           --ghost_differences_[at(last)];
           own_.push_back({turn_, first, last});
@@ -222,7 +155,8 @@ class GhostSearch {
   const particles::ParticleView& particles_;
   const GhostLimits& limits_;
   int parts_;
-  BoxTree boxes_;
+  cuts::BoxTree boxes_;
+  cuts::Within within_;
   particles::ByPart by_;  // the local particles
   // By part, the difference of its count from that of the part before.
   std::vector<std::uint64_t> ghost_differences_;

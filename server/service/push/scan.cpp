@@ -152,7 +152,7 @@ class Pass {
     return bits;
   }
 
-  const Regions& regions_;
+  const cuts::Regions& regions_;
   const std::int32_t* part_;
   const particles::ParticleView& view_;
   Scan& scan_;
@@ -190,7 +190,7 @@ bool bad_weights(const double* weight, std::size_t count) {
 void refresh_regions(Scene& scene, int rank, int ranks) {
   if (scene.regions_epoch == scene.epoch) return;
   const auto [begin, end] = layout::parts_of_rank(rank, scene.options.parts, ranks);
-  scene.regions = Regions(begin, scene.tree.regions(begin, end));
+  scene.regions = cuts::Regions(begin, scene.tree.regions(begin, end));
   scene.regions_epoch = scene.epoch;
 }
 

@@ -26,7 +26,7 @@
 #include "common/cuts/cut_tree.hpp"
 #include "server/service/scene/history.hpp"
 #include "server/service/scene/policy.hpp"
-#include "server/service/scene/regions.hpp"
+#include "common/cuts/regions.hpp"
 
 namespace rcb::service {
 
@@ -83,7 +83,7 @@ struct Scene {
   cuts::CutTree tree;
   std::optional<std::uint64_t> tree_hash;  // set by cuts_hash(), until the tree changes
   std::uint64_t epoch = 0;
-  Regions regions;  // for the cuts of epoch regions_epoch
+  cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
   partition::LoadSummary loads;                  // current loads of the parts
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search

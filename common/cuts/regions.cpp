@@ -1,4 +1,4 @@
-#include "server/service/scene/regions.hpp"
+#include "common/cuts/regions.hpp"
 
 #include <algorithm>
 
@@ -8,7 +8,7 @@
 #include "common/base/cpu.hpp"
 #endif
 
-namespace rcb::service {
+namespace rcb::cuts {
 namespace {
 
 constexpr std::size_t kLanes = 4;
@@ -21,6 +21,13 @@ std::uint64_t outside_each(std::span<const double> x, const std::int32_t* part, 
     const auto p = static_cast<std::size_t>(part[i] - first);
     outside |= static_cast<std::uint64_t>(!((x[i] > lo[p]) & (x[i] < hi[p]))) << i;
   }
+  return outside;
+}
+
+std::uint64_t outside_one(std::span<const double> x, double lo, double hi, std::size_t from) {
+  std::uint64_t outside = 0;
+  for (std::size_t i = from; i < x.size(); ++i)
+    outside |= static_cast<std::uint64_t>(!((x[i] > lo) & (x[i] < hi))) << i;
   return outside;
 }
 
@@ -60,9 +67,30 @@ template <bool kMany>
   return outside | outside_each(x, part, first, lo, hi, i);
 }
 
+[[gnu::target("avx2")]] std::uint64_t outside_of_avx2(std::span<const double> x, double lo, double hi) {
+  const __m256d low = _mm256_set1_pd(lo);
+  const __m256d high = _mm256_set1_pd(hi);
+  std::uint64_t outside = 0;
+  std::size_t i = 0;
+  for (; i + kLanes <= x.size(); i += kLanes) {
+    const __m256d value = _mm256_loadu_pd(x.data() + i);
+    const __m256d beyond =
+        _mm256_or_pd(_mm256_cmp_pd(value, low, _CMP_NGT_UQ), _mm256_cmp_pd(value, high, _CMP_NLT_UQ));
+    outside |= static_cast<std::uint64_t>(_mm256_movemask_pd(beyond)) << i;
+  }
+  return outside | outside_one(x, lo, hi, i);
+}
+
 #endif
 
 }  // namespace
+
+std::uint64_t outside_of(std::span<const double> values, double lo, double hi) {
+#if defined(__x86_64__)
+  if (has_avx2()) return outside_of_avx2(values, lo, hi);
+#endif
+  return outside_one(values, lo, hi, 0);
+}
 
 Regions::Regions(std::int32_t first_part, std::span<const geometry::Box> boxes)
     : first_part_(first_part), parts_(boxes.size()) {
@@ -86,4 +114,4 @@ std::uint64_t Regions::outside(std::size_t axis, std::span<const double> values,
   return outside_each(values, part, first_part_, lo, hi, 0);
 }
 
-}  // namespace rcb::service
+}  // namespace rcb::cuts

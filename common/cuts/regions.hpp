@@ -1,5 +1,5 @@
-// Regions: the open boxes of this rank's parts, and the test whether a particle lies in the box of its own part. NaN
-// and infinity lie in none.
+// Regions: the open boxes of some parts, and the test whether a particle lies in the box of its own part. NaN and
+// infinity lie in none.
 #pragma once
 
 #include <array>
@@ -10,7 +10,7 @@
 #include "common/geometry/box.hpp"
 #include "common/particles/block_ranges.hpp"
 
-namespace rcb::service {
+namespace rcb::cuts {
 
 class Regions {
  public:
@@ -34,4 +34,7 @@ class Regions {
   std::array<std::vector<double>, geometry::kDimsMax> hi_;
 };
 
-}  // namespace rcb::service
+// For at most 64 values, a bit each: 1 if the value is not strictly between lo and hi.
+std::uint64_t outside_of(std::span<const double> values, double lo, double hi);
+
+}  // namespace rcb::cuts

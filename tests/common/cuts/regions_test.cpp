@@ -1,6 +1,6 @@
 // Numbers of parts below and above what registers hold, every length and place, so that each width of instruction and
 // what is left over has its turn.
-#include "server/service/scene/regions.hpp"
+#include "common/cuts/regions.hpp"
 
 #include <limits>
 #include <vector>
@@ -10,7 +10,7 @@
 
 #include "common/base/random.hpp"
 
-namespace rcb::service {
+namespace rcb::cuts {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
@@ -72,4 +72,4 @@ TEST(Regions, ARangeIsHeldStrictly) {
 }
 
 }  // namespace
-}  // namespace rcb::service
+}  // namespace rcb::cuts

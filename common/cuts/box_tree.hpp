@@ -1,0 +1,107 @@
+// BoxTree: which of P boxes are within a width of another one. A box that is near all boxes of a subtree is found
+// there, for all of its parts at once.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "common/base/index.hpp"
+#include "common/cuts/cut_tree.hpp"
+#include "common/cuts/periodic.hpp"
+
+namespace rcb::cuts {
+
+// Whether a distance, given by its part along each axis, is at most a width. Rounding is monotonic, so what is near a
+// box is near every box that holds it, in floating point too.
+class Within {
+ public:
+  Within(Norm norm, double width) : euclid_(norm == Norm::euclid), limit_(euclid_ ? width * width : width) {}
+  bool operator()(double gap) const { return (euclid_ ? gap * gap : gap) <= limit_; }
+  bool operator()(const Point& gaps) const {
+    if (euclid_) return gaps[0] * gaps[0] + gaps[1] * gaps[1] + gaps[2] * gaps[2] <= limit_;
+    return gaps[0] <= limit_ && gaps[1] <= limit_ && gaps[2] <= limit_;
+  }
+
+ private:
+  bool euclid_;
+  double limit_;
+};
+
+// The distance of [lo, hi] from the box on an axis. None of these is infinite but bounds of the box.
+inline double gap_of(const geometry::Box& box, std::size_t axis, double lo, double hi) {
+  return std::max({box.lo[axis] - hi, lo - box.hi[axis], 0.0});
+}
+
+class BoxTree {
+ public:
+  // leaves: one a part; a box without points, geometry::Box{}, is far from everything.
+  BoxTree(std::vector<geometry::Box> leaves, int dims)
+      : leaves_(std::move(leaves)), inner_(leaves_.size()), dims_(at(dims)) {
+    build(root());
+  }
+
+  const std::vector<geometry::Box>& leaves() const { return leaves_; }
+  geometry::Box around() const { return of(root()).around; }
+
+  // Calls visit(first, last) for ranges that together are the parts whose boxes are within the width of `box`, which
+  // has finite bounds; ascending. Returns how many boxes were looked at.
+  template <typename Visit>
+  std::uint64_t near(const geometry::Box& box, const Within& within, const Visit& visit) const {
+    return descend(root(), box, within, visit);
+  }
+
+ private:
+  // Of the boxes of a subtree: the box around all, the greatest of their lower faces and the least of their upper
+  // faces.
+  struct Bounds {
+    geometry::Box around;
+    Point last_lo;
+    Point first_hi;
+  };
+
+  NodeRange root() const { return {0, 0, static_cast<int>(leaves_.size())}; }
+  Bounds of(const NodeRange& range) const {
+    if (!range.leaf()) return inner_[at(range.node)];
+    const geometry::Box& box = leaves_[at(range.first)];
+    return {box, box.lo, box.hi};
+  }
+  void build(const NodeRange& range) {
+    if (range.leaf()) return;
+    build(range.left());
+    build(range.right());
+    Bounds bounds = of(range.left());
+    const Bounds right = of(range.right());
+    bounds.around.extend(right.around);
+    for (std::size_t a = 0; a < dims_; ++a) {
+      bounds.last_lo[a] = std::max(bounds.last_lo[a], right.last_lo[a]);
+      bounds.first_hi[a] = std::min(bounds.first_hi[a], right.first_hi[a]);
+    }
+    inner_[at(range.node)] = bounds;
+  }
+  bool is_near(const geometry::Box& leaf, const geometry::Box& box, const Within& within) const {
+    Point gaps{};
+    for (std::size_t a = 0; a < dims_; ++a) gaps[a] = gap_of(leaf, a, box.lo[a], box.hi[a]);
+    return within(gaps);
+  }
+  bool all_near(const Bounds& bounds, const geometry::Box& box, const Within& within) const {
+    return is_near({bounds.last_lo, bounds.first_hi}, box, within);
+  }
+  template <typename Visit>
+  std::uint64_t descend(const NodeRange& range, const geometry::Box& box, const Within& within,
+                        const Visit& visit) const {
+    if (!is_near(range.leaf() ? leaves_[at(range.first)] : inner_[at(range.node)].around, box, within)) return 1;
+    if (range.leaf() || all_near(inner_[at(range.node)], box, within)) {
+      visit(range.first, range.last);
+      return 1;
+    }
+    return 1 + descend(range.left(), box, within, visit) + descend(range.right(), box, within, visit);
+  }
+
+  std::vector<geometry::Box> leaves_;
+  std::vector<Bounds> inner_;
+  std::size_t dims_;
+};
+
+}  // namespace rcb::cuts

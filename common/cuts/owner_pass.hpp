@@ -1,0 +1,58 @@
+// OwnerPass: one pass over positions that tells the part of each. Rows that lie strictly inside the region of the part
+// that is expected for them, the hint or the part of the row before, are decided by comparisons of vectors; others by
+// the tree.
+#pragma once
+
+#include <cstdint>
+#include <span>
+
+#include "common/base/status.hpp"
+#include "common/cuts/classifier.hpp"
+#include "common/cuts/positions.hpp"
+#include "common/cuts/regions.hpp"
+#include "common/particles/particle_set.hpp"
+
+namespace rcb::cuts {
+
+// What a snapshot of cuts keeps beside the tree.
+struct OwnerTables {
+  explicit OwnerTables(const CutTree& of)
+      : tree(of), boxes(of.regions(0, of.parts)), regions(0, boxes), classifier(of) {}
+
+  const CutTree& tree;
+  std::vector<geometry::Box> boxes;
+  Regions regions;
+  Classifier classifier;
+};
+
+class OwnerPass {
+ public:
+  OwnerPass(const OwnerTables& tables, const Positions& positions, std::span<const Id> ids,
+            std::span<const std::int32_t> last_part)
+      : tables_(tables), positions_(positions), ids_(ids), last_part_(last_part) {}
+
+  // Sets part[i] to the part of row begin + i, for `count` rows, at most Batch::kMost. Errors: not_finite, naming the
+  // row.
+  Status read(std::size_t begin, std::size_t count, std::int32_t* part);
+
+  // Of the rows that were read last: their coordinates by axis, and the part of all of them, or -1 if there are
+  // several.
+  const particles::Axes& x() const { return x_; }
+  std::int32_t uniform() const { return uniform_; }
+
+ private:
+  std::int32_t expect(std::size_t begin, std::size_t count, std::int32_t* part);
+  void load(std::size_t begin, std::size_t count);
+  Status check_finite(std::size_t begin, std::size_t i) const;
+
+  const OwnerTables& tables_;
+  const Positions& positions_;
+  std::span<const Id> ids_;
+  std::span<const std::int32_t> last_part_;
+  Batch batch_;
+  particles::Axes x_{};
+  std::int32_t uniform_ = -1;
+  std::int32_t before_ = 0;  // the part of the last row
+};
+
+}  // namespace rcb::cuts
