@@ -24,14 +24,50 @@ class Within {
     return gaps[0] <= limit_ && gaps[1] <= limit_ && gaps[2] <= limit_;
   }
 
+  // A point as vectors. Comparisons of these need no branches, which nobody could predict.
+  struct Lanes {
+    using Pair = double __attribute__((vector_size(16)));
+    Pair xy{};
+    Pair z{};  // and 0
+
+    Lanes() = default;
+    explicit Lanes(const Point& p) : xy{p[0], p[1]}, z{p[2], 0} {}
+    Lanes operator+(const Lanes& other) const {
+      Lanes sum;
+      sum.xy = xy + other.xy;
+      sum.z = z + other.z;
+      return sum;
+    }
+  };
+  struct Bounds {
+    Lanes lo, hi;
+  };
+  // The same as operator() of the distance of y from the box.
+  bool near(const Bounds& box, const Lanes& y) const {
+    if (euclid_) return near_by_squares(box, y);
+    const auto beyond = (box.lo.xy - y.xy > limit_) | (y.xy - box.hi.xy > limit_) | (box.lo.z - y.z > limit_) |
+                        (y.z - box.hi.z > limit_);
+    return (beyond[0] | beyond[1]) == 0;
+  }
+
  private:
+  static Lanes::Pair gap(const Lanes::Pair& lo, const Lanes::Pair& hi, const Lanes::Pair& y) {
+    const Lanes::Pair longest = lo - y > y - hi ? lo - y : y - hi;
+    return longest > 0.0 ? longest : Lanes::Pair{};
+  }
+  bool near_by_squares(const Bounds& box, const Lanes& y) const {
+    const Lanes::Pair xy = gap(box.lo.xy, box.hi.xy, y.xy);
+    const Lanes::Pair z = gap(box.lo.z, box.hi.z, y.z);
+    return xy[0] * xy[0] + xy[1] * xy[1] + z[0] * z[0] <= limit_;
+  }
+
   bool euclid_;
   double limit_;
 };
 
 // The distance of [lo, hi] from the box on an axis. None of these is infinite but bounds of the box.
 inline double gap_of(const geometry::Box& box, std::size_t axis, double lo, double hi) {
-  return std::max({box.lo[axis] - hi, lo - box.hi[axis], 0.0});
+  return std::max(std::max(box.lo[axis] - hi, lo - box.hi[axis]), 0.0);
 }
 
 class BoxTree {

@@ -2,6 +2,7 @@
 // which costs a pass over its cuts.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -35,9 +36,11 @@ class Classifier {
   void classify(const Batch& batch, std::size_t count, std::int32_t* part, const IdOf& id) const {
     Ties tied{};
     descend(batch, count, part, tied);
+    for (std::size_t i = 0; i < count; ++i) part[i] -= inner_;
+    if (std::all_of(tied.begin(), tied.end(), [](std::uint8_t one) { return one == 0; })) return;
     // On a cut's plane the tie-break (the other coordinates, then the id) decides: part_of() compares whole keys.
     for (std::size_t i = 0; i < count; ++i)
-      part[i] = tied[i] != 0 ? tree_.part_of(batch.point(i, tree_.dims), id(i)) : part[i] - inner_;
+      if (tied[i] != 0) part[i] = tree_.part_of(batch.point(i, tree_.dims), id(i));
   }
 
  private:

@@ -121,10 +121,11 @@ Status Cuts::owner(const Positions& positions, const OwnerOptions& options, std:
   return share_rows(positions.count, shares_of(positions.count, options.threads),
                     [&](std::size_t, std::size_t begin, std::size_t end) -> Status {
                       OwnerPass pass(data_->tables, positions, options.ids, options.last_part);
-                      for (std::size_t first = begin; first < end; first += Batch::kMost)
-                        if (Status status = pass.read(first, std::min(Batch::kMost, end - first), &part[first]);
-                            !status)
-                          return status;
+                      for (std::size_t first = begin; first < end; first += Batch::kMost) {
+                        const std::size_t count = std::min(Batch::kMost, end - first);
+                        if (pass.read_whole(first, count, &part[first])) continue;
+                        if (Status status = pass.read(first, count, &part[first]); !status) return status;
+                      }
                       return {};
                     });
 }

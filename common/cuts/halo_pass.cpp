@@ -24,7 +24,7 @@ HaloPass::HaloPass(const OwnerTables& tables, const Reach& reach, const Position
       options_(options),
       targets_{tables.tree.parts, options.seats},
       owners_(tables, positions, options.ids, options.last_part),
-      within_(options.near.norm, options.near.width),
+      periodic_(options.near.box.any(reach.dims())),
       counts_(at(targets_.count()), 0) {}
 
 Status HaloPass::run(std::size_t begin, std::size_t end) {
@@ -36,80 +36,113 @@ Status HaloPass::run(std::size_t begin, std::size_t end) {
 
 Status HaloPass::add_batch(std::size_t begin, std::size_t count) {
   if (Status status = owners_.read(begin, count, part_.data()); !status) return status;
-  const bool each = !options_.widths.empty();
-  HaloTable* const table = each ? nullptr : table_for(options_.near.width);
-  const Fence* const fence = each || owners_.uniform() < 0 ? nullptr : table->fence(owners_.uniform());
-  if (fence == nullptr) {
-    for (std::size_t i = 0; i < count; ++i)
-      if (Status status = add_row(begin, i); !status) return status;
-    return {};
+  if (!reserve(0)) return failure_;
+  if (!options_.widths.empty()) return add_each(begin, count) ? Status() : failure_;
+  const double width = options_.near.width;
+  HaloTable* const table = table_for(width);
+  const std::size_t boundary = find_boundary(count, *table);
+  for (std::size_t k = 0; k < boundary; ++k) {
+    const std::size_t i = boundary_[k];
+    if (!add_row(begin + i, owners_.point(i), part_[i], table, faces_[k], width)) return failure_;
   }
-  const geometry::Box inner = fence->inner;
-  for (std::size_t first = 0; first < count; first += 64) {
+  return {};
+}
+
+// The rows that may be in a halo, and which faces of their parts they are near. Apart from what is then done with them,
+// since nobody could predict which row is one.
+std::size_t HaloPass::find_boundary(std::size_t count, HaloTable& table) {
+  std::size_t found = 0;
+  const std::int32_t uniform = owners_.uniform();
+  const Fence* const fence = uniform < 0 ? nullptr : table.fence(uniform);
+  for (std::size_t first = 0; fence != nullptr && first < count; first += OwnerPass::kWord) {
     std::uint64_t outside = 0;
     for (std::size_t a = 0; a < at(reach_.dims()); ++a)
-      outside |=
-          outside_of({owners_.x()[a] + first, std::min<std::size_t>(64, count - first)}, inner.lo[a], inner.hi[a]);
+      outside |= outside_of({owners_.x()[a] + first, std::min(OwnerPass::kWord, count - first)}, fence->inner.lo[a],
+                            fence->inner.hi[a]);
     for (; outside != 0; outside &= outside - 1)
-      if (Status status = add_row(begin, first + at(std::countr_zero(outside))); !status) return status;
+      boundary_[found++] = static_cast<std::uint16_t>(first + at(std::countr_zero(outside)));
   }
-  return {};
+  if (fence != nullptr) {
+    for (std::size_t k = 0; k < found; ++k) faces_[k] = faces_of(*fence, owners_.point(boundary_[k]));
+    return found;
+  }
+  for (std::size_t i = 0; i < count; ++i) {
+    const Fence* const own = table.fence(part_[i]);
+    boundary_[found] = static_cast<std::uint16_t>(i);
+    faces_[found] = own == nullptr ? kByReach : faces_of(*own, owners_.point(i));
+    found += static_cast<std::size_t>(faces_[found] != 0);
+  }
+  return found;
 }
 
-Status HaloPass::add_row(std::size_t begin, std::size_t i) {
-  const std::uint64_t row = begin + i;
-  double width = options_.near.width;
-  if (!options_.widths.empty()) {
-    width = options_.widths[row];
-    Near near = options_.near;
-    near.width = width;
-    if (Status status = near.check(reach_.dims()); !status)
-      return {status.code(), fmt::format("row {}: {}", row, status.message()), status.hint()};
-    within_ = Within(near.norm, width);
+std::uint8_t HaloPass::faces_of(const Fence& fence, const Point& x) const {
+  return periodic_ && !fence.holds(x) ? kByReach : fence.faces(x);
+}
+
+bool HaloPass::add_each(std::size_t begin, std::size_t count) {
+  Near near = options_.near;
+  for (std::size_t i = 0; i < count; ++i) {
+    near.width = options_.widths[begin + i];
+    if (Status status = near.check(reach_.dims()); !status) {
+      failure_ = {status.code(), fmt::format("row {}: {}", begin + i, status.message()), status.hint()};
+      return false;
+    }
+    HaloTable* const table = table_for(near.width);
+    const Fence* const fence = table == nullptr ? nullptr : table->fence(part_[i]);
+    const std::uint8_t faces = fence == nullptr ? kByReach : faces_of(*fence, owners_.point(i));
+    if (faces != 0 && !add_row(begin + i, owners_.point(i), part_[i], table, faces, near.width)) return false;
   }
-  Point x{};
-  for (std::size_t a = 0; a < at(reach_.dims()); ++a) x[a] = owners_.x()[a][i];
-  HaloTable* const table = table_for(width);
-  const Fence* const fence = table == nullptr ? nullptr : table->fence(part_[i]);
-  const int faces = fence == nullptr ? Fence::kOutside : fence->faces(x, at(reach_.dims()));
-  if (faces == 0) return {};
-  if (faces == Fence::kOutside) return add_by_reach(row, x, part_[i], width);
-  const std::span<const Candidate> candidates = table->candidates(part_[i], faces);
-  if (Status status = reserve(candidates.size()); !status) return status;
-  const std::size_t first = size_;
+  return true;
+}
+
+bool HaloPass::add_row(std::uint64_t row, const Point& x, std::int32_t part, HaloTable* table, std::uint8_t faces,
+                       double width) {
+  if (faces == kByReach) return add_by_reach(row, x, part, width);
+  const std::span<const Candidate> candidates = table->candidates(part, faces);
+  if (!reserve(candidates.size())) return false;
+  const Within within(options_.near.norm, width);
+  // Without branches, which nobody could predict: an entry that is none is overwritten by the next one.
+  const Within::Lanes lanes(x);
+  HaloEntry* to = entries_.data() + size_;
+  std::int32_t last_target = -1;
+  std::int32_t last_image = -1;
   for (const Candidate& one : candidates) {
-    const Point& by = images_[one.image].by;
-    const geometry::Box& region = reach_.region(one.part);
-    Point gaps{};
-    for (std::size_t a = 0; a < at(reach_.dims()); ++a) gaps[a] = gap_of(region, a, x[a] + by[a], x[a] + by[a]);
-    if (within_(gaps)) append(row, one, first);
+    // Several parts of a seat may need the same image; they stand one after another.
+    const bool is = within.near(reach_.bounds(one.part), lanes + Within::Lanes(images_[one.image].by)) &
+                    ((one.target != last_target) | (one.image != last_image));
+    last_target = is ? one.target : last_target;
+    last_image = is ? one.image : last_image;
+    *to = {row, one.target, one.image};
+    to += static_cast<std::ptrdiff_t>(is);
   }
-  return {};
+  size_ = static_cast<std::size_t>(to - entries_.data());
+  return true;
 }
 
-// first: where the row's entries begin. Several parts of a seat may need the same image; they stand one after another.
-void HaloPass::append(std::uint64_t row, const Candidate& found, std::size_t first) {
-  if (size_ > first && entries_[size_ - 1].target == found.target && entries_[size_ - 1].image == found.image) return;
-  entries_[size_++] = {row, found.target, found.image};
-}
-
-Status HaloPass::reserve(std::size_t more) {
-  if (size_ + more <= entries_.size()) return {};
-  const std::size_t grown = std::max(size_ + more, size_ * 2 + 4096);
-  if (size_ + more > options_.entries_max || !entries_.try_reserve(grown))
-    return {Code::too_large, fmt::format("a halo of more than {} entries", size_),
-            "give a smaller width, or fewer particles at a time"};
+bool HaloPass::grow(std::size_t more) {
+  const std::size_t grown = std::max(size_ + more + 1, size_ * 2 + 4096);
+  if (size_ + more > options_.entries_max || !entries_.try_reserve(grown)) {
+    failure_ = {Code::too_large, fmt::format("a halo of more than {} entries", size_ - 1),
+                "give a smaller width, or fewer particles at a time"};
+    return false;
+  }
   entries_.resize(grown);
-  return {};
+  entries_[0] = {UINT64_MAX, -1, -1};
+  return true;
 }
 
-Status HaloPass::add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width) {
-  if (Status status = reached_by(reach_, targets_, {x, x}, part, width, images_, found_); !status)
-    return {status.code(), fmt::format("row {}: {}", row, status.message()), status.hint()};
-  if (Status status = reserve(found_.size()); !status) return status;
-  const std::size_t first = size_;
-  for (const Candidate& one : found_) append(row, one, first);
-  return {};
+bool HaloPass::add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width) {
+  if (Status status = reached_by(reach_, targets_, {x, x}, part, width, images_, found_); !status) {
+    failure_ = {status.code(), fmt::format("row {}: {}", row, status.message()), status.hint()};
+    return false;
+  }
+  if (!reserve(found_.size())) return false;
+  for (const Candidate& one : found_) {
+    const HaloEntry& last = entries_[size_ - 1];
+    if (last.row != row || last.target != one.target || last.image != one.image)
+      entries_[size_++] = {row, one.target, one.image};
+  }
+  return true;
 }
 
 HaloTable* HaloPass::table_for(double width) {

@@ -23,20 +23,27 @@ class HaloPass {
   // Errors: not_finite, invalid_argument (a width; too many images), too_large.
   Status run(std::size_t begin, std::size_t end);
 
-  std::span<const HaloEntry> entries() const { return entries_.span().first(size_); }
+  std::span<const HaloEntry> entries() const { return entries_.span().subspan(1, size_ - 1); }
   const Images& images() const { return images_; }
   // Entries of each target. [targets]
   const std::vector<std::uint64_t>& counts() const { return counts_; }
 
  private:
   static constexpr std::size_t kTablesMost = 16;
+  static constexpr std::uint8_t kByReach = 64;  // in the place of Fence::faces(): there are no candidates for the row
+
+  std::size_t find_boundary(std::size_t count, HaloTable& table);
+  std::uint8_t faces_of(const Fence& fence, const Point& x) const;
 
   Status add_batch(std::size_t begin, std::size_t count);
-  Status add_row(std::size_t begin, std::size_t i);
-  Status reserve(std::size_t more);
-  Status add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width);
+  // These return false where failure_ has been set.
+  bool add_row(std::uint64_t row, const Point& x, std::int32_t part, HaloTable* table, std::uint8_t faces,
+               double width);
+  bool add_each(std::size_t begin, std::size_t count);
+  bool add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width);
+  bool reserve(std::size_t more) { return size_ + more < entries_.size() || grow(more); }
+  bool grow(std::size_t more);
   HaloTable* table_for(double width);
-  void append(std::uint64_t row, const Candidate& found, std::size_t first);
 
   const Reach& reach_;
   const HaloOptions& options_;
@@ -44,11 +51,14 @@ class HaloPass {
   OwnerPass owners_;
   Images images_;
   std::map<int, HaloTable> tables_;  // by the width's exponent
-  Within within_;
+  bool periodic_;
+  Status failure_;
   std::array<std::int32_t, Batch::kMost> part_{};
+  std::array<std::uint16_t, Batch::kMost> boundary_{};  // in the batch
+  std::array<std::uint8_t, Batch::kMost> faces_{};      // of these
   std::vector<Candidate> found_;
-  Buffer<HaloEntry> entries_;
-  std::size_t size_ = 0;
+  Buffer<HaloEntry> entries_;  // the first one is no entry, and one more than are counted may be written
+  std::size_t size_ = 1;
   std::vector<std::uint64_t> counts_;
 };
 

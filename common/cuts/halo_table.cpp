@@ -39,7 +39,7 @@ HaloTable::HaloTable(const Reach& reach, const Targets& targets, double width, I
       width_(width),
       within_(reach.near().norm, width),
       images_(images),
-      entry_of_(at(targets.parts), kNotMade) {}
+      index_of_(at(targets.parts), kNotMade) {}
 
 bool HaloTable::near(const Candidate& candidate, const Box& box) const {
   const Box moved = Reach::finite(images_[candidate.image].of(box));
@@ -67,38 +67,39 @@ void HaloTable::shrink(Fence& fence, std::span<const Candidate> all) const {
 }
 
 const Fence* HaloTable::make(std::int32_t part) {
-  entry_of_[at(part)] = kNone;
+  index_of_[at(part)] = kNone;
   std::vector<Candidate> all;
-  const std::size_t bytes = entries_.size() * sizeof(Entry) + lists_.size() * sizeof(Candidate);
+  const std::size_t bytes = fences_.size() * (sizeof(Fence) + sizeof(Lists)) + lists_.size() * sizeof(Candidate);
   if (bytes > kBytesMost || !reached_by(reach_, targets_, reach_.region(part), part, width_, images_, all) ||
       all.size() > kBytesMost / 64)
     return nullptr;
-  Entry entry;
-  entry.fence.outer = reach_.region(part);
-  shrink(entry.fence, all);
-  entry.all = {static_cast<std::uint32_t>(lists_.size()), static_cast<std::uint32_t>(all.size())};
+  Fence fence;
+  fence.outer = reach_.region(part);
+  shrink(fence, all);
+  index_of_[at(part)] = static_cast<std::int32_t>(fences_.size());
+  fences_.push_back(fence);
+  lists_of_.emplace_back();
+  lists_of_.back().all = {static_cast<std::uint32_t>(lists_.size()), static_cast<std::uint32_t>(all.size())};
   lists_.insert(lists_.end(), all.begin(), all.end());
-  entry_of_[at(part)] = static_cast<std::int32_t>(entries_.size());
-  entries_.push_back(entry);
-  return &entries_.back().fence;
+  return &fences_.back();
 }
 
-std::span<const Candidate> HaloTable::candidates(std::int32_t part, int faces) {
-  Entry& entry = entries_[at(entry_of_[at(part)])];
-  List& list = entry.near_faces[at(faces)];
-  if (list.begin == List::kNotMade) {
-    Box box = entry.fence.outer;  // where the particles near these faces are
-    for (std::size_t a = 0; a < at(reach_.dims()); ++a) {
-      const int bits = faces >> (2 * a) & 3;
-      if ((bits & 1) != 0) box.hi[a] = std::min(box.hi[a], entry.fence.inner.lo[a]);
-      if ((bits & 2) != 0) box.lo[a] = std::max(box.lo[a], entry.fence.inner.hi[a]);
-      if (bits == 0) box.lo[a] = entry.fence.inner.lo[a], box.hi[a] = entry.fence.inner.hi[a];
-    }
-    list.begin = static_cast<std::uint32_t>(lists_.size());
-    for (std::size_t k = 0; k < entry.all.count; ++k)
-      if (const Candidate one = lists_[entry.all.begin + k]; near(one, box)) lists_.push_back(one);
-    list.count = static_cast<std::uint32_t>(lists_.size()) - list.begin;
+std::span<const Candidate> HaloTable::make_list(std::int32_t part, std::uint32_t faces) {
+  const auto index = at(index_of_[at(part)]);
+  const Fence& fence = fences_[index];
+  Box box = fence.outer;  // where the particles near these faces are
+  for (std::size_t a = 0; a < at(reach_.dims()); ++a) {
+    const std::uint32_t bits = faces >> (2 * a) & 3U;
+    if ((bits & 1) != 0) box.hi[a] = std::min(box.hi[a], fence.inner.lo[a]);
+    if ((bits & 2) != 0) box.lo[a] = std::max(box.lo[a], fence.inner.hi[a]);
+    if (bits == 0) box.lo[a] = fence.inner.lo[a], box.hi[a] = fence.inner.hi[a];
   }
+  const auto begin = static_cast<std::uint32_t>(lists_.size());
+  const List all = lists_of_[index].all;
+  for (std::size_t k = all.begin; k < at(all.begin) + all.count; ++k)
+    if (const Candidate one = lists_[k]; near(one, box)) lists_.push_back(one);
+  const List list{begin, static_cast<std::uint32_t>(lists_.size()) - begin};
+  lists_of_[index].near_faces[at(faces)] = list;
   return std::span(lists_).subspan(list.begin, list.count);
 }
 

@@ -51,16 +51,21 @@ struct Fence {
   geometry::Box inner;  // open; a particle in it is in no halo. Empty() where there is none
   geometry::Box outer;  // the region; closed
 
-  // Bit 2a: near the low face of axis a; bit 2a + 1: near its high face. kOutside: not in the region.
-  static constexpr int kOutside = 64;
-  int faces(const Point& x, std::size_t dims) const {
-    int bits = 0;
-    bool outside = false;
-    for (std::size_t a = 0; a < dims; ++a) {
-      bits |= (static_cast<int>(x[a] <= inner.lo[a]) | static_cast<int>(x[a] >= inner.hi[a]) << 1U) << (2 * a);
-      outside = outside || x[a] < outer.lo[a] || x[a] > outer.hi[a];
-    }
-    return outside ? kOutside : bits;
+  // Bit 2a: near the low face of axis a; bit 2a + 1: near its high face. Along axes beyond the dimensions all is
+  // infinite.
+  std::uint8_t faces(const Point& x) const {
+    std::uint32_t bits = 0;
+    for (std::size_t a = 0; a < geometry::kDimsMax; ++a)
+      bits |= static_cast<std::uint32_t>(x[a] <= inner.lo[a]) << (2 * a) |
+              static_cast<std::uint32_t>(x[a] >= inner.hi[a]) << (2 * a + 1);
+    return static_cast<std::uint8_t>(bits);
+  }
+  // False for some of the part's particles only where an axis is periodic.
+  bool holds(const Point& x) const {
+    bool inside = true;
+    for (std::size_t a = 0; a < geometry::kDimsMax; ++a)
+      inside = inside & (x[a] >= outer.lo[a]) & (x[a] <= outer.hi[a]);
+    return inside;
   }
 };
 
@@ -72,11 +77,14 @@ class HaloTable {
   // Null where the table has no room for it, or the part has too many candidates: its particles are to ask
   // reached_by().
   const Fence* fence(std::int32_t part) {
-    const std::int32_t index = entry_of_[at(part)];
-    return index >= 0 ? &entries_[at(index)].fence : index == kNotMade ? make(part) : nullptr;
+    const std::int32_t index = index_of_[at(part)];
+    return index >= 0 ? &fences_[at(index)] : index == kNotMade ? make(part) : nullptr;
   }
   // Candidates for the particles of a part with a fence. Valid until the next call of fence() or candidates().
-  std::span<const Candidate> candidates(std::int32_t part, int faces);
+  std::span<const Candidate> candidates(std::int32_t part, std::uint32_t faces) {
+    const List& list = lists_of_[at(index_of_[at(part)])].near_faces[at(faces)];
+    return list.begin == List::kNotMade ? make_list(part, faces) : std::span(lists_).subspan(list.begin, list.count);
+  }
 
  private:
   static constexpr std::int32_t kNotMade = -1;
@@ -88,13 +96,13 @@ class HaloTable {
     std::uint32_t begin = kNotMade;  // in lists_
     std::uint32_t count = 0;
   };
-  struct Entry {
-    Fence fence;
+  struct Lists {
     List all;  // near the region
     std::array<List, 64> near_faces;
   };
 
   const Fence* make(std::int32_t part);
+  std::span<const Candidate> make_list(std::int32_t part, std::uint32_t faces);
   void shrink(Fence& fence, std::span<const Candidate> all) const;
   bool near(const Candidate& candidate, const geometry::Box& box) const;
 
@@ -103,8 +111,9 @@ class HaloTable {
   double width_;
   Within within_;
   Images& images_;
-  std::vector<std::int32_t> entry_of_;  // [parts]
-  std::vector<Entry> entries_;
+  std::vector<std::int32_t> index_of_;  // [parts], in what follows
+  std::vector<Fence> fences_;
+  std::vector<Lists> lists_of_;
   std::vector<Candidate> lists_;
 };
 

@@ -2,16 +2,17 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 
 #include <fmt/format.h>
 
+#include "common/base/axis_names.hpp"
+#include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
 
 namespace rcb::cuts {
 namespace {
 
-constexpr std::size_t kWord = 64;                // rows that one word has a bit for
+constexpr std::size_t kWord = OwnerPass::kWord;  // rows that one word has a bit for
 constexpr std::size_t kFew = Batch::kMost / 16;  // so few rows are classified one by one
 
 template <typename T>
@@ -19,23 +20,79 @@ void copy_strided(const T* from, std::size_t stride, std::size_t count, double* 
   for (std::size_t i = 0; i < count; ++i) to[i] = from[i * stride];
 }
 
+template <typename T>
+void copy_axes(const std::array<const T*, 3>& axis, std::size_t dims, std::size_t stride, std::size_t begin,
+               std::size_t count, Batch& to) {
+  for (std::size_t a = 0; a < dims; ++a)
+    if (stride == 3)  // of known length, which is quicker
+      copy_strided(axis[a] + begin * 3, 3, count, to.axis(a));
+    else
+      copy_strided(axis[a] + begin * stride, stride, count, to.axis(a));
+}
+
+// Whether rows of three coordinates that follow one another all lie strictly inside the box.
+template <typename T>
+[[gnu::always_inline]] inline bool all_inside(const T* rows, std::size_t count, const geometry::Box& box) {
+  constexpr std::size_t kRows = 8;  // together, so that the compiler makes vectors of them
+  std::array<double, 3 * kRows> lo, hi;
+  for (std::size_t i = 0; i < lo.size(); ++i) {
+    lo[i] = box.lo[i % 3];
+    hi[i] = box.hi[i % 3];
+  }
+  std::size_t i = 0;
+  for (; i + kRows <= count; i += kRows) {
+    std::int64_t outside = 0;
+    for (std::size_t k = 0; k < lo.size(); ++k) {
+      const double x = rows[3 * i + k];
+      outside += x > lo[k] ? 0 : 1;
+      outside += x < hi[k] ? 0 : 1;
+    }
+    if (outside != 0) return false;
+  }
+  for (i *= 3; i < 3 * count; ++i)
+    if (!(rows[i] > lo[i % 3] && rows[i] < hi[i % 3])) return false;
+  return true;
+}
+
+#if defined(__x86_64__)
+template <typename T>
+[[gnu::target("avx2")]] bool all_inside_avx2(const T* rows, std::size_t count, const geometry::Box& box) {
+  return all_inside(rows, count, box);
+}
+#endif
+
+template <typename T>
+bool rows_inside(const T* rows, std::size_t count, const geometry::Box& box) {
+#if defined(__x86_64__)
+  if (has_avx2()) return all_inside_avx2(rows, count, box);
+#endif
+  return all_inside(rows, count, box);
+}
+
 }  // namespace
 
 void OwnerPass::load(std::size_t begin, std::size_t count) {
-  const std::size_t stride = positions_.stride;
-  for (std::size_t a = 0; a < at(positions_.dims); ++a) {
-    if (!positions_.single() && stride == 1) {
-      x_[a] = positions_.axis[a] + begin;
-      continue;
-    }
-    if (positions_.single())
-      copy_strided(positions_.axis_f4[a] + begin * stride, stride, count, batch_.axis(a));
-    else if (stride == 3)  // of known length, so that the compiler makes vectors of it
-      copy_strided(positions_.axis[a] + begin * 3, 3, count, batch_.axis(a));
-    else
-      copy_strided(positions_.axis[a] + begin * stride, stride, count, batch_.axis(a));
-    x_[a] = batch_.axis(a);
-  }
+  const auto dims = at(positions_.dims);
+  const bool in_place = !positions_.single() && positions_.stride == 1;
+  if (positions_.single()) copy_axes(positions_.axis_f4, dims, positions_.stride, begin, count, batch_);
+  if (!positions_.single() && !in_place) copy_axes(positions_.axis, dims, positions_.stride, begin, count, batch_);
+  static constexpr std::array<double, Batch::kMost> kZeros{};
+  for (std::size_t a = 0; a < x_.size(); ++a)
+    x_[a] = a >= dims ? kZeros.data() : in_place ? positions_.axis[a] + begin : batch_.axis(a);
+}
+
+bool OwnerPass::read_whole(std::size_t begin, std::size_t count, std::int32_t* part) {
+  const auto in_rows = [this](const auto& axis) { return axis[1] == axis[0] + 1 && axis[2] == axis[0] + 2; };
+  if (positions_.dims != 3 || positions_.stride != 3 || uniform_ < 0) return false;
+  if (!(positions_.single() ? in_rows(positions_.axis_f4) : in_rows(positions_.axis))) return false;
+  const std::int32_t expected = expect(begin, count, part);
+  if (expected < 0) return false;
+  const geometry::Box& box = tables_.boxes[at(expected)];
+  if (!(positions_.single() ? rows_inside(positions_.axis_f4[0] + 3 * begin, count, box)
+                            : rows_inside(positions_.axis[0] + 3 * begin, count, box)))
+    return false;
+  uniform_ = before_ = expected;
+  return true;
 }
 
 // Fills in the parts that are expected. Returns the one expected for all rows, or -1.
@@ -61,47 +118,63 @@ std::int32_t OwnerPass::expect(std::size_t begin, std::size_t count, std::int32_
   return expected;
 }
 
-Status OwnerPass::read(std::size_t begin, std::size_t count, std::int32_t* part) {
-  load(begin, count);
-  const auto dims = at(positions_.dims);
-  uniform_ = expect(begin, count, part);
-  std::array<std::uint64_t, Batch::kMost / kWord> outside{};
-  std::size_t undecided = 0;
-  for (std::size_t w = 0; w * kWord < count; ++w) {
-    const std::size_t size = std::min(kWord, count - w * kWord);
-    for (std::size_t a = 0; a < dims; ++a) {
-      const std::span values(x_[a] + w * kWord, size);
-      outside[w] |= uniform_ >= 0
-                        ? outside_of(values, tables_.boxes[at(uniform_)].lo[a], tables_.boxes[at(uniform_)].hi[a])
-                        : tables_.regions.outside(a, values, part + w * kWord);
-    }
-    undecided += static_cast<std::size_t>(std::popcount(outside[w]));
-  }
-  const auto id = [this, begin](std::size_t i) { return ids_.empty() ? static_cast<Id>(begin + i) : ids_[begin + i]; };
+// A bit for each row that is not strictly inside the region of part[i].
+OwnerPass::Bits OwnerPass::outside(std::size_t count, const std::int32_t* part) const {
+  Bits bits{};
+  const geometry::Box* const box = uniform_ < 0 ? nullptr : &tables_.boxes[at(uniform_)];
   for (std::size_t w = 0; w * kWord < count; ++w)
-    for (std::uint64_t bits = outside[w]; bits != 0; bits &= bits - 1) {
-      const std::size_t i = w * kWord + at(std::countr_zero(bits));
-      if (Status status = check_finite(begin, i); !status) return status;
-      if (undecided > kFew) continue;
-      Point point{};
-      for (std::size_t a = 0; a < dims; ++a) point[a] = x_[a][i];
-      part[i] = tables_.tree.part_of(point, id(i));
+    for (std::size_t a = 0; a < at(positions_.dims); ++a) {
+      const std::span values(x_[a] + w * kWord, std::min(kWord, count - w * kWord));
+      bits[w] |= box != nullptr ? outside_of(values, box->lo[a], box->hi[a])
+                                : tables_.regions.outside(a, values, part + w * kWord);
     }
-  if (undecided > kFew) {
-    for (std::size_t a = 0; a < dims; ++a)
-      if (x_[a] != batch_.axis(a)) std::copy_n(x_[a], count, batch_.axis(a));
-    tables_.classifier.classify(batch_, count, part, id);
-  }
-  if (undecided > 0)
-    uniform_ = std::all_of(part, part + count, [part](std::int32_t p) { return p == part[0]; }) ? part[0] : -1;
-  if (count > 0) before_ = part[count - 1];
-  return {};
+  return bits;
 }
 
-Status OwnerPass::check_finite(std::size_t begin, std::size_t i) const {
+Status OwnerPass::check_finite(std::size_t begin, std::size_t count) const {
+  constexpr double kInfinity = geometry::Box::kInfinity;
+  std::size_t first = count;
+  std::size_t axis = 0;
   for (std::size_t a = 0; a < at(positions_.dims); ++a)
-    if (!std::isfinite(x_[a][i]))
-      return {Code::not_finite, fmt::format("row {}: axis {} is {}: must be finite", begin + i, a, x_[a][i])};
+    for (std::size_t w = 0; w * kWord < first; ++w) {
+      const std::uint64_t bad =
+          outside_of({x_[a] + w * kWord, std::min(kWord, count - w * kWord)}, -kInfinity, kInfinity);
+      if (bad == 0 || w * kWord + at(std::countr_zero(bad)) >= first) continue;
+      first = w * kWord + at(std::countr_zero(bad));
+      axis = a;
+    }
+  if (first == count) return {};
+  return {Code::not_finite,
+          fmt::format("row {}: {} is {}: must be finite", begin + first, kAxisNames[axis], x_[axis][first])};
+}
+
+Status OwnerPass::read(std::size_t begin, std::size_t count, std::int32_t* part) {
+  const auto id = [this, begin](std::size_t i) { return ids_.empty() ? static_cast<Id>(begin + i) : ids_[begin + i]; };
+  load(begin, count);
+  const bool hinted = uniform_ >= 0 || !last_part_.empty();  // after rows of several parts, no part is expected
+  Bits bits{};
+  std::size_t undecided = count;
+  if (hinted) {
+    uniform_ = expect(begin, count, part);
+    bits = outside(count, part);
+    undecided = 0;
+    for (const std::uint64_t word : bits) undecided += static_cast<std::size_t>(std::popcount(word));
+    if (undecided == 0) return {};
+  }
+  if (Status status = check_finite(begin, count); !status) return status;
+  if (undecided > kFew || !hinted) {
+    for (std::size_t a = 0; a < at(positions_.dims); ++a)
+      if (x_[a] != batch_.axis(a)) std::copy_n(x_[a], count, batch_.axis(a));
+    tables_.classifier.classify(batch_, count, part, id);
+  } else {
+    for (std::size_t w = 0; w * kWord < count; ++w)
+      for (std::uint64_t word = bits[w]; word != 0; word &= word - 1) {
+        const std::size_t i = w * kWord + at(std::countr_zero(word));
+        part[i] = tables_.tree.part_of(point(i), id(i));
+      }
+  }
+  uniform_ = std::all_of(part, part + count, [part](std::int32_t p) { return p == part[0]; }) ? part[0] : -1;
+  before_ = part[count - 1];
   return {};
 }
 

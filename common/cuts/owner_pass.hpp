@@ -3,9 +3,11 @@
 // the tree.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 
+#include "common/base/index.hpp"
 #include "common/base/status.hpp"
 #include "common/cuts/classifier.hpp"
 #include "common/cuts/positions.hpp"
@@ -27,6 +29,8 @@ struct OwnerTables {
 
 class OwnerPass {
  public:
+  static constexpr std::size_t kWord = 64;  // rows that a word has a bit for
+
   OwnerPass(const OwnerTables& tables, const Positions& positions, std::span<const Id> ids,
             std::span<const std::int32_t> last_part)
       : tables_(tables), positions_(positions), ids_(ids), last_part_(last_part) {}
@@ -35,15 +39,23 @@ class OwnerPass {
   // row.
   Status read(std::size_t begin, std::size_t count, std::int32_t* part);
 
+  // The same if the rows are triples that all lie strictly inside the region of one part, which takes no copies of
+  // them; else false, and they are to be read.
+  bool read_whole(std::size_t begin, std::size_t count, std::int32_t* part);
+
   // Of the rows that were read last: their coordinates by axis, and the part of all of them, or -1 if there are
   // several.
   const particles::Axes& x() const { return x_; }
+  Point point(std::size_t i) const { return {x_[0][i], x_[1][i], x_[2][i]}; }
   std::int32_t uniform() const { return uniform_; }
 
  private:
+  using Bits = std::array<std::uint64_t, Batch::kMost / kWord>;
+
   std::int32_t expect(std::size_t begin, std::size_t count, std::int32_t* part);
   void load(std::size_t begin, std::size_t count);
-  Status check_finite(std::size_t begin, std::size_t i) const;
+  Bits outside(std::size_t count, const std::int32_t* part) const;
+  Status check_finite(std::size_t begin, std::size_t count) const;
 
   const OwnerTables& tables_;
   const Positions& positions_;

@@ -57,7 +57,9 @@ Status Near::check(int dims) const {
 }
 
 Reach::Reach(std::span<const Box> regions, int dims, const Near& near)
-    : dims_(dims), near_(near), tree_(bounded_by(regions, dims, near.box), dims) {}
+    : dims_(dims), near_(near), tree_(bounded_by(regions, dims, near.box), dims) {
+  for (const Box& box : tree_.leaves()) bounds_.push_back({Within::Lanes(box.lo), Within::Lanes(box.hi)});
+}
 
 Status Reach::images_of(const Box& box, double width, std::vector<Image>& images) const {
   const Within within(near_.norm, width);

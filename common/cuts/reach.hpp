@@ -35,6 +35,7 @@ class Reach {
   int dims() const { return dims_; }
   const Near& near() const { return near_; }
   const geometry::Box& region(int part) const { return tree_.leaves()[at(part)]; }
+  const Within::Bounds& bounds(int part) const { return bounds_[at(part)]; }
 
   // The images of `box` that may come within `width` of any region, ascending by k. Errors: invalid_argument (more than
   // kImagesMax, or k beyond 2^31).
@@ -55,6 +56,7 @@ class Reach {
   int dims_;
   Near near_;
   BoxTree tree_;
+  std::vector<Within::Bounds> bounds_;  // of the regions, for many tests
 };
 
 }  // namespace rcb::cuts

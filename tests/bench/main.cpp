@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "rcb_bench_commit.hpp"
+#include "tests/bench/cuts.hpp"
 #include "tests/bench/driver.hpp"
 #include "tests/bench/dynamic/dynamic.hpp"
 #include "tests/bench/dynamic/dynamic_peers.hpp"
@@ -145,7 +146,8 @@ std::string examples(const std::string& subcommand) {
         "static --ranks 2 --parts 8,64 --methods rcb --cut-tolerances 0 --points 1e6,2e6,4e6,8e6,16e6",
         "scaling --json scaling.json", "dynamic --json dynamic.json --figure dynamic.svg", "step --json step.json",
         "memory --points 10000000 --ranks 2 --json memory.json", "skips --json skips.json", "drift --json drift.json",
-        "idle --ranks 8", "hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json"})
+        "cuts --parts 64 --json cuts.json", "idle --ranks 8",
+        "hosts --hosts 2,3 --latency 0.5,5 --bandwidth 10,1 --json hosts.json"})
     if (line.starts_with(subcommand)) text += "  rcb_bench " + line + '\n';
   return text;
 }
@@ -186,6 +188,8 @@ int drive(int argc, char** argv) {
   const auto* drift = add_drift(app, of_drift);
   IdleOptions of_idle;
   const auto* idle = add_idle(app, of_idle);
+  CutsBenchOptions of_cuts;
+  const auto* cuts = add_cuts(app, of_cuts);
   HostsOptions of_hosts;
   const auto* hosts = add_hosts(app, of_hosts);
   for (CLI::App* subcommand : app.get_subcommands({})) {
@@ -195,6 +199,7 @@ int drive(int argc, char** argv) {
   }
   return run_program(app, argc, argv, [&] {
     if (hosts->parsed()) return run_hosts(of_hosts, start_document("hosts", of_hosts.repeats));
+    if (cuts->parsed()) return run_cuts(of_cuts, start_document("cuts", of_cuts.repeats));
     if (idle->parsed()) return run_idle(of_idle, start_document("idle", 1));
     if (drift->parsed()) return run_drift(of_drift, start_document("drift", of_drift.repeats));
     if (step->parsed()) return run_step(of_step, start_document("step", of_step.repeats));
