@@ -23,7 +23,7 @@
 #include "common/base/buffer.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/balance/load.hpp"
-#include "common/cuts/cut_tree.hpp"
+#include "common/cuts/cuts.hpp"
 #include "server/service/scene/history.hpp"
 #include "server/service/scene/policy.hpp"
 #include "common/cuts/regions.hpp"
@@ -81,7 +81,6 @@ struct Scene {
   Buffer<std::int32_t> part;
 
   cuts::CutTree tree;
-  std::optional<std::uint64_t> tree_hash;  // set by cuts_hash(), until the tree changes
   std::uint64_t epoch = 0;
   cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
@@ -108,9 +107,10 @@ struct Scene {
   bool asked = false;                       // a query as in SceneTotals::asked came since the last step
   std::unique_ptr<History> history;         // on rank 0
   SceneTotals totals;
+  std::optional<cuts::Cuts> known_cuts;  // those of snapshot()
 
-  // The tree's hash; computed once for each tree.
-  std::uint64_t cuts_hash();
+  // What the tree tells; made when it is first asked for in an epoch.
+  const cuts::Cuts& snapshot();
 
   // A scene without particles, before its first push.
   static Scene create(std::string name, SceneOptions options);
