@@ -52,18 +52,18 @@ wire::Json cuts_json(const CutTree& tree, int first, int last) {
   return cuts;
 }
 
-wire::Json regions_json(const cuts::Cuts& cuts, int first, int last) {
+wire::Json regions_json(const CutTree& tree, int first, int last) {
   wire::Json regions = wire::Json::array();
-  for (int part = first; part < last; ++part) {
-    const geometry::Box& box = cuts.regions()[static_cast<std::size_t>(part)];
-    const bool empty = box.empty(cuts.dims());
+  int part = first;
+  for (const geometry::Box& box : tree.regions(first, last)) {
+    const bool empty = box.empty(tree.dims);
     wire::Json lo = wire::Json::array();
     wire::Json hi = wire::Json::array();
-    for (std::size_t a = 0; a < static_cast<std::size_t>(cuts.dims()); ++a) {
+    for (std::size_t a = 0; a < static_cast<std::size_t>(tree.dims); ++a) {
       lo.push_back(empty ? wire::Json(nullptr) : bound_json(box.lo[a]));
       hi.push_back(empty ? wire::Json(nullptr) : bound_json(box.hi[a]));
     }
-    wire::Json region{{"part", part}, {"lo", std::move(lo)}, {"hi", std::move(hi)}};
+    wire::Json region{{"part", part++}, {"lo", std::move(lo)}, {"hi", std::move(hi)}};
     if (empty) region["empty"] = true;
     regions.push_back(std::move(region));
   }

@@ -9,7 +9,7 @@ namespace rcb::service {
 // The cuts of those of the nodes [first, last) that exist.
 wire::Json cuts_json(const cuts::CutTree& tree, int first, int last);
 // The regions of the parts [first, last).
-wire::Json regions_json(const cuts::Cuts& cuts, int first, int last);
+wire::Json regions_json(const cuts::CutTree& tree, int first, int last);
 // {"part","axis","width"}, or null.
 wire::Json narrowest_json(const cuts::Cuts& cuts);
 

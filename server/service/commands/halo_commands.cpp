@@ -240,7 +240,7 @@ Response halo(Context& context, Scene& s, const wire::Json& request) {
     return failed(too_wide(room.message()));
   Response response = done({{"scene", s.name},
                             {"epoch", s.epoch},
-                            {"hash", wire::hex64(s.snapshot().hash())},
+                            {"hash", wire::hex64(s.cuts_hash())},
                             {"n", s.n},
                             {"step", *s.step},
                             {"dims", s.options.dims},
@@ -303,7 +303,7 @@ Response neighbours(Context& context, Scene& s, const wire::Json& request) {
     return failed(too_wide(fmt::format("with this width a part may have more than {} neighbours", kReachMax)));
   Response response = done({{"scene", s.name},
                             {"epoch", s.epoch},
-                            {"hash", wire::hex64(s.snapshot().hash())},
+                            {"hash", wire::hex64(s.cuts_hash())},
                             {"dims", s.options.dims},
                             {"parts", s.options.parts}});
   if (Status status = find_neighbours(context, s.snapshot(), *near, response); !status.ok())

@@ -61,7 +61,7 @@ Response cut_arrays(Context& context, Scene& s) {
                             {"dims", arrays.dims},
                             {"method", cuts::method_name(arrays.method)},
                             {"parts", arrays.parts},
-                            {"hash", wire::hex64(s.snapshot().hash())}});
+                            {"hash", wire::hex64(s.cuts_hash())}});
   response.arrays.push_back(rows_of("axes", "<i4", arrays.axes, arrays.dims));
   response.arrays.push_back(rows_of("at", "<f8", arrays.at, arrays.dims));
   response.arrays.push_back(make_array<particles::Id>("id", "<i8", arrays.id));
@@ -91,14 +91,14 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
   wire::Json json{{"epoch", s.epoch},
                   {"method", cuts::method_name(s.tree.method)},
                   {"parts", parts},
-                  {"hash", wire::hex64(s.snapshot().hash())},
-                  {"narrowest_region", narrowest_json(s.snapshot())}};
+                  {"hash", wire::hex64(s.cuts_hash())}};
+  if (page->from == 0) json["narrowest_region"] = narrowest_json(s.snapshot());
   const auto from = static_cast<int>(page->from);
   const auto end = static_cast<int>(page->end);
   if (!regions) json["cuts"] = cuts_json(s.tree, from, end);
-  if (regions) json["regions"] = regions_json(s.snapshot(), from, end);
+  if (regions) json["regions"] = regions_json(s.tree, from, end);
   if (list->empty())
-    json["regions"] = regions_json(s.snapshot(), 0, parts);
+    json["regions"] = regions_json(s.tree, 0, parts);
   else
     page->tell(json, total);
   return done(std::move(json));

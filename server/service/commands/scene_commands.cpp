@@ -23,6 +23,11 @@ Scene Scene::create(std::string name, SceneOptions options) {
 
 std::uint64_t session_key(const std::string& session) { return XXH3_64bits(session.data(), session.size()); }
 
+std::uint64_t Scene::cuts_hash() {
+  if (!tree_hash) tree_hash = tree.hash();
+  return *tree_hash;
+}
+
 const cuts::Cuts& Scene::snapshot() {
   if (!known_cuts || known_cuts->epoch() != epoch) known_cuts.emplace(tree, epoch);
   return *known_cuts;
@@ -140,7 +145,7 @@ Response describe_scene(Scene& scene) {
   if (!scene.pushed) return response;
   response.json["error"] = scene.loads.error;
   response.json["imbalance"] = scene.loads.imbalance;
-  response.json["hash"] = wire::hex64(scene.snapshot().hash());
+  response.json["hash"] = wire::hex64(scene.cuts_hash());
   response.json["rounds"] = scene.search_rounds;
   response.json["reductions"] = scene.search_reductions;
   if (scene.loads.weights_as_zero > 0) response.json["weights_as_zero"] = scene.loads.weights_as_zero;

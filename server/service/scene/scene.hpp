@@ -81,6 +81,7 @@ struct Scene {
   Buffer<std::int32_t> part;
 
   cuts::CutTree tree;
+  std::optional<std::uint64_t> tree_hash;  // set by cuts_hash(), until the tree changes
   std::uint64_t epoch = 0;
   cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
@@ -109,7 +110,9 @@ struct Scene {
   SceneTotals totals;
   std::optional<cuts::Cuts> known_cuts;  // those of snapshot()
 
-  // What the tree tells; made when it is first asked for in an epoch.
+  // The tree's hash; computed once for each tree.
+  std::uint64_t cuts_hash();
+  // What the tree tells; made when it is first asked for in an epoch, since it takes some hundred bytes a part.
   const cuts::Cuts& snapshot();
 
   // A scene without particles, before its first push.
