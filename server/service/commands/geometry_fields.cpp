@@ -74,9 +74,6 @@ Result<cuts::PeriodicBox> periodic_field(const wire::Json& request, int dims) {
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
     box.lo[a] = corners->lo[a];
     box.hi[a] = corners->hi[a];
-    if (std::isfinite(box.lo[a]) != std::isfinite(box.hi[a]))
-      return Status(Code::invalid_argument, fmt::format("periodic: {} has one bound", kAxisNames[a]),
-                    "both bounds of an axis, or null for both where it isn't periodic");
   }
   if (Status status = cuts::Near{.box = box}.check(dims); !status.ok()) return status;
   return box;
