@@ -63,8 +63,7 @@ Status HaloPass::add_row(std::size_t begin, std::size_t i) {
     width = options_.widths[row];
     Near near = options_.near;
     near.width = width;
-    if (Status status = near.check(reach_.dims()); !status)
-      return {status.code(), fmt::format("row {}: {}", row, status.message()), status.hint()};
+    if (Status status = near.check(reach_.dims()); !status) return about(row, status);
     within_ = Within(near.norm, width);
   }
   Point x{};
@@ -87,6 +86,11 @@ Status HaloPass::add_row(std::size_t begin, std::size_t i) {
   return {};
 }
 
+Status HaloPass::about(std::uint64_t row, const Status& status) const {
+  const std::string name = options_.ids.empty() ? fmt::format("row {}", row) : fmt::format("id {}", options_.ids[row]);
+  return {status.code(), name + ": " + status.message(), status.hint()};
+}
+
 // first: where the row's entries begin. Several parts of a seat may need the same image; they stand one after another.
 void HaloPass::append(std::uint64_t row, const Candidate& found, std::size_t first) {
   if (size_ > first && entries_[size_ - 1].target == found.target && entries_[size_ - 1].image == found.image) return;
@@ -105,7 +109,7 @@ Status HaloPass::reserve(std::size_t more) {
 
 Status HaloPass::add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width) {
   if (Status status = reached_by(reach_, targets_, {x, x}, part, width, images_, found_); !status)
-    return {status.code(), fmt::format("row {}: {}", row, status.message()), status.hint()};
+    return about(row, status);
   if (Status status = reserve(found_.size()); !status) return status;
   const std::size_t first = size_;
   for (const Candidate& one : found_) append(row, one, first);

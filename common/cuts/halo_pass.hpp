@@ -33,6 +33,8 @@ class HaloPass {
 
   Status add_batch(std::size_t begin, std::size_t count);
   Status add_row(std::size_t begin, std::size_t i);
+  // The same, with the particle's name.
+  Status about(std::uint64_t row, const Status& status) const;
   Status reserve(std::size_t more);
   Status add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width);
   HaloTable* table_for(double width);

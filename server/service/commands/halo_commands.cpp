@@ -18,6 +18,7 @@ namespace rcb::service {
 namespace {
 
 constexpr std::uint64_t kEntriesMax = std::uint64_t{1} << 26U;  // of an answer
+constexpr double kImagesMax = 65536;                            // of a particle
 // What a rank looks at between two looks at the clock; of the entries that it finds memory is kept in bounds, too.
 constexpr std::size_t kPieceRows = std::size_t{1} << 17U;
 constexpr std::size_t kPieceEntries = std::size_t{1} << 21U;
@@ -199,8 +200,8 @@ Status append(Context& context, Response& response, const char* name, const char
   return {};
 }
 
-// Errors: too_large, those of check_time. Collective.
-Status append_demands(Context& context, Response& response, const HaloSearch& search) {
+// Collective.
+void append_demands(Context& context, Response& response, const HaloSearch& search) {
   const Buffer<Demand> all = gather_values<Demand>(context.comm, search.demands().span());
   Buffer<std::int32_t> from(all.size()), to(all.size());
   Buffer<std::uint64_t> count(all.size());
@@ -210,12 +211,30 @@ Status append_demands(Context& context, Response& response, const HaloSearch& se
     to[k] = all[k].to;
     entries += count[k] = all[k].count;
   }
-  if (!context.root()) return {};
+  if (!context.root()) return;
   response.json["entries"] = entries;
   response.arrays.push_back(make_array("from", "<i4", all.size(), from.release_as<std::byte>()));
   response.arrays.push_back(make_array("to", "<i4", all.size(), to.release_as<std::byte>()));
   response.arrays.push_back(make_array("count", "<i8", all.size(), count.release_as<std::byte>()));
-  return {};
+}
+
+Response about_cuts(Scene& s) {
+  return done({{"scene", s.name},
+               {"epoch", s.epoch},
+               {"hash", wire::hex64(s.cuts_hash())},
+               {"dims", s.options.dims},
+               {"parts", s.options.parts}});
+}
+
+// How many images of how many parts may be within the width of one part. Errors: too_large.
+Status check_reach(const cuts::Near& near, const SceneOptions& options) {
+  constexpr double kReachMax = 1U << 25U;  // a million parts, and the images next to the box
+  double images = 1;
+  for (std::size_t a = 0; a < at(options.dims); ++a)
+    if (near.box.periodic(a)) images *= 2 * std::ceil(near.width / near.box.length(a)) + 1;
+  if (images <= kImagesMax && images * options.parts <= kReachMax) return {};
+  return too_wide(
+      fmt::format("a width of {} reaches {:.3g} periodic images of {} parts", near.width, images, options.parts));
 }
 
 Response halo(Context& context, Scene& s, const wire::Json& request) {
@@ -223,6 +242,7 @@ Response halo(Context& context, Scene& s, const wire::Json& request) {
   if (!near.ok()) return failed(near.status());
   const auto lists = wire::bool_field(request, "lists");
   if (!lists.ok()) return failed(lists.status());
+  if (Status status = check_reach(*near, s.options); !status.ok()) return failed(std::move(status));
   constexpr std::uint64_t kBytesOfPart = 512;
   constexpr std::uint64_t kBytesOfPiece = std::uint64_t{256} << 20U;
   const std::uint64_t bytes = s.part.size() * 8 + at(s.options.parts) * kBytesOfPart + kBytesOfPiece;
@@ -238,14 +258,10 @@ Response halo(Context& context, Scene& s, const wire::Json& request) {
   const std::uint64_t answer = found[0] * 48 + found[1] * (40 + 4 * at(s.options.dims));
   if (Status room = agree_room(context.comm, context.root() ? answer : 0, "these halos"); !room.ok())
     return failed(too_wide(room.message()));
-  Response response = done({{"scene", s.name},
-                            {"epoch", s.epoch},
-                            {"hash", wire::hex64(s.cuts_hash())},
-                            {"n", s.n},
-                            {"step", *s.step},
-                            {"dims", s.options.dims},
-                            {"parts", s.options.parts}});
-  Status status = append_demands(context, response, search);
+  Response response = about_cuts(s);
+  response.json.update({{"n", s.n}, {"step", *s.step}});
+  append_demands(context, response, search);
+  Status status;
   if (*lists) {
     const bool shifts = near->box.any(s.options.dims);
     if (status.ok()) status = append(context, response, "id", "<i8", search.lists().id);
@@ -277,8 +293,9 @@ Status find_neighbours(const Context& context, const cuts::Cuts& cuts, const cut
     }
     offset.push_back(static_cast<std::int64_t>(part.size()));
   }
+  const std::uint64_t offsets = offset.size();
   const std::uint64_t entries = part.size();
-  response.arrays.push_back(make_array("offset", "<i8", offset.size(), offset.release_as<std::byte>()));
+  response.arrays.push_back(make_array("offset", "<i8", offsets, offset.release_as<std::byte>()));
   response.arrays.push_back(make_array("part", "<i4", entries, part.release_as<std::byte>()));
   if (dims == 0) return {};
   response.arrays.push_back(make_array("shift", "<i4", entries, shift.release_as<std::byte>()));
@@ -286,26 +303,12 @@ Status find_neighbours(const Context& context, const cuts::Cuts& cuts, const cut
   return {};
 }
 
-// Of a single part, so many parts and images may be within the width.
-double reach_max(const cuts::Near& near, int dims, int parts) {
-  double most = parts;
-  for (std::size_t a = 0; a < at(dims); ++a)
-    if (near.box.periodic(a)) most *= 2 * std::ceil(near.width / near.box.length(a)) + 1;
-  return most;
-}
-
 Response neighbours(Context& context, Scene& s, const wire::Json& request) {
-  constexpr double kReachMax = 1U << 25U;  // a million parts, and the images next to the box
   const auto near = near_fields(request, s.options.dims);
   if (!near.ok()) return failed(near.status());
   if (!context.root()) return {};
-  if (reach_max(*near, s.options.dims, s.options.parts) > kReachMax)
-    return failed(too_wide(fmt::format("with this width a part may have more than {} neighbours", kReachMax)));
-  Response response = done({{"scene", s.name},
-                            {"epoch", s.epoch},
-                            {"hash", wire::hex64(s.cuts_hash())},
-                            {"dims", s.options.dims},
-                            {"parts", s.options.parts}});
+  if (Status status = check_reach(*near, s.options); !status.ok()) return failed(std::move(status));
+  Response response = about_cuts(s);
   if (Status status = find_neighbours(context, s.snapshot(), *near, response); !status.ok())
     return failed(std::move(status));
   return response;

@@ -18,6 +18,9 @@ template <typename T>
 std::vector<T> values_of(const Response& response, const std::string& name) {
   const wire::Array* array = wire::find_array(response.arrays, name);
   if (array == nullptr) return {};
+  std::uint64_t shaped = 1;
+  for (const std::uint64_t length : array->shape) shaped *= length;
+  EXPECT_EQ(shaped * sizeof(T), array->bytes.size()) << name;
   std::vector<T> values(array->bytes.size() / sizeof(T));
   std::memcpy(values.data(), array->bytes.data(), array->bytes.size());
   return values;
