@@ -110,7 +110,7 @@ void print_halo(const HaloOptions& options, const Pairs& pairs, const Json& docu
     print_pairs(pairs);
   print_line("");
   print_line(fmt::format("{} pairs of parts, {} points to send{}; {}", pairs.from.size(), text_of(document, "entries"),
-                         document.at("periodic").is_null() ? "" : ", each of their images", near_text(document)));
+                         document.at("periodic").is_null() ? "" : ", every image counted", near_text(document)));
 }
 
 // Whose halo files a folder may hold is decided by their names.
