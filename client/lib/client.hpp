@@ -23,6 +23,7 @@
 
 #include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
+#include "common/cuts/cuts.hpp"
 
 namespace rcb::client {
 
@@ -69,36 +70,25 @@ struct SceneOptions {
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 
-// A view of n positions in the caller's memory; nothing is copied before the send.
-struct Positions {
-  std::array<const double*, 3> axis{};  // first element of each axis
-  std::size_t stride = 1;               // doubles from one particle to the next
-  std::size_t count = 0;
-  int dims = 3;
-  // If the solver keeps its arrays in the order of the plan: by_rank[r][a] is axis a of the particles of rank r, slot
-  // by slot.
-  std::span<const std::array<const double*, 3>> by_rank;
-  std::uint64_t plan_version = 0;  // version of that plan
-  // Instead of `axis` and `by_rank`, if the solver has float32: sent as float32, half the bytes, and widened to double
-  // exactly by the service.
-  std::array<const float*, 3> axis_f4{};
-  std::span<const std::array<const float*, 3>> by_rank_f4;
+// Positions in the caller's memory, which stay there; also in the order of the plan, for a step alone.
+struct Positions : cuts::Positions {
+  Positions() = default;
+  Positions(const cuts::Positions& other) : cuts::Positions(other) {}  // NOLINT(google-explicit-constructor)
 
-  // xyz: [count][dims], C order.
-  static Positions rows(const double* xyz, std::size_t count, int dims);
-  // One contiguous array for each axis, each [count].
-  static Positions axes(std::span<const double* const> axes, std::size_t count);
+  // If the solver keeps its arrays in the order of the plan: by_rank[r][a] is axis a of the particles of rank r, slot
+  // by slot. Then `axis` and `axis_f4` aren't used.
+  std::span<const std::array<const double*, 3>> by_rank;
+  std::span<const std::array<const float*, 3>> by_rank_f4;
+  std::uint64_t plan_version = 0;  // version of that plan
+
   // Arrays in the order of Scene::plan(), so that nothing is gathered or copied before the send. `ranks` must outlive
   // the call of step.
   static Positions in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
-  // The same for float32.
-  static Positions rows(const float* xyz, std::size_t count, int dims);
-  static Positions axes(std::span<const float* const> axes, std::size_t count);
   static Positions in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
 
-  bool single() const;         // float32
+  bool single() const;         // float32: sent as such, half the bytes, and widened exactly by the service
   bool in_plan_order() const;  // by_rank or by_rank_f4 is set
 };
 

@@ -15,10 +15,10 @@ constexpr std::array<Fields, 12> kCreate{"scene",     "parts",           "dims",
                                          "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
                                          "recut",     "part_sizes",      "replace",       "recreated"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
-constexpr std::array<Fields, 24> kPushBegin{"scene",    "session",      "step",    "attempt",      "n",      "slices",
-                                            "order",    "plan",         "moved",   "base_step",    "dtype",  "weights",
-                                            "ids",      "changes",      "path",    "counts",       "epoch",  "places",
-                                            "inserted", "inserted_ids", "removed", "step_seconds", "memory", "sockets"};
+constexpr std::array<Fields, 25> kPushBegin{
+    "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",     "plan",  "moved",
+    "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",    "epoch", "places",
+    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};

@@ -30,9 +30,7 @@ Result<StepResult> Scene::step(const Positions& positions, const StepOptions& op
 }
 
 Result<StepResult> Scene::step_unmoved(const StepOptions& options) {
-  Positions none;
-  none.dims = state_->dims();
-  return state_->step({none, options, StepRequest::Moved::none, {}});
+  return state_->step({cuts::Positions{.dims = state_->dims()}, options, StepRequest::Moved::none, {}});
 }
 
 Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Positions& positions,

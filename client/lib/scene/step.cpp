@@ -259,7 +259,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   Insertion all;
   if (pushed_ && !lost_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
     all = {ask.positions, ask.options.ids, ask.options.weights};
-    ask.positions = Positions{.dims = all.positions.dims};
+    ask.positions = cuts::Positions{.dims = all.positions.dims};
     ask.options.ids = {};
     ask.options.weights = {};
     ask.options.inserted = &all;

@@ -5,11 +5,9 @@
 
 #include <fmt/format.h>
 
-#include "common/cuts/cut_arrays.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/commands/cuts_json.hpp"
 #include "server/service/commands/with_reports.hpp"
-#include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
 
 namespace rcb::service {
@@ -44,31 +42,6 @@ Result<Page> read_page(const wire::Json& request, std::uint64_t total, std::uint
   return page;
 }
 
-template <typename T>
-wire::Array rows_of(const char* name, const char* dtype, const std::vector<T>& values, int columns) {
-  wire::Array array = make_array<T>(name, dtype, values);
-  array.shape = {values.size() / static_cast<std::uint64_t>(columns), static_cast<std::uint64_t>(columns)};
-  return array;
-}
-
-// The cuts as arrays, of however many parts.
-Response cut_arrays(Context& context, Scene& s) {
-  constexpr std::uint64_t kBytesOfPart = 512;
-  const auto parts = static_cast<std::uint64_t>(s.options.parts);
-  if (Status room = room_for(context.comm, parts * kBytesOfPart, "the cuts"); !room.ok()) return failed(room);
-  const cuts::CutArrays arrays = cuts::arrays_of(s.tree);
-  Response response = done({{"epoch", s.epoch},
-                            {"dims", arrays.dims},
-                            {"method", cuts::method_name(arrays.method)},
-                            {"parts", arrays.parts},
-                            {"hash", wire::hex64(s.cuts_hash())}});
-  response.arrays.push_back(rows_of("axes", "<i4", arrays.axes, arrays.dims));
-  response.arrays.push_back(rows_of("at", "<f8", arrays.at, arrays.dims));
-  response.arrays.push_back(make_array<particles::Id>("id", "<i8", arrays.id));
-  if (!arrays.part_sizes.empty()) response.arrays.push_back(make_array<double>("part_sizes", "<f8", arrays.part_sizes));
-  return response;
-}
-
 Response cuts(Context& context, Scene& s, const wire::Json& request) {
   const int parts = s.options.parts;
   const auto list = given(request, "list") ? wire::string_field(request, "list", 16) : std::string();
@@ -80,7 +53,11 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
         {Code::invalid_argument, fmt::format("there is no list '{}'", *list), "lists: cuts, regions, arrays"});
   if ((list->empty() || arrays) && (given(request, "from") || given(request, "count")))
     return failed({Code::invalid_argument, "'from' and 'count' are for pages", "lists with pages: cuts, regions"});
-  if (arrays) return context.root() ? cut_arrays(context, s) : Response();
+  if (arrays) {
+    Response response;
+    if (context.root()) response.status = put_cut_arrays(context, response, response.json, s);
+    return response;
+  }
   if (list->empty() && static_cast<std::size_t>(parts) > wire::kListedMax)
     return failed({Code::too_large, fmt::format("the cuts of {} parts don't fit into one answer", parts),
                    R"(ask for them by pages: "list", "from" and "count", as rcbctl cuts does)"});
