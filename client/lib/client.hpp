@@ -170,6 +170,7 @@ struct StepOptions {
   const Insertion* inserted = nullptr;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
+  int threads = 1;            // for finding these, where step() has all positions by rows or axes
   double deadline_seconds = 60;
 };
 
@@ -183,7 +184,9 @@ struct RowMove {
 
 struct StepResult {
   StepReport report;
-  std::vector<std::int32_t> parts;  // by row, numbered as after the step
+  // By row, numbered as after the step, under the cuts after it: those of Scene::cuts(). If the connection was lost on
+  // the way and another client has repartitioned before the cuts could be asked for, they are of a later epoch.
+  std::vector<std::int32_t> parts;
   // By ascending row: the rows whose part differs from what this Scene told last (by `parts` or `changes`), at first
   // all of them. Inserted particles are always among them.
   std::vector<PartChange> changes;
@@ -284,6 +287,9 @@ class Scene {
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
+  // The cuts after the last step that was answered here, or before any the cuts in force. Asked for at most once:
+  // afterwards the answer to each step brings those that are new. Errors: also not_found (no positions yet).
+  Result<rcb::cuts::Cuts> cuts(double deadline_seconds = 60);
   // The plan for the next push, valid until then; fetched if it isn't known. A solver that pushes in the plan's order
   // asks for it after every step that migrated particles or whose report says scene_recreated (the version changes
   // then), and passes the version with its positions. If the plan has changed in between, the push is refused with

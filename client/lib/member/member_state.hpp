@@ -15,6 +15,7 @@
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/lost_scene.hpp"
+#include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/shared_arrays.hpp"
 #include "client/lib/session/unanswered.hpp"
 
@@ -85,6 +86,11 @@ struct MemberScene::State {
   // The rows that moved; nullopt: all are to be sent.
   std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
+  bool uses_cuts(const MemberStepOptions& with) const { return cuts_wanted || options.follow || with.want_parts; }
+  Result<cuts::Cuts> current_cuts(double deadline_seconds);
+  // Fills in `parts` and `leaving` by the cuts after the step.
+  Status classify(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& with,
+                  MemberStep& result) const;
   Status read_follow(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
                      MemberStep& result);
   Status read_places(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
@@ -104,7 +110,9 @@ struct MemberScene::State {
   bool lost = false;  // the service was restarted, and the scene has no positions yet
   std::optional<std::int64_t> last_step;
   UnansweredStep unanswered;
-  std::uint64_t epoch = 0;  // after last_step
+  std::uint64_t epoch = 0;                    // after last_step
+  std::optional<rcb::cuts::Cuts> known_cuts;  // after the last step whose answer told them
+  bool cuts_wanted = false;                   // the caller has asked for them
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
   bool up_to_date = false;

@@ -55,6 +55,7 @@ Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count)
 }
 
 Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
+Result<cuts::Cuts> Scene::cuts(double deadline_seconds) { return state_->current_cuts(deadline_seconds); }
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
     : client_(std::move(client)), name_(std::move(name)), scene_(client_->known(name_)), run_(client_->run_of(name_)) {
@@ -74,6 +75,7 @@ void Scene::State::forget_if_replaced() {
   forget_plan();
   lost_plan_.reset();
   forget_rows();
+  cuts_.reset();
   weights_.clear();
   began_ = answered_ = told_ = missed_ = base_unknown_ = false;
 }
@@ -108,6 +110,19 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
     return view;
   };
   return session().retry_until_deadline(retry, once);
+}
+
+Result<cuts::Cuts> Scene::State::current_cuts(double deadline_seconds) {
+  forget_if_replaced();
+  uses_cuts_ = true;
+  if (cuts_ && cuts_->epoch() >= epoch_) return *cuts_;
+  Retry retry(deadline_seconds);
+  auto found = session().retry_until_deadline(retry, [&]() -> Result<cuts::Cuts> {
+    if (Status status = hold(retry); !status) return status;
+    return ask_cuts(session(), name_, retry);
+  });
+  if (found) cuts_ = *found;
+  return found;
 }
 
 Result<Scene> Client::open_scene(const std::string& name) {

@@ -14,15 +14,17 @@
 namespace rcb::client {
 namespace {
 
-double coordinate_of(std::int64_t id, std::size_t axis, std::int64_t step) {
-  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
-}
-
 // Parts that change for one particle in `rarity` each step.
 std::int32_t wandering(std::int64_t id, std::int64_t step, std::uint64_t rarity, std::int32_t parts) {
   const std::uint64_t mixed = mix64(static_cast<std::uint64_t>(id));
   const std::uint64_t moves = (mixed + static_cast<std::uint64_t>(step)) / rarity;
   return static_cast<std::int32_t>((mixed / 7 + moves) % static_cast<std::uint64_t>(parts));
+}
+
+// x lies in the region of the particle's part, and all others differ by particle, axis and step.
+double coordinate_of(std::int64_t id, std::size_t axis, std::int64_t step, std::int32_t part) {
+  if (axis == 0) return part + (static_cast<double>(id % 1000003) + 0.25) / 1000004;
+  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
 }
 
 // The caller's arrays for a step, as rows (n, dims) or one array an axis.
@@ -32,6 +34,8 @@ struct StepCaller {
   std::vector<std::int64_t> ids;  // empty: rows
   std::vector<double> values;
   std::vector<const double*> axes;
+  std::uint64_t rarity = 20;
+  std::int32_t parts = 5;
 
   Positions at(std::int64_t step, bool rows) {
     const auto d = static_cast<std::size_t>(dims);
@@ -39,9 +43,10 @@ struct StepCaller {
     axes.clear();
     for (std::size_t a = 0; a < d; ++a) {
       axes.push_back(values.data() + a * n);
-      for (std::size_t i = 0; i < n; ++i)
-        values[rows ? i * d + a : a * n + i] =
-            coordinate_of(ids.empty() ? static_cast<std::int64_t>(i) : ids[i], a, step);
+      for (std::size_t i = 0; i < n; ++i) {
+        const std::int64_t id = ids.empty() ? static_cast<std::int64_t>(i) : ids[i];
+        values[rows ? i * d + a : a * n + i] = coordinate_of(id, a, step, wandering(id, step, rarity, parts));
+      }
     }
     return rows ? Positions::rows(values.data(), n, dims) : Positions::axes(axes, n);
   }
@@ -75,7 +80,9 @@ struct Session {
 
 FakeScene scene_of(int dims, int parts, int ranks, std::uint64_t rarity) {
   FakeScene fake(dims, parts, ranks);
-  fake.position = coordinate_of;
+  fake.position = [=](std::int64_t id, std::size_t axis, std::int64_t step) {
+    return coordinate_of(id, axis, step, wandering(id, step, rarity, parts));
+  };
   fake.part_of = [=](std::int64_t id, std::int64_t step) { return wandering(id, step, rarity, parts); };
   return fake;
 }
@@ -116,7 +123,7 @@ TEST(Step, SlicesFollowThePlan) {
     for (const std::uint64_t rarity : {std::uint64_t{2}, std::uint64_t{100}}) {
       const int dims = 1 + static_cast<int>(random.below(3));
       const std::int32_t parts = 5;
-      StepCaller caller{random.below(3000), dims, {}, {}, {}};
+      StepCaller caller{random.below(3000), dims, {}, {}, {}, rarity, parts};
       if (random.below(2) == 0) {
         for (std::size_t i = 0; i < caller.n; ++i)
           caller.ids.push_back(static_cast<std::int64_t>(7 * i + random.below(7)));
@@ -140,7 +147,7 @@ TEST(Step, SlicesFollowThePlan) {
 TEST(Step, ReportIsRead) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   Session session(fake);
-  StepCaller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}, 10, 4};
   const auto result = session.scene->step(caller.at(0, true));
   ASSERT_TRUE(result.ok()) << result.status().message();
   const StepReport& report = result->report;
@@ -167,7 +174,7 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
   for (const bool rows : {true, false}) {
     FakeScene fake = scene_of(3, 4, 3, 50);
     Session session(fake);
-    StepCaller caller{150000, 3, {}, {}, {}};
+    StepCaller caller{150000, 3, {}, {}, {}, 50, 4};
     for (std::int64_t step = 0; step < 3; ++step) {
       const auto result = session.scene->step(caller.at(step, rows), wanting());
       ASSERT_TRUE(result.ok()) << result.status().message();
@@ -180,7 +187,7 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
 TEST(Step, NothingChangedNothingFetched) {
   FakeScene fake = scene_of(3, 4, 3, 1U << 30U);
   Session session(fake);
-  StepCaller caller{500, 3, {}, {}, {}};
+  StepCaller caller{500, 3, {}, {}, {}, 1U << 30U, 4};
   for (std::int64_t step = 0; step < 3; ++step) {
     const auto result = session.scene->step(caller.at(step, true), wanting());
     ASSERT_TRUE(result.ok()) << result.status().message();
@@ -218,7 +225,7 @@ TEST(Step, ChangesOfStepsThatDidNotAskAreTold) {
   for (const bool first_asked : {true, false}) {
     FakeScene fake = scene_of(3, 5, 3, 5);
     Session session(fake);
-    StepCaller caller{1000, 3, {}, {}, {}};
+    StepCaller caller{1000, 3, {}, {}, {}, 5, 5};
     ASSERT_TRUE(session.scene->step(caller.at(0, true), first_asked ? wanting() : StepOptions()).ok());
     for (std::int64_t step = 1; step < 4; ++step) ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
     const auto result = session.scene->step(caller.at(4, true), wanting());
@@ -575,7 +582,7 @@ TEST(Step, ASceneThatWasDroppedMeanwhileIsAClearError) {
     return FakeScene::Fault::close_before_commit;
   };
   Session session(fake);
-  StepCaller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}, 10, 4};
   ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
   for (int again = 0; again < 2; ++again) {
     const Status status = session.scene->step(caller.at(1, true)).status();
@@ -694,7 +701,7 @@ TEST(Step, EarlyRefusalOfALargePush) {
   FakeScene fake = scene_of(3, 7, 7, 20);
   fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::busy_early : FakeScene::Fault::none; };
   Session session(fake);
-  StepCaller caller{500000, 3, {}, {}, {}};
+  StepCaller caller{500000, 3, {}, {}, {}, 20, 7};
   const Status status = session.scene->step(caller.at(0, true)).status();
   EXPECT_EQ(status.code(), Code::busy);
   EXPECT_EQ(status.message(), "held by another");
@@ -753,7 +760,7 @@ TEST(Step, AServiceThatStopsReadingMeetsTheDeadline) {
 TEST(Step, WhatCannotFitIsRefusedBeforeItIsSent) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   Session session(fake);
-  StepCaller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}, 10, 4};
   const auto refused = [&](const Positions& positions, const StepOptions& options, const std::string& words) {
     const Status status = session.scene->step(positions, options).status();
     EXPECT_EQ(status.code(), Code::invalid_argument);
