@@ -107,7 +107,7 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
                                         weights || !step.weights.empty() || !step.inserted->weights.empty());
         !status)
       return status;
-  return check_terms(name, step.step, step.step_seconds, step.deadline_seconds);
+  return check_terms(name, step.step, step.step_seconds, step.deadline_seconds, step.threads);
 }
 
 std::uint64_t MemberScene::State::content_of(const Positions& positions, std::span<const std::int64_t> ids,

@@ -70,7 +70,8 @@ Status Scene::State::check(const StepRequest& ask) const {
   if (has_particles() && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none",
                  "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
-  if (Status status = check_terms(name_, options.step, options.step_seconds, options.deadline_seconds); !status)
+  if (Status status = check_terms(name_, options.step, options.step_seconds, options.deadline_seconds, options.threads);
+      !status)
     return status;
   return check_edits(ask);
 }

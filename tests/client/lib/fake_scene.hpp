@@ -44,6 +44,8 @@ class FakeScene {
 
   std::vector<std::string> sessions;
   std::vector<std::int64_t> attempts;
+  std::vector<protocol::Json> cuts_known;  // as each push.begin says; null: it doesn't
+  std::function<void(ToldCuts&)> spoil_cuts = [](ToldCuts&) {};
   std::vector<std::string> commands;
   int slices_read = 0;
   int commits = 0;
@@ -90,7 +92,10 @@ class FakeScene {
         send_plan(peer, *frame);
       } else if (command == "cuts") {
         const ToldCuts cuts = cuts_now();
-        peer.reply(*frame, cuts.json, cuts.arrays);
+        if (step)
+          peer.reply(*frame, cuts.json, cuts.arrays);
+        else
+          peer.fail(*frame, {Code::not_found, "no positions yet"});
       } else if (command == "push.begin") {
         if (!push(peer, *frame)) return;
       } else if (command != "push.slice") {
@@ -103,7 +108,11 @@ class FakeScene {
   using Slices = std::map<int, Received>;  // by rank
   static constexpr std::array<const char*, 3> kAxes{"x", "y", "z"};
 
-  ToldCuts cuts_now() const { return ToldCuts(dims_, parts_, epoch); }
+  ToldCuts cuts_now() const {
+    ToldCuts cuts(dims_, parts_, epoch);
+    spoil_cuts(cuts);
+    return cuts;
+  }
 
   protocol::Json description() const {
     protocol::Json json{{"scene", "s"},
@@ -141,6 +150,7 @@ class FakeScene {
   bool push(Peer& peer, const Received& begin) {
     const Fault now = fault(static_cast<int>(attempts.size()));
     attempts.push_back(begin.json["attempt"].get<std::int64_t>());
+    cuts_known.push_back(begin.json.value("cuts_known", protocol::Json()));
     const auto number = begin.json["step"].get<std::int64_t>();
     if (now == Fault::busy_early) {
       peer.fail(begin, {Code::busy, "held by another"});

@@ -317,15 +317,16 @@ TEST(Step, WhatFollowsAStepThatWasLateIsNotTakenForIt) {
     }
 }
 
-// A committed step whose parts could not be fetched has no answer yet: the same once more is answered as that step.
-TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
+// A committed step whose parts could not be told has no answer yet: the same once more is answered as that step.
+TEST(Step, WhoCannotAskForTheCutsOfAStepHasNoAnswer) {
   FakeScene fake = scene_of(2, 5, 3, 20);
   fake.fault = [&fake](int push) {
-    if (push == 1) fake.epoch += 3;  // by others, so that the answer doesn't lead to the parts
-    return FakeScene::Fault::none;
+    if (push != 1) return FakeScene::Fault::none;
+    fake.epoch += 3;  // by others: a repeated answer doesn't bring their cuts
+    return FakeScene::Fault::close_after_commit;
   };
   std::atomic<bool> closing{true};  // the service has a thread of its own
-  fake.close_at = [&closing](const std::string& command, int) { return command == "plan" && closing; };
+  fake.close_at = [&closing](const std::string& command, int) { return command == "cuts" && closing; };
   Session session(fake);
   StepCaller caller{500, 2, {}, {}, {}};
   ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
@@ -338,8 +339,60 @@ TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
   EXPECT_EQ(result->report.step, 1);
   for (std::size_t row = 0; row < caller.n; ++row)
     ASSERT_EQ(result->parts[row], wandering(static_cast<std::int64_t>(row), 1, 20, 5));
+  EXPECT_EQ(session.scene->cuts()->epoch(), 4U);
   session.end();
   EXPECT_EQ(fake.commits, 2);
+}
+
+// Nobody pays for cuts that nobody uses. Who does asks for them once; what is new comes with the answers.
+TEST(Step, CutsAreAskedForOnceAndOnlyByWhoUsesThem) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.fault = [&fake](int push) {
+    if (push == 4) ++fake.epoch;
+    return FakeScene::Fault::none;
+  };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  ASSERT_TRUE(session.scene->step(caller.at(1, true)).ok());
+  for (std::int64_t step = 2; step < 6; ++step) {
+    const auto cuts = session.scene->cuts();
+    ASSERT_TRUE(cuts.ok()) << cuts.status().message();
+    EXPECT_EQ(cuts->epoch(), step < 5 ? 1U : 2U);
+    EXPECT_EQ(cuts->parts(), 5);
+    ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
+  }
+  std::vector<std::int32_t> parts(caller.n);
+  ASSERT_TRUE(session.scene->cuts()->owner(caller.at(5, true), {}, parts).ok());
+  for (std::size_t row = 0; row < caller.n; ++row)
+    ASSERT_EQ(parts[row], wandering(static_cast<std::int64_t>(row), 5, 20, 5));
+  session.end();
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "cuts"), 1);
+  const protocol::Json none, first{{"epoch", 1}, {"hash", ToldCuts(2, 5, 1).json["hash"]}};
+  protocol::Json last = first;
+  last["epoch"] = 2;
+  EXPECT_EQ(fake.cuts_known, (std::vector<protocol::Json>{none, none, first, first, first, last}));
+}
+
+// Cuts that aren't those of their hash must not be used.
+TEST(Step, CutsThatAreDamagedAreRefused) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.spoil_cuts = [](ToldCuts& cuts) { cuts.json["hash"] = "0123456789abcdef"; };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  const Status status = session.scene->step(caller.at(0, true), wanting()).status();
+  EXPECT_EQ(status.code(), Code::protocol_error);
+  EXPECT_NE(status.message().find("is committed, but its parts are not known"), std::string::npos) << status.message();
+  EXPECT_EQ(session.scene->cuts().status().code(), Code::protocol_error);
+}
+
+TEST(Step, ASceneWithoutPositionsHasNoCuts) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  Session session(fake);
+  EXPECT_EQ(session.scene->cuts().status().code(), Code::not_found);
+  StepCaller caller{500, 2, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  EXPECT_TRUE(session.scene->cuts().ok());
 }
 
 // Then it was not committed, so nothing waits for its answer; and the next one is a number further.
