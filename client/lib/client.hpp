@@ -88,8 +88,9 @@ struct Positions : cuts::Positions {
   static Positions in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
 
-  bool single() const;         // float32: sent as such, half the bytes, and widened exactly by the service
-  bool in_plan_order() const;  // by_rank or by_rank_f4 is set
+  // float32: sent as such, half the bytes, and widened exactly by the service
+  bool single() const { return cuts::Positions::single() || !by_rank_f4.empty(); }
+  bool in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
 };
 
 // Particles that a step adds.

@@ -82,7 +82,7 @@ void MemberScene::State::forget_if_replaced() {
   n = epoch = 0;
   weights = lost = up_to_date = false;
   last_step.reset();
-  known_cuts.reset();
+  scene_cuts.known.reset();
   unanswered = {};
   places.forget();
 }
@@ -161,7 +161,12 @@ std::optional<std::int64_t> MemberScene::last_step() const {
   state_->forget_if_replaced();
   return state_->last_step;
 }
-Result<cuts::Cuts> MemberScene::cuts(double deadline_seconds) { return state_->current_cuts(deadline_seconds); }
+Result<cuts::Cuts> MemberScene::cuts(double deadline_seconds) {
+  State& of = *state_;
+  of.forget_if_replaced();
+  return of.scene_cuts.current(of.epoch, of.session(), of.name, deadline_seconds,
+                               [&of](const Retry& retry) { return of.take_seat(retry); });
+}
 std::uint64_t MemberScene::generation() const { return state_->seat; }
 
 Result<MemberScene> MemberScene::open(Client& client, const std::string& name, const MemberOptions& options) {
@@ -170,19 +175,6 @@ Result<MemberScene> MemberScene::open(Client& client, const std::string& name, c
   auto state = std::make_unique<State>(client.state_, name, options);
   if (Status status = state->open(); !status) return status;
   return MemberScene(std::move(state));
-}
-
-Result<cuts::Cuts> MemberScene::State::current_cuts(double deadline_seconds) {
-  forget_if_replaced();
-  cuts_wanted = true;
-  if (known_cuts && known_cuts->epoch() >= epoch) return *known_cuts;
-  Retry retry(deadline_seconds);
-  auto found = session().retry_until_deadline(retry, [&]() -> Result<cuts::Cuts> {
-    if (Status status = take_seat(retry); !status) return status;
-    return ask_cuts(session(), name, retry);
-  });
-  if (found) known_cuts = *found;
-  return found;
 }
 
 std::optional<std::int64_t> MemberScene::State::open_step(const Retry& retry) {

@@ -17,14 +17,11 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   const auto repeated = wire::bool_field(*json, "repeated");
   const bool still_lost = lost && repeated && *repeated;  // it is one that was kept by the service before the restart
   if (uses_cuts(with)) {
-    auto after = cuts_after_step(answer, *json, known_cuts, session(), name, retry);
-    if (!after)
-      return Status(after.status().code(),
-                    fmt::format("step {} is committed, but the cuts are not known: {}", step, after.status().message()),
-                    after.status().hint());
-    known_cuts = std::move(*after);
+    auto after = scene_cuts.after_step(answer, *json, session(), name, retry);
+    if (!after) return parts_unknown(step, after.status());
+    scene_cuts.known = std::move(*after);
   } else if (lost && !still_lost) {
-    known_cuts.reset();
+    scene_cuts.known.reset();
   }
   unanswered.answered();
   const bool epoch_follows = !last_step || lost || report->epoch == epoch + (report->repartitioned ? 1U : 0U);
@@ -59,7 +56,7 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
 Status MemberScene::State::classify(const Positions& positions, std::span<const std::int64_t> ids,
                                     const MemberStepOptions& with, MemberStep& result) const {
   result.parts.resize(positions.count);
-  if (Status status = known_cuts->owner(positions, {.ids = ids, .threads = with.threads}, result.parts); !status)
+  if (Status status = scene_cuts.known->owner(positions, {.ids = ids, .threads = with.threads}, result.parts); !status)
     return status;
   std::vector<std::int64_t> removed(with.removed.begin(), with.removed.end());
   std::sort(removed.begin(), removed.end());
@@ -67,7 +64,7 @@ Status MemberScene::State::classify(const Positions& positions, std::span<const 
   int to = options.member;
   for (std::size_t row = 0; options.follow && row < positions.count; ++row) {
     if (std::exchange(part, result.parts[row]) != result.parts[row])
-      to = cuts::seat_of_part(result.parts[row], known_cuts->parts(), options.members);
+      to = cuts::seat_of_part(result.parts[row], scene_cuts.known->parts(), options.members);
     if (to != options.member && !std::binary_search(removed.begin(), removed.end(), ids[row]))
       result.leaving.push_back({row, to});
   }

@@ -122,7 +122,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"removed", with.removed.size()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
-  if (uses_cuts(with)) begin["cuts_known"] = cuts_known_json(known_cuts);
+  if (uses_cuts(with)) begin["cuts_known"] = scene_cuts.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name);
   if (pushing_directly) return push_to_ranks(std::move(begin), *rows, positions, with, what, retry);
   std::vector<Column> columns = columns_of(positions, with.weights);
@@ -150,7 +150,7 @@ Result<Frame> MemberScene::State::ask_for_answer(std::int64_t step, const Member
                    {"ids", true},
                    {"moved", "none"},
                    {"changes", with.want_changes}};
-  if (uses_cuts(with)) begin["cuts_known"] = cuts_known_json(known_cuts);
+  if (uses_cuts(with)) begin["cuts_known"] = scene_cuts.known_json();
   auto answer = session().call_once(std::move(begin), retry);
   if (answer || !session().connected()) return answer;
   return Status(Code::base_lost,

@@ -86,8 +86,7 @@ struct MemberScene::State {
   // The rows that moved; nullopt: all are to be sent.
   std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
-  bool uses_cuts(const MemberStepOptions& with) const { return cuts_wanted || options.follow || with.want_parts; }
-  Result<cuts::Cuts> current_cuts(double deadline_seconds);
+  bool uses_cuts(const MemberStepOptions& with) const { return scene_cuts.wanted || options.follow || with.want_parts; }
   // Fills in `parts` and `leaving` by the cuts after the step.
   Status classify(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& with,
                   MemberStep& result) const;
@@ -110,9 +109,8 @@ struct MemberScene::State {
   bool lost = false;  // the service was restarted, and the scene has no positions yet
   std::optional<std::int64_t> last_step;
   UnansweredStep unanswered;
-  std::uint64_t epoch = 0;                    // after last_step
-  std::optional<rcb::cuts::Cuts> known_cuts;  // after the last step whose answer told them
-  bool cuts_wanted = false;                   // the caller has asked for them
+  std::uint64_t epoch = 0;  // after last_step
+  SceneCuts scene_cuts;
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
   bool up_to_date = false;

@@ -33,9 +33,6 @@ Positions Positions::in_plan_order(std::span<const std::array<const float*, 3>> 
   return positions;
 }
 
-bool Positions::single() const { return cuts::Positions::single() || !by_rank_f4.empty(); }
-bool Positions::in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
-
 std::span<const double> Array::f8() const { return elements<double>(*this); }
 std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this); }
 std::span<const std::int32_t> Array::i4() const { return elements<std::int32_t>(*this); }

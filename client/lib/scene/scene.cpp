@@ -75,7 +75,7 @@ void Scene::State::forget_if_replaced() {
   forget_plan();
   lost_plan_.reset();
   forget_rows();
-  cuts_.reset();
+  cuts_.known.reset();
   weights_.clear();
   began_ = answered_ = told_ = missed_ = base_unknown_ = false;
 }
@@ -114,15 +114,7 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
 
 Result<cuts::Cuts> Scene::State::current_cuts(double deadline_seconds) {
   forget_if_replaced();
-  uses_cuts_ = true;
-  if (cuts_ && cuts_->epoch() >= epoch_) return *cuts_;
-  Retry retry(deadline_seconds);
-  auto found = session().retry_until_deadline(retry, [&]() -> Result<cuts::Cuts> {
-    if (Status status = hold(retry); !status) return status;
-    return ask_cuts(session(), name_, retry);
-  });
-  if (found) cuts_ = *found;
-  return found;
+  return cuts_.current(epoch_, session(), name_, deadline_seconds, [this](const Retry& retry) { return hold(retry); });
 }
 
 Result<Scene> Client::open_scene(const std::string& name) {

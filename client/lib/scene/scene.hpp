@@ -167,7 +167,7 @@ struct Scene::State {
   Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
   // Adds to the answer what else has to be asked or computed for it.
   Status complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer) const;
-  bool uses_cuts(const StepRequest& ask) const { return uses_cuts_ || ask.wants_by_cuts(); }
+  bool uses_cuts(const StepRequest& ask) const { return cuts_.wanted || ask.wants_by_cuts(); }
   Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask, const Retry& retry);
   // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
   // known.
@@ -224,8 +224,7 @@ struct Scene::State {
   std::vector<std::int32_t> parts_;  // by row
   // By row, the parts last told to the caller; none: these are parts_.
   std::optional<std::vector<std::int32_t>> known_;
-  std::optional<cuts::Cuts> cuts_;        // after the last step whose answer told them
-  bool uses_cuts_ = false;                // the caller has asked for them, so every push does
+  SceneCuts cuts_;
   std::uint64_t count_if_committed_ = 0;  // if the service commits the current push
   bool began_ = false;                    // this Scene made the first push, so its rows are known
   bool answered_ = false;                 // a step was answered, so the rows are known

@@ -43,13 +43,6 @@ Result<cuts::Cuts> read_cuts(const Frame& answer, const wire::Json& json) {
   return found;
 }
 
-}  // namespace
-
-wire::Json cuts_known_json(const std::optional<cuts::Cuts>& known) {
-  if (!known) return wire::Json::object();
-  return {{"epoch", known->epoch()}, {"hash", wire::hex64(known->hash())}};
-}
-
 Result<cuts::Cuts> ask_cuts(Session& session, const std::string& scene, const Retry& retry) {
   const auto answer = session.call_once({{"command", "cuts"}, {"scene", scene}, {"list", "arrays"}}, retry);
   if (!answer) return answer.status();
@@ -57,14 +50,33 @@ Result<cuts::Cuts> ask_cuts(Session& session, const std::string& scene, const Re
   return json ? read_cuts(*answer, *json) : json.status();
 }
 
-Result<cuts::Cuts> cuts_after_step(const Frame& answer, const wire::Json& json, const std::optional<cuts::Cuts>& known,
-                                   Session& session, const std::string& scene, const Retry& retry) {
+}  // namespace
+
+wire::Json SceneCuts::known_json() const {
+  if (!known) return wire::Json::object();
+  return {{"epoch", known->epoch()}, {"hash", wire::hex64(known->hash())}};
+}
+
+Result<cuts::Cuts> SceneCuts::after_step(const Frame& answer, const wire::Json& json, Session& session,
+                                         const std::string& scene, const Retry& retry) const {
   if (const auto told = json.find("cuts"); told != json.end()) return read_cuts(answer, *told);
-  const auto report = json.find("report");
-  const auto epoch =
-      report == json.end() ? Result<std::int64_t>(0) : wire::integer_field_or(*report, "epoch", 0, kLarge, 0);
+  const auto report = json.value("report", wire::Json::object());
+  const auto epoch = wire::integer_field_or(report, "epoch", 0, kLarge, 0);
   if (known && epoch && static_cast<std::uint64_t>(*epoch) == known->epoch()) return *known;
   return ask_cuts(session, scene, retry);
+}
+
+Result<cuts::Cuts> SceneCuts::current(std::uint64_t epoch, Session& session, const std::string& scene,
+                                      double deadline_seconds, const std::function<Status(const Retry&)>& hold) {
+  wanted = true;
+  if (known && known->epoch() >= epoch) return *known;
+  Retry retry(deadline_seconds);
+  auto found = session.retry_until_deadline(retry, [&]() -> Result<cuts::Cuts> {
+    if (Status status = hold(retry); !status) return status;
+    return ask_cuts(session, scene, retry);
+  });
+  if (found) known = *found;
+  return found;
 }
 
 }  // namespace rcb::client

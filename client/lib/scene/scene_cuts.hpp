@@ -1,8 +1,9 @@
-// The cuts of a scene, as Scene and MemberScene learn them: with the answer to a push that says which ones they know,
-// or by asking.
+// What a Scene or MemberScene knows of its scene's cuts: told with the answer to a push that says which ones it knows,
+// or asked for.
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 
@@ -11,15 +12,20 @@
 
 namespace rcb::client {
 
-// A push's field "cuts_known".
-wire::Json cuts_known_json(const std::optional<cuts::Cuts>& known);
+struct SceneCuts {
+  std::optional<cuts::Cuts> known;  // after the last step whose answer told them
+  bool wanted = false;              // by the caller: every push asks for new ones
 
-// The cuts in force. Errors: also not_found (the scene has no positions yet), protocol_error.
-Result<cuts::Cuts> ask_cuts(Session& session, const std::string& scene, const Retry& retry);
-
-// The cuts after a step. answer, json: to its push, which named `known`. If the answer was lost, so that a
-// repeated one came without them, they are asked for: then they are newer if another client has repartitioned since.
-Result<cuts::Cuts> cuts_after_step(const Frame& answer, const wire::Json& json, const std::optional<cuts::Cuts>& known,
-                                   Session& session, const std::string& scene, const Retry& retry);
+  // The field "cuts_known" of a push.
+  wire::Json known_json() const;
+  // The cuts after a step. answer, json: to its push. A repeated answer may come without them; then they are asked for,
+  // and are newer if another client has repartitioned since.
+  Result<cuts::Cuts> after_step(const Frame& answer, const wire::Json& json, Session& session, const std::string& scene,
+                                const Retry& retry) const;
+  // Those known, or those in force if the ones after the step that began `epoch` aren't known. hold: opens the scene.
+  // Errors: also not_found (the scene has no positions yet).
+  Result<cuts::Cuts> current(std::uint64_t epoch, Session& session, const std::string& scene, double deadline_seconds,
+                             const std::function<Status(const Retry&)>& hold);
+};
 
 }  // namespace rcb::client

@@ -132,7 +132,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                    {"inserted_ids", ask.inserted() > 0 && !options.inserted->ids.empty()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
-  if (uses_cuts(ask)) begin["cuts_known"] = cuts_known_json(cuts_);
+  if (uses_cuts(ask)) begin["cuts_known"] = cuts_.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
   if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
   // Pointers by rank: to the elements of the axes; [3]: to the slots.
@@ -420,9 +420,7 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   auto answer = read_answer(*frame, step, tried_before);
   // This comes before anything here changes: until then the step can be pushed once more.
   if (const Status told = answer ? complete_answer(*frame, sent, retry, *answer) : Status(); !told)
-    return Status(told.code(),
-                  fmt::format("step {} is committed, but its parts are not known: {}", step, told.message()),
-                  told.hint());
+    return parts_unknown(step, told);
   unanswered_.answered();
   if (!answer) return answer.status();
   return finish(*frame, std::move(*answer), sent, retry);

@@ -72,7 +72,7 @@ Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::
 Status Scene::State::complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry,
                                      Answer& answer) const {
   if (uses_cuts(ask)) {
-    auto after = cuts_after_step(frame, answer.json, cuts_, session(), name_, retry);
+    auto after = cuts_.after_step(frame, answer.json, session(), name_, retry);
     if (!after) return after.status();
     answer.cuts = std::move(*after);
   }
@@ -106,7 +106,7 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
   if (!answer.epoch_follows) refresh_options(session(), name_, scene_, retry);
   parts_count_ = report.parts;
   scene_.options["parts"] = parts_count_;
-  if (answer.cuts) cuts_ = std::move(answer.cuts);
+  if (answer.cuts) cuts_.known = std::move(answer.cuts);
   const bool by_cuts = ask.wants_by_cuts();
   if (by_cuts) done.result.changes = differences(parts_told(), answer.parts);
   const bool asked = ask.wants();
@@ -155,11 +155,7 @@ Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done
   StepResult& result = done.result;
   const bool asked = ask.wants();
   if (asked && done.plan_needed)
-    if (Status status = fetch_plan_of_step(ask, retry); !status)
-      return Status(
-          status.code(),
-          fmt::format("step {} is committed, but its parts are not known: {}", result.report.step, status.message()),
-          status.hint());
+    if (Status status = fetch_plan_of_step(ask, retry); !status) return parts_unknown(result.report.step, status);
   if (plan_ && parts_.size() == count_)
     for (const layout::SlotMove& move : done.edit.moves.moves)
       if (move.arrival && parts_[move.to] < 0) parts_[move.to] = done.edit.inserted_part[move.from];
