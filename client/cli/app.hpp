@@ -89,6 +89,7 @@ void add_replay_commands(CLI::App& app, Context& context);     // replay, stream
 void add_read_commands(CLI::App& app, Context& context);       // error, counts, stats, quality
 void add_cuts_command(CLI::App& app, Context& context);        // cuts
 void add_where_commands(CLI::App& app, Context& context);      // owner, box, assign
+void add_halo_commands(CLI::App& app, Context& context);       // halo, neighbours
 void add_history_command(CLI::App& app, Context& context);     // history
 void add_rebalance_command(CLI::App& app, Context& context);   // rebalance
 void add_export_command(CLI::App& app, Context& context);      // export

@@ -71,6 +71,7 @@ void add_commands(CLI::App& app, Context& context) {
   add_read_commands(app, context);
   add_cuts_command(app, context);
   add_where_commands(app, context);
+  add_halo_commands(app, context);
   add_history_command(app, context);
   add_rebalance_command(app, context);
   add_export_command(app, context);

@@ -120,6 +120,14 @@ Kind number_or_infinity(const std::string& shown) {
   return number_kind(shown, "a number, inf or -inf", [](double) { return true; });
 }
 
+Kind number_or(const std::string& shown, const std::string& word) {
+  return checked(shown, [word](std::string& text) {
+    const auto value = number_in(text);
+    if (text == word || (value && std::isfinite(*value))) return std::string();
+    return fmt::format("'{}' is neither a number nor {}", text, word);
+  });
+}
+
 Kind positive_number(const std::string& shown) {
   return number_kind(shown, "a number above 0", [](double v) { return std::isfinite(v) && v > 0; });
 }

@@ -47,6 +47,7 @@ Kind text(const std::string& shown);  // must not be empty
 Kind memory_size();                   // 65536, 512mb, 4gb
 Kind number(const std::string& shown);
 Kind number_or_infinity(const std::string& shown);  // inf and -inf, too
+Kind number_or(const std::string& shown, const std::string& word);
 Kind positive_number(const std::string& shown);
 Kind number_from_zero(const std::string& shown);
 Kind number_from_one(const std::string& shown);

@@ -23,6 +23,7 @@
 
 #include "common/base/buffer.hpp"
 #include "common/base/status.hpp"
+#include "common/cuts/cuts.hpp"
 
 namespace rcb::client {
 
@@ -69,37 +70,27 @@ struct SceneOptions {
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 
-// A view of n positions in the caller's memory; nothing is copied before the send.
-struct Positions {
-  std::array<const double*, 3> axis{};  // first element of each axis
-  std::size_t stride = 1;               // doubles from one particle to the next
-  std::size_t count = 0;
-  int dims = 3;
-  // If the solver keeps its arrays in the order of the plan: by_rank[r][a] is axis a of the particles of rank r, slot
-  // by slot.
-  std::span<const std::array<const double*, 3>> by_rank;
-  std::uint64_t plan_version = 0;  // version of that plan
-  // Instead of `axis` and `by_rank`, if the solver has float32: sent as float32, half the bytes, and widened to double
-  // exactly by the service.
-  std::array<const float*, 3> axis_f4{};
-  std::span<const std::array<const float*, 3>> by_rank_f4;
+// Positions in the caller's memory, which stay there; also in the order of the plan, for a step alone.
+struct Positions : cuts::Positions {
+  Positions() = default;
+  Positions(const cuts::Positions& other) : cuts::Positions(other) {}  // NOLINT(google-explicit-constructor)
 
-  // xyz: [count][dims], C order.
-  static Positions rows(const double* xyz, std::size_t count, int dims);
-  // One contiguous array for each axis, each [count].
-  static Positions axes(std::span<const double* const> axes, std::size_t count);
+  // If the solver keeps its arrays in the order of the plan: by_rank[r][a] is axis a of the particles of rank r, slot
+  // by slot. Then `axis` and `axis_f4` aren't used.
+  std::span<const std::array<const double*, 3>> by_rank;
+  std::span<const std::array<const float*, 3>> by_rank_f4;
+  std::uint64_t plan_version = 0;  // version of that plan
+
   // Arrays in the order of Scene::plan(), so that nothing is gathered or copied before the send. `ranks` must outlive
   // the call of step.
   static Positions in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
-  // The same for float32.
-  static Positions rows(const float* xyz, std::size_t count, int dims);
-  static Positions axes(std::span<const float* const> axes, std::size_t count);
   static Positions in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
                                  std::size_t count, int dims);
 
-  bool single() const;         // float32
-  bool in_plan_order() const;  // by_rank or by_rank_f4 is set
+  // float32: sent as such, half the bytes, and widened exactly by the service
+  bool single() const { return cuts::Positions::single() || !by_rank_f4.empty(); }
+  bool in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
 };
 
 // Particles that a step adds.
@@ -180,6 +171,7 @@ struct StepOptions {
   const Insertion* inserted = nullptr;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
+  int threads = 1;            // for finding these, where step() has all positions by rows or axes
   double deadline_seconds = 60;
 };
 
@@ -193,7 +185,9 @@ struct RowMove {
 
 struct StepResult {
   StepReport report;
-  std::vector<std::int32_t> parts;  // by row, numbered as after the step
+  // By row, numbered as after the step, under the cuts after it: those of Scene::cuts(). If the connection was lost on
+  // the way and another client has repartitioned before the cuts could be asked for, they are of a later epoch.
+  std::vector<std::int32_t> parts;
   // By ascending row: the rows whose part differs from what this Scene told last (by `parts` or `changes`), at first
   // all of them. Inserted particles are always among them.
   std::vector<PartChange> changes;
@@ -294,6 +288,9 @@ class Scene {
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
+  // The cuts after the last step that was answered here, or before any the cuts in force. Asked for at most once:
+  // afterwards the answer to each step brings those that are new. Errors: also not_found (no positions yet).
+  Result<rcb::cuts::Cuts> cuts(double deadline_seconds = 60);
   // The plan for the next push, valid until then; fetched if it isn't known. A solver that pushes in the plan's order
   // asks for it after every step that migrated particles or whose report says scene_recreated (the version changes
   // then), and passes the version with its positions. If the plan has changed in between, the push is refused with

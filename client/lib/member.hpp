@@ -51,7 +51,9 @@ struct MemberStepOptions {
   // all give ids, or none does.
   std::span<const std::int64_t> removed{};  // ids, distinct
   const Insertion* inserted = nullptr;
+  bool want_parts = false;    // fill MemberStep::parts
   bool want_changes = false;  // fill MemberStep::changes
+  int threads = 1;            // for finding parts, and what leaves
   double deadline_seconds = 60;
 };
 
@@ -63,6 +65,11 @@ struct MemberChange {
 struct Leaving {
   std::int64_t id;
   int to;  // member
+};
+
+struct LeavingRow {
+  std::uint64_t row;  // index into the arrays that were pushed
+  int to;             // member
 };
 
 struct Entering {
@@ -77,6 +84,8 @@ struct MemberStep {
   std::vector<MemberChange> changes;  // of the particles this member pushed, those whose part changed; ascending id
   std::vector<Leaving> leave;         // with follow; ascending id; perhaps of particles that were just inserted
   std::vector<Entering> enter;        // with follow; ascending id
+  std::vector<LeavingRow> leaving;    // with follow; those of `leave` that were pushed, by ascending row
+  std::vector<std::int32_t> parts;    // of each row that was pushed, under the cuts after the step
 };
 
 class MemberScene {
@@ -101,6 +110,8 @@ class MemberScene {
   Result<std::span<float>> position_rows_f4(std::size_t count);
   Result<std::vector<std::span<float>>> position_axes_f4(std::size_t count);
   std::optional<std::int64_t> last_step() const;
+  // As those of Scene.
+  Result<rcb::cuts::Cuts> cuts(double deadline_seconds = 60);
   std::uint64_t generation() const;  // of the seat; rises whenever it is taken again
 
  private:

@@ -47,24 +47,6 @@ struct CandidateWalk {
   }
 };
 
-struct TouchWalk {
-  const CutTree& tree;
-  const Box& box;
-  std::vector<int>& found;
-
-  void visit(const NodeRange& range) {
-    if (range.leaf()) {
-      found.push_back(range.first);
-      return;
-    }
-    const Cut& cut = tree.cuts[at(range.node)];
-    const std::size_t axis = at(cut.axes[0]);
-    // Ties may go either way, so the cut's plane belongs to the closed regions of both sides.
-    if (cut.right_empty || box.lo[axis] <= cut.key.at[0]) visit(range.left());
-    if (!cut.right_empty && box.hi[axis] >= cut.key.at[0]) visit(range.right());
-  }
-};
-
 struct RegionWalk {
   const CutTree& tree;
   int first, last;
@@ -109,12 +91,6 @@ int CutTree::part_of(const Point& position, Id id) const {
 std::vector<int> CutTree::candidates(const Point& position) const {
   std::vector<int> found;
   CandidateWalk{*this, position, found}.visit(root(), 0, std::numeric_limits<Id>::max());
-  return found;
-}
-
-std::vector<int> CutTree::parts_touching(const Box& box) const {
-  std::vector<int> found;
-  if (!box.empty(dims)) TouchWalk{*this, box, found}.visit(root());
   return found;
 }
 

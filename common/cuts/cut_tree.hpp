@@ -64,8 +64,6 @@ class CutTree {
   void classify(const particles::ParticleView& particles, std::span<std::int32_t> out) const;
   // Every part that owns this position for some id, ascending. Local.
   std::vector<int> candidates(const Point& position) const;
-  // Parts whose closed region meets the closed box, ascending. Local.
-  std::vector<int> parts_touching(const geometry::Box& box) const;
   // The boxes that the cuts leave for the parts [first, last): infinite where unbounded; empty() on the right side of a
   // cut without a key. Local.
   std::vector<geometry::Box> regions(int first, int last) const;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <mutex>
 #include <new>
 #include <system_error>
 #include <thread>
@@ -102,10 +103,20 @@ Result<Halo> join(const std::vector<std::unique_ptr<HaloPass>>& shares, std::siz
 struct Cuts::Data {
   Data(CutTree of, std::uint64_t number) : tree(std::move(of)), epoch(number), hash(tree.hash()), tables(tree) {}
 
+  // The last one is kept: a question about every part, or at every step, has the same distance again.
+  std::shared_ptr<const Reach> reach(const Near& near) const {
+    const std::lock_guard lock(mutex);
+    if (!last_reach || last_reach->near() != near)
+      last_reach = std::make_shared<const Reach>(tables.boxes, tree.dims, near);
+    return last_reach;
+  }
+
   CutTree tree;
   std::uint64_t epoch;
   std::uint64_t hash;
   OwnerTables tables;
+  mutable std::mutex mutex;
+  mutable std::shared_ptr<const Reach> last_reach;
 };
 
 Cuts::Cuts(CutTree tree, std::uint64_t epoch) : data_(std::make_shared<const Data>(std::move(tree), epoch)) {}
@@ -136,7 +147,8 @@ Result<Halo> Cuts::halo(const Positions& positions, const HaloOptions& options) 
   if (!options.widths.empty() && options.widths.size() != positions.count)
     return bad_call(fmt::format("{} widths for {} positions", options.widths.size(), positions.count));
   if (options.seats < 0 || options.seats > kSeatsMax) return bad_call(fmt::format("{} seats", options.seats));
-  const Reach reach(regions(), dims(), options.near);
+  const auto kept = data_->reach(options.near);
+  const Reach& reach = *kept;
   const std::size_t shares = shares_of(positions.count, options.threads);
   std::vector<std::unique_ptr<HaloPass>> passes(shares);
   const Status status = share_rows(positions.count, shares, [&](std::size_t k, std::size_t begin, std::size_t end) {
@@ -152,7 +164,8 @@ Result<std::vector<Neighbour>> Cuts::neighbours(int part, const Near& near) cons
   if (part < 0 || part >= parts())
     return Status(Code::not_found, fmt::format("no part {}, there are {}", part, parts()));
   if (Status status = near.check(dims()); !status) return status;
-  const Reach reach(regions(), dims(), near);
+  const auto kept = data_->reach(near);
+  const Reach& reach = *kept;
   std::vector<Neighbour> found;
   if (regions()[at(part)].empty(dims())) return found;
   Images images;
@@ -167,7 +180,8 @@ Result<std::vector<Neighbour>> Cuts::neighbours(int part, const Near& near) cons
 Result<std::vector<int>> Cuts::box(const Box& box, const PeriodicBox& periodic) const {
   const Near touching{0, Norm::max, periodic};
   if (Status status = touching.check(dims()); !status) return status;
-  const Reach reach(regions(), dims(), touching);
+  const auto kept = data_->reach(touching);
+  const Reach& reach = *kept;
   Box asked = Reach::finite(box);
   for (std::size_t a = 0; a < at(dims()); ++a) {
     if (!(box.lo[a] <= box.hi[a]))
@@ -187,7 +201,8 @@ Result<std::vector<int>> Cuts::box(const Box& box, const PeriodicBox& periodic) 
 }
 
 std::optional<Narrowest> Cuts::narrowest(const PeriodicBox& periodic) const {
-  const Reach reach(regions(), dims(), {0, Norm::max, periodic});
+  const auto kept = data_->reach({0, Norm::max, periodic});
+  const Reach& reach = *kept;
   std::optional<Narrowest> found;
   for (int part = 0; part < parts(); ++part)
     for (int axis = 0; axis < dims(); ++axis) {

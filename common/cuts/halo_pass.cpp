@@ -83,10 +83,7 @@ bool HaloPass::add_each(std::size_t begin, std::size_t count) {
   Near near = options_.near;
   for (std::size_t i = 0; i < count; ++i) {
     near.width = options_.widths[begin + i];
-    if (Status status = near.check(reach_.dims()); !status) {
-      failure_ = {status.code(), fmt::format("row {}: {}", begin + i, status.message()), status.hint()};
-      return false;
-    }
+    if (Status status = near.check(reach_.dims()); !status) return fail(begin + i, status);
     HaloTable* const table = table_for(near.width);
     const Fence* const fence = table == nullptr ? nullptr : table->fence(part_[i]);
     const std::uint8_t faces = fence == nullptr ? kByReach : faces_of(*fence, owners_.point(i));
@@ -119,6 +116,12 @@ bool HaloPass::add_row(std::uint64_t row, const Point& x, std::int32_t part, Hal
   return true;
 }
 
+bool HaloPass::fail(std::uint64_t row, const Status& status) {
+  const std::string name = options_.ids.empty() ? fmt::format("row {}", row) : fmt::format("id {}", options_.ids[row]);
+  failure_ = {status.code(), name + ": " + status.message(), status.hint()};
+  return false;
+}
+
 bool HaloPass::grow(std::size_t more) {
   const std::size_t grown = std::max(size_ + more + 1, size_ * 2 + 4096);
   if (size_ + more > options_.entries_max || !entries_.try_reserve(grown)) {
@@ -132,10 +135,8 @@ bool HaloPass::grow(std::size_t more) {
 }
 
 bool HaloPass::add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width) {
-  if (Status status = reached_by(reach_, targets_, {x, x}, part, width, images_, found_); !status) {
-    failure_ = {status.code(), fmt::format("row {}: {}", row, status.message()), status.hint()};
-    return false;
-  }
+  if (Status status = reached_by(reach_, targets_, {x, x}, part, width, images_, found_); !status)
+    return fail(row, status);
   if (!reserve(found_.size())) return false;
   for (const Candidate& one : found_) {
     const HaloEntry& last = entries_[size_ - 1];

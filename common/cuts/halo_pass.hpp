@@ -36,13 +36,14 @@ class HaloPass {
   std::uint8_t faces_of(const Fence& fence, const Point& x) const;
 
   Status add_batch(std::size_t begin, std::size_t count);
-  // These return false where failure_ has been set.
+  // These return false where failure_ has been set, fail() always.
   bool add_row(std::uint64_t row, const Point& x, std::int32_t part, HaloTable* table, std::uint8_t faces,
                double width);
   bool add_each(std::size_t begin, std::size_t count);
   bool add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width);
   bool reserve(std::size_t more) { return size_ + more < entries_.size() || grow(more); }
   bool grow(std::size_t more);
+  bool fail(std::uint64_t row, const Status& status);
   HaloTable* table_for(double width);
 
   const Reach& reach_;

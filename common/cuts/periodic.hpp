@@ -28,6 +28,8 @@ struct PeriodicBox : geometry::Box {
     return found;
   }
   double length(std::size_t axis) const { return hi[axis] - lo[axis]; }
+
+  bool operator==(const PeriodicBox&) const = default;
 };
 
 // A distance from regions. A part's region is within the width of y if max(lo - y, y - hi, 0) of all axes, in `norm`,
@@ -37,6 +39,8 @@ struct Near {
   double width = 0;
   Norm norm = Norm::max;
   PeriodicBox box{};
+
+  bool operator==(const Near&) const = default;
 
   // Errors: invalid_argument (a width that is negative or not finite, a periodic axis without length).
   Status check(int dims) const;

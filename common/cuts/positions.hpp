@@ -51,7 +51,7 @@ struct Positions {
     p.stride = static_cast<std::size_t>(dims);
     p.count = count;
     p.dims = dims;
-    for (std::size_t a = 0; a < p.stride && a < geometry::kDimsMax; ++a) (p.*member)[a] = xyz + a;
+    for (std::size_t a = 0; xyz != nullptr && a < p.stride && a < geometry::kDimsMax; ++a) (p.*member)[a] = xyz + a;
     return p;
   }
   template <typename T>

@@ -15,6 +15,7 @@ struct Box {
   Point lo{kInfinity, kInfinity, kInfinity};  // lo > hi: the box is empty
   Point hi{-kInfinity, -kInfinity, -kInfinity};
 
+  bool operator==(const Box&) const = default;
   static Box unbounded() { return {{-kInfinity, -kInfinity, -kInfinity}, {kInfinity, kInfinity, kInfinity}}; }
   bool empty(int dims) const {
     for (int a = 0; a < dims; ++a)

@@ -15,16 +15,18 @@ constexpr std::array<Fields, 12> kCreate{"scene",     "parts",           "dims",
                                          "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
                                          "recut",     "part_sizes",      "replace",       "recreated"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
-constexpr std::array<Fields, 24> kPushBegin{"scene",    "session",      "step",    "attempt",      "n",      "slices",
-                                            "order",    "plan",         "moved",   "base_step",    "dtype",  "weights",
-                                            "ids",      "changes",      "path",    "counts",       "epoch",  "places",
-                                            "inserted", "inserted_ids", "removed", "step_seconds", "memory", "sockets"};
+constexpr std::array<Fields, 25> kPushBegin{
+    "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",     "plan",  "moved",
+    "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",    "epoch", "places",
+    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};
-constexpr std::array<Fields, 3> kBox{"scene", "lo", "hi"};
+constexpr std::array<Fields, 4> kBox{"scene", "lo", "hi", "periodic"};
 constexpr std::array<Fields, 2> kAssign{"scene", "checksum"};
 constexpr std::array<Fields, 2> kQuality{"scene", "ghost_width"};
+constexpr std::array<Fields, 4> kNeighbours{"scene", "width", "norm", "periodic"};
+constexpr std::array<Fields, 5> kHalo{"scene", "width", "norm", "periodic", "lists"};
 constexpr std::array<Fields, 4> kCompare{"scene", "parts", "ghost_width", "methods"};
 constexpr std::array<Fields, 6> kRebalance{"scene", "method", "parts", "tolerance", "dry_run", "force"};
 constexpr std::array<Fields, 7> kLoad{"scene", "path", "step", "dims", "weights", "columns", "ids"};
@@ -48,11 +50,13 @@ constexpr std::array kCommands{
     CommandInfo{"stats", root, reads, kScene},
     CommandInfo{"owner", root, reads, kOwner},
     CommandInfo{"box", root, reads, kBox},
+    CommandInfo{"neighbours", root, reads, kNeighbours},
     CommandInfo{"plan", ranks, reads, kScene},
     CommandInfo{"assign", ranks, reads, kAssign},
     CommandInfo{"fetch", ranks, reads, kScene},
     CommandInfo{"quality", ranks, reads, kQuality, !kFiles, kGivesWay},
     CommandInfo{"compare", ranks, reads, kCompare, !kFiles, kGivesWay},
+    CommandInfo{"halo", ranks, reads, kHalo, !kFiles, kGivesWay},
     CommandInfo{"write_parts", ranks, reads, kWriteParts, kFiles, kGivesWay},
     CommandInfo{"scene.create", ranks, changes, kCreate, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"scene.drop", ranks, changes, kScene},

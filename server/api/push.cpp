@@ -44,6 +44,20 @@ Status read_sockets(wire::FieldReader& fields, int ranks, Push& push) {
   return fields.status();
 }
 
+// Errors: invalid_argument.
+Status read_cuts_known(const wire::Json& request, Push& push) {
+  const auto known = request.find("cuts_known");
+  if (known == request.end() || known->is_null()) return {};
+  if (!known->is_object()) return {Code::invalid_argument, "field 'cuts_known': expected an object"};
+  wire::FieldReader fields(*known);
+  const auto epoch = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, wire::kIntegerMax, 0));
+  const auto hash = wire::parse_hex64(fields.text_or("hash", 16, wire::hex64(0)));
+  fields.fail(hash.status());
+  if (!fields.ok()) return {Code::invalid_argument, "field 'cuts_known': " + fields.status().message()};
+  push.cuts_known = {epoch, *hash};
+  return {};
+}
+
 }  // namespace
 
 const char* name_of(Moved moved) { return moved == Moved::all ? "all" : moved == Moved::some ? "some" : "none"; }
@@ -142,6 +156,7 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   if (fields.has("step_seconds"))
     push.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);
   if (!fields.ok()) return fields.status();
+  if (Status status = read_cuts_known(request, push); !status.ok()) return status;
   if (Status status = read_counts(fields, ranks, push); !status.ok()) return status;
   if (push.from_memory()) {
     auto shared = read_shared(request);

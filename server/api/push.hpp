@@ -38,6 +38,13 @@ struct PlanId {
 // Reads the field "plan". Errors: invalid_argument.
 Result<PlanId> read_plan(const wire::Json& request);
 
+// Names the cuts of a scene; all 0: none.
+struct CutsId {
+  std::uint64_t epoch = 0;
+  std::uint64_t hash = 0;
+  bool operator==(const CutsId&) const = default;
+};
+
 // Of which particles a push brings positions.
 enum class Moved { all, some, none };
 const char* name_of(Moved moved);  // as in the field "moved"
@@ -78,6 +85,7 @@ struct Push {
   bool inserted_ids = false;              // the solver chose the ids of the inserted particles
   std::optional<std::int64_t> base_step;  // the step of the other particles' positions
   std::optional<double> step_seconds;     // the solver's computing time since its last push
+  std::optional<CutsId> cuts_known;  // that the client has: the answer is to bring those after the step if they differ
 
   bool to_ranks() const { return way != Way::endpoint; }  // no positions come through the endpoint
   bool from_memory() const { return way == Way::shared_memory; }

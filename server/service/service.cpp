@@ -44,7 +44,7 @@ Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
     : state_(new State{comm, clock, std::move(options)}) {
   if (!state_->options.roots) state_->options.roots = std::make_shared<const io::Roots>();
   for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), paged_commands(),
-                           quality_commands(), rebalance_commands(), file_commands()})
+                           quality_commands(), halo_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
 }
 
@@ -124,26 +124,35 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
 
 std::vector<Spare> Service::take_spares() { return std::exchange(state_->spares, {}); }
 
+namespace {
+
+Status given_up(Code why) {
+  if (why == Code::deadline_exceeded)
+    return {why, "the command was given up at its deadline", "give it a longer deadline"};
+  if (why == Code::aborted)
+    return {why, "the command was given up: its client has gone, or the service is shutting down"};
+  return {};
+}
+
+}  // namespace
+
+Status Context::check_time_here() const {
+  if (terms.cancelled && *terms.cancelled) return given_up(Code::aborted);
+  return given_up(clock.seconds() - begun > terms.seconds_left ? Code::deadline_exceeded : Code::ok);
+}
+
 Status Context::check_time() {
-  enum : std::uint64_t { goes_on, late, gone };
   struct {
-    std::uint64_t verdict = goes_on;
+    Code verdict = Code::ok;
     std::uint64_t newest_waiting = 0;
   } word;
   if (root()) {
-    if (terms.cancelled && *terms.cancelled)
-      word.verdict = gone;
-    else if (clock.seconds() - begun > terms.seconds_left)
-      word.verdict = late;
+    word.verdict = check_time_here().code();
     if (terms.waiting != nullptr) word.newest_waiting = terms.waiting->newest();
   }
   comm.broadcast(std::as_writable_bytes(std::span(&word, 1)), 0);
   if (terms.waiting != nullptr) terms.waiting->execute(word.newest_waiting);
-  if (word.verdict == late)
-    return {Code::deadline_exceeded, "the command was given up at its deadline", "give it a longer deadline"};
-  if (word.verdict == gone)
-    return {Code::aborted, "the command was given up: its client has gone, or the service is shutting down"};
-  return {};
+  return given_up(word.verdict);
 }
 
 Result<Scene*> find_scene(Context& context, const wire::Json& request, Needs needs) {

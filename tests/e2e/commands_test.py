@@ -257,7 +257,7 @@ class Commands(Refusals, ServiceTest):
                 done = run(flag, program=os.path.join(BIN, program))
                 self.assertEqual((done.returncode, done.stderr), (0, ""), (program, flag))
         for command in ("up", "down", "status", "partition", "compare", "scene", "push", "replay", "error", "counts",
-                        "cuts", "history", "stats", "owner", "box", "assign", "quality", "rebalance", "export", "watch"):
+                        "cuts", "history", "stats", "owner", "box", "halo", "neighbours", "assign", "quality", "rebalance", "export", "watch"):
             done = run(command, "--help", check=True)
             self.assertIn(command, done.stdout)
 

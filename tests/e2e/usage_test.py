@@ -5,8 +5,8 @@ from support import *
 
 NOWHERE = "unix:/nonexistent/rcbd.sock"
 COMMANDS = ("up", "down", "status", "partition", "compare", "scene create", "scene list", "scene show", "scene drop",
-            "push", "replay", "stream", "error", "counts", "cuts", "history", "stats", "owner", "box", "assign", "quality",
-            "rebalance", "export", "watch", "completion")
+            "push", "replay", "stream", "error", "counts", "cuts", "history", "stats", "owner", "box", "halo",
+            "neighbours", "assign", "quality", "rebalance", "export", "watch", "completion")
 # The parser's own words for types and faults, which are for those who write such parsers.
 PARSER_WORDS = re.compile(r"\b(TEXT|FLOAT|INT|UINT|REQUIRED|OPTIONS:|Could not convert|in \[\d|not in range|\(\d+x\)|"
                           r"is required|were not expected|was not expected)")
@@ -41,8 +41,8 @@ class Usage(unittest.TestCase):
         """A line of that command which is right but for what is added."""
         needed = {"partition": ["p.csv", "--parts", "2"], "compare": ["p.csv", "--parts", "2"],
                   "scene create": ["s", "--parts", "2"], "replay": ["s", "p.npy"], "stream": ["s", "-"], "owner": ["s", "0"],
-                  "box": ["s", "0", "1"], "assign": ["s", "--out", "a.npy"], "export": ["s", "d"],
-                  "completion": ["bash"]}
+                  "box": ["s", "0", "1"], "halo": ["s", "--width", "1"], "neighbours": ["s", "--width", "1"],
+                  "assign": ["s", "--out", "a.npy"], "export": ["s", "d"], "completion": ["bash"]}
         alone = ("up", "down", "status", "scene list")
         return command.split() + needed.get(command, [] if command in alone else ["s"])
 

@@ -6,7 +6,7 @@
 
 #include <fmt/format.h>
 
-#include "client/cli/app.hpp"
+#include "client/cli/commands/near.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/parts_table.hpp"
 
@@ -19,11 +19,6 @@ struct CutsOptions {
   std::string name;
   bool all = false;
 };
-
-std::string axis_name(const Json& axis) {
-  const int k = axis.get<int>();
-  return k >= 0 && k < 3 ? std::string(1, "xyz"[k]) : text_of(axis);
-}
 
 // Prints coordinates with enough digits to tell the cuts of an axis apart, however far from the origin they lie.
 class Coordinates {
@@ -128,6 +123,7 @@ void print_cuts(const Json& reply, bool all) {
   const Coordinates coordinates(cuts);
   print_line(fmt::format("{}, {} parts, epoch {}, hash {}", text_of(reply, "method"), text_of(reply, "parts"),
                          text_of(reply, "epoch"), text_of(reply, "hash")));
+  print_line(narrowest_text(reply));
   print_line("");
   const auto shown = cuts_shown(cuts, all);
   if (!shown.empty()) {
@@ -163,6 +159,7 @@ Result<bool> add_pages(client::Client& client, const std::string& scene, const c
       if (!known.contains(field)) known[field] = page->at(field);
       if (known[field] != page->at(field)) return false;
     }
+    if (page->contains("narrowest_region")) known["narrowest_region"] = page->at("narrowest_region");
     for (Json& item : page->at(list)) items.push_back(std::move(item));
     if (page->at("next") == from) return Status(Code::protocol_error, "the answer to cuts: its pages have no end");
     from = page->at("next");

@@ -4,7 +4,7 @@
 
 #include <fmt/format.h>
 
-#include "client/cli/app.hpp"
+#include "client/cli/commands/near.hpp"
 #include "client/cli/lists.hpp"
 #include "client/cli/print/output.hpp"
 #include "client/cli/print/parts_table.hpp"
@@ -102,6 +102,7 @@ Status print_quality(client::Client&, const ReadOptions& options, const Json& re
   print_line(fmt::format("all parts together: {} ghosts, interface {}; ghost width {}",
                          number(std::accumulate(ghosts.begin(), ghosts.end(), 0.0)), text_of(reply, "interface_area"),
                          text_of(reply, "ghost_width")));
+  print_line(narrowest_text(reply));
   return {};
 }
 

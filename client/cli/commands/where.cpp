@@ -5,7 +5,7 @@
 
 #include <fmt/format.h>
 
-#include "client/cli/app.hpp"
+#include "client/cli/commands/near.hpp"
 #include "client/cli/files/point_file.hpp"
 #include "client/cli/print/output.hpp"
 #include "common/io/points.hpp"
@@ -22,6 +22,7 @@ struct OwnerOptions {
 struct BoxOptions {
   std::string name;
   std::vector<double> corners;
+  std::vector<std::string> periodic;
 };
 
 enum class Ids { rows, own };  // of a scene: the numbers of the rows, or given by its solver
@@ -65,7 +66,9 @@ Status box(const BoxOptions& options, const Context& context) {
   if (!lo) return lo.status();
   const auto hi = corner_json(std::span(options.corners).last(dims), 1);
   if (!hi) return hi.status();
-  return ask_and_show(context, "box", {{"scene", options.name}, {"lo", *lo}, {"hi", *hi}},
+  const auto periodic = periodic_json(options.periodic);
+  if (!periodic) return periodic.status();
+  return ask_and_show(context, "box", {{"scene", options.name}, {"lo", *lo}, {"hi", *hi}, {"periodic", *periodic}},
                       [](const Json& reply) { print_line("parts " + text_of(reply, "parts")); });
 }
 
@@ -140,16 +143,18 @@ void add_where_commands(CLI::App& app, Context& context) {
       ->expected(1, 3);
   add_value(owns, "--id", position.id, kind::whole_number("I", 0), "of the particle: decides where positions tie");
 
-  auto [touches, corners] =
-      add_command(app, context,
-                  {"box", "Which parts touch a box",
-                   "  rcbctl box jet -1 -1 -1 1 1 1\n  rcbctl box jet -inf 0 0 0.5 1 inf", kAskGroup},
-                  box);
+  auto [touches, corners] = add_command(app, context,
+                                        {"box", "Which parts touch a box",
+                                         "  rcbctl box jet -1 -1 -1 1 1 1\n  rcbctl box jet -inf 0 0 0.5 1 inf\n"
+                                         "  rcbctl box jet .9 0 0 1.1 1 1 --periodic 0 - - 1 - -",
+                                         kAskGroup},
+                                        box);
   add_scene_name(touches, corners.name);
   add_value(touches, "CORNERS", corners.corners, kind::number_or_infinity("LO... HI..."),
             "the low corner, then the high one; -inf and inf where it has no bound")
       ->required()
       ->expected(2, 6);
+  add_periodic(touches, corners.periodic);
 
   auto [assigns, array] =
       add_command(app, context,

@@ -82,6 +82,7 @@ void MemberScene::State::forget_if_replaced() {
   n = epoch = 0;
   weights = lost = up_to_date = false;
   last_step.reset();
+  scene_cuts.known.reset();
   unanswered = {};
   places.forget();
 }
@@ -106,7 +107,7 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
                                         weights || !step.weights.empty() || !step.inserted->weights.empty());
         !status)
       return status;
-  return check_terms(name, step.step, step.step_seconds, step.deadline_seconds);
+  return check_terms(name, step.step, step.step_seconds, step.deadline_seconds, step.threads);
 }
 
 std::uint64_t MemberScene::State::content_of(const Positions& positions, std::span<const std::int64_t> ids,
@@ -160,6 +161,12 @@ std::optional<std::int64_t> MemberScene::last_step() const {
   state_->forget_if_replaced();
   return state_->last_step;
 }
+Result<cuts::Cuts> MemberScene::cuts(double deadline_seconds) {
+  State& of = *state_;
+  of.forget_if_replaced();
+  return of.scene_cuts.current(of.epoch, of.session(), of.name, deadline_seconds,
+                               [&of](const Retry& retry) { return of.take_seat(retry); });
+}
 std::uint64_t MemberScene::generation() const { return state_->seat; }
 
 Result<MemberScene> MemberScene::open(Client& client, const std::string& name, const MemberOptions& options) {
@@ -189,8 +196,9 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
     unanswered.failed(answer.status().code(), tried_before);
     return answer.status();
   }
-  unanswered.answered();
   auto result = read(*answer, step, with, retry);
+  if (result && (options.follow || with.want_parts))
+    if (Status status = classify(positions, ids, with, *result); !status) result = status;
   if (!result) {  // the step is committed, but its changes aren't known
     places.forget();
     up_to_date = false;

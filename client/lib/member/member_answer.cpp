@@ -14,6 +14,16 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   if (found == json->end()) return odd_member_answer("no 'report'");
   auto report = read_report(*found);
   if (!report) return report.status();
+  const auto repeated = wire::bool_field(*json, "repeated");
+  const bool still_lost = lost && repeated && *repeated;  // it is one that was kept by the service before the restart
+  if (uses_cuts(with)) {
+    auto after = scene_cuts.after_step(answer, *json, session(), name, retry);
+    if (!after) return parts_unknown(step, after.status());
+    scene_cuts.known = std::move(*after);
+  } else if (lost && !still_lost) {
+    scene_cuts.known.reset();
+  }
+  unanswered.answered();
   const bool epoch_follows = !last_step || lost || report->epoch == epoch + (report->repartitioned ? 1U : 0U);
   if (!epoch_follows) refresh_options(session(), name, known, retry);
   if (report->parts > 0) known.options["parts"] = report->parts;
@@ -21,8 +31,7 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   last_step = std::max(step, last_step.value_or(step));
   up_to_date = true;
   weights = weights || !with.weights.empty();
-  const auto repeated = wire::bool_field(*json, "repeated");
-  lost = lost && repeated && *repeated;  // the answer is one that was kept by the service before the restart
+  lost = still_lost;
   MemberStep result;
   result.report = std::move(*report);
   if (with.want_changes) {
@@ -42,6 +51,25 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, std::int64_t st
   if (!options.follow) return result;
   if (Status status = read_follow(answer, *json, with.removed, result); !status) return status;
   return result;
+}
+
+Status MemberScene::State::classify(const Positions& positions, std::span<const std::int64_t> ids,
+                                    const MemberStepOptions& with, MemberStep& result) const {
+  result.parts.resize(positions.count);
+  if (Status status = scene_cuts.known->owner(positions, {.ids = ids, .threads = with.threads}, result.parts); !status)
+    return status;
+  std::vector<std::int64_t> removed(with.removed.begin(), with.removed.end());
+  std::sort(removed.begin(), removed.end());
+  std::int32_t part = -1;  // of the row before
+  int to = options.member;
+  for (std::size_t row = 0; options.follow && row < positions.count; ++row) {
+    if (std::exchange(part, result.parts[row]) != result.parts[row])
+      to = cuts::seat_of_part(result.parts[row], scene_cuts.known->parts(), options.members);
+    if (to != options.member && !std::binary_search(removed.begin(), removed.end(), ids[row]))
+      result.leaving.push_back({row, to});
+  }
+  if (!with.want_parts) result.parts.clear();
+  return {};
 }
 
 Status MemberScene::State::read_follow(const Frame& answer, const wire::Json& json,

@@ -122,6 +122,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"removed", with.removed.size()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
+  if (uses_cuts(with)) begin["cuts_known"] = scene_cuts.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name);
   if (pushing_directly) return push_to_ranks(std::move(begin), *rows, positions, with, what, retry);
   std::vector<Column> columns = columns_of(positions, with.weights);
@@ -138,18 +139,19 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
 }
 
 Result<Frame> MemberScene::State::ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
-  auto answer = session().call_once({{"command", "push.begin"},
-                                     {"scene", name},
-                                     {"session", session().number()},
-                                     {"step", step},
-                                     {"attempt", session().next_attempt()},
-                                     {"n", 0},
-                                     {"slices", 0},
-                                     {"order", "id"},
-                                     {"ids", true},
-                                     {"moved", "none"},
-                                     {"changes", with.want_changes}},
-                                    retry);
+  wire::Json begin{{"command", "push.begin"},
+                   {"scene", name},
+                   {"session", session().number()},
+                   {"step", step},
+                   {"attempt", session().next_attempt()},
+                   {"n", 0},
+                   {"slices", 0},
+                   {"order", "id"},
+                   {"ids", true},
+                   {"moved", "none"},
+                   {"changes", with.want_changes}};
+  if (uses_cuts(with)) begin["cuts_known"] = scene_cuts.known_json();
+  auto answer = session().call_once(std::move(begin), retry);
   if (answer || !session().connected()) return answer;
   return Status(Code::base_lost,
                 fmt::format("the service at {} was started again and has lost scene '{}', which had weights",

@@ -15,6 +15,7 @@
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/lost_scene.hpp"
+#include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/shared_arrays.hpp"
 #include "client/lib/session/unanswered.hpp"
 
@@ -85,6 +86,10 @@ struct MemberScene::State {
   // The rows that moved; nullopt: all are to be sent.
   std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
   Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
+  bool uses_cuts(const MemberStepOptions& with) const { return scene_cuts.wanted || options.follow || with.want_parts; }
+  // Fills in `parts` and `leaving` by the cuts after the step.
+  Status classify(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& with,
+                  MemberStep& result) const;
   Status read_follow(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
                      MemberStep& result);
   Status read_places(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
@@ -105,6 +110,7 @@ struct MemberScene::State {
   std::optional<std::int64_t> last_step;
   UnansweredStep unanswered;
   std::uint64_t epoch = 0;  // after last_step
+  SceneCuts scene_cuts;
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
   bool up_to_date = false;

@@ -77,10 +77,11 @@ Status check_arrays(const std::string& scene, const Positions& positions, int di
 }
 
 Status check_terms(const std::string& scene, std::optional<std::int64_t> step, std::optional<double> step_seconds,
-                   double deadline_seconds) {
+                   double deadline_seconds, int threads) {
   if (step && *step < 0) return wrong_push(scene, fmt::format("step {}", *step), "steps are numbered from 0");
   if (step_seconds && !(*step_seconds >= 0 && std::isfinite(*step_seconds)))
     return wrong_push(scene, fmt::format("a step of {} seconds", *step_seconds), "give a finite number >= 0, or none");
+  if (threads < 1) return wrong_push(scene, fmt::format("{} threads", threads), "give 1 or more");
   if (!(deadline_seconds > 0))
     return wrong_push(scene, fmt::format("a deadline of {} seconds", deadline_seconds), "give a number above 0");
   return {};

@@ -25,7 +25,7 @@ Status wrong_push(const std::string& scene, const std::string& message, std::str
 // Errors of these: invalid_argument. That positions have the scene's dims, an array for each axis, and a stride.
 Status check_arrays(const std::string& scene, const Positions& positions, int dims);
 Status check_terms(const std::string& scene, std::optional<std::int64_t> step, std::optional<double> step_seconds,
-                   double deadline_seconds);
+                   double deadline_seconds, int threads);
 // others: the positions pushed beside the insertion; weights: whether the scene has any.
 Status check_insertion(const std::string& scene, const Insertion& in, const Positions& others, int dims, bool weights);
 

@@ -16,55 +16,22 @@ std::span<const T> elements(const Array& array) {
   return {reinterpret_cast<const T*>(array.bytes.data()), array.bytes.size() / sizeof(T)};
 }
 
-template <typename T>
-Positions shaped(std::array<const T*, 3> Positions::*axis, const T* xyz, std::size_t count, int dims) {
-  Positions positions;
-  positions.dims = dims;
-  positions.count = count;
-  positions.stride = dims > 0 ? static_cast<std::size_t>(dims) : 1;
-  for (std::size_t a = 0; a < 3 && static_cast<int>(a) < dims && xyz != nullptr; ++a) (positions.*axis)[a] = xyz + a;
-  return positions;
-}
-
-template <typename T>
-Positions shaped(std::array<const T*, 3> Positions::*axis, std::span<const T* const> axes, std::size_t count) {
-  Positions positions;
-  positions.dims = static_cast<int>(std::min<std::size_t>(axes.size(), 4));  // 4 is refused by step()
-  positions.count = count;
-  for (std::size_t a = 0; a < 3 && a < axes.size(); ++a) (positions.*axis)[a] = axes[a];
-  return positions;
-}
-
 }  // namespace
-
-Positions Positions::rows(const double* xyz, std::size_t count, int dims) {
-  return shaped(&Positions::axis, xyz, count, dims);
-}
-
-Positions Positions::rows(const float* xyz, std::size_t count, int dims) {
-  return shaped(&Positions::axis_f4, xyz, count, dims);
-}
-
-Positions Positions::axes(std::span<const double* const> axes, std::size_t count) {
-  return shaped(&Positions::axis, axes, count);
-}
-
-Positions Positions::axes(std::span<const float* const> axes, std::size_t count) {
-  return shaped(&Positions::axis_f4, axes, count);
-}
 
 Positions Positions::in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
                                    std::size_t count, int dims) {
-  return {.count = count, .dims = dims, .by_rank = ranks, .plan_version = plan_version};
+  Positions positions = cuts::Positions{.count = count, .dims = dims};
+  positions.by_rank = ranks;
+  positions.plan_version = plan_version;
+  return positions;
 }
 
 Positions Positions::in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
                                    std::size_t count, int dims) {
-  return {.count = count, .dims = dims, .plan_version = plan_version, .by_rank_f4 = ranks};
+  Positions positions = in_plan_order(std::span<const std::array<const double*, 3>>(), plan_version, count, dims);
+  positions.by_rank_f4 = ranks;
+  return positions;
 }
-
-bool Positions::single() const { return axis_f4[0] != nullptr || !by_rank_f4.empty(); }
-bool Positions::in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
 
 std::span<const double> Array::f8() const { return elements<double>(*this); }
 std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this); }

@@ -39,6 +39,7 @@ void Scene::State::forget_plan() {
 void Scene::State::lose() {
   lost_ = true;
   pushed_ = false;
+  cuts_.known.reset();
   if (!known_) known_ = std::move(parts_);
   parts_.clear();
 }

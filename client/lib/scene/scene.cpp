@@ -30,9 +30,7 @@ Result<StepResult> Scene::step(const Positions& positions, const StepOptions& op
 }
 
 Result<StepResult> Scene::step_unmoved(const StepOptions& options) {
-  Positions none;
-  none.dims = state_->dims();
-  return state_->step({none, options, StepRequest::Moved::none, {}});
+  return state_->step({cuts::Positions{.dims = state_->dims()}, options, StepRequest::Moved::none, {}});
 }
 
 Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Positions& positions,
@@ -57,6 +55,7 @@ Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count)
 }
 
 Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
+Result<cuts::Cuts> Scene::cuts(double deadline_seconds) { return state_->current_cuts(deadline_seconds); }
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
     : client_(std::move(client)), name_(std::move(name)), scene_(client_->known(name_)), run_(client_->run_of(name_)) {
@@ -76,6 +75,7 @@ void Scene::State::forget_if_replaced() {
   forget_plan();
   lost_plan_.reset();
   forget_rows();
+  cuts_.known.reset();
   weights_.clear();
   began_ = answered_ = told_ = missed_ = base_unknown_ = false;
 }
@@ -110,6 +110,11 @@ Result<PlanView> Scene::State::plan(double deadline_seconds) {
     return view;
   };
   return session().retry_until_deadline(retry, once);
+}
+
+Result<cuts::Cuts> Scene::State::current_cuts(double deadline_seconds) {
+  forget_if_replaced();
+  return cuts_.current(epoch_, session(), name_, deadline_seconds, [this](const Retry& retry) { return hold(retry); });
 }
 
 Result<Scene> Client::open_scene(const std::string& name) {

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "client/lib/scene/lost_scene.hpp"
+#include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/push_source.hpp"
 #include "client/lib/session/session.hpp"
 #include "client/lib/session/shared_arrays.hpp"
@@ -38,6 +39,9 @@ struct StepRequest {
   bool edits() const { return !options.removed.empty() || options.inserted != nullptr; }
   std::size_t inserted() const { return options.inserted == nullptr ? 0 : options.inserted->positions.count; }
   bool whole() const { return moved == Moved::all || moved == Moved::rows; }  // all positions are at hand
+  bool wants() const { return options.want_parts || options.want_changes; }
+  // Whether the library finds out the parts by itself, as it has all positions by row.
+  bool wants_by_cuts() const { return wants() && whole() && !edits() && !positions.in_plan_order(); }
 };
 
 // Some particles of a layout, by rank, in ascending slots.
@@ -70,6 +74,7 @@ struct Scene::State {
     return last_step_;
   }
   Result<PlanView> plan(double deadline_seconds);
+  Result<cuts::Cuts> current_cuts(double deadline_seconds);
   SharedArrays& arrays() { return arrays_; }
 
  private:
@@ -150,14 +155,19 @@ struct Scene::State {
   struct Answer {
     wire::Json json;
     StepReport report;
-    bool first;                 // the scene had no positions
-    bool repeated;              // it is that of an earlier attempt
-    bool epoch_follows;         // on the epoch that this Scene knows
-    bool follows;               // layout and parts follow from those known
-    std::optional<Frame> plan;  // the answer to `plan`, if it was asked for, too
+    bool first;                       // the scene had no positions
+    bool repeated;                    // it is that of an earlier attempt
+    bool epoch_follows;               // on the epoch that this Scene knows
+    bool follows;                     // layout and parts follow from those known
+    std::optional<Frame> plan;        // the answer to `plan`, if it was asked for, too
+    std::optional<cuts::Cuts> cuts;   // after the step, if this Scene uses them
+    std::vector<std::int32_t> parts;  // by these, if StepRequest::wants_by_cuts()
   };
   // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
   Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
+  // Adds to the answer what else has to be asked or computed for it.
+  Status complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer) const;
+  bool uses_cuts(const StepRequest& ask) const { return cuts_.wanted || ask.wants_by_cuts(); }
   Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask, const Retry& retry);
   // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
   // known.
@@ -178,8 +188,10 @@ struct Scene::State {
   // The parts of inserted particles are set to -1 (not known yet).
   void move_rows(const RowEdit& edit, std::span<const std::int64_t> ids);
   Status apply(const Frame& answer, const wire::Json& json, bool first, std::vector<PartChange>& changes);
-  std::vector<PartChange> all_parts() const;
-  std::vector<PartChange> changes_since_known() const;
+  // What was told to the caller last.
+  std::span<const std::int32_t> parts_told() const {
+    return !told_ ? std::span<const std::int32_t>() : known_ ? *known_ : parts_;
+  }
   // The layout's version as the caller sees it: unique within this Scene, although a restarted service counts from 0
   // again.
   std::uint64_t version_for_caller() const { return versions_before_ + plan_->version(); }
@@ -212,6 +224,7 @@ struct Scene::State {
   std::vector<std::int32_t> parts_;  // by row
   // By row, the parts last told to the caller; none: these are parts_.
   std::optional<std::vector<std::int32_t>> known_;
+  SceneCuts cuts_;
   std::uint64_t count_if_committed_ = 0;  // if the service commits the current push
   bool began_ = false;                    // this Scene made the first push, so its rows are known
   bool answered_ = false;                 // a step was answered, so the rows are known

@@ -70,7 +70,8 @@ Status Scene::State::check(const StepRequest& ask) const {
   if (has_particles() && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none",
                  "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
-  if (Status status = check_terms(name_, options.step, options.step_seconds, options.deadline_seconds); !status)
+  if (Status status = check_terms(name_, options.step, options.step_seconds, options.deadline_seconds, options.threads);
+      !status)
     return status;
   return check_edits(ask);
 }
@@ -131,6 +132,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                    {"inserted_ids", ask.inserted() > 0 && !options.inserted->ids.empty()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
+  if (uses_cuts(ask)) begin["cuts_known"] = cuts_.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
   if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
   // Pointers by rank: to the elements of the axes; [3]: to the slots.
@@ -259,7 +261,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   Insertion all;
   if (pushed_ && !lost_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
     all = {ask.positions, ask.options.ids, ask.options.weights};
-    ask.positions = Positions{.dims = all.positions.dims};
+    ask.positions = cuts::Positions{.dims = all.positions.dims};
     ask.options.ids = {};
     ask.options.weights = {};
     ask.options.inserted = &all;
@@ -400,8 +402,8 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   // which parts changed.
   shared_ = by_shared_memory(sent, retry);
   by_id_ = shared_ && session().ranks_apart().empty() && rows_are_ids(sent);
-  const bool asked = sent.options.want_parts || sent.options.want_changes;
-  const bool with_plan = (!by_id_ && sent.moved != StepRequest::Moved::none) || asked || sent.edits();
+  const bool asks_plan = sent.wants() && !sent.wants_by_cuts();
+  const bool with_plan = (!by_id_ && sent.moved != StepRequest::Moved::none) || asks_plan || sent.edits();
   if (shared_ && !with_plan) plan_.reset();
   const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
   if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;
@@ -416,15 +418,9 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
     return frame.status();
   }
   auto answer = read_answer(*frame, step, tried_before);
-  // What else has to be asked comes before anything here changes: until then the step can be pushed once more.
-  if (answer && asked && !(answer->follows && plan_)) {
-    auto told = ask_plan(retry);
-    if (!told)
-      return Status(told.status().code(),
-                    fmt::format("step {} is committed, but its parts are not known: {}", step, told.status().message()),
-                    told.status().hint());
-    answer->plan = std::move(*told);
-  }
+  // This comes before anything here changes: until then the step can be pushed once more.
+  if (const Status told = answer ? complete_answer(*frame, sent, retry, *answer) : Status(); !told)
+    return parts_unknown(step, told);
   unanswered_.answered();
   if (!answer) return answer.status();
   return finish(*frame, std::move(*answer), sent, retry);

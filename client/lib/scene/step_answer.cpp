@@ -11,6 +11,13 @@
 namespace rcb::client {
 namespace {
 
+std::vector<PartChange> differences(std::span<const std::int32_t> before, std::span<const std::int32_t> now) {
+  std::vector<PartChange> changes;
+  for (std::size_t row = 0; row < now.size(); ++row)
+    if (row >= before.size() || before[row] != now[row]) changes.push_back({row, now[row]});
+  return changes;
+}
+
 constexpr std::int64_t kStepMax = std::numeric_limits<std::int64_t>::max();
 
 // Inserted particles have a part for the first time, so each counts as changed.
@@ -59,7 +66,26 @@ Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::
   const bool step_follows = first || (!missed_ && before && *before == last_step_.value_or(-1));
   const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
   const bool follows = !repeated && epoch_follows && step_follows && report->parts == parts_count_;
-  return Answer{*json, std::move(*report), first, repeated, epoch_follows, follows, std::nullopt};
+  return Answer{*json, std::move(*report), first, repeated, epoch_follows, follows, {}, {}, {}};
+}
+
+Status Scene::State::complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry,
+                                     Answer& answer) const {
+  if (uses_cuts(ask)) {
+    auto after = cuts_.after_step(frame, answer.json, session(), name_, retry);
+    if (!after) return after.status();
+    answer.cuts = std::move(*after);
+  }
+  if (ask.wants_by_cuts()) {
+    answer.parts.resize(ask.positions.count);
+    cuts::OwnerOptions options{.ids = ids_of_rows(ask), .threads = ask.options.threads};
+    if (parts_.size() == answer.parts.size()) options.last_part = parts_;
+    return answer.cuts->owner(ask.positions, options, answer.parts);
+  }
+  if (!ask.wants() || (answer.follows && plan_)) return {};
+  auto told = ask_plan(retry);
+  if (told) answer.plan = std::move(*told);
+  return told.status();
 }
 
 // The step is committed: an error here doesn't undo it.
@@ -80,7 +106,10 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
   if (!answer.epoch_follows) refresh_options(session(), name_, scene_, retry);
   parts_count_ = report.parts;
   scene_.options["parts"] = parts_count_;
-  const bool asked = options.want_parts || options.want_changes;
+  if (answer.cuts) cuts_.known = std::move(answer.cuts);
+  const bool by_cuts = ask.wants_by_cuts();
+  if (by_cuts) done.result.changes = differences(parts_told(), answer.parts);
+  const bool asked = ask.wants();
   if (plan_ && !asked && told_ && !known_) known_ = parts_;
   if (ask.edits()) {
     auto found_rows = row_edit(ask);
@@ -90,9 +119,18 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
     edit_rows(ask, done.edit, report, frame, answer.follows, done.result);
   }
   // Without a layout and where nothing is asked, it is fetched when it is needed.
-  if (plan_ || asked)
-    done.plan_needed = !answer.follows || !plan_ || !apply(frame, answer.json, answer.first, done.result.changes);
+  std::vector<PartChange> changes;
+  if (plan_ || (asked && !by_cuts))
+    done.plan_needed = !answer.follows || !plan_ || !apply(frame, answer.json, answer.first, changes);
   if (done.plan_needed) plan_.reset();
+  if (by_cuts) {
+    parts_ = std::move(answer.parts);
+    known_.reset();
+    told_ = true;
+    done.plan_needed = false;
+  } else {
+    done.result.changes = std::move(changes);
+  }
   if (done.plan_needed && answer.plan) {
     if (Status status = take_plan(*answer.plan, ids_of_rows(ask)); !status) return status;
     done.plan_needed = false;
@@ -115,13 +153,9 @@ Status Scene::State::fetch_plan_of_step(const StepRequest& ask, Retry& retry) {
 Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done, Retry& retry) {
   const StepOptions& options = ask.options;
   StepResult& result = done.result;
-  const bool asked = options.want_parts || options.want_changes;
+  const bool asked = ask.wants();
   if (asked && done.plan_needed)
-    if (Status status = fetch_plan_of_step(ask, retry); !status)
-      return Status(
-          status.code(),
-          fmt::format("step {} is committed, but its parts are not known: {}", result.report.step, status.message()),
-          status.hint());
+    if (Status status = fetch_plan_of_step(ask, retry); !status) return parts_unknown(result.report.step, status);
   if (plan_ && parts_.size() == count_)
     for (const layout::SlotMove& move : done.edit.moves.moves)
       if (move.arrival && parts_[move.to] < 0) parts_[move.to] = done.edit.inserted_part[move.from];
@@ -132,9 +166,9 @@ Result<StepResult> Scene::State::complete(const StepRequest& ask, Committed done
   if (!options.want_changes)
     result.changes.clear();
   else if (!told_)
-    result.changes = all_parts();
+    result.changes = differences({}, parts_);
   else if (known_)
-    result.changes = changes_since_known();
+    result.changes = differences(*known_, parts_);
   else if (ask.edits())
     add_inserted(result, parts_);
   told_ = true;
@@ -179,19 +213,6 @@ Status Scene::State::apply(const Frame& answer, const wire::Json& json, bool fir
   const auto by_row = [](const PartChange& a, const PartChange& b) { return a.row < b.row; };
   if (!std::is_sorted(changes.begin(), changes.end(), by_row)) std::sort(changes.begin(), changes.end(), by_row);
   return {};
-}
-
-std::vector<PartChange> Scene::State::all_parts() const {
-  std::vector<PartChange> changes(parts_.size());
-  for (std::size_t row = 0; row < parts_.size(); ++row) changes[row] = {row, parts_[row]};
-  return changes;
-}
-
-std::vector<PartChange> Scene::State::changes_since_known() const {
-  std::vector<PartChange> changes;
-  for (std::size_t row = 0; row < parts_.size(); ++row)
-    if (row >= known_->size() || (*known_)[row] != parts_[row]) changes.push_back({row, parts_[row]});
-  return changes;
 }
 
 }  // namespace rcb::client

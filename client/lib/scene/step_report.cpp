@@ -80,6 +80,11 @@ Result<StepReport> read_report(const wire::Json& json) {
   return report;
 }
 
+Status parts_unknown(std::int64_t step, const Status& why) {
+  return {why.code(), fmt::format("step {} is committed, but its parts are not known: {}", step, why.message()),
+          why.hint()};
+}
+
 void mark_recreated(StepReport& report) {
   if (report.scene_recreated) return;
   report.scene_recreated = true;

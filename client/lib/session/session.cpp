@@ -27,9 +27,10 @@ constexpr std::string_view kEndpointListener = "endpoint";
 
 // Commands that change nothing, or whose repetition changes nothing more.
 bool repeatable(std::string_view command) {
-  constexpr std::array<std::string_view, 18> kRepeatable{
-      "status",  "scene.open", "scene.close", "scene.list", "scene.show", "plan",  "error",   "counts",  "cuts",
-      "history", "stats",      "owner",       "box",        "assign",     "fetch", "quality", "compare", "write_parts"};
+  constexpr std::array<std::string_view, 20> kRepeatable{
+      "status", "scene.open", "scene.close", "scene.list",  "scene.show", "plan",      "error",
+      "counts", "cuts",       "history",     "stats",       "owner",      "box",       "assign",
+      "fetch",  "quality",    "compare",     "write_parts", "halo",       "neighbours"};
   return std::find(kRepeatable.begin(), kRepeatable.end(), command) != kRepeatable.end();
 }
 

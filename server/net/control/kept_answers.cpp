@@ -64,12 +64,13 @@ bool write_answers(int file, const std::string& scene, const MemberAnswers& answ
     wire::FrameHeader header;
     header.type = wire::FrameType::reply;
     header.request = member;
-    for (const wire::Array& array : answers.arrays[member]) {
-      if (array.name.starts_with("place_")) continue;
-      kept.push_back(&array);
-      told.push_back({array.name, array.dtype, array.shape, {}});
-      header.bulk_bytes += array.bytes.size();
-    }
+    for (const auto* arrays : {&answers.arrays[member], &answers.cuts})
+      for (const wire::Array& array : *arrays) {
+        if (array.name.starts_with("place_")) continue;
+        kept.push_back(&array);
+        told.push_back({array.name, array.dtype, array.shape, {}});
+        header.bulk_bytes += array.bytes.size();
+      }
     const wire::Json json{{"scene", scene},
                           {"step", answers.step},
                           {"session", answers.sessions[member]},

@@ -38,6 +38,7 @@ struct MemberAnswers {
   std::vector<std::string> sessions;  // session of each member
   wire::Json json;
   std::vector<std::vector<wire::Array>> arrays;  // by member
+  std::vector<wire::Array> cuts;                 // for all members that say which cuts they know
 };
 
 class KeptAnswers {

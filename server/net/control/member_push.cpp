@@ -17,22 +17,26 @@ using wire::Json;
 
 namespace {
 
-// A copy of the arrays for one member: changes and places only if its push.begin asked for them, and what was inserted
-// only if it inserted any. Nothing if there is no memory for them.
-std::optional<std::vector<wire::Array>> copy_for(const Json& begin, const std::vector<wire::Array>& arrays) {
+// As a member's answer has them behind its own, with its field "cuts".
+bool is_of_cuts(const wire::Array& array) {
+  return array.name == "axes" || array.name == "at" || array.name == "id" || array.name == "part_sizes";
+}
+
+// Copies the arrays for one member: changes, places and cuts only if its push.begin asked for them, and what was
+// inserted only if it inserted any. False if there is no memory for them.
+bool copy_for(const Json& begin, const std::vector<wire::Array>& arrays, std::vector<wire::Array>& copy) {
   const auto inserted = wire::integer_field_or(begin, "inserted", 0, wire::kParticlesMax, 0);
   const bool inserts = inserted.ok() && *inserted > 0;
-  std::vector<wire::Array> copy;
   for (const wire::Array& array : arrays) {
     if ((!wire::is_true(begin, "changes") && array.name.starts_with("changed_")) ||
         (!wire::is_true(begin, "places") && array.name.starts_with("place_")) ||
-        (!inserts && array.name.starts_with("inserted_")))
+        (!begin.contains("cuts_known") && is_of_cuts(array)) || (!inserts && array.name.starts_with("inserted_")))
       continue;
     wire::Array& own = copy.emplace_back(wire::Array{array.name, array.dtype, array.shape, {}});
-    if (!own.bytes.try_reserve(array.bytes.size())) return std::nullopt;
+    if (!own.bytes.try_reserve(array.bytes.size())) return false;
     own.bytes.assign(array.bytes.span());
   }
-  return copy;
+  return true;
 }
 
 // Whether the push brings particles whose weights its flag `weights` is about. Who has none need not say it.
@@ -235,9 +239,11 @@ bool MemberGroups::answer_again(const MemberAnswers& answers, Delivery* delivery
 void MemberGroups::send(const MemberAnswers& answers, const Delivery::To& to) {
   Json json = answers.json;
   if (to.repeated) json["repeated"] = true;
-  auto arrays = copy_for(to.begin, answers.arrays[to.member]);
+  if (!to.begin.contains("cuts_known")) json.erase("cuts");
+  std::vector<wire::Array> arrays;
+  const bool copied = copy_for(to.begin, answers.arrays[to.member], arrays) && copy_for(to.begin, answers.cuts, arrays);
   const Status sent =
-      arrays ? to.connection->send_message(FrameType::reply, to.request, std::move(json), std::move(*arrays))
+      copied ? to.connection->send_message(FrameType::reply, to.request, std::move(json), std::move(arrays))
              : Status(Code::busy, "the step is committed, and there is no memory for its answer", "push it again");
   if (!sent.ok()) to.connection->send(FrameType::failure, to.request, wire::failure_json(sent));
 }
@@ -287,6 +293,10 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     all.inserted_ids = all.inserted_ids || terms.inserted_ids;
     if (terms.step_seconds) all.step_seconds = std::max(*terms.step_seconds, all.step_seconds.value_or(0));
     if (terms.base_step) all.base_step = terms.base_step;
+    if (terms.cuts_known && all.cuts_known.value_or(*terms.cuts_known) != *terms.cuts_known)
+      all.cuts_known.emplace();  // no cuts are those that all of them know
+    else if (terms.cuts_known)
+      all.cuts_known = terms.cuts_known;
     ++members_by_moved[static_cast<std::size_t>(terms.moved)];
     request["moved_by"].push_back(name_of(terms.moved));
     if (!to_ranks) counts[0] += terms.moving();
@@ -313,6 +323,8 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   request["counts"] = counts;
   if (to_ranks) request["plan"] = step->contributions.front()->begin["plan"];
   if (all.base_step) request["base_step"] = *all.base_step;
+  if (all.cuts_known)
+    request["cuts_known"] = {{"epoch", all.cuts_known->epoch}, {"hash", wire::hex64(all.cuts_known->hash)}};
   if (all.step_seconds) request["step_seconds"] = *all.step_seconds;
   request["n"] = all.n;
   request["moved"] = name_of(all.moved);
@@ -356,6 +368,9 @@ void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answ
   auto kept = std::make_shared<MemberAnswers>();
   kept->step = step->step;
   kept->json = std::move(answer.json);
+  const auto cuts = std::ranges::find_if(answer.arrays, is_of_cuts);
+  kept->cuts.assign(std::make_move_iterator(cuts), std::make_move_iterator(answer.arrays.end()));
+  answer.arrays.erase(cuts, answer.arrays.end());
   auto delivery = std::make_shared<Delivery>();
   const std::size_t each = answer.arrays.size() / contributions.size();
   auto next = std::make_move_iterator(answer.arrays.begin());

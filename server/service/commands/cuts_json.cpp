@@ -2,6 +2,9 @@
 
 #include <cmath>
 
+#include "common/cuts/cut_arrays.hpp"
+#include "server/service/context/collective.hpp"
+
 namespace rcb::service {
 namespace {
 
@@ -68,6 +71,39 @@ wire::Json regions_json(const CutTree& tree, int first, int last) {
     regions.push_back(std::move(region));
   }
   return regions;
+}
+
+wire::Json narrowest_json(const cuts::Cuts& cuts) {
+  const auto found = cuts.narrowest();
+  if (!found) return nullptr;
+  return {{"part", found->part}, {"axis", found->axis}, {"width", wire::number_json(found->width)}};
+}
+
+Status put_cut_arrays(const Context& context, Response& response, wire::Json& json, Scene& scene) {
+  constexpr std::uint64_t kBytesOfPart = 512;
+  const auto parts = static_cast<std::uint64_t>(scene.options.parts);
+  if (Status room = room_for(context.comm, parts * kBytesOfPart, "the cuts"); !room.ok()) return room;
+  const cuts::CutArrays arrays = cuts::arrays_of(scene.tree);
+  json = {{"epoch", scene.epoch},
+          {"dims", arrays.dims},
+          {"method", cuts::method_name(arrays.method)},
+          {"parts", arrays.parts},
+          {"hash", wire::hex64(scene.cuts_hash())}};
+  const std::vector<std::uint64_t> by_axis{arrays.id.size(), static_cast<std::uint64_t>(arrays.dims)};
+  response.arrays.push_back(make_array<std::int32_t>("axes", "<i4", arrays.axes));
+  response.arrays.back().shape = by_axis;
+  response.arrays.push_back(make_array<double>("at", "<f8", arrays.at));
+  response.arrays.back().shape = by_axis;
+  response.arrays.push_back(make_array<cuts::Id>("id", "<i8", arrays.id));
+  if (!arrays.part_sizes.empty()) response.arrays.push_back(make_array<double>("part_sizes", "<f8", arrays.part_sizes));
+  return {};
+}
+
+void put_cuts_unless_known(const Context& context, Response& response, Scene& scene, const PushRequest& push) {
+  wire::Json json;
+  if (push.cuts_known && *push.cuts_known != api::CutsId{scene.epoch, scene.cuts_hash()} &&
+      put_cut_arrays(context, response, json, scene).ok())
+    response.json["cuts"] = std::move(json);
 }
 
 }  // namespace rcb::service

@@ -12,6 +12,7 @@
 #include "common/layout/layout.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
+#include "server/service/commands/cuts_json.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/step/member_results.hpp"
 #include "server/service/step/step.hpp"
@@ -383,6 +384,7 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
                             {"plan", {{"version", of.plan_version}, {"checksum", wire::hex64(of.plan_checksum)}}}});
   if (members->message.places) response.json["places"] = before ? "changed" : "all";
   response.arrays = member_results(of, members->message, context.comm.size(), known, changes, inserted);
+  put_cuts_unless_known(context, response, of, push);  // once, for all members
   return response;
 }
 

@@ -47,10 +47,17 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
   const auto list = given(request, "list") ? wire::string_field(request, "list", 16) : std::string();
   if (!list.ok()) return failed(list.status());
   const bool regions = *list == "regions";
-  if (!regions && *list != "cuts" && !list->empty())
-    return failed({Code::invalid_argument, fmt::format("there is no list '{}'", *list), "lists: cuts, regions"});
-  if (list->empty() && (given(request, "from") || given(request, "count")))
-    return failed({Code::invalid_argument, "'from' and 'count' without 'list'", "lists: cuts, regions"});
+  const bool arrays = *list == "arrays";
+  if (!regions && !arrays && *list != "cuts" && !list->empty())
+    return failed(
+        {Code::invalid_argument, fmt::format("there is no list '{}'", *list), "lists: cuts, regions, arrays"});
+  if ((list->empty() || arrays) && (given(request, "from") || given(request, "count")))
+    return failed({Code::invalid_argument, "'from' and 'count' are for pages", "lists with pages: cuts, regions"});
+  if (arrays) {
+    Response response;
+    if (context.root()) response.status = put_cut_arrays(context, response, response.json, s);
+    return response;
+  }
   if (list->empty() && static_cast<std::size_t>(parts) > wire::kListedMax)
     return failed({Code::too_large, fmt::format("the cuts of {} parts don't fit into one answer", parts),
                    R"(ask for them by pages: "list", "from" and "count", as rcbctl cuts does)"});
@@ -62,6 +69,7 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
                   {"method", cuts::method_name(s.tree.method)},
                   {"parts", parts},
                   {"hash", wire::hex64(s.cuts_hash())}};
+  if (page->from == 0) json["narrowest_region"] = narrowest_json(s.snapshot());
   const auto from = static_cast<int>(page->from);
   const auto end = static_cast<int>(page->end);
   if (!regions) json["cuts"] = cuts_json(s.tree, from, end);

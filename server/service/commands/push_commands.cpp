@@ -5,6 +5,7 @@
 #include <malloc.h>
 
 #include "common/layout/layout.hpp"
+#include "server/service/commands/cuts_json.hpp"
 #include "server/service/commands/with_reports.hpp"
 #include "server/service/step/step.hpp"
 
@@ -84,7 +85,10 @@ Response push(Context& context, Scene& scene, const wire::Json& request) {
     return_freed_memory();
   }
   if (!context.root()) return {};  // only rank 0's response is used
-  return answer(scene, report, push.value(), std::move(changes), std::move(staged->edits.inserted_part), previous_step);
+  Response response =
+      answer(scene, report, push.value(), std::move(changes), std::move(staged->edits.inserted_part), previous_step);
+  put_cuts_unless_known(context, response, scene, push.value());
+  return response;
 }
 
 constexpr Command kPushCommands[] = {{"push", push, Needs::scene}};

@@ -7,6 +7,7 @@
 #include "common/partition/partition.hpp"
 #include "common/partition/quality/quality.hpp"
 #include "common/wire/limits.hpp"
+#include "server/service/commands/cuts_json.hpp"
 #include "server/service/commands/lists.hpp"
 #include "server/service/commands/quality_json.hpp"
 #include "server/service/context/collective.hpp"
@@ -44,7 +45,7 @@ Response quality(Context& context, Scene& s, const wire::Json& request) {
                                         width.value(), while_in_time(context, time));
   if (!found) return failed(std::move(time));
   if (!context.root()) return {};
-  Response response = done({{"scene", s.name}, {"epoch", s.epoch}});
+  Response response = done({{"scene", s.name}, {"epoch", s.epoch}, {"narrowest_region", narrowest_json(s.snapshot())}});
   put_quality(response, response.json, *found);
   return response;
 }

@@ -1,13 +1,12 @@
 // Queries: nothing here changes a scene.
 #include <algorithm>
-#include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
 
 #include "common/base/axis_names.hpp"
 #include "common/base/random.hpp"
 #include "common/wire/limits.hpp"
+#include "server/service/commands/geometry_fields.hpp"
 #include "server/service/commands/lists.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
@@ -42,26 +41,8 @@ Response stats(Context&, Scene& scene, const wire::Json&) {
   return done(std::move(json));
 }
 
-// A field of exactly `dims` finite numbers.
-Result<geometry::Point> point_field(const wire::Json& request, const char* name, int dims) {
-  const auto values = wire::numbers_field_or_empty(request, name, 16);
-  if (!values.ok()) return values.status();
-  if (values->size() != static_cast<std::size_t>(dims))
-    return Status(Code::invalid_argument,
-                  fmt::format("{}: {} number{} given, the scene has {} dimension{}", name, values->size(),
-                              values->size() == 1 ? "" : "s", dims, dims == 1 ? "" : "s"),
-                  "give one number a dimension");
-  geometry::Point point{};
-  for (std::size_t a = 0; a < values->size(); ++a) {
-    point[a] = values.value()[a];
-    if (!std::isfinite(point[a]))
-      return Status(Code::not_finite, fmt::format("{}[{}] is {}: must be finite", name, a, point[a]));
-  }
-  return point;
-}
-
 Response owner(Context&, Scene& s, const wire::Json& request) {
-  const auto position = point_field(request, "position", s.options.dims);
+  const auto position = point_field(request, "position", "position", s.options.dims);
   if (!position.ok()) return failed(position.status());
   const auto id = wire::integer_field_or(request, "id", 0, wire::kIntegerMax, -1);
   if (!id.ok()) return failed(id.status());
@@ -81,35 +62,16 @@ Response owner(Context&, Scene& s, const wire::Json& request) {
   return response;
 }
 
-// A corner of a box: null, as `cuts` writes it, where the box has no bound.
-Result<geometry::Point> corner_field(const wire::Json& request, const char* name, int dims, double unbounded) {
-  wire::Json values = request.value(name, wire::Json());
-  std::vector<std::size_t> open;
-  for (std::size_t a = 0; values.is_array() && a < std::min<std::size_t>(values.size(), geometry::kDimsMax); ++a)
-    if (values[a].is_null()) {
-      open.push_back(a);
-      values[a] = 0;
-    }
-  auto point = point_field({{name, std::move(values)}}, name, dims);
-  if (!point.ok()) return point;
-  for (const std::size_t a : open) (*point)[a] = unbounded;
-  return point;
-}
-
 Response box(Context& context, Scene& s, const wire::Json& request) {
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  const auto lo = corner_field(request, "lo", s.options.dims, -kInfinity);
-  if (!lo.ok()) return failed(lo.status());
-  const auto hi = corner_field(request, "hi", s.options.dims, kInfinity);
-  if (!hi.ok()) return failed(hi.status());
-  for (std::size_t a = 0; a < static_cast<std::size_t>(s.options.dims); ++a)
-    if (lo.value()[a] > hi.value()[a])
-      return failed({Code::invalid_argument,
-                     fmt::format("{}: lo {} is above hi {}", kAxisNames[a], lo.value()[a], hi.value()[a]),
-                     "give the low corner first, then the high one"});
+  const auto box = box_fields(request, "", s.options.dims);
+  if (!box.ok()) return failed(box.status());
+  const auto periodic = periodic_field(request, s.options.dims);
+  if (!periodic.ok()) return failed(periodic.status());
   if (!context.root()) return {};
+  const auto parts = s.snapshot().box(*box, *periodic);
+  if (!parts.ok()) return failed(parts.status());
   Response response = done({{"scene", s.name}, {"epoch", s.epoch}});
-  put_list<int>(response, response.json, "parts", s.tree.parts_touching({lo.value(), hi.value()}));
+  put_list<int>(response, response.json, "parts", *parts);
   return response;
 }
 

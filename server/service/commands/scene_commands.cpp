@@ -28,6 +28,11 @@ std::uint64_t Scene::cuts_hash() {
   return *tree_hash;
 }
 
+const cuts::Cuts& Scene::snapshot() {
+  if (!known_cuts || known_cuts->epoch() != epoch) known_cuts.emplace(tree, epoch);
+  return *known_cuts;
+}
+
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();

@@ -42,6 +42,8 @@ struct Context {
   // commands call it between their stages, before they change anything. If the command gives way
   // (server/api/commands.hpp), it also executes the waiting orders of other scenes. Errors: deadline_exceeded, aborted.
   Status check_time();
+  // Local. What check_time() finds on rank 0, without giving way.
+  Status check_time_here() const;
 };
 
 // Collective. Takes its arguments from the request, which is the same on all ranks; changes nothing if it fails.
@@ -70,6 +72,7 @@ std::span<const Command> member_commands();
 std::span<const Command> query_commands();
 std::span<const Command> paged_commands();
 std::span<const Command> quality_commands();
+std::span<const Command> halo_commands();
 std::span<const Command> rebalance_commands();
 std::span<const Command> file_commands();
 

@@ -23,7 +23,7 @@
 #include "common/base/buffer.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/balance/load.hpp"
-#include "common/cuts/cut_tree.hpp"
+#include "common/cuts/cuts.hpp"
 #include "server/service/scene/history.hpp"
 #include "server/service/scene/policy.hpp"
 #include "common/cuts/regions.hpp"
@@ -108,9 +108,12 @@ struct Scene {
   bool asked = false;                       // a query as in SceneTotals::asked came since the last step
   std::unique_ptr<History> history;         // on rank 0
   SceneTotals totals;
+  std::optional<cuts::Cuts> known_cuts;  // those of snapshot()
 
   // The tree's hash; computed once for each tree.
   std::uint64_t cuts_hash();
+  // What the tree tells; made when it is first asked for in an epoch, since it takes some hundred bytes a part.
+  const cuts::Cuts& snapshot();
 
   // A scene without particles, before its first push.
   static Scene create(std::string name, SceneOptions options);

@@ -279,6 +279,7 @@ void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
   scene.search_reductions = found.reductions;
   scene.tree = std::move(found.tree);
   scene.tree_hash.reset();
+  scene.known_cuts.reset();
   scene.loads = std::move(loads);
   scene.error_when_not_adopted.reset();
   scene.costs.start_again(scene.loads.imbalance);

@@ -89,10 +89,12 @@ class ChangingMember {
     for (std::size_t k = 0; k < 3 * count; ++k) inserted.push_back(random_.uniform());
     const Insertion in{.positions = Positions::rows(inserted.data(), count, 3), .ids = {}, .weights = {}};
     options.removed = removed;
+    options.want_parts = true;
     if (count > 0) options.inserted = &in;
     const auto done = scene.step(Positions::rows(rows.data(), ids_.size(), 3), ids_, options);
     ASSERT_TRUE(done.ok()) << done.status().message();
     ASSERT_EQ(done->inserted_ids.size(), count);
+    expect_rows_that_leave(scene, *done);
     const std::lock_guard lock(solver_.mutex);
     if (step > 1 && step != kRebalanced + 1) solver_.ways.insert(done->report.way);
     for (const std::int64_t id : removed) solver_.at.erase(id), std::erase(ids_, id);
@@ -102,6 +104,23 @@ class ChangingMember {
     }
     for (const Leaving& one : done->leave) EXPECT_EQ(std::erase(ids_, one.id), 1U);
     for (const Entering& one : done->enter) ids_.push_back(one.id);
+  }
+
+  // By the cuts a member finds out by itself what the service tells it, but for what it has just inserted.
+  void expect_rows_that_leave(MemberScene& scene, const MemberStep& done) {
+    std::map<std::int64_t, int> told, found;
+    for (const Leaving& one : done.leave)
+      if (std::ranges::find(done.inserted_ids, one.id) == done.inserted_ids.end()) told[one.id] = one.to;
+    for (const LeavingRow& one : done.leaving) found[ids_[one.row]] = one.to;
+    EXPECT_EQ(found, told);
+    EXPECT_EQ(found.size(), done.leaving.size());
+    EXPECT_TRUE(std::ranges::is_sorted(done.leaving, {}, &LeavingRow::row));
+    const auto cuts = scene.cuts();
+    ASSERT_TRUE(cuts.ok()) << cuts.status().message();
+    EXPECT_EQ(cuts->epoch(), done.report.epoch);
+    ASSERT_EQ(done.parts.size(), ids_.size());
+    for (const LeavingRow& one : done.leaving)
+      EXPECT_EQ(cuts::seat_of_part(done.parts[one.row], done.report.parts, members_), one.to);
   }
 
   Solver& solver_;

@@ -1,6 +1,7 @@
 // A scene as a service would keep it, simple enough to be believed: particles by id, a part for each from a formula,
-// its own copy of the plan, by the plain rules of tests/support/protocol.hpp. It checks every push against what the
-// test pushes and answers it, or does what it is told.
+// its own copy of the plan, by the plain rules of tests/support/protocol.hpp. Its cuts are always the same, x = 1, 2,
+// ...: where a test wants to know parts, the x of its positions is to lie between that of the part and the next. It
+// checks every push against what the test pushes and answers it, or does what it is told.
 #pragma once
 
 #include <algorithm>
@@ -9,6 +10,7 @@
 #include <numeric>
 
 #include "tests/client/lib/fake_service.hpp"
+#include "tests/client/lib/told_cuts.hpp"
 
 namespace rcb::client {
 
@@ -42,6 +44,8 @@ class FakeScene {
 
   std::vector<std::string> sessions;
   std::vector<std::int64_t> attempts;
+  std::vector<protocol::Json> cuts_known;  // as each push.begin says; null: it doesn't
+  std::function<void(ToldCuts&)> spoil_cuts = [](ToldCuts&) {};
   std::vector<std::string> commands;
   int slices_read = 0;
   int commits = 0;
@@ -86,6 +90,12 @@ class FakeScene {
         peer.reply(*frame, protocol::Json::object());
       } else if (command == "plan") {
         send_plan(peer, *frame);
+      } else if (command == "cuts") {
+        const ToldCuts cuts = cuts_now();
+        if (step)
+          peer.reply(*frame, cuts.json, cuts.arrays);
+        else
+          peer.fail(*frame, {Code::not_found, "no positions yet"});
       } else if (command == "push.begin") {
         if (!push(peer, *frame)) return;
       } else if (command != "push.slice") {
@@ -97,6 +107,12 @@ class FakeScene {
  private:
   using Slices = std::map<int, Received>;  // by rank
   static constexpr std::array<const char*, 3> kAxes{"x", "y", "z"};
+
+  ToldCuts cuts_now() const {
+    ToldCuts cuts(dims_, parts_, epoch);
+    spoil_cuts(cuts);
+    return cuts;
+  }
 
   protocol::Json description() const {
     protocol::Json json{{"scene", "s"},
@@ -134,6 +150,7 @@ class FakeScene {
   bool push(Peer& peer, const Received& begin) {
     const Fault now = fault(static_cast<int>(attempts.size()));
     attempts.push_back(begin.json["attempt"].get<std::int64_t>());
+    cuts_known.push_back(begin.json.value("cuts_known", protocol::Json()));
     const auto number = begin.json["step"].get<std::int64_t>();
     if (now == Fault::busy_early) {
       peer.fail(begin, {Code::busy, "held by another"});
@@ -272,10 +289,11 @@ class FakeScene {
     }
     protocol::Json plan = plan_->json();
     if (now == Fault::wrong_checksum) plan["checksum"] = "0123456789abcdef";
-    std::string bytes = protocol::frame(
-        protocol::FrameType::reply, begin.request, {{"report", report(number, ids.size())}, {"plan", plan}},
-        {protocol::array_of("changed_id", "<i8", ids), protocol::array_of("changed_part", "<i4", parts)},
-        number % 2 == 0);
+    protocol::Json answer{{"report", report(number, ids.size())}, {"plan", plan}};
+    std::vector<protocol::Array> arrays{protocol::array_of("changed_id", "<i8", ids),
+                                        protocol::array_of("changed_part", "<i4", parts)};
+    if (begin.json.contains("cuts_known")) cuts_now().add_unless_known(begin.json["cuts_known"], answer, arrays);
+    std::string bytes = protocol::frame(protocol::FrameType::reply, begin.request, answer, arrays, number % 2 == 0);
     if (now == Fault::close_in_answer) bytes.resize(bytes.size() / 2);
     peer.send(protocol::FrameType::notice, begin.request, {{"notice", "nearly done"}});
     peer.send_bytes(bytes);

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "common/comm/self_comm.hpp"
+#include "common/cuts/cuts.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/scenes.hpp"
 
@@ -106,6 +107,7 @@ TEST(CutTree, RegionsHoldTheirParticlesAndMeetTouchingBoxes) {
   for (int shape = 0; shape < testing::kShapes; ++shape)
     for (const int dims : {1, 2, 3}) {
       const CutTree tree = tree_of(static_cast<Shape>(shape), dims, 150, 11);
+      const Cuts cuts(tree, 1);
       const std::vector<Box> regions = tree.regions(0, tree.parts);
       const auto scene = make_scene(static_cast<Shape>(shape), Weights::none, dims, 150, false, kTreeSeed);
       Random random(kTreeSeed);
@@ -124,7 +126,7 @@ TEST(CutTree, RegionsHoldTheirParticlesAndMeetTouchingBoxes) {
             meets = meets && region.lo[a] <= box.hi[a] && box.lo[a] <= region.hi[a];
           if (meets) touching.push_back(p);
         }
-        EXPECT_EQ(tree.parts_touching(box), touching);
+        EXPECT_EQ(cuts.box(box).value(), touching);
       }
     }
 }
@@ -134,9 +136,8 @@ TEST(CutTree, EmptyRightSidesHaveEmptyRegions) {
   const std::vector<Box> regions = tree.regions(0, 4);
   EXPECT_FALSE(regions[0].empty(2));
   for (const std::size_t part : {1U, 2U, 3U}) EXPECT_TRUE(regions[part].empty(2));
-  EXPECT_EQ(tree.parts_touching(Box::unbounded()), (std::vector<int>{0}));
+  EXPECT_EQ(Cuts(tree, 1).box(Box::unbounded()).value(), (std::vector<int>{0}));
   EXPECT_EQ(tree.part_of({4, 4, 0}, 4), 0);
-  EXPECT_TRUE(tree.parts_touching(Box{}).empty());
 }
 
 TEST(CutTree, CountsFlippedAxes) {

@@ -11,6 +11,7 @@
 #include "client/lib/member.hpp"
 #include "tests/client/lib/fake_service.hpp"
 #include "tests/client/lib/three_particles.hpp"
+#include "tests/client/lib/told_cuts.hpp"
 
 namespace rcb::client {
 namespace {
@@ -21,21 +22,21 @@ using protocol::Json;
 // Nothing is handed over; the places told are these, of the ids.
 std::vector<protocol::Array> news(const std::vector<std::int64_t>& ids, const std::vector<std::int32_t>& ranks,
                                   const std::vector<std::uint64_t>& slots) {
-  return {array_of<std::int64_t>("leave_id", "<i8", {}),
-          array_of<std::int32_t>("leave_to", "<i4", {}),
-          array_of<std::int64_t>("enter_id", "<i8", {}),
-          array_of<std::int32_t>("enter_from", "<i4", {}),
-          array_of<std::int32_t>("enter_part", "<i4", {}),
-          array_of("place_id", "<i8", ids),
-          array_of("place_rank", "<i4", ranks),
-          array_of("place_slot", "<u8", slots)};
+  std::vector<protocol::Array> arrays = ToldCuts(2, 3, 4).arrays;
+  arrays.insert(arrays.end(),
+                {array_of<std::int64_t>("leave_id", "<i8", {}), array_of<std::int32_t>("leave_to", "<i4", {}),
+                 array_of<std::int64_t>("enter_id", "<i8", {}), array_of<std::int32_t>("enter_from", "<i4", {}),
+                 array_of<std::int32_t>("enter_part", "<i4", {}), array_of("place_id", "<i8", ids),
+                 array_of("place_rank", "<i4", ranks), array_of("place_slot", "<u8", slots)});
+  return arrays;
 }
 
 Json plan_of(int version) { return {{"version", version}, {"checksum", "00000000000000ab"}}; }
 
 Json answer_of(int step, Json more = Json::object()) {
   Json json{{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}, {"epoch", 4}}},
-            {"plan", plan_of(step + 1)}};
+            {"plan", plan_of(step + 1)},
+            {"cuts", ToldCuts(2, 3, 4).json}};
   json.update(more);
   return json;
 }
@@ -203,7 +204,7 @@ TEST(MemberSceneDirect, PushesByIdsWhereItsKnowledgeIsRefusedOrLacking) {
       begun.push_back(begin.json);
       // Somebody else didn't ask for places, so nobody is told any.
       auto arrays = news({}, {}, {});
-      arrays.resize(5);
+      arrays.resize(arrays.size() - 3);
       peer.reply(begin, answer_of(2), arrays);
       begin = TwoRanks::by_ids(peer);
       begun.push_back(begin.json);

@@ -9,6 +9,7 @@
 
 #include "tests/client/lib/fake_service.hpp"
 #include "tests/client/lib/three_particles.hpp"
+#include "tests/client/lib/told_cuts.hpp"
 
 namespace rcb::client {
 namespace {
@@ -23,13 +24,21 @@ Json seat_reply(int generation, int step) {
           {"membership", {{"member", 1}, {"members", 3}, {"generation", generation}, {"follow", true}}}};
 }
 
-Json report(int step) { return {{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}}}}; }
+// Of 6 parts: the three particles are in the parts 0, 1 and 2, and member 1 has 2 and 3.
+ToldCuts told_cuts() { return {2, 6, 0}; }
+
+Json report(int step) {
+  return {{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}}}, {"cuts", told_cuts().json}};
+}
 
 std::vector<protocol::Array> news(std::int32_t to = 2) {
-  return {array_of<std::int64_t>("changed_id", "<i8", {3}),  array_of<std::int32_t>("changed_part", "<i4", {4}),
-          array_of<std::int64_t>("leave_id", "<i8", {3, 7}), array_of<std::int32_t>("leave_to", "<i4", {0, to}),
-          array_of<std::int64_t>("enter_id", "<i8", {5}),    array_of<std::int32_t>("enter_from", "<i4", {2}),
-          array_of<std::int32_t>("enter_part", "<i4", {3})};
+  std::vector<protocol::Array> arrays = told_cuts().arrays;
+  arrays.insert(arrays.end(),
+                {array_of<std::int64_t>("changed_id", "<i8", {3}), array_of<std::int32_t>("changed_part", "<i4", {4}),
+                 array_of<std::int64_t>("leave_id", "<i8", {3, 7}), array_of<std::int32_t>("leave_to", "<i4", {0, to}),
+                 array_of<std::int64_t>("enter_id", "<i8", {5}), array_of<std::int32_t>("enter_from", "<i4", {2}),
+                 array_of<std::int32_t>("enter_part", "<i4", {3})});
+  return arrays;
 }
 
 // The scene's end, and the connection's.
@@ -351,8 +360,8 @@ TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
       const auto begin = peer.receive();
       peer.receive();
       if (k == 0) peer.fail(*begin, {Code::aborted, "member 2 has lost its connection", "push again"});
-      if (k == 1) peer.reply(*begin, report(0));           // without what moves
-      if (k == 2) peer.reply(*begin, report(0), news(3));  // to a fourth of three
+      if (k == 1) peer.reply(*begin, report(0), told_cuts().arrays);  // without what moves
+      if (k == 2) peer.reply(*begin, report(0), news(3));             // to a fourth of three
     }
     answer_close(peer);
   });

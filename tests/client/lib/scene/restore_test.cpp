@@ -20,13 +20,15 @@ constexpr int kParts = 5;
 constexpr int kDims = 2;
 constexpr std::size_t kParticles = 600;
 
-double value_of(std::int64_t id, std::size_t axis, std::int64_t step) {
-  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
-}
-
 std::int32_t part_of(std::int64_t id, std::int64_t step) {
   return static_cast<std::int32_t>((mix64(static_cast<std::uint64_t>(id)) + static_cast<std::uint64_t>(step) / 2) %
                                    kParts);
+}
+
+// x lies in the region of the particle's part.
+double value_of(std::int64_t id, std::size_t axis, std::int64_t step) {
+  if (axis == 0) return part_of(id, step) + (static_cast<double>(id) + 0.25) / 10000;
+  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
 }
 
 FakeScene scene_that(Fault fault, std::vector<int> at) {

@@ -14,15 +14,17 @@
 namespace rcb::client {
 namespace {
 
-double coordinate_of(std::int64_t id, std::size_t axis, std::int64_t step) {
-  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
-}
-
 // Parts that change for one particle in `rarity` each step.
 std::int32_t wandering(std::int64_t id, std::int64_t step, std::uint64_t rarity, std::int32_t parts) {
   const std::uint64_t mixed = mix64(static_cast<std::uint64_t>(id));
   const std::uint64_t moves = (mixed + static_cast<std::uint64_t>(step)) / rarity;
   return static_cast<std::int32_t>((mixed / 7 + moves) % static_cast<std::uint64_t>(parts));
+}
+
+// x lies in the region of the particle's part, and all others differ by particle, axis and step.
+double coordinate_of(std::int64_t id, std::size_t axis, std::int64_t step, std::int32_t part) {
+  if (axis == 0) return part + (static_cast<double>(id % 1000003) + 0.25) / 1000004;
+  return static_cast<double>(id) + 0.25 * static_cast<double>(axis) + 1000.5 * static_cast<double>(step);
 }
 
 // The caller's arrays for a step, as rows (n, dims) or one array an axis.
@@ -32,6 +34,8 @@ struct StepCaller {
   std::vector<std::int64_t> ids;  // empty: rows
   std::vector<double> values;
   std::vector<const double*> axes;
+  std::uint64_t rarity = 20;
+  std::int32_t parts = 5;
 
   Positions at(std::int64_t step, bool rows) {
     const auto d = static_cast<std::size_t>(dims);
@@ -39,9 +43,10 @@ struct StepCaller {
     axes.clear();
     for (std::size_t a = 0; a < d; ++a) {
       axes.push_back(values.data() + a * n);
-      for (std::size_t i = 0; i < n; ++i)
-        values[rows ? i * d + a : a * n + i] =
-            coordinate_of(ids.empty() ? static_cast<std::int64_t>(i) : ids[i], a, step);
+      for (std::size_t i = 0; i < n; ++i) {
+        const std::int64_t id = ids.empty() ? static_cast<std::int64_t>(i) : ids[i];
+        values[rows ? i * d + a : a * n + i] = coordinate_of(id, a, step, wandering(id, step, rarity, parts));
+      }
     }
     return rows ? Positions::rows(values.data(), n, dims) : Positions::axes(axes, n);
   }
@@ -75,7 +80,9 @@ struct Session {
 
 FakeScene scene_of(int dims, int parts, int ranks, std::uint64_t rarity) {
   FakeScene fake(dims, parts, ranks);
-  fake.position = coordinate_of;
+  fake.position = [=](std::int64_t id, std::size_t axis, std::int64_t step) {
+    return coordinate_of(id, axis, step, wandering(id, step, rarity, parts));
+  };
   fake.part_of = [=](std::int64_t id, std::int64_t step) { return wandering(id, step, rarity, parts); };
   return fake;
 }
@@ -116,7 +123,7 @@ TEST(Step, SlicesFollowThePlan) {
     for (const std::uint64_t rarity : {std::uint64_t{2}, std::uint64_t{100}}) {
       const int dims = 1 + static_cast<int>(random.below(3));
       const std::int32_t parts = 5;
-      StepCaller caller{random.below(3000), dims, {}, {}, {}};
+      StepCaller caller{random.below(3000), dims, {}, {}, {}, rarity, parts};
       if (random.below(2) == 0) {
         for (std::size_t i = 0; i < caller.n; ++i)
           caller.ids.push_back(static_cast<std::int64_t>(7 * i + random.below(7)));
@@ -140,7 +147,7 @@ TEST(Step, SlicesFollowThePlan) {
 TEST(Step, ReportIsRead) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   Session session(fake);
-  StepCaller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}, 10, 4};
   const auto result = session.scene->step(caller.at(0, true));
   ASSERT_TRUE(result.ok()) << result.status().message();
   const StepReport& report = result->report;
@@ -167,7 +174,7 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
   for (const bool rows : {true, false}) {
     FakeScene fake = scene_of(3, 4, 3, 50);
     Session session(fake);
-    StepCaller caller{150000, 3, {}, {}, {}};
+    StepCaller caller{150000, 3, {}, {}, {}, 50, 4};
     for (std::int64_t step = 0; step < 3; ++step) {
       const auto result = session.scene->step(caller.at(step, rows), wanting());
       ASSERT_TRUE(result.ok()) << result.status().message();
@@ -180,7 +187,7 @@ TEST(Step, LargeSlicesGoThroughManyWrites) {
 TEST(Step, NothingChangedNothingFetched) {
   FakeScene fake = scene_of(3, 4, 3, 1U << 30U);
   Session session(fake);
-  StepCaller caller{500, 3, {}, {}, {}};
+  StepCaller caller{500, 3, {}, {}, {}, 1U << 30U, 4};
   for (std::int64_t step = 0; step < 3; ++step) {
     const auto result = session.scene->step(caller.at(step, true), wanting());
     ASSERT_TRUE(result.ok()) << result.status().message();
@@ -218,7 +225,7 @@ TEST(Step, ChangesOfStepsThatDidNotAskAreTold) {
   for (const bool first_asked : {true, false}) {
     FakeScene fake = scene_of(3, 5, 3, 5);
     Session session(fake);
-    StepCaller caller{1000, 3, {}, {}, {}};
+    StepCaller caller{1000, 3, {}, {}, {}, 5, 5};
     ASSERT_TRUE(session.scene->step(caller.at(0, true), first_asked ? wanting() : StepOptions()).ok());
     for (std::int64_t step = 1; step < 4; ++step) ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
     const auto result = session.scene->step(caller.at(4, true), wanting());
@@ -310,15 +317,16 @@ TEST(Step, WhatFollowsAStepThatWasLateIsNotTakenForIt) {
     }
 }
 
-// A committed step whose parts could not be fetched has no answer yet: the same once more is answered as that step.
-TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
+// A committed step whose parts could not be told has no answer yet: the same once more is answered as that step.
+TEST(Step, WhoCannotAskForTheCutsOfAStepHasNoAnswer) {
   FakeScene fake = scene_of(2, 5, 3, 20);
   fake.fault = [&fake](int push) {
-    if (push == 1) fake.epoch += 3;  // by others, so that the answer doesn't lead to the parts
-    return FakeScene::Fault::none;
+    if (push != 1) return FakeScene::Fault::none;
+    fake.epoch += 3;  // by others: a repeated answer doesn't bring their cuts
+    return FakeScene::Fault::close_after_commit;
   };
   std::atomic<bool> closing{true};  // the service has a thread of its own
-  fake.close_at = [&closing](const std::string& command, int) { return command == "plan" && closing; };
+  fake.close_at = [&closing](const std::string& command, int) { return command == "cuts" && closing; };
   Session session(fake);
   StepCaller caller{500, 2, {}, {}, {}};
   ASSERT_TRUE(session.scene->step(caller.at(0, true), wanting()).ok());
@@ -331,8 +339,60 @@ TEST(Step, WhoCannotFetchThePartsOfAStepHasNoAnswer) {
   EXPECT_EQ(result->report.step, 1);
   for (std::size_t row = 0; row < caller.n; ++row)
     ASSERT_EQ(result->parts[row], wandering(static_cast<std::int64_t>(row), 1, 20, 5));
+  EXPECT_EQ(session.scene->cuts()->epoch(), 4U);
   session.end();
   EXPECT_EQ(fake.commits, 2);
+}
+
+// Nobody pays for cuts that nobody uses. Who does asks for them once; what is new comes with the answers.
+TEST(Step, CutsAreAskedForOnceAndOnlyByWhoUsesThem) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.fault = [&fake](int push) {
+    if (push == 4) ++fake.epoch;
+    return FakeScene::Fault::none;
+  };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  ASSERT_TRUE(session.scene->step(caller.at(1, true)).ok());
+  for (std::int64_t step = 2; step < 6; ++step) {
+    const auto cuts = session.scene->cuts();
+    ASSERT_TRUE(cuts.ok()) << cuts.status().message();
+    EXPECT_EQ(cuts->epoch(), step < 5 ? 1U : 2U);
+    EXPECT_EQ(cuts->parts(), 5);
+    ASSERT_TRUE(session.scene->step(caller.at(step, true)).ok());
+  }
+  std::vector<std::int32_t> parts(caller.n);
+  ASSERT_TRUE(session.scene->cuts()->owner(caller.at(5, true), {}, parts).ok());
+  for (std::size_t row = 0; row < caller.n; ++row)
+    ASSERT_EQ(parts[row], wandering(static_cast<std::int64_t>(row), 5, 20, 5));
+  session.end();
+  EXPECT_EQ(std::count(fake.commands.begin(), fake.commands.end(), "cuts"), 1);
+  const protocol::Json none, first{{"epoch", 1}, {"hash", ToldCuts(2, 5, 1).json["hash"]}};
+  protocol::Json last = first;
+  last["epoch"] = 2;
+  EXPECT_EQ(fake.cuts_known, (std::vector<protocol::Json>{none, none, first, first, first, last}));
+}
+
+// Cuts that aren't those of their hash must not be used.
+TEST(Step, CutsThatAreDamagedAreRefused) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  fake.spoil_cuts = [](ToldCuts& cuts) { cuts.json["hash"] = "0123456789abcdef"; };
+  Session session(fake);
+  StepCaller caller{500, 2, {}, {}, {}};
+  const Status status = session.scene->step(caller.at(0, true), wanting()).status();
+  EXPECT_EQ(status.code(), Code::protocol_error);
+  EXPECT_NE(status.message().find("is committed, but its parts are not known"), std::string::npos) << status.message();
+  EXPECT_EQ(session.scene->cuts().status().code(), Code::protocol_error);
+}
+
+TEST(Step, ASceneWithoutPositionsHasNoCuts) {
+  FakeScene fake = scene_of(2, 5, 3, 20);
+  Session session(fake);
+  EXPECT_EQ(session.scene->cuts().status().code(), Code::not_found);
+  StepCaller caller{500, 2, {}, {}, {}};
+  ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
+  EXPECT_TRUE(session.scene->cuts().ok());
 }
 
 // Then it was not committed, so nothing waits for its answer; and the next one is a number further.
@@ -575,7 +635,7 @@ TEST(Step, ASceneThatWasDroppedMeanwhileIsAClearError) {
     return FakeScene::Fault::close_before_commit;
   };
   Session session(fake);
-  StepCaller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}, 10, 4};
   ASSERT_TRUE(session.scene->step(caller.at(0, true)).ok());
   for (int again = 0; again < 2; ++again) {
     const Status status = session.scene->step(caller.at(1, true)).status();
@@ -694,7 +754,7 @@ TEST(Step, EarlyRefusalOfALargePush) {
   FakeScene fake = scene_of(3, 7, 7, 20);
   fake.fault = [](int push) { return push == 0 ? FakeScene::Fault::busy_early : FakeScene::Fault::none; };
   Session session(fake);
-  StepCaller caller{500000, 3, {}, {}, {}};
+  StepCaller caller{500000, 3, {}, {}, {}, 20, 7};
   const Status status = session.scene->step(caller.at(0, true)).status();
   EXPECT_EQ(status.code(), Code::busy);
   EXPECT_EQ(status.message(), "held by another");
@@ -753,7 +813,7 @@ TEST(Step, AServiceThatStopsReadingMeetsTheDeadline) {
 TEST(Step, WhatCannotFitIsRefusedBeforeItIsSent) {
   FakeScene fake = scene_of(3, 4, 2, 10);
   Session session(fake);
-  StepCaller caller{100, 3, {}, {}, {}};
+  StepCaller caller{100, 3, {}, {}, {}, 10, 4};
   const auto refused = [&](const Positions& positions, const StepOptions& options, const std::string& words) {
     const Status status = session.scene->step(positions, options).status();
     EXPECT_EQ(status.code(), Code::invalid_argument);

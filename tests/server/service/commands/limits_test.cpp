@@ -39,7 +39,7 @@ TEST(Answers, OfManyPartsHaveTheirListsBesideTheJson) {
     std::map<std::string, Response> answers;
     for (const api::CommandInfo& command : api::commands()) {
       if (command.effect != api::Effect::reads || command.runs_on == api::RunsOn::session) continue;
-      Json arguments{{"position", {0.5, 0.5}}, {"lo", {-9, -9}}, {"hi", {9, 9}}};
+      Json arguments{{"position", {0.5, 0.5}}, {"lo", {-9, -9}}, {"hi", {9, 9}}, {"width", 1e-3}};
       if (command.name == "write_parts" || command.name == "scene.open") continue;
       answers[std::string(command.name)] = driver.ask(std::string(command.name), arguments);
     }
@@ -129,8 +129,8 @@ TEST(LongCommands, EndAtTheirDeadlineOrWithTheirClientAndChangeNothing) {
     const OrderTerms left{0, 1000, comm.rank() == 0 ? gone : nullptr};
     for (const Json& request :
          {Json{{"command", "compare"}}, Json{{"command", "quality"}}, Json{{"command", "fetch"}},
-          Json{{"command", "assign"}}, Json{{"command", "plan"}}, Json{{"command", "rebalance"}, {"parts", 4}},
-          Json{{"command", "rebalance"}, {"dry_run", true}},
+          Json{{"command", "assign"}}, Json{{"command", "plan"}}, Json{{"command", "halo"}, {"width", 1}},
+          Json{{"command", "rebalance"}, {"parts", 4}}, Json{{"command", "rebalance"}, {"dry_run", true}},
           Json{{"command", "write_parts"}, {"directory", folder}, {"prefix", "p"}}}) {
       SCOPED_TRACE(request.dump());
       Json order = request;

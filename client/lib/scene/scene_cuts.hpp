@@ -1,0 +1,31 @@
+// What a Scene or MemberScene knows of its scene's cuts: told with the answer to a push that says which ones it knows,
+// or asked for.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+
+#include "client/lib/session/session.hpp"
+#include "common/cuts/cuts.hpp"
+
+namespace rcb::client {
+
+struct SceneCuts {
+  std::optional<cuts::Cuts> known;  // after the last step whose answer told them
+  bool wanted = false;              // by the caller: every push asks for new ones
+
+  // The field "cuts_known" of a push.
+  wire::Json known_json() const;
+  // The cuts after a step. answer, json: to its push. A repeated answer may come without them; then they are asked for,
+  // and are newer if another client has repartitioned since.
+  Result<cuts::Cuts> after_step(const Frame& answer, const wire::Json& json, Session& session, const std::string& scene,
+                                const Retry& retry) const;
+  // Those known, or those in force if the ones after the step that began `epoch` aren't known. hold: opens the scene.
+  // Errors: also not_found (the scene has no positions yet).
+  Result<cuts::Cuts> current(std::uint64_t epoch, Session& session, const std::string& scene, double deadline_seconds,
+                             const std::function<Status(const Retry&)>& hold);
+};
+
+}  // namespace rcb::client
