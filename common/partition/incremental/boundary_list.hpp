@@ -10,10 +10,6 @@ namespace rcb::partition {
 
 using particles::Axes;
 
-// Particles that a pass prefetches ahead: the work on those of a block that need it, whose branches depend on data,
-// would otherwise wait for memory.
-inline constexpr std::size_t kParticlesAhead = 16 * particles::kBlock;
-
 class BoundaryList {
  public:
   // part: of each particle; from append() to finish() neither the positions nor the parts of those appended may change.

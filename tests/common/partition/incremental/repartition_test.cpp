@@ -160,12 +160,8 @@ TEST_P(RepartitionAfter, GivesTheCutsOfASearchAmongAll) {
         trial.options.limits.boundary_divisor = seed % 4 == 0 ? 5 : 1;
         if (seed % 3 == 0) trial.options.limits.chunk_max = 1 + seed % 50;
         // Full searches begin with buckets.
-        if (seed % 2 == 0) {
-          trial.options.limits.guess.count_min = 0;
-          trial.options.limits.guess.bucketed_min = 0;
-          trial.options.limits.guess.stride = 1 + seed % 5;
-          trial.options.limits.guess.sample_min = 1;
-        }
+        if (seed % 2 == 0)
+          trial.options.limits.buckets = {.count_min = 0, .per_part_min = 0, .stride = 1 + seed % 5, .sample_min = 1};
         incremental += check(trial);
         if (HasFailure()) return;
       }
