@@ -97,8 +97,7 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
   if (options.method == Method::file_order) return file_order(comm, particles, options, go_on);
   std::uint64_t reductions = 0;
-  std::optional<LargeSetSample> large;
-  if (may_sample(options)) large = sample_large_set(comm, particles, options, reductions);
+  const std::optional<LargeSetSample> large = sample_large_set(comm, particles, options, reductions);
   Start start;
   if (large) start = {.sample = SortedSample(large->sample), .stride = large->stride};
   auto result = build({comm, particles, options, std::move(start)}, go_on);

@@ -12,8 +12,7 @@ using particles::Axes;
 
 class BoundaryList {
  public:
-  // part: of each particle; from append() to finish() neither the positions nor the parts of those appended may change.
-  // room: about how many are expected.
+  // part: of each particle; room: about how many are expected.
   BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, std::size_t room, OwnInterior& out);
 
   std::size_t size() const { return size_; }

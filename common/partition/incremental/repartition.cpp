@@ -101,7 +101,7 @@ class Repartitioning {
     for (std::size_t k = 0; k < result_.delta.slot.size() && !whole; ++k)
       part[result_.delta.slot[k]] = result_.delta.part[k];
     std::optional<LargeSetSample> large;
-    if (whole && may_sample(options_) && !scale_ && is_large(n_, comm_.size(), options_.limits.buckets))
+    if (whole && !scale_ && is_large(n_, comm_.size(), options_.limits.buckets))
       large = sample_large_set(comm_, particles_, options_, result_.reductions);
     PartitionResult found;
     if (!whole) {

@@ -18,7 +18,6 @@ using cuts::CutTree;
 using cuts::Id;
 using cuts::Key;
 using cuts::key_between;
-using cuts::key_of;
 using cuts::Method;
 using cuts::NodeRange;
 using cuts::Point;

@@ -11,7 +11,7 @@
 #endif
 
 #include "common/base/cpu.hpp"
-#include "common/geometry/axes.hpp"
+#include "common/geometry/box.hpp"
 
 namespace rcb::partition {
 

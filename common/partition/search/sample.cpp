@@ -77,18 +77,16 @@ Sample gather_sample(comm::Comm& comm, const particles::ParticleView& particles,
                    [&](auto mine, auto& all, auto& sizes) { comm.gather(mine, 0, all, sizes); });
 }
 
-bool may_sample(const PartitionOptions& options) {
-  return options.parts >= options.limits.buckets.parts_min && options.cut_tolerance == 0;
-}
-
 bool is_large(std::uint64_t count, int ranks, const BucketLimits& limits) {
   return count / static_cast<std::uint64_t>(ranks) >= limits.count_min;
 }
 
-// Buckets need weights on no rank, and on every rank the vector instructions that sort particles into them.
+// Within a cut tolerance the cuts depend on where a search begins. Buckets need weights on no rank, and on every rank
+// the vector instructions that sort particles into them.
 std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles::ParticleView& particles,
                                                const PartitionOptions& options, std::uint64_t& reductions) {
   const BucketLimits& limits = options.limits.buckets;
+  if (options.parts < limits.parts_min || options.cut_tolerance > 0) return std::nullopt;
   std::vector<std::uint64_t> sums{particles.count, particles.weight != nullptr || !has_avx2() ? 1U : 0U};
   comm.all_sum(sums);
   ++reductions;

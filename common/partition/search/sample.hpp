@@ -44,15 +44,11 @@ struct LargeSetSample {
   std::uint64_t stride = 1;  // one of so many was sampled
 };
 
-// False if these options rule a sample out: with few parts it saves nothing, and within a cut tolerance the cuts depend
-// on where a search begins. Local.
-bool may_sample(const PartitionOptions& options);
-
 // False if a set of so many particles is too small for a sample to save time. Local.
 bool is_large(std::uint64_t count, int ranks, const BucketLimits& limits);
 
-// nullopt if a sample would save no time: the set is small, or no search could begin with buckets. Adds its collectives
-// (one sum, and one gather) to `reductions`. Collective.
+// nullopt if a sample would save no time, as with few particles or parts, or where no search could begin with buckets.
+// Adds its collectives (one sum, and one gather) to `reductions`. Collective.
 std::optional<LargeSetSample> sample_large_set(comm::Comm& comm, const particles::ParticleView& particles,
                                                const PartitionOptions& options, std::uint64_t& reductions);
 
