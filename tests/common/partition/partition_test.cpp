@@ -10,8 +10,6 @@
 #include <gtest/gtest.h>
 
 #include "common/base/cpu.hpp"
-#include "common/comm/self_comm.hpp"
-#include "common/partition/search/sample.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/forwarding_comm.hpp"
 #include "tests/support/judge.hpp"

@@ -18,11 +18,11 @@
 #include <gtest/gtest.h>
 #include <rapidcheck.h>
 
-#include "common/comm/self_comm.hpp"
 #include "common/partition/balance/load.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/judge.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 #include "tests/support/thread_comm.hpp"
 
 namespace rcb::partition {
@@ -286,7 +286,7 @@ std::string wrong_with(const RandomScene& from) {
     if (!here.empty()) wrong += fmt::format("rank {}: {}\n", comm.rank(), here);
   };
   if (from.ranks == 1) {
-    comm::SelfComm self;
+    testing::SelfComm self;
     body(self);
   } else {
     testing::ThreadWorld world(from.ranks);

@@ -10,12 +10,12 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include "common/comm/self_comm.hpp"
 #include "common/partition/incremental/recut.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/ranges_of.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -40,7 +40,7 @@ struct Case {
 CutTree drift(Case& trial) {
   std::vector<std::size_t> rows(trial.scene.count());
   std::iota(rows.begin(), rows.end(), std::size_t{0});
-  comm::SelfComm self;
+  testing::SelfComm self;
   const Share all = testing::take(trial.scene, rows);
   PartitionOptions first = trial.options;
   first.previous = nullptr;

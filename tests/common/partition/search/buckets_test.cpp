@@ -8,9 +8,9 @@
 #include <gtest/gtest.h>
 
 #include "common/base/index.hpp"
-#include "common/comm/self_comm.hpp"
 #include "common/partition/search/quantised_points.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -31,7 +31,7 @@ Set any_set(Random& random) {
   std::vector<std::size_t> rows(scene.count());
   std::iota(rows.begin(), rows.end(), std::size_t{0});
   Set set{testing::take(scene, rows), {}, fmt::format("{}, {} dimensions, {} particles", scene.name, dims, count)};
-  comm::SelfComm self;
+  testing::SelfComm self;
   set.sample = share_sample(self, set.all.particles.view(), pick(scene.count(), 1 + random.below(8)));
   return set;
 }

@@ -6,9 +6,9 @@
 #include "common/base/cpu.hpp"
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
-#include "common/comm/self_comm.hpp"
 #include "common/partition/partition.hpp"
 #include "common/partition/search/sample.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -30,7 +30,7 @@ constexpr std::uint64_t kStride = 16;
 
 // With the outermost particles, if they are gathered; tells whether they are.
 bool gathered(const particles::ParticleSet& set, const PartitionOptions& options, std::uint64_t stride = kStride) {
-  comm::SelfComm self;
+  testing::SelfComm self;
   const particles::ParticleView particles = set.view();
   const Sample sample = share_sample(self, particles, pick(particles.count, kStride));
   SortedSample sorted(sample);
@@ -96,7 +96,7 @@ TEST(Outermost, AreLeftWhereTheyDecideNothingOrWouldBeMany) {
 // One pass for the bounds of all particles and their buckets, one that quantises them; in a cube one more before.
 TEST(Outermost, AreGatheredBeforeParticlesAreSortedIntoBuckets) {
   if (!has_avx2()) GTEST_SKIP() << "no buckets without AVX2";
-  comm::SelfComm self;
+  testing::SelfComm self;
   PartitionOptions options;
   options.parts = 16;
   options.limits.buckets.count_min = options.limits.buckets.per_part_min = 1;
