@@ -1,9 +1,8 @@
 // Room `comm`: communication between ranks, and the collectives built on it (gathers, sums of 128 bits). It knows
 // nothing of particles. Every function here is Collective, and the order of its messages is part of its contract.
 //
-// Comm: the interface to the other ranks. All code above it runs unchanged on threads (tests), in one process
-// (SelfComm) and on MPI (server/ranks). Counts and sizes are 64-bit; an implementation splits what its transport can't
-// carry in one message.
+// Comm: the interface to the other ranks. All code above it runs unchanged on threads (tests) and on MPI
+// (server/ranks). Counts and sizes are 64-bit; an implementation splits what its transport can't carry in one message.
 //
 // Every method is Collective: all ranks call it, in the same order, with matching arguments. A transport that fails
 // ends the job, since the ranks could no longer agree on anything; so nothing here returns a status.

@@ -41,12 +41,8 @@ struct FurtherColumns {
 // it.
 Result<FurtherColumns> read_further_columns(const std::string& path, const ReadOptions& options);
 
-// Writes the columns x, y, z, id, weight (id and weight only if given), with as few digits as read back to the same
-// number.
-Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
-                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight);
-
-// The same, piece by piece.
+// Writes, piece by piece, the columns x, y, z, id, weight (id and weight only if given), with as few digits as read
+// back to the same number.
 class CsvWriter {
  public:
   // further: the names of further columns, as in FurtherColumns.

@@ -91,18 +91,6 @@ class NpyTrajectoryWriter final : public TrajectoryWriter {
 
 }  // namespace
 
-Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
-                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight) {
-  auto file = OutputFile::create(path);
-  if (!file.ok()) return file.status();
-  CsvWriter writer(std::move(*file), dims, id.has_value(), weight.has_value());
-  if (Status status = writer.append(position, count, id.value_or(std::span<const std::int64_t>()),
-                                    weight.value_or(std::span<const double>()));
-      !status.ok())
-    return status;
-  return writer.commit();
-}
-
 CsvWriter::CsvWriter(OutputFile file, int dims, bool ids, bool weights, const std::string& further)
     : file_(std::move(file)), dims_(dims), ids_(ids), weights_(weights) {
   RCB_CHECK(dims >= 1 && dims <= 3, "dimensions");

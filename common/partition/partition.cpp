@@ -1,12 +1,11 @@
 // The entry points: they check the options. The search level by level is in search/build_tree.cpp; large sets begin
-// with a sample, in few parts with a tree guessed from it (incremental/guess.cpp).
+// with a sample.
 #include "common/partition/partition.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 #include "common/partition/balance/bounding_box.hpp"
-#include "common/partition/incremental/partition_from_guess.hpp"
 #include "common/partition/search/build_tree.hpp"
 
 namespace rcb::partition {
@@ -97,20 +96,12 @@ Result<PartitionResult> partition(comm::Comm& comm, const particles::ParticleVie
   if (Status status = check(options, particles.dims); !status.ok()) return status;
   if (options.method == Method::equal_boxes) return equal_boxes(comm, particles, options);
   if (options.method == Method::file_order) return file_order(comm, particles, options, go_on);
-  PartitionResult in_vain;
-  std::optional<LargeSetSample> large;
-  const bool guess = may_guess(options);
-  if (may_sample(options)) large = sample_large_set(comm, particles, options, guess, in_vain.reductions);
-  SortedSample sample;
-  if (large) sample = SortedSample(large->sample);
-  if (large && guess)
-    if (auto found = partition_from_guess(comm, particles, options, *large, sample, in_vain)) return *std::move(found);
+  std::uint64_t reductions = 0;
+  const std::optional<LargeSetSample> large = sample_large_set(comm, particles, options, reductions);
   Start start;
-  if (large && large->buckets) start = {.sample = std::move(sample), .stride = large->stride};
+  if (large) start = {.sample = SortedSample(large->sample), .stride = large->stride};
   auto result = build({comm, particles, options, std::move(start)}, go_on);
-  if (!result.ok()) return result;
-  result->reductions += in_vain.reductions;
-  result->traffic += in_vain.traffic;
+  if (result.ok()) result->reductions += reductions;
   return result;
 }
 

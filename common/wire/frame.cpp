@@ -110,8 +110,6 @@ struct BulkChecksum::State {
 };
 
 BulkChecksum::BulkChecksum() : state_(std::make_unique<State>()) { XXH3_64bits_reset(&state_->hash); }
-BulkChecksum::BulkChecksum(BulkChecksum&&) noexcept = default;
-BulkChecksum& BulkChecksum::operator=(BulkChecksum&&) noexcept = default;
 BulkChecksum::~BulkChecksum() = default;
 
 void BulkChecksum::add(std::span<const std::byte> bytes) {

@@ -60,8 +60,6 @@ Status check_lengths(const FrameHeader& header, std::uint64_t json_bytes_max, st
 class BulkChecksum {
  public:
   BulkChecksum();
-  BulkChecksum(BulkChecksum&&) noexcept;
-  BulkChecksum& operator=(BulkChecksum&&) noexcept;
   ~BulkChecksum();
   void add(std::span<const std::byte> bytes);
   std::uint64_t value() const;

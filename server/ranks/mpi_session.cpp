@@ -19,7 +19,6 @@ struct MpiSession::State {
 
 MpiSession::MpiSession(std::unique_ptr<State> state) : state_(std::move(state)) {}
 MpiSession::MpiSession(MpiSession&&) noexcept = default;
-MpiSession& MpiSession::operator=(MpiSession&&) noexcept = default;
 
 MpiSession::~MpiSession() {
   constexpr unsigned kSeconds = 30;

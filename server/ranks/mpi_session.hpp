@@ -18,7 +18,6 @@ class MpiSession {
   // Collective. Errors: unsupported (MPI without thread support).
   static Result<MpiSession> start(int* argc, char*** argv);
   MpiSession(MpiSession&&) noexcept;
-  MpiSession& operator=(MpiSession&&) noexcept;
   ~MpiSession();  // Collective: MPI_Finalize, unless finish() was called
 
   // Collective. All pages of the memory that ranks share, which MPI takes one by one as they are touched. Errors, the

@@ -9,7 +9,7 @@
 #include "common/base/clock.hpp"
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
-#include "common/comm/self_comm.hpp"
+#include "tests/support/self_comm.hpp"
 #include "common/cuts/cuts.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/bench/measure.hpp"

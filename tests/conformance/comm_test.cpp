@@ -11,15 +11,15 @@
 #include <gtest/gtest.h>
 
 #include "common/base/random.hpp"
-#include "common/comm/self_comm.hpp"
 #include "common/comm/tree.hpp"
 #include "tests/support/on_ranks.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
 
 void on_every_comm(const std::function<void(comm::Comm&)>& body) {
-  comm::SelfComm self;
+  testing::SelfComm self;
   body(self);
   testing::on_every_comm(body);
 }

@@ -10,14 +10,9 @@ namespace rcb::partition {
 
 using particles::Axes;
 
-// Particles that a pass prefetches ahead: the work on those of a block that need it, whose branches depend on data,
-// would otherwise wait for memory.
-inline constexpr std::size_t kParticlesAhead = 16 * particles::kBlock;
-
 class BoundaryList {
  public:
-  // part: of each particle; from append() to finish() neither the positions nor the parts of those appended may change.
-  // room: about how many are expected.
+  // part: of each particle; room: about how many are expected.
   BoundaryList(const particles::ParticleView& particles, const std::int32_t* part, std::size_t room, OwnInterior& out);
 
   std::size_t size() const { return size_; }

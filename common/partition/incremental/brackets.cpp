@@ -42,7 +42,7 @@ class BracketGuess {
   // Guesses those of the whole tree.
   Splitters upper_cuts() {
     Splitters upper;
-    for (std::size_t a = 0; a < at(tree_.dims); ++a) upper.rounded.fit(a, sample_.particles.position[a].span());
+    for (std::size_t a = 0; a < at(tree_.dims); ++a) upper.rounded.fit(a, sample_.position[a].span());
     visit_upper(tree_.root(), 0, sampled_in(tree_.root()), prefix_.back(), upper);
     return upper;
   }
@@ -187,9 +187,8 @@ InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& part
   // With more ranks than cores, copies of the same work would take longer than the rest: so rank 0 alone guesses the
   // upper cuts, and tells the others.
   const bool upper_alone = whole && at(parts) <= Splitters::kNodes + 1;
-  const SampleFields fields{.parts = true};
-  const Sample sample = upper_alone ? gather_sample(comm, particles, slots, fields, current.part.data())
-                                    : share_sample(comm, particles, slots, fields, current.part.data());
+  const Sample sample = upper_alone ? gather_sample(comm, particles, slots, current.part)
+                                    : share_sample(comm, particles, slots, current.part);
   InnerRegions found;
   found.boxes.assign(at(current.own.last - current.own.first), geometry::Box::unbounded());
   BracketGuess walk(current, options, sample, found.boxes);

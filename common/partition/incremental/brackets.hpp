@@ -16,20 +16,8 @@
 #include "common/partition/balance/load.hpp"
 #include "common/partition/search/request.hpp"
 #include "common/partition/search/splitters.hpp"
-#include "common/cuts/cut_tree.hpp"
 
 namespace rcb::partition {
-
-using cuts::AxisOrder;
-using cuts::Id;
-using cuts::Key;
-using cuts::key_between;
-using cuts::key_of;
-using cuts::Point;
-using cuts::Cut;
-using cuts::CutTree;
-using cuts::Method;
-using cuts::NodeRange;
 
 // The parts [first, last) that this rank owns: its particles are of these parts, but for some that have just left them.
 // Where particles may lie on any rank: all parts, on every rank.

@@ -17,6 +17,9 @@ namespace {
 
 using particles::kBlock;
 constexpr std::size_t kLanes = 4;
+// Particles that are prefetched ahead: the work on those of a block that need it, whose branches depend on data, would
+// otherwise wait for memory.
+constexpr std::size_t kParticlesAhead = 16 * kBlock;
 
 // One cache line. Lanes beyond the last axis are unbounded.
 struct alignas(64) Bounds {

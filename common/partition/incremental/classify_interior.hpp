@@ -16,12 +16,11 @@
 namespace rcb::partition {
 
 struct OwnInterior {
-  bool too_many = false;              // the pass stopped at boundary_max: the rest is meaningless
-  particles::ParticleSet boundary;    // the boundary particles, copied, but without ids: few searches need these
-  Buffer<std::uint64_t> slot;         // their slots, ascending
-  Buffer<std::int32_t> part;          // and their current parts
-  std::vector<geometry::Box> boxes;   // [own parts]: the exact boxes of the interior particles; empty: none
-  std::vector<std::uint64_t> counts;  // [parts], this rank's particles; set by classify_guessed() alone
+  bool too_many = false;             // the pass stopped at boundary_max: the rest is meaningless
+  particles::ParticleSet boundary;   // the boundary particles, copied, but without ids: few searches need these
+  Buffer<std::uint64_t> slot;        // their slots, ascending
+  Buffer<std::int32_t> part;         // and their current parts
+  std::vector<geometry::Box> boxes;  // [own parts]: the exact boxes of the interior particles; empty: none
 
   // The boundary particles, copied from these.
   particles::ParticleView view(const particles::ParticleView& of) const;

@@ -3,12 +3,11 @@
 
 #include <vector>
 
-#include "common/partition/balance/load.hpp"
 #include "common/cuts/cut_tree.hpp"
+#include "common/partition/balance/load.hpp"
 
 namespace rcb::partition {
 
-using cuts::Cut;
 using cuts::CutTree;
 using cuts::Method;
 using cuts::NodeRange;

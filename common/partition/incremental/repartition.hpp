@@ -1,5 +1,5 @@
-// Room `incremental`: cuts from a guess: the cuts in force (repartition()) or those of a sample
-// (partition_from_guess()). Brackets divide interior from boundary particles. It may guess; the search verifies.
+// Room `incremental`: new cuts from the cuts in force. Brackets divide interior from boundary particles. It may guess;
+// the search verifies.
 //
 // Repartition: new cuts for particles that have cuts already. The answer is the one that partition() gives, bit for
 // bit, but the work is in proportion to what changes: the current loads tell exactly how far each cut is off, so only

@@ -14,6 +14,7 @@
 namespace rcb::partition {
 namespace {
 
+using cuts::NodeRange;
 using geometry::Box;
 using geometry::Point;
 

@@ -9,15 +9,14 @@
 #include <vector>
 
 #include "common/comm/comm.hpp"
+#include "common/cuts/cut_tree.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/quality/ghosts.hpp"
-#include "common/cuts/cut_tree.hpp"
 
 namespace rcb::partition {
 
 using cuts::Cut;
 using cuts::CutTree;
-using cuts::Method;
 using cuts::NodeRange;
 
 struct Quality : GhostCounts {

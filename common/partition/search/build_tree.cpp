@@ -13,13 +13,6 @@ namespace {
 
 constexpr std::uint64_t kNoOrderBits = ~std::uint64_t{0};
 
-KeyWords words_of(const Key& key, std::size_t axes) {
-  KeyWords words{};
-  for (std::size_t w = 0; w < axes; ++w) words[w] = geometry::order_bits(key.at[w]);
-  words[axes] = static_cast<std::uint64_t>(key.id);
-  return words;
-}
-
 }  // namespace
 
 CutTree uncut_tree(const PartitionOptions& options, int dims) {
@@ -232,7 +225,7 @@ void TreeBuilder::add_interior(const NodeRange& range, CutRequest& wanted) const
   wanted.below = interior_count(range.left());
   const std::uint64_t beyond = interior_count(range.right());
   // If the cut axis flipped, hardly any interior particle stays: not worth a search.
-  if (ends(range) || (wanted.axes[0] != axis_of_bracket(range) && wanted.below + beyond > 0)) {
+  if (wanted.axes[0] != result_.tree.cuts[at(range.node)].axes[0] && wanted.below + beyond > 0) {
     wanted.unanswerable = true;
     return;
   }
@@ -258,12 +251,6 @@ bool TreeBuilder::cut_still_valid(const NodeRange& range, const CutRequest& want
   const geometry::Box left = interior_box(range.left());
   const geometry::Box right = interior_box(range.right());
   if (left.empty(axes_) && right.empty(axes_)) return true;
-  if (!interior_->brackets.empty() && interior_->brackets[at(range.node)].whole) {
-    const KeyBracket& bracket = interior_->brackets[at(range.node)];
-    return wanted.search && !found.right_empty && wanted.axes == bracket.axes &&
-           words_of(bracket.least, at(axes_)) <= found.lowest_relied_on &&
-           found.highest_relied_on <= words_of(bracket.most, at(axes_));
-  }
   const auto axis = at(wanted.axes[0]);
   const bool any_left = !left.empty(axes_);
   if (found.right_empty && !right.empty(axes_)) return false;
@@ -341,7 +328,7 @@ void TreeBuilder::settle_empty() {
   std::size_t kept = 0;
   for (std::size_t n = 0; n < next_.size(); ++n) {
     const NodeRange& range = next_[n].range;
-    if (next_[n].bounds.empty() && interior_count(range) == 0 && !ends(range)) {
+    if (next_[n].bounds.empty() && interior_count(range) == 0) {
       cut_empty(range);
       continue;
     }

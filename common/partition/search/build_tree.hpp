@@ -42,12 +42,11 @@ struct Start {
   // Of each particle so far; those of parts in no root are left out. The parts found are written here instead of the
   // result, whose `counts` are set for parts below the roots only. Empty: there are none.
   std::span<std::int32_t> part;
-  std::vector<geometry::Box> boxes;    // [roots]: of their particles on all ranks; empty: not known
   const CutTree* tree = nullptr;       // its cuts outside of the roots are kept
   const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
   std::optional<ExactScale> scale;     // of the weights, if they count
   const Interior* interior = nullptr;  // particles that are not searched; null: none
-  // Where the cuts are expected, for buckets; null: not known. Not with several roots, or where `boxes` are known.
+  // Where the cuts are expected, for buckets; null: not known. Not with several roots.
   const Splitters* splitters = nullptr;
   // The build is abandoned once nodes that could not be cut hold more particles.
   std::uint64_t failed_max = std::numeric_limits<std::uint64_t>::max();
@@ -66,8 +65,8 @@ class TreeBuilder {
   // nullopt if failed nodes hold too many particles or go_on, which is called before each level, said no. Collective.
   std::optional<PartitionResult> build(const comm::GoOn& go_on = {});
 
-  // Nodes left uncut, ascending: those without a bracket, and those that can't be cut without their interior particles.
-  // The cuts in them are unspecified, and their particles are all reported in the node's first part.
+  // Nodes left uncut, ascending, since they can't be cut without their interior particles. The cuts in them are
+  // unspecified, and their particles are all reported in the node's first part.
   const std::vector<NodeRange>& uncut() const { return uncut_; }
   const SplitRule& rule() const { return rule_; }
 
@@ -80,15 +79,14 @@ class TreeBuilder {
     SortedSample::Range sampled;  // its sampled particles, on rank 0
   };
 
-  // Sets box_ and greatest_weight_. Collective (at most one reduction, and what own_box() costs; no reduction where the
-  // roots' boxes or that of the boundary particles are known).
+  // Sets box_ and greatest_weight_. Collective (what own_box() costs, and one reduction where the box of the boundary
+  // particles isn't known).
   void find_box();
   // The box of this rank's particles. Sorts them into buckets, if it is known where cuts are expected. Collective with
   // a sample (at most three gathers).
   geometry::Box own_box();
   bool sampled() const { return start_.stride > 0; }
   bool bucketed() const { return splitters_.has_value(); }
-  bool knows_bounds() const { return level_.size() == 1 || !start_.boxes.empty(); }
   // Measures all particles: bounds, maps, the roots' counts. Collective.
   void measure_all();
   void weigh_roots();
@@ -117,18 +115,9 @@ class TreeBuilder {
   geometry::Box interior_box(const NodeRange& range) const {
     return interior_ == nullptr ? geometry::Box{} : interior_->box(range.first, range.last);
   }
-  // The axis of the bracket outside of which the node's interior particles lie.
-  int axis_of_bracket(const NodeRange& range) const {
-    return interior_->brackets.empty() ? result_.tree.cuts[at(range.node)].axes[0]
-                                       : interior_->brackets[at(range.node)].axes[0];
-  }
   // True if all interior particles stay on their side of the cut found.
   bool cut_still_valid(const NodeRange& range, const CutRequest& wanted, const CutFound& found) const;
   void leave_uncut(std::size_t node);
-  // True if no cut of this node was guessed.
-  bool ends(const NodeRange& range) const {
-    return interior_ != nullptr && !interior_->brackets.empty() && !interior_->brackets[at(range.node)].known;
-  }
   u128 slack_of(const Node& node) const;
   // Makes the level's cuts, and the next level's nodes.
   void split(std::span<const CutRequest> wanted, std::span<const CutFound> found);

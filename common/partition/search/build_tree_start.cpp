@@ -67,10 +67,6 @@ geometry::Box TreeBuilder::own_box() {
 }
 
 void TreeBuilder::find_box() {
-  if (!start_.boxes.empty()) {
-    for (const geometry::Box& box : start_.boxes) box_.extend(box);
-    return;
-  }
   if (interior_ != nullptr) {
     if (start_.splitters != nullptr) (void)own_box();  // for the buckets
     box_ = interior_->boundary;
@@ -107,13 +103,11 @@ void TreeBuilder::measure_all() {
     for (std::size_t a = 0; a < at(axes_) && count > 0; ++a) extents[a] = geometry::extent(all.lo[a], all.hi[a]);
     rule_.set_all(count, extents);
   }
-  for (std::size_t r = 0; r < level_.size() && knows_bounds(); ++r) {
-    const geometry::Box& box = level_.size() == 1 ? box_ : start_.boxes[r];
-    for (std::size_t a = 0; a < at(axes_) && !box.empty(axes_); ++a) {
-      level_[r].bounds.lo[a] = maps_[a](box.lo[a]);
-      level_[r].bounds.hi[a] = maps_[a](box.hi[a]);
+  if (level_.size() == 1 && !box_.empty(axes_))
+    for (std::size_t a = 0; a < at(axes_); ++a) {
+      level_[0].bounds.lo[a] = maps_[a](box_.lo[a]);
+      level_[0].bounds.hi[a] = maps_[a](box_.hi[a]);
     }
-  }
   if (greatest_weight_) scale_.emplace(*greatest_weight_, count);
   if (scale_) weigh_roots();
 }
@@ -210,7 +204,7 @@ void TreeBuilder::lay_out_roots() {
     std::erase_if(spans_, [](const Span& span) { return span.size() == 0; });
     level_[0].spans_last = spans_.size();
     level_[0].sampled = start_.sample.all();
-  } else if (knows_bounds()) {
+  } else if (level_.size() == 1) {
     return;
   }
   for (Node& node : level_)
@@ -219,7 +213,7 @@ void TreeBuilder::lay_out_roots() {
       node.bounds.extend(span.bounds);
     }
   result_.traffic.bytes += points_.size() * sizeof(QuantisedPoint);
-  if (!knows_bounds()) reduce_bounds(level_);
+  if (level_.size() > 1) reduce_bounds(level_);
 }
 
 }  // namespace rcb::partition

@@ -64,10 +64,24 @@ slots_beyond(const particles::ParticleView& particles, std::vector<Box> boxes, s
   return slots;
 }
 
+// Whether particles beyond the sampled ones may make another axis than axes[0] the longest; axes: in the order of the
+// sampled extents.
+bool is_open(const SortedSample& sample, const AxisOrder& axes, double overhang) {
+  const SortedSample::Range all = sample.all();
+  if (all.size() == 0 || sample.sample().dims < 2) return false;
+  const Point extents = sample.extents(all);
+  const std::size_t last = all.size() - 1;
+  const std::size_t ninth = std::min<std::size_t>(8, last);
+  const auto second = at(axes[1]);
+  const double beyond = geometry::extent(sample.x(all, second, 0), sample.x(all, second, ninth)) +
+                        geometry::extent(sample.x(all, second, last - ninth), sample.x(all, second, last));
+  return extents[second] + overhang * beyond > extents[at(axes[0])];
+}
+
 // The boxes of a sample's particles on either side of the root's cut, if the longest axis is open; else none.
 std::vector<Box> boxes_if_open(SortedSample sample, const PartitionOptions& options, int dims) {
   const AxisOrder axes = geometry::order_by_extent(sample.extents(sample.all()), dims);
-  if (!open_order(sample, axes, options.limits.guess.overhang).first) return {};
+  if (!is_open(sample, axes, options.limits.buckets.overhang)) return {};
   const double share = SplitRule(options, dims).left_share({0, 0, options.parts});
   const auto left = static_cast<std::size_t>(share * static_cast<double>(sample.all().size()));
   const SortedSample::Halves halves = sample.split(sample.all(), at(axes[0]), left);
@@ -76,42 +90,20 @@ std::vector<Box> boxes_if_open(SortedSample sample, const PartitionOptions& opti
 
 }  // namespace
 
-OpenOrder open_order(const SortedSample& sample, const AxisOrder& axes, double overhang) {
-  const SortedSample::Range all = sample.all();
-  if (all.size() == 0) return {};
-  const Point extents = sample.extents(all);
-  const std::size_t last = all.size() - 1;
-  const std::size_t ninth = std::min<std::size_t>(8, last);
-  const auto open = [&](std::size_t k) {
-    if (k >= at(sample.sample().particles.dims)) return false;
-    const auto axis = at(axes[k]);
-    const double beyond = geometry::extent(sample.x(all, axis, 0), sample.x(all, axis, ninth)) +
-                          geometry::extent(sample.x(all, axis, last - ninth), sample.x(all, axis, last));
-    return extents[axis] + overhang * beyond > extents[at(axes[k - 1])];
-  };
-  return {.first = open(1), .others = open(2)};
-}
-
-bool gather_outermost(comm::Comm& comm, const particles::ParticleView& particles, std::span<const Box> boxes,
-                      std::uint64_t stride, SortedSample& sample, PartitionResult& spent) {
-  if (stride > kGatherStrideMax) return false;
-  const std::uint64_t most = kGatheredStridesMax * boxes.size() * (stride + 64);
-  sample.set_outermost(gather_sample(comm, particles, slots_beyond(particles, {boxes.begin(), boxes.end()}, most), {}));
-  ++spent.reductions;
-  spent.traffic += {particles.count, particles.count * at(particles.dims) * sizeof(double)};
-  return true;
-}
-
 void gather_outermost_if_open(comm::Comm& comm, const particles::ParticleView& particles,
                               const PartitionOptions& options, std::uint64_t stride, SortedSample& sample,
                               PartitionResult& spent) {
   // Hysteresis decides where extents hardly differ.
   const bool kept = options.previous != nullptr && options.axis_hysteresis > 1;
-  if (sample.has_outermost() || kept || options.method != Method::rcb) return;
+  if (kept || options.method != Method::rcb || stride > kGatherStrideMax) return;
   const std::vector<Box> own = comm.rank() == 0 ? boxes_if_open(sample, options, particles.dims) : std::vector<Box>();
   const Buffer<Box> boxes = comm::values_of_first<Box>(comm, own);
   ++spent.reductions;
-  if (boxes.size() > 0) gather_outermost(comm, particles, boxes.span(), stride, sample, spent);
+  if (boxes.size() == 0) return;
+  const std::uint64_t most = kGatheredStridesMax * boxes.size() * (stride + 64);
+  sample.set_outermost(gather_sample(comm, particles, slots_beyond(particles, {boxes.begin(), boxes.end()}, most)));
+  ++spent.reductions;
+  spent.traffic += {particles.count, particles.count * at(particles.dims) * sizeof(double)};
 }
 
 }  // namespace rcb::partition

@@ -17,16 +17,9 @@
 #include <vector>
 
 #include "common/base/buffer.hpp"
-#include "common/cuts/key.hpp"
+#include "common/particles/particle_set.hpp"
 
 namespace rcb::partition {
-
-using cuts::AxisOrder;
-using cuts::Id;
-using cuts::Key;
-using cuts::key_between;
-using cuts::key_of;
-using cuts::Point;
 
 using Integers = std::array<std::int32_t, geometry::kDimsMax>;
 

@@ -13,40 +13,29 @@
 namespace rcb::partition {
 
 using cuts::AxisOrder;
+using cuts::Cut;
+using cuts::CutTree;
 using cuts::Id;
 using cuts::Key;
 using cuts::key_between;
-using cuts::key_of;
-using cuts::Point;
-using cuts::Cut;
-using cuts::CutTree;
 using cuts::Method;
 using cuts::NodeRange;
+using cuts::Point;
 
-// When a partition begins with a sample, from which a tree is guessed (incremental/guess.hpp) or buckets are made
-// (buckets.hpp), and how much the sample is trusted.
-struct GuessLimits {
+// When a partition begins with the buckets of a sample (buckets.hpp), and how much the sample is trusted.
+struct BucketLimits {
   // Particles per rank: with fewer, the further collectives and the sample cost more than the passes that are saved.
   std::uint64_t count_min = std::uint64_t{3} << 16U;
   int parts_min = 4;
-  int parts_max = 8;           // of a guess
+  // Particles per part and rank: with fewer, the spans into which cuts divide the buckets would take more memory than
+  // the quantised points.
+  std::uint64_t per_part_min = 256;
   std::uint64_t stride = 128;  // one particle of so many is sampled, if sample_min and sample_max allow
   std::uint64_t sample_min = 8192;
   std::uint64_t sample_max = 32768;
   // The particles are assumed to reach beyond the sampled ones by at most so many times the distance from the outermost
   // sampled one to the ninth, on either side.
   double overhang = 3;
-  // No cut is guessed that would leave more than this fraction of the particles to be searched.
-  double boundary_max = 0.3;
-  // A cut is guessed as a whole key where, by its first coordinate alone, more than this fraction of the sampled
-  // particles would be searched in vain, since they lie on the planes of the bracket's ends.
-  double tied_max = 0.03;
-  // The least number of tree levels, averaged over the particles, that a guess must settle to be worth a pass. Below
-  // nodes that an earlier stage left a tenth of it is enough.
-  double levels_min = 1.5;
-  // Particles per part and rank: with fewer, the spans into which cuts divide the buckets would take more memory than
-  // the quantised points.
-  std::uint64_t bucketed_min = 256;
 };
 
 // Tuning of the search. Exact cuts don't depend on it; within a cut tolerance they do, so it must be the same
@@ -62,7 +51,7 @@ struct SearchLimits {
   // Incremental search: if brackets, or nodes that failed, hold more than 1 / boundary_divisor of all particles, a full
   // search is made.
   std::uint64_t boundary_divisor = 5;
-  GuessLimits guess;
+  BucketLimits buckets;
 };
 
 struct PartitionOptions {

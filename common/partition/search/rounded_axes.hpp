@@ -11,7 +11,7 @@
 #endif
 
 #include "common/base/cpu.hpp"
-#include "common/geometry/axes.hpp"
+#include "common/geometry/box.hpp"
 
 namespace rcb::partition {
 
@@ -19,19 +19,16 @@ struct RoundedAxes {
   geometry::Point origin{};
   geometry::Point scale{1, 1, 1};
 
-  // Makes floats tell coordinates in [lo, hi] apart as well as they can: they are densest at 0.
-  void fit(std::size_t axis, double lo, double hi) {
-    origin[axis] = std::clamp(0.0, lo, hi);
-    const double reach = std::max(hi * 0.5 - origin[axis] * 0.5, origin[axis] * 0.5 - lo * 0.5);
-    const double factor = std::isnormal(reach) ? std::ldexp(1.0, -std::ilogb(reach)) : 1.0;
-    if (std::isnormal(factor)) scale[axis] = factor;
-  }
-  // All of these coordinates.
+  // Makes floats tell these coordinates apart as well as they can: they are densest at 0.
   void fit(std::size_t axis, std::span<const double> x) {
     double lo = std::numeric_limits<double>::infinity();
     double hi = -lo;
     geometry::least_and_most(x, lo, hi);
-    if (lo <= hi) fit(axis, lo, hi);
+    if (lo > hi) return;
+    origin[axis] = std::clamp(0.0, lo, hi);
+    const double reach = std::max(hi * 0.5 - origin[axis] * 0.5, origin[axis] * 0.5 - lo * 0.5);
+    const double factor = std::isnormal(reach) ? std::ldexp(1.0, -std::ilogb(reach)) : 1.0;
+    if (std::isnormal(factor)) scale[axis] = factor;
   }
   float operator()(std::size_t axis, double x) const { return static_cast<float>((x - origin[axis]) * scale[axis]); }
 };

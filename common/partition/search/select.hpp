@@ -30,16 +30,8 @@
 #include "common/partition/balance/load.hpp"
 #include "common/partition/search/quantised_points.hpp"
 #include "common/partition/search/request.hpp"
-#include "common/cuts/key.hpp"
 
 namespace rcb::partition {
-
-using cuts::AxisOrder;
-using cuts::Id;
-using cuts::Key;
-using cuts::key_between;
-using cuts::key_of;
-using cuts::Point;
 
 // A key as words: the coordinates' order-preserving bits in the node's axis order, then the id in [words - 1]; unused
 // words are 0.

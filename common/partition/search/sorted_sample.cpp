@@ -2,19 +2,20 @@
 
 #include <algorithm>
 #include <numeric>
+#include <span>
 
 #include "common/partition/search/divide.hpp"
 
 namespace rcb::partition {
 
 SortedSample::SortedSample(const Sample& sample) : sample_(&sample), side_(sample.count()), right_(sample.count()) {
-  for (std::size_t a = 0; a < at(sample.particles.dims) && sample.count() > 0; ++a) sort(a);
+  for (std::size_t a = 0; a < at(sample.dims) && sample.count() > 0; ++a) sort(a);
 }
 
 void SortedSample::set_outermost(const Sample& outermost) {
-  outermost_known_ = true;
-  outermost_.clear();
-  for (std::size_t k = 0; k < outermost.count(); ++k) outermost_.push_back(outermost.particles.view().point(k));
+  outermost_.assign(outermost.count(), {});
+  for (std::size_t k = 0; k < outermost.count(); ++k)
+    for (std::size_t a = 0; a < at(outermost.dims); ++a) outermost_[k][a] = outermost.x(a, k);
 }
 
 // By radix, in three digits: the order-preserving bits of the floats, each with the particle's index behind it.
@@ -22,7 +23,7 @@ void SortedSample::sort(std::size_t axis) {
   constexpr unsigned kIndexBits = 32;
   constexpr unsigned kDigitBits = 11;
   constexpr std::size_t kDigits = std::size_t{1} << kDigitBits;
-  const std::span<const double> x = sample_->particles.position[axis].span();
+  const std::span<const double> x = sample_->position[axis].span();
   rounded_.fit(axis, x);
   Buffer<std::uint64_t> keys(x.size());
   Buffer<std::uint64_t> sorted(x.size());
@@ -45,54 +46,41 @@ void SortedSample::sort(std::size_t axis) {
 
 geometry::Box SortedSample::box(const Range& range) const {
   geometry::Box box;
-  for (std::size_t a = 0; a < at(sample_->particles.dims) && range.size() > 0; ++a) {
+  for (std::size_t a = 0; a < at(sample_->dims) && range.size() > 0; ++a) {
     box.lo[a] = x(range, a, 0);
     box.hi[a] = x(range, a, range.size() - 1);
   }
-  for (std::size_t k = range.outermost_first; k < range.outermost_last; ++k)
-    box.extend(outermost_[k], sample_->particles.dims);
+  for (std::size_t k = range.outermost_first; k < range.outermost_last; ++k) box.extend(outermost_[k], sample_->dims);
   return box;
 }
 
 Point SortedSample::extents(const Range& range) const {
   const geometry::Box own = box(range);
   Point extents{};
-  for (std::size_t a = 0; a < at(sample_->particles.dims) && range.size() > 0; ++a)
+  for (std::size_t a = 0; a < at(sample_->dims) && range.size() > 0; ++a)
     extents[a] = std::max(geometry::extent(own.lo[a], own.hi[a]), 0.0);
   return extents;
 }
 
 std::size_t SortedSample::below(const Range& range, std::size_t axis, double x) const {
   const auto rounded = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)); };
-  const auto own = particles(range, axis);
+  const auto own = std::span(order_[axis]).subspan(range.first, range.size());
   return static_cast<std::size_t>(std::ranges::lower_bound(own, rounded_(axis, x), {}, rounded) - own.begin());
-}
-
-std::size_t SortedSample::up_to(const Range& range, std::size_t axis, double x) const {
-  const auto rounded = [&](std::uint32_t k) { return rounded_(axis, sample_->x(axis, k)); };
-  const auto own = particles(range, axis);
-  return static_cast<std::size_t>(std::ranges::upper_bound(own, rounded_(axis, x), {}, rounded) - own.begin());
 }
 
 SortedSample::Halves SortedSample::split(const Range& range, std::size_t axis, std::size_t left) {
   for (std::size_t k = range.first; k < range.last; ++k) side_[order_[axis][k]] = k < range.first + left ? 0 : 1;
-  for (std::size_t a = 0; a < at(sample_->particles.dims); ++a)
-    if (a != axis) divide_axis(range, a);
-  return halves(range, left, axis, left < range.size() ? x(range, axis, left) : geometry::Box::kInfinity);
-}
-
-SortedSample::Halves SortedSample::halves(const Range& range, std::size_t left, std::size_t axis, double x) {
+  for (std::size_t a = 0; a < at(sample_->dims); ++a)
+    if (a != axis)
+      divide(std::span(order_[a]).subspan(range.first, range.size()), right_,
+             [this](std::uint32_t k) { return side_[k] == 0; });
+  const double cut = left < range.size() ? x(range, axis, left) : geometry::Box::kInfinity;
   const auto own = std::span(outermost_).subspan(range.outermost_first, range.outermost_last - range.outermost_first);
-  const auto right = std::ranges::partition(own, [&](const Point& position) { return position[axis] < x; });
+  const auto right = std::ranges::partition(own, [&](const Point& position) { return position[axis] < cut; });
   const std::size_t middle = range.first + left;
   const std::size_t outermost_middle = range.outermost_last - right.size();
   return {{range.first, middle, range.outermost_first, outermost_middle},
           {middle, range.last, outermost_middle, range.outermost_last}};
-}
-
-void SortedSample::divide_axis(const Range& range, std::size_t axis) {
-  partition::divide(std::span(order_[axis]).subspan(range.first, range.size()), right_,
-                    [this](std::uint32_t k) { return side_[k] == 0; });
 }
 
 }  // namespace rcb::partition

@@ -4,23 +4,14 @@
 
 #include <array>
 #include <cstdint>
-#include <span>
 #include <vector>
 
 #include "common/base/index.hpp"
 #include "common/geometry/box.hpp"
 #include "common/partition/search/rounded_axes.hpp"
 #include "common/partition/search/sample.hpp"
-#include "common/cuts/key.hpp"
 
 namespace rcb::partition {
-
-using cuts::AxisOrder;
-using cuts::Id;
-using cuts::Key;
-using cuts::key_between;
-using cuts::key_of;
-using cuts::Point;
 
 class SortedSample {
  public:
@@ -45,11 +36,6 @@ class SortedSample {
   Range all() const { return {0, side_.size(), 0, outermost_.size()}; }
   // Particles that boxes are to hold, though they aren't sampled.
   void set_outermost(const Sample& outermost);
-  bool has_outermost() const { return outermost_known_; }
-  // The sampled particles of a range, ascending on this axis.
-  std::span<const std::uint32_t> particles(const Range& range, std::size_t axis) const {
-    return std::span(order_[axis]).subspan(range.first, range.size());
-  }
   // The k-th coordinate.
   double x(const Range& range, std::size_t axis, std::size_t k) const {
     return sample_->x(axis, order_[axis][range.first + k]);
@@ -58,30 +44,13 @@ class SortedSample {
   geometry::Box box(const Range& range) const;
   Point extents(const Range& range) const;
   const RoundedAxes& rounded() const { return rounded_; }
-  // How many of a range have a coordinate that is less than x, and how many one that is not greater, all rounded.
+  // How many of a range have a coordinate that is less than x, both rounded.
   std::size_t below(const Range& range, std::size_t axis, double x) const;
-  std::size_t up_to(const Range& range, std::size_t axis, double x) const;
   // Divides a range: the first `left` on this axis come first.
   Halves split(const Range& range, std::size_t axis, std::size_t left);
-  // Divides a range: those for which left(particle) holds come first; of the outermost, those with a lesser coordinate
-  // than x on this axis.
-  template <typename Left>
-  Halves divide(const Range& range, std::size_t axis, double x, Left left) {
-    std::size_t lefts = 0;
-    for (const std::uint32_t k : particles(range, 0)) {
-      side_[k] = left(k) ? 0 : 1;
-      lefts += 1U - side_[k];
-    }
-    for (std::size_t a = 0; a < at(sample_->particles.dims); ++a) divide_axis(range, a);
-    return halves(range, lefts, axis, x);
-  }
 
  private:
   void sort(std::size_t axis);
-  // By side_.
-  void divide_axis(const Range& range, std::size_t axis);
-  // Divides the outermost.
-  Halves halves(const Range& range, std::size_t left, std::size_t axis, double x);
 
   const Sample* sample_ = nullptr;
   std::array<std::vector<std::uint32_t>, geometry::kDimsMax> order_;  // of the sampled particles, by axis
@@ -89,7 +58,6 @@ class SortedSample {
   std::vector<std::uint8_t> side_;  // of each sampled particle: 1: right
   std::vector<std::uint32_t> right_;
   std::vector<Point> outermost_;
-  bool outermost_known_ = false;
 };
 
 }  // namespace rcb::partition

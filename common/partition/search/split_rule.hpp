@@ -29,8 +29,6 @@ class SplitRule {
 
   // The axis order of a node with these extents; nullopt if they leave it open. Local.
   std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;
-  // True once the quotas are known.
-  bool known() const { return !quota_prefix_.empty(); }
 
   // Without weights: the particles of parts [first, last) together.
   std::uint64_t quota(int first, int last) const {

@@ -61,11 +61,6 @@ SocketName::SocketName(const std::string& path) {
 
 SocketName::SocketName(SocketName&& other) noexcept : slot_(std::exchange(other.slot_, -1)) {}
 
-SocketName& SocketName::operator=(SocketName&& other) noexcept {
-  std::swap(slot_, other.slot_);
-  return *this;
-}
-
 SocketName::~SocketName() { remove(); }
 
 void SocketName::remove() {

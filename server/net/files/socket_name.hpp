@@ -26,7 +26,6 @@ class SocketName {
   // path: of a socket that this process has just bound.
   explicit SocketName(const std::string& path);
   SocketName(SocketName&& other) noexcept;
-  SocketName& operator=(SocketName&& other) noexcept;
   ~SocketName();
 
   void remove();

@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include "common/comm/self_comm.hpp"
+#include "tests/support/self_comm.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/scenes.hpp"
 

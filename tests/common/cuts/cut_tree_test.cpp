@@ -5,10 +5,10 @@
 
 #include <gtest/gtest.h>
 
-#include "common/comm/self_comm.hpp"
 #include "common/cuts/cuts.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::cuts {
 namespace {
@@ -23,7 +23,7 @@ using testing::Weights;
 constexpr std::uint64_t kTreeSeed = 5150;
 
 CutTree tree_of(Shape shape, int dims, std::size_t count, int parts, std::uint64_t seed = kTreeSeed) {
-  comm::SelfComm comm;
+  testing::SelfComm comm;
   const Share share = deal(make_scene(shape, Weights::none, dims, count, false, seed), 0, 1, seed);
   partition::PartitionOptions options;
   options.parts = parts;

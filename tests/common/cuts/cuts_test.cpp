@@ -12,7 +12,7 @@
 
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
-#include "common/comm/self_comm.hpp"
+#include "tests/support/self_comm.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/scenes.hpp"
 

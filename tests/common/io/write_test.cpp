@@ -19,6 +19,18 @@ namespace {
 using namespace testing;
 using Column = std::vector<double>;
 
+Status write_csv(const std::string& path, int dims, std::span<const double* const> position, std::size_t count,
+                 std::optional<std::span<const std::int64_t>> id, std::optional<std::span<const double>> weight) {
+  auto file = OutputFile::create(path);
+  if (!file.ok()) return file.status();
+  CsvWriter writer(std::move(*file), dims, id.has_value(), weight.has_value());
+  if (Status status = writer.append(position, count, id.value_or(std::span<const std::int64_t>()),
+                                    weight.value_or(std::span<const double>()));
+      !status.ok())
+    return status;
+  return writer.commit();
+}
+
 TEST(Write, CsvComesBackBitForBit) {
   const Directory directory;
   Random random(11);

@@ -10,8 +10,6 @@
 #include <gtest/gtest.h>
 
 #include "common/base/cpu.hpp"
-#include "common/comm/self_comm.hpp"
-#include "common/partition/search/sample.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/forwarding_comm.hpp"
 #include "tests/support/judge.hpp"
@@ -251,55 +249,25 @@ struct CountingComm final : testing::ForwardingComm {
 };
 
 // However few the particles are.
-PartitionOptions with_guess(PartitionOptions options) {
-  options.limits.guess.count_min = 0;
-  options.limits.guess.stride = 32;
-  options.limits.guess.sample_min = 1;
-  options.limits.guess.bucketed_min = 0;
+PartitionOptions with_buckets(PartitionOptions options) {
+  options.limits.buckets = {.count_min = 0, .per_part_min = 0, .stride = 32, .sample_min = 1};
   return options;
 }
 
-// A large set begins with the tree of a sample; the answer is that of a search among all particles.
-TEST(Partition, FewAreSearchedWhereASampleTellsTheCuts) {
-  for (const Shape shape : {Shape::uniform, Shape::coincident, Shape::half_coincident, Shape::planes, Shape::offset,
-                            Shape::signed_zero, Shape::lattice})
-    for (const Method method : {Method::rcb, Method::bands_y}) {
-      const Scene scene = make_scene(shape, Weights::none, 3, 200000, false, kPartitionSeed);
-      SCOPED_TRACE(fmt::format("{}, {}", scene.name, method_name(method)));
-      PartitionOptions options;
-      options.method = method;
-      options.parts = 4;
-      options.limits.guess.count_min = scene.count() + 1;
-      const PartitionOptions guessed = with_guess(options);
-      on_ranks([&](comm::Comm& comm) {
-        const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
-        const PartitionResult all = partition(comm, share.particles.view(), options).value();
-        CountingComm counting(comm);
-        const PartitionResult few = partition(counting, share.particles.view(), guessed).value();
-        EXPECT_EQ(few.reductions, counting.collectives);
-        EXPECT_LT(few.searched, scene.count() / 3);
-        EXPECT_EQ(all.searched, scene.count());
-        EXPECT_EQ(few.tree.hash(), all.tree.hash());
-        EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
-        EXPECT_EQ(few.counts, all.counts);
-      });
-    }
-}
-
-// In many parts it begins with the buckets of a sample.
+// A large set begins with the buckets of a sample; the answer is that of a search among all particles.
 TEST(Partition, BucketsChangeNoAnswer) {
   for (const Shape shape : {Shape::uniform, Shape::half_coincident, Shape::offset, Shape::lattice})
-    for (const int parts : {9, 64, 200}) {
+    for (const int parts : {4, 9, 64, 200}) {
       const Scene scene = make_scene(shape, Weights::none, 3, 50000, false, kPartitionSeed);
       SCOPED_TRACE(fmt::format("{}, {} parts", scene.name, parts));
       PartitionOptions options;
       options.parts = parts;
-      options.limits.guess.count_min = scene.count() + 1;
+      options.limits.buckets.count_min = scene.count() + 1;
       on_ranks([&](comm::Comm& comm) {
         const Share share = deal(scene, comm.rank(), comm.size(), kPartitionSeed);
         const PartitionResult all = partition(comm, share.particles.view(), options).value();
         CountingComm counting(comm);
-        const PartitionResult bucketed = partition(counting, share.particles.view(), with_guess(options)).value();
+        const PartitionResult bucketed = partition(counting, share.particles.view(), with_buckets(options)).value();
         EXPECT_EQ(bucketed.reductions, counting.collectives);
         EXPECT_EQ(bucketed.tree.hash(), all.tree.hash());
         EXPECT_TRUE(std::equal(bucketed.part.begin(), bucketed.part.end(), all.part.begin(), all.part.end()));
@@ -309,34 +277,6 @@ TEST(Partition, BucketsChangeNoAnswer) {
         }
       });
     }
-}
-
-// A sample may miss the first cut by more than its bracket allows. A wider one finds it, without a search among all.
-TEST(Partition, AMissedCutIsGuessedAgain) {
-  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 200000, false, kPartitionSeed);
-  comm::SelfComm alone;
-  Share share = deal(scene, 0, 1, kPartitionSeed);
-  auto& x = share.particles.position[0];
-  for (double& value : x) value *= 10;  // its axis is the first cut's
-  PartitionOptions options;
-  options.parts = 8;
-  options.limits.guess.count_min = scene.count() + 1;
-  const PartitionOptions guessed = with_guess(options);
-  const std::vector<std::size_t> sampled = pick(x.size(), guessed.limits.guess.stride);
-  // Four standard deviations of the number of sampled particles left of the cut.
-  auto moved = static_cast<int>(4 * std::sqrt(0.25 * static_cast<double>(sampled.size())));
-  for (std::size_t k = 1; k + 1 < sampled.size() && moved > 0; ++k)
-    for (std::size_t other = sampled[k - 1] + 1; other < sampled[k] && moved > 0 && x[sampled[k]] > 0; ++other)
-      if (x[other] < 0) {
-        std::swap(x[sampled[k]], x[other]);
-        --moved;
-      }
-  ASSERT_EQ(moved, 0);
-  const PartitionResult all = partition(alone, share.particles.view(), options).value();
-  const PartitionResult few = partition(alone, share.particles.view(), guessed).value();
-  EXPECT_EQ(few.tree.hash(), all.tree.hash());
-  EXPECT_TRUE(std::equal(few.part.begin(), few.part.end(), all.part.begin(), all.part.end()));
-  EXPECT_LT(few.searched, scene.count() * 3 / 4);
 }
 
 TEST(Partition, RefusesBadOptions) {

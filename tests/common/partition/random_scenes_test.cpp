@@ -18,11 +18,11 @@
 #include <gtest/gtest.h>
 #include <rapidcheck.h>
 
-#include "common/comm/self_comm.hpp"
 #include "common/partition/balance/load.hpp"
 #include "tests/support/agreement.hpp"
 #include "tests/support/judge.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 #include "tests/support/thread_comm.hpp"
 
 namespace rcb::partition {
@@ -57,9 +57,8 @@ struct RandomScene {
   // Limits of the search, so small that few particles take many rounds.
   int chunk = 1;
   int gather = 1;
-  int bins = 1;          // 2 to this
-  int guess = 0;         // code of what a sample tells first; 0: nothing
-  bool buckets = false;  // that it tells buckets, else a tree
+  int bins = 1;     // 2 to this
+  int buckets = 0;  // code of the sample that tells them; 0: none
 };
 
 double decade(int code, double from, double to) {
@@ -175,10 +174,9 @@ void showValue(const RandomScene& from, std::ostream& out) {
   out << fmt::format(
       "{} x {} rows, dims {}, parts {}, sizes {}, band axis {}, hysteresis {} after {} parts, ranks {}, chunks of {}, "
       "gather {}, "
-      "bins 2^{}, guess {}, buckets {}; families {}, weights {}\n",
+      "bins 2^{}, buckets {}; families {}, weights {}\n",
       from.copies, from.rows.size(), from.dims, from.parts, from.part_sizes, from.band_axis, from.hysteresis,
-      from.old_parts, from.ranks, from.chunk, from.gather, from.bins, from.guess, from.buckets, from.family,
-      from.weights);
+      from.old_parts, from.ranks, from.chunk, from.gather, from.bins, from.buckets, from.family, from.weights);
   for (std::size_t i = 0; i < from.rows.size(); ++i) {
     out << "  id " << scene.id[i] << " on rank " << from.rows[i].rank % from.ranks << ":";
     for (std::size_t a = 0; a < static_cast<std::size_t>(from.dims); ++a) out << fmt::format(" {:a}", scene.x[a][i]);
@@ -260,14 +258,18 @@ std::string wrong_with(const RandomScene& from) {
   options.limits.chunk_max = static_cast<std::uint64_t>(from.chunk);
   options.limits.gather_max = static_cast<std::uint64_t>(from.gather);
   options.limits.bins_max = std::uint64_t{1} << static_cast<unsigned>(from.bins);
-  if (from.guess > 0) {
-    // Of any set; the guess and the brackets may be as bad as can be.
-    const auto code = static_cast<std::uint64_t>(from.guess);
-    options.limits.guess = {0, 2, from.buckets ? 1 : 8, 1 + code % 5, 1 + code % 3, ~std::uint64_t{0}, 0, 1, 0, 0, 0};
-    if (code % 4 == 0) options.limits.guess.tied_max = 1;
+  if (from.buckets > 0) {
+    // Of any set; the brackets may be as bad as can be.
+    const auto code = static_cast<std::uint64_t>(from.buckets);
+    options.limits.buckets = {.count_min = 0,
+                              .parts_min = 2,
+                              .per_part_min = 0,
+                              .stride = 1 + code % 5,
+                              .sample_min = 1 + code % 3,
+                              .sample_max = ~std::uint64_t{0},
+                              .overhang = 0};
     options.limits.bracket_sigmas = code % 8 == 0 ? 1 : 0;
     options.limits.bracket_margin = code % 7 == 0 ? 1 : 0;
-    options.limits.boundary_divisor = 1;
   }
 
   Scene weighed = scene;
@@ -284,7 +286,7 @@ std::string wrong_with(const RandomScene& from) {
     if (!here.empty()) wrong += fmt::format("rank {}: {}\n", comm.rank(), here);
   };
   if (from.ranks == 1) {
-    comm::SelfComm self;
+    testing::SelfComm self;
     body(self);
   } else {
     testing::ThreadWorld world(from.ranks);
@@ -401,20 +403,9 @@ TEST(RandomScenes, ManyCopies) {
   });
 }
 
-TEST(RandomScenes, Guessed) {
-  judge_scenes(2500, 600, [](RandomScene& scene, const Codes& codes) {
-    scene.guess = 1 + codes[0];
-    scene.parts = 2 + scene.parts % 7;
-    if (codes[1] % 3 == 0) scene.weights = 1 + codes[1] % kWeightFamilies;
-    if (codes[1] % 5 == 0) scene.band_axis = codes[1] % scene.dims;
-    if (codes[2] % 4 == 0) give_sizes(scene, codes[2]);
-  });
-}
-
 TEST(RandomScenes, Buckets) {
   judge_scenes(2500, 600, [](RandomScene& scene, const Codes& codes) {
-    scene.guess = 1 + codes[0];
-    scene.buckets = true;
+    scene.buckets = 1 + codes[0];
     scene.parts = 2 + codes[2] % 90;
     if (codes[1] % 5 == 0) scene.band_axis = codes[1] % scene.dims;
     if (codes[2] % 4 == 0) give_sizes(scene, codes[2]);

@@ -7,8 +7,8 @@
 
 #include <gtest/gtest.h>
 
-#include "common/comm/self_comm.hpp"
 #include "tests/support/forwarding_comm.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::server {
 namespace {
@@ -36,7 +36,7 @@ void order(ranks::EngineLoop& loop, std::uint64_t number, Json request, double d
 }
 
 TEST(Watchdog, BarksOnceAnOrderIsFarPastItsDeadline) {
-  comm::SelfComm self;
+  testing::SelfComm self;
   HeldComm comm(self);
   ranks::EngineLoop loop(10);
   Watchdog watchdog(loop, 3 * net::kTickSeconds);

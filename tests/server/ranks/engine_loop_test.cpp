@@ -15,9 +15,9 @@
 #include <gtest/gtest.h>
 
 #include "common/base/random.hpp"
-#include "common/comm/self_comm.hpp"
 #include "server/api/commands.hpp"
 #include "tests/support/on_ranks.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::testing {
 namespace {
@@ -132,7 +132,7 @@ TEST(EngineLoop, WhatMayLastGivesWay) {
 TEST(EngineLoop, AnIdleOneCallsMpiAllTheSame) {
   std::atomic<int> calls = 0;
   EngineLoop loop(10, {.progress = [&] { ++calls; }});
-  comm::SelfComm comm;
+  testing::SelfComm comm;
   const SteadyClock clock;
   service::Service service(comm, clock);
   std::thread engine([&] { loop.run(service); });

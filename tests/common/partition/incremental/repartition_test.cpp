@@ -10,12 +10,12 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include "common/comm/self_comm.hpp"
 #include "common/partition/incremental/recut.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/ranges_of.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -40,7 +40,7 @@ struct Case {
 CutTree drift(Case& trial) {
   std::vector<std::size_t> rows(trial.scene.count());
   std::iota(rows.begin(), rows.end(), std::size_t{0});
-  comm::SelfComm self;
+  testing::SelfComm self;
   const Share all = testing::take(trial.scene, rows);
   PartitionOptions first = trial.options;
   first.previous = nullptr;
@@ -160,12 +160,8 @@ TEST_P(RepartitionAfter, GivesTheCutsOfASearchAmongAll) {
         trial.options.limits.boundary_divisor = seed % 4 == 0 ? 5 : 1;
         if (seed % 3 == 0) trial.options.limits.chunk_max = 1 + seed % 50;
         // Full searches begin with buckets.
-        if (seed % 2 == 0) {
-          trial.options.limits.guess.count_min = 0;
-          trial.options.limits.guess.bucketed_min = 0;
-          trial.options.limits.guess.stride = 1 + seed % 5;
-          trial.options.limits.guess.sample_min = 1;
-        }
+        if (seed % 2 == 0)
+          trial.options.limits.buckets = {.count_min = 0, .per_part_min = 0, .stride = 1 + seed % 5, .sample_min = 1};
         incremental += check(trial);
         if (HasFailure()) return;
       }

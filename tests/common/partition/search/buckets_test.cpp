@@ -8,9 +8,9 @@
 #include <gtest/gtest.h>
 
 #include "common/base/index.hpp"
-#include "common/comm/self_comm.hpp"
 #include "common/partition/search/quantised_points.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -31,8 +31,8 @@ Set any_set(Random& random) {
   std::vector<std::size_t> rows(scene.count());
   std::iota(rows.begin(), rows.end(), std::size_t{0});
   Set set{testing::take(scene, rows), {}, fmt::format("{}, {} dimensions, {} particles", scene.name, dims, count)};
-  comm::SelfComm self;
-  set.sample = share_sample(self, set.all.particles.view(), pick(scene.count(), 1 + random.below(8)), {});
+  testing::SelfComm self;
+  set.sample = share_sample(self, set.all.particles.view(), pick(scene.count(), 1 + random.below(8)));
   return set;
 }
 
@@ -80,32 +80,26 @@ TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
   for (int round = 0; round < 300; ++round) {
     const Set set = any_set(random);
     SCOPED_TRACE(set.name);
-    const std::size_t dims = at(set.sample.particles.dims);
+    const std::size_t dims = at(set.sample.dims);
     SortedSample sorted(set.sample);
     std::vector<SortedSample::Range> ranges{sorted.all()};
     for (int cut = 0; cut < 6; ++cut) {
       const std::size_t axis = random.below(dims);
       const SortedSample::Range own = ranges[random.below(ranges.size())];
-      std::size_t left = random.below(own.size() + 1);
+      const std::size_t left = random.below(own.size() + 1);
       std::erase_if(ranges, [&](const auto& range) { return range.first == own.first && range.last == own.last; });
-      const bool by_order = random.below(2) == 0;
-      const auto even = [](std::uint32_t k) { return k % 2 == 0; };
-      const auto [lower, upper] = by_order ? sorted.split(own, axis, left) : sorted.divide(own, axis, 0, even);
+      const auto [lower, upper] = sorted.split(own, axis, left);
       ranges.insert(ranges.end(), {lower, upper});
-      left = lower.size();
+      EXPECT_EQ(lower.size(), left);
       EXPECT_EQ(lower.first, own.first);
       EXPECT_EQ(lower.last, upper.first);
       EXPECT_EQ(upper.last, own.last);
-      if (!by_order) {
-        EXPECT_TRUE(std::ranges::all_of(sorted.particles(lower, axis), even));
-        EXPECT_TRUE(std::ranges::none_of(sorted.particles(upper, axis), even));
-      } else if (left > 0 && left < own.size()) {
+      if (left > 0 && left < own.size()) {
         const double below = sorted.x(lower, axis, left - 1);
         const double above = sorted.x(upper, axis, 0);
         EXPECT_LE(sorted.rounded()(axis, below), sorted.rounded()(axis, above));
-        EXPECT_EQ(sorted.up_to(lower, axis, below), left);
+        EXPECT_LT(sorted.below(lower, axis, below), left);
         EXPECT_EQ(sorted.below(upper, axis, above), 0U);
-        EXPECT_GE(sorted.up_to(upper, axis, above), 1U);
       }
     }
     for (std::size_t a = 0; a < dims; ++a) {
@@ -116,7 +110,7 @@ TEST(SortedSample, KeepsEveryAxisInOrderWhereItIsDivided) {
           if (k == 0) continue;
           EXPECT_LE(sorted.rounded()(a, sorted.x(range, a, k - 1)), sorted.rounded()(a, all.back()));
         }
-      std::vector<double> sampled(set.sample.particles.position[a].begin(), set.sample.particles.position[a].end());
+      std::vector<double> sampled(set.sample.position[a].begin(), set.sample.position[a].end());
       std::ranges::sort(all);
       std::ranges::sort(sampled);
       EXPECT_EQ(all, sampled);

@@ -4,11 +4,11 @@
 #include <boost/multiprecision/cpp_int.hpp>
 #include <gtest/gtest.h>
 
-#include "common/comm/self_comm.hpp"
 #include "common/comm/wide_sum.hpp"
 #include "common/partition/balance/load.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/forwarding_comm.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::partition {
 namespace {
@@ -17,7 +17,7 @@ using Number = boost::multiprecision::cpp_rational;
 
 // SelfComm, but every sum is what `sum` makes of the local value.
 struct OwnComm {
-  comm::SelfComm self;
+  testing::SelfComm self;
 };
 class FakeComm final : OwnComm, public testing::ForwardingComm {
  public:

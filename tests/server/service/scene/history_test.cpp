@@ -16,11 +16,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "common/comm/self_comm.hpp"
 #include "server/service/commands/with_reports.hpp"
 #include "server/service/service.hpp"
 #include "tests/server/service/driver.hpp"
 #include "tests/support/directory.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::testing {
 namespace {
@@ -339,7 +339,7 @@ class Still {
 
  private:
   const SteadyClock clock_;
-  comm::SelfComm comm_;
+  testing::SelfComm comm_;
   service::Service service_;
   Driver driver_{comm_, service_, "still"};
 };

@@ -3,9 +3,9 @@
 
 #include "common/comm/comm.hpp"
 
-namespace rcb::comm {
+namespace rcb::testing {
 
-class SelfComm final : public Comm {
+class SelfComm final : public comm::Comm {
  public:
   int rank() const override { return 0; }
   int size() const override { return 1; }
@@ -22,4 +22,4 @@ class SelfComm final : public Comm {
   void barrier() override {}
 };
 
-}  // namespace rcb::comm
+}  // namespace rcb::testing
