@@ -31,30 +31,20 @@ void advance(std::vector<double>& xyz) {
 }
 """
 
-# One member, and the regions of two parts.
+# One member in a box that is periodic along its first axis.
 C_SOLVER = """
 int main() {
   void* handle = nullptr;
-  double xyz[24] = {}, lo[6], hi[6];
-  std::int64_t ids[8], leave = 0, enter = 0;
+  double xyz[24] = {}, lo[3] = {0, -HUGE_VAL, -HUGE_VAL}, hi[3] = {8, HUGE_VAL, HUGE_VAL};
+  std::int64_t ids[8], leaving = 0, entries = 0, row[4];
+  int shift[12];
   for (int k = 0; k < 8; ++k) xyz[3 * k] = ids[k] = k;
   if (rcb_create("wrapped", 2, 0.1) || rcb_open("wrapped", 0, 1, &handle)) return 1;
-  if (rcb_step(handle, xyz, ids, 8, &leave, &enter) || rcb_regions(handle, "wrapped", lo, hi)) return 1;
-  std::printf("left: %d entered: %d x: %g %g %g %g\\n", int(leave), int(enter), lo[0], hi[0], lo[3], hi[3]);
+  if (rcb_step(handle, xyz, ids, 8, &leaving) || rcb_halo(handle, xyz, ids, 8, 1.5, lo, hi, &entries)) return 1;
+  std::printf("%d %d\\n", int(leaving), int(entries));
+  if (entries == 3) rcb_halo_entries(handle, row, shift);
+  for (int k = 0; k < 3; ++k) std::printf("%d: %d %d %d\\n", int(row[k]), shift[3 * k], shift[3 * k + 1], shift[3 * k + 2]);
   rcb_close(handle);
-}
-"""
-
-# What the parallel solver has and the page on coupling doesn't show.
-PARALLEL_SOLVER = """
-#include <cmath>
-std::vector<Particle> first_share(int rank, int size) {
-  std::vector<Particle> share;
-  for (int i = rank; i < 3000; i += size) share.push_back({i, {std::fmod(i * 0.61803398875, 1.0), i / 3000.0, 0}, {}});
-  return share;
-}
-void advance(std::vector<Particle>& mine) {
-  for (Particle& particle : mine) if (particle.id % 2 == 0) particle.x[1] *= 0.99;
 }
 """
 
@@ -66,7 +56,7 @@ class Documents(ServiceTest):
         build = os.path.dirname(BIN)
         libraries = [os.path.join(build, f"librcb_{name}.a")
                      for name in ("client_lib", "common_layout", "common_wire", "common_auth", "common_tls",
-                                  "common_particles", "common_files", "common_base")]
+                                  "common_cuts", "common_particles", "common_files", "common_base")]
         compiled = subprocess.run([compiler, "-std=c++20", "-I", ROOT, source, "-o", program,
                                    *filter(os.path.exists, libraries),
                                    "-lfmt", "-lxxhash", "-lssl", "-lcrypto", "-lpthread"],
@@ -74,19 +64,14 @@ class Documents(ServiceTest):
         self.assertEqual(compiled.returncode, 0, compiled.stderr)
         return program
 
-    def test_the_parallel_program(self):
-        program = self.compile("mpicxx", block("docs/coupling.md", "cpp") + PARALLEL_SOLVER)
-        run(3, program, program=MPIRUN, endpoint=self.service.endpoint, check=True)
-        history = self.service.json("history", "jet")
-        self.assertEqual([report["step"] for report in history], list(range(201)))
-        self.assertEqual({report["n"] for report in history}, {3000})
-        self.assertGreater(sum(report["repartitioned"] for report in history), 1)
+    def test_the_passage_of_the_parallel_example(self):
+        self.assertIn(block("docs/coupling.md", "cpp"), text_of(ROOT, "client", "examples", "cpp", "dem_parallel.cpp"))
 
     def test_the_wrapper_for_c(self):
-        program = self.compile("c++", block("docs/coupling.md", "cpp", 1) + C_SOLVER)
+        program = self.compile("c++", "#include <cmath>\n" + block("docs/coupling.md", "cpp", 1) + C_SOLVER)
         done = run(program=program, endpoint=self.service.endpoint, check=True)
-        # Eight places on a line, which is cut between the fourth and the fifth.
-        self.assertEqual(done.stdout.split(), ["left:", "0", "entered:", "0", "x:", "-inf", "4", "4", "inf"])
+        # Eight places on a line. Both halves are this member's, so it needs only images: those within 1.5 of the line.
+        self.assertEqual(done.stdout.splitlines(), ["0 3", "0: 1 0 0", "1: 1 0 0", "7: -1 0 0"])
 
     def test_the_readme_program(self):
         program = self.compile("c++", SOLVER + block("README.md", "cpp"))
