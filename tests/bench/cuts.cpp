@@ -180,7 +180,7 @@ Status run_cuts(const CutsBenchOptions& options, Json document) {
   for (const int parts : options.parts) {
     partition::PartitionOptions with;
     with.parts = parts;
-    comm::SelfComm comm;
+    testing::SelfComm comm;
     const auto made = partition::partition(comm, all.view(), with).value();
     const cuts::Cuts cuts(made.tree, 1);
     for (const char* order : {"by part", "shuffled"})

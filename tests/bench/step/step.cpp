@@ -150,7 +150,7 @@ class Pusher {
       const auto rows = scene_->position_rows(motion_.n);
       if (!rows.ok()) return rows.status();
       std::copy(motion_.rows[phase].begin(), motion_.rows[phase].end(), rows->begin());
-      return client::Positions::rows(rows->data(), motion_.n, motion_.dims);
+      return client::Positions(client::Positions::rows(rows->data(), motion_.n, motion_.dims));
     }
     if (variant_ == "shared-memory-axes") {
       const auto axes = scene_->position_axes(motion_.n);
@@ -160,10 +160,10 @@ class Pusher {
         std::copy(motion_.axes[phase][a].begin(), motion_.axes[phase][a].end(), (*axes)[a].begin());
         pointers[a] = (*axes)[a].data();
       }
-      return client::Positions::axes(std::span(pointers).first(axes->size()), motion_.n);
+      return client::Positions(client::Positions::axes(std::span(pointers).first(axes->size()), motion_.n));
     }
     if (variant_ == "rows" || variant_ == "endpoint" || variant_ == "shared-memory-copy")
-      return client::Positions::rows(motion_.rows[phase].data(), motion_.n, motion_.dims);
+      return client::Positions(client::Positions::rows(motion_.rows[phase].data(), motion_.n, motion_.dims));
     if (variant_ == "float32") return motion_.by_singles(phase);
     if (variant_ != "layout" || !scene_->last_step()) return motion_.by_axes(phase);
     const auto plan = scene_->plan();

@@ -16,7 +16,7 @@ namespace {
 constexpr std::uint64_t kArraysSeed = 4711;
 
 CutTree tree_of_scene(testing::Shape shape, int dims, std::size_t count, int parts) {
-  comm::SelfComm comm;
+  testing::SelfComm comm;
   const auto scene = testing::make_scene(shape, testing::Weights::none, dims, count, false, kArraysSeed);
   const testing::Share share = testing::deal(scene, 0, 1, kArraysSeed);
   partition::PartitionOptions options;

@@ -154,7 +154,7 @@ class Trial {
     partition::PartitionOptions options;
     options.parts = 1 + static_cast<int>(random_.below(random_.below(2) == 0 ? 6 : 24));
     if (random_.below(4) == 0) options.method = Method::bands_x;
-    comm::SelfComm comm;
+    testing::SelfComm comm;
     std::vector<std::size_t> all(scene_.count());
     for (std::size_t i = 0; i < all.size(); ++i) all[i] = i;
     const testing::Share share = testing::take(scene_, all);
