@@ -48,6 +48,29 @@ int main() {
 }
 """
 
+CUTS_SOLVER = """
+#include <cstdio>
+#include "client/lib/client.hpp"
+int main() {
+  std::vector<double> xyz;
+  for (int i = 0; i < 30000; ++i) xyz.push_back(double(i * 7919LL % 30011) / 30011);
+  auto client = rcb::client::Client::connect({});
+  if (!client->create_scene("cube", {.parts = 8, .replace = true})) return 1;
+  auto scene = client->open_scene("cube");
+  const auto positions = rcb::client::Positions::rows(xyz.data(), 10000, 3);
+  if (!scene->step(positions)) return 1;
+  std::vector<std::int32_t> part(10000);
+PASSAGE
+  if (!asked || !halo) return 1;
+  for (int p = 0; p < 8; ++p) {
+    int owned = 0, own = 0;
+    for (const auto q : part) owned += q == p;
+    for (const auto row : halo->rows_for(p)) own += part[row] == p;
+    std::printf("%d %d %d\\n", owned, int(halo->rows_for(p).size()), own);
+  }
+}
+"""
+
 
 class Documents(ServiceTest):
     def compile(self, compiler, text):
@@ -79,6 +102,15 @@ class Documents(ServiceTest):
         self.assertIn("has reached the tolerance", done.stdout)
         history = self.service.json("history", "jet")
         self.assertEqual([report["step"] for report in history], list(range(201)))
+
+    def test_the_passage_of_the_readme_on_cuts(self):
+        """Ten thousand points in a cube: eight parts, each of which needs some points of the others, and not its own."""
+        program = self.compile("c++", CUTS_SOLVER.replace("PASSAGE", block("README.md", "cpp", 1)))
+        done = run(program=program, endpoint=self.service.endpoint, check=True)
+        counts = self.service.json("counts", "cube")["counts"]
+        lines = [list(map(int, line.split())) for line in done.stdout.splitlines()]
+        self.assertEqual([owned for owned, _, _ in lines], counts)
+        self.assertTrue(all(0 < needed < 5000 and own == 0 for _, needed, own in lines), lines)
 
     def test_the_python_example(self):
         """It runs, and says why where the service refuses."""

@@ -111,6 +111,7 @@ class Driver {
 
   bool directly = false;  // pushes go straight to the ranks
   Json step_seconds;      // said with every push; null: nothing
+  Json cuts_known;        // likewise
 
  private:
   Json begin(const Particles& particles, std::int64_t step, const std::string& session, const char* order) const {
@@ -124,7 +125,8 @@ class Driver {
             {"weights", !particles.weights.empty()},
             {"ids", first_ && !particles.ids.empty()},
             {"changes", true},
-            {"step_seconds", step_seconds}};
+            {"step_seconds", step_seconds},
+            {"cuts_known", cuts_known}};
   }
 
   PushSlice slice_of(const Particles& particles, int rank) const {

@@ -38,6 +38,7 @@ MemberAnswers answers_of(std::int64_t step) {
     answers.arrays.back().push_back(array_of("enter_id", {}));
     answers.arrays.back().push_back(array_of("place_id", {1, 2, 3}));
   }
+  answers.cuts.push_back(array_of("axes", {step, 1, 0}));
   return answers;
 }
 
@@ -49,13 +50,14 @@ void expect_step(const MemberAnswers* found, std::int64_t step) {
   EXPECT_EQ(found->json, expected.json);
   ASSERT_EQ(found->arrays.size(), 2U);
   for (std::size_t member = 0; member < 2; ++member) {
-    ASSERT_EQ(found->arrays[member].size(), 2U) << "without places";
-    for (std::size_t k = 0; k < 2; ++k) {
+    ASSERT_EQ(found->arrays[member].size(), 3U) << "without places, with the cuts";
+    for (std::size_t k = 0; k < 3; ++k) {
       const wire::Array& array = found->arrays[member][k];
-      EXPECT_EQ(array.name, expected.arrays[member][k].name);
-      EXPECT_EQ(array.shape, expected.arrays[member][k].shape);
-      ASSERT_EQ(array.bytes.size(), expected.arrays[member][k].bytes.size());
-      EXPECT_TRUE(std::ranges::equal(array.bytes, expected.arrays[member][k].bytes));
+      const wire::Array& like = k == 2 ? expected.cuts[0] : expected.arrays[member][k];
+      EXPECT_EQ(array.name, like.name);
+      EXPECT_EQ(array.shape, like.shape);
+      ASSERT_EQ(array.bytes.size(), like.bytes.size());
+      EXPECT_TRUE(std::ranges::equal(array.bytes, like.bytes));
     }
   }
 }

@@ -35,6 +35,10 @@ class OneScene final : public Engine {
       pushed.push_back(order.request);
       for (int k = 0; k < 2; ++k)
         for (const char* name : {"leave_id", "place_id"}) answer.arrays.push_back({name, "<i8", {0}, {}});
+      if (order.request.contains("cuts_known")) {
+        answer.json["cuts"] = {{"epoch", 4}};
+        for (const char* name : {"axes", "at", "id", "part_sizes"}) answer.arrays.push_back({name, "<i8", {0}, {}});
+      }
     }
     answer.change = {"s", std::move(summary)};
     done(std::move(answer));
@@ -194,6 +198,30 @@ TEST_F(MemberDirect, PlacesAreToldWhereAllAskForThem) {
   EXPECT_EQ(team_[0].receive_but_notices().json["arrays"].size(), 1U);
   team_[1].receive_but_notices();
   EXPECT_EQ(engine_.pushed.at(0)["places"], false);
+}
+
+// The ranks tell them once; no cuts are known to all unless all name the same.
+TEST_F(MemberDirect, CutsAreToldToThoseThatAskForThem) {
+  const Json none = Json::object(), some{{"epoch", 3}, {"hash", "00000000000000ab"}};
+  const Json no_cuts{{"epoch", 0}, {"hash", "0000000000000000"}};
+  join();
+  for (const auto& [first, second, ordered] :
+       {std::array{some, Json(), some}, {some, some, some}, {some, none, no_cuts}, {none, some, no_cuts}}) {
+    const auto step = static_cast<std::int64_t>(8 + pushed());
+    plane_.opened.clear();
+    direct(0, {4, 3, 3}, {{"cuts_known", first}, {"base_step", step - 1}}, step);
+    direct(1, {0, 0, 0}, {{"cuts_known", second}, {"base_step", step - 1}}, step);
+    settle();
+    ASSERT_EQ(plane_.opened.size(), 1U);
+    for (int rank = 0; rank < kRanks; ++rank) whole(rank, plane_.opened[0].ticket.number);
+    for (int k = 0; k < 2; ++k) {
+      const Received answer = team_[k].receive_but_notices();
+      const bool asked = k == 0 || !second.is_null();
+      EXPECT_EQ(answer.json.contains("cuts"), asked);
+      EXPECT_EQ(answer.json["arrays"].size(), asked ? 6U : 2U);
+    }
+    EXPECT_EQ(engine_.pushed.back()["cuts_known"], ordered);
+  }
 }
 
 TEST_F(MemberDirect, OneWithoutParticlesNeedNotSayWeights) {

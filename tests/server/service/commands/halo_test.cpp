@@ -383,5 +383,53 @@ TEST(Cuts, AsArraysAreThoseOfTheJson) {
   });
 }
 
+// The cuts after a push come with its answer, where its client says that it has others.
+TEST(CutsKnown, NewCutsComeWithTheAnswerToThePush) {
+  on_ranks({1, 3}, [](comm::Comm& comm) {
+    OwnDriver driver(comm, "s", {{"parts", 5}, {"tolerance", 0.2}, {"part_sizes", {1, 2, 1, 1, 1}}});
+    Particles particles = random_particles(8, 300, 3);
+    const auto expect = [&](const Response& response, std::int64_t epoch) {  // 0: none
+      const Response arrays = driver.ask("cuts", {{"list", "arrays"}});
+      if (comm.rank() != 0) return;
+      ASSERT_TRUE(response.status.ok()) << response.status.message();
+      EXPECT_EQ(response.json.contains("cuts"), epoch > 0);
+      EXPECT_EQ(wire::find_array(response.arrays, "axes") != nullptr, epoch > 0);
+      if (epoch == 0) return;
+      EXPECT_EQ(response.json["cuts"], arrays.json);
+      EXPECT_EQ(response.json["cuts"]["epoch"], epoch);
+      for (const wire::Array& array : arrays.arrays) {
+        const wire::Array* const told = wire::find_array(response.arrays, array.name);
+        ASSERT_NE(told, nullptr) << array.name;
+        EXPECT_EQ(told->shape, array.shape);
+        EXPECT_TRUE(std::ranges::equal(told->bytes, array.bytes)) << array.name;
+      }
+    };
+    const auto hash = [&] {
+      const Response shown = driver.ask("scene.show");
+      std::uint64_t value = comm.rank() == 0 ? wire::parse_hex64(shown.json["hash"].get<std::string>()).value() : 0;
+      comm.all_max({&value, 1});
+      return wire::hex64(value);
+    };
+    driver.cuts_known = Json::object();
+    expect(driver.push(particles, 0), 1);
+    driver.cuts_known = {{"epoch", 1}, {"hash", hash()}};
+    drift(particles, 1, 0.001);
+    expect(driver.push(particles, 1), 0);
+    for (double& x : particles.position[0]) x *= x;
+    expect(driver.push(particles, 2), 2);
+    expect(driver.push(particles, 2), 0);  // repeated
+    driver.cuts_known = {{"epoch", 2}, {"hash", "00000000000000ff"}};
+    expect(driver.push(particles, 3), 2);
+    driver.cuts_known = nullptr;
+    expect(driver.push(particles, 4), 0);
+    std::int64_t step = 5;
+    for (const Json& odd : {Json(3), Json({{"epoch", -1}}), Json({{"hash", "x"}}), Json({{"epoch", "1"}})}) {
+      driver.cuts_known = odd;
+      const Status refused = driver.push(particles, step++).status;
+      EXPECT_EQ(refused.code(), comm.rank() == 0 ? Code::invalid_argument : Code::ok) << odd.dump();
+    }
+  });
+}
+
 }  // namespace
 }  // namespace rcb::testing
