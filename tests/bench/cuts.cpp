@@ -9,13 +9,13 @@
 #include "common/base/clock.hpp"
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
-#include "tests/support/self_comm.hpp"
 #include "common/cuts/cuts.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/options.hpp"
 #include "tests/bench/report.hpp"
 #include "tests/bench/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::bench {
 namespace {

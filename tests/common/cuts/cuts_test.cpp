@@ -12,9 +12,9 @@
 
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
-#include "tests/support/self_comm.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/scenes.hpp"
+#include "tests/support/self_comm.hpp"
 
 namespace rcb::cuts {
 namespace {
