@@ -36,16 +36,17 @@ Status HaloPass::run(std::size_t begin, std::size_t end) {
 
 Status HaloPass::add_batch(std::size_t begin, std::size_t count) {
   if (Status status = owners_.read(begin, count, part_.data()); !status) return status;
-  if (!reserve(0)) return failure_;
-  if (!options_.widths.empty()) return add_each(begin, count) ? Status() : failure_;
-  const double width = options_.near.width;
-  HaloTable* const table = table_for(width);
+  begin_ = begin;
+  const bool well = options_.widths.empty() ? add_all(count) : add_each(count);
+  return well && test_pairs() ? Status() : failure_;
+}
+
+bool HaloPass::add_all(std::size_t count) {
+  HaloTable* const table = table_for(options_.near.width);
   const std::size_t boundary = find_boundary(count, *table);
-  for (std::size_t k = 0; k < boundary; ++k) {
-    const std::size_t i = boundary_[k];
-    if (!add_row(begin + i, owners_.point(i), part_[i], table, faces_[k], width)) return failure_;
-  }
-  return {};
+  for (std::size_t k = 0; k < boundary; ++k)
+    if (!add_row(boundary_[k], table, faces_[k], options_.near.width)) return false;
+  return true;
 }
 
 // The rows that may be in a halo, and which faces of their parts they are near. Apart from what is then done with them,
@@ -55,10 +56,7 @@ std::size_t HaloPass::find_boundary(std::size_t count, HaloTable& table) {
   const std::int32_t uniform = owners_.uniform();
   const Fence* const fence = uniform < 0 ? nullptr : table.fence(uniform);
   for (std::size_t first = 0; fence != nullptr && first < count; first += OwnerPass::kWord) {
-    std::uint64_t outside = 0;
-    for (std::size_t a = 0; a < at(reach_.dims()); ++a)
-      outside |= outside_of({owners_.x()[a] + first, std::min(OwnerPass::kWord, count - first)}, fence->inner.lo[a],
-                            fence->inner.hi[a]);
+    std::uint64_t outside = outside_of(owners_.x(first), std::min(OwnerPass::kWord, count - first), fence->inner);
     for (; outside != 0; outside &= outside - 1)
       boundary_[found++] = static_cast<std::uint16_t>(first + at(std::countr_zero(outside)));
   }
@@ -79,44 +77,57 @@ std::uint8_t HaloPass::faces_of(const Fence& fence, const Point& x) const {
   return periodic_ && !fence.holds(x) ? kByReach : fence.faces(x);
 }
 
-bool HaloPass::add_each(std::size_t begin, std::size_t count) {
+bool HaloPass::add_each(std::size_t count) {
   Near near = options_.near;
   for (std::size_t i = 0; i < count; ++i) {
-    near.width = options_.widths[begin + i];
-    if (Status status = near.check(reach_.dims()); !status) return fail(begin + i, status);
+    near.width = options_.widths[begin_ + i];
+    if (Status status = near.check(reach_.dims()); !status) return fail(i, status);
     HaloTable* const table = table_for(near.width);
     const Fence* const fence = table == nullptr ? nullptr : table->fence(part_[i]);
     const std::uint8_t faces = fence == nullptr ? kByReach : faces_of(*fence, owners_.point(i));
-    if (faces != 0 && !add_row(begin + i, owners_.point(i), part_[i], table, faces, near.width)) return false;
+    if (faces != 0 && !add_row(i, table, faces, near.width)) return false;
   }
   return true;
 }
 
-bool HaloPass::add_row(std::uint64_t row, const Point& x, std::int32_t part, HaloTable* table, std::uint8_t faces,
-                       double width) {
-  if (faces == kByReach) return add_by_reach(row, x, part, width);
-  const std::span<const Candidate> candidates = table->candidates(part, faces);
-  if (!reserve(candidates.size())) return false;
-  const Within within(options_.near.norm, width);
-  // Without branches, which nobody could predict: an entry that is none is overwritten by the next one.
-  const Within::Lanes lanes(x);
+bool HaloPass::add_row(std::size_t i, HaloTable* table, std::uint8_t faces, double width) {
+  if (faces == kByReach) return test_pairs() && add_by_reach(i, width);
+  const std::span<const Candidate> candidates = table->candidates(part_[i], faces);
+  for (std::size_t begin = 0; begin < candidates.size(); begin += kFours) {
+    // Four at a time: how many there are, nobody could predict.
+    for (std::size_t k = 0; k < kFours; ++k)
+      pairs_[pairs_count_ + k] = {candidates.data()[begin + k], static_cast<std::uint32_t>(i)};
+    pairs_count_ += std::min(kFours, candidates.size() - begin);
+    if (pairs_count_ + kFours > pairs_.size() && !test_pairs()) return false;
+  }
+  return true;
+}
+
+// Many at a time and without branches, which nobody could predict: an entry that is none is overwritten by the next
+// one.
+bool HaloPass::test_pairs() {
+  if (!reserve(pairs_count_)) return false;
+  const bool each = !options_.widths.empty();
+  Within within(options_.near.norm, options_.near.width);
   HaloEntry* to = entries_.data() + size_;
-  std::int32_t last_target = -1;
-  std::int32_t last_image = -1;
-  for (const Candidate& one : candidates) {
+  HaloEntry last = *(to - 1);
+  for (const Pair& pair : std::span(pairs_).first(pairs_count_)) {
+    if (each) within = Within(options_.near.norm, options_.widths[begin_ + pair.row]);
+    const Within::Lanes image = Within::Lanes(owners_.point(pair.row)) + Within::Lanes(images_[pair.one.image].by);
+    const HaloEntry entry{begin_ + pair.row, pair.one.target, pair.one.image};
     // Several parts of a seat may need the same image; they stand one after another.
-    const bool is = within.near(reach_.bounds(one.part), lanes + Within::Lanes(images_[one.image].by)) &
-                    ((one.target != last_target) | (one.image != last_image));
-    last_target = is ? one.target : last_target;
-    last_image = is ? one.image : last_image;
-    *to = {row, one.target, one.image};
+    const bool is = within.near(reach_.bounds(pair.one.part), image) & (entry != last);
+    *to = entry;
     to += static_cast<std::ptrdiff_t>(is);
+    last = is ? entry : last;
   }
   size_ = static_cast<std::size_t>(to - entries_.data());
+  pairs_count_ = 0;
   return true;
 }
 
-bool HaloPass::fail(std::uint64_t row, const Status& status) {
+bool HaloPass::fail(std::size_t i, const Status& status) {
+  const std::uint64_t row = begin_ + i;
   const std::string name = options_.ids.empty() ? fmt::format("row {}", row) : fmt::format("id {}", options_.ids[row]);
   failure_ = {status.code(), name + ": " + status.message(), status.hint()};
   return false;
@@ -134,14 +145,14 @@ bool HaloPass::grow(std::size_t more) {
   return true;
 }
 
-bool HaloPass::add_by_reach(std::uint64_t row, const Point& x, std::int32_t part, double width) {
-  if (Status status = reached_by(reach_, targets_, {x, x}, part, width, images_, found_); !status)
-    return fail(row, status);
+bool HaloPass::add_by_reach(std::size_t i, double width) {
+  const Point x = owners_.point(i);
+  if (Status status = reached_by(reach_, targets_, {x, x}, part_[i], width, images_, found_); !status)
+    return fail(i, status);
   if (!reserve(found_.size())) return false;
   for (const Candidate& one : found_) {
-    const HaloEntry& last = entries_[size_ - 1];
-    if (last.row != row || last.target != one.target || last.image != one.image)
-      entries_[size_++] = {row, one.target, one.image};
+    entries_[size_] = {begin_ + i, one.target, one.image};
+    size_ += static_cast<std::size_t>(entries_[size_] != entries_[size_ - 1]);
   }
   return true;
 }

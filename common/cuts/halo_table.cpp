@@ -39,7 +39,8 @@ HaloTable::HaloTable(const Reach& reach, const Targets& targets, double width, I
       width_(width),
       within_(reach.near().norm, width),
       images_(images),
-      index_of_(at(targets.parts), kNotMade) {}
+      index_of_(at(targets.parts), kNotMade),
+      lists_(kSpare) {}
 
 bool HaloTable::near(const Candidate& candidate, const Box& box) const {
   const Box moved = Reach::finite(images_[candidate.image].of(box));
@@ -79,9 +80,14 @@ const Fence* HaloTable::make(std::int32_t part) {
   index_of_[at(part)] = static_cast<std::int32_t>(fences_.size());
   fences_.push_back(fence);
   lists_of_.emplace_back();
-  lists_of_.back().all = {static_cast<std::uint32_t>(lists_.size()), static_cast<std::uint32_t>(all.size())};
-  lists_.insert(lists_.end(), all.begin(), all.end());
+  lists_of_.back().all = add_list(all);
   return &fences_.back();
+}
+
+HaloTable::List HaloTable::add_list(const std::vector<Candidate>& candidates) {
+  const std::size_t begin = lists_.size() - kSpare;
+  lists_.insert(lists_.end() - kSpare, candidates.begin(), candidates.end());
+  return {static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(candidates.size())};
 }
 
 std::span<const Candidate> HaloTable::make_list(std::int32_t part, std::uint32_t faces) {
@@ -94,11 +100,11 @@ std::span<const Candidate> HaloTable::make_list(std::int32_t part, std::uint32_t
     if ((bits & 2) != 0) box.lo[a] = std::max(box.lo[a], fence.inner.hi[a]);
     if (bits == 0) box.lo[a] = fence.inner.lo[a], box.hi[a] = fence.inner.hi[a];
   }
-  const auto begin = static_cast<std::uint32_t>(lists_.size());
   const List all = lists_of_[index].all;
+  std::vector<Candidate> near_box;
   for (std::size_t k = all.begin; k < at(all.begin) + all.count; ++k)
-    if (const Candidate one = lists_[k]; near(one, box)) lists_.push_back(one);
-  const List list{begin, static_cast<std::uint32_t>(lists_.size()) - begin};
+    if (const Candidate one = lists_[k]; near(one, box)) near_box.push_back(one);
+  const List list = add_list(near_box);
   lists_of_[index].near_faces[at(faces)] = list;
   return std::span(lists_).subspan(list.begin, list.count);
 }

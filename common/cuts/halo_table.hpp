@@ -80,7 +80,9 @@ class HaloTable {
     const std::int32_t index = index_of_[at(part)];
     return index >= 0 ? &fences_[at(index)] : index == kNotMade ? make(part) : nullptr;
   }
-  // Candidates for the particles of a part with a fence. Valid until the next call of fence() or candidates().
+  static constexpr std::size_t kSpare = 4;
+  // Candidates for the particles of a part with a fence. Valid until the next call of fence() or candidates(). Behind
+  // the last one kSpare more may be read.
   std::span<const Candidate> candidates(std::int32_t part, std::uint32_t faces) {
     const List& list = lists_of_[at(index_of_[at(part)])].near_faces[at(faces)];
     return list.begin == List::kNotMade ? make_list(part, faces) : std::span(lists_).subspan(list.begin, list.count);
@@ -102,6 +104,7 @@ class HaloTable {
   };
 
   const Fence* make(std::int32_t part);
+  List add_list(const std::vector<Candidate>& candidates);
   std::span<const Candidate> make_list(std::int32_t part, std::uint32_t faces);
   void shrink(Fence& fence, std::span<const Candidate> all) const;
   bool near(const Candidate& candidate, const geometry::Box& box) const;
@@ -114,7 +117,7 @@ class HaloTable {
   std::vector<std::int32_t> index_of_;  // [parts], in what follows
   std::vector<Fence> fences_;
   std::vector<Lists> lists_of_;
-  std::vector<Candidate> lists_;
+  std::vector<Candidate> lists_;  // and kSpare that are none, at the end
 };
 
 // The candidates within the width of this box, but for those of `part` itself (or its seat) that aren't moved. For a

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
 
 #include <fmt/format.h>
 
@@ -121,31 +122,25 @@ std::int32_t OwnerPass::expect(std::size_t begin, std::size_t count, std::int32_
 // A bit for each row that is not strictly inside the region of part[i].
 OwnerPass::Bits OwnerPass::outside(std::size_t count, const std::int32_t* part) const {
   Bits bits{};
-  const geometry::Box* const box = uniform_ < 0 ? nullptr : &tables_.boxes[at(uniform_)];
-  for (std::size_t w = 0; w * kWord < count; ++w)
-    for (std::size_t a = 0; a < at(positions_.dims); ++a) {
-      const std::span values(x_[a] + w * kWord, std::min(kWord, count - w * kWord));
-      bits[w] |= box != nullptr ? outside_of(values, box->lo[a], box->hi[a])
-                                : tables_.regions.outside(a, values, part + w * kWord);
-    }
+  for (std::size_t w = 0; w * kWord < count; ++w) {
+    const std::size_t size = std::min(kWord, count - w * kWord);
+    if (uniform_ >= 0) bits[w] = outside_of(x(w * kWord), size, tables_.boxes[at(uniform_)]);
+    for (std::size_t a = 0; uniform_ < 0 && a < at(positions_.dims); ++a)
+      bits[w] |= tables_.regions.outside(a, {x_[a] + w * kWord, size}, part + w * kWord);
+  }
   return bits;
 }
 
 Status OwnerPass::check_finite(std::size_t begin, std::size_t count) const {
-  constexpr double kInfinity = geometry::Box::kInfinity;
-  std::size_t first = count;
-  std::size_t axis = 0;
-  for (std::size_t a = 0; a < at(positions_.dims); ++a)
-    for (std::size_t w = 0; w * kWord < first; ++w) {
-      const std::uint64_t bad =
-          outside_of({x_[a] + w * kWord, std::min(kWord, count - w * kWord)}, -kInfinity, kInfinity);
-      if (bad == 0 || w * kWord + at(std::countr_zero(bad)) >= first) continue;
-      first = w * kWord + at(std::countr_zero(bad));
-      axis = a;
-    }
-  if (first == count) return {};
-  return {Code::not_finite,
-          fmt::format("row {}: {} is {}: must be finite", begin + first, kAxisNames[axis], x_[axis][first])};
+  for (std::size_t w = 0; w * kWord < count; ++w) {
+    const std::uint64_t bad = outside_of(x(w * kWord), std::min(kWord, count - w * kWord), geometry::Box::unbounded());
+    if (bad == 0) continue;
+    const std::size_t i = w * kWord + at(std::countr_zero(bad));
+    std::size_t a = 0;
+    while (std::isfinite(x_[a][i])) ++a;
+    return {Code::not_finite, fmt::format("row {}: {} is {}: must be finite", begin + i, kAxisNames[a], x_[a][i])};
+  }
+  return {};
 }
 
 Status OwnerPass::read(std::size_t begin, std::size_t count, std::int32_t* part) {

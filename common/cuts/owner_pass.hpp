@@ -45,7 +45,7 @@ class OwnerPass {
 
   // Of the rows that were read last: their coordinates by axis, and the part of all of them, or -1 if there are
   // several.
-  const particles::Axes& x() const { return x_; }
+  particles::Axes x(std::size_t first) const { return {x_[0] + first, x_[1] + first, x_[2] + first}; }
   Point point(std::size_t i) const { return {x_[0][i], x_[1][i], x_[2][i]}; }
   std::int32_t uniform() const { return uniform_; }
 

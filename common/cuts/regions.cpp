@@ -24,10 +24,13 @@ std::uint64_t outside_each(std::span<const double> x, const std::int32_t* part, 
   return outside;
 }
 
-std::uint64_t outside_one(std::span<const double> x, double lo, double hi, std::size_t from) {
+std::uint64_t outside_box(const particles::Axes& x, std::size_t from, std::size_t count, const geometry::Box& box) {
   std::uint64_t outside = 0;
-  for (std::size_t i = from; i < x.size(); ++i)
-    outside |= static_cast<std::uint64_t>(!((x[i] > lo) & (x[i] < hi))) << i;
+  for (std::size_t i = from; i < count; ++i) {
+    bool inside = true;
+    for (std::size_t a = 0; a < x.size(); ++a) inside = inside & (x[a][i] > box.lo[a]) & (x[a][i] < box.hi[a]);
+    outside |= static_cast<std::uint64_t>(!inside) << i;
+  }
   return outside;
 }
 
@@ -67,29 +70,37 @@ template <bool kMany>
   return outside | outside_each(x, part, first, lo, hi, i);
 }
 
-[[gnu::target("avx2")]] std::uint64_t outside_of_avx2(std::span<const double> x, double lo, double hi) {
-  const __m256d low = _mm256_set1_pd(lo);
-  const __m256d high = _mm256_set1_pd(hi);
+[[gnu::target("avx2")]] std::uint64_t outside_box_avx2(const particles::Axes& x, std::size_t count,
+                                                       const geometry::Box& box) {
+  __m256d low[geometry::kDimsMax];
+  __m256d high[geometry::kDimsMax];
+  for (std::size_t a = 0; a < x.size(); ++a) {
+    low[a] = _mm256_set1_pd(box.lo[a]);
+    high[a] = _mm256_set1_pd(box.hi[a]);
+  }
   std::uint64_t outside = 0;
   std::size_t i = 0;
-  for (; i + kLanes <= x.size(); i += kLanes) {
-    const __m256d value = _mm256_loadu_pd(x.data() + i);
-    const __m256d beyond =
-        _mm256_or_pd(_mm256_cmp_pd(value, low, _CMP_NGT_UQ), _mm256_cmp_pd(value, high, _CMP_NLT_UQ));
+  for (; i + kLanes <= count; i += kLanes) {
+    __m256d beyond = _mm256_setzero_pd();
+    for (std::size_t a = 0; a < x.size(); ++a) {
+      const __m256d value = _mm256_loadu_pd(x[a] + i);
+      beyond = _mm256_or_pd(
+          beyond, _mm256_or_pd(_mm256_cmp_pd(value, low[a], _CMP_NGT_UQ), _mm256_cmp_pd(value, high[a], _CMP_NLT_UQ)));
+    }
     outside |= static_cast<std::uint64_t>(_mm256_movemask_pd(beyond)) << i;
   }
-  return outside | outside_one(x, lo, hi, i);
+  return outside | outside_box(x, i, count, box);
 }
 
 #endif
 
 }  // namespace
 
-std::uint64_t outside_of(std::span<const double> values, double lo, double hi) {
+std::uint64_t outside_of(const particles::Axes& x, std::size_t count, const geometry::Box& box) {
 #if defined(__x86_64__)
-  if (has_avx2()) return outside_of_avx2(values, lo, hi);
+  if (has_avx2()) return outside_box_avx2(x, count, box);
 #endif
-  return outside_one(values, lo, hi, 0);
+  return outside_box(x, 0, count, box);
 }
 
 Regions::Regions(std::int32_t first_part, std::span<const geometry::Box> boxes)

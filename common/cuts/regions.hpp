@@ -9,6 +9,7 @@
 
 #include "common/geometry/box.hpp"
 #include "common/particles/block_ranges.hpp"
+#include "common/particles/particle_set.hpp"
 
 namespace rcb::cuts {
 
@@ -34,7 +35,8 @@ class Regions {
   std::array<std::vector<double>, geometry::kDimsMax> hi_;
 };
 
-// For at most 64 values, a bit each: 1 if the value is not strictly between lo and hi.
-std::uint64_t outside_of(std::span<const double> values, double lo, double hi);
+// For at most 64 positions, a bit each: 1 if the position is not strictly inside the box. x: three arrays, whatever the
+// dimensions.
+std::uint64_t outside_of(const particles::Axes& x, std::size_t count, const geometry::Box& box);
 
 }  // namespace rcb::cuts
