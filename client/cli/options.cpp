@@ -181,7 +181,6 @@ Kind one_of(const std::string& shown, const std::vector<std::string>& words) {
 
 Kind method() { return one_of("METHOD", {"rcb", "bands-x", "bands-y", "bands-z"}); }
 Kind policy() { return one_of("POLICY", {"tolerance", "cost"}); }
-Kind recut() { return one_of("WHAT", {"all", "subtree"}); }
 
 Kind output_file(Format format) {
   const FormatNames names = names_of(format);

@@ -63,7 +63,6 @@ Kind dimensions();
 Kind one_of(const std::string& shown, const std::vector<std::string>& words);
 Kind method();
 Kind policy();
-Kind recut();
 // A file to be written: its extension may not be that of another format.
 enum class Format { csv, npy, json, figure };
 Kind output_file(Format format);
@@ -76,8 +75,6 @@ inline constexpr const char* kHysteresisHelp =
     "always";
 inline constexpr const char* kPolicyHelp =
     "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes";
-inline constexpr const char* kRecutHelp =
-    "what a repartition cuts anew: all, or subtree, the least that brings the error below half the tolerance";
 inline constexpr const char* kPartSizesHelp = "a share for each part, such as 1,2,3";
 inline constexpr const char* kStepSecondsHelp =
     "the solver's computing time since its last push; used by the policy cost";

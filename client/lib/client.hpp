@@ -65,7 +65,6 @@ struct SceneOptions {
   double axis_hysteresis = 1.2;      // >= 1: a cut keeps its axis until another is longer by this factor
   double cut_tolerance = 0;          // 0 to 1: how far off target new cuts may leave a part, as a fraction; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
-  std::string recut = "all";         // or "subtree": a repartition recuts only what the error requires
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };

@@ -11,9 +11,9 @@ using enum Effect;
 using Fields = std::string_view;
 
 constexpr std::array<Fields, 1> kScene{"scene"};
-constexpr std::array<Fields, 12> kCreate{"scene",     "parts",           "dims",          "method",
-                                         "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
-                                         "recut",     "part_sizes",      "replace",       "recreated"};
+constexpr std::array<Fields, 11> kCreate{"scene",      "parts",           "dims",          "method",
+                                         "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
+                                         "part_sizes", "replace",         "recreated"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
 constexpr std::array<Fields, 25> kPushBegin{
     "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",     "plan",  "moved",

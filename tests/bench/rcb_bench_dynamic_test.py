@@ -99,33 +99,24 @@ class Dynamic(unittest.TestCase):
 
 
 def two_spheres(*arguments):
-    """The rows of the policy tolerance, and what was printed."""
-    document, done = measure("dynamic", "--scenes", "two_spheres", "--points", "2003", "--ranks", "2", "--repeats", "1",
-                             "--no-peers", *arguments)
-    return [row for row in document["rows"] if row["policy"] == "tolerance"], done.stdout
+    """The rows of the policy tolerance."""
+    document, _ = measure("dynamic", "--scenes", "two_spheres", "--points", "2003", "--ranks", "2", "--repeats", "1",
+                          "--no-peers", *arguments)
+    return [row for row in document["rows"] if row["policy"] == "tolerance"]
 
 
 class Hysteresis(unittest.TestCase):
     def test_it_keeps_particles_where_they_are(self):
-        rows, _ = two_spheres("--steps", "40", "--tolerances", "0", "--axis-hysteresis", "1.2,1")
+        rows = two_spheres("--steps", "40", "--tolerances", "0", "--axis-hysteresis", "1.2,1")
         self.assertEqual([row["axis_hysteresis"] for row in rows], [1.2, 1])
         self.assertEqual([row["repartitions"] for row in rows], [40, 40])
         self.assertLess(rows[0]["moved"], rows[1]["moved"])  # the spheres' longest axis turns as they collide
 
 
-class Recut(unittest.TestCase):
-    def test_subtrees_hold_the_tolerance_too(self):
-        (whole, part), text = two_spheres("--steps", "60", "--tolerances", "0.05", "--recut", "all,subtree")
-        self.assertIn("rcbd rcb, recut subtree", text)
-        self.assertEqual([whole["recut"], part["recut"]], ["all", "subtree"])
-        self.assertLess(part["error_max"], 0.05)
-        self.assertNotEqual(part["moved"], whole["moved"])  # other cuts; not fewer particles as a rule
-
-
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
         expect_refused(self, "rcb_bench", *(["dynamic", *words] for words in (
-            ["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--recut", "some"],
+            ["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"],
             ["--parts", "0"], ["--repeats", "0"], ["--points", "1.5"], ["--ranks", "x"])))
 
 

@@ -25,7 +25,6 @@ void print_scene(const Json& scene) {
                                                                   {"axis_hysteresis", "axis hysteresis"},
                                                                   {"cut_tolerance", "cut tolerance"},
                                                                   {"policy", "policy"},
-                                                                  {"recut", "recut"},
                                                                   {"part_sizes", "part sizes"},
                                                                   {"weights", "weights"},
                                                                   {"ids", "own ids"},
@@ -49,7 +48,6 @@ Status create(const CreateOptions& options, const Context& context) {
                  {"axis_hysteresis", scene.axis_hysteresis},
                  {"cut_tolerance", scene.cut_tolerance},
                  {"policy", scene.policy},
-                 {"recut", scene.recut},
                  {"replace", scene.replace}};
   if (!scene.part_sizes.empty()) arguments["part_sizes"] = scene.part_sizes;
   return ask_and_show(context, "scene.create", arguments, [&](const Json&) {

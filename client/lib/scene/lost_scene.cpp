@@ -9,7 +9,7 @@ namespace rcb::client {
 wire::Json scene_options(const wire::Json& description) {
   wire::Json options = wire::Json::object();
   for (const char* name :
-       {"parts", "dims", "method", "tolerance", "axis_hysteresis", "cut_tolerance", "policy", "recut", "part_sizes"})
+       {"parts", "dims", "method", "tolerance", "axis_hysteresis", "cut_tolerance", "policy", "part_sizes"})
     if (const auto field = description.find(name); field != description.end() && !field->is_null())
       options[name] = *field;
   return options;

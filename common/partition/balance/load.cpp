@@ -54,6 +54,19 @@ double quotient_of_products(u128 a, u128 b, u128 c, u128 d, int exponent) {
   return rounded(Wide(a) * b, Wide(c) * d, exponent);
 }
 
+// abs(load * all - total * size) / (total * size), rounded once: the relative error of a part that has this load out of
+// `total` and this size out of `all` sizes. total and size > 0.
+double relative_error(u128 load, u128 total, u128 size, u128 all) {
+  if (fit_together(load, all) && fit_together(total, size)) {
+    const u128 has = load * all;
+    const u128 should = total * size;
+    return static_cast<double>(has > should ? has - should : should - has) / static_cast<double>(should);
+  }
+  const Wide has = Wide(load) * all;
+  const Wide should = Wide(total) * size;
+  return rounded(has > should ? has - should : should - has, should, 0);
+}
+
 // Fills in what follows from counts and loads: error, imbalance, targets.
 void finish(LoadSummary& summary, std::span<const double> sizes) {
   const int parts = static_cast<int>(summary.loads.size());
@@ -209,17 +222,6 @@ std::array<std::uint64_t, 2> weight_order_bits(const particles::ParticleView& pa
 std::optional<double> greatest_weight(std::span<const std::uint64_t, 2> reduced) {
   if (reduced[0] == ~std::uint64_t{0} || reduced[0] == ~reduced[1]) return std::nullopt;
   return geometry::value_of_order_bits(~reduced[1]);
-}
-
-double relative_error(u128 load, u128 total, u128 size, u128 all) {
-  if (fit_together(load, all) && fit_together(total, size)) {
-    const u128 has = load * all;
-    const u128 should = total * size;
-    return static_cast<double>(has > should ? has - should : should - has) / static_cast<double>(should);
-  }
-  const Wide has = Wide(load) * all;
-  const Wide should = Wide(total) * size;
-  return rounded(has > should ? has - should : should - has, should, 0);
 }
 
 double quotient(u128 numerator, u128 denominator) {

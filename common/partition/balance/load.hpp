@@ -78,9 +78,6 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
 // Local: the summary of known counts, nothing weighted.
 LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes);
 
-// abs(load * all - total * size) / (total * size), rounded once: the relative error of parts that together have this
-// load out of `total` and this size out of `all` sizes. total and size > 0.
-double relative_error(u128 load, u128 total, u128 size, u128 all);
 // numerator / denominator rounded once to the nearest double (ties to even); denominator > 0.
 double quotient(u128 numerator, u128 denominator);
 

@@ -20,7 +20,7 @@ constexpr std::uint64_t kSampleMin = 4096;
 constexpr std::uint64_t kSampleMax = 8192;
 constexpr double kFewOfSide = 8;  // a place within this fraction of a side is sorted out by a heap
 
-// Descends from a root and guesses the new cuts; each node gets the sampled particles that the guessed cuts above leave
+// Descends the tree and guesses the new cuts; each node gets the sampled particles that the guessed cuts above leave
 // it.
 class BracketGuess {
  public:
@@ -39,27 +39,24 @@ class BracketGuess {
     std::partial_sum(sampled_prefix_.begin(), sampled_prefix_.end(), sampled_prefix_.begin());
   }
 
-  // Guesses those of the whole tree.
+  // Guesses those of the upper levels.
   Splitters upper_cuts() {
     Splitters upper;
     for (std::size_t a = 0; a < at(tree_.dims); ++a) upper.rounded.fit(a, sample_.position[a].span());
-    visit_upper(tree_.root(), 0, sampled_in(tree_.root()), prefix_.back(), upper);
+    visit_upper(tree_.root(), 0, all_sampled(), prefix_.back(), upper);
     return upper;
   }
 
-  // Finds the inner regions of this rank's parts below a root: new cuts divide its particles among its own parts.
-  //   upper  if it is the tree's root; else null
-  void visit_root(const NodeRange& range, const Splitters* upper) {
-    upper_ = upper;
-    visit(range, upper == nullptr ? Splitters::kNodes : 0, geometry::Box::unbounded(), sampled_in(range),
-          load(range.first, range.last));
+  // Finds the inner regions of this rank's parts.
+  void find_regions(const Splitters& upper) {
+    upper_ = &upper;
+    visit(tree_.root(), 0, geometry::Box::unbounded(), all_sampled(), prefix_.back());
   }
 
  private:
-  std::span<std::uint32_t> sampled_in(const NodeRange& range) {
-    indices_.clear();
-    for (std::uint32_t k = 0; k < sample_.count(); ++k)
-      if (sample_.part[k] >= range.first && sample_.part[k] < range.last) indices_.push_back(k);
+  std::span<std::uint32_t> all_sampled() {
+    indices_.resize(sample_.count());
+    std::iota(indices_.begin(), indices_.end(), 0U);
     return indices_;
   }
 
@@ -179,24 +176,21 @@ class BracketGuess {
 }  // namespace
 
 InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles, const CurrentPartition& current,
-                           std::uint64_t count, std::span<const NodeRange> roots, const PartitionOptions& options) {
+                           std::uint64_t count, const PartitionOptions& options) {
   const int parts = current.tree.parts;
   const std::uint64_t wanted = std::clamp(kSampleOfPart * static_cast<std::uint64_t>(parts), kSampleMin, kSampleMax);
   const std::vector<std::size_t> slots = pick(particles.count, std::max<std::uint64_t>(count / wanted, 1));
-  const bool whole = roots[0].parts() == parts;
   // With more ranks than cores, copies of the same work would take longer than the rest: so rank 0 alone guesses the
   // upper cuts, and tells the others.
-  const bool upper_alone = whole && at(parts) <= Splitters::kNodes + 1;
+  const bool upper_alone = at(parts) <= Splitters::kNodes + 1;
   const Sample sample = upper_alone ? gather_sample(comm, particles, slots, current.part)
                                     : share_sample(comm, particles, slots, current.part);
   InnerRegions found;
   found.boxes.assign(at(current.own.last - current.own.first), geometry::Box::unbounded());
   BracketGuess walk(current, options, sample, found.boxes);
-  if (whole) {
-    if (comm.rank() == 0) found.splitters = walk.upper_cuts();
-    found.splitters = comm::values_of_first<Splitters>(comm, {&found.splitters, 1})[0];
-  }
-  for (const NodeRange& root : roots) walk.visit_root(root, whole ? &found.splitters : nullptr);
+  if (comm.rank() == 0) found.splitters = walk.upper_cuts();
+  found.splitters = comm::values_of_first<Splitters>(comm, {&found.splitters, 1})[0];
+  walk.find_regions(found.splitters);
   return found;
 }
 

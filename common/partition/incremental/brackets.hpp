@@ -36,17 +36,14 @@ struct CurrentPartition {
 };
 
 struct InnerRegions {
-  // Of this rank's own parts, [last - first]; open boxes, some unbounded, some empty. That of a part outside the roots
-  // is all of space.
-  std::vector<geometry::Box> boxes;
-  Splitters splitters;  // the brackets of the upper cuts, the same on all ranks; only if the one root is the tree's
+  std::vector<geometry::Box> boxes;  // [own parts]: open boxes, some unbounded, some empty
+  Splitters splitters;               // the brackets of the upper cuts, the same on all ranks
 };
 
 //   count    of all ranks' particles
-//   roots    nodes to be cut again; all other cuts stay
 //   options  those of the tree
-// Collective (one gather of a sample of some thousand particles; one more if the one root is the tree's).
+// Collective (two gathers, the first of a sample of some thousand particles).
 InnerRegions inner_regions(comm::Comm& comm, const particles::ParticleView& particles, const CurrentPartition& current,
-                           std::uint64_t count, std::span<const NodeRange> roots, const PartitionOptions& options);
+                           std::uint64_t count, const PartitionOptions& options);
 
 }  // namespace rcb::partition

@@ -51,24 +51,17 @@ class Repartitioning {
         options_(options.partition),
         current_(current),
         before_search_of_all_(options.before_search_of_all),
-        roots_(options.roots),
-        whole_(roots_.empty() || roots_[0].parts() == current.tree.parts),
         rule_(options_, particles.dims) {
-    if (whole_) roots_.assign(1, current.tree.root());
     if (current.loads.weighted) scale_.emplace(current.loads.scale_exponent);
     n_ = std::accumulate(current.loads.counts.begin(), current.loads.counts.end(), std::uint64_t{0});
     result_.tree = current.tree;
     counts_ = current.loads.counts;
-    if (!whole_) share_roots_alone();
   }
 
   Repartition run(bool incremental) {
     if (options_.parts > 1) {
-      const bool tried = incremental && options_.cut_tolerance == 0;
-      if (!tried || !search_boundary()) {
-        failed_ = roots_;
-        result_.wasted = tried;
-      }
+      failed_ = {current_.tree.root()};
+      result_.wasted = incremental && options_.cut_tolerance == 0 && !search_boundary();
       if (!failed_.empty()) search_all();
     }
     result_.incremental = failed_.empty();
@@ -79,47 +72,33 @@ class Repartitioning {
   }
 
  private:
-  // A part's quota is its share of its root's particles; parts outside the roots keep what they have.
-  void share_roots_alone() {
-    std::vector<std::uint64_t> prefix(current_.loads.counts.size() + 1, 0);
-    std::partial_sum(current_.loads.counts.begin(), current_.loads.counts.end(), prefix.begin() + 1);
-    for (const NodeRange& root : roots_) {
-      const std::uint64_t before = prefix[at(root.first)];
-      const std::uint64_t count = prefix[at(root.last)] - before;
-      for (int p = root.first + 1; p < root.last; ++p)
-        prefix[at(p)] = before + floor_share(count, rule_.size(root.first, p), rule_.size(root.first, root.last));
-    }
-    rule_.set_quotas(std::move(prefix));
-  }
-
-  // The incremental search. False if it was abandoned; else failed_ has the nodes that it could not cut. Collective.
+  // The incremental search. False if it was abandoned; else failed_ becomes the nodes that it could not cut.
+  // Collective.
   bool search_boundary() {
-    const InnerRegions inner = inner_regions(comm_, particles_, current_, n_, roots_, options_);
+    const InnerRegions inner = inner_regions(comm_, particles_, current_, n_, options_);
     // The own count alone won't do: a rank may hold nothing but particles that have just left other ranks' parts.
     const std::uint64_t mean = n_ / static_cast<std::uint64_t>(comm_.size());
     const OwnInterior own =
         classify_interior(particles_, current_.blocks, current_.part, inner.boxes, current_.own,
                           std::max<std::uint64_t>(particles_.count, mean) / options_.limits.boundary_divisor);
-    result_.reductions += whole_ ? 3 : 2;
+    result_.reductions += 3;
     const std::uint64_t most = n_ / options_.limits.boundary_divisor;
     const auto interior = sum_interior(comm_, own, current_.own, current_.loads, most, result_.looked_at);
     if (!interior) return false;
     Buffer<std::int32_t> part = own.part;
     TreeBuilder builder(comm_, own.view(particles_), options_,
-                        {.roots = roots_,
-                         .part = part.span(),
+                        {.part = part.span(),
                          .tree = &current_.tree,
-                         .rule = whole_ ? nullptr : &rule_,
                          .scale = scale_,
                          .interior = &*interior,
-                         .splitters = whole_ ? &inner.splitters : nullptr,
+                         .splitters = &inner.splitters,
                          .failed_max = most});
     auto found = builder.build();
     if (!found) return false;
-    failed_ = builder.uncut();
     rule_ = builder.rule();
     tell_changes(part.span(), own.part.span(), [&own](std::size_t k) { return own.slot[k]; });
-    take(*std::move(found), roots_);
+    take(*std::move(found), failed_);
+    failed_ = builder.uncut();
     return true;
   }
 
@@ -185,8 +164,6 @@ class Repartitioning {
   const PartitionOptions& options_;
   const CurrentPartition& current_;
   const std::function<void()>& before_search_of_all_;
-  std::vector<NodeRange> roots_;
-  bool whole_;
   SplitRule rule_;
   std::optional<ExactScale> scale_;
   std::uint64_t n_ = 0;

@@ -12,8 +12,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <optional>
-#include <vector>
 
 #include "common/base/buffer.hpp"
 #include "common/partition/balance/load.hpp"
@@ -41,9 +39,6 @@ struct Repartition {
 
 struct RepartitionOptions {
   PartitionOptions partition;
-  // Nodes of the current tree that are cut anew, none below another, ascending; all other cuts stay, and a root's
-  // particles are divided among its own parts. Empty: the whole tree.
-  std::vector<NodeRange> roots;
   bool incremental = true;  // false: a full search, for comparison
   // Called before nodes are searched among all their particles, which needs 20 bytes of each; may be empty.
   std::function<void()> before_search_of_all;

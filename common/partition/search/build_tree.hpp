@@ -2,9 +2,8 @@
 // also divides their quantised points (select.hpp), and passes once over those of each span that was divided, for the
 // children's bounds (if they don't all lie in one place).
 //
-// It may begin below the root, at nodes of an existing tree that are to be cut anew, and it may search among boundary
-// particles alone while interior particles are expected to stay (interior.hpp). A node whose interior particles would
-// not stay has failed.
+// It may search among boundary particles alone while interior particles are expected to stay (interior.hpp). A node
+// whose interior particles would not stay has failed; another build may begin at such nodes.
 //
 // Invariants
 // 1. A node has one or more spans of quantised points in each chunk that has any. Those of a finished part never move
@@ -42,12 +41,11 @@ struct Start {
   // Of each particle so far; those of parts in no root are left out. The parts found are written here instead of the
   // result, whose `counts` are set for parts below the roots only. Empty: there are none.
   std::span<std::int32_t> part;
-  const CutTree* tree = nullptr;       // its cuts outside of the roots are kept
-  const SplitRule* rule = nullptr;     // made from all particles; may be null only if the one root is the tree's
-  std::optional<ExactScale> scale;     // of the weights, if they count
-  const Interior* interior = nullptr;  // particles that are not searched; null: none
-  // Where the cuts are expected, for buckets; null: not known. Not with several roots.
-  const Splitters* splitters = nullptr;
+  const CutTree* tree = nullptr;         // its cuts outside of the roots are kept
+  const SplitRule* rule = nullptr;       // made from all particles; may be null only if the one root is the tree's
+  std::optional<ExactScale> scale;       // of the weights, if they count
+  const Interior* interior = nullptr;    // particles that are not searched; null: none. From the tree's root alone
+  const Splitters* splitters = nullptr;  // if there is an interior: where the cuts are expected, for buckets
   // The build is abandoned once nodes that could not be cut hold more particles.
   std::uint64_t failed_max = std::numeric_limits<std::uint64_t>::max();
   // To begin with buckets; no particle may have a weight. A sample of all particles on rank 0, empty elsewhere; what

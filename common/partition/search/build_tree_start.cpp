@@ -68,7 +68,7 @@ geometry::Box TreeBuilder::own_box() {
 
 void TreeBuilder::find_box() {
   if (interior_ != nullptr) {
-    if (start_.splitters != nullptr) (void)own_box();  // for the buckets
+    (void)own_box();  // for the buckets
     box_ = interior_->boundary;
     return;
   }

@@ -10,7 +10,6 @@ SplitRule::SplitRule(const PartitionOptions& options, int axes)
   size_prefix_.assign(1, 0);
   for (const u128 size : exact_sizes(options.part_sizes, options.parts))
     size_prefix_.push_back(size_prefix_.back() + size);
-  if (band_axis_) fixed_axes_ = geometry::with_first(fixed_axes_, *band_axis_, axes);
 }
 
 void SplitRule::set_all(std::uint64_t count, const Point& extents) {

@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <optional>
-#include <utility>
 #include <vector>
 
 #include "common/base/wide.hpp"
@@ -24,8 +23,6 @@ class SplitRule {
   SplitRule(const PartitionOptions& options, int axes);
   // Sets the number and the exact extents of all ranks' particles. Local.
   void set_all(std::uint64_t count, const Point& extents);
-  // Replaces the quotas of the whole set. prefix[p]: the particles of parts [0, p) together, p = 0..parts. Local.
-  void set_quotas(std::vector<std::uint64_t> prefix) { quota_prefix_ = std::move(prefix); }
 
   // The axis order of a node with these extents; nullopt if they leave it open. Local.
   std::optional<AxisOrder> axes_of(const NodeRange& range, const Extents& extents) const;

@@ -105,7 +105,6 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   options.tolerance = fields.number_or("tolerance", 0, kInfinity, 0.1, true);
   options.axis_hysteresis = fields.number_or("axis_hysteresis", 1, kLargest, 1.2);
   options.cut_tolerance = fields.number_or("cut_tolerance", 0, 1, 0);
-  const std::string recut = fields.text_or("recut", 16, "all");
   if (!fields.ok()) return fields.status();
   const auto method = read_method(request, options.dims, cuts::Method::rcb);
   if (!method.ok()) return method.status();
@@ -113,9 +112,6 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   const auto policy = read_policy(request);
   if (!policy.ok()) return policy.status();
   options.policy = policy.value();
-  if (recut != "all" && recut != "subtree")
-    return Status(Code::invalid_argument, fmt::format("unknown recut '{}'", recut), "recut: all, subtree");
-  options.recut = recut == "all" ? Recut::all : Recut::subtree;
   if (const Status status = read_part_sizes(request, options); !status.ok()) return status;
   return options;
 }
@@ -131,7 +127,6 @@ Response describe_scene(Scene& scene) {
                   {"axis_hysteresis", options.axis_hysteresis},
                   {"cut_tolerance", options.cut_tolerance},
                   {"policy", policy_name(options.policy)},
-                  {"recut", options.recut == Recut::all ? "all" : "subtree"},
                   {"part_sizes", nullptr},
                   {"weights", scene.particles.has_weights},
                   {"ids", scene.ids},

@@ -58,9 +58,9 @@ struct Decision {
 
 struct PolicyInput {
   double error_before = 0;
-  double tolerance = 0.1;      // may be infinity
-  bool may_be_wasted = false;  // new cuts might fail to lower the error (weights, inexact or partial recuts)
-  double quota_error = 0;      // without weights: the error that quotas of whole particles leave
+  double tolerance = 0.1;                        // may be infinity
+  bool may_be_wasted = false;                    // new cuts might fail to lower the error (weights, inexact cuts)
+  double quota_error = 0;                        // without weights: the error that quotas of whole particles leave
   std::optional<double> error_when_not_adopted;  // if may_be_wasted: error_before of the last wasted search
   Policy policy = Policy::tolerance;
   bool timed = false;       // the solver reported this step's seconds; else the tolerance decides

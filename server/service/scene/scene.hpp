@@ -21,18 +21,14 @@
 #include <boost/unordered/unordered_flat_map.hpp>
 
 #include "common/base/buffer.hpp"
+#include "common/cuts/cuts.hpp"
+#include "common/cuts/regions.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/balance/load.hpp"
-#include "common/cuts/cuts.hpp"
 #include "server/service/scene/history.hpp"
 #include "server/service/scene/policy.hpp"
-#include "common/cuts/regions.hpp"
 
 namespace rcb::service {
-
-// What an automatic repartition searches anew: all cuts, or those of the smallest subtrees that bring the error below
-// half the tolerance.
-enum class Recut { all, subtree };
 
 struct SceneOptions {
   int parts = 1;
@@ -41,7 +37,6 @@ struct SceneOptions {
   double tolerance = 0.1;  // may be infinity
   double axis_hysteresis = 1.2;
   double cut_tolerance = 0;  // for every search; 0: exact cuts
-  Recut recut = Recut::all;
   Policy policy = Policy::tolerance;
   std::vector<double> part_sizes;
 };

@@ -4,7 +4,6 @@
 #include <utility>
 
 #include "common/layout/layout.hpp"
-#include "common/partition/incremental/recut.hpp"
 #include "common/partition/incremental/repartition.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/scene/policy.hpp"
@@ -112,8 +111,6 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   options.before_search_of_all = [&staged] {
     for (auto& axis : staged.arrays.position) axis.release();  // a full search needs as much memory
   };
-  if (scene.options.recut == Recut::subtree)
-    options.roots = partition::smallest_roots(scene.tree, scene.loads, scene.options.tolerance / 2);
   const auto own = layout::parts_of_rank(context.comm.rank(), scene.options.parts, context.comm.size());
   // Insertions and removals have changed the slots, so the scan's ranges of blocks are no longer valid.
   const particles::BlockRanges* ranges = staged.edits.any() ? nullptr : staged.ranges();
@@ -133,9 +130,7 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
 }
 
 // True if new cuts may turn out not to lower the error.
-bool may_be_wasted(const Scene& scene) {
-  return scene.loads.weighted || scene.options.cut_tolerance > 0 || scene.options.recut == Recut::subtree;
-}
+bool may_be_wasted(const Scene& scene) { return scene.loads.weighted || scene.options.cut_tolerance > 0; }
 
 // Searches new cuts and adopts them if they lower the error. Collective.
 void try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,

@@ -31,7 +31,6 @@ Status check(const DynamicOptions& options) {
   for (const double hysteresis : options.hystereses)
     check.holds(hysteresis >= 1 && !std::isinf(hysteresis),
                 fmt::format("--axis-hysteresis {}: give finite numbers >= 1", hysteresis));
-  check.known("--recut", options.recuts, [](const std::string& recut) { return recut == "all" || recut == "subtree"; });
   check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
   check.whole("--points", {options.points}, 0, 1e9);
   check.between("--steps", std::vector{options.steps}, 0, kStepsMax);
@@ -59,7 +58,6 @@ Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSet
           {"policy", setting.cost ? "cost" : "tolerance"},
           {"tolerance", tolerance},
           {"axis_hysteresis", peer ? Json() : Json(setting.axis_hysteresis)},
-          {"recut", peer ? Json() : Json(setting.recut)},
           {"steps", trajectory.solver_seconds.size() - 1},
           {"seconds", run.seconds},
           {"seconds_min", runs.front().seconds},
@@ -90,11 +88,10 @@ Status measure_service(const DynamicOptions& options, const Trajectory& trajecto
   auto client = launch::reach(service->endpoint(), "rcb_bench");
   if (!client) return service->explain(client.status());
   std::vector<DynamicSetting> settings;
-  for (const double hysteresis : options.hystereses)
-    for (const std::string& recut : options.recuts) {
-      for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis, recut});
-      settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis, recut});
-    }
+  for (const double hysteresis : options.hystereses) {
+    for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis});
+    settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis});
+  }
   for (const int parts : options.parts) {
     fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, trajectory.scene, trajectory.points, parts);
     std::vector<std::vector<DynamicRun>> runs(settings.size());
@@ -166,7 +163,6 @@ CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
   add_list(*command, "--parts", options.parts, "numbers of parts");
   add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, one service each");
   add_list(*command, "--axis-hysteresis", options.hystereses, "of our scenes");
-  add_list(*command, "--recut", options.recuts, "what our new cuts cut anew: all, subtree");
   command->add_flag("!--no-peers", options.peers, "leave Zoltan out");
   command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
   command->add_option("--points", options.points, "points of every scene, instead of its own number");

@@ -27,7 +27,6 @@ struct DynamicOptions {
   std::vector<int> parts{8};
   std::vector<int> ranks{2};
   std::vector<double> hystereses{1.2};
-  std::vector<std::string> recuts{"all"};
   int repeats = 3;
   bool peers = true;
   double points = 0;  // of every scene; 0: its own number

@@ -54,7 +54,6 @@ Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, 
   options.parts = parts;
   options.tolerance = setting.tolerance;
   options.axis_hysteresis = setting.axis_hysteresis;
-  options.recut = setting.recut;
   options.policy = setting.cost ? "cost" : "tolerance";
   options.replace = true;
   if (Status status = client.create_scene("dynamic", options); !status.ok()) return status;

@@ -17,7 +17,6 @@ struct DynamicSetting {
   bool cost = false;     // the policy cost; else by tolerance
   double tolerance = 0;  // may be infinity
   double axis_hysteresis = 1.2;
-  std::string recut = "all";
 };
 
 // Times of a step: seconds, search, migrate, exchange, client as below.

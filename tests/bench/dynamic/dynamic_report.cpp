@@ -27,7 +27,6 @@ std::string tool_of(const Json& row, const Json& head) {
   std::string name = row["tool"].get<std::string>() + " " + row["method"].get<std::string>();
   if (!is_peer(row) && row["axis_hysteresis"] != head["axis_hysteresis"])
     name += fmt::format(", hysteresis {:g}", row["axis_hysteresis"].get<double>());
-  if (!is_peer(row) && row["recut"] != head["recut"]) name += ", recut " + row["recut"].get<std::string>();
   return name;
 }
 

@@ -16,7 +16,7 @@ COMMANDS = ("status", "scene.list", "scene.show", "scene.open", "scene.close", "
 FIELDS = ("step", "attempt", "n", "slices", "order", "plan", "base_step", "dtype", "moved", "weights", "ids", "changes",
           "path", "rank", "count", "first", "counts", "inserted", "removed", "inserted_ids", "holds", "arrays", "parts",
           "dims", "method", "tolerance", "part_sizes", "replace", "position", "id", "lo", "hi", "last", "member",
-          "members", "places", "epoch", "methods", "ghost_width", "dry_run", "policy", "recut", "step_seconds", "client",
+          "members", "places", "epoch", "methods", "ghost_width", "dry_run", "policy", "step_seconds", "client",
           "protocol", "token", "version", "deadline_seconds")
 
 

@@ -29,8 +29,7 @@ class Ways(Actor):
         self.parts = int(rng.integers(1, 20))
         self.model = Model.random(rng, n, dims, own_ids=rng.integers(2) == 1, weighted=rng.integers(3) == 0)
         self.number, self.turns = 0, 0
-        options = {"parts": self.parts, "dims": dims, "tolerance": rng.choice([0.02, 0.1, 0.5]),
-                   "recut": str(rng.choice(["all", "all", "subtree"]))}
+        options = {"parts": self.parts, "dims": dims, "tolerance": rng.choice([0.02, 0.1, 0.5])}
         self.pushing = [(self.create(self.control, **options), self.connect(PushClient, way, tcp=rng.integers(4) == 0))
                         for way in WAYS]
         own = not np.array_equal(self.model.ids, np.arange(n))

@@ -10,7 +10,6 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include "common/partition/incremental/recut.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/ranges_of.hpp"
@@ -107,7 +106,7 @@ std::uint64_t check(Case trial) {
     const particles::ParticleView view = share.particles.view();
     const particles::BlockRanges blocks = testing::ranges_of(view);
     const auto& sizes = trial.options.part_sizes;
-    RepartitionOptions options{trial.options, {}, true};
+    RepartitionOptions options{trial.options, true, {}};
     options.partition.previous = &before;
     const LoadSummary loads = summarise_loads(comm, view, part, sizes, before.parts);
     const Result<PartitionResult> full = partition(comm, view, options.partition);
@@ -175,7 +174,7 @@ TEST(Repartition, LooksAtFewWhereLittleHasMoved) {
   const CutTree before = drift(trial);
   on_ranks([&](comm::Comm& comm) {
     const auto [share, own, part] = held(trial.scene, before, comm);
-    RepartitionOptions options{trial.options, {}, true};
+    RepartitionOptions options{trial.options, true, {}};
     options.partition.previous = &before;
     const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 4);
     const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads, own});
@@ -188,115 +187,6 @@ TEST(Repartition, LooksAtFewWhereLittleHasMoved) {
     EXPECT_EQ(full.looked_at, trial.scene.count());
     EXPECT_EQ(full.tree.hash(), got.tree.hash());
   });
-}
-
-// Some subtrees alone: each is the partition of its particles into its parts, all other cuts stay.
-TEST(Repartition, CutsSomeSubtreesAnew) {
-  for (std::uint64_t seed = kRepartitionSeed; seed < kRepartitionSeed + 60; ++seed) {
-    Case trial{make_scene(static_cast<Shape>(seed % testing::kShapes),
-                          seed % 4 == 0 ? Weights::small_integers : Weights::none, 3, 200 + seed % 300, false, seed),
-               {},
-               0.1,
-               seed};
-    trial.options.parts = 11;
-    SCOPED_TRACE(trial.text());
-    const CutTree before = drift(trial);
-    const NodeRange root = before.root();
-    RepartitionOptions options{trial.options, {root.left().left(), root.right()}, seed % 2 == 0};
-    options.partition.limits.boundary_divisor = 1;
-    options.partition.limits.bracket_sigmas = 1;
-    on_ranks([&](comm::Comm& comm) {
-      const auto [share, own, part] = held(trial.scene, before, comm);
-      const LoadSummary loads = summarise_loads(comm, share.particles.view(), part, {}, 11);
-      const Repartition got = repartition(comm, share.particles.view(), options, {before, part, loads, own});
-      std::vector<std::int32_t> parts = part;
-      for (std::size_t k = 0; k < got.delta.slot.size(); ++k) parts[got.delta.slot[k]] = got.delta.part[k];
-      CutTree wanted = before;
-      for (const NodeRange& range : options.roots) {
-        std::vector<std::size_t> rows;
-        for (std::size_t i = 0; i < part.size(); ++i)
-          if (part[i] >= range.first && part[i] < range.last) rows.push_back(share.row[i]);
-        const Share own_share = testing::take(trial.scene, rows);
-        PartitionOptions alone = trial.options;
-        alone.parts = range.parts();
-        const auto found = partition(comm, own_share.particles.view(), alone);
-        std::copy(found->tree.cuts.begin(), found->tree.cuts.end(), wanted.cuts.begin() + range.node);
-        for (std::size_t k = 0, i = 0; i < part.size(); ++i) {
-          if (part[i] < range.first || part[i] >= range.last) continue;
-          EXPECT_EQ(parts[i], found->part[k++] + range.first);
-        }
-      }
-      if (!trial.scene.weight.empty()) return;  // a scale of its own: cuts may differ
-      EXPECT_TRUE(got.tree.cuts == wanted.cuts);
-      EXPECT_EQ(differs(got.loads, summarise_loads(comm, share.particles.view(), parts, {}, 11)), "");
-    });
-    if (HasFailure()) return;
-  }
-}
-
-// The root as the one subtree is everything: bands order their other axes by the extents of the whole set.
-TEST(Repartition, TheRootAsASubtreeIsEverything) {
-  for (const Method method : {Method::rcb, Method::bands_x}) {
-    Case trial{make_scene(Shape::uniform, Weights::none, 3, 5000, false, kRepartitionSeed), {}, 0.02, kRepartitionSeed};
-    for (double& z : trial.scene.x[2]) z *= 3;  // longer than y, so their order isn't that of their numbers
-    trial.options.parts = 5;
-    trial.options.method = method;
-    const CutTree before = drift(trial);
-    on_ranks([&](comm::Comm& comm) {
-      const auto [share, own, part] = held(trial.scene, before, comm);
-      const particles::ParticleView view = share.particles.view();
-      const LoadSummary loads = summarise_loads(comm, view, part, {}, 5);
-      const Result<PartitionResult> full = partition(comm, view, trial.options);
-      for (const bool incremental : {true, false}) {
-        const RepartitionOptions options{trial.options, {before.root()}, incremental, {}};
-        const Repartition got = repartition(comm, view, options, {before, part, loads, own});
-        EXPECT_EQ(got.tree.hash(), full->tree.hash());
-      }
-    });
-  }
-}
-
-LoadSummary loads_of(std::vector<std::uint64_t> counts) { return summarise_counts(std::move(counts), {}); }
-
-std::vector<std::pair<int, int>> roots_of(const std::vector<std::uint64_t>& counts, double wanted,
-                                          Method method = Method::rcb) {
-  CutTree tree;
-  tree.parts = static_cast<int>(counts.size());
-  tree.method = method;
-  tree.cuts.resize(counts.size() - 1);
-  std::vector<std::pair<int, int>> found;
-  for (const NodeRange& range : smallest_roots(tree, loads_of(counts), wanted))
-    found.emplace_back(range.first, range.last);
-  return found;
-}
-
-TEST(Recut, FindsTheSmallestSubtreesThatHelp) {
-  using Roots = std::vector<std::pair<int, int>>;
-  EXPECT_EQ(roots_of({100, 100, 100, 100}, 0.05), Roots{});
-  EXPECT_EQ(roots_of({110, 90, 100, 100}, 0.05), (Roots{{0, 2}}));
-  EXPECT_EQ(roots_of({110, 90, 90, 110}, 0.05), (Roots{{0, 2}, {2, 4}}));
-  EXPECT_EQ(roots_of({110, 100, 90, 100}, 0.05), (Roots{{0, 4}}));
-  EXPECT_EQ(roots_of({110, 90, 100, 100, 100, 100, 80, 120}, 0.05), (Roots{{0, 2}, {6, 8}}));
-  EXPECT_EQ(roots_of({110, 100, 90, 100, 100, 100, 100, 100}, 0.05), (Roots{{0, 4}}));
-  // Nodes that are off by exactly as much as is wanted, as the parts' errors are reckoned.
-  EXPECT_EQ(roots_of({8, 8, 12, 12}, 0.2), (Roots{{0, 4}}));
-  EXPECT_EQ(roots_of({9, 9, 10, 11, 9, 12}, 0.1), (Roots{{0, 3}, {3, 6}}));
-  EXPECT_EQ(roots_of({110, 90, 100, 100}, 0.05, Method::bands_x), (Roots{{0, 4}}));
-}
-
-TEST(Repartition, BandsKeepTheirAxisBelowSomeRoots) {
-  const Scene scene = make_scene(Shape::uniform, Weights::none, 3, 2000, false, 3);
-  for (const Method method : {Method::bands_x, Method::bands_y, Method::bands_z})
-    on_ranks([&](comm::Comm& comm) {
-      const Share share = deal(scene, comm.rank(), comm.size(), 5);
-      RepartitionOptions options{.partition = {.method = method, .parts = 11}, .incremental = false};
-      const PartitionResult before = partition(comm, share.particles.view(), options.partition).value();
-      options.roots = {before.tree.root().left().left(), before.tree.root().right()};
-      const LoadSummary loads = summarise_loads(comm, share.particles.view(), before.part.span(), {}, 11);
-      const Repartition got =
-          repartition(comm, share.particles.view(), options, {before.tree, before.part.span(), loads, {0, 11}});
-      for (const Cut& cut : got.tree.cuts) EXPECT_EQ(cut.axes[0], *band_axis(method));
-    });
 }
 
 }  // namespace
