@@ -21,12 +21,12 @@
 #include <boost/unordered/unordered_flat_map.hpp>
 
 #include "common/base/buffer.hpp"
+#include "common/cuts/cuts.hpp"
+#include "common/cuts/regions.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/balance/load.hpp"
-#include "common/cuts/cuts.hpp"
 #include "server/service/scene/history.hpp"
 #include "server/service/scene/policy.hpp"
-#include "common/cuts/regions.hpp"
 
 namespace rcb::service {
 
