@@ -129,7 +129,8 @@ class ManyParts(unittest.TestCase):
         with Client(self.service.endpoint, timeout=120) as client, Poller(self.service.endpoint) as poller:
             before = memory_mib(rank_0(self.service))
             asked = [("counts", {}), ("scene.show", {}), ("box", {"lo": [-1] * 3, "hi": [2] * 3}),
-                     ("quality", {}), ("owner", {"position": [0.5] * 3}), ("stats", {}), ("error", {}),
+                     ("quality", {}), ("halo", {"width": 1e-3}), ("neighbours", {"width": 0}),
+                     ("owner", {"position": [0.5] * 3}), ("stats", {}), ("error", {}),
                      ("compare", {"deadline_seconds": 600}), ("rebalance", {"dry_run": True})]
             for command, arguments in asked:
                 client.send({"command": command, "scene": "many", **arguments})
@@ -171,6 +172,9 @@ class ManyParts(unittest.TestCase):
         self.assertEqual((cuts["hash"], cuts["parts"], cuts["method"]), (shown["hash"], 20_000, "rcb"))
         self.assertEqual(len(self.service.json("quality", "some")["ghosts"]), 20_000)
         self.assertEqual(len(self.service.json("box", "some", -1, -1, -1, 2, 2, 2)["parts"]), 20_000)
+        halo = self.service.json("halo", "some", "--width", 0.1)
+        self.assertEqual(sum(pair["count"] for pair in halo["pairs"]), halo["entries"])
+        self.assertEqual(len(self.service.json("neighbours", "some", "--width", 0)["neighbours"]), 20_000)
 
 
 class ChangingFile(unittest.TestCase):
@@ -303,7 +307,7 @@ class LongCommands(unittest.TestCase):
                 client.ask("compare", scene="large", methods=["rcb"] * 5000)
             self.assertEqual(refused.exception.args[0], "invalid_argument")
             before = service.json("scene", "show", "large")
-            for command, arguments in (("compare", {}), ("quality", {"ghost_width": 0.05}), ("fetch", {}),
+            for command, arguments in (("compare", {}), ("quality", {"ghost_width": 0.05}), ("halo", {"width": 9}), ("fetch", {}),
                                        ("rebalance", {"parts": 5}), ("plan", {})):
                 with self.assertRaises(Refused) as refused:
                     client.ask(command, scene="large", **arguments, deadline_seconds=1e-6)

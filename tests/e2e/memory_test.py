@@ -97,7 +97,8 @@ class Memory(Refusals, unittest.TestCase):
                 each //= 2
             others += 1
         places = dict(zip("xyz", np.zeros((3, 10))))
-        for command, more in (("quality", {}), ("quality", {"ghost_width": 0.5}), ("write_parts", {"directory": service.dir})):
+        for command, more in (("quality", {}), ("quality", {"ghost_width": 0.5}), ("halo", {"width": 0.5}),
+                              ("write_parts", {"directory": service.dir})):
             self.too_large(client, command, scene="big", **more)
         edits = ({"moved": "none", "removed": 10}, {"id": np.arange(10)}, {"holds": "removed"}), (
             {"moved": "none", "inserted": 10, "inserted_ids": True}, places | {"id": np.arange(n, n + 10)}, {"holds": "inserted"}), (

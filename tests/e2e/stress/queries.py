@@ -40,7 +40,9 @@ class OwnScene(Actor):
             {"command": "assign", **scene}, {"command": "fetch", **scene}, {"command": "plan", **scene},
             {"command": "quality", **scene}, {"command": "compare", **scene, "methods": ["rcb", "bands-x"]},
             {"command": "rebalance", **scene, "dry_run": True, "parts": 5},
-        ][rng.integers(16)]
+            {"command": "halo", **scene, "width": 0.3, "lists": True, "periodic": {"lo": [0] * self.dims, "hi": [1] * self.dims}},
+            {"command": "neighbours", **scene, "width": 0.01, "norm": "euclid"}, {"command": "cuts", **scene, "list": "arrays"},
+        ][rng.integers(19)]
 
     def judge(self, command, answer):
         """What is foretold of an answer."""
@@ -79,7 +81,8 @@ class Readers(OwnScene):
         self.expect(answer["owner"] == self.assigned[i], "owner of", i, answer, "not", self.assigned[i])
 
     def wrong(self, command, request):
-        names = [*request, "scene", "position", "deadline_seconds", "ghost_width", "methods", "last", "parts", "surplus"]
+        names = [*request, "scene", "position", "deadline_seconds", "ghost_width", "methods", "last", "parts", "surplus", "width",
+                 "norm", "periodic", "lists"]
         for _ in range(self.rng.integers(1, 3)):
             request[self.random.choice(names)] = self.random.choice(NASTY)
         request["deadline_seconds"] = self.random.choice([self.world.answer_seconds, "x", -1, 1e9, None])
