@@ -1,7 +1,11 @@
 // halo, neighbours: which particles each part needs besides its own, and whose.
+#include <algorithm>
 #include <charconv>
-#include <numeric>
+#include <functional>
+#include <iterator>
 #include <span>
+#include <system_error>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>

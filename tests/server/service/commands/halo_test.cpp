@@ -1,8 +1,13 @@
 // halo, neighbours, box with periodic borders, and the cuts as arrays, against what the definitions say of the regions
 // and parts that `cuts` and `assign` tell.
+#include <algorithm>
+#include <array>
 #include <cmath>
-#include <set>
+#include <limits>
+#include <map>
+#include <tuple>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "server/service/service.hpp"
