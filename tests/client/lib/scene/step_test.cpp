@@ -374,16 +374,25 @@ TEST(Step, CutsAreAskedForOnceAndOnlyByWhoUsesThem) {
   EXPECT_EQ(fake.cuts_known, (std::vector<protocol::Json>{none, none, first, first, first, last}));
 }
 
-// Cuts that aren't those of their hash must not be used.
+// Among them cuts that aren't those of their hash.
 TEST(Step, CutsThatAreDamagedAreRefused) {
-  FakeScene fake = scene_of(2, 5, 3, 20);
-  fake.spoil_cuts = [](ToldCuts& cuts) { cuts.json["hash"] = "0123456789abcdef"; };
-  Session session(fake);
-  StepCaller caller{500, 2, {}, {}, {}};
-  const Status status = session.scene->step(caller.at(0, true), wanting()).status();
-  EXPECT_EQ(status.code(), Code::protocol_error);
-  EXPECT_NE(status.message().find("is committed, but its parts are not known"), std::string::npos) << status.message();
-  EXPECT_EQ(session.scene->cuts().status().code(), Code::protocol_error);
+  using Spoil = std::function<void(ToldCuts&)>;
+  for (const Spoil& spoil :
+       {Spoil([](ToldCuts& cuts) { cuts.json["hash"] = "0123456789abcdef"; }),
+        Spoil([](ToldCuts& cuts) { cuts.json["parts"] = 6; }), Spoil([](ToldCuts& cuts) { cuts.json["dims"] = 4; }),
+        Spoil([](ToldCuts& cuts) { cuts.json["method"] = "spirals"; }),
+        Spoil([](ToldCuts& cuts) { cuts.json["epoch"] = "one"; }), Spoil([](ToldCuts& cuts) { cuts.arrays.pop_back(); }),
+        Spoil([](ToldCuts& cuts) { cuts.arrays[2].dtype = "<u8"; })}) {
+    FakeScene fake = scene_of(2, 5, 3, 20);
+    fake.spoil_cuts = spoil;
+    Session session(fake);
+    StepCaller caller{500, 2, {}, {}, {}};
+    const Status status = session.scene->step(caller.at(0, true), wanting()).status();
+    EXPECT_EQ(status.code(), Code::protocol_error);
+    EXPECT_NE(status.message().find("is committed, but its parts are not known"), std::string::npos)
+        << status.message();
+    EXPECT_EQ(session.scene->cuts().status().code(), Code::protocol_error);
+  }
 }
 
 TEST(Step, ASceneWithoutPositionsHasNoCuts) {
