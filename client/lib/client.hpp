@@ -12,7 +12,6 @@
 // belong to one thread at a time. No call waits without a deadline. Errors are returned as Status: code, message, hint.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -69,28 +68,7 @@ struct SceneOptions {
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 
-// Positions in the caller's memory, which stay there; also in the order of the plan, for a step alone.
-struct Positions : cuts::Positions {
-  Positions() = default;
-  Positions(const cuts::Positions& other) : cuts::Positions(other) {}  // NOLINT(google-explicit-constructor)
-
-  // If the solver keeps its arrays in the order of the plan: by_rank[r][a] is axis a of the particles of rank r, slot
-  // by slot. Then `axis` and `axis_f4` aren't used.
-  std::span<const std::array<const double*, 3>> by_rank;
-  std::span<const std::array<const float*, 3>> by_rank_f4;
-  std::uint64_t plan_version = 0;  // version of that plan
-
-  // Arrays in the order of Scene::plan(), so that nothing is gathered or copied before the send. `ranks` must outlive
-  // the call of step.
-  static Positions in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
-                                 std::size_t count, int dims);
-  static Positions in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
-                                 std::size_t count, int dims);
-
-  // float32: sent as such, half the bytes, and widened exactly by the service
-  bool single() const { return cuts::Positions::single() || !by_rank_f4.empty(); }
-  bool in_plan_order() const { return !by_rank.empty() || !by_rank_f4.empty(); }
-};
+using Positions = cuts::Positions;  // in the caller's memory, where they stay
 
 // Particles that a step adds.
 struct Insertion {
@@ -163,8 +141,7 @@ struct StepOptions {
   std::optional<double> step_seconds{};
   // Rows that moved since this Scene's last step, distinct, in any order; the positions of all other rows are unchanged
   // and aren't sent. Empty: nothing moved. Not given: all. If the service can't build on that step, and until this
-  // Scene has had its first answer, all rows are sent. Not with positions in the order of the plan, nor with new
-  // weights.
+  // Scene has had its first answer, all rows are sent. Not with new weights.
   std::optional<std::span<const std::uint64_t>> moved{};
   std::span<const std::int64_t> removed{};  // ids, distinct, of particles in the scene
   const Insertion* inserted = nullptr;
@@ -194,13 +171,6 @@ struct StepResult {
   // if there are fewer, the last rows, ascending, fill the free ones, ascending.
   std::vector<RowMove> row_moves;
   std::vector<std::int64_t> inserted_ids;  // in the order in which they were given
-};
-
-// The plan: which rank holds which of the solver's particles in which slot of its arrays. (The sources of the service
-// call the same thing the layout.)
-struct PlanView {
-  std::uint64_t version = 0;
-  std::vector<std::span<const std::uint64_t>> rows;  // by rank: rows of the solver's arrays, in the order of the slots
 };
 
 struct Array {
@@ -267,7 +237,7 @@ class Scene {
   // - the same content again: it returns the answer to that step;
   // - other content: it becomes the step after that one. But if that step was the first, or inserted or removed
   //   particles, the error is stale_step: push its content again first.
-  // Waits until the deadline for a lost service or connection; if the plan is stale, fetches it once and tries again.
+  // Waits until the deadline for a lost service or connection.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
   // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or the service has lost
@@ -290,11 +260,6 @@ class Scene {
   // The cuts after the last step that was answered here, or before any the cuts in force. Asked for at most once:
   // afterwards the answer to each step brings those that are new. Errors: also not_found (no positions yet).
   Result<rcb::cuts::Cuts> cuts(double deadline_seconds = 60);
-  // The plan for the next push, valid until then; fetched if it isn't known. A solver that pushes in the plan's order
-  // asks for it after every step that migrated particles or whose report says scene_recreated (the version changes
-  // then), and passes the version with its positions. If the plan has changed in between, the push is refused with
-  // stale_plan.
-  Result<PlanView> plan(double deadline_seconds = 60);
 
  private:
   friend class Client;

@@ -91,8 +91,6 @@ Status MemberScene::State::check(const Positions& positions, std::span<const std
                                  const MemberStepOptions& step) const {
   const auto wrong = [this](const std::string& message, const char* hint) { return wrong_push(name, message, hint); };
   if (Status status = check_arrays(name, positions, dims); !status) return status;
-  if (positions.in_plan_order())
-    return wrong("positions in the plan's order", "a member pushes its own particles by rows or axes");
   if (ids.size() != positions.count)
     return wrong(fmt::format("{} ids for {} particles", ids.size(), positions.count), "give one id a particle");
   if (!step.weights.empty() && step.weights.size() != positions.count)
@@ -114,7 +112,7 @@ std::uint64_t MemberScene::State::content_of(const Positions& positions, std::sp
                                              const MemberStepOptions& with) {
   Content content;
   content.add(std::uint64_t{with.unmoved ? 1U : 0U});
-  content.add(positions, nullptr);
+  content.add(positions);
   content.add(ids);
   content.add_options(with);
   return content.value();

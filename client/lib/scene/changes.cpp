@@ -40,8 +40,7 @@ void move_with(const RowEdit& edit, std::vector<T>& rows, std::span<const T> ins
 // whose: " of the inserted", or nothing.
 Status check_axes(const std::string& scene, const Positions& positions, int dims, const char* whose) {
   for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a)
-    if (positions.count > 0 && !positions.in_plan_order() &&
-        (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
+    if (positions.count > 0 && (positions.single() ? positions.axis_f4[a] == nullptr : positions.axis[a] == nullptr))
       return wrong_push(scene, fmt::format("no array for axis {}{}", kAxisNames[a], whose), "give one array an axis");
   return {};
 }
@@ -89,8 +88,7 @@ Status check_terms(const std::string& scene, std::optional<std::int64_t> step, s
 
 Status check_insertion(const std::string& scene, const Insertion& in, const Positions& others, int dims, bool weights) {
   const Positions& positions = in.positions;
-  if (positions.dims != dims || positions.in_plan_order())
-    return wrong_push(scene, "the inserted must be rows or axes of the scene's dimensions", "");
+  if (positions.dims != dims) return wrong_push(scene, "the inserted must have the scene's dimensions", "");
   if (Status status = check_axes(scene, positions, dims, " of the inserted"); !status) return status;
   if (others.count > 0 && positions.count > 0 && positions.single() != others.single())
     return wrong_push(scene, "the inserted and the others differ in precision",

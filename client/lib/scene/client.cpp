@@ -18,21 +18,6 @@ std::span<const T> elements(const Array& array) {
 
 }  // namespace
 
-Positions Positions::in_plan_order(std::span<const std::array<const double*, 3>> ranks, std::uint64_t plan_version,
-                                   std::size_t count, int dims) {
-  Positions positions = cuts::Positions{.count = count, .dims = dims};
-  positions.by_rank = ranks;
-  positions.plan_version = plan_version;
-  return positions;
-}
-
-Positions Positions::in_plan_order(std::span<const std::array<const float*, 3>> ranks, std::uint64_t plan_version,
-                                   std::size_t count, int dims) {
-  Positions positions = in_plan_order(std::span<const std::array<const double*, 3>>(), plan_version, count, dims);
-  positions.by_rank_f4 = ranks;
-  return positions;
-}
-
 std::span<const double> Array::f8() const { return elements<double>(*this); }
 std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this); }
 std::span<const std::int32_t> Array::i4() const { return elements<std::int32_t>(*this); }

@@ -7,35 +7,6 @@
 #include "client/lib/scene/scene.hpp"
 
 namespace rcb::client {
-namespace {
-
-// The same positions by rows, copied from layout order to `bytes`. T is double or float.
-template <typename T>
-Positions gather_rows(const layout::Layout& plan, std::span<const std::array<const T*, 3>> by_rank,
-                      const Positions& positions, Buffer<std::byte>& bytes) {
-  const auto dims = static_cast<std::size_t>(positions.dims);
-  bytes.resize(positions.count * dims * sizeof(T));
-  T* const rows = reinterpret_cast<T*>(bytes.data());
-  for (int rank = 0; rank < plan.ranks(); ++rank) {
-    const auto of_rank = plan.rows(rank);
-    for (std::size_t a = 0; a < dims; ++a)
-      for (std::size_t slot = 0; slot < of_rank.size(); ++slot)
-        rows[of_rank[slot] * dims + a] = by_rank[static_cast<std::size_t>(rank)][a][slot];
-  }
-  return Positions::rows(rows, positions.count, positions.dims);
-}
-
-}  // namespace
-
-void Scene::State::forget_plan() {
-  if (plan_) {
-    lost_version_ = version_for_caller();
-    lost_plan_ = std::move(plan_);
-    plan_.reset();
-  }
-  versions_before_ = std::max(versions_before_, version_given_ + 1);
-}
-
 void Scene::State::lose() {
   lost_ = true;
   pushed_ = false;
@@ -64,23 +35,10 @@ void Scene::State::forget_lost_if_replaced(const StepRequest& ask) {
   has_ids_ = false;
   weights_.clear();
   told_ = answered_ = began_ = false;
-  lost_plan_.reset();
   count_ = ask.positions.count;
 }
 
-bool Scene::State::in_lost_order(const StepRequest& ask) const {
-  return ask.positions.in_plan_order() && lost_plan_ && ask.positions.plan_version == lost_version_;
-}
-
-StepRequest Scene::State::by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const {
-  const Positions& given = ask.positions;
-  StepRequest out = ask;
-  out.positions = given.single() ? gather_rows(*lost_plan_, given.by_rank_f4, given, rows)
-                                 : gather_rows(*lost_plan_, given.by_rank, given, rows);
-  return out;
-}
-
-Result<StepRequest> Scene::State::with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const {
+Result<StepRequest> Scene::State::with_all_particles(const StepRequest& ask) const {
   if (!ask.whole())
     return base_lost(fmt::format("of {} particles this push has the positions of {}", count_, ask.positions.count));
   const bool own_ids = !ask.options.ids.empty() || !ids_.empty();
@@ -89,11 +47,6 @@ Result<StepRequest> Scene::State::with_all_particles(const StepRequest& ask, Buf
   if (has_weights_ && ask.options.weights.empty() && weights_.size() != count_)
     return base_lost("they had weights, which this client doesn't know: give them, too");
   StepRequest whole = ask;
-  if (ask.positions.in_plan_order()) {
-    if (!in_lost_order(ask)) return base_lost("the order of these positions isn't known any more: give rows or axes");
-    if (Status status = check_plan_order(ask.positions, *lost_plan_, lost_version_); !status) return status;
-    whole = by_rows(ask, rows);
-  }
   whole.moved = StepRequest::Moved::all;
   whole.options.moved.reset();
   if (whole.options.ids.empty()) whole.options.ids = ids_;

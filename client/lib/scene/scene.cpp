@@ -30,7 +30,7 @@ Result<StepResult> Scene::step(const Positions& positions, const StepOptions& op
 }
 
 Result<StepResult> Scene::step_unmoved(const StepOptions& options) {
-  return state_->step({cuts::Positions{.dims = state_->dims()}, options, StepRequest::Moved::none, {}});
+  return state_->step({Positions{.dims = state_->dims()}, options, StepRequest::Moved::none, {}});
 }
 
 Result<StepResult> Scene::step_moved(std::span<const std::int64_t> ids, const Positions& positions,
@@ -54,7 +54,6 @@ Result<std::vector<std::span<float>>> Scene::position_axes_f4(std::size_t count)
   return state_->arrays().axes<float>(count, state_->dims());
 }
 
-Result<PlanView> Scene::plan(double deadline_seconds) { return state_->plan(deadline_seconds); }
 Result<cuts::Cuts> Scene::cuts(double deadline_seconds) { return state_->current_cuts(deadline_seconds); }
 
 Scene::State::State(std::shared_ptr<Client::State> client, std::string name)
@@ -72,8 +71,7 @@ void Scene::State::forget_if_replaced() {
   count_ = epoch_ = 0;
   last_step_.reset();
   unanswered_ = {};
-  forget_plan();
-  lost_plan_.reset();
+  plan_.reset();
   forget_rows();
   cuts_.known.reset();
   weights_.clear();
@@ -85,31 +83,6 @@ void Scene::State::forget_rows() {
   rows_assumed_ = false;
   parts_.clear();
   known_.reset();
-}
-
-Result<PlanView> Scene::State::plan(double deadline_seconds) {
-  if (!(deadline_seconds > 0))
-    return Status(Code::invalid_argument, fmt::format("a deadline of {} seconds", deadline_seconds),
-                  "give a number above 0");
-  forget_if_replaced();
-  if (!has_particles())
-    return Status(Code::not_found, fmt::format("scene '{}' has no positions, hence no plan", name_),
-                  "push a first step by rows or axes");
-  Retry retry(deadline_seconds);
-  const auto once = [&]() -> Result<PlanView> {
-    if (Status status = hold(retry); !status) return status;
-    if (lost_) return base_lost("it has no plan until it has positions again");
-    if (unanswered_ && unanswered_.needed() && last_step_ == unanswered_.number())
-      return Status(Code::stale_step, fmt::format("step {} was committed, but its answer didn't come", *last_step_),
-                    "push it once more: the answer says which rows there are now");
-    if (missed_) plan_.reset();
-    if (Status status = ready(count_, {}, retry); !status) return status;
-    version_given_ = version_for_caller();
-    PlanView view{version_given_, {}};
-    for (int rank = 0; rank < plan_->ranks(); ++rank) view.rows.push_back(plan_->rows(rank));
-    return view;
-  };
-  return session().retry_until_deadline(retry, once);
 }
 
 Result<cuts::Cuts> Scene::State::current_cuts(double deadline_seconds) {
@@ -181,7 +154,7 @@ Status Scene::State::hold(const Retry& retry) {
     return {};
   }
   const bool other_service = scene_.instance != service_before;
-  if (other_service) forget_plan();
+  if (other_service) plan_.reset();
   if (!found->step && (lost_ || (session().outlive() && other_service))) {
     lose();
     return {};

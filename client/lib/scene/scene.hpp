@@ -41,7 +41,7 @@ struct StepRequest {
   bool whole() const { return moved == Moved::all || moved == Moved::rows; }  // all positions are at hand
   bool wants() const { return options.want_parts || options.want_changes; }
   // Whether the library finds out the parts by itself, as it has all positions by row.
-  bool wants_by_cuts() const { return wants() && whole() && !edits() && !positions.in_plan_order(); }
+  bool wants_by_cuts() const { return wants() && whole() && !edits(); }
 };
 
 // Some particles of a layout, by rank, in ascending slots.
@@ -73,7 +73,6 @@ struct Scene::State {
     forget_if_replaced();
     return last_step_;
   }
-  Result<PlanView> plan(double deadline_seconds);
   Result<cuts::Cuts> current_cuts(double deadline_seconds);
   SharedArrays& arrays() { return arrays_; }
 
@@ -94,8 +93,6 @@ struct Scene::State {
   Status check(const StepRequest& ask) const;
   Status check_positions(const StepRequest& ask) const;
   Status check_edits(const StepRequest& ask) const;
-  // version: of the layout, as the caller sees it.
-  Status check_plan_order(const Positions& positions, const layout::Layout& plan, std::uint64_t version) const;
   bool has_particles() const { return pushed_ || lost_; }
   // Forgets the scene if this client has created another one in its place, or dropped it.
   void forget_if_replaced();
@@ -103,14 +100,11 @@ struct Scene::State {
   // Opens the scene on the current connection, if it isn't open there, and checks that it is still the one pushed to.
   Status hold(const Retry& retry);
   void lose();
-  void forget_plan();
-  // All particles with ids and weights, from what the caller gives and what is kept here. `rows` is the buffer for
-  // positions that were given in layout order. Errors: base_lost, which says what is missing.
-  Result<StepRequest> with_all_particles(const StepRequest& ask, Buffer<std::byte>& rows) const;
+  // All particles with ids and weights, from what the caller gives and what is kept here. Errors: base_lost, which says
+  // what is missing.
+  Result<StepRequest> with_all_particles(const StepRequest& ask) const;
   // Then the scene that is made anew has weights, too, for the particles that come later.
   bool lost_empty_with_weights() const { return lost_ && has_weights_ && count_ == 0; }
-  bool in_lost_order(const StepRequest& ask) const;
-  StepRequest by_rows(const StepRequest& ask, Buffer<std::byte>& rows) const;
   Status base_lost(const std::string& why) const;
   // If the caller gives other particles than those lost, forgets the lost ones.
   void forget_lost_if_replaced(const StepRequest& ask);
@@ -136,7 +130,7 @@ struct Scene::State {
   // The number of the scene's last step, as the service says; none: it has had no step.
   Result<std::optional<std::int64_t>> step_in_force(const Retry& retry);
   // Makes sure that the layout is there; fetches it if it is missing.
-  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan = true);
+  Status ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan);
   void forget_rows();  // which particle is in which row, and their parts
   // On success plan_, parts_ and ids_ are new; on failure all are unchanged.
   Status fetch_plan(std::span<const std::int64_t> ids, const Retry& retry);
@@ -192,9 +186,6 @@ struct Scene::State {
   std::span<const std::int32_t> parts_told() const {
     return !told_ ? std::span<const std::int32_t>() : known_ ? *known_ : parts_;
   }
-  // The layout's version as the caller sees it: unique within this Scene, although a restarted service counts from 0
-  // again.
-  std::uint64_t version_for_caller() const { return versions_before_ + plan_->version(); }
   // The scene's ids by row, as far as this client can know them.
   std::span<const std::int64_t> ids_by_row(std::span<const std::int64_t> given) const;
 
@@ -232,12 +223,8 @@ struct Scene::State {
   bool missed_ = false;                   // a step was committed whose answer this Scene hasn't seen
   bool base_unknown_ = false;             // if missed_: that step may have changed positions that the caller builds on
   std::vector<double> weights_;           // by row; kept only to restore a lost scene
-  std::optional<layout::Layout> lost_plan_;  // the last layout before the loss
-  std::uint64_t lost_version_ = 0;           // its version as the caller sees it
-  std::uint64_t versions_before_ = 0;
-  std::uint64_t version_given_ = 0;  // the last one given to the caller
-  bool restored_ = false;            // by restore(), in the current step
-  bool first_ = false;               // the current step is this scene's first
+  bool restored_ = false;                 // by restore(), in the current step
+  bool first_ = false;                    // the current step is this scene's first
 };
 
 }  // namespace rcb::client

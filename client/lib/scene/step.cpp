@@ -1,6 +1,5 @@
 // Scene::step: check, push, and retry. The answer is read in step_answer.cpp.
 #include <algorithm>
-#include <limits>
 
 #include <fmt/format.h>
 
@@ -10,7 +9,6 @@
 #include "client/lib/session/content.hpp"
 #include "client/lib/session/data_path.hpp"
 #include "client/lib/session/push_source.hpp"
-#include "common/base/axis_names.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -29,8 +27,6 @@ Status Scene::State::wrong(const std::string& message, std::string hint) const {
 Status Scene::State::check_positions(const StepRequest& ask) const {
   const Positions& positions = ask.positions;
   if (Status status = check_arrays(name_, positions, dims_); !status) return status;
-  if (positions.in_plan_order() && !has_particles())
-    return wrong("positions in the plan's order, and there is no plan yet", "push a first step by rows or axes");
   if (positions.count > static_cast<std::uint64_t>(wire::kParticlesMax))
     return wrong(fmt::format("{} particles", positions.count),
                  fmt::format("at most {} are taken", wire::kParticlesMax));
@@ -41,8 +37,6 @@ Status Scene::State::check_positions(const StepRequest& ask) const {
   if (ask.moved == StepRequest::Moved::ids && positions.count != ask.ids.size())
     return wrong(fmt::format("{} positions of {} moved particles", positions.count, ask.ids.size()),
                  "give one position an id");
-  if (ask.moved != StepRequest::Moved::all && positions.in_plan_order())
-    return wrong("few particles of positions in the plan's order", "give rows or axes");
   return {};
 }
 
@@ -66,7 +60,7 @@ Status Scene::State::check(const StepRequest& ask) const {
         return wrong(fmt::format("row {} has id {}, at first it had {}", row, options.ids[row], known),
                      "ids belong to rows, which insertions and removals alone change; leave them out after the first "
                      "push");
-  const bool rows_unknown = ids_.empty() || (rows_assumed_ && !positions.in_plan_order());
+  const bool rows_unknown = ids_.empty() || rows_assumed_;
   if (has_particles() && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none",
                  "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
@@ -100,8 +94,6 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
   const StepOptions& options = ask.options;
   const bool all = ask.moved == StepRequest::Moved::all;
   const bool send_ids = !pushed_ && !options.ids.empty();
-  if (Status status = plan_ ? check_plan_order(positions, *plan_, version_for_caller()) : Status(); !status)
-    return status;
   Selection few;
   if (ask.moved == StepRequest::Moved::rows || ask.moved == StepRequest::Moved::ids) {
     auto selected = select(ask);
@@ -135,15 +127,8 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
   if (uses_cuts(ask)) begin["cuts_known"] = cuts_.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
   if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
-  // Pointers by rank: to the elements of the axes; [3]: to the slots.
-  std::array<std::vector<const void*>, 4> by_rank;
-  std::vector<Column> columns;
-  for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a) {
-    for (const auto& axes : positions.by_rank) by_rank[a].push_back(axes[a]);
-    for (const auto& axes : positions.by_rank_f4) by_rank[a].push_back(axes[a]);
-    columns.push_back(axis_column(positions, a, by_rank[a].empty() ? nullptr : by_rank[a].data()));
-  }
-  if (!options.weights.empty()) columns.push_back({"w", "<f8", options.weights.data(), 1});
+  std::vector<const void*> slots;  // by rank
+  std::vector<Column> columns = columns_of(positions, options.weights);
   if (send_ids) columns.push_back({"id", "<i8", options.ids.data(), 1});
   RankRows rows;
   if (all) {
@@ -153,9 +138,9 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
     for (std::size_t rank = 0; rank < few.slots.size(); ++rank) {
       begin["counts"].push_back(few.slots[rank].size());
       rows.emplace_back(few.places[rank]);
-      by_rank[3].push_back(few.slots[rank].data());
+      slots.push_back(few.slots[rank].data());
     }
-    columns.push_back({"slot", "<u8", nullptr, 1, by_rank[3].data()});
+    columns.push_back({"slot", "<u8", nullptr, 1, slots.data()});
   }
   return send(std::move(begin), rows, std::move(columns), ask, what, retry.deadline());
 }
@@ -163,7 +148,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
 bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) {
   const Path path = session().path();
   if ((path != Path::automatic && path != Path::shared) || ask.moved != StepRequest::Moved::all ||
-      ask.positions.count == 0 || ask.positions.in_plan_order() || shared_unsupported_)
+      ask.positions.count == 0 || shared_unsupported_)
     return false;
   // The ranks on other hosts get slices, by a layout, which a first push hasn't. It is worth while if few positions are
   // copied for nothing.
@@ -232,28 +217,6 @@ Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::ve
   return session().exchange(request, source, what, deadline);
 }
 
-Status Scene::State::check_plan_order(const Positions& positions, const layout::Layout& plan,
-                                      std::uint64_t version) const {
-  if (!positions.in_plan_order()) return {};
-  const std::string hint = "ask Scene::plan() and put the positions into its order";
-  if (positions.plan_version != version)
-    return {Code::stale_plan,
-            fmt::format("push to scene '{}': positions in the order of plan {}, it is {}", name_,
-                        positions.plan_version, version),
-            hint};
-  const std::size_t ranks = std::max(positions.by_rank.size(), positions.by_rank_f4.size());
-  if (ranks != static_cast<std::size_t>(plan.ranks()))
-    return {Code::invalid_argument, fmt::format("positions of {} ranks, there are {}", ranks, plan.ranks()), hint};
-  const auto missing = [&positions](std::size_t rank, std::size_t a) {
-    return positions.single() ? positions.by_rank_f4[rank][a] == nullptr : positions.by_rank[rank][a] == nullptr;
-  };
-  for (std::size_t rank = 0; rank < ranks; ++rank)
-    for (std::size_t a = 0; a < static_cast<std::size_t>(dims_); ++a)
-      if (missing(rank, a) && !plan.rows(static_cast<int>(rank)).empty())
-        return {Code::invalid_argument, fmt::format("no array for axis {} of rank {}", kAxisNames[a], rank), hint};
-  return {};
-}
-
 Result<StepResult> Scene::State::step(StepRequest ask) {
   forget_if_replaced();
   forget_lost_if_replaced(ask);
@@ -261,7 +224,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   Insertion all;
   if (pushed_ && !lost_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
     all = {ask.positions, ask.options.ids, ask.options.weights};
-    ask.positions = cuts::Positions{.dims = all.positions.dims};
+    ask.positions = Positions{.dims = all.positions.dims};
     ask.options.ids = {};
     ask.options.weights = {};
     ask.options.inserted = &all;
@@ -337,7 +300,6 @@ Result<StepResult> Scene::State::push_and_complete(StepRequest& ask, std::int64_
   for (;;) {
     auto done = session().retry_until_deadline(retry, once, mend);
     if (!done) return done.status();
-    lost_plan_.reset();
     auto result = complete(ask, std::move(*done), retry);
     // If the service has lost the scene meanwhile, the step is pushed again. Rows that were edited can't be.
     if (result || !lost_ || ask.edits()) return result;
@@ -347,7 +309,7 @@ Result<StepResult> Scene::State::push_and_complete(StepRequest& ask, std::int64_
 std::uint64_t Scene::State::content_of(const StepRequest& ask) const {
   Content content;
   content.add(static_cast<std::uint64_t>(ask.moved));
-  content.add(ask.positions, plan_ ? &*plan_ : nullptr);
+  content.add(ask.positions);
   content.add(ask.ids);
   content.add(ask.options.ids);
   content.add_options(ask.options);
@@ -388,15 +350,12 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
                     last_step_.value_or(0), name_),
         "push all positions with step()");
   StepRequest sent = ask;
-  Buffer<std::byte> rows;
   if (lost_) {
-    auto whole = with_all_particles(ask, rows);
+    auto whole = with_all_particles(ask);
     if (!whole) return whole.status();
     sent = *whole;
     if (ask.edits())
       if (Status status = restore(sent, retry); !status) return status;
-  } else if (in_lost_order(ask)) {  // an earlier attempt has restored the particles
-    sent = by_rows(ask, rows);
   }
   // From shared memory the ranks take the particles by id, where rows are ids. Then the layout is of use only to tell
   // which parts changed.

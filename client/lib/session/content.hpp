@@ -6,15 +6,13 @@
 #include <span>
 
 #include "client/lib/client.hpp"
-#include "common/layout/layout.hpp"
 #include "common/wire/frame.hpp"
 
 namespace rcb::client {
 
 class Content {
  public:
-  // plan: gives the sizes of positions in layout order; null: such positions count as unlike all others.
-  void add(const Positions& positions, const layout::Layout* plan);
+  void add(const Positions& positions);
   void add(const Insertion* inserted);
   // What a step of either kind of scene brings beside its positions.
   template <typename Options>

@@ -1,7 +1,6 @@
 #include "client/lib/session/data_path.hpp"
 
 #include <algorithm>
-#include <array>
 
 #include <fmt/format.h>
 #include <poll.h>
@@ -13,8 +12,7 @@
 namespace rcb::client {
 namespace {
 
-constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;          // if gathered
-constexpr std::size_t kStraightFrameBytes = std::size_t{8} << 20U;  // if sent from the caller's memory
+constexpr std::size_t kFrameBytes = std::size_t{1} << 20U;
 constexpr int kSendBufferBytes = 1 << 20;
 constexpr int kPollMillisecondsMax = 100;  // longest delay in noticing an early answer while all sockets are full
 
@@ -61,10 +59,7 @@ struct DataPath::Link {
 
   void next_frame(const wire::Json& slice, std::uint64_t request, std::span<const std::uint64_t> all,
                   std::span<const Column> columns) {
-    const bool straight =
-        std::all_of(columns.begin(), columns.end(), [](const Column& column) { return column.by_rank != nullptr; });
-    const std::size_t bytes = straight ? kStraightFrameBytes : kFrameBytes;
-    const std::size_t most = std::max<std::size_t>(1, bytes / particle_bytes(columns));
+    const std::size_t most = std::max<std::size_t>(1, kFrameBytes / particle_bytes(columns));
     const auto rows = all.subspan(sent, std::min<std::size_t>(most, all.size() - sent));
     wire::Json json = slice;
     json["rank"] = rank;

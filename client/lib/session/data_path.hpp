@@ -30,8 +30,7 @@ class DataPath {
   bool stands();
   Connection& connection(int rank);
   // slice: the fields of every push.slice except rank, first, count and arrays. answered: polled, true once the service
-  // has answered. A column with `by_rank` holds the particles of each rank in the order to be sent; from other columns
-  // elements are picked by row. Errors: unavailable, deadline_exceeded; the path can't be used after that.
+  // has answered. Errors: unavailable, deadline_exceeded; the path can't be used after that.
   Status send(const wire::Json& slice, std::uint64_t request, const RankRows& rows, std::span<const Column> columns,
               const std::function<bool()>& answered, const Deadline& deadline);
 

@@ -37,16 +37,13 @@ void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte
   (column.bytes == sizeof(double) ? gather_wide<sizeof(double)> : gather_wide<sizeof(float)>)(column, rows, to);
 }
 
-Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank) {
-  if (positions.single())
-    return {kAxisNames[axis], "<f4", positions.axis_f4[axis], positions.stride, by_rank, sizeof(float)};
-  return {kAxisNames[axis], "<f8", positions.axis[axis], positions.stride, by_rank};
-}
-
 std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights) {
   std::vector<Column> columns;
   for (std::size_t a = 0; a < static_cast<std::size_t>(positions.dims); ++a)
-    columns.push_back(axis_column(positions, a));
+    if (positions.single())
+      columns.push_back({kAxisNames[a], "<f4", positions.axis_f4[a], positions.stride, nullptr, sizeof(float)});
+    else
+      columns.push_back({kAxisNames[a], "<f8", positions.axis[a], positions.stride});
   if (!weights.empty()) columns.push_back({"w", "<f8", weights.data(), 1});
   return columns;
 }

@@ -28,7 +28,7 @@ struct Column {
   std::string dtype;
   const void* first = nullptr;
   std::size_t stride = 1;
-  const void* const* by_rank = nullptr;  // instead of `first`: each rank's elements in the order to be sent
+  const void* const* by_rank = nullptr;  // instead of `first`: each rank's, in the order to be sent (slots)
   std::size_t bytes = 8;                 // of one element
 
   // Whether the values of rows that follow one another lie side by side.
@@ -41,13 +41,10 @@ struct Column {
   }
 };
 
-// An axis of the positions, double or float32. by_rank: its arrays by rank, if the positions are in layout order.
-Column axis_column(const Positions& positions, std::size_t axis, const void* const* by_rank = nullptr);
-
 // Copies the values of these rows of the caller's array `first`.
 void gather(const Column& column, std::span<const std::uint64_t> rows, std::byte* to);
 
-// The axes, and the weights if there are any.
+// The axes, double or float32, and the weights if there are any.
 std::vector<Column> columns_of(const Positions& positions, std::span<const double> weights);
 
 // The fields that every slice of a push has in common with its push.begin.

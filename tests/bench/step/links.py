@@ -37,7 +37,7 @@ ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "..")
 sys.path.insert(0, os.path.join(ROOT, "tests", "hosts"))
 from hosts import Hosts
 
-STEPS = {"all": "layout", "few": "subset", "none": "unmoved"}  # which particles moved: variant of rcb_bench step
+STEPS = {"all": "axes", "few": "subset", "none": "unmoved"}  # which particles moved: variant of rcb_bench step
 DIMS, PARTS = 3, 8  # of the scene `moving` of rcb_bench step
 SETTINGS = [(0, 10), (0.5, 10), (1, 10), (5, 10), (1, 1), (1, 0.1)]  # round trip in ms, Gbit/s
 COUNTED_AT = 0.04  # seconds from machine to machine
@@ -95,7 +95,7 @@ class Bench:
             return dict(zip(kinds, [row["seconds"] for row in json.load(written)["rows"]]))
 
     def partition(self):
-        return json.loads(self.run("rcbctl", "rebalance", "step-layout", "--json"))["seconds"]
+        return json.loads(self.run("rcbctl", "rebalance", "step-axes", "--json"))["seconds"]
 
     def seconds(self):
         found = self.steps(STEPS, self.told.repeats)

@@ -27,13 +27,14 @@ namespace {
 
 constexpr int kWarmUpSteps = 3;
 // shared-memory: the solver computes in arrays of the library, rows or an array an axis; shared-memory-copy: it keeps
-// its own rows. By sockets to each rank: layout (the solver keeps the layout's order), axes, rows, float32 (axes).
+// its own rows. By sockets to each rank: axes, rows, float32 (axes).
 // endpoint: rows through rank 0. members: a parallel solver's, with the particles of their parts, from shared memory;
 // members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved. connect: no
 // step, but the time until a new client has been let in.
 constexpr std::array kVariants{
-    "shared-memory", "shared-memory-axes", "shared-memory-copy", "layout",  "axes",   "rows",    "endpoint",
-    "members",       "members-sockets",    "members-endpoint",   "float32", "subset", "unmoved", "connect"};
+    "shared-memory", "shared-memory-axes", "shared-memory-copy", "axes",    "rows",   "endpoint",
+    "members",       "members-sockets",    "members-endpoint",   "float32", "subset", "unmoved",
+    "connect"};
 constexpr std::size_t kSubset = 100;
 // The points that move in each scene. shuffled: neighbours in the arrays aren't neighbours in space.
 struct StepScene {
@@ -150,7 +151,7 @@ class Pusher {
       const auto rows = scene_->position_rows(motion_.n);
       if (!rows.ok()) return rows.status();
       std::copy(motion_.rows[phase].begin(), motion_.rows[phase].end(), rows->begin());
-      return client::Positions(client::Positions::rows(rows->data(), motion_.n, motion_.dims));
+      return client::Positions::rows(rows->data(), motion_.n, motion_.dims);
     }
     if (variant_ == "shared-memory-axes") {
       const auto axes = scene_->position_axes(motion_.n);
@@ -160,24 +161,12 @@ class Pusher {
         std::copy(motion_.axes[phase][a].begin(), motion_.axes[phase][a].end(), (*axes)[a].begin());
         pointers[a] = (*axes)[a].data();
       }
-      return client::Positions(client::Positions::axes(std::span(pointers).first(axes->size()), motion_.n));
+      return client::Positions::axes(std::span(pointers).first(axes->size()), motion_.n);
     }
     if (variant_ == "rows" || variant_ == "endpoint" || variant_ == "shared-memory-copy")
-      return client::Positions(client::Positions::rows(motion_.rows[phase].data(), motion_.n, motion_.dims));
+      return client::Positions::rows(motion_.rows[phase].data(), motion_.n, motion_.dims);
     if (variant_ == "float32") return motion_.by_singles(phase);
-    if (variant_ != "layout" || !scene_->last_step()) return motion_.by_axes(phase);
-    const auto plan = scene_->plan();
-    if (!plan.ok()) return plan.status();
-    ranks_.assign(plan->rows.size(), {});
-    for (std::size_t a = 0; a < static_cast<std::size_t>(motion_.dims); ++a) {
-      ordered_[a].resize(motion_.n);
-      std::size_t at = 0;
-      for (std::size_t r = 0; r < plan->rows.size(); ++r) {
-        ranks_[r][a] = ordered_[a].data() + at;
-        for (const std::uint64_t row : plan->rows[r]) ordered_[a][at++] = motion_.axes[phase][a][row];
-      }
-    }
-    return client::Positions::in_plan_order(ranks_, plan->version, motion_.n, motion_.dims);
+    return motion_.by_axes(phase);
   }
 
   Result<double> connect() const {
@@ -195,8 +184,6 @@ class Pusher {
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
   std::optional<MemberTeam> team_;  // instead
-  std::array<std::vector<double>, 3> ordered_;
-  std::vector<std::array<const double*, 3>> ranks_;
 };
 
 Json row_of(const std::string& scene, const MovingPoints& motion, int parts, int ranks, const std::string& variant,

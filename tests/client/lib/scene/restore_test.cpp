@@ -212,28 +212,6 @@ TEST(Restore, AStepWithoutAllPositionsSaysWhatItLacksAndTheNextOneGoesOn) {
   EXPECT_EQ(others->changes.size(), 10U);
 }
 
-TEST(Restore, PositionsInTheOrderOfTheLostPlanAreStillUnderstood) {
-  FakeScene fake = scene_that(Fault::die_before_commit, {1});
-  Solver solver(fake);
-  ASSERT_TRUE(solver.step(0).ok());
-  const auto plan = solver.pushed->plan();
-  ASSERT_TRUE(plan.ok());
-  solver.at(1);
-  std::vector<std::array<std::vector<double>, kDims>> values(3);
-  std::vector<std::array<const double*, 3>> ranks(3);
-  for (std::size_t r = 0; r < 3; ++r)
-    for (std::size_t a = 0; a < kDims; ++a) {
-      for (const std::uint64_t row : plan->rows[r]) values[r][a].push_back(solver.xyz[row * kDims + a]);
-      ranks[r][a] = values[r][a].data();
-    }
-  const Positions ordered = Positions::in_plan_order(ranks, plan->version, kParticles, kDims);
-  const auto result = solver.pushed->step(ordered, {.want_parts = true});
-  ASSERT_TRUE(result.ok()) << result.status().message();
-  for (std::size_t row = 0; row < kParticles; ++row) ASSERT_EQ(result->parts[row], part_of(solver.ids[row], 1));
-  EXPECT_GT(solver.pushed->plan()->version, plan->version) << "the new service counts from 0 again";
-  EXPECT_EQ(solver.pushed->step(ordered).status().code(), Code::stale_plan);
-}
-
 TEST(Restore, WhoDoesNotWantItIsTold) {
   FakeScene fake = scene_that(Fault::die_before_commit, {1});
   ConnectOptions plain;
