@@ -1,4 +1,4 @@
-// CutTree: questions that the tree alone answers. Classification of many particles is in cut_tree_classify.cpp, the
+// CutTree: questions that the tree alone answers. Classification of many particles is in classifier.cpp, the
 // bytes (encode, hash) in cut_tree_codec.cpp.
 #include "common/cuts/cut_tree.hpp"
 

@@ -1,9 +1,6 @@
-// Room `tree`: the tree of cuts as a value: the order of keys, classification of positions, the bytes of a tree and
-// their hash. All of it is Local and needs no Comm. The bytes and the hash are a promise to clients (PROTOCOL.md): a
-// change here changes every partition's hash.
-//
 // CutTree: P parts as a binary tree of cuts. It is small, replicated on every rank and in clients, and it alone decides
-// which part owns a position.
+// which part owns a position. Its bytes and their hash are a promise to clients (PROTOCOL.md): a change here changes
+// every partition's hash.
 //
 // Invariants
 // 1. Nodes are numbered in preorder over the inner nodes: a node of k >= 2 parts [a, b) gives the lower ceil(k/2) to

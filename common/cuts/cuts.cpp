@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <exception>
 #include <functional>
 #include <mutex>
 #include <new>
-#include <system_error>
 #include <thread>
 
 #include <fmt/format.h>
@@ -46,19 +46,30 @@ Status share_rows(std::size_t count, std::size_t shares,
     try {
       status[k] = work(k, count * k / shares, count * (k + 1) / shares);
     } catch (const std::bad_alloc&) {
-      status[k] = Status(Code::too_large, "no memory for an answer of the cuts");
+      status[k] = Status(Code::too_large, "no memory");  // so short that it needs none
     }
   };
   std::vector<std::thread> threads;
+  threads.reserve(shares);
   for (std::size_t k = 1; k < shares; ++k) try {
       threads.emplace_back(run, k);
-    } catch (const std::system_error&) {
+    } catch (const std::exception&) {  // no thread, or no memory for one
       run(k);
     }
   run(0);
   for (std::thread& thread : threads) thread.join();
   const auto bad = std::find_if(status.begin(), status.end(), [](const Status& one) { return !one.ok(); });
   return bad == status.end() ? Status() : *bad;
+}
+
+// What ask() returns, or the error that there was no memory for it.
+template <typename Ask>
+auto within_memory(const Ask& ask) -> decltype(ask()) {
+  try {
+    return ask();
+  } catch (const std::bad_alloc&) {
+    return Status(Code::too_large, "no memory for an answer of the cuts");
+  }
 }
 
 std::size_t shares_of(std::size_t count, int threads) {
@@ -70,6 +81,7 @@ Result<Halo> join(const std::vector<std::unique_ptr<HaloPass>>& shares, std::siz
                   std::uint64_t most) {
   Halo halo;
   halo.dims = dims;
+  if (!halo.offset.try_reserve(targets + 1)) return Status(Code::too_large, "no memory for a halo's lists");
   halo.offset.resize(targets + 1);
   std::uint64_t entries = 0;
   std::vector<std::vector<std::uint64_t>> next(shares.size(), std::vector<std::uint64_t>(targets));
@@ -103,10 +115,10 @@ Result<Halo> join(const std::vector<std::unique_ptr<HaloPass>>& shares, std::siz
 struct Cuts::Data {
   Data(CutTree of, std::uint64_t number) : tree(std::move(of)), epoch(number), hash(tree.hash()), tables(tree) {}
 
-  // The last one is kept: a question about every part, or at every step, has the same distance again.
+  // The last one is kept, for any width: a question about every part, or at every step, has the same box again.
   std::shared_ptr<const Reach> reach(const Near& near) const {
     const std::lock_guard lock(mutex);
-    if (!last_reach || last_reach->near() != near)
+    if (!last_reach || last_reach->near().box != near.box || last_reach->near().norm != near.norm)
       last_reach = std::make_shared<const Reach>(tables.boxes, tree.dims, near);
     return last_reach;
   }
@@ -147,60 +159,67 @@ Result<Halo> Cuts::halo(const Positions& positions, const HaloOptions& options) 
   if (!options.widths.empty() && options.widths.size() != positions.count)
     return bad_call(fmt::format("{} widths for {} positions", options.widths.size(), positions.count));
   if (options.seats < 0 || options.seats > kSeatsMax) return bad_call(fmt::format("{} seats", options.seats));
-  const auto kept = data_->reach(options.near);
-  const Reach& reach = *kept;
-  const std::size_t shares = shares_of(positions.count, options.threads);
-  std::vector<std::unique_ptr<HaloPass>> passes(shares);
-  const Status status = share_rows(positions.count, shares, [&](std::size_t k, std::size_t begin, std::size_t end) {
-    passes[k] = std::make_unique<HaloPass>(data_->tables, reach, positions, options);
-    return passes[k]->run(begin, end);
+  return within_memory([&]() -> Result<Halo> {
+    const auto kept = data_->reach(options.near);
+    const Reach& reach = *kept;
+    const std::size_t shares = shares_of(positions.count, options.threads);
+    std::vector<std::unique_ptr<HaloPass>> passes(shares);
+    const Status status = share_rows(positions.count, shares, [&](std::size_t k, std::size_t begin, std::size_t end) {
+      passes[k] = std::make_unique<HaloPass>(data_->tables, reach, positions, options);
+      return passes[k]->run(begin, end);
+    });
+    if (!status) return status;
+    return join(passes, at(Targets{parts(), options.seats}.count()), dims(), options.near.box.any(dims()),
+                options.entries_max);
   });
-  if (!status) return status;
-  return join(passes, at(Targets{parts(), options.seats}.count()), dims(), options.near.box.any(dims()),
-              options.entries_max);
 }
 
 Result<std::vector<Neighbour>> Cuts::neighbours(int part, const Near& near) const {
   if (part < 0 || part >= parts())
     return Status(Code::not_found, fmt::format("no part {}, there are {}", part, parts()));
   if (Status status = near.check(dims()); !status) return status;
-  const auto kept = data_->reach(near);
-  const Reach& reach = *kept;
-  std::vector<Neighbour> found;
-  if (regions()[at(part)].empty(dims())) return found;
-  Images images;
-  std::vector<Candidate> candidates;
-  if (Status status = reached_by(reach, {parts(), 0}, reach.region(part), part, near.width, images, candidates);
-      !status)
-    return status;
-  for (const Candidate& one : candidates) found.push_back({one.part, images[one.image].k});
-  return found;
+  return within_memory([&]() -> Result<std::vector<Neighbour>> {
+    const auto kept = data_->reach(near);
+    const Reach& reach = *kept;
+    std::vector<Neighbour> found;
+    if (regions()[at(part)].empty(dims())) return found;
+    Images images;
+    std::vector<Candidate> candidates;
+    if (Status status = reached_by(reach, {parts(), 0}, reach.region(part), part, near.width, images, candidates);
+        !status)
+      return status;
+    for (const Candidate& one : candidates) found.push_back({one.part, images[one.image].k});
+    return found;
+  });
 }
 
 Result<std::vector<int>> Cuts::box(const Box& box, const PeriodicBox& periodic) const {
   const Near touching{0, Norm::max, periodic};
   if (Status status = touching.check(dims()); !status) return status;
-  const auto kept = data_->reach(touching);
-  const Reach& reach = *kept;
-  Box asked = Reach::finite(box);
-  for (std::size_t a = 0; a < at(dims()); ++a) {
-    if (!(box.lo[a] <= box.hi[a]))
-      return bad_call(fmt::format("a box from {} to {} along axis {}", box.lo[a], box.hi[a], a));
-    // Images of what is longer than a period cover the axis.
-    if (periodic.periodic(a) && !(box.hi[a] - box.lo[a] < periodic.length(a)))
-      asked.lo[a] = periodic.lo[a], asked.hi[a] = periodic.hi[a];
-  }
-  std::vector<Image> images;
-  if (Status status = reach.images_of(asked, 0, images); !status) return status;
-  std::vector<int> found;
-  for (const Image& image : images)
-    reach.near(image.of(asked), Within(Norm::max, 0), [&found](int part) { found.push_back(part); });
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
-  return found;
+  return within_memory([&]() -> Result<std::vector<int>> {
+    const auto kept = data_->reach(touching);
+    const Reach& reach = *kept;
+    Box asked = Reach::finite(box);
+    for (std::size_t a = 0; a < at(dims()); ++a) {
+      if (!(box.lo[a] <= box.hi[a]))
+        return bad_call(fmt::format("a box from {} to {} along axis {}", box.lo[a], box.hi[a], a));
+      // Images of what is longer than a period cover the axis.
+      if (periodic.periodic(a) && !(box.hi[a] - box.lo[a] < periodic.length(a)))
+        asked.lo[a] = periodic.lo[a], asked.hi[a] = periodic.hi[a];
+    }
+    std::vector<Image> images;
+    if (Status status = reach.images_of(asked, 0, images); !status) return status;
+    std::vector<int> found;
+    for (const Image& image : images)
+      reach.near(image.of(asked), Within(Norm::max, 0), [&found](int part) { found.push_back(part); });
+    std::sort(found.begin(), found.end());
+    found.erase(std::unique(found.begin(), found.end()), found.end());
+    return found;
+  });
 }
 
 std::optional<Narrowest> Cuts::narrowest(const PeriodicBox& periodic) const {
+  if (!Near{0, Norm::max, periodic}.check(dims())) return std::nullopt;
   const auto kept = data_->reach({0, Norm::max, periodic});
   const Reach& reach = *kept;
   std::optional<Narrowest> found;

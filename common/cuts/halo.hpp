@@ -34,7 +34,7 @@ struct Halo {
   Buffer<std::uint64_t> row;     // [entries]
   Buffer<std::int32_t> shift;    // [entries][dims], in periods; empty where no axis is periodic
 
-  std::size_t targets() const { return offset.size() - 1; }
+  std::size_t targets() const { return offset.empty() ? 0 : offset.size() - 1; }
   std::size_t entries() const { return row.size(); }
   std::span<const std::uint64_t> rows_for(std::size_t target) const {
     return row.span().subspan(offset[target], offset[target + 1] - offset[target]);

@@ -10,7 +10,7 @@
 namespace rcb::cuts {
 namespace {
 
-// At most the width of all particles of one table, and at least half of it.
+// At least the width of each particle of one table, and at most twice that.
 double table_width(double width, bool each) {
   if (!each || width == 0) return width;
   return std::min(std::ldexp(1.0, std::ilogb(width) + 1), std::numeric_limits<double>::max());
@@ -28,6 +28,7 @@ HaloPass::HaloPass(const OwnerTables& tables, const Reach& reach, const Position
       counts_(at(targets_.count()), 0) {}
 
 Status HaloPass::run(std::size_t begin, std::size_t end) {
+  if (!grow(0)) return failure_;
   for (std::size_t first = begin; first < end; first += Batch::kMost)
     if (Status status = add_batch(first, std::min(Batch::kMost, end - first)); !status) return status;
   for (const HaloEntry& entry : entries()) ++counts_[at(entry.target)];
@@ -135,8 +136,8 @@ bool HaloPass::fail(std::size_t i, const Status& status) {
 
 bool HaloPass::grow(std::size_t more) {
   const std::size_t grown = std::max(size_ + more + 1, size_ * 2 + 4096);
-  if (size_ + more > options_.entries_max || !entries_.try_reserve(grown)) {
-    failure_ = {Code::too_large, fmt::format("a halo of more than {} entries", size_ - 1),
+  if (size_ - 1 > options_.entries_max || !entries_.try_reserve(grown)) {
+    failure_ = {Code::too_large, fmt::format("a halo of more than {} entries, or no memory for it", size_ - 1),
                 "give a smaller width, or fewer particles at a time"};
     return false;
   }

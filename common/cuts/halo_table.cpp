@@ -16,17 +16,22 @@ std::int32_t Images::index_of(const Image& image) {
 }
 
 Status reached_by(const Reach& reach, const Targets& targets, const Box& box, std::int32_t part, double width,
-                  Images& images, std::vector<Candidate>& found) {
+                  Images& images, std::vector<Candidate>& found, std::size_t most) {
   found.clear();
   std::vector<Image> near;
   if (Status status = reach.images_of(box, width, near); !status) return status;
   const Within within(reach.near().norm, width);
   const int own = targets.of(part);
-  for (const Image& image : near)
+  for (const Image& image : near) {
     reach.near(image.of(box), within, [&](int other) {
       const int target = targets.of(other);
-      if (target != own || image.k != Shift{}) found.push_back({other, target, images.index_of(image)});
+      if (found.size() <= most && (target != own || image.k != Shift{}))
+        found.push_back({other, target, images.index_of(image)});
     });
+    if (found.size() > most)
+      return {Code::too_large, fmt::format("more than {} regions and images are within {}", most, width),
+              "give a smaller width"};
+  }
   std::sort(found.begin(), found.end(), [&images](const Candidate& a, const Candidate& b) {
     return std::tie(a.target, images[a.image].k, a.part) < std::tie(b.target, images[b.image].k, b.part);
   });
@@ -59,8 +64,9 @@ void HaloTable::shrink(Fence& fence, std::span<const Candidate> all) const {
     for (const double bound : {fence.outer.lo[a], fence.outer.hi[a], box.lo[a], box.hi[a]})
       if (std::isfinite(bound)) largest = std::max(largest, std::abs(bound));
     const double margin = largest * 16 * std::numeric_limits<double>::epsilon();
-    fence.inner.lo[a] += width_ + margin;
-    fence.inner.hi[a] -= width_ + margin;
+    const double by = std::min(width_ + margin, std::numeric_limits<double>::max());
+    fence.inner.lo[a] += by;
+    fence.inner.hi[a] -= by;
   }
   if (!fence.inner.empty(reach_.dims()) &&
       std::any_of(all.begin(), all.end(), [&](const Candidate& one) { return near(one, fence.inner); }))
@@ -71,8 +77,8 @@ const Fence* HaloTable::make(std::int32_t part) {
   index_of_[at(part)] = kNone;
   std::vector<Candidate> all;
   const std::size_t bytes = fences_.size() * (sizeof(Fence) + sizeof(Lists)) + lists_.size() * sizeof(Candidate);
-  if (bytes > kBytesMost || !reached_by(reach_, targets_, reach_.region(part), part, width_, images_, all) ||
-      all.size() > kBytesMost / 64)
+  if (bytes > kBytesMost ||
+      !reached_by(reach_, targets_, reach_.region(part), part, width_, images_, all, kBytesMost / 64))
     return nullptr;
   Fence fence;
   fence.outer = reach_.region(part);
@@ -101,6 +107,7 @@ std::span<const Candidate> HaloTable::make_list(std::int32_t part, std::uint32_t
     if (bits == 0) box.lo[a] = fence.inner.lo[a], box.hi[a] = fence.inner.hi[a];
   }
   const List all = lists_of_[index].all;
+  if (lists_.size() * sizeof(Candidate) > kBytesMost) return std::span(lists_).subspan(all.begin, all.count);
   std::vector<Candidate> near_box;
   for (std::size_t k = all.begin; k < at(all.begin) + all.count; ++k)
     if (const Candidate one = lists_[k]; near(one, box)) near_box.push_back(one);

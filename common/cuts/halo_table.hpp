@@ -2,10 +2,10 @@
 // near are a number of 6 bits, and for each such number of each part there is one short list of candidates.
 //
 // Invariants
-// 1. A particle strictly inside its part's fence is in no halo. A particle of the part that isn't in a list's
-// candidates'
-//    halos is in no other one. Both follow from the monotonicity of rounding: what a point reaches, a box that holds it
-//    reaches too.
+// 1. A particle strictly inside its part's fence is in no halo; one that is near some faces is in no halo but those of
+// the
+//    candidates for these faces. Both follow from the monotonicity of rounding: what is near a point is near every box
+//    that holds the point.
 // 2. Lists and fences are made when they are first asked for, and depend on nothing but their part.
 #pragma once
 
@@ -121,8 +121,8 @@ class HaloTable {
 };
 
 // The candidates within the width of this box, but for those of `part` itself (or its seat) that aren't moved. For a
-// point they are its halos. Errors: those of Reach::images_of().
+// point they are its halos. Errors: those of Reach::images_of(), too_large (more than `most`).
 Status reached_by(const Reach& reach, const Targets& targets, const geometry::Box& box, std::int32_t part, double width,
-                  Images& images, std::vector<Candidate>& found);
+                  Images& images, std::vector<Candidate>& found, std::size_t most = std::size_t{1} << 25U);
 
 }  // namespace rcb::cuts

@@ -215,7 +215,7 @@ class Halo(ServiceTest):
                 self.assertEqual((failure["code"], failure["exit"]), ("invalid_argument", 1), arguments)
             self.assertEqual(self.service.failure(command, "nobody", "--width", 1)["code"], "not_found")
             wide = self.service.failure(command, "cube", "--width", 1e9, "--periodic", 0, 0, 0, 1, 1, 1)
-            self.assertEqual((wide["code"], wide["hint"]), ("too_large", "a smaller width"))
+            self.assertEqual((wide["code"], wide["hint"]), ("too_large", "give a smaller width"))
         for arguments in refused:
             self.assertEqual(self.service.failure("box", "cube", *[0] * 6, *arguments)["code"], "invalid_argument")
         self.assertEqual(self.service.failure("box", "cube", *[0] * 6, "--periodic", 0, 1, 1)["code"], "usage")

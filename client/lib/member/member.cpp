@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "client/lib/member/member_state.hpp"
+#include "client/lib/scene/step_report.hpp"
 #include "client/lib/session/content.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
@@ -46,6 +47,7 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   lost = step < 0 && (lost || (last_step && other_service));
   const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
   // A rebalance changes the epoch alone.
+  if (other_service) scene_cuts.known.reset();
   if (known_before && (step_now != last_step || epoch_now != epoch || other_service)) {
     places.forget();
     up_to_date = false;
@@ -132,6 +134,7 @@ Result<bool> MemberScene::State::needs_unanswered(const Retry& retry) {
   const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
   if (step_now == last_step && step != unanswered.number()) return false;
   places.forget();
+  scene_cuts.known.reset();
   up_to_date = false;
   last_step = step_now;
   n = count;
@@ -196,7 +199,7 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
   }
   auto result = read(*answer, step, with, retry);
   if (result && (options.follow || with.want_parts))
-    if (Status status = classify(positions, ids, with, *result); !status) result = status;
+    if (Status status = classify(positions, ids, with, *result); !status) result = parts_unknown(step, status);
   if (!result) {  // the step is committed, but its changes aren't known
     places.forget();
     up_to_date = false;

@@ -24,7 +24,7 @@ constexpr double kImagesMax = 65536;                            // of a particle
 constexpr std::size_t kPieceRows = std::size_t{1} << 17U;
 constexpr std::size_t kPieceEntries = std::size_t{1} << 21U;
 
-Status too_wide(const std::string& what) { return {Code::too_large, what, "a smaller width"}; }
+Status too_wide(const std::string& what) { return {Code::too_large, what, "give a smaller width"}; }
 
 template <typename T>
 bool can_extend(Buffer<T>& buffer, std::size_t more) {
@@ -83,7 +83,7 @@ class HaloSearch {
     for (std::size_t a = 0; a < axes.size(); ++a) axes[a] = position_[a].data();
     const auto found = cuts_.halo(cuts::Positions::axes(std::span(axes).first(at(cuts_.dims())), count), options);
     if (!found.ok() && found.status().code() == Code::too_large) {
-      if (count == 1) return too_wide(fmt::format("one particle is in more than {} halos", kPieceEntries));
+      if (count == 1) return too_wide("the halos of one particle: " + found.status().message());
       piece_ = count / 2;
       return {};
     }

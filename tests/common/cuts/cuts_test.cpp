@@ -309,5 +309,80 @@ TEST(Cuts, OwnersAndHalosAreThoseOfTheDefinition) {
   RecordProperty("cases", static_cast<int>(cases));
 }
 
+// A cut at x = 0 between two particles.
+CutTree halves() {
+  CutTree tree;
+  tree.dims = 1;
+  tree.parts = 2;
+  tree.cuts.resize(1);
+  return tree;
+}
+
+TEST(Cuts, TheWidestWidthReachesEverything) {
+  const double most = std::numeric_limits<double>::max();
+  const std::vector<double> x{-3, 5, -most / 2};
+  const Cuts cuts(halves(), 1);
+  HaloOptions options;
+  options.near.width = most;
+  const auto halo = cuts.halo(Positions::rows(x.data(), x.size(), 1), options);
+  ASSERT_TRUE(halo.ok()) << halo.status().message();
+  EXPECT_EQ(entries_of(*halo), (Entries{{1, 0, {}}, {0, 1, {}}, {1, 2, {}}}));
+  const std::vector<double> widths{most, most, most};
+  options.near.width = 0;
+  options.widths = widths;
+  EXPECT_EQ(entries_of(cuts.halo(Positions::rows(x.data(), x.size(), 1), options).value()), entries_of(*halo));
+}
+
+TEST(Cuts, EntriesMaxIsExact) {
+  std::vector<double> x(5000, 1.0);
+  x.resize(5003, 0.25);
+  const Cuts cuts(halves(), 1);
+  HaloOptions options;
+  options.near.width = 0.5;
+  options.entries_max = 3;
+  const auto positions = Positions::rows(x.data(), x.size(), 1);
+  EXPECT_EQ(cuts.halo(positions, options).value().entries(), 3);
+  options.entries_max = 2;
+  EXPECT_EQ(cuts.halo(positions, options).status().code(), Code::too_large);
+}
+
+TEST(Cuts, NothingHasNoHalo) {
+  const Cuts cuts(halves(), 1);
+  HaloOptions options;
+  options.seats = 5;
+  const auto halo = cuts.halo(Positions::rows(static_cast<const double*>(nullptr), 0, 1), options);
+  ASSERT_TRUE(halo.ok()) << halo.status().message();
+  EXPECT_EQ(halo->targets(), 5);
+  EXPECT_EQ(halo->entries(), 0);
+}
+
+TEST(Cuts, WrongCallsAreRefused) {
+  const Cuts cuts(halves(), 1);
+  const std::vector<double> x{1, std::numeric_limits<double>::quiet_NaN()};
+  const auto code = [&](const Positions& positions, const HaloOptions& options) {
+    return cuts.halo(positions, options).status().code();
+  };
+  const auto one = Positions::rows(x.data(), 1, 1);
+  const std::vector<double> widths{-1};
+  const std::vector<Id> ids{1, 2};
+  EXPECT_EQ(code(Positions::rows(x.data(), 2, 1), {}), Code::not_finite);
+  EXPECT_EQ(code(Positions::rows(x.data(), 1, 2), {}), Code::invalid_argument);
+  HaloOptions wrong;
+  wrong.near.width = -1;
+  EXPECT_EQ(code(one, wrong), Code::invalid_argument);
+  wrong = {};
+  wrong.widths = widths;
+  EXPECT_EQ(code(one, wrong), Code::invalid_argument);
+  wrong = {};
+  wrong.ids = ids;
+  EXPECT_EQ(code(one, wrong), Code::invalid_argument);
+  wrong = {};
+  wrong.near.box = PeriodicBox({1, 0, 0}, {1, 0, 0});
+  EXPECT_EQ(code(one, wrong), Code::invalid_argument);
+  wrong.near.box = PeriodicBox({0, 0, 0}, {1e-9, 0, 0});
+  wrong.near.width = 1;
+  EXPECT_EQ(code(one, wrong), Code::invalid_argument);  // more images than anybody wants
+}
+
 }  // namespace
 }  // namespace rcb::cuts
