@@ -150,7 +150,7 @@ TEST_F(Launch, AnEmbeddedServiceDiesWithItsProgramHoweverThatEnds) {
     program(hanging());
     const pid_t child = fork();
     if (child == 0) {
-      std::signal(number, SIG_DFL);  // a shell's background job ignores SIGINT
+      signal(number, SIG_DFL);  // a shell's background job ignores SIGINT
       (void)Embedded::start(2, {});
       _exit(0);
     }
