@@ -5,6 +5,8 @@
 #include <limits>
 #include <tuple>
 
+#include <fmt/format.h>
+
 namespace rcb::cuts {
 
 using geometry::Box;
