@@ -10,6 +10,7 @@
 
 #include <fmt/format.h>
 
+#include "common/base/axis_names.hpp"
 #include "common/cuts/halo_pass.hpp"
 
 namespace rcb::cuts {
@@ -27,7 +28,7 @@ Status check_call(const CutTree& tree, const Positions& positions, const OwnerOp
     return bad_call(fmt::format("positions of {} dimensions, the cuts have {}", positions.dims, tree.dims));
   for (std::size_t a = 0; a < at(tree.dims) && positions.count > 0; ++a)
     if ((positions.single() ? static_cast<const void*>(positions.axis_f4[a]) : positions.axis[a]) == nullptr)
-      return bad_call(fmt::format("no array for axis {}", a));
+      return bad_call(fmt::format("no array for axis {}", kAxisNames[a]));
   if (positions.stride == 0) return bad_call("a stride of 0");
   if (!options.ids.empty() && options.ids.size() != positions.count)
     return bad_call(fmt::format("{} ids for {} positions", options.ids.size(), positions.count));
@@ -202,7 +203,7 @@ Result<std::vector<int>> Cuts::box(const Box& box, const PeriodicBox& periodic) 
     Box asked = Reach::finite(box);
     for (std::size_t a = 0; a < at(dims()); ++a) {
       if (!(box.lo[a] <= box.hi[a]))
-        return bad_call(fmt::format("a box from {} to {} along axis {}", box.lo[a], box.hi[a], a));
+        return bad_call(fmt::format("{}: a box from {} to {}", kAxisNames[a], box.lo[a], box.hi[a]));
       // Images of what is longer than a period cover the axis.
       if (periodic.periodic(a) && !(box.hi[a] - box.lo[a] < periodic.length(a)))
         asked.lo[a] = periodic.lo[a], asked.hi[a] = periodic.hi[a];

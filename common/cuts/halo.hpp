@@ -51,6 +51,7 @@ struct Halo {
 // Of `seats` processes of a solver, number k has the parts from floor(k P / seats) up to, not including,
 // floor((k + 1) P / seats). The seat that has this part:
 constexpr int seat_of_part(int part, int parts, int seats) {
+  // The largest k with floor(k P / seats) <= part, that is k P < (part + 1) seats.
   return static_cast<int>(((static_cast<std::int64_t>(part) + 1) * seats - 1) / parts);
 }
 

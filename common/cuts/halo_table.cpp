@@ -100,6 +100,8 @@ HaloTable::List HaloTable::add_list(const std::vector<Candidate>& candidates) {
 
 std::span<const Candidate> HaloTable::make_list(std::int32_t part, std::uint32_t faces) {
   const auto index = at(index_of_[at(part)]);
+  const List all = lists_of_[index].all;
+  if (lists_.size() * sizeof(Candidate) > kBytesMost) return std::span(lists_).subspan(all.begin, all.count);
   const Fence& fence = fences_[index];
   Box box = fence.outer;  // where the particles near these faces are
   for (std::size_t a = 0; a < at(reach_.dims()); ++a) {
@@ -108,8 +110,6 @@ std::span<const Candidate> HaloTable::make_list(std::int32_t part, std::uint32_t
     if ((bits & 2) != 0) box.lo[a] = std::max(box.lo[a], fence.inner.hi[a]);
     if (bits == 0) box.lo[a] = fence.inner.lo[a], box.hi[a] = fence.inner.hi[a];
   }
-  const List all = lists_of_[index].all;
-  if (lists_.size() * sizeof(Candidate) > kBytesMost) return std::span(lists_).subspan(all.begin, all.count);
   std::vector<Candidate> near_box;
   for (std::size_t k = all.begin; k < at(all.begin) + all.count; ++k)
     if (const Candidate one = lists_[k]; near(one, box)) near_box.push_back(one);

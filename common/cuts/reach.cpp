@@ -34,9 +34,9 @@ double farthest(Norm norm, double width) {
 
 Status too_many_images(double width) {
   return {Code::invalid_argument,
-          fmt::format("a halo of width {}: more than {} images of a particle, or one more than 2^31 periods away",
+          fmt::format("width {}: more than {} periodic images come near, or one from more than 2^31 periods away",
                       width, Reach::kImagesMax),
-          "give a smaller width, and positions near the periodic box"};
+          "give a smaller width or a larger periodic box, and positions near it"};
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 #include "common/base/check.hpp"
 #include "common/base/random.hpp"
 #include "common/base/wide.hpp"
+#include "common/cuts/halo.hpp"
 #include "common/layout/layout.hpp"
 
 namespace rcb::layout {
@@ -12,10 +13,7 @@ PartRange parts_of_rank(int rank, int parts, int ranks) {
   return {static_cast<int>(part_begin(rank, parts, ranks)), static_cast<int>(part_begin(rank + 1, parts, ranks))};
 }
 
-int rank_of_part(int part, int parts, int ranks) {
-  // The largest r with floor(r P / R) <= part, that is r P < (part + 1) R.
-  return static_cast<int>(((static_cast<std::int64_t>(part) + 1) * ranks - 1) / parts);
-}
+int rank_of_part(int part, int parts, int ranks) { return cuts::seat_of_part(part, parts, ranks); }
 
 std::uint64_t row_begin(int rank, std::uint64_t count, int ranks) {
   return static_cast<std::uint64_t>(static_cast<u128>(static_cast<unsigned>(rank)) * count /

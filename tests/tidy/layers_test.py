@@ -21,7 +21,7 @@ ARROWS = {
     "common/wire": ["common/base"],
     "common/auth": ["common/base"],
     "common/tls": ["common/base"],
-    "common/layout": ["common/particles"],
+    "common/layout": ["common/cuts"],
     "common/io/files": ["common/base", "common/files"],
     "common/io/formats": ["common/io/files"],
     "common/io": ["common/io/formats"],

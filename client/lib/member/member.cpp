@@ -46,8 +46,8 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   const bool other_service = known.instance != service_before;
   lost = step < 0 && (lost || (last_step && other_service));
   const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
-  // A rebalance changes the epoch alone.
   if (other_service) scene_cuts.known.reset();
+  // A rebalance changes the epoch alone.
   if (known_before && (step_now != last_step || epoch_now != epoch || other_service)) {
     places.forget();
     up_to_date = false;
