@@ -31,6 +31,7 @@ constexpr std::array kEntries{
     Entry{Code::internal, "internal"},
     Entry{Code::usage, "usage"},
     Entry{Code::interrupted, "interrupted"},
+    Entry{Code::not_conserved, "not_conserved"},
 };
 
 }  // namespace

@@ -33,6 +33,7 @@ enum class Code : std::uint16_t {
   internal = 17,           // a bug of ours that the service has survived
   usage = 18,              // wrong command line
   interrupted = 19,        // the caller gave up waiting, for instance by Ctrl-C
+  not_conserved = 20,      // a step would lose or double particles
 };
 
 // The name of a code in the protocol and in --json, such as "invalid_argument".

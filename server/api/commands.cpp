@@ -11,26 +11,30 @@ using enum Effect;
 using Fields = std::string_view;
 
 constexpr std::array<Fields, 1> kScene{"scene"};
-constexpr std::array<Fields, 11> kCreate{"scene",      "parts",           "dims",          "method",
+constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims",          "method",
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
-                                         "part_sizes", "replace",         "recreated"};
+                                         "part_sizes", "replace",         "recreated",     "positions"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
-constexpr std::array<Fields, 25> kPushBegin{
+constexpr std::array<Fields, 26> kPushBegin{
     "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",     "plan",  "moved",
     "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",    "epoch", "places",
-    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known"};
+    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known", "drifted"};
+constexpr std::array<Fields, 15> kCount{"scene",  "session", "step",  "incarnation", "epoch",
+                                        "hash",   "n",       "id_sum", "drifted",   "step_seconds",
+                                        "scale",  "least",   "greatest", "weights_as_zero", "arrays"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};
 constexpr std::array<Fields, 4> kBox{"scene", "lo", "hi", "periodic"};
-constexpr std::array<Fields, 2> kAssign{"scene", "checksum"};
-constexpr std::array<Fields, 2> kQuality{"scene", "ghost_width"};
+constexpr std::array<Fields, 3> kAssign{"scene", "checksum", "held"};
+constexpr std::array<Fields, 2> kFetch{"scene", "held"};
+constexpr std::array<Fields, 3> kQuality{"scene", "ghost_width", "held"};
 constexpr std::array<Fields, 4> kNeighbours{"scene", "width", "norm", "periodic"};
-constexpr std::array<Fields, 5> kHalo{"scene", "width", "norm", "periodic", "lists"};
-constexpr std::array<Fields, 4> kCompare{"scene", "parts", "ghost_width", "methods"};
-constexpr std::array<Fields, 6> kRebalance{"scene", "method", "parts", "tolerance", "dry_run", "force"};
+constexpr std::array<Fields, 6> kHalo{"scene", "width", "norm", "periodic", "lists", "held"};
+constexpr std::array<Fields, 5> kCompare{"scene", "parts", "ghost_width", "methods", "held"};
+constexpr std::array<Fields, 7> kRebalance{"scene", "method", "parts", "tolerance", "dry_run", "force", "held"};
 constexpr std::array<Fields, 7> kLoad{"scene", "path", "step", "dims", "weights", "columns", "ids"};
-constexpr std::array<Fields, 3> kWriteParts{"scene", "directory", "prefix"};
+constexpr std::array<Fields, 4> kWriteParts{"scene", "directory", "prefix", "held"};
 
 constexpr bool kFiles = true;
 constexpr bool kGivesWay = true;
@@ -41,25 +45,26 @@ constexpr std::array kCommands{
     CommandInfo{"shutdown", session, changes, {}},
     CommandInfo{"scene.list", session, reads, {}},
     CommandInfo{"scene.close", session, reads, kScene},
-    CommandInfo{"scene.open", root, reads, kOpen},
-    CommandInfo{"scene.show", root, reads, kScene},
-    CommandInfo{"error", root, reads, kScene},
-    CommandInfo{"counts", root, reads, kScene},
+    CommandInfo{"scene.open", ledger, reads, kOpen},
+    CommandInfo{"scene.show", ledger, reads, kScene},
+    CommandInfo{"error", ledger, reads, kScene},
+    CommandInfo{"counts", ledger, reads, kScene},
     CommandInfo{"cuts", root, reads, kCuts},
-    CommandInfo{"history", root, reads, kHistory},
-    CommandInfo{"stats", root, reads, kScene},
+    CommandInfo{"history", ledger, reads, kHistory},
+    CommandInfo{"stats", ledger, reads, kScene},
     CommandInfo{"owner", root, reads, kOwner},
     CommandInfo{"box", root, reads, kBox},
     CommandInfo{"neighbours", root, reads, kNeighbours},
     CommandInfo{"plan", ranks, reads, kScene},
     CommandInfo{"assign", ranks, reads, kAssign},
-    CommandInfo{"fetch", ranks, reads, kScene},
+    CommandInfo{"fetch", ranks, reads, kFetch},
     CommandInfo{"quality", ranks, reads, kQuality, !kFiles, kGivesWay},
     CommandInfo{"compare", ranks, reads, kCompare, !kFiles, kGivesWay},
     CommandInfo{"halo", ranks, reads, kHalo, !kFiles, kGivesWay},
     CommandInfo{"write_parts", ranks, reads, kWriteParts, kFiles, kGivesWay},
     CommandInfo{"scene.create", ranks, changes, kCreate, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"scene.drop", ranks, changes, kScene},
+    CommandInfo{"count", ledger, changes, kCount},
     CommandInfo{"push.begin", ranks, changes, kPushBegin, !kFiles, !kGivesWay, kLarge},
     CommandInfo{"rebalance", ranks, changes, kRebalance, !kFiles, kGivesWay},
     CommandInfo{"load", ranks, changes, kLoad, kFiles, kGivesWay},

@@ -14,6 +14,7 @@ namespace rcb::api {
 
 enum class RunsOn {
   session,  // the I/O thread answers it
+  ledger,   // likewise, from what rank 0 knows of the scene (server/scene)
   root,     // rank 0's engine alone: the answer needs only what is the same on every rank
   ranks,    // every rank's engine: the command is collective, or changes what all ranks hold
 };

@@ -62,20 +62,6 @@ Status read_cuts_known(const wire::Json& request, Push& push) {
 
 const char* name_of(Moved moved) { return moved == Moved::all ? "all" : moved == Moved::some ? "some" : "none"; }
 
-const char* name_of(Way way) {
-  switch (way) {
-    case Way::endpoint:
-      return "endpoint";
-    case Way::sockets:
-      return "sockets";
-    case Way::shared_memory:
-      return "shared-memory";
-    case Way::file:
-      return "file";
-  }
-  return "";
-}
-
 // Which arrays must be there is checked with what is known of the scene; that they lie within the memory, by each rank.
 Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
   const Status odd(Code::invalid_argument, "field 'memory': expected a list of objects, one for each array");
@@ -91,14 +77,6 @@ Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
     if (!fields.ok()) return fields.status();
   }
   return arrays;
-}
-
-Status stale_step(const PushId& push, std::int64_t last) {
-  return {Code::stale_step,
-          fmt::format("step {} of scene '{}' is not above the last one, {}", push.step, push.scene, last),
-          fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
-                      "scene anew with replace",
-                      last + 1)};
 }
 
 Result<PushId> read_push_id(const wire::Json& request, const std::string& session) {
@@ -153,6 +131,7 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   push.removed = fields.particles("removed");
   push.inserted_ids = fields.flag("inserted_ids") && push.inserted > 0;
   if (fields.has("base_step")) push.base_step = fields.integer("base_step", 0, wire::kStepMax);
+  if (fields.has("drifted")) push.drifted = fields.particles("drifted");
   if (fields.has("step_seconds"))
     push.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);
   if (!fields.ok()) return fields.status();

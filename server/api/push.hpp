@@ -11,6 +11,7 @@
 
 #include "common/base/status.hpp"
 #include "common/wire/message.hpp"
+#include "server/scene/report.hpp"
 
 namespace rcb::api {
 
@@ -22,9 +23,6 @@ struct PushId {
   std::int64_t attempt = 0;
   auto operator<=>(const PushId&) const = default;
 };
-
-// The refusal of a step that is not above the scene's last one.
-Status stale_step(const PushId& push, std::int64_t last);
 
 // `session` is used if the message names none. Errors: invalid_argument.
 Result<PushId> read_push_id(const wire::Json& request, const std::string& session);
@@ -59,9 +57,7 @@ struct SharedArray {
 // Reads the field "memory". Errors: invalid_argument.
 Result<std::vector<SharedArray>> read_shared(const wire::Json& request);
 
-// How the values come to the ranks.
-enum class Way { endpoint, sockets, shared_memory, file };
-const char* name_of(Way way);
+using scene::Way;
 
 struct Push {
   PushId id;
@@ -85,6 +81,7 @@ struct Push {
   bool inserted_ids = false;              // the solver chose the ids of the inserted particles
   std::optional<std::int64_t> base_step;  // the step of the other particles' positions
   std::optional<double> step_seconds;     // the solver's computing time since its last push
+  std::optional<std::uint64_t> drifted;   // since the step before, as the client has counted
   std::optional<CutsId> cuts_known;  // that the client has: the answer is to bring those after the step if they differ
 
   bool to_ranks() const { return way != Way::endpoint; }  // no positions come through the endpoint

@@ -20,7 +20,7 @@
 #include "server/program/direct_path.hpp"
 #include "server/program/job.hpp"
 #include "server/program/rank.hpp"
-#include "server/service/scene/report_file.hpp"
+#include "server/scene/report_file.hpp"
 
 namespace rcb::server {
 namespace {
@@ -157,6 +157,13 @@ net::ControlOptions Rank0::control_options(const ConnectionLimits& limits) const
   options.waiting_max = limits.waiting;
   options.files_over_tcp = !setup_.config.files_below.empty();
   // At once, since a rank that is stuck may keep the service from ending cleanly.
+  options.keep_reports = setup_.config.keep_reports;
+  // Without the directory the service runs all the same, and the history says that older reports are lost.
+  const std::string reports = join_path(data_->path(), kReportDirectory);
+  if (const Status made = scene::make_report_directory(reports); made.ok())
+    options.report_directory = reports;
+  else
+    spdlog::warn("older step reports will be lost: {}", made.message());
   options.told_to_end = [path = data_->path()] { (void)net::leave_end_marker(path); };
   return options;
 }
@@ -240,32 +247,18 @@ void Rank0::serve() {
 
 void Rank0::run_engine() {
   const SteadyClock clock;
-  {
-    service::Service service(setup_.mpi.comm(), clock, service_options());
-    engine_.run(service);
-  }
-  // Empty by now: the scenes' report files were removed with the scenes.
-  std::error_code ignored;
-  std::filesystem::remove(join_path(data_->path(), kReportDirectory), ignored);
+  service::Service service(setup_.mpi.comm(), clock, service_options());
+  engine_.run(service);
 }
 
-// If the directory for older reports can't be made, the service runs all the same, and the history says that older ones
-// are lost.
 service::ServiceOptions Rank0::service_options() const {
-  service::ServiceOptions options{.no_skip = setup_.no_skip,
-                                  .roots = setup_.client_folders,
-                                  .bulk_bytes_max = bulk_bytes(setup_.config),
-                                  .keep_reports = setup_.config.keep_reports};
-  const std::string directory = join_path(data_->path(), kReportDirectory);
-  if (const Status made = service::make_report_directory(directory); made.ok())
-    options.report_directory = directory;
-  else
-    spdlog::warn("older step reports will be lost: {}", made.message());
-  return options;
+  return {.no_skip = setup_.no_skip, .roots = setup_.client_folders, .bulk_bytes_max = bulk_bytes(setup_.config)};
 }
 
 void Rank0::finish() {
   control_->finish(kGoodbyeSeconds);
+  std::error_code ignored;
+  std::filesystem::remove(join_path(data_->path(), kReportDirectory), ignored);  // empty, with no scenes left
   loop_.run([this] { port_->finish(); });
   doorbells_->finish(kGoodbyeSeconds);
   loop_.stop();

@@ -16,19 +16,12 @@ namespace {
 
 constexpr std::uint64_t kFileBytesMax = std::uint64_t{1} << 30U;  // each command that uses files has a limit of its own
 
-// True if the command changes no scene.
-bool reads(std::string_view command) {
-  const api::CommandInfo* known = api::find_command(command);
-  return known != nullptr && known->reads();
-}
-
 }  // namespace
 
 struct Service::State {
   comm::Comm& comm;
   const Clock& clock;
   ServiceOptions options;
-  HistoryMemory histories{options.keep_reports, options.report_directory};  // outlives `scenes`
   std::map<std::string, Scene> scenes = {};
   std::map<std::string, Command> commands = {};
   std::vector<Spare> spares = {};
@@ -50,48 +43,6 @@ Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
 
 Service::~Service() = default;
 
-namespace {
-
-// The new summary of the order's scene. Local.
-std::optional<api::SceneChange> change_of(const Context& context, const wire::Json& request) {
-  auto name = wire::string_field(request, "scene", 256);
-  if (!name.ok()) return std::nullopt;
-  api::SceneChange change{std::move(name).value(), std::nullopt};
-  const auto found = context.scenes.find(change.scene);
-  if (found == context.scenes.end()) return change;
-  const Scene& scene = found->second;
-  change.summary = {.n = scene.n,
-                    .dims = scene.options.dims,
-                    .parts = scene.options.parts,
-                    .weights = scene.particles.has_weights,
-                    .ids = scene.ids,
-                    .step = scene.step,
-                    .steps = scene.totals.steps,
-                    .epoch = scene.epoch,
-                    .plan_version = scene.plan_version,
-                    .plan_checksum = scene.plan_checksum,
-                    .rank_counts = {}};
-  for (int r = 0; r < context.comm.size(); ++r)
-    change.summary->rank_counts.push_back(held_by(scene, scene.n, r, context.comm.size()));
-  if (scene.pushed) {
-    change.summary->error = scene.loads.error;
-    change.summary->imbalance = scene.loads.imbalance;
-    change.summary->mean_step_seconds =
-        scene.totals.seconds.total / static_cast<double>(std::max<std::uint64_t>(1, scene.totals.steps));
-  }
-  return change;
-}
-
-// Counts a query whose answer took a pass over the particles. Local.
-void note_question(Context& context, const wire::Json& request, const std::string& name) {
-  const auto scene = find_scene(context, request, Needs::scene);
-  if (!scene.ok()) return;
-  ++scene.value()->totals.asked[name];
-  scene.value()->asked = true;
-}
-
-}  // namespace
-
 Response Service::execute(const wire::Json& request, std::vector<PushSlice> slices, const OrderTerms& terms) {
   const auto name = wire::string_field(request, "command", 64);
   if (!name.ok()) return failed(name.status());
@@ -108,7 +59,6 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
                   state_->options.no_skip,
                   state_->options.roots,
                   state_->files,
-                  state_->histories,
                   state_->options.bulk_bytes_max,
                   terms,
                   state_->clock.seconds()};
@@ -116,9 +66,9 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (command->second.computes)
     if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
   Response response = state_->call(command->second, request, context);
-  if (command->second.computes && response.status.ok()) note_question(context, request, command->first);
   if (!context.root()) return {};
-  if (response.status.ok() && !reads(command->first)) response.change = change_of(context, request);
+  if (command->second.computes && response.status.ok())
+    response.change = {request.at("scene").get<std::string>(), scene::Asked{command->first}};
   return response;
 }
 
@@ -165,10 +115,6 @@ Result<Scene*> find_scene(Context& context, const wire::Json& request, Needs nee
   if (needs == Needs::positions && !found->second.pushed)
     return Status(Code::not_found, fmt::format("scene '{}' has no positions yet", name.value()), "push a step first");
   return &found->second;
-}
-
-wire::Array make_array(std::string name, std::string dtype, std::uint64_t count, Buffer<std::byte> bytes) {
-  return {std::move(name), std::move(dtype), {count}, std::move(bytes)};
 }
 
 }  // namespace rcb::service

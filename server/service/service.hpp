@@ -33,10 +33,6 @@ struct ServiceOptions {
   // Folders for clients' files; null: none. Shared with the thread that reads and writes them.
   std::shared_ptr<const io::Roots> roots = {};
   std::uint64_t bulk_bytes_max = 0;  // of the points that `load` reads; 0: no limit
-  // Rank 0 only: the number of step reports kept in memory, all scenes together, and a directory of the service's own
-  // for older ones (make_report_directory); empty: older ones are lost.
-  std::size_t keep_reports = 100'000;
-  std::string report_directory = {};
   SideThread::Start start_thread = {};  // for tests: starts the thread for clients' files
 };
 

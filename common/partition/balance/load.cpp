@@ -146,6 +146,18 @@ LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const 
   return summary;
 }
 
+LoadSummary summarise_weighted(std::vector<std::uint64_t> counts, std::vector<u128> loads, int scale_exponent,
+                               std::uint64_t weights_as_zero, std::span<const double> sizes) {
+  LoadSummary summary;
+  summary.counts = std::move(counts);
+  summary.loads = std::move(loads);
+  summary.weighted = true;
+  summary.scale_exponent = scale_exponent;
+  summary.weights_as_zero = weights_as_zero;
+  finish(summary, sizes);
+  return summary;
+}
+
 LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& particles,
                             std::span<const std::int32_t> part, std::span<const double> sizes, int parts) {
   RCB_CHECK(part.size() == particles.count && parts >= 1, "a part for each particle");
@@ -162,21 +174,16 @@ LoadSummary summarise_loads(comm::Comm& comm, const particles::ParticleView& par
   const std::optional<double> greatest = greatest_weight(order_bits);
   if (!greatest) return summarise_counts(std::move(counts), sizes);
   const ExactScale scale(*greatest, std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}));
-  LoadSummary summary;
-  summary.weighted = true;
-  summary.scale_exponent = scale.exponent();
-  summary.loads.assign(count + 1, u128{0});  // the last one counts the weights that are too small
+  std::vector<u128> loads(count + 1, u128{0});  // the last one counts the weights that are too small
   for (std::size_t i = 0; i < particles.count; ++i) {
     const u128 weight = scale(particles.weight[i]);
-    summary.loads[static_cast<std::size_t>(part[i])] += weight;
-    if (weight == 0 && particles.weight[i] > 0) ++summary.loads[count];
+    loads[static_cast<std::size_t>(part[i])] += weight;
+    if (weight == 0 && particles.weight[i] > 0) ++loads[count];
   }
-  comm::all_sum_wide(comm, summary.loads);
-  summary.weights_as_zero = static_cast<std::uint64_t>(summary.loads[count]);
-  summary.loads.pop_back();
-  summary.counts = std::move(counts);
-  finish(summary, sizes);
-  return summary;
+  comm::all_sum_wide(comm, loads);
+  const auto as_zero = static_cast<std::uint64_t>(loads[count]);
+  loads.pop_back();
+  return summarise_weighted(std::move(counts), std::move(loads), scale.exponent(), as_zero, sizes);
 }
 
 LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particles, const LoadSummary& before,

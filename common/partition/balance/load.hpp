@@ -77,6 +77,9 @@ LoadSummary moved_loads(comm::Comm& comm, const particles::ParticleView& particl
                         std::span<const std::int32_t> to, std::span<const double> sizes);
 // Local: the summary of known counts, nothing weighted.
 LoadSummary summarise_counts(std::vector<std::uint64_t> counts, std::span<const double> sizes);
+// Local: the summary of known counts and weighted loads, in the scale of this exponent.
+LoadSummary summarise_weighted(std::vector<std::uint64_t> counts, std::vector<u128> loads, int scale_exponent,
+                               std::uint64_t weights_as_zero, std::span<const double> sizes);
 
 // numerator / denominator rounded once to the nearest double (ties to even); denominator > 0.
 double quotient(u128 numerator, u128 denominator);

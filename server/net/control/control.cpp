@@ -150,6 +150,7 @@ void Control::finish(double seconds) {
     state_->loop.run([&] { empty = state_->coordinator->session_count() == 0; });
     if (!empty) std::this_thread::sleep_for(std::chrono::milliseconds(5));
   }
+  state_->loop.run([this] { state_->coordinator->scenes().end(); });
 }
 
 std::uint64_t bulk_bytes_default() { return machine_bytes() / 2; }

@@ -17,6 +17,12 @@ namespace rcb::net {
 using wire::FrameType;
 using wire::Json;
 
+namespace {
+
+std::uint64_t random_number() { return wire::parse_hex64(auth::random_hex(8)).value(); }
+
+}  // namespace
+
 Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engine& engine)
     : context_(context),
       options_(std::move(options)),
@@ -24,7 +30,14 @@ Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engi
       engine_(engine),
       answers_(options_.bulk_bytes_max),
       large_requests_(wire::kLargeRequestBytesMax),
+      scenes_(options_.keep_reports, options_.report_directory),
       memory_bytes_(static_cast<std::size_t>(options_.ranks)) {}
+
+void Coordinator::add_terms(Json& request, std::optional<double> step_seconds) const {
+  const scene::Ledger* ledger = scenes_.find(request.at("scene"));
+  if (Json terms = ledger == nullptr ? Json() : to_json(ledger->terms(step_seconds)); !terms.empty())
+    request["terms"] = std::move(terms);
+}
 
 void Coordinator::leave(Session* session) {
   sessions_.erase(session);
@@ -108,7 +121,7 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
 
 void Coordinator::complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
                            const std::shared_ptr<Pending>& pending) {
-  if (answer.change) api::apply(*std::move(answer.change), snapshot_);
+  if (answer.change) take_change(answer);
   const OrderOptions& order = unfinished->order();
   unfinished->end();
   if (order.ends_run && answer.status.ok()) groups_.forget_answers(order.changes);
@@ -116,6 +129,24 @@ void Coordinator::complete(Answer answer, const std::shared_ptr<OrderReservation
   if (order.then) return order.then(std::move(answer));
   pending->answer = std::move(answer);
   pending->signal.cancel();
+}
+
+void Coordinator::want_positions(const std::string& scene) {
+  static constexpr std::chrono::seconds kBetween(1);
+  scene::Ledger* ledger = scenes_.find(scene);
+  if (ledger == nullptr || ledger->wants_positions()) return;
+  std::erase_if(positions_wanted_, [](const auto& one) { return now() - one.second >= kBetween; });
+  if (positions_wanted_.try_emplace(scene, now()).second) ledger->want_positions();
+}
+
+// The report is the ledger's: the ranks don't know of steps that were counts.
+void Coordinator::take_change(Answer& answer) {
+  const scene::Ledger* ledger = scenes_.find(answer.change->scene);
+  const Json previous_step = ledger != nullptr && ledger->now().step ? Json(*ledger->now().step) : Json();
+  const scene::StepReport* report = scenes_.take(*std::move(answer.change), random_number());
+  if (report == nullptr) return;
+  answer.json["report"] = to_json(*report);
+  if (answer.json.contains("previous_step")) answer.json["previous_step"] = previous_step;
 }
 
 void Coordinator::wake_queue(const std::string& scene) {
@@ -127,7 +158,7 @@ void Coordinator::erase_gate_if_unused(const std::string& scene) {
   const auto found = gates_.find(scene);
   if (found == gates_.end()) return;
   const SceneGate& gate = found->second;
-  if (!gate.push && gate.changes_unfinished == 0 && gate.queue.empty()) gates_.erase(found);
+  if (!gate.push && gate.changes_unfinished == 0 && gate.queue.empty() && gate.watching.empty()) gates_.erase(found);
 }
 
 std::shared_ptr<OpenPush> Coordinator::open_push(PushTerms terms, std::shared_ptr<Connection> connection,
@@ -266,9 +297,9 @@ void Coordinator::receive_directly(const std::shared_ptr<OpenPush>& push) {
   const auto ranks = static_cast<std::uint64_t>(options_.ranks);
   push->whole.assign(ranks, false);
   push->arrived_bytes.assign(ranks, 0);
-  const auto scene = snapshot_.find(terms.id.scene);
+  const scene::Ledger* ledger = scenes_.find(terms.id.scene);
   std::vector<std::uint64_t> counts;
-  if (scene != snapshot_.end() && scene->second.step) counts = scene->second.rank_counts;
+  if (ledger != nullptr && ledger->now().step) counts = ledger->now().rank_counts;
   if (!terms.counts.empty()) counts = terms.counts;
   if (counts.empty())  // the first push: equal blocks of rows
     for (std::uint64_t r = 0; r < ranks; ++r)

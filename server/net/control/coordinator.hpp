@@ -7,7 +7,7 @@
 //    never after.
 // 2. A scene has at most one open push. Commands that change the scene wait for the end of that push; later pushes and
 //    commands queue behind them, first come, first served (SceneGate::queue).
-// 3. An order's changes are in the snapshot before its answer is sent.
+// 3. The ledger has taken in what an order has done before its answer is sent.
 // 4. The arrays of open and unfinished pushes have about `bulk_bytes_max` bytes at most. Only bytes that have arrived
 //    count: a push that is merely announced takes nothing from others. An open push must go on arriving (kProgressBytes
 //    in `frame_seconds`).
@@ -36,6 +36,7 @@
 #include "server/net/push/push.hpp"
 #include "server/net/sockets/asio.hpp"
 #include "server/net/sockets/connection.hpp"
+#include "server/scene/ledger.hpp"
 
 namespace rcb::net {
 
@@ -97,8 +98,10 @@ struct SceneGate {
   std::shared_ptr<OpenPush> push;
   int changes_unfinished = 0;  // ordered, unfinished commands that change the scene
   std::deque<Timer*> queue;    // the requests that wait for their turn
+  std::deque<Timer*> watching;  // requests that wait for what others do, and keep nobody waiting
   void wake() {
     for (Timer* timer : queue) timer->cancel();
+    for (Timer* timer : watching) timer->cancel();
   }
 };
 
@@ -129,7 +132,12 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   // Identifies this run of the service: 16 hex digits, different at every start.
   const std::string& instance() const { return instance_; }
   asio::io_context& context() { return context_; }
-  const api::Snapshot& snapshot() const { return snapshot_; }
+  const scene::Ledgers& scenes() const { return scenes_; }
+  scene::Ledgers& scenes() { return scenes_; }
+  // What the ranks need of the ledger to decide about a push.
+  void add_terms(wire::Json& request, std::optional<double> step_seconds) const;
+  // Has the scene's next step bring its positions, for a question; at most once a second.
+  void want_positions(const std::string& scene);
   bool shutting_down() const { return shutting_down_; }
   std::size_t session_count() const { return sessions_.size(); }
   // Reserves the memory of an answer until it is sent; letting go of the result releases it. Errors: busy, if answers
@@ -217,6 +225,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::shared_ptr<OpenPush> find_push(std::uint64_t number) const;
   // What an order has reserved: its place among the unfinished orders, its scene's gate, bytes of the budget.
   class OrderReservation;
+  void take_change(Answer& answer);
   void complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
                 const std::shared_ptr<Pending>& pending);
   void watch_arrival(const std::shared_ptr<OpenPush>& push);
@@ -234,7 +243,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::map<std::string, std::vector<std::string>> data_addresses_;  // by endpoint
   std::vector<LocalAddress> local_addresses_;
   std::uint64_t pushes_numbered_ = 0;
-  api::Snapshot snapshot_;
+  scene::Ledgers scenes_;
+  std::map<std::string, TimePoint> positions_wanted_;  // when a question last had a scene's positions sent
   std::set<Session*> sessions_;
   MemberGroups groups_{*this};
   std::map<std::string, SceneGate> gates_;

@@ -47,7 +47,7 @@ Status Coordinator::unknown_scene(const std::string& scene) const {
   constexpr std::size_t kNamesMax = 8;
   constexpr std::size_t kComparedMax = 100;  // comparing more names takes too long on the I/O thread
   std::vector<std::string> names;
-  for (const auto& [name, info] : snapshot_) names.push_back(name);
+  for (const auto& [name, ledger] : scenes_) names.push_back(name);
   std::string hint;
   if (!names.empty()) {
     if (names.size() <= kComparedMax)
@@ -83,19 +83,20 @@ Json Coordinator::scenes_json() const {
       first.insert(std::upper_bound(first.begin(), first.end(), name), name);
       if (first.size() > kHoldersNamed) first.pop_back();
     }
-  const auto number = [](const std::optional<double>& value) { return value ? Json(*value) : Json(); };
   Json scenes = Json::array();
-  for (const auto& [name, scene] : snapshot_) {
+  for (const auto& [name, ledger] : scenes_) {
     const Holders& of_scene = holders[name];
+    const scene::SceneState& scene = ledger.now();
+    const double steps = static_cast<double>(std::max<std::uint64_t>(1, ledger.totals().steps));
     scenes.push_back({{"scene", name},
                       {"n", scene.n},
-                      {"dims", scene.dims},
-                      {"parts", scene.parts},
+                      {"dims", scene.options.dims},
+                      {"parts", scene.options.parts},
                       {"step", scene.step ? Json(*scene.step) : Json()},
                       {"epoch", scene.epoch},
-                      {"error", number(scene.error)},
-                      {"imbalance", number(scene.imbalance)},
-                      {"mean_step_seconds", number(scene.mean_step_seconds)},
+                      {"error", scene.loads ? Json(scene.loads->error) : Json()},
+                      {"imbalance", scene.loads ? Json(scene.loads->imbalance) : Json()},
+                      {"mean_step_seconds", scene.loads ? Json(ledger.totals().seconds.total / steps) : Json()},
                       {"holders", of_scene.first},
                       {"holders_count", of_scene.count}});
   }
@@ -129,7 +130,7 @@ Json Coordinator::status_json() const {
   for (std::size_t rank = 1; rank < memory_bytes_.size(); ++rank)
     memory.push_back(memory_bytes_[rank] == 0 ? Json() : Json(memory_bytes_[rank]));
   std::uint64_t steps = 0;
-  for (const auto& [name, scene] : snapshot_) steps += scene.steps;
+  for (const auto& [name, ledger] : scenes_) steps += ledger.totals().steps;
   return {{"version", options_.version},
           {"ranks", options_.ranks},
           {"pid", ::getpid()},
@@ -141,7 +142,7 @@ Json Coordinator::status_json() const {
           {"log", log_path_.empty() ? Json() : Json(log_path_)},
           {"memory_bytes", memory},
           {"hosts", hosts_json()},
-          {"empty", snapshot_.empty()},
+          {"empty", scenes_.empty()},
           {"restarted", options_.restarted},
           {"sessions", sessions_.size()},
           {"silent", silent_json()},

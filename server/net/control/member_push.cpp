@@ -40,12 +40,12 @@ bool copy_for(const Json& begin, const std::vector<wire::Array>& arrays, std::ve
 }
 
 // Whether the push brings particles whose weights its flag `weights` is about. Who has none need not say it.
-bool weights_matter(const PushTerms& terms, const api::SceneSummary& scene) {
+bool weights_matter(const PushTerms& terms, const scene::SceneState& scene) {
   return terms.n > 0 || (terms.inserted > 0 && !scene.step);
 }
 
 // Whether the members push weights: what those say who bring particles; if nobody does, what any says.
-bool weights_of(const MemberPush& step, const api::SceneSummary& scene) {
+bool weights_of(const MemberPush& step, const scene::SceneState& scene) {
   bool any = false;
   for (const auto& contribution : step.contributions) {
     const PushTerms& terms = contribution->slices.terms();
@@ -73,18 +73,19 @@ Status MemberGroups::begin(ContributionBegin begin) {
   if (const MemberAnswers* before = kept_.before(scene);
       before != nullptr && answer_again(*before, nullptr, member, begin))
     return {};
-  const auto info = coordinator_.snapshot().find(scene);
-  if (info == coordinator_.snapshot().end()) return coordinator_.unknown_scene(scene);
-  if (info->second.step && begin.id.step <= *info->second.step) {
-    if (begin.id.step == *info->second.step && group->last &&
+  const scene::Ledger* ledger = coordinator_.scenes().find(scene);
+  if (ledger == nullptr) return coordinator_.unknown_scene(scene);
+  const scene::SceneState& info = ledger->now();
+  if (info.step && begin.id.step <= *info.step) {
+    if (begin.id.step == *info.step && group->last &&
         answer_again(*group->last, group->delivery.get(), member, begin))
       return {};
-    return api::stale_step(begin.id, *info->second.step);
+    return scene::stale_step(scene, begin.id.step, *info.step);
   }
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
   // A process that was started again together with the service counts from 0; the others know which step it is.
-  if (step && !step->ordered && !step->contributions[member] && !info->second.step && begin.id.step > step->step) {
+  if (step && !step->ordered && !step->contributions[member] && !info.step && begin.id.step > step->step) {
     abort(step, nullptr,
           {Code::aborted, fmt::format("member {} pushes step {}, which is later", member, begin.id.step)});
     step = nullptr;
@@ -99,7 +100,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
       return {Code::busy, fmt::format("member {} is pushing step {} already", member, step->step), "finish it first"};
     withdraw(*step, member, {Code::aborted, "a newer attempt of the same session replaced it"});
   }
-  auto terms = read_terms(begin, info->second, step.get());
+  auto terms = read_terms(begin, info, step.get());
   Status refused = terms.status();
   if (refused.ok() && terms->to_ranks() && !group->follow)
     refused = {Code::unsupported, "members that don't follow their parts push in order \"id\""};
@@ -157,7 +158,7 @@ void MemberGroups::withdraw(MemberPush& step, std::size_t member, const Status& 
 
 Status MemberGroups::check_counts(const MemberPush& step) const {
   if (std::find(step.contributions.begin(), step.contributions.end(), nullptr) != step.contributions.end()) return {};
-  const api::SceneSummary& scene = coordinator_.snapshot().at(step.scene);
+  const scene::SceneState& scene = coordinator_.scenes().find(step.scene)->now();
   const auto differ = [&](std::uint64_t count, const std::string& whose, std::uint64_t held) {
     return Status(Code::stale_plan,
                   fmt::format("step {} of scene '{}': the members push {} particles of {}, which has {}", step.step,
@@ -194,7 +195,7 @@ std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, st
   return round;
 }
 
-Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const api::SceneSummary& info,
+Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const scene::SceneState& info,
                                            const MemberPush* step) const {
   auto terms = read_push_terms(begin.json, begin.id, info, coordinator_.options().ranks,
                                coordinator_.options().bulk_bytes_max, Pusher::member);
@@ -319,7 +320,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   else if (to_ranks ? !any_all : members_by_moved[static_cast<std::size_t>(Moved::all)] < members)
     all.moved = Moved::some;
   // Particles that no member names stay where they were.
-  if (!to_ranks && all.moved != Moved::all) all.n = coordinator_.snapshot().at(step->scene).n;
+  if (!to_ranks && all.moved != Moved::all) all.n = coordinator_.scenes().find(step->scene)->now().n;
   request["counts"] = counts;
   if (to_ranks) request["plan"] = step->contributions.front()->begin["plan"];
   if (all.base_step) request["base_step"] = *all.base_step;
@@ -334,7 +335,8 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   request["inserted_ids"] = all.inserted_ids;
   request["changes"] = changes;
   request["places"] = places;
-  request["weights"] = weights_of(*step, coordinator_.snapshot().at(step->scene));
+  coordinator_.add_terms(request, all.step_seconds);
+  request["weights"] = weights_of(*step, coordinator_.scenes().find(step->scene)->now());
   request["members"] = members;
   request["follow"] = find(step->scene)->follow;
   order.received_seconds = seconds_since(step->started);

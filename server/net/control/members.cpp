@@ -150,7 +150,7 @@ void MemberGroups::leave(const std::string& scene, const Connection* connection,
     seat.connection = nullptr;
   }
   const auto in_use = [](const Seat& seat) { return seat.connection != nullptr || !seat.former.empty(); };
-  if (!coordinator_.snapshot().contains(scene) && std::none_of(group->seats.begin(), group->seats.end(), in_use))
+  if (!coordinator_.scenes().contains(scene) && std::none_of(group->seats.begin(), group->seats.end(), in_use))
     groups_.erase(scene);
 }
 
@@ -214,13 +214,12 @@ Status MemberGroups::late(const MemberPush& step) const {
 }
 
 void MemberGroups::scene_changed(const std::string& scene) {
-  const auto& scenes = coordinator_.snapshot();
-  const auto info = scenes.find(scene);
+  const scene::Ledger* ledger = coordinator_.scenes().find(scene);
   Group* group = find(scene);
   if (group == nullptr) return;
-  if (info == scenes.end() && holders(scene).empty())
+  if (ledger == nullptr && holders(scene).empty())
     groups_.erase(scene);
-  else if (info == scenes.end() || !info->second.step)
+  else if (ledger == nullptr || !ledger->now().step)
     group->last.reset();
 }
 

@@ -148,7 +148,7 @@ class MemberGroups {
   bool answer_again(const MemberAnswers& answers, Delivery* delivery, std::size_t member,
                     const ContributionBegin& begin);
   static void send(const MemberAnswers& answers, const Delivery::To& to);
-  Result<PushTerms> read_terms(const ContributionBegin& begin, const api::SceneSummary& info,
+  Result<PushTerms> read_terms(const ContributionBegin& begin, const scene::SceneState& info,
                                const MemberPush* step) const;
   // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.
   void withdraw_direct(MemberPush& step, std::size_t because_of);

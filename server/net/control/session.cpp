@@ -9,6 +9,7 @@
 #include <spdlog/spdlog.h>
 
 #include "server/api/commands.hpp"
+#include "server/api/ledger_answers.hpp"
 
 namespace rcb::net {
 
@@ -18,31 +19,19 @@ using wire::Json;
 namespace {
 
 // Whether this is an unforced rebalance that changes the number of parts, on which clients with the scene open rely.
-bool changes_parts(const std::string& command, const Json& request, const api::Snapshot& snapshot,
-                   const std::string& scene) {
-  if (command != "rebalance" || wire::is_true(request, "dry_run") || wire::is_true(request, "force")) return false;
-  const auto info = snapshot.find(scene);
-  if (info == snapshot.end()) return false;
-  const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, info->second.parts);
-  return parts.ok() && *parts != info->second.parts;
+bool changes_parts(const std::string& command, const Json& request, const scene::Ledger* ledger) {
+  if (command != "rebalance" || ledger == nullptr || wire::is_true(request, "force")) return false;
+  const int now = ledger->now().options.parts;
+  const auto parts = wire::integer_field_or(request, "parts", 1, wire::kPartsMax, now);
+  return parts.ok() && *parts != now;
+}
+
+// Whether it is a question about positions, which takes those that are held if it says so.
+bool takes_held(const api::CommandInfo& command) {
+  return std::ranges::find(command.fields, "held") != command.fields.end();
 }
 
 constexpr std::chrono::milliseconds kLookEvery(500);  // how often to check that the waiting client is still there
-
-// A place in a scene's queue, freed by the destructor.
-class Place {
- public:
-  Place(SceneGate& gate, asio::io_context& context) : gate_(gate), timer_(context) { gate_.queue.push_back(&timer_); }
-  Place(const Place&) = delete;
-  Place& operator=(const Place&) = delete;
-  ~Place() { gate_.queue.erase(std::find(gate_.queue.begin(), gate_.queue.end(), &timer_)); }
-  bool first() const { return gate_.queue.front() == &timer_; }
-  Timer& timer() { return timer_; }
-
- private:
-  SceneGate& gate_;
-  Timer timer_;
-};
 
 }  // namespace
 
@@ -143,7 +132,12 @@ awaitable<Status> Session::serve(Frame frame) {
   auto command = wire::string_field(frame.json, "command", 64);
   if (command.ok() && *command == "push.slice") co_return co_await push_slice(std::move(frame));
   const bool checked = (frame.header.flags & wire::kFlagBulkChecksum) != 0;
-  if (frame.header.bulk_bytes > 0 || checked) {
+  std::vector<wire::Array> arrays;
+  if (command.ok() && *command == "count") {
+    auto read = co_await read_count_arrays(frame);
+    if (!read.ok()) co_return read.status();
+    arrays = std::move(*read);
+  } else if (frame.header.bulk_bytes > 0 || checked) {
     // The bulk is dropped, since no other command takes arrays; but a frame whose specs contradict its size ends the
     // session.
     if (const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes); !specs.ok())
@@ -165,6 +159,8 @@ awaitable<Status> Session::serve(Frame frame) {
   }
   Request request{frame.header.request,  info,      std::move(*command),
                   std::move(frame.json), *deadline, now() + duration_of(*deadline)};
+  request.arrays = std::move(arrays);
+  request.bytes = wire::kHeaderBytes + frame.header.json_bytes + frame.header.bulk_bytes;
   ++answering_;
   if (const Status admitted = admit_size(request, frame.header.json_bytes); admitted.ok())
     co_await dispatch(request);
@@ -222,6 +218,13 @@ awaitable<void> Session::dispatch(Request& request) {
   }
   if (request.command == "push.begin") co_return co_await push_begin(request);
   if (request.command == "scene.open") co_return co_await open_scene(request);
+  if (request.command == "count") co_return co_await count(request);
+  if (request.info->runs_on == api::RunsOn::ledger) co_return co_await answer_from_ledger(request);
+  if (takes_held(*request.info))
+    if (const Status status = co_await wait_for_positions(request); !status.ok()) {
+      fail(request.number, status);
+      co_return;
+    }
   if (api::changes_scene(request.json, *request.info)) co_return co_await scene_change(request);
   co_await order_and_reply(request, options_of(request));
 }
@@ -274,7 +277,7 @@ awaitable<void> Session::scene_change(Request& request) {
     turn = Status(Code::busy, fmt::format("this connection has a push open on scene '{}'", *scene), "finish it first");
   else
     turn = co_await wait_turn(request, *scene, [&gate, waits] { return !waits || !gate.push; });
-  const bool changes = changes_parts(request.command, request.json, coordinator_->snapshot(), *scene);
+  const bool changes = changes_parts(request.command, request.json, coordinator_->scenes().find(*scene));
   // A file's particles are a push, too: a first one, of which those who have the scene open would not know.
   const bool loads = request.command == "load";
   if (turn.ok() && loads) turn = coordinator_->groups().check_free(*scene);
@@ -287,6 +290,7 @@ awaitable<void> Session::scene_change(Request& request) {
                     "step's report tells"
                   : "try again when it is closed");
   }
+  if (turn.ok() && request.command == "rebalance") turn = check_positions(*scene);
   if (!turn.ok()) {
     fail(request.number, turn);
     coordinator_->wake_queue(*scene);
@@ -295,7 +299,7 @@ awaitable<void> Session::scene_change(Request& request) {
   OrderOptions order = options_of(request);
   order.changes = *scene;
   const bool restores = wire::is_true(request.json, "recreated") && !wire::is_true(request.json, "replace") &&
-                        !coordinator_->snapshot().contains(*scene);
+                        !coordinator_->scenes().contains(*scene);
   order.ends_run = request.command == "scene.drop" || (request.command == "scene.create" && !restores);
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
   coordinator_->wake_queue(*scene);
@@ -314,7 +318,7 @@ awaitable<void> Session::open_scene(Request& request) {
     co_return;
   }
   auto membership = read_membership(request.json);
-  if (membership.ok() && *membership && !coordinator_->snapshot().contains(*scene))
+  if (membership.ok() && *membership && !coordinator_->scenes().contains(*scene))
     membership = coordinator_->unknown_scene(*scene);
   if (membership.ok() && *membership) {
     auto joined = coordinator_->groups().join(*scene, **membership, connection_.get(), client_);
@@ -328,14 +332,13 @@ awaitable<void> Session::open_scene(Request& request) {
     co_return;
   }
   const bool fresh = open_.insert(*scene).second;
-  Json show = request.json;
-  show["command"] = "scene.show";
-  Result<std::shared_ptr<Pending>> pending = coordinator_->order(std::move(show), options_of(request));
-  if (pending.ok()) co_await reply_when_done(request, *pending);
-  if (!pending.ok()) fail(request.number, pending.status());
-  const bool opened = pending.ok() && (*pending)->answer && (*pending)->answer->status.ok();
-  if (fresh && !opened) open_.erase(*scene);
-  if (!opened && *membership) coordinator_->groups().give_back_seat(*scene, connection_.get());
+  Status status = co_await wait_settled(request, *scene);
+  const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
+  if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
+  if (ledger != nullptr) co_return reply(request, api::describe(*ledger, coordinator_->options().ranks));
+  fail(request.number, status);
+  if (fresh) open_.erase(*scene);
+  if (*membership) coordinator_->groups().give_back_seat(*scene, connection_.get());
 }
 
 awaitable<void> Session::order_and_reply(Request& request, OrderOptions order) {
@@ -373,12 +376,15 @@ void Session::reply(const Request& request, Answer answer) {
   if (!answer.status.ok()) {
     Status why = answer.status;
     const auto scene = wire::string_field(request.json, "scene", 256);
-    if (why.code() == Code::not_found && scene.ok() && !coordinator_->snapshot().contains(*scene))
+    if (why.code() == Code::not_found && scene.ok() && !coordinator_->scenes().contains(*scene))
       why = coordinator_->unknown_scene(*scene);
     spdlog::info("{} of {}: {}: {}", request.command, client_, code_name(why.code()), why.message());
     fail(request.number, why);
     return;
   }
+  if (const scene::Ledger* ledger = coordinator_->scenes().find(request.json.value("scene", ""));
+      request.command == "scene.create" && ledger != nullptr)
+    answer = api::describe(*ledger, coordinator_->options().ranks);
   if (request.command == "scene.show" || request.command == "scene.open" || request.command == "scene.create")
     answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
   if (request.command == "scene.open" && request.json.contains("membership"))
@@ -401,7 +407,7 @@ awaitable<Status> Session::wait_turn(const Request& request, const std::string& 
                                      std::function<bool()> overtake) {
   SceneGate& gate = coordinator_->gate(scene);
   if ((gate.queue.empty() && ready()) || overtake()) co_return Status();
-  Place place(gate, coordinator_->context());  // the gate isn't erased while this is in its queue
+  Place place(gate.queue, coordinator_->context());  // the gate isn't erased while this is in its queue
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
   Status status;
   while (!(place.first() && ready()) && !overtake()) {

@@ -7,7 +7,9 @@
 // 3. Every request has a deadline; a client that waits long is told what it waits for.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
+#include <deque>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -20,6 +22,23 @@
 #include "server/net/sockets/hello.hpp"
 
 namespace rcb::net {
+
+// A place among those who wait at a scene, freed by the destructor.
+class Place {
+ public:
+  Place(std::deque<Timer*>& among, asio::io_context& context) : among_(among), timer_(context) {
+    among_.push_back(&timer_);
+  }
+  Place(const Place&) = delete;
+  Place& operator=(const Place&) = delete;
+  ~Place() { among_.erase(std::find(among_.begin(), among_.end(), &timer_)); }
+  bool first() const { return among_.front() == &timer_; }
+  Timer& timer() { return timer_; }
+
+ private:
+  std::deque<Timer*>& among_;
+  Timer timer_;
+};
 
 // The listener through which a client came.
 struct Entrance {
@@ -58,6 +77,8 @@ class Session : public std::enable_shared_from_this<Session> {
     std::shared_ptr<void> held = nullptr;  // memory of a large request (Coordinator::hold_request)
     // Set when the client no longer waits, so that a long command may end early.
     std::shared_ptr<std::atomic<bool>> cancelled = std::make_shared<std::atomic<bool>>(false);
+    std::vector<wire::Array> arrays = {};  // of a count
+    std::uint64_t bytes = 0;               // of its frame
   };
 
   awaitable<Status> hello();
@@ -80,12 +101,28 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<void> reply_when_done(Request& request, std::shared_ptr<Pending> pending);
   void reply(const Request& request, Answer answer);
 
+  // Of a count, at most so many as its scene has parts. Errors end the session.
+  awaitable<Result<std::vector<wire::Array>>> read_count_arrays(const Frame& frame);
+  awaitable<void> count(Request& request);
+  void answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict);
+  awaitable<void> answer_from_ledger(Request& request);
+  // Replies when the answer is complete, which may be on another thread.
+  void send_later(const Request& request, Answer answer);
+  // Waits until no change of the scene is under way. Errors: deadline_exceeded, unavailable.
+  awaitable<Status> wait_settled(const Request& request, const std::string& scene);
+  // A question about the positions of a when-needed scene waits for the next step, which then sends them, where others
+  // step it. Errors: those of wait_settled.
+  awaitable<Status> wait_for_positions(const Request& request);
+  // Errors: invalid_argument, if the ranks hold an older step than the last one.
+  Status check_positions(const std::string& scene) const;
+  awaitable<Status> watch(const Request& request, const std::string& scene, std::function<bool()> done,
+                          const std::string& what);
+
   awaitable<void> push_begin(Request& request);
   // Handles the push.begin of a connection that has opened the scene as a member.
   awaitable<void> begin_contribution(Request& request, const PushId& id);
-  // Opens the direct path of the push. A step that is committed already is ordered at once: only the service knows its
-  // answer.
-  awaitable<void> begin_directly(std::shared_ptr<OpenPush> push);
+  // Opens the direct path of the push.
+  void begin_directly(const std::shared_ptr<OpenPush>& push);
   Result<std::shared_ptr<OpenPush>> admit_push(const Request& request, const PushId& id);
   Status push_conflict(const SceneGate& gate, const PushId& id);
   awaitable<Status> push_slice(Frame frame);

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include "server/api/ledger_answers.hpp"
 #include "server/net/control/session.hpp"
 
 namespace rcb::net {
@@ -51,6 +52,12 @@ awaitable<void> Session::push_begin(Request& request) {
     SceneGate& now_at = coordinator_->gate(id->scene);  // the abort may have erased the gate
     status = co_await wait_turn(request, id->scene, [&now_at] { return now_at.changes_unfinished == 0; });
   }
+  if (const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(id->scene) : nullptr)
+    if (const auto number = ledger->repeated(id->session, id->step)) {
+      coordinator_->wake_queue(id->scene);
+      refuse_slices(request.command, request.json);
+      co_return send_later(request, api::repeated(*ledger, *number));
+    }
   std::shared_ptr<OpenPush> push;
   if (status.ok()) {
     Result<std::shared_ptr<OpenPush>> admitted = admit_push(request, *id);
@@ -60,7 +67,7 @@ awaitable<void> Session::push_begin(Request& request) {
   coordinator_->wake_queue(id->scene);
   if (!status.ok()) refuse(request, status);
   if (push && push->slices.terms().direct())
-    co_await begin_directly(push);
+    begin_directly(push);
   else if (push && push->slices.whole())
     co_await order_push(push);
 }
@@ -84,13 +91,7 @@ awaitable<void> Session::begin_contribution(Request& request, const PushId& id) 
   fail(request.number, status);
 }
 
-awaitable<void> Session::begin_directly(std::shared_ptr<OpenPush> push) {
-  const PushId& id = push->slices.terms().id;
-  const auto scene = coordinator_->snapshot().find(id.scene);
-  if (scene != coordinator_->snapshot().end() && scene->second.step && id.step <= *scene->second.step) {
-    coordinator_->refuse_directly(id);
-    co_return co_await order_push(push);
-  }
+void Session::begin_directly(const std::shared_ptr<OpenPush>& push) {
   // The session goes on reading, so that it notices when the client leaves; the answer is sent when the ranks are
   // ready.
   push->on_complete = [self = shared_from_this(), weak = std::weak_ptr(push)] {
@@ -110,9 +111,10 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   const Status conflict = push_conflict(gate, id);
   if (!conflict.ok()) return conflict;
   if (gate.push) coordinator_->abort(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
-  const auto scene = coordinator_->snapshot().find(id.scene);
-  if (scene == coordinator_->snapshot().end()) return coordinator_->unknown_scene(id.scene);
-  Result<PushTerms> terms = read_push_terms(request.json, id, scene->second, coordinator_->options().ranks,
+  const scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
+  if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
+  if (const auto& last = ledger->now().step; last && id.step <= *last) return scene::stale_step(id.scene, id.step, *last);
+  Result<PushTerms> terms = read_push_terms(request.json, id, ledger->now(), coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();
   if (terms->to_ranks() && coordinator_->data_addresses(entrance_.endpoint).empty())
@@ -196,6 +198,7 @@ awaitable<void> Session::order_push(std::shared_ptr<OpenPush> push) {
   request.json["command"] = "push";
   request.json["session"] = terms.id.session;
   if (push->number != 0) request.json["staged"] = push->number;
+  coordinator_->add_terms(request.json, terms.step_seconds);
   OrderOptions order;
   order.slices = push->slices.take();
   order.received_seconds = seconds_since(push->started);

@@ -15,7 +15,7 @@ namespace rcb::net {
 
 namespace {
 
-Status check_plan(const PushTerms& terms, const api::SceneSummary& scene) {
+Status check_plan(const PushTerms& terms, const scene::SceneState& scene) {
   if (terms.plan == PlanId{scene.plan_version, scene.plan_checksum}) return {};
   return {Code::stale_plan,
           fmt::format("the push follows plan {} ({}), the scene is at plan {} ({})", terms.plan.version,
@@ -66,8 +66,8 @@ Status check_slice_count(const PushTerms& terms) {
                       terms.slices, none ? 0 : terms.moving(), terms.by_id ? "id" : "plan", edits)};
 }
 
-Status check_base(const PushTerms& terms, const api::SceneSummary& scene) {
-  if (!terms.base_step || scene.step == terms.base_step) return {};
+Status check_base(const PushTerms& terms, const scene::SceneState& scene) {
+  if (!terms.base_step || (scene.step == terms.base_step && scene.positions_step == scene.step)) return {};
   return {Code::base_lost,
           scene.step ? fmt::format("the push builds on step {}, the scene is at step {}", *terms.base_step, *scene.step)
                      : fmt::format("the push builds on step {}, the scene has no positions yet", *terms.base_step),
@@ -76,7 +76,7 @@ Status check_base(const PushTerms& terms, const api::SceneSummary& scene) {
 
 // Checks what a push from shared memory names. In order "id" rows are the ids; in order "plan" the push says which row
 // is in which slot, as a member always does.
-Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Pusher pusher) {
+Status check_shared(const PushTerms& terms, const scene::SceneState& scene, Pusher pusher) {
   const std::string hint = "push by the path \"direct\" or \"gateway\"";
   if (terms.moved != Moved::all) return {Code::unsupported, "from shared memory all particles are pushed", hint};
   if (terms.by_id && pusher == Pusher::member)
@@ -103,7 +103,7 @@ Status check_shared(const PushTerms& terms, const api::SceneSummary& scene, Push
 
 // Checks a member's push. One that doesn't say which particles the member has must fit the parts after the last step,
 // and on the direct path the layout.
-Status check_share(const wire::Json& request, const api::SceneSummary& scene, const PushTerms& terms) {
+Status check_share(const wire::Json& request, const scene::SceneState& scene, const PushTerms& terms) {
   const bool all = terms.moved == Moved::all;
   if (!all && !terms.base_step)
     return {Code::unsupported,
@@ -149,11 +149,11 @@ std::uint64_t PushTerms::bytes() const {
               inserted * (point + (scene_weights ? 1U : 0U) + (inserted_ids ? 1U : 0U)) + removed);
 }
 
-Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const api::SceneSummary& scene,
+Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
                                   int ranks, std::uint64_t bytes_max, Pusher pusher) {
   auto push = api::read_push(request, id, ranks);
   if (!push.ok()) return push.status();
-  PushTerms terms{std::move(*push), ranks, scene.dims, scene.weights};
+  PushTerms terms{std::move(*push), ranks, scene.options.dims, scene.weights};
   if (!scene.step) terms.scene_weights = terms.weights;
   wire::FieldReader needed(request);
   for (const char* name : {"n", "slices"}) needed.integer(name, 0, wire::kParticlesMax);
@@ -162,25 +162,28 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (terms.direct() && terms.by_id)
     return Status(Code::invalid_argument, "slices in order \"id\" can't go to the ranks directly",
                   "push in order \"plan\", or by the path \"gateway\"");
-  const bool repeated = scene.step && id.step <= *scene.step;  // only the service knows what that step was
-  if (!repeated)
-    if (Status base = check_base(terms, scene); !base.ok()) return base;
+  if (Status base = check_base(terms, scene); !base.ok()) return base;
+  if (scene.weights && !terms.weights && scene.positions_step != scene.step)
+    return Status(Code::invalid_argument,
+                  fmt::format("the push brings no weights, and the ranks hold those of an older step of scene '{}'",
+                              id.scene),
+                  "push all weights");
   if (terms.direct() && terms.moved == Moved::none && pusher == Pusher::client)
     return Status(Code::invalid_argument, "a push without slices for the ranks can't go to them",
                   "push by the path \"gateway\"");
   if (Status counted = check_slice_count(terms); !counted.ok()) return counted;
-  if (terms.from_memory() && !repeated)
+  if (terms.from_memory())
     if (Status shared = check_shared(terms, scene, pusher); !shared.ok()) return shared;
   if (pusher == Pusher::member)
     if (Status share = check_share(request, scene, terms); !share.ok()) return share;
-  if (pusher == Pusher::client && scene.step && !repeated && terms.n != scene.n)
+  if (pusher == Pusher::client && scene.step && terms.n != scene.n)
     return Status(Code::invalid_argument,
                   fmt::format("the push has {} particles, scene '{}' has {}", terms.n, id.scene, scene.n),
                   scene.n == 0 ? "insert them, into a push of no particles"
                                : "insert and remove particles, or create the scene anew for another number of them");
-  if (!terms.by_id && (terms.direct() || (terms.moved != Moved::none && scene.step && !repeated)))
+  if (!terms.by_id && (terms.direct() || (terms.moved != Moved::none && scene.step)))
     if (const auto plan = read_plan(request); !plan.ok()) return plan.status();
-  if (!terms.by_id && terms.moved != Moved::none && scene.step && !repeated)
+  if (!terms.by_id && terms.moved != Moved::none && scene.step)
     if (const Status plan = check_plan(terms, scene); !plan.ok()) return plan;
   if (terms.bytes() > bytes_max)
     return Status(Code::too_large, fmt::format("the push has {} bytes, at most {} are taken", terms.bytes(), bytes_max),

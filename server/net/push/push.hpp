@@ -19,6 +19,7 @@
 #include "common/wire/message.hpp"
 #include "server/api/push.hpp"
 #include "server/net/push/engine.hpp"
+#include "server/scene/ledger.hpp"
 
 namespace rcb::net {
 
@@ -42,10 +43,9 @@ struct PushTerms : api::Push {
 // A client pushes all particles of the scene, a member of a parallel solver only its own.
 enum class Pusher { client, member };
 
-// Reads a push.begin and checks it against what is known of its scene. A step number not above the scene's last passes:
-// the push may repeat a step that is committed, and only the service knows the report of that.
+// Reads a push.begin of a new step and checks it against what is known of its scene.
 // Errors: invalid_argument, base_lost, stale_plan, too_large, unsupported.
-Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const api::SceneSummary& scene,
+Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
                                   int ranks, std::uint64_t bytes_max, Pusher pusher = Pusher::client);
 
 // Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.

@@ -190,9 +190,11 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
   push.id.step = load->step;
   push.n = staged.n;
   push.way = api::Way::file;
-  const StepReport report = commit(context, scene, staged, push, nullptr);
-  return done({{"report", to_json(report)},
-               {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+  scene::Stepped stepped = commit(context, scene, staged, push, nullptr);
+  Response response = done({{"report", to_json(stepped.report)},
+                            {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+  if (context.root()) response.change = {scene.name, std::move(stepped)};
+  return response;
 }
 
 // Particles copied for the thread that writes them.

@@ -365,7 +365,8 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   const std::optional<std::int64_t> previous_step = of.step;
   const bool edits = push.edits();
   inserted.part = std::move(staged->edits.inserted_part);
-  const StepReport report = commit(context, of, *staged, push, push.changes ? &changes : nullptr);
+  scene::Stepped stepped = commit(context, of, *staged, push, push.changes ? &changes : nullptr);
+  const StepReport& report = stepped.report;
   give_back(context, of, push, *staged);
   for (std::size_t i = inserted.id.size(); i < inserted.member.size(); ++i)
     inserted.id.push_back(*report.first_id + static_cast<particles::Id>(i));
@@ -385,6 +386,7 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   if (members->message.places) response.json["places"] = before ? "changed" : "all";
   response.arrays = member_results(of, members->message, context.comm.size(), known, changes, inserted);
   put_cuts_unless_known(context, response, of, push);  // once, for all members
+  response.change = {of.name, std::move(stepped)};
   return response;
 }
 

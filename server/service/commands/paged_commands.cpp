@@ -1,4 +1,4 @@
-// Queries with long answers: cuts and history. A request for a page says where it begins and how many items it wants;
+// The query with a long answer: cuts. A request for a page says where it begins and how many items it wants;
 // the answer says where the next page begins. A request without these gets everything, or is refused if that is too
 // much for one answer; it never gets a part.
 #include <algorithm>
@@ -6,41 +6,15 @@
 #include <fmt/format.h>
 
 #include "common/wire/limits.hpp"
+#include "server/api/lists.hpp"
 #include "server/service/commands/cuts_json.hpp"
-#include "server/service/commands/with_reports.hpp"
 #include "server/service/context/context.hpp"
 
 namespace rcb::service {
 namespace {
 
-bool given(const wire::Json& request, const char* name) {
-  const auto found = request.find(name);
-  return found != request.end() && !found->is_null();
-}
-
-// The items [from, end) of a list.
-struct Page {
-  std::uint64_t from = 0;
-  std::uint64_t end = 0;
-
-  void tell(wire::Json& json, std::uint64_t total) const {
-    json["from"] = from;
-    json["next"] = end < total ? wire::Json(end) : wire::Json(nullptr);
-  }
-};
-
-// The page asked for by the fields "from" (`otherwise` if absent) and "count", within `total` items and of at most
-// `most`. Errors: invalid_argument.
-Result<Page> read_page(const wire::Json& request, std::uint64_t total, std::uint64_t otherwise, std::uint64_t most) {
-  const auto from = wire::integer_field_or(request, "from", 0, wire::kIntegerMax, static_cast<std::int64_t>(otherwise));
-  if (!from.ok()) return from.status();
-  const auto count = wire::integer_field_or(request, "count", 1, wire::kIntegerMax, wire::kIntegerMax);
-  if (!count.ok()) return count.status();
-  Page page;
-  page.from = std::min(static_cast<std::uint64_t>(*from), total);
-  page.end = page.from + std::min({static_cast<std::uint64_t>(*count), most, total - page.from});
-  return page;
-}
+using api::given;
+using api::read_page;
 
 Response cuts(Context& context, Scene& s, const wire::Json& request) {
   const int parts = s.options.parts;
@@ -81,32 +55,7 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
   return done(std::move(json));
 }
 
-Response history(Context& context, Scene& scene, const wire::Json& request) {
-  const std::uint64_t total = scene.totals.steps;
-  const auto last = wire::integer_field_or(request, "last", 0, wire::kIntegerMax, wire::kIntegerMax);
-  if (!last.ok()) return failed(last.status());
-  const std::uint64_t wanted = std::min(static_cast<std::uint64_t>(*last), total);
-  if (given(request, "last") && given(request, "from"))
-    return failed({Code::invalid_argument, "'last' and 'from' at once", "'last' says where the first page begins"});
-  const bool paged = given(request, "from") || given(request, "count");
-  if (!paged && wanted > wire::kReportsMax)
-    return failed({Code::too_large, fmt::format("{} step reports don't fit into one answer", wanted),
-                   R"(ask for them by pages: "from" and "count", as rcbctl history does, or for the "last" few)"});
-  const auto page = read_page(request, total, total - wanted, wire::kReportsMax);
-  if (!page.ok()) return failed(page.status());
-  if (!context.root()) return {};
-  return with_reports(*scene.history, page->from, page->end,
-                      [page = *page, total](FoundReports found, Response& answer) {
-                        wire::Json& json = answer.json;
-                        json["total"] = total;
-                        json["lost"] = page.end - page.from - found.reports.size();
-                        if (json["lost"] != 0) json["loss"] = found.loss;
-                        json["history"] = std::move(found.reports);
-                        page.tell(json, total);
-                      });
-}
-
-constexpr Command kPagedCommands[] = {{"cuts", cuts, Needs::positions}, {"history", history, Needs::scene}};
+constexpr Command kPagedCommands[] = {{"cuts", cuts, Needs::positions}};
 
 }  // namespace
 

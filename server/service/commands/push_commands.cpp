@@ -6,7 +6,6 @@
 
 #include "common/layout/layout.hpp"
 #include "server/service/commands/cuts_json.hpp"
-#include "server/service/commands/with_reports.hpp"
 #include "server/service/step/step.hpp"
 
 namespace rcb::service {
@@ -14,36 +13,6 @@ namespace {
 
 wire::Json plan_json(const Scene& scene) {
   return {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}};
-}
-
-auto find_step(const Scene& scene, std::int64_t step) {
-  return std::lower_bound(scene.recent_steps.begin(), scene.recent_steps.end(), step,
-                          [](const RememberedStep& one, std::int64_t number) { return one.step < number; });
-}
-
-// True if this session's step has been committed before: a step is applied only once. The same on every rank.
-bool is_repeated(const Scene& scene, const PushRequest& push) {
-  const auto found = find_step(scene, push.id.step);
-  return found != scene.recent_steps.end() && found->step == push.id.step &&
-         found->session == session_key(push.id.session);
-}
-
-// The report of the committed step. The layout may have changed since then: the client fetches it if the versions
-// differ.
-Response repeated(const Context& context, const Scene& scene, const PushRequest& push) {
-  if (!context.root()) return {};
-  const auto later = static_cast<std::uint64_t>(scene.recent_steps.end() - find_step(scene, push.id.step));
-  const std::uint64_t number = scene.history->total() - later;
-  return with_reports(
-      *scene.history, number, number + 1,
-      [plan = plan_json(scene), step = push.id.step](FoundReports found, Response& answer) {
-        if (found.reports.empty())
-          answer.status =
-              Status(Code::io_error, fmt::format("step {} is committed, but its report was lost: {}", step, found.loss),
-                     "go on with the next step");
-        else
-          answer.json = {{"plan", plan}, {"repeated", true}, {"report", std::move(found.reports.front())}};
-      });
 }
 
 Response answer(const Scene& scene, const StepReport& report, const PushRequest& push, PartChanges changes,
@@ -73,12 +42,12 @@ void return_freed_memory() {
 Response push(Context& context, Scene& scene, const wire::Json& request) {
   const auto push = read_order(request, context.comm.size());
   if (!push.ok()) return failed(push.status());
-  if (is_repeated(scene, push.value())) return repeated(context, scene, push.value());
   auto staged = prepare(context, scene, push.value());
   if (!staged.ok()) return failed(staged.status());
   PartChanges changes;
   const std::optional<std::int64_t> previous_step = scene.step;
-  const StepReport report = commit(context, scene, *staged, push.value(), push->changes ? &changes : nullptr);
+  scene::Stepped stepped = commit(context, scene, *staged, push.value(), push->changes ? &changes : nullptr);
+  const StepReport& report = stepped.report;
   give_back(context, scene, push.value(), *staged);
   if (!previous_step || layout::is_full_change(report.migrated, report.n)) {
     staged->scan = {};
@@ -88,6 +57,7 @@ Response push(Context& context, Scene& scene, const wire::Json& request) {
   Response response =
       answer(scene, report, push.value(), std::move(changes), std::move(staged->edits.inserted_part), previous_step);
   put_cuts_unless_known(context, response, scene, push.value());
+  response.change = {scene.name, std::move(stepped)};
   return response;
 }
 

@@ -8,12 +8,14 @@
 #include "common/partition/quality/quality.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/commands/cuts_json.hpp"
-#include "server/service/commands/lists.hpp"
+#include "server/api/lists.hpp"
 #include "server/service/commands/quality_json.hpp"
 #include "server/service/context/collective.hpp"
 
 namespace rcb::service {
 namespace {
+
+using api::put_list;
 
 using cuts::Method;
 

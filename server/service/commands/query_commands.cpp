@@ -7,39 +7,14 @@
 #include "common/base/random.hpp"
 #include "common/wire/limits.hpp"
 #include "server/service/commands/geometry_fields.hpp"
-#include "server/service/commands/lists.hpp"
+#include "server/api/lists.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
 
 namespace rcb::service {
 namespace {
 
-Response error(Context&, Scene& s, const wire::Json&) {
-  return done({{"scene", s.name},
-               {"step", *s.step},
-               {"epoch", s.epoch},
-               {"error", s.loads.error},
-               {"imbalance", s.loads.imbalance},
-               {"tolerance", wire::number_json(s.options.tolerance)}});
-}
-
-Response counts(Context& context, Scene& s, const wire::Json&) {
-  if (!context.root()) return {};
-  Response response = done({{"epoch", s.epoch}});
-  put_loads(response, s);
-  return response;
-}
-
-Response stats(Context&, Scene& scene, const wire::Json&) {
-  const SceneTotals& totals = scene.totals;
-  wire::Json json = to_json(totals);
-  json.update({{"scene", scene.name},
-               {"steps", totals.steps},
-               {"repartitions", totals.repartitions},
-               {"skipped", totals.skipped},
-               {"asked", totals.asked}});
-  return done(std::move(json));
-}
+using api::put_list;
 
 Response owner(Context&, Scene& s, const wire::Json& request) {
   const auto position = point_field(request, "position", "position", s.options.dims);
@@ -117,7 +92,7 @@ Status append_particles(Context& context, const Scene& scene, bool positions, Re
 Response assign(Context& context, Scene& s, const wire::Json& request) {
   const auto checksum = wire::bool_field(request, "checksum");
   if (!checksum.ok()) return failed(checksum.status());
-  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}});
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}, {"positions_step", *s.step}});
   if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));
   if (checksum.value()) {
     std::uint64_t sum = 0;
@@ -130,7 +105,7 @@ Response assign(Context& context, Scene& s, const wire::Json& request) {
 }
 
 Response fetch(Context& context, Scene& s, const wire::Json&) {
-  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"step", *s.step}});
+  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"step", *s.step}, {"positions_step", *s.step}});
   if (Status status = append_particles(context, s, true, response); !status.ok()) return failed(std::move(status));
   return response;
 }
@@ -153,10 +128,11 @@ Response plan(Context& context, Scene& s, const wire::Json&) {
 }
 
 constexpr Command kQueryCommands[] = {
-    {"error", error, Needs::positions},       {"counts", counts, Needs::positions},
-    {"stats", stats, Needs::scene},           {"owner", owner, Needs::positions},
-    {"box", box, Needs::positions},           {"assign", assign, Needs::positions, true},
-    {"fetch", fetch, Needs::positions, true}, {"plan", plan, Needs::positions, true}};
+    {"owner", owner, Needs::positions},
+    {"box", box, Needs::positions},
+    {"assign", assign, Needs::positions, true},
+    {"fetch", fetch, Needs::positions, true},
+    {"plan", plan, Needs::positions, true}};
 
 }  // namespace
 

@@ -86,7 +86,8 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
                   {"axes_flipped", cuts::axes_flipped(scene.tree, found->tree)},
                   {"adopted", !wanted->dry_run},
                   {"reason", wanted->dry_run ? "dry run: nothing was changed" : "asked for"},
-                  {"hash", wire::hex64(found->tree.hash())}};
+                  {"hash", wire::hex64(found->tree.hash())},
+                  {"positions_step", *scene.step}};
   time = context.check_time();
   // Other scenes may have got parts meanwhile.
   if (time.ok()) time = check_parts_total(context.scenes, scene.name, options.parts);
@@ -102,6 +103,7 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
     scene.part = std::move(found->part);
     adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
     migrate(context.comm, scene, false);
+    if (context.root()) response.change = {scene.name, scene::Rebalanced{options, held_of(context, scene)}};
   }
   response.json["epoch"] = scene.epoch;
   response.json["seconds"] = context.clock.seconds() - start;

@@ -1,15 +1,15 @@
-// Create, show and drop scenes. Only the coordinator knows who has a scene open; it refuses a request before it orders
+// Create and drop scenes. Only the coordinator knows who has a scene open; it refuses a request before it orders
 // it.
 #include <cmath>
 #include <limits>
 
 #include <fmt/format.h>
-#include <xxhash.h>
 
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
-#include "server/service/commands/lists.hpp"
+#include "server/api/lists.hpp"
 #include "server/service/context/context.hpp"
+#include "server/service/step/step.hpp"
 
 namespace rcb::service {
 
@@ -20,8 +20,6 @@ Scene Scene::create(std::string name, SceneOptions options) {
   scene.options = std::move(options);
   return scene;
 }
-
-std::uint64_t session_key(const std::string& session) { return XXH3_64bits(session.data(), session.size()); }
 
 std::uint64_t Scene::cuts_hash() {
   if (!tree_hash) tree_hash = tree.hash();
@@ -86,15 +84,15 @@ Status check_parts_total(const std::map<std::string, Scene>& scenes, const std::
 
 namespace {
 
-Result<Policy> read_policy(const wire::Json& request) {
-  if (!request.contains("policy") || request["policy"].is_null()) return Policy::tolerance;
-  const auto name = wire::string_field(request, "policy", 64);
+// The field's value by its name; `otherwise` if absent.
+template <typename Value, typename FromName>
+Result<Value> read_named(const wire::Json& request, const char* field, const char* names, FromName from_name,
+                         Value otherwise) {
+  if (!request.contains(field) || request[field].is_null()) return otherwise;
+  const auto name = wire::string_field(request, field, 64);
   if (!name.ok()) return name.status();
-  const auto policy = policy_from_name(name.value());
-  if (!policy)
-    return Status(Code::invalid_argument, fmt::format("unknown policy '{}'", name.value()),
-                  "policies: tolerance, cost");
-  return *policy;
+  if (const auto value = from_name(name.value())) return *value;
+  return Status(Code::invalid_argument, fmt::format("unknown {} '{}'", field, name.value()), names);
 }
 
 Result<SceneOptions> read_options(const wire::Json& request) {
@@ -109,50 +107,16 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   const auto method = read_method(request, options.dims, cuts::Method::rcb);
   if (!method.ok()) return method.status();
   options.method = method.value();
-  const auto policy = read_policy(request);
+  const auto policy = read_named(request, "policy", "policies: tolerance, cost", scene::policy_from_name,
+                                 scene::Policy::tolerance);
   if (!policy.ok()) return policy.status();
   options.policy = policy.value();
+  const auto positions = read_named(request, "positions", "positions: every-step, when-needed",
+                                    scene::travel_from_name, scene::Travel::every_step);
+  if (!positions.ok()) return positions.status();
+  options.positions = positions.value();
   if (const Status status = read_part_sizes(request, options); !status.ok()) return status;
   return options;
-}
-
-Response describe_scene(Scene& scene) {
-  const SceneOptions& options = scene.options;
-  wire::Json json{{"scene", scene.name},
-                  {"n", scene.n},
-                  {"dims", options.dims},
-                  {"parts", options.parts},
-                  {"method", cuts::method_name(options.method)},
-                  {"tolerance", wire::number_json(options.tolerance)},
-                  {"axis_hysteresis", options.axis_hysteresis},
-                  {"cut_tolerance", options.cut_tolerance},
-                  {"policy", policy_name(options.policy)},
-                  {"part_sizes", nullptr},
-                  {"weights", scene.particles.has_weights},
-                  {"ids", scene.ids},
-                  {"step", scene.step ? wire::Json(*scene.step) : wire::Json(nullptr)},
-                  {"epoch", scene.epoch},
-                  {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}};
-  for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
-    json[name] = nullptr;
-  Response response = done(std::move(json));
-  if (!options.part_sizes.empty()) put_list<double>(response, response.json, "part_sizes", options.part_sizes);
-  if (!scene.pushed) return response;
-  response.json["error"] = scene.loads.error;
-  response.json["imbalance"] = scene.loads.imbalance;
-  response.json["hash"] = wire::hex64(scene.cuts_hash());
-  response.json["rounds"] = scene.search_rounds;
-  response.json["reductions"] = scene.search_reductions;
-  if (scene.loads.weights_as_zero > 0) response.json["weights_as_zero"] = scene.loads.weights_as_zero;
-  put_loads(response, scene);
-  return response;
-}
-
-Response show(Context& context, Scene& scene, const wire::Json&) {
-  if (!context.root()) return {};
-  Response response = describe_scene(scene);
-  response.json["ranks"] = context.comm.size();
-  return response;
 }
 
 Response create(Context& context, const wire::Json& request) {
@@ -176,22 +140,22 @@ Response create(Context& context, const wire::Json& request) {
   if (exists) context.spares.push_back({name, {}});
   Scene scene = Scene::create(name, std::move(options).value());
   scene.recreated = recreated;
-  if (context.root()) scene.history = std::make_unique<History>(context.histories, name);
-  context.scenes.insert_or_assign(name, std::move(scene));
-  return show(context, context.scenes.at(name), request);
+  Scene& made = context.scenes.insert_or_assign(name, std::move(scene)).first->second;
+  Response response = done(wire::Json::object());
+  if (context.root()) response.change = {name, scene::Created{made.options, held_of(context, made)}};
+  return response;
 }
 
 Response drop(Context& context, Scene& scene, const wire::Json&) {
   const std::string name = scene.name;
   context.scenes.erase(name);
   context.spares.push_back({name, {}});
-  return done(wire::Json::object());
+  Response response = done(wire::Json::object());
+  response.change = {name, scene::Dropped{}};
+  return response;
 }
 
-constexpr Command kSceneCommands[] = {{"scene.create", create},
-                                      {"scene.show", show, Needs::scene},
-                                      {"scene.open", show, Needs::scene},
-                                      {"scene.drop", drop, Needs::scene}};
+constexpr Command kSceneCommands[] = {{"scene.create", create}, {"scene.drop", drop, Needs::scene}};
 
 }  // namespace
 

@@ -31,7 +31,6 @@ struct Context {
   NoSkip no_skip;
   const std::shared_ptr<const io::Roots>& roots;  // folders for clients' files
   SideThread& files;                              // on which this rank reads and writes them
-  HistoryMemory& histories;                       // of the scenes, on rank 0
   std::uint64_t bulk_bytes_max = 0;               // of what a client may have the service hold; 0: no limit
 
   OrderTerms terms = {};
@@ -86,16 +85,8 @@ Result<cuts::Method> read_method(const wire::Json& request, int dims, cuts::Meth
 // Checks the limit on the parts of all scenes together if the scene `changed` gets `parts`. Errors: too_large.
 Status check_parts_total(const std::map<std::string, Scene>& scenes, const std::string& changed, int parts);
 
-inline Response failed(Status status) { return {std::move(status), wire::Json::object(), {}}; }
-inline Response done(wire::Json json) { return {{}, std::move(json), {}}; }
-
-wire::Array make_array(std::string name, std::string dtype, std::uint64_t count, Buffer<std::byte> bytes);
-
-template <typename T>
-wire::Array make_array(std::string name, std::string dtype, std::span<const T> values) {
-  Buffer<std::byte> bytes;
-  bytes.assign(std::as_bytes(values));
-  return make_array(std::move(name), std::move(dtype), values.size(), std::move(bytes));
-}
+using api::done;
+using api::failed;
+using api::make_array;
 
 }  // namespace rcb::service

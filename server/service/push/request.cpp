@@ -6,6 +6,7 @@
 
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
+#include "server/scene/ledger.hpp"
 
 namespace rcb::service {
 namespace {
@@ -45,11 +46,13 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   if (!fields.ok()) return fields.status();
   auto push = api::read_push(request, std::move(id), ranks);
   if (!push.ok()) return push.status();
-  return PushRequest{std::move(*push), request.contains("staged")};
+  PushRequest order{std::move(*push), request.contains("staged"), {}, {}};
+  if (const auto terms = request.find("terms"); terms != request.end()) order.terms = scene::read_terms(*terms);
+  return order;
 }
 
 Status check_request(const Scene& scene, const PushRequest& push) {
-  if (scene.step && push.id.step <= *scene.step) return api::stale_step(push.id, *scene.step);
+  if (scene.step && push.id.step <= *scene.step) return scene::stale_step(scene.name, push.id.step, *scene.step);
   if (scene.pushed && push.n != scene.n)
     return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
             "push all of the scene's particles, or create a scene anew with --replace"};

@@ -6,6 +6,7 @@
 #include "common/base/status.hpp"
 #include "common/wire/message.hpp"
 #include "server/api/push.hpp"
+#include "server/scene/policy.hpp"
 #include "server/service/scene/scene.hpp"
 
 namespace rcb::service {
@@ -14,6 +15,7 @@ using api::Moved;
 
 struct PushRequest : api::Push {
   bool staged = false;          // the ranks received their slices directly
+  scene::DecisionTerms terms;   // of rank 0's ledger
   std::vector<Moved> moved_by;  // by member of a parallel solver; empty: a single client pushes
 
   int members() const { return static_cast<int>(moved_by.size()); }

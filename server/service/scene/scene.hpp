@@ -1,18 +1,17 @@
-// Room `scene`: what a rank keeps of a scene between orders: particles, tree, options, policy, reports. No collectives.
+// Room `scene`: what a rank keeps of a scene between orders: particles, tree, options. No collectives. What follows from
+// its steps (loads of counts, policy, reports) only rank 0 knows: server/scene.
 //
 // Scene: a named particle set with its options, partition and history; each rank has its share of the particles.
 //
 // Invariants
-// 1. Everything but `particles`, `part` and the report history is the same on all ranks.
+// 1. Everything but `particles` and `part` is the same on all ranks.
 // 2. After every order this rank holds exactly the particles of its parts, in the layout's order, and part[i] is the
 //    part of particle i under `tree`.
-// 3. Only rank 0 keeps reports; every rank keeps the last kRememberedSteps steps and their sessions.
+// 3. `step` is that of the positions held; later steps may have been counted only. `loads` are those of these positions.
 #pragma once
 
 #include <array>
 #include <cstdint>
-#include <deque>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -25,28 +24,12 @@
 #include "common/cuts/regions.hpp"
 #include "common/particles/particle_set.hpp"
 #include "common/partition/balance/load.hpp"
-#include "server/service/scene/history.hpp"
-#include "server/service/scene/policy.hpp"
+#include "server/scene/events.hpp"
 
 namespace rcb::service {
 
-struct SceneOptions {
-  int parts = 1;
-  int dims = 3;
-  cuts::Method method = cuts::Method::rcb;
-  double tolerance = 0.1;  // may be infinity
-  double axis_hysteresis = 1.2;
-  double cut_tolerance = 0;  // for every search; 0: exact cuts
-  Policy policy = Policy::tolerance;
-  std::vector<double> part_sizes;
-};
-
-struct SceneTotals : StepCounts {
-  std::uint64_t steps = 0;
-  std::uint64_t repartitions = 0;  // including the first partition
-  std::map<std::string, std::uint64_t> skipped;
-  std::map<std::string, std::uint64_t> asked;  // by command: queries whose answer took a pass over the particles
-};
+using scene::SceneOptions;
+using scene::StepReport;
 
 // The slot of each id that this rank holds. Built when it is first needed, then updated with the particles.
 struct IdIndex {
@@ -54,17 +37,7 @@ struct IdIndex {
   std::optional<std::uint64_t> plan_version;  // the version of the layout that it describes
 };
 
-// A committed step, and the session_key() of the session that pushed it.
-struct RememberedStep {
-  std::int64_t step = 0;
-  std::uint64_t session = 0;
-};
-// XXH3-64 of the session's name, which takes less memory than the text.
-std::uint64_t session_key(const std::string& session);
-
 struct Scene {
-  static constexpr std::size_t kRememberedSteps = 1024;
-
   std::string name;
   SceneOptions options;
 
@@ -80,9 +53,8 @@ struct Scene {
   std::uint64_t epoch = 0;
   cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
-  partition::LoadSummary loads;                  // current loads of the parts
-  std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
-  CostAccount costs;                             // used if the policy is cost
+  partition::LoadSummary loads;  // of the parts
+  std::shared_ptr<const partition::LoadSummary> told_loads;  // rank 0: those that the ledger knows; null: others
   // Back-off after a wasted incremental search: the next full_searches_left repartitions search all particles.
   // full_searches_last is the number that the last wasted one caused (1, 3, then 7; 0 after a success).
   int full_searches_left = 0;
@@ -99,10 +71,6 @@ struct Scene {
   std::optional<std::uint64_t> id_next;  // above every id ever used; set at the first insertion or removal
 
   std::optional<std::int64_t> step;
-  std::deque<RememberedStep> recent_steps;  // ascending
-  bool asked = false;                       // a query as in SceneTotals::asked came since the last step
-  std::unique_ptr<History> history;         // on rank 0
-  SceneTotals totals;
   std::optional<cuts::Cuts> known_cuts;  // those of snapshot()
 
   // The tree's hash; computed once for each tree.

@@ -6,13 +6,15 @@
 #include "common/layout/layout.hpp"
 #include "common/partition/incremental/repartition.hpp"
 #include "server/service/context/collective.hpp"
-#include "server/service/scene/policy.hpp"
 #include "server/service/step/exchange.hpp"
 #include "server/service/step/gather_changes.hpp"
 #include "server/service/step/migration.hpp"
 
 namespace rcb::service {
 namespace {
+
+using scene::Decision;
+using scene::Skip;
 
 // The ids and parts of all local particles.
 PartChanges all_changes(const Scene& scene) {
@@ -129,18 +131,13 @@ partition::Repartition search(Context& context, Scene& scene, Staged& staged, St
   return found;
 }
 
-// True if new cuts may turn out not to lower the error.
-bool may_be_wasted(const Scene& scene) { return scene.loads.weighted || scene.options.cut_tolerance > 0; }
-
-// Searches new cuts and adopts them if they lower the error. Collective.
-void try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,
+// Searches new cuts and adopts them if they lower the error; returns whether it did. Collective.
+bool try_repartition(Context& context, Scene& scene, Staged& staged, const Decision& decision, double error_before,
                      Moves& moves, StepReport& report) {
   partition::Repartition found = search(context, scene, staged, report);
-  if (may_be_wasted(scene) && !(found.loads.error < error_before)) {
-    scene.error_when_not_adopted = error_before;
-    scene.costs.start_again(scene.loads.imbalance);
+  if (may_be_wasted(scene.options, scene.loads) && !(found.loads.error < error_before)) {
     report.reason = reason_not_adopted(decision, found.loads.error);
-    return;
+    return false;
   }
   report.repartitioned = true;
   report.reason = reason_adopted(decision, found.loads.error);
@@ -151,27 +148,7 @@ void try_repartition(Context& context, Scene& scene, Staged& staged, const Decis
   moves.old_part = std::move(found.delta.part);
   for (std::size_t k = 0; k < moves.slot.size(); ++k) std::swap(scene.part[moves.slot[k]], moves.old_part[k]);
   adopt(scene, {std::move(found.tree), found.rounds, found.reductions}, std::move(found.loads));
-}
-
-// Decides whether this step searches new cuts. Local.
-Decision decide_step(Scene& scene, const PushRequest& push, double imbalance_computed_under) {
-  const SceneOptions& options = scene.options;
-  PolicyInput input{scene.loads.error, options.tolerance, may_be_wasted(scene), 0, scene.error_when_not_adopted};
-  input.policy = options.policy;
-  if (options.policy == Policy::cost && push.step_seconds) {
-    scene.costs.computed(*push.step_seconds, imbalance_computed_under);
-    input.timed = true;
-    input.lost_seconds = scene.costs.lost_seconds();
-    input.repartition_seconds = scene.costs.repartition_seconds();
-    input.since = scene.costs.since();
-  }
-  if (!input.may_be_wasted && (input.timed || input.error_before >= options.tolerance))
-    input.quota_error =
-        partition::summarise_counts(partition::quotas(scene.n, options.part_sizes, options.parts), options.part_sizes)
-            .error;
-  // Cuts made without particles divide nothing, so they are searched anew, whatever the policy.
-  if (push.n == 0 && scene.n > 0) return {true, "the scene had no particles before"};
-  return decide(input);
+  return true;
 }
 
 // Puts the parts that prepare() found in force, leaving the old ones in `drift`; then inserts and removes particles,
@@ -185,6 +162,7 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
     context.comm.all_sum(change);
   }
   Edits& edits = staged.edits;
+  if (weighted || staged.sums.drifted > 0 || edits.any()) scene.told_loads.reset();
   const bool same_weights = weighted && !staged.arrays.has_weights && !edits.any();
   if (same_weights && staged.sums.drifted > 0)
     scene.loads = partition::moved_loads(context.comm, scene.particles.view(), scene.loads, scene.part.span(),
@@ -207,9 +185,9 @@ void take_drift(Context& context, Scene& scene, Staged& staged) {
   }
 }
 
-void later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Moves& moves,
+// Returns whether new cuts were searched in vain.
+bool later_step(Context& context, Scene& scene, Staged& staged, const PushRequest& push, Moves& moves,
                 StepReport& report) {
-  const double imbalance_computed_under = scene.loads.imbalance;
   take_positions(scene, staged, push.moved);
   take_drift(context, scene, staged);
   report.inserted = staged.edits.inserted;
@@ -218,37 +196,18 @@ void later_step(Context& context, Scene& scene, Staged& staged, const PushReques
   report.drifted = staged.sums.drifted;
   const double error_before = scene.loads.error;
   report.error_before = error_before;
-  const Decision decision = decide_step(scene, push, imbalance_computed_under);
+  // Cuts made without particles divide nothing, so they are searched anew, whatever the policy.
+  const Decision decision = push.n == 0 && scene.n > 0 ? Decision{true, "the scene had no particles before"}
+                                                       : decide_step(scene.options, scene.loads, push.terms);
   report.reason = decision.reason;
   const double start = context.clock.seconds();
+  bool wasted = false;
   if (decision.search)
-    try_repartition(context, scene, staged, decision, error_before, moves, report);
+    wasted = !try_repartition(context, scene, staged, decision, error_before, moves, report);
   else if (context.no_skip.search)
     search(context, scene, staged, report);
   report.seconds.search = context.clock.seconds() - start;
-}
-
-// Gives the cost account of all ranks the time that the repartition took by rank 0's clock. Collective if the policy is
-// cost.
-void account_repartition(Context& context, Scene& scene, const StepReport& report, bool first) {
-  if (scene.options.policy != Policy::cost) return;
-  double seconds = report.seconds.search + report.seconds.migrate;
-  context.comm.broadcast(std::as_writable_bytes(std::span(&seconds, 1)), 0);
-  scene.costs.repartitioned(report.step, seconds, first);
-}
-
-void remember(Scene& scene, const PushRequest& push, const StepReport& report, bool root) {
-  scene.step = push.id.step;
-  scene.recent_steps.push_back({push.id.step, session_key(push.id.session)});
-  if (scene.recent_steps.size() > Scene::kRememberedSteps) scene.recent_steps.pop_front();
-  SceneTotals& totals = scene.totals;
-  ++totals.steps;
-  totals.repartitions += report.repartitioned ? 1 : 0;
-  totals += report;
-  for (const std::string& name : report.skipped.names()) ++totals.skipped[name];
-  if (!scene.asked) ++totals.skipped["questions"];
-  scene.asked = false;
-  if (root) scene.history->add(report);
+  return wasted;
 }
 
 }  // namespace
@@ -276,17 +235,37 @@ void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
   scene.tree_hash.reset();
   scene.known_cuts.reset();
   scene.loads = std::move(loads);
-  scene.error_when_not_adopted.reset();
-  scene.costs.start_again(scene.loads.imbalance);
+  scene.told_loads.reset();
   ++scene.epoch;
 }
 
-StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
+scene::Held held_of(const Context& context, Scene& scene) {
+  if (!scene.told_loads && scene.pushed)
+    scene.told_loads = std::make_shared<const partition::LoadSummary>(scene.loads);
+  scene::Held held{.n = scene.n,
+                   .weights = scene.particles.has_weights,
+                   .ids = scene.ids,
+                   .epoch = scene.epoch,
+                   .hash = scene.pushed ? scene.cuts_hash() : 0,
+                   .loads = scene.told_loads,
+                   .plan_version = scene.plan_version,
+                   .plan_checksum = scene.plan_checksum,
+                   .rank_counts = {},
+                   .search_rounds = scene.search_rounds,
+                   .search_reductions = scene.search_reductions};
+  for (int r = 0; r < context.comm.size(); ++r)
+    held.rank_counts.push_back(held_by(scene, scene.n, r, context.comm.size()));
+  return held;
+}
+
+scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
   const double start = context.clock.seconds();
   const bool first = !scene.pushed;
-  StepReport report;
+  scene::Stepped stepped;
+  StepReport& report = stepped.report;
   report.scene = scene.name;
   report.step = push.id.step;
+  report.positions_step = push.id.step;
   report.bytes = staged.bytes;
   report.way = push.way;
   report.scanned = push.moving();
@@ -296,7 +275,7 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   if (first) {
     first_step(context, scene, staged, report);
   } else {
-    later_step(context, scene, staged, push, moves, report);
+    stepped.wasted = later_step(context, scene, staged, push, moves, report);
   }
   report.n = scene.n;
   report.parts = scene.options.parts;
@@ -334,14 +313,18 @@ StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequ
   }
   (report.repartitioned ? report.seconds.migrate : report.seconds.exchange) = context.clock.seconds() - migrating;
   report.migrated = first ? 0 : changed_rank;
-  if (report.repartitioned) account_repartition(context, scene, report, first);
   if (changes != nullptr && first) mine = all_changes(scene);
   if (!few) tell();
 
   note_skips(scene, push, context.no_skip, report);
   report.seconds.total = staged.seconds + context.clock.seconds() - start;
-  remember(scene, push, report, context.root());
-  return report;
+  scene.step = push.id.step;
+  if (!context.root()) return stepped;
+  stepped.session = push.id.session;
+  stepped.step_seconds = push.step_seconds;
+  stepped.drifted = push.drifted;
+  stepped.held = held_of(context, scene);
+  return stepped;
 }
 
 }  // namespace rcb::service

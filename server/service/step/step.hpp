@@ -17,8 +17,9 @@ struct PartChanges {
 };
 
 // Collective. Can't fail: prepare() has checked everything. `changes`: nullptr if nobody asks for them. After any step
-// but the first, `staged` holds the positions before the step, whose memory may be used again.
-StepReport commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
+// but the first, `staged` holds the positions before the step, whose memory may be used again. Returns what rank 0's
+// ledger is told; on other ranks the report alone.
+scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
 
 // What a search for all of a scene's cuts is asked. Local.
 partition::PartitionOptions search_options(const SceneOptions& options);
@@ -32,6 +33,9 @@ struct NewCuts {
 // Puts new cuts in force: tree, loads, epoch, statistics of the search. The caller has set scene.part, and migrates
 // afterwards. Local.
 void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads);
+
+// What the ledger is told of what the ranks hold. Local, on rank 0.
+scene::Held held_of(const Context& context, Scene& scene);
 
 // Number of local particles whose parts differ in two assignments. Local.
 std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b);

@@ -1,5 +1,5 @@
 // Step reports: in memory so many as the room has, the older ones in files, lost ones counted, all of them in pages.
-#include "server/service/scene/history.hpp"
+#include "server/scene/history.hpp"
 
 #include <cstdlib>
 #include <filesystem>

@@ -1,6 +1,6 @@
 // When a step repartitions: the decision as a function of its input, the account of what imbalance has cost, and the
 // service deciding by both with clocks that differ from rank to rank.
-#include "server/service/scene/policy.hpp"
+#include "server/scene/policy.hpp"
 
 #include <cmath>
 #include <limits>

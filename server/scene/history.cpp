@@ -1,4 +1,4 @@
-#include "server/service/scene/history.hpp"
+#include "server/scene/history.hpp"
 
 #include <algorithm>
 #include <iterator>
@@ -7,7 +7,7 @@
 
 #include <spdlog/spdlog.h>
 
-namespace rcb::service {
+namespace rcb::scene {
 namespace {
 
 // Most reports moved to the file at a time: enough to make the cost of opening it negligible, few enough not to delay a
@@ -147,4 +147,4 @@ History::Reading History::reading(std::uint64_t first, std::uint64_t last) const
   };
 }
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

@@ -7,9 +7,12 @@
 #include <vector>
 
 #include "common/wire/message.hpp"
-#include "server/api/push.hpp"
 
-namespace rcb::service {
+namespace rcb::scene {
+
+// How what a step needs came to the service: as counts alone, or how the positions came to the ranks.
+enum class Way : std::uint8_t { endpoint, sockets, shared_memory, file, count };
+const char* name_of(Way way);
 
 struct StepSeconds {
   double receive = 0;   // from the first byte until all ranks hold their slices
@@ -31,15 +34,16 @@ enum class Skip : std::uint8_t {
   exchange,
   search,
   far_from_cuts,
+  positions,
 };
 
 class Skips {
  public:
-  void add(Skip skip) { bits_ |= static_cast<std::uint8_t>(1U << static_cast<unsigned>(skip)); }
+  void add(Skip skip) { bits_ |= static_cast<std::uint16_t>(1U << static_cast<unsigned>(skip)); }
   std::vector<std::string> names() const;
 
  private:
-  std::uint8_t bits_ = 0;
+  std::uint16_t bits_ = 0;
 };
 
 // What a step did, in numbers; also the sums over all steps of a scene.
@@ -76,11 +80,16 @@ struct StepReport : StepCounts {
   std::optional<std::int64_t> first_id;  // of the inserted particles, if the service chose their ids
   std::uint64_t weights_as_zero = 0;     // particles whose weight is too far below the greatest one to count
   Skips skipped;
-  api::Way way = api::Way::endpoint;
+  Way way = Way::endpoint;
+  std::optional<std::int64_t> positions_step;  // the step whose positions the ranks hold; none: they hold none
+  bool drifted_known = true;                   // false: nobody has compared with the step before
+  std::uint64_t strangers = 0;                 // rows outside their seat's parts as the step arrived
+
+  bool sent() const { return way != Way::count; }  // positions travelled
 };
 
 // The counts alone.
 wire::Json to_json(const StepCounts& counts);
 wire::Json to_json(const StepReport& report);
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

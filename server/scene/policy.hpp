@@ -8,8 +8,8 @@
 // 2012, doi:10.1109/CLUSTER.2012.61.
 //
 // Invariants
-// 1. No clock is read here: a decision follows from its input, so ranks with the same input decide alike.
-// 2. A CostAccount is the same on all ranks: rank 0 measures the seconds of a repartition and broadcasts them.
+// 1. No clock is read here: a decision follows from its input. Rank 0 keeps the account, and an order tells all ranks
+//    what a decision needs of it (DecisionTerms), so they decide alike.
 #pragma once
 
 #include <cstdint>
@@ -18,12 +18,11 @@
 #include <string>
 #include <string_view>
 
-namespace rcb::service {
+#include "common/partition/balance/load.hpp"
+#include "common/wire/message.hpp"
+#include "server/scene/options.hpp"
 
-enum class Policy { tolerance, cost };
-
-std::string_view policy_name(Policy policy);
-std::optional<Policy> policy_from_name(std::string_view name);
+namespace rcb::scene {
 
 // The time that imbalance has cost since the last repartition, and the time that repartitions take.
 class CostAccount {
@@ -40,6 +39,7 @@ class CostAccount {
   void computed(double seconds, double imbalance);
 
   double lost_seconds() const { return lost_seconds_; }
+  double lost_seconds_with(double seconds, double imbalance) const;  // after computed()
   double repartition_seconds() const;  // median of the last kRemembered
   std::optional<std::int64_t> since() const { return since_; }
 
@@ -51,28 +51,40 @@ class CostAccount {
   std::deque<double> seconds_;  // of the last kRemembered repartitions
 };
 
+// What a decision needs beside the loads of the step: the state of rank 0's account.
+struct DecisionTerms {
+  std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
+  bool timed = false;                            // the policy is cost, and the solver reported this step's seconds
+  double lost_seconds = 0;
+  double repartition_seconds = 0;
+  std::optional<std::int64_t> since{};
+};
+
+wire::Json to_json(const DecisionTerms& terms);
+// Of an order, which rank 0 has made: trusted.
+DecisionTerms read_terms(const wire::Json& json);
+
 struct Decision {
   bool search = false;  // look for new cuts
   std::string reason;
 };
 
-struct PolicyInput {
+struct PolicyInput : DecisionTerms {
   double error_before = 0;
-  double tolerance = 0.1;                        // may be infinity
-  bool may_be_wasted = false;                    // new cuts might fail to lower the error (weights, inexact cuts)
-  double quota_error = 0;                        // without weights: the error that quotas of whole particles leave
-  std::optional<double> error_when_not_adopted;  // if may_be_wasted: error_before of the last wasted search
+  double tolerance = 0.1;      // may be infinity
+  bool may_be_wasted = false;  // new cuts might fail to lower the error (weights, inexact cuts)
+  double quota_error = 0;      // without weights: the error that quotas of whole particles leave
   Policy policy = Policy::tolerance;
-  bool timed = false;       // the solver reported this step's seconds; else the tolerance decides
-  double lost_seconds = 0;  // from CostAccount, if the policy is cost
-  double repartition_seconds = 0;
-  std::optional<std::int64_t> since{};
 };
 
 Decision decide(const PolicyInput& input);
+// Whether a step with these loads, before which there were particles, searches new cuts.
+Decision decide_step(const SceneOptions& options, const partition::LoadSummary& loads, const DecisionTerms& terms);
+// True if new cuts may turn out not to lower the error.
+bool may_be_wasted(const SceneOptions& options, const partition::LoadSummary& loads);
 
 // The final reason, after a search. If may_be_wasted, new cuts are adopted only if they lower the error.
 std::string reason_adopted(const Decision& decision, double error_after);
 std::string reason_not_adopted(const Decision& decision, double error_after);
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

@@ -1,42 +1,42 @@
-#include "server/service/commands/with_reports.hpp"
+#include "server/api/with_reports.hpp"
 
 #include <memory>
 #include <utility>
 
-namespace rcb::service {
+namespace rcb::api {
 namespace {
 
 // Its destructor gives an answer that somebody waits for: the one that was set, or else a failure.
 class Awaited {
  public:
-  explicit Awaited(api::TakeAnswer take)
+  explicit Awaited(TakeAnswer take)
       : take_(std::move(take)),
         answer_(failed({Code::unavailable, "the service ended before the older step reports were read"})) {}
   Awaited(const Awaited&) = delete;
   Awaited& operator=(const Awaited&) = delete;
   ~Awaited() { take_(std::move(answer_)); }
-  void set(Response answer) { answer_ = std::move(answer); }
+  void set(Answer answer) { answer_ = std::move(answer); }
 
  private:
-  api::TakeAnswer take_;
-  Response answer_;
+  TakeAnswer take_;
+  Answer answer_;
 };
 
 }  // namespace
 
-Response with_reports(const History& history, std::uint64_t first, std::uint64_t last,
-                      std::function<void(FoundReports, Response&)> fill) {
-  Response answer = done(wire::Json::object());
+Answer with_reports(const scene::History& history, std::uint64_t first, std::uint64_t last,
+                      std::function<void(scene::FoundReports, Answer&)> fill) {
+  Answer answer = done(wire::Json::object());
   if (history.in_memory(first)) {
     fill(history.newest(first, last), answer);
     return answer;
   }
-  answer.later = [reading = history.reading(first, last), fill = std::move(fill)](Response base, api::TakeAnswer take) {
+  answer.later = [reading = history.reading(first, last), fill = std::move(fill)](Answer base, TakeAnswer take) {
     auto awaited = std::make_shared<Awaited>(std::move(take));
-    auto filled = std::make_shared<Response>(std::move(base));
+    auto filled = std::make_shared<Answer>(std::move(base));
     auto whole = std::make_shared<bool>(false);
     const Status begun = reading(
-        [fill, filled, whole](FoundReports found) {
+        [fill, filled, whole](scene::FoundReports found) {
           fill(std::move(found), *filled);
           *whole = true;
         },
@@ -51,4 +51,4 @@ Response with_reports(const History& history, std::uint64_t first, std::uint64_t
   return answer;
 }
 
-}  // namespace rcb::service
+}  // namespace rcb::api

@@ -1,12 +1,13 @@
-#include "server/service/scene/policy.hpp"
+#include "server/scene/policy.hpp"
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include <fmt/format.h>
 
-namespace rcb::service {
+namespace rcb::scene {
 namespace {
 
 // Whether the policy asks for new cuts, before decide() checks whether they can help.
@@ -49,6 +50,33 @@ std::optional<Policy> policy_from_name(std::string_view name) {
   return std::nullopt;
 }
 
+std::string_view travel_name(Travel travel) { return travel == Travel::when_needed ? "when-needed" : "every-step"; }
+
+std::optional<Travel> travel_from_name(std::string_view name) {
+  for (const Travel travel : {Travel::every_step, Travel::when_needed})
+    if (name == travel_name(travel)) return travel;
+  return std::nullopt;
+}
+
+wire::Json to_json(const DecisionTerms& terms) {
+  wire::Json json = wire::Json::object();
+  if (terms.error_when_not_adopted) json["error_when_not_adopted"] = *terms.error_when_not_adopted;
+  if (terms.timed) json.update({{"lost", terms.lost_seconds}, {"repartition", terms.repartition_seconds}});
+  if (terms.since) json["since"] = *terms.since;
+  return json;
+}
+
+DecisionTerms read_terms(const wire::Json& json) {
+  DecisionTerms terms;
+  if (json.contains("error_when_not_adopted"))
+    terms.error_when_not_adopted = json["error_when_not_adopted"].get<double>();
+  terms.timed = json.contains("lost");
+  terms.lost_seconds = json.value("lost", 0.0);
+  terms.repartition_seconds = json.value("repartition", 0.0);
+  if (json.contains("since")) terms.since = json["since"].get<std::int64_t>();
+  return terms;
+}
+
 void CostAccount::start_again(double imbalance) {
   best_imbalance_ = imbalance;
   lost_seconds_ = 0;
@@ -65,8 +93,10 @@ void CostAccount::repartitioned(std::int64_t step, double seconds, bool first) {
   if (seconds_.size() > kRemembered) seconds_.pop_front();
 }
 
-void CostAccount::computed(double seconds, double imbalance) {
-  if (imbalance > best_imbalance_) lost_seconds_ += seconds * (1 - best_imbalance_ / imbalance);
+void CostAccount::computed(double seconds, double imbalance) { lost_seconds_ = lost_seconds_with(seconds, imbalance); }
+
+double CostAccount::lost_seconds_with(double seconds, double imbalance) const {
+  return imbalance > best_imbalance_ ? lost_seconds_ + seconds * (1 - best_imbalance_ / imbalance) : lost_seconds_;
 }
 
 double CostAccount::repartition_seconds() const {
@@ -85,6 +115,25 @@ Decision decide(const PolicyInput& input) {
   return decision;
 }
 
+bool may_be_wasted(const SceneOptions& options, const partition::LoadSummary& loads) {
+  return loads.weighted || options.cut_tolerance > 0;
+}
+
+Decision decide_step(const SceneOptions& options, const partition::LoadSummary& loads, const DecisionTerms& terms) {
+  PolicyInput input;
+  static_cast<DecisionTerms&>(input) = terms;
+  input.error_before = loads.error;
+  input.tolerance = options.tolerance;
+  input.may_be_wasted = may_be_wasted(options, loads);
+  input.policy = options.policy;
+  if (!input.may_be_wasted && (input.timed || input.error_before >= options.tolerance)) {
+    const auto n = std::accumulate(loads.counts.begin(), loads.counts.end(), std::uint64_t{0});
+    input.quota_error =
+        partition::summarise_counts(partition::quotas(n, options.part_sizes, options.parts), options.part_sizes).error;
+  }
+  return decide(input);
+}
+
 std::string reason_adopted(const Decision& decision, double error_after) {
   return fmt::format("{}; new cuts leave {:.6g}", decision.reason, error_after);
 }
@@ -93,4 +142,4 @@ std::string reason_not_adopted(const Decision& decision, double error_after) {
   return fmt::format("{}, but new cuts would leave {:.6g}: not adopted", decision.reason, error_after);
 }
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

@@ -1,7 +1,4 @@
-// Room `commands`: one file for each family of commands, with a table of handlers that service.cpp joins. A handler
-// reads its request, calls the rooms below, and fills in the answer.
-//
-// This header: lists whose length grows with the number of parts. Up to wire::kListedMax entries are in the answer's
+// Lists and pages of answers. Lists: their length grows with the number of parts. Up to wire::kListedMax entries are in the answer's
 // JSON. A longer list is an array of the frame, and its field in the JSON is null. So the JSON of every answer is
 // bounded, and a client that doesn't know this rule sees no list instead of a part of it.
 #pragma once
@@ -14,9 +11,9 @@
 #include <type_traits>
 
 #include "common/wire/limits.hpp"
-#include "server/service/context/context.hpp"
+#include "server/api/answer.hpp"
 
-namespace rcb::service {
+namespace rcb::api {
 
 template <typename T>
 constexpr const char* dtype_of() {
@@ -40,16 +37,16 @@ wire::Json list_json(std::span<const T> values) {
 // Puts a list into `json`, which is the answer's or an object within it. Long lists of the same name are appended to
 // one array.
 template <typename T>
-void put_list(Response& response, wire::Json& json, const char* name, std::span<const T> values) {
+void put_list(Answer& answer, wire::Json& json, const char* name, std::span<const T> values) {
   if (values.size() <= wire::kListedMax) {
     json[name] = list_json(values);
     return;
   }
   json[name] = nullptr;
-  const auto found = std::find_if(response.arrays.begin(), response.arrays.end(),
+  const auto found = std::find_if(answer.arrays.begin(), answer.arrays.end(),
                                   [name](const wire::Array& array) { return array.name == name; });
-  if (found == response.arrays.end()) {
-    response.arrays.push_back(make_array<T>(name, dtype_of<T>(), values));
+  if (found == answer.arrays.end()) {
+    answer.arrays.push_back(make_array<T>(name, dtype_of<T>(), values));
     return;
   }
   const std::size_t before = found->bytes.size();
@@ -58,11 +55,22 @@ void put_list(Response& response, wire::Json& json, const char* name, std::span<
   found->shape[0] += values.size();
 }
 
-// Puts the scene's "counts", "targets" and, with weights, "loads".
-inline void put_loads(Response& response, const Scene& scene) {
-  put_list<std::uint64_t>(response, response.json, "counts", scene.loads.counts);
-  put_list<double>(response, response.json, "targets", scene.loads.targets);
-  if (scene.particles.has_weights) put_list<double>(response, response.json, "loads", scene.loads.load_values);
-}
+// The items [from, end) of a list.
+struct Page {
+  std::uint64_t from = 0;
+  std::uint64_t end = 0;
 
-}  // namespace rcb::service
+  void tell(wire::Json& json, std::uint64_t total) const {
+    json["from"] = from;
+    json["next"] = end < total ? wire::Json(end) : wire::Json(nullptr);
+  }
+};
+
+// The page asked for by the fields "from" (`otherwise` if absent) and "count", within `total` items and of at most
+// `most`. Errors: invalid_argument.
+Result<Page> read_page(const wire::Json& request, std::uint64_t total, std::uint64_t otherwise, std::uint64_t most);
+
+// Whether the field is there, and not null.
+bool given(const wire::Json& request, const char* name);
+
+}  // namespace rcb::api

@@ -20,10 +20,10 @@
 #include <vector>
 
 #include "common/files/side_thread.hpp"
-#include "server/service/scene/report.hpp"
-#include "server/service/scene/report_file.hpp"
+#include "server/scene/report.hpp"
+#include "server/scene/report_file.hpp"
 
-namespace rcb::service {
+namespace rcb::scene {
 
 class History;
 
@@ -68,6 +68,7 @@ class History {
   History& operator=(const History&) = delete;
 
   void add(StepReport report);
+  const StepReport& last() const { return recent_.back(); }  // just added
   std::uint64_t total() const { return total_; }
   // Whether none of the reports from this one on has left the memory.
   bool in_memory(std::uint64_t first) const { return first >= total_ - recent_.size(); }
@@ -91,4 +92,4 @@ class History {
   std::uint64_t total_ = 0;
 };
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

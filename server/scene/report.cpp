@@ -1,10 +1,26 @@
-#include "server/service/scene/report.hpp"
+#include "server/scene/report.hpp"
 
-namespace rcb::service {
+namespace rcb::scene {
+
+const char* name_of(Way way) {
+  switch (way) {
+    case Way::sockets:
+      return "sockets";
+    case Way::shared_memory:
+      return "shared-memory";
+    case Way::file:
+      return "file";
+    case Way::count:
+      return "count";
+    case Way::endpoint:
+      break;
+  }
+  return "endpoint";
+}
 
 std::vector<std::string> Skips::names() const {
   constexpr const char* kNames[] = {"dimension", "weights",  "ids",    "double precision",
-                                    "motion",    "exchange", "search", "far from cuts"};
+                                    "motion",    "exchange", "search", "far from cuts", "positions"};
   std::vector<std::string> names;
   for (unsigned k = 0; k < std::size(kNames); ++k)
     if ((bits_ >> k & 1U) != 0) names.emplace_back(kNames[k]);
@@ -68,10 +84,14 @@ wire::Json to_json(const StepReport& report) {
                {"inserted", report.inserted},
                {"removed", report.removed},
                {"skipped", report.skipped.names()},
-               {"way", api::name_of(report.way)}});
+               {"way", name_of(report.way)},
+               {"sent", report.sent()},
+               {"positions_step", report.positions_step ? wire::Json(*report.positions_step) : wire::Json()},
+               {"strangers", report.strangers}});
+  if (!report.drifted_known) json["drifted"] = nullptr;
   if (report.first_id) json["first_id"] = *report.first_id;
   if (report.weights_as_zero > 0) json["weights_as_zero"] = report.weights_as_zero;
   return json;
 }
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

@@ -1,4 +1,4 @@
-#include "server/service/scene/report_file.hpp"
+#include "server/scene/report_file.hpp"
 
 #include <algorithm>
 #include <cerrno>
@@ -14,7 +14,7 @@
 #include "common/files/paths.hpp"
 #include "common/files/read_write.hpp"
 
-namespace rcb::service {
+namespace rcb::scene {
 namespace {
 
 constexpr const char* kSuffix = ".reports";
@@ -119,4 +119,4 @@ Status ReportFile::read_run(int file, std::size_t index, std::uint64_t first, st
   return {};
 }
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

@@ -15,7 +15,7 @@
 #include "common/base/status.hpp"
 #include "common/files/descriptor.hpp"
 
-namespace rcb::service {
+namespace rcb::scene {
 
 class ReportFile {
  public:
@@ -57,4 +57,4 @@ Status make_report_directory(const std::string& path);
 // The path of a scene's report file.
 std::string report_file_path(const std::string& directory, const std::string& scene);
 
-}  // namespace rcb::service
+}  // namespace rcb::scene

@@ -1,0 +1,146 @@
+#include "server/api/ledger_answers.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include "common/wire/limits.hpp"
+#include "server/api/lists.hpp"
+#include "server/api/with_reports.hpp"
+
+namespace rcb::api {
+namespace {
+
+using scene::Ledger;
+using scene::SceneState;
+
+template <typename T>
+wire::Json or_null(const std::optional<T>& value) {
+  return value ? wire::Json(*value) : wire::Json(nullptr);
+}
+
+wire::Json plan_json(const SceneState& now) {
+  return {{"version", now.plan_version}, {"checksum", wire::hex64(now.plan_checksum)}};
+}
+
+void put_loads(Answer& answer, const SceneState& now) {
+  put_list<std::uint64_t>(answer, answer.json, "counts", now.loads->counts);
+  put_list<double>(answer, answer.json, "targets", now.loads->targets);
+  if (now.weights) put_list<double>(answer, answer.json, "loads", now.loads->load_values);
+}
+
+Answer error(const Ledger& ledger) {
+  const SceneState& now = ledger.now();
+  return done({{"scene", ledger.name()},
+               {"step", or_null(now.step)},
+               {"epoch", now.epoch},
+               {"error", now.loads->error},
+               {"imbalance", now.loads->imbalance},
+               {"tolerance", wire::number_json(now.options.tolerance)}});
+}
+
+Answer counts(const Ledger& ledger) {
+  Answer answer = done({{"epoch", ledger.now().epoch}});
+  put_loads(answer, ledger.now());
+  return answer;
+}
+
+Answer stats(const Ledger& ledger) {
+  const scene::SceneTotals& totals = ledger.totals();
+  wire::Json json = to_json(static_cast<const scene::StepCounts&>(totals));
+  json.update({{"scene", ledger.name()},
+               {"steps", totals.steps},
+               {"repartitions", totals.repartitions},
+               {"skipped", totals.skipped},
+               {"asked", totals.asked}});
+  return done(std::move(json));
+}
+
+Answer history(const Ledger& ledger, const wire::Json& request) {
+  const std::uint64_t total = ledger.totals().steps;
+  const auto last = wire::integer_field_or(request, "last", 0, wire::kIntegerMax, wire::kIntegerMax);
+  if (!last.ok()) return failed(last.status());
+  const std::uint64_t wanted = std::min(static_cast<std::uint64_t>(*last), total);
+  if (given(request, "last") && given(request, "from"))
+    return failed({Code::invalid_argument, "'last' and 'from' at once", "'last' says where the first page begins"});
+  const bool paged = given(request, "from") || given(request, "count");
+  if (!paged && wanted > wire::kReportsMax)
+    return failed({Code::too_large, fmt::format("{} step reports don't fit into one answer", wanted),
+                   R"(ask for them by pages: "from" and "count", as rcbctl history does, or for the "last" few)"});
+  const auto page = read_page(request, total, total - wanted, wire::kReportsMax);
+  if (!page.ok()) return failed(page.status());
+  return with_reports(ledger.history(), page->from, page->end,
+                      [page = *page, total](scene::FoundReports found, Answer& answer) {
+                        wire::Json& json = answer.json;
+                        json["total"] = total;
+                        json["lost"] = page.end - page.from - found.reports.size();
+                        if (json["lost"] != 0) json["loss"] = found.loss;
+                        json["history"] = std::move(found.reports);
+                        page.tell(json, total);
+                      });
+}
+
+}  // namespace
+
+Answer describe(const Ledger& ledger, int ranks) {
+  const SceneState& now = ledger.now();
+  const scene::SceneOptions& options = now.options;
+  wire::Json json{{"scene", ledger.name()},
+                  {"n", now.n},
+                  {"dims", options.dims},
+                  {"parts", options.parts},
+                  {"ranks", ranks},
+                  {"method", cuts::method_name(options.method)},
+                  {"tolerance", wire::number_json(options.tolerance)},
+                  {"axis_hysteresis", options.axis_hysteresis},
+                  {"cut_tolerance", options.cut_tolerance},
+                  {"policy", policy_name(options.policy)},
+                  {"positions", travel_name(options.positions)},
+                  {"part_sizes", nullptr},
+                  {"weights", now.weights},
+                  {"ids", now.ids},
+                  {"step", or_null(now.step)},
+                  {"positions_step", or_null(now.positions_step)},
+                  {"incarnation", wire::hex64(now.incarnation)},
+                  {"epoch", now.epoch},
+                  {"plan", plan_json(now)}};
+  for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
+    json[name] = nullptr;
+  Answer answer = done(std::move(json));
+  if (!options.part_sizes.empty()) put_list<double>(answer, answer.json, "part_sizes", options.part_sizes);
+  if (!now.loads) return answer;
+  answer.json["error"] = now.loads->error;
+  answer.json["imbalance"] = now.loads->imbalance;
+  answer.json["hash"] = wire::hex64(now.hash);
+  answer.json["rounds"] = now.search_rounds;
+  answer.json["reductions"] = now.search_reductions;
+  if (now.loads->weights_as_zero > 0) answer.json["weights_as_zero"] = now.loads->weights_as_zero;
+  put_loads(answer, now);
+  return answer;
+}
+
+Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
+  const std::string command = request.at("command").get<std::string>();
+  if (command == "history") return history(ledger, request);
+  if (command == "stats") return stats(ledger);
+  if (command != "error" && command != "counts") return describe(ledger, ranks);
+  if (!ledger.now().loads)
+    return failed(
+        {Code::not_found, fmt::format("scene '{}' has no positions yet", ledger.name()), "push a step first"});
+  return command == "error" ? error(ledger) : counts(ledger);
+}
+
+Answer repeated(const Ledger& ledger, std::uint64_t number) {
+  return with_reports(ledger.history(), number, number + 1,
+                      [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
+                        if (found.reports.empty())
+                          answer.status = Status(Code::io_error,
+                                                 fmt::format("the step is committed, but its report was lost: {}",
+                                                             found.loss),
+                                                 "go on with the next step");
+                        else
+                          answer.json = {{"plan", plan}, {"repeated", true}, {"report", std::move(found.reports.front())}};
+                      });
+}
+
+}  // namespace rcb::api

@@ -1,0 +1,169 @@
+// Session, part 3: what rank 0 answers from a scene's ledger, with no engine: counts, and queries about steps.
+#include <cstring>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "server/api/ledger_answers.hpp"
+#include "server/api/lists.hpp"
+#include "server/net/control/session.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+awaitable<Status> Session::watch(const Request& request, const std::string& scene, std::function<bool()> done,
+                                 const std::string& what) {
+  SceneGate& gate = coordinator_->gate(scene);
+  Place place(gate.watching, coordinator_->context());
+  TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
+  while (!done()) {
+    if (coordinator_->shutting_down()) co_return Status(Code::unavailable, "the service is shutting down");
+    if (now() >= request.end)
+      co_return Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for {}", request.command,
+                                                            request.deadline_seconds, what));
+    co_await nap(place.timer(), request, notice_at, what);
+  }
+  co_return Status();
+}
+
+awaitable<Status> Session::wait_settled(const Request& request, const std::string& scene) {
+  SceneGate& gate = coordinator_->gate(scene);
+  Status status;
+  if (gate.changes_unfinished > 0)
+    status = co_await watch(request, scene, [&gate] { return gate.changes_unfinished == 0; }, "a change of the scene");
+  coordinator_->erase_gate_if_unused(scene);
+  co_return status;
+}
+
+awaitable<void> Session::answer_from_ledger(Request& request) {
+  const auto scene = wire::string_field(request.json, "scene", 256);
+  Status status = scene.ok() ? co_await wait_settled(request, *scene) : scene.status();
+  const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
+  if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
+  if (!status.ok()) {
+    fail(request.number, status);
+    co_return;
+  }
+  send_later(request, api::answer_from(*ledger, request.json, coordinator_->options().ranks));
+}
+
+void Session::send_later(const Request& request, Answer answer) {
+  if (!answer.later) return reply(request, std::move(answer));
+  ++answering_;
+  api::complete(std::move(answer), [self = shared_from_this(), request](Answer whole) mutable {
+    auto shared = std::make_shared<Answer>(std::move(whole));
+    asio::post(self->coordinator_->context(), [self, request = std::move(request), shared] {
+      self->reply(request, std::move(*shared));
+      --self->answering_;
+      if (self->goodbye_due_) self->say_goodbye();
+    });
+  });
+}
+
+Status Session::check_positions(const std::string& scene) const {
+  const scene::Ledger* ledger = coordinator_->scenes().find(scene);
+  if (ledger == nullptr || ledger->now().positions_step == ledger->now().step) return {};
+  const auto& held = ledger->now().positions_step;
+  return {Code::invalid_argument,
+          fmt::format("the ranks hold the positions of {}, the last step of scene '{}' is {}",
+                      held ? fmt::format("step {}", *held) : "no step", scene, *ledger->now().step),
+          "its next step that brings positions can be repartitioned; --dry-run tells what the held ones give"};
+}
+
+awaitable<Status> Session::wait_for_positions(const Request& request) {
+  const std::string scene = request.json.value("scene", Json()).is_string() ? request.json["scene"] : "";
+  const auto is_due = [this, scene] {
+    const scene::Ledger* ledger = coordinator_->scenes().find(scene);
+    return ledger != nullptr && ledger->now().options.positions == scene::Travel::when_needed &&
+           ledger->now().positions_step != ledger->now().step && !has_open(scene) &&
+           !coordinator_->members(scene, number_).empty();
+  };
+  const auto held = wire::bool_field(request.json, "held");
+  if (!held.ok()) co_return held.status();
+  if (*held || !is_due()) co_return Status();
+  Status status = co_await watch(
+      request, scene,
+      [this, scene, is_due] {
+        const bool due = is_due();
+        if (due) coordinator_->want_positions(scene);
+        return !due;
+      },
+      "the positions of the next step");
+  coordinator_->erase_gate_if_unused(scene);
+  if (status.code() == Code::deadline_exceeded)
+    status = {status.code(), status.message(), "take what the ranks hold: --held"};
+  co_return status;
+}
+
+awaitable<Result<std::vector<wire::Array>>> Session::read_count_arrays(const Frame& frame) {
+  constexpr std::uint64_t kBytesOfPart = 28;
+  const auto specs = wire::array_specs(frame.json, frame.header.bulk_bytes);
+  if (!specs.ok()) co_return specs.status();
+  const auto name = wire::string_field(frame.json, "scene", 256);
+  const scene::Ledger* ledger = name.ok() ? coordinator_->scenes().find(*name) : nullptr;
+  const int parts = ledger == nullptr ? 0 : ledger->now().options.parts;
+  std::vector<wire::Array> arrays;
+  if (frame.header.bulk_bytes > kBytesOfPart * static_cast<std::uint64_t>(parts)) {
+    // Refused by what follows: the scene isn't there, or the arrays are missing.
+    if (Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes); !status.ok())
+      co_return status;
+    co_return arrays;
+  }
+  wire::BulkChecksum checksum;
+  for (const wire::ArraySpec& spec : *specs) {
+    wire::Array& array = arrays.emplace_back(wire::Array{spec.name, spec.dtype, spec.shape, {}});
+    array.bytes.resize(spec.bytes);
+    if (Status status = co_await connection_->read_bulk(array.bytes.span()); !status.ok()) co_return status;
+    checksum.add(array.bytes.span());
+  }
+  if ((frame.header.flags & wire::kFlagBulkChecksum) == 0) co_return arrays;
+  std::array<std::byte, 8> sent{};
+  if (Status status = co_await connection_->read_bulk(sent); !status.ok()) co_return status;
+  if (wire::BulkChecksum::decode(sent) != checksum.value())
+    co_return Status(Code::protocol_error, "the checksum of a count's arrays doesn't match");
+  co_return arrays;
+}
+
+awaitable<void> Session::count(Request& request) {
+  const Result<PushId> id = read_push_id(request.json, number_);
+  Status status = id.status();
+  if (status.ok()) status = coordinator_->groups().check_free(id->scene);
+  if (status.ok()) {
+    SceneGate& gate = coordinator_->gate(id->scene);
+    status = co_await wait_turn(request, id->scene,
+                                [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; });
+  }
+  scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(id->scene) : nullptr;
+  if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(id->scene);
+  if (status.ok()) {
+    request.json["session"] = id->session;
+    auto record = scene::read_count(request.json, request.arrays);
+    status = record.status();
+    if (status.ok()) {
+      record->bytes = request.bytes;
+      answer_count(request, *ledger, ledger->count(*record));
+    }
+  }
+  if (!status.ok()) fail(request.number, status);
+  if (id.ok()) coordinator_->wake_queue(id->scene);
+}
+
+void Session::answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict) {
+  const auto& is = verdict.is;
+  if (const auto* refused = std::get_if<Status>(&is)) return fail(request.number, *refused);
+  if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&is))
+    return send_later(request, api::repeated(ledger, again->number));
+  Json json;
+  if (const auto* send = std::get_if<scene::CountVerdict::Send>(&is)) json = {{"send", send->why}};
+  if (std::holds_alternative<scene::CountVerdict::OtherCuts>(is)) json = {{"again", "cuts"}};
+  if (const auto* other = std::get_if<scene::CountVerdict::OtherScale>(&is))
+    json = {{"again", "scale"}, {"scale", other->exponent}};
+  if (const auto* done = std::get_if<scene::CountVerdict::Committed>(&is))
+    json = {{"report", to_json(done->report)},
+            {"previous_step", done->previous_step ? Json(*done->previous_step) : Json()}};
+  connection_->send(FrameType::reply, request.number, json);
+}
+
+}  // namespace rcb::net

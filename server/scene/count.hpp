@@ -1,0 +1,50 @@
+// CountRecord: what a solver counted by the cuts it knows, in place of the positions of a step.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.hpp"
+#include "common/base/wide.hpp"
+#include "common/partition/balance/load.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::scene {
+
+struct WeightCount {
+  int scale = 0;  // a load is the sum of weights, each times 2^scale, rounded down
+  double least = 0;
+  double greatest = 0;
+  std::uint64_t as_zero = 0;  // weights above 0 that count as 0 in this scale
+  std::vector<u128> loads;    // by entry of CountRecord::parts
+};
+
+struct CountRecord {
+  std::string session;
+  std::int64_t step = 0;
+  std::uint64_t incarnation = 0;
+  std::uint64_t epoch = 0;  // of the cuts that it counted by
+  std::uint64_t hash = 0;
+  std::uint64_t n = 0;
+  std::optional<std::uint64_t> id_sum;    // of mix64(id), mod 2^64; none: rows are ids
+  std::optional<std::uint64_t> drifted;   // rows whose part is another than at the step before
+  std::optional<double> step_seconds;     // the solver's computing time since its last step
+  std::vector<std::int32_t> parts;        // that have particles, ascending
+  std::vector<std::uint64_t> counts;      // of these
+  std::optional<WeightCount> weights;
+  std::uint64_t bytes = 0;  // of its frame
+};
+
+// The JSON of a request `count` and its arrays. Errors: invalid_argument, whatever is wrong with the record by itself.
+Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire::Array>& arrays);
+
+// The loads of all parts, if the record has the scene's scale. sizes: of the parts, or empty. Errors: invalid_argument
+// (a part beyond the last).
+Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes);
+
+// The scale that the weights of n particles need; nothing where weights don't count, since all are equal.
+std::optional<int> scale_due(const WeightCount& weights, std::uint64_t n);
+
+}  // namespace rcb::scene

@@ -1,0 +1,195 @@
+#include "server/scene/ledger.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+#include <xxhash.h>
+
+namespace rcb::scene {
+namespace {
+
+std::uint64_t session_key(const std::string& session) { return XXH3_64bits(session.data(), session.size()); }
+
+}  // namespace
+
+Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last) {
+  return {Code::stale_step, fmt::format("step {} of scene '{}' is not above the last one, {}", step, scene, last),
+          fmt::format("another client has pushed, or a solver begins anew: push step {} or a later one, or create the "
+                      "scene anew with replace",
+                      last + 1)};
+}
+
+Ledger::Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory)
+    : name_(std::move(name)), history_(std::make_unique<History>(memory, name_)) {
+  static_cast<Held&>(now_) = std::move(created.held);
+  now_.options = std::move(created.options);
+  now_.incarnation = incarnation;
+}
+
+DecisionTerms Ledger::terms(std::optional<double> step_seconds) const {
+  DecisionTerms terms;
+  terms.error_when_not_adopted = error_when_not_adopted_;
+  if (now_.options.policy != Policy::cost || !step_seconds || !now_.step) return terms;
+  terms.timed = true;
+  terms.lost_seconds = costs_.lost_seconds_with(*step_seconds, now_.loads->imbalance);
+  terms.repartition_seconds = costs_.repartition_seconds();
+  terms.since = costs_.since();
+  return terms;
+}
+
+const StepReport& Ledger::take(Stepped stepped) {
+  StepReport& report = stepped.report;
+  // The ranks have compared with the positions that they held.
+  if (now_.step && now_.positions_step != now_.step) {
+    report.drifted_known = stepped.drifted.has_value();
+    report.drifted = stepped.drifted.value_or(0);
+  }
+  if (now_.step && stepped.step_seconds) costs_.computed(*stepped.step_seconds, now_.loads->imbalance);
+  if (report.repartitioned) {
+    error_when_not_adopted_.reset();
+    costs_.start_again(report.imbalance);
+    costs_.repartitioned(report.step, report.seconds.search + report.seconds.migrate, !now_.step);
+  } else if (stepped.wasted) {
+    error_when_not_adopted_ = report.error_before;
+    costs_.start_again(report.imbalance);
+  }
+  if (!now_.step || report.inserted > 0 || report.removed > 0) now_.id_sum.reset();
+  static_cast<Held&>(now_) = std::move(stepped.held);
+  now_.positions_step = report.step;
+  wants_positions_ = false;
+  remember(report, stepped.session);
+  return history_->last();
+}
+
+void Ledger::take(Rebalanced rebalanced) {
+  now_.options = std::move(rebalanced.options);
+  static_cast<Held&>(now_) = std::move(rebalanced.held);
+  error_when_not_adopted_.reset();
+  costs_.start_again(now_.loads->imbalance);
+}
+
+void Ledger::take(const Asked& asked) {
+  ++totals_.asked[asked.command];
+  asked_ = true;
+}
+
+void Ledger::remember(const StepReport& report, const std::string& session) {
+  now_.step = report.step;
+  recent_.push_back({report.step, session_key(session)});
+  if (recent_.size() > kRememberedSteps) recent_.pop_front();
+  ++totals_.steps;
+  totals_.repartitions += report.repartitioned ? 1 : 0;
+  totals_ += report;
+  for (const std::string& name : report.skipped.names()) ++totals_.skipped[name];
+  if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
+  history_->add(report);
+}
+
+std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::int64_t step) const {
+  const auto found = std::ranges::lower_bound(recent_, step, {}, &RememberedStep::step);
+  if (found == recent_.end() || found->step != step || found->session != session_key(session)) return std::nullopt;
+  return history_->total() - static_cast<std::uint64_t>(recent_.end() - found);
+}
+
+Status Ledger::check(const CountRecord& record) const {
+  if (now_.step && record.step <= *now_.step) return stale_step(name_, record.step, *now_.step);
+  if (record.incarnation != now_.incarnation)
+    return {Code::not_found, fmt::format("scene '{}' was made anew since it was opened here", name_),
+            "open it again, and push its positions"};
+  if (!now_.step) return {};
+  if (record.n != now_.n)
+    return {Code::not_conserved, fmt::format("{} particles counted, scene '{}' has {}", record.n, name_, now_.n),
+            "count all particles once; where some are inserted or removed, push their positions"};
+  if (now_.id_sum && record.id_sum && *record.id_sum != *now_.id_sum)
+    return {Code::not_conserved,
+            fmt::format("the ids counted have the sum {}, those of the last step had {}", wire::hex64(*record.id_sum),
+                        wire::hex64(*now_.id_sum)),
+            "each particle is counted once, by its id"};
+  if (record.weights.has_value() != now_.weights)
+    return {Code::invalid_argument,
+            fmt::format("the count has {} weights, scene '{}' has {}", record.weights ? "" : "no", name_,
+                        now_.weights ? "some" : "none"),
+            "weights are there from the first push on, or never"};
+  return {};
+}
+
+CountVerdict Ledger::count(const CountRecord& record) {
+  if (const auto number = repeated(record.session, record.step)) return {CountVerdict::Repeated{*number}};
+  if (Status status = check(record); !status.ok()) return {status};
+  if (!now_.step) return {CountVerdict::Send{"first positions"}};
+  if (now_.options.positions == Travel::every_step) return {CountVerdict::Send{"the scene's ranks hold every step"}};
+  if (!now_.positions_step) return {CountVerdict::Send{"the ranks hold no positions since the service was started"}};
+  if (now_.options.parts > (now_.weights ? kWeightedPartsMax : kPartsMax))
+    return {CountVerdict::Send{"its parts are too many to be judged by one process"}};
+  if (record.epoch != now_.epoch || record.hash != now_.hash) return {CountVerdict::OtherCuts{}};
+  if (record.weights)
+    if (const auto due = scale_due(*record.weights, record.n); due && *due != record.weights->scale)
+      return {CountVerdict::OtherScale{*due}};
+  auto loads = loads_of(record, now_.options.parts, now_.options.part_sizes);
+  if (!loads.ok()) return {loads.status()};
+  const Decision decision = decide_step(now_.options, *loads, terms(record.step_seconds));
+  if (decision.search) return {CountVerdict::Send{decision.reason}};
+  if (wants_positions_) return {CountVerdict::Send{"a question about positions waits"}};
+  return commit(record, std::move(*loads), decision);
+}
+
+CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision) {
+  CountVerdict::Committed done{{}, now_.step};
+  StepReport& report = done.report;
+  report.scene = name_;
+  report.step = record.step;
+  report.epoch = now_.epoch;
+  report.n = now_.n;
+  report.parts = now_.options.parts;
+  report.error_before = report.error = loads.error;
+  report.imbalance = loads.imbalance;
+  report.reason = decision.reason;
+  report.weights_as_zero = loads.weights_as_zero;
+  report.way = Way::count;
+  report.positions_step = now_.positions_step;
+  report.drifted = record.drifted.value_or(0);
+  report.drifted_known = record.drifted.has_value();
+  report.bytes = record.bytes;
+  if (now_.options.dims < 3) report.skipped.add(Skip::dimension);
+  if (!now_.weights) report.skipped.add(Skip::weights);
+  if (!now_.ids) report.skipped.add(Skip::ids);
+  for (const Skip skip : {Skip::exchange, Skip::search, Skip::positions}) report.skipped.add(skip);
+  if (record.step_seconds) costs_.computed(*record.step_seconds, now_.loads->imbalance);
+  now_.loads = std::make_shared<const partition::LoadSummary>(std::move(loads));
+  if (record.id_sum) now_.id_sum = record.id_sum;
+  remember(report, record.session);
+  return {std::move(done)};
+}
+
+const StepReport* Ledgers::take(Change change, std::uint64_t incarnation) {
+  if (memory_ == nullptr) return nullptr;
+  if (auto* created = std::get_if<Created>(&change.event)) {
+    ledgers_.erase(change.scene);  // its history, first: it may have files of the same name
+    ledgers_.try_emplace(change.scene, change.scene, std::move(*created), incarnation, *memory_);
+  } else if (std::holds_alternative<Dropped>(change.event)) {
+    ledgers_.erase(change.scene);
+  } else if (Ledger* ledger = find(change.scene)) {
+    if (auto* stepped = std::get_if<Stepped>(&change.event)) return &ledger->take(std::move(*stepped));
+    if (auto* rebalanced = std::get_if<Rebalanced>(&change.event)) ledger->take(std::move(*rebalanced));
+    if (const auto* asked = std::get_if<Asked>(&change.event)) ledger->take(*asked);
+  }
+  return nullptr;
+}
+
+void Ledgers::end() {
+  ledgers_.clear();
+  memory_.reset();
+}
+
+Ledger* Ledgers::find(const std::string& scene) {
+  const auto found = ledgers_.find(scene);
+  return found == ledgers_.end() ? nullptr : &found->second;
+}
+
+const Ledger* Ledgers::find(const std::string& scene) const {
+  const auto found = ledgers_.find(scene);
+  return found == ledgers_.end() ? nullptr : &found->second;
+}
+
+}  // namespace rcb::scene

@@ -1,0 +1,139 @@
+// Ledger: rank 0's scene. It knows everything of a scene but its particles, takes in what orders have done to it, and
+// answers steps that are counts, for which no other rank is woken. A pure state machine: a decision is a value, and only
+// a commit changes anything.
+//
+// Invariants
+// 1. `now().loads` are those of the last step, whether its positions travelled or not; Held of an order says what the
+//    ranks hold, which are the positions of `positions_step`.
+// 2. A step is in the history exactly once; so are its costs in the account.
+// 3. count() changes nothing unless it commits. What it tells to send is decided anew, by the same rule from the same
+//    numbers, when the positions have come.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <variant>
+
+#include "server/scene/count.hpp"
+#include "server/scene/events.hpp"
+#include "server/scene/history.hpp"
+#include "server/scene/policy.hpp"
+
+namespace rcb::scene {
+
+struct SceneTotals : StepCounts {
+  std::uint64_t steps = 0;
+  std::uint64_t repartitions = 0;  // including the first partition
+  std::map<std::string, std::uint64_t> skipped;
+  std::map<std::string, std::uint64_t> asked;  // by command: queries whose answer took a pass over the particles
+};
+
+struct SceneState : Held {
+  SceneOptions options;
+  std::uint64_t incarnation = 0;               // random, from its making
+  std::optional<std::int64_t> step;            // the last one; none: no positions yet
+  std::optional<std::int64_t> positions_step;  // whose positions the ranks hold
+  std::optional<std::uint64_t> id_sum;         // of mix64(id), mod 2^64; none: not known
+};
+
+// What a count leads to.
+struct CountVerdict {
+  // Its positions are to be pushed, under the same step number.
+  struct Send {
+    std::string why;
+  };
+  struct OtherCuts {};  // than those it was counted by are in force
+  struct OtherScale {
+    int exponent = 0;
+  };
+  struct Committed {
+    StepReport report;
+    std::optional<std::int64_t> previous_step;
+  };
+  struct Repeated {
+    std::uint64_t number = 0;  // of the report in the history
+  };
+  std::variant<Status, Send, OtherCuts, OtherScale, Committed, Repeated> is;
+};
+
+class Ledger {
+ public:
+  static constexpr std::size_t kRememberedSteps = 1024;
+  // With more parts a count would keep other clients waiting: a part takes 20 ns, with weights up to a microsecond.
+  static constexpr int kPartsMax = 65536;
+  static constexpr int kWeightedPartsMax = 4096;
+
+  // The memory must outlive it.
+  Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory);
+
+  const std::string& name() const { return name_; }
+  const SceneState& now() const { return now_; }
+  const SceneTotals& totals() const { return totals_; }
+  const History& history() const { return *history_; }
+
+  // What the decision about the next push needs; step_seconds: as that push says.
+  DecisionTerms terms(std::optional<double> step_seconds) const;
+  const StepReport& take(Stepped stepped);  // returns the report as it is in the history
+  void take(Rebalanced rebalanced);
+  void take(const Asked& asked);
+
+  CountVerdict count(const CountRecord& record);
+  // The number, in the history, of a step that this session has committed; nothing if it has not.
+  std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
+
+  // A question waits for the positions of the next step. Withdrawn by that step.
+  void want_positions() { wants_positions_ = true; }
+  bool wants_positions() const { return wants_positions_; }
+
+ private:
+  struct RememberedStep {
+    std::int64_t step = 0;
+    std::uint64_t session = 0;  // XXH3-64 of its name, which takes less memory than the text
+  };
+  Status check(const CountRecord& record) const;
+  CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
+  void remember(const StepReport& report, const std::string& session);
+
+  std::string name_;
+  SceneState now_;
+  std::unique_ptr<History> history_;
+  SceneTotals totals_;
+  CostAccount costs_;
+  std::optional<double> error_when_not_adopted_;  // error_before of the last wasted search
+  std::deque<RememberedStep> recent_;             // ascending
+  bool asked_ = false;                            // a query as in SceneTotals::asked came since the last step
+  bool wants_positions_ = false;
+};
+
+// Refusal of a step that is not above the scene's last one.
+Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last);
+
+// All scenes, by name.
+class Ledgers {
+ public:
+  // Those of HistoryMemory.
+  Ledgers(std::size_t keep_reports, std::string report_directory)
+      : memory_(std::make_unique<HistoryMemory>(keep_reports, std::move(report_directory))) {}
+
+  // At a clean end: forgets all scenes, and removes the files of their reports.
+  void end();
+
+  // Takes in what an order has done. incarnation: of a scene that it has made. Returns the report of a step.
+  const StepReport* take(Change change, std::uint64_t incarnation);
+  Ledger* find(const std::string& scene);
+  const Ledger* find(const std::string& scene) const;
+  bool contains(const std::string& scene) const { return ledgers_.contains(scene); }
+  bool empty() const { return ledgers_.empty(); }
+  auto begin() const { return ledgers_.begin(); }
+  auto end() const { return ledgers_.end(); }
+
+ private:
+  std::unique_ptr<HistoryMemory> memory_;  // outlives the ledgers; null after the end
+  std::map<std::string, Ledger> ledgers_;
+};
+
+}  // namespace rcb::scene
