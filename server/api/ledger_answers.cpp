@@ -131,16 +131,16 @@ Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
 }
 
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
-  return with_reports(ledger.history(), number, number + 1,
-                      [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
-                        if (found.reports.empty())
-                          answer.status = Status(Code::io_error,
-                                                 fmt::format("the step is committed, but its report was lost: {}",
-                                                             found.loss),
-                                                 "go on with the next step");
-                        else
-                          answer.json = {{"plan", plan}, {"repeated", true}, {"report", std::move(found.reports.front())}};
-                      });
+  return with_reports(
+      ledger.history(), number, number + 1,
+      [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
+        if (found.reports.empty())
+          answer.status =
+              Status(Code::io_error, fmt::format("the step is committed, but its report was lost: {}", found.loss),
+                     "go on with the next step");
+        else
+          answer.json = {{"plan", plan}, {"repeated", true}, {"report", std::move(found.reports.front())}};
+      });
 }
 
 }  // namespace rcb::api

@@ -9,7 +9,8 @@ namespace rcb::api {
 
 // What scene.show, scene.open and scene.create tell of a scene. ranks: of the service.
 Answer describe(const scene::Ledger& ledger, int ranks);
-// Answers error, counts, stats, history and the description. Errors: not_found (no positions yet), those of the request.
+// Answers error, counts, stats, history and the description. Errors: not_found (no positions yet), those of the
+// request.
 Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int ranks);
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);

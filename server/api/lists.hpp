@@ -1,6 +1,6 @@
-// Lists and pages of answers. Lists: their length grows with the number of parts. Up to wire::kListedMax entries are in the answer's
-// JSON. A longer list is an array of the frame, and its field in the JSON is null. So the JSON of every answer is
-// bounded, and a client that doesn't know this rule sees no list instead of a part of it.
+// Lists and pages of answers. Lists: their length grows with the number of parts. Up to wire::kListedMax entries are in
+// the answer's JSON. A longer list is an array of the frame, and its field in the JSON is null. So the JSON of every
+// answer is bounded, and a client that doesn't know this rule sees no list instead of a part of it.
 #pragma once
 
 #include <algorithm>

@@ -25,7 +25,7 @@ class Awaited {
 }  // namespace
 
 Answer with_reports(const scene::History& history, std::uint64_t first, std::uint64_t last,
-                      std::function<void(scene::FoundReports, Answer&)> fill) {
+                    std::function<void(scene::FoundReports, Answer&)> fill) {
   Answer answer = done(wire::Json::object());
   if (history.in_memory(first)) {
     fill(history.newest(first, last), answer);

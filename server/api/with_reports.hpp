@@ -10,6 +10,6 @@ namespace rcb::api {
 
 // An answer that `fill` completes with the reports [first, last); on the thread for files if they are in the file.
 Answer with_reports(const scene::History& history, std::uint64_t first, std::uint64_t last,
-                      std::function<void(scene::FoundReports found, Answer& answer)> fill);
+                    std::function<void(scene::FoundReports found, Answer& answer)> fill);
 
 }  // namespace rcb::api

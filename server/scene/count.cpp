@@ -29,8 +29,8 @@ Status check_parts(const CountRecord& record) {
   for (std::size_t k = 0; k < record.parts.size(); ++k) {
     const std::int32_t part = record.parts[k];
     if (part < 0 || part >= wire::kPartsMax || (k > 0 && part <= record.parts[k - 1]))
-      return odd(fmt::format("part {} after part {}: parts must be >= 0 and ascend", part,
-                             k > 0 ? record.parts[k - 1] : -1));
+      return odd(
+          fmt::format("part {} after part {}: parts must be >= 0 and ascend", part, k > 0 ? record.parts[k - 1] : -1));
     if (record.counts[k] == 0) return odd(fmt::format("no particles in part {}, which is listed", part));
     sum += record.counts[k];
   }

@@ -28,11 +28,11 @@ struct CountRecord {
   std::uint64_t epoch = 0;  // of the cuts that it counted by
   std::uint64_t hash = 0;
   std::uint64_t n = 0;
-  std::optional<std::uint64_t> id_sum;    // of mix64(id), mod 2^64; none: rows are ids
-  std::optional<std::uint64_t> drifted;   // rows whose part is another than at the step before
-  std::optional<double> step_seconds;     // the solver's computing time since its last step
-  std::vector<std::int32_t> parts;        // that have particles, ascending
-  std::vector<std::uint64_t> counts;      // of these
+  std::optional<std::uint64_t> id_sum;   // of mix64(id), mod 2^64; none: rows are ids
+  std::optional<std::uint64_t> drifted;  // rows whose part is another than at the step before
+  std::optional<double> step_seconds;    // the solver's computing time since its last step
+  std::vector<std::int32_t> parts;       // that have particles, ascending
+  std::vector<std::uint64_t> counts;     // of these
   std::optional<WeightCount> weights;
   std::uint64_t bytes = 0;  // of its frame
 };

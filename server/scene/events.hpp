@@ -18,9 +18,9 @@ namespace rcb::scene {
 struct Held {
   std::uint64_t n = 0;
   bool weights = false;
-  bool ids = false;         // ids aren't 0..n-1
-  std::uint64_t epoch = 0;  // 0: no cuts yet
-  std::uint64_t hash = 0;   // of the cuts
+  bool ids = false;                                     // ids aren't 0..n-1
+  std::uint64_t epoch = 0;                              // 0: no cuts yet
+  std::uint64_t hash = 0;                               // of the cuts
   std::shared_ptr<const partition::LoadSummary> loads;  // null: no cuts yet
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
@@ -37,10 +37,10 @@ struct Created {
 struct Stepped {
   StepReport report;
   Held held;
-  std::string session;                 // that pushed
-  std::optional<double> step_seconds;  // as the push said
+  std::string session;                   // that pushed
+  std::optional<double> step_seconds;    // as the push said
   std::optional<std::uint64_t> drifted;  // since the step before, as the push said
-  bool wasted = false;                 // new cuts were searched, and not adopted
+  bool wasted = false;                   // new cuts were searched, and not adopted
 };
 
 struct Rebalanced {

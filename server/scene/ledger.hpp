@@ -1,6 +1,6 @@
 // Ledger: rank 0's scene. It knows everything of a scene but its particles, takes in what orders have done to it, and
-// answers steps that are counts, for which no other rank is woken. A pure state machine: a decision is a value, and only
-// a commit changes anything.
+// answers steps that are counts, for which no other rank is woken. A pure state machine: a decision is a value, and
+// only a commit changes anything.
 //
 // Invariants
 // 1. `now().loads` are those of the last step, whether its positions travelled or not; Held of an order says what the

@@ -40,7 +40,7 @@ class CostAccount {
 
   double lost_seconds() const { return lost_seconds_; }
   double lost_seconds_with(double seconds, double imbalance) const;  // after computed()
-  double repartition_seconds() const;  // median of the last kRemembered
+  double repartition_seconds() const;                                // median of the last kRemembered
   std::optional<std::int64_t> since() const { return since_; }
 
  private:

@@ -19,8 +19,8 @@ const char* name_of(Way way) {
 }
 
 std::vector<std::string> Skips::names() const {
-  constexpr const char* kNames[] = {"dimension", "weights",  "ids",    "double precision",
-                                    "motion",    "exchange", "search", "far from cuts", "positions"};
+  constexpr const char* kNames[] = {"dimension", "weights", "ids",           "double precision", "motion",
+                                    "exchange",  "search",  "far from cuts", "positions"};
   std::vector<std::string> names;
   for (unsigned k = 0; k < std::size(kNames); ++k)
     if ((bits_ >> k & 1U) != 0) names.emplace_back(kNames[k]);

@@ -96,8 +96,8 @@ class ByteBudget {
 
 struct SceneGate {
   std::shared_ptr<OpenPush> push;
-  int changes_unfinished = 0;  // ordered, unfinished commands that change the scene
-  std::deque<Timer*> queue;    // the requests that wait for their turn
+  int changes_unfinished = 0;   // ordered, unfinished commands that change the scene
+  std::deque<Timer*> queue;     // the requests that wait for their turn
   std::deque<Timer*> watching;  // requests that wait for what others do, and keep nobody waiting
   void wake() {
     for (Timer* timer : queue) timer->cancel();

@@ -77,8 +77,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   if (ledger == nullptr) return coordinator_.unknown_scene(scene);
   const scene::SceneState& info = ledger->now();
   if (info.step && begin.id.step <= *info.step) {
-    if (begin.id.step == *info.step && group->last &&
-        answer_again(*group->last, group->delivery.get(), member, begin))
+    if (begin.id.step == *info.step && group->last && answer_again(*group->last, group->delivery.get(), member, begin))
       return {};
     return scene::stale_step(scene, begin.id.step, *info.step);
   }

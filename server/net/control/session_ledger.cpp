@@ -21,8 +21,8 @@ awaitable<Status> Session::watch(const Request& request, const std::string& scen
   while (!done()) {
     if (coordinator_->shutting_down()) co_return Status(Code::unavailable, "the service is shutting down");
     if (now() >= request.end)
-      co_return Status(Code::deadline_exceeded, fmt::format("'{}' waited {} s for {}", request.command,
-                                                            request.deadline_seconds, what));
+      co_return Status(Code::deadline_exceeded,
+                       fmt::format("'{}' waited {} s for {}", request.command, request.deadline_seconds, what));
     co_await nap(place.timer(), request, notice_at, what);
   }
   co_return Status();
@@ -32,14 +32,16 @@ awaitable<Status> Session::wait_settled(const Request& request, const std::strin
   SceneGate& gate = coordinator_->gate(scene);
   Status status;
   if (gate.changes_unfinished > 0)
-    status = co_await watch(request, scene, [&gate] { return gate.changes_unfinished == 0; }, "a change of the scene");
+    status = co_await watch(
+        request, scene, [&gate] { return gate.changes_unfinished == 0; }, "a change of the scene");
   coordinator_->erase_gate_if_unused(scene);
   co_return status;
 }
 
 awaitable<void> Session::answer_from_ledger(Request& request) {
   const auto scene = wire::string_field(request.json, "scene", 256);
-  Status status = scene.ok() ? co_await wait_settled(request, *scene) : scene.status();
+  Status status = scene.status();
+  if (status.ok()) status = co_await wait_settled(request, *scene);
   const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
   if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
   if (!status.ok()) {
@@ -83,14 +85,12 @@ awaitable<Status> Session::wait_for_positions(const Request& request) {
   const auto held = wire::bool_field(request.json, "held");
   if (!held.ok()) co_return held.status();
   if (*held || !is_due()) co_return Status();
-  Status status = co_await watch(
-      request, scene,
-      [this, scene, is_due] {
-        const bool due = is_due();
-        if (due) coordinator_->want_positions(scene);
-        return !due;
-      },
-      "the positions of the next step");
+  const auto come = [this, scene, is_due] {
+    const bool due = is_due();
+    if (due) coordinator_->want_positions(scene);
+    return !due;
+  };
+  Status status = co_await watch(request, scene, come, "the positions of the next step");
   coordinator_->erase_gate_if_unused(scene);
   if (status.code() == Code::deadline_exceeded)
     status = {status.code(), status.message(), "take what the ranks hold: --held"};
@@ -107,8 +107,7 @@ awaitable<Result<std::vector<wire::Array>>> Session::read_count_arrays(const Fra
   std::vector<wire::Array> arrays;
   if (frame.header.bulk_bytes > kBytesOfPart * static_cast<std::uint64_t>(parts)) {
     // Refused by what follows: the scene isn't there, or the arrays are missing.
-    if (Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes); !status.ok())
-      co_return status;
+    if (Status status = co_await connection_->skip_bulk(frame, frame.header.bulk_bytes); !status.ok()) co_return status;
     co_return arrays;
   }
   wire::BulkChecksum checksum;

@@ -113,7 +113,8 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   if (gate.push) coordinator_->abort(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
   const scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
   if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
-  if (const auto& last = ledger->now().step; last && id.step <= *last) return scene::stale_step(id.scene, id.step, *last);
+  if (const auto& last = ledger->now().step; last && id.step <= *last)
+    return scene::stale_step(id.scene, id.step, *last);
   Result<PushTerms> terms = read_push_terms(request.json, id, ledger->now(), coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();

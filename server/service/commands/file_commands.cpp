@@ -191,8 +191,9 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
   push.n = staged.n;
   push.way = api::Way::file;
   scene::Stepped stepped = commit(context, scene, staged, push, nullptr);
-  Response response = done({{"report", to_json(stepped.report)},
-                            {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+  Response response =
+      done({{"report", to_json(stepped.report)},
+            {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
   if (context.root()) response.change = {scene.name, std::move(stepped)};
   return response;
 }

@@ -7,8 +7,8 @@
 #include "common/partition/partition.hpp"
 #include "common/partition/quality/quality.hpp"
 #include "common/wire/limits.hpp"
-#include "server/service/commands/cuts_json.hpp"
 #include "server/api/lists.hpp"
+#include "server/service/commands/cuts_json.hpp"
 #include "server/service/commands/quality_json.hpp"
 #include "server/service/context/collective.hpp"
 

@@ -6,8 +6,8 @@
 #include "common/base/axis_names.hpp"
 #include "common/base/random.hpp"
 #include "common/wire/limits.hpp"
-#include "server/service/commands/geometry_fields.hpp"
 #include "server/api/lists.hpp"
+#include "server/service/commands/geometry_fields.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
 
@@ -92,7 +92,8 @@ Status append_particles(Context& context, const Scene& scene, bool positions, Re
 Response assign(Context& context, Scene& s, const wire::Json& request) {
   const auto checksum = wire::bool_field(request, "checksum");
   if (!checksum.ok()) return failed(checksum.status());
-  Response response = done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}, {"positions_step", *s.step}});
+  Response response =
+      done({{"epoch", s.epoch}, {"n", s.n}, {"hash", wire::hex64(s.cuts_hash())}, {"positions_step", *s.step}});
   if (Status status = append_particles(context, s, false, response); !status.ok()) return failed(std::move(status));
   if (checksum.value()) {
     std::uint64_t sum = 0;
@@ -127,12 +128,11 @@ Response plan(Context& context, Scene& s, const wire::Json&) {
   return response;
 }
 
-constexpr Command kQueryCommands[] = {
-    {"owner", owner, Needs::positions},
-    {"box", box, Needs::positions},
-    {"assign", assign, Needs::positions, true},
-    {"fetch", fetch, Needs::positions, true},
-    {"plan", plan, Needs::positions, true}};
+constexpr Command kQueryCommands[] = {{"owner", owner, Needs::positions},
+                                      {"box", box, Needs::positions},
+                                      {"assign", assign, Needs::positions, true},
+                                      {"fetch", fetch, Needs::positions, true},
+                                      {"plan", plan, Needs::positions, true}};
 
 }  // namespace
 

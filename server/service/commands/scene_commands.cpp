@@ -107,12 +107,12 @@ Result<SceneOptions> read_options(const wire::Json& request) {
   const auto method = read_method(request, options.dims, cuts::Method::rcb);
   if (!method.ok()) return method.status();
   options.method = method.value();
-  const auto policy = read_named(request, "policy", "policies: tolerance, cost", scene::policy_from_name,
-                                 scene::Policy::tolerance);
+  const auto policy =
+      read_named(request, "policy", "policies: tolerance, cost", scene::policy_from_name, scene::Policy::tolerance);
   if (!policy.ok()) return policy.status();
   options.policy = policy.value();
-  const auto positions = read_named(request, "positions", "positions: every-step, when-needed",
-                                    scene::travel_from_name, scene::Travel::every_step);
+  const auto positions = read_named(request, "positions", "positions: every-step, when-needed", scene::travel_from_name,
+                                    scene::Travel::every_step);
   if (!positions.ok()) return positions.status();
   options.positions = positions.value();
   if (const Status status = read_part_sizes(request, options); !status.ok()) return status;

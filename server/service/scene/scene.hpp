@@ -1,5 +1,5 @@
-// Room `scene`: what a rank keeps of a scene between orders: particles, tree, options. No collectives. What follows from
-// its steps (loads of counts, policy, reports) only rank 0 knows: server/scene.
+// Room `scene`: what a rank keeps of a scene between orders: particles, tree, options. No collectives. What follows
+// from its steps (loads of counts, policy, reports) only rank 0 knows: server/scene.
 //
 // Scene: a named particle set with its options, partition and history; each rank has its share of the particles.
 //
@@ -7,7 +7,8 @@
 // 1. Everything but `particles` and `part` is the same on all ranks.
 // 2. After every order this rank holds exactly the particles of its parts, in the layout's order, and part[i] is the
 //    part of particle i under `tree`.
-// 3. `step` is that of the positions held; later steps may have been counted only. `loads` are those of these positions.
+// 3. `step` is that of the positions held; later steps may have been counted only. `loads` are those of these
+// positions.
 #pragma once
 
 #include <array>
@@ -53,7 +54,7 @@ struct Scene {
   std::uint64_t epoch = 0;
   cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
-  partition::LoadSummary loads;  // of the parts
+  partition::LoadSummary loads;                              // of the parts
   std::shared_ptr<const partition::LoadSummary> told_loads;  // rank 0: those that the ledger knows; null: others
   // Back-off after a wasted incremental search: the next full_searches_left repartitions search all particles.
   // full_searches_last is the number that the last wasted one caused (1, 3, then 7; 0 after a success).

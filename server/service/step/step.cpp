@@ -240,8 +240,7 @@ void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
 }
 
 scene::Held held_of(const Context& context, Scene& scene) {
-  if (!scene.told_loads && scene.pushed)
-    scene.told_loads = std::make_shared<const partition::LoadSummary>(scene.loads);
+  if (!scene.told_loads && scene.pushed) scene.told_loads = std::make_shared<const partition::LoadSummary>(scene.loads);
   scene::Held held{.n = scene.n,
                    .weights = scene.particles.has_weights,
                    .ids = scene.ids,
