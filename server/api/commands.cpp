@@ -19,9 +19,9 @@ constexpr std::array<Fields, 26> kPushBegin{
     "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",      "plan",   "moved",
     "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",     "epoch",  "places",
     "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known", "drifted"};
-constexpr std::array<Fields, 15> kCount{"scene", "session", "step",     "incarnation",     "epoch",
-                                        "hash",  "n",       "id_sum",   "drifted",         "step_seconds",
-                                        "scale", "least",   "greatest", "weights_as_zero", "arrays"};
+constexpr std::array<Fields, 16> kCount{"scene",    "session",         "step",    "incarnation",  "epoch", "hash",
+                                        "n",        "id_sum",          "drifted", "step_seconds", "scale", "least",
+                                        "greatest", "weights_as_zero", "arrays",  "fault"};
 constexpr std::array<Fields, 4> kCuts{"scene", "list", "from", "count"};
 constexpr std::array<Fields, 4> kHistory{"scene", "last", "from", "count"};
 constexpr std::array<Fields, 3> kOwner{"scene", "position", "id"};

@@ -130,6 +130,16 @@ Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
   return command == "error" ? error(ledger) : counts(ledger);
 }
 
+wire::Json verdict_json(const scene::CountVerdict& verdict) {
+  using scene::CountVerdict;
+  if (const auto* send = std::get_if<CountVerdict::Send>(&verdict.is)) return {{"send", send->why}};
+  if (const auto* other = std::get_if<CountVerdict::OtherScale>(&verdict.is))
+    return {{"again", "scale"}, {"scale", other->exponent}};
+  if (const auto* done = std::get_if<CountVerdict::Committed>(&verdict.is))
+    return {{"report", to_json(done->report)}, {"previous_step", or_null(done->previous_step)}};
+  return {{"again", "cuts"}};
+}
+
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
   return with_reports(
       ledger.history(), number, number + 1,

@@ -15,4 +15,7 @@ Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int r
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 
+// What a count is answered, unless it is refused or repeated.
+wire::Json verdict_json(const scene::CountVerdict& verdict);
+
 }  // namespace rcb::api

@@ -92,12 +92,16 @@ std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::i
   return history_->total() - static_cast<std::uint64_t>(recent_.end() - found);
 }
 
-Status Ledger::check(const CountRecord& record) const {
+Status Ledger::check_seat(const CountRecord& record) const {
   if (now_.step && record.step <= *now_.step) return stale_step(name_, record.step, *now_.step);
   if (record.incarnation != now_.incarnation)
     return {Code::not_found, fmt::format("scene '{}' was made anew since it was opened here", name_),
             "open it again, and push its positions"};
-  if (!now_.step) return {};
+  return {};
+}
+
+Status Ledger::check(const CountRecord& record) const {
+  if (Status status = check_seat(record); !status.ok() || !now_.step) return status;
   if (record.n != now_.n)
     return {Code::not_conserved, fmt::format("{} particles counted, scene '{}' has {}", record.n, name_, now_.n),
             "count all particles once; where some are inserted or removed, push their positions"};

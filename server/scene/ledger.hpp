@@ -82,6 +82,9 @@ class Ledger {
   void take(const Asked& asked);
 
   CountVerdict count(const CountRecord& record);
+  // What a count must fit even if it is only that of one of the scene's seats. Errors: stale_step, not_found (another
+  // incarnation).
+  Status check_seat(const CountRecord& record) const;
   // The number, in the history, of a step that this session has committed; nothing if it has not.
   std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
 

@@ -61,15 +61,11 @@ Status MemberGroups::begin(ContributionBegin begin) {
   const std::string& scene = begin.id.scene;
   Group* group = find(scene);
   // While this push.begin waited for its turn, another generation may have taken the seat, or the scene was dropped.
-  const auto nobody = std::vector<Seat>::iterator();
-  const auto seat =
-      group == nullptr ? nobody : std::find_if(group->seats.begin(), group->seats.end(), [&](const Seat& one) {
-        return one.connection == begin.connection.get();
-      });
-  if (group == nullptr || seat == group->seats.end())
+  const auto seat = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
+  if (!seat)
     return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
             "open the scene again with a higher generation"};
-  const auto member = static_cast<std::size_t>(seat - group->seats.begin());
+  const std::size_t member = *seat;
   if (const MemberAnswers* before = kept_.before(scene);
       before != nullptr && answer_again(*before, nullptr, member, begin))
     return {};
@@ -107,6 +103,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   if (!refused.ok()) return refused;
   if (step && step->to_ranks() && !terms->to_ranks()) withdraw_direct(*step, member);
   if (!step) step = open_step(scene, begin.id.step, *group);
+  answer_count(*group, {{"send", fmt::format("{} pushes this step", name(scene, member))}});
   auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
   contribution->connection = std::move(begin.connection);
   contribution->client = std::move(begin.client);
@@ -276,7 +273,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   const bool to_ranks = step->to_ranks();
   Json request{{"command", "push.members"},
                {"scene", step->scene},
-               {"session", "members"},
+               {"session", kMembersSession},
                {"step", step->step},
                {"order", to_ranks ? "plan" : "id"}};
   OrderOptions order;
@@ -385,6 +382,7 @@ void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answ
   }
   if (Group* group = find(step->scene); group != nullptr && group->seats.size() == contributions.size()) {
     group->last = kept;
+    group->counted.reset();
     group->delivery = delivery;
   }
   kept_.keep(step->scene, kept, [this, scene = step->scene, kept, delivery] {

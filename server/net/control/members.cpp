@@ -139,6 +139,12 @@ Result<Membership> MemberGroups::join(const std::string& scene, Membership wante
   return wanted;
 }
 
+std::optional<std::size_t> MemberGroups::seat_of(const Group& group, const Connection* connection) {
+  const auto seat = std::ranges::find(group.seats, connection, &Seat::connection);
+  if (seat == group.seats.end()) return std::nullopt;
+  return static_cast<std::size_t>(seat - group.seats.begin());
+}
+
 void MemberGroups::leave(const std::string& scene, const Connection* connection, const std::string& why) {
   Group* group = find(scene);
   if (group == nullptr) return;
@@ -184,6 +190,11 @@ void MemberGroups::abort_step_because_of(const std::string& scene, std::size_t m
           {Code::aborted,
            fmt::format("step {} of scene '{}' was given up: {} {}", push->round->step, scene, name(scene, member), why),
            "the previous step stands; push again"});
+  if (Group* group = find(scene); group != nullptr && group->counting)
+    end_count(*group, {Code::aborted,
+                       fmt::format("step {} of scene '{}' was given up: {} {}", group->counting->tally.step(), scene,
+                                   name(scene, member), why),
+                       "the previous step stands; count or push again"});
   coordinator_.erase_gate_if_unused(scene);
 }
 

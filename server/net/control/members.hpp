@@ -24,6 +24,8 @@
 #include "server/net/push/push.hpp"
 #include "server/net/sockets/asio.hpp"
 #include "server/net/sockets/connection.hpp"
+#include "server/scene/ledger.hpp"
+#include "server/scene/tally.hpp"
 
 namespace rcb::net {
 
@@ -75,6 +77,29 @@ struct ContributionBegin {
   std::shared_ptr<void> held;  // memory of a large request (Coordinator::hold_request)
 };
 
+// A member's count.
+struct CountBegin {
+  std::string scene;
+  std::int64_t step = 0;
+  std::shared_ptr<Connection> connection;
+  std::uint64_t request = 0;
+  TimePoint end;
+  std::optional<scene::CountRecord> record;
+  Status fault;  // instead: what this member found in its particles, for which the step fails for all
+};
+
+// A step that members are counting.
+struct MemberCount {
+  MemberCount(asio::io_context& context, std::int64_t step, std::size_t seats)
+      : tally(step, seats), waiting(seats), timer(context) {}
+  scene::Tally tally;
+  std::vector<std::optional<CountBegin>> waiting;  // by seat: who is answered at its end
+  Timer timer;                                     // until the deadline or the next notice
+  TimePoint started = now();
+  TimePoint end = TimePoint::max();
+  bool over = false;
+};
+
 class MemberGroups {
  public:
   explicit MemberGroups(Coordinator& coordinator);
@@ -101,6 +126,9 @@ class MemberGroups {
   // Begins a contribution. The gate must hold no other push, and no change of the scene may be under way. A step that
   // is committed already is answered again. Errors: what is wrong with the push.begin.
   Status begin(ContributionBegin begin);
+  // Takes a member's count; answers all members once the last one has come. No change of the scene may be under way.
+  // Errors: what is wrong with this one; the others go on waiting.
+  Status count(CountBegin begin);
   // To be called when all slices of a contribution have arrived.
   void contribution_whole(const std::shared_ptr<OpenPush>& contribution);
   // contribution: the one at fault; null: none is.
@@ -131,13 +159,32 @@ class MemberGroups {
     };
     std::vector<To> to;
   };
+  // The last step that was counted, and its answer for a member that counts it again.
+  struct Counted {
+    std::int64_t step = 0;
+    wire::Json repeated;
+  };
   struct Group {
     bool follow = false;
+    std::shared_ptr<MemberCount> counting;  // null: no step is being counted
+    std::optional<Counted> counted;
     std::vector<Seat> seats;
     std::shared_ptr<const MemberAnswers> last;
     std::shared_ptr<Delivery> delivery;  // of `last`, until it is sent
   };
 
+  static constexpr const char* kMembersSession = "members";  // of the steps of all members together
+
+  static std::optional<std::size_t> seat_of(const Group& group, const Connection* connection);
+  static Status send_to(const CountBegin& begin, const wire::Json& json);
+  void open_count(const std::string& scene, std::int64_t step, Group& group);
+  void decide(Group& group, scene::Ledger& ledger);
+  // Both end the counting, if there is any.
+  static void answer_count(Group& group, const wire::Json& json);
+  static void end_count(Group& group, const Status& why);
+  std::string missing(const std::string& scene, const MemberCount& counting) const;
+  awaitable<void> watch_count(std::shared_ptr<Coordinator> self, std::string scene,
+                              std::shared_ptr<MemberCount> counting);
   Group* find(const std::string& scene);
   const Group* find(const std::string& scene) const;
   void abort_step_because_of(const std::string& scene, std::size_t member, const std::string& why);

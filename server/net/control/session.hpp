@@ -104,6 +104,10 @@ class Session : public std::enable_shared_from_this<Session> {
   // Of a count, at most so many as its scene has parts. Errors end the session.
   awaitable<Result<std::vector<wire::Array>>> read_count_arrays(const Frame& frame);
   awaitable<void> count(Request& request);
+  Status count_alone(Request& request, const PushId& id);
+  // As one of the scene's members, who are answered together.
+  Status count_as_member(Request& request, const PushId& id);
+  Result<scene::CountRecord> record_of(Request& request, const PushId& id);
   void answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict);
   awaitable<void> answer_from_ledger(Request& request);
   // Replies when the answer is complete, which may be on another thread.

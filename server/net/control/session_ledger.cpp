@@ -127,26 +127,51 @@ awaitable<Result<std::vector<wire::Array>>> Session::read_count_arrays(const Fra
 
 awaitable<void> Session::count(Request& request) {
   const Result<PushId> id = read_push_id(request.json, number_);
-  Status status = id.status();
-  if (status.ok()) status = coordinator_->groups().check_free(id->scene);
+  if (!id.ok()) {
+    fail(request.number, id.status());
+    co_return;
+  }
+  MemberGroups& groups = coordinator_->groups();
+  const bool member = groups.knows(id->scene, connection_.get());
+  Status status = member ? Status() : groups.check_free(id->scene);
   if (status.ok()) {
     SceneGate& gate = coordinator_->gate(id->scene);
-    status = co_await wait_turn(request, id->scene,
-                                [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; });
+    const auto ready = [&gate] { return gate.changes_unfinished == 0 && gate.push == nullptr; };
+    // A member is told that others push the step.
+    const auto joins = [&gate, member] { return member && gate.push && gate.push->round; };
+    status = co_await wait_turn(request, id->scene, ready, joins);
   }
-  scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(id->scene) : nullptr;
-  if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(id->scene);
-  if (status.ok()) {
-    request.json["session"] = id->session;
-    auto record = scene::read_count(request.json, request.arrays);
-    status = record.status();
-    if (status.ok()) {
-      record->bytes = request.bytes;
-      answer_count(request, *ledger, ledger->count(*record));
-    }
-  }
+  if (status.ok()) status = member ? count_as_member(request, *id) : count_alone(request, *id);
   if (!status.ok()) fail(request.number, status);
-  if (id.ok()) coordinator_->wake_queue(id->scene);
+  coordinator_->wake_queue(id->scene);
+}
+
+Result<scene::CountRecord> Session::record_of(Request& request, const PushId& id) {
+  request.json["session"] = id.session;
+  auto record = scene::read_count(request.json, request.arrays);
+  if (record.ok()) record->bytes = request.bytes;
+  return record;
+}
+
+Status Session::count_alone(Request& request, const PushId& id) {
+  scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
+  if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
+  const auto record = record_of(request, id);
+  if (record.ok()) answer_count(request, *ledger, ledger->count(*record));
+  return record.status();
+}
+
+Status Session::count_as_member(Request& request, const PushId& id) {
+  CountBegin begin{id.scene, id.step, connection_, request.number, request.end, {}, {}};
+  if (api::given(request.json, "fault")) {
+    begin.fault = wire::status_from_failure({{"failure", request.json["fault"]}});
+    if (begin.fault.ok()) begin.fault = {Code::invalid_argument, "field 'fault': expected {\"code\",\"message\"}"};
+  } else {
+    auto record = record_of(request, id);
+    if (!record.ok()) return record.status();
+    begin.record = std::move(*record);
+  }
+  return coordinator_->groups().count(std::move(begin));
 }
 
 void Session::answer_count(const Request& request, const scene::Ledger& ledger, scene::CountVerdict verdict) {
@@ -154,15 +179,7 @@ void Session::answer_count(const Request& request, const scene::Ledger& ledger, 
   if (const auto* refused = std::get_if<Status>(&is)) return fail(request.number, *refused);
   if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&is))
     return send_later(request, api::repeated(ledger, again->number));
-  Json json;
-  if (const auto* send = std::get_if<scene::CountVerdict::Send>(&is)) json = {{"send", send->why}};
-  if (std::holds_alternative<scene::CountVerdict::OtherCuts>(is)) json = {{"again", "cuts"}};
-  if (const auto* other = std::get_if<scene::CountVerdict::OtherScale>(&is))
-    json = {{"again", "scale"}, {"scale", other->exponent}};
-  if (const auto* done = std::get_if<scene::CountVerdict::Committed>(&is))
-    json = {{"report", to_json(done->report)},
-            {"previous_step", done->previous_step ? Json(*done->previous_step) : Json()}};
-  connection_->send(FrameType::reply, request.number, json);
+  connection_->send(FrameType::reply, request.number, api::verdict_json(verdict));
 }
 
 }  // namespace rcb::net

@@ -1,0 +1,140 @@
+// MemberGroups, part 3: a step that all members count, until all have, and the ledger has decided.
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "server/api/ledger_answers.hpp"
+#include "server/net/control/coordinator.hpp"
+#include "server/net/control/members.hpp"
+
+namespace rcb::net {
+
+using wire::FrameType;
+using wire::Json;
+
+namespace {
+
+constexpr const char* kRepeat = "the previous step stands; count or push again";
+
+}  // namespace
+
+Status MemberGroups::count(CountBegin begin) {
+  Group* group = find(begin.scene);
+  const auto seat = group == nullptr ? std::nullopt : seat_of(*group, begin.connection.get());
+  if (!seat) return {Code::aborted, "another generation of this member has opened the scene", "open it again"};
+  scene::Ledger* ledger = coordinator_.scenes().find(begin.scene);
+  if (ledger == nullptr) return coordinator_.unknown_scene(begin.scene);
+  if (group->counting && !begin.fault.ok() && begin.step == group->counting->tally.step()) {
+    end_count(*group, {begin.fault.code(), name(begin.scene, *seat) + ": " + begin.fault.message(), kRepeat});
+    return begin.fault;
+  }
+  if (!begin.fault.ok()) return begin.fault;
+  if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
+    // A seat that repeats a step of which the others have the answer.
+    if (fits.code() != Code::stale_step || !group->counted || group->counted->step != begin.step) return fits;
+    begin.connection->send(FrameType::reply, begin.request, group->counted->repeated);
+    return {};
+  }
+  const auto open = coordinator_.gate(begin.scene).push;
+  if (open && open->round) return send_to(begin, {{"send", "other members push this step"}});
+  if (group->counting && group->counting->tally.step() != begin.step)
+    return {Code::invalid_argument,
+            fmt::format("member {} counts step {}, the others count step {}", *seat, begin.step,
+                        group->counting->tally.step()),
+            "all members count the same step"};
+  if (!group->counting) open_count(begin.scene, begin.step, *group);
+  MemberCount& counting = *group->counting;
+  counting.tally.put(*seat, std::move(*begin.record));
+  counting.end = std::min(counting.end, begin.end);
+  counting.timer.cancel();  // so that the deadline is heeded
+  begin.record.reset();
+  counting.waiting[*seat] = std::move(begin);
+  if (counting.tally.whole()) decide(*group, *ledger);
+  return {};
+}
+
+Status MemberGroups::send_to(const CountBegin& begin, const Json& json) {
+  begin.connection->send(FrameType::reply, begin.request, json);
+  return {};
+}
+
+void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
+  auto all = group.counting->tally.sum();
+  if (!all.ok()) return end_count(group, all.status());
+  all->session = kMembersSession;
+  const scene::CountVerdict verdict = ledger.count(*all);
+  if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
+  const Json json = api::verdict_json(verdict);
+  if (std::holds_alternative<scene::CountVerdict::Committed>(verdict.is)) {
+    group.counted = Counted{all->step, json};
+    group.counted->repeated["repeated"] = true;
+    group.last.reset();
+  }
+  answer_count(group, json);
+}
+
+// The text is made once, for all.
+void MemberGroups::answer_count(Group& group, const Json& json) {
+  const auto counting = std::exchange(group.counting, nullptr);
+  if (counting == nullptr) return;
+  counting->over = true;
+  counting->timer.cancel();
+  for (const auto& begin : counting->waiting)
+    if (begin) begin->connection->send(FrameType::reply, begin->request, json);
+}
+
+void MemberGroups::end_count(Group& group, const Status& why) {
+  const auto counting = std::exchange(group.counting, nullptr);
+  if (counting == nullptr) return;
+  counting->over = true;
+  counting->timer.cancel();
+  for (const auto& begin : counting->waiting)
+    if (begin) begin->connection->send(FrameType::failure, begin->request, wire::failure_json(why));
+}
+
+void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
+  group.counting = std::make_shared<MemberCount>(coordinator_.context(), step, group.seats.size());
+  asio::co_spawn(coordinator_.context(), watch_count(coordinator_.shared_from_this(), scene, group.counting),
+                 asio::detached);
+}
+
+std::string MemberGroups::missing(const std::string& scene, const MemberCount& counting) const {
+  constexpr std::size_t kNamedMax = 8;
+  std::vector<std::string> names;
+  std::size_t more = 0;
+  for (std::size_t seat = 0; seat < counting.waiting.size(); ++seat) {
+    if (counting.tally.has(seat)) continue;
+    if (names.size() < kNamedMax)
+      names.push_back(name(scene, seat));
+    else
+      ++more;
+  }
+  return fmt::format("{}{}", fmt::join(names, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
+}
+
+awaitable<void> MemberGroups::watch_count(std::shared_ptr<Coordinator> self, std::string scene,
+                                          std::shared_ptr<MemberCount> counting) {
+  TimePoint notice_at = now() + duration_of(self->options().notice_seconds);
+  while (!counting->over) {
+    counting->timer.expires_at(std::min(notice_at, counting->end));
+    co_await counting->timer.async_wait(kAwait);
+    if (counting->over) break;
+    if (now() >= counting->end) {
+      if (Group* group = find(scene); group != nullptr && group->counting == counting)
+        end_count(*group, {Code::deadline_exceeded,
+                           fmt::format("step {} of scene '{}' was given up at its deadline: {} had not counted it",
+                                       counting->tally.step(), scene, missing(scene, *counting)),
+                           kRepeat});
+      break;
+    }
+    if (now() < notice_at) continue;
+    const std::string notice = fmt::format("step {} of scene '{}' has waited {:.0f} s for {}", counting->tally.step(),
+                                           scene, seconds_since(counting->started), missing(scene, *counting));
+    for (const auto& begin : counting->waiting)
+      if (begin) begin->connection->send(FrameType::notice, begin->request, {{"notice", notice}});
+    notice_at = now() + duration_of(self->options().notice_seconds);
+  }
+}
+
+}  // namespace rcb::net

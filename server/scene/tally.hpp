@@ -1,0 +1,30 @@
+// Tally: the counts of one step by the seats of a scene, which are the processes of its solver, until all are there.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "server/scene/count.hpp"
+
+namespace rcb::scene {
+
+class Tally {
+ public:
+  Tally(std::int64_t step, std::size_t seats) : step_(step), records_(seats) {}
+
+  std::int64_t step() const { return step_; }
+  // In place of what the seat has brought before, if anything.
+  void put(std::size_t seat, CountRecord record) { records_.at(seat) = std::move(record); }
+  bool has(std::size_t seat) const { return records_.at(seat).has_value(); }
+  bool whole() const;
+  // The counts of all seats together. Where they weigh in different scales, `weights->scale` is one that isn't due
+  // (scale_due), and the loads mean nothing. Errors: invalid_argument, naming the seat.
+  Result<CountRecord> sum() const;
+
+ private:
+  std::int64_t step_;
+  std::vector<std::optional<CountRecord>> records_;  // by seat
+};
+
+}  // namespace rcb::scene
