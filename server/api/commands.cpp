@@ -15,10 +15,10 @@ constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims"
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
                                          "part_sizes", "replace",         "recreated",     "positions"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
-constexpr std::array<Fields, 26> kPushBegin{
-    "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",      "plan",   "moved",
-    "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",     "epoch",  "places",
-    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known", "drifted"};
+constexpr std::array<Fields, 27> kPushBegin{
+    "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",      "plan",    "moved",
+    "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",     "epoch",   "places",
+    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known", "drifted", "refill"};
 constexpr std::array<Fields, 16> kCount{"scene",    "session",         "step",    "incarnation",  "epoch", "hash",
                                         "n",        "id_sum",          "drifted", "step_seconds", "scale", "least",
                                         "greatest", "weights_as_zero", "arrays",  "fault"};

@@ -124,6 +124,7 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   push.weights = fields.flag("weights");
   push.ids = fields.flag("ids");
   push.changes = fields.flag("changes");
+  push.refill = fields.flag("refill");
   push.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
   const std::string moved = fields.word("moved", {"all", "some", "none"});
   push.moved = moved == "all" ? Moved::all : moved == "some" ? Moved::some : Moved::none;

@@ -70,6 +70,9 @@ struct Push {
   std::vector<int> by_socket;  // by shared memory: the ranks, ascending, whose slices come over sockets all the same
   bool weights = false;
   bool ids = false;
+  // No step, but the particles of the last one, at any positions: for ranks that hold none, since they were started
+  // again.
+  bool refill = false;
   bool changes = false;     // the answer is to name the particles that changed their part
   bool is_float32 = false;  // of the positions, as sent
   Moved moved = Moved::all;

@@ -57,6 +57,7 @@ const StepReport& Ledger::take(Stepped stepped) {
   if (!now_.step || report.inserted > 0 || report.removed > 0) now_.id_sum.reset();
   static_cast<Held&>(now_) = std::move(stepped.held);
   now_.positions_step = report.step;
+  now_.filled = true;
   wants_positions_ = false;
   remember(report, stepped.session);
   return history_->last();
@@ -67,6 +68,13 @@ void Ledger::take(Rebalanced rebalanced) {
   static_cast<Held&>(now_) = std::move(rebalanced.held);
   error_when_not_adopted_.reset();
   costs_.start_again(now_.loads->imbalance);
+}
+
+// The loads stay those of the last step.
+void Ledger::take(Refilled refilled) {
+  refilled.held.loads = now_.loads;
+  static_cast<Held&>(now_) = std::move(refilled.held);
+  now_.filled = true;
 }
 
 void Ledger::take(const Asked& asked) {
@@ -176,6 +184,7 @@ const StepReport* Ledgers::take(Change change, std::uint64_t incarnation) {
   } else if (Ledger* ledger = find(change.scene)) {
     if (auto* stepped = std::get_if<Stepped>(&change.event)) return &ledger->take(std::move(*stepped));
     if (auto* rebalanced = std::get_if<Rebalanced>(&change.event)) ledger->take(std::move(*rebalanced));
+    if (auto* refilled = std::get_if<Refilled>(&change.event)) ledger->take(std::move(*refilled));
     if (const auto* asked = std::get_if<Asked>(&change.event)) ledger->take(*asked);
   }
   return nullptr;

@@ -36,7 +36,8 @@ struct SceneState : Held {
   SceneOptions options;
   std::uint64_t incarnation = 0;               // random, from its making
   std::optional<std::int64_t> step;            // the last one; none: no positions yet
-  std::optional<std::int64_t> positions_step;  // whose positions the ranks hold
+  std::optional<std::int64_t> positions_step;  // whose positions the ranks hold; none: nobody can say
+  bool filled = false;                         // the ranks hold its particles, of whatever step
   std::optional<std::uint64_t> id_sum;         // of mix64(id), mod 2^64; none: not known
 };
 
@@ -79,6 +80,7 @@ class Ledger {
   DecisionTerms terms(std::optional<double> step_seconds) const;
   const StepReport& take(Stepped stepped);  // returns the report as it is in the history
   void take(Rebalanced rebalanced);
+  void take(Refilled refilled);
   void take(const Asked& asked);
 
   CountVerdict count(const CountRecord& record);

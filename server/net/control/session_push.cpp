@@ -52,7 +52,8 @@ awaitable<void> Session::push_begin(Request& request) {
     SceneGate& now_at = coordinator_->gate(id->scene);  // the abort may have erased the gate
     status = co_await wait_turn(request, id->scene, [&now_at] { return now_at.changes_unfinished == 0; });
   }
-  if (const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(id->scene) : nullptr)
+  const bool step = status.ok() && !wire::is_true(request.json, "refill");
+  if (const scene::Ledger* ledger = step ? coordinator_->scenes().find(id->scene) : nullptr)
     if (const auto number = ledger->repeated(id->session, id->step)) {
       coordinator_->wake_queue(id->scene);
       refuse_slices(request.command, request.json);
@@ -113,8 +114,15 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   if (gate.push) coordinator_->abort(gate.push, {Code::aborted, "a newer attempt of the same session replaced it"});
   const scene::Ledger* ledger = coordinator_->scenes().find(id.scene);
   if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
-  if (const auto& last = ledger->now().step; last && id.step <= *last)
+  const auto& last = ledger->now().step;
+  if (wire::is_true(request.json, "refill")) {
+    if (ledger->now().filled || id.step != last)
+      return Status(Code::stale_step,
+                    fmt::format("scene '{}' doesn't lack the particles of step {}", id.scene, id.step),
+                    "ask scene.show, and push a step");
+  } else if (last && id.step <= *last) {
     return scene::stale_step(id.scene, id.step, *last);
+  }
   Result<PushTerms> terms = read_push_terms(request.json, id, ledger->now(), coordinator_->options().ranks,
                                             coordinator_->options().bulk_bytes_max);
   if (!terms.ok()) return terms.status();

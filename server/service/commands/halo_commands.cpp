@@ -315,8 +315,7 @@ Response neighbours(Context& context, Scene& s, const wire::Json& request) {
   return response;
 }
 
-constexpr Command kHaloCommands[] = {{"halo", halo, Needs::positions, true},
-                                     {"neighbours", neighbours, Needs::positions}};
+constexpr Command kHaloCommands[] = {{"halo", halo, Needs::positions, true}, {"neighbours", neighbours, Needs::cuts}};
 
 }  // namespace
 

@@ -55,7 +55,7 @@ Response cuts(Context& context, Scene& s, const wire::Json& request) {
   return done(std::move(json));
 }
 
-constexpr Command kPagedCommands[] = {{"cuts", cuts, Needs::positions}};
+constexpr Command kPagedCommands[] = {{"cuts", cuts, Needs::cuts}};
 
 }  // namespace
 

@@ -128,8 +128,8 @@ Response plan(Context& context, Scene& s, const wire::Json&) {
   return response;
 }
 
-constexpr Command kQueryCommands[] = {{"owner", owner, Needs::positions},
-                                      {"box", box, Needs::positions},
+constexpr Command kQueryCommands[] = {{"owner", owner, Needs::cuts},
+                                      {"box", box, Needs::cuts},
                                       {"assign", assign, Needs::positions, true},
                                       {"fetch", fetch, Needs::positions, true},
                                       {"plan", plan, Needs::positions, true}};

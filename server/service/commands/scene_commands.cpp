@@ -1,10 +1,12 @@
 // Create and drop scenes. Only the coordinator knows who has a scene open; it refuses a request before it orders
 // it.
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 #include <fmt/format.h>
 
+#include "common/cuts/cut_arrays.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 #include "server/api/lists.hpp"
@@ -146,6 +148,41 @@ Response create(Context& context, const wire::Json& request) {
   return response;
 }
 
+// An array of the order, which rank 0 has.
+template <typename T>
+std::vector<T> broadcast_array(Context& context, const char* name) {
+  const wire::Array* array = nullptr;
+  if (context.root()) array = wire::find_array(context.slices.front().arrays, name);
+  std::uint64_t bytes = array == nullptr ? 0 : array->bytes.size();
+  context.comm.broadcast(std::as_writable_bytes(std::span(&bytes, 1)), 0);
+  std::vector<T> values(bytes / sizeof(T));
+  if (array != nullptr && bytes > 0) std::memcpy(values.data(), array->bytes.data(), bytes);
+  context.comm.broadcast(std::as_writable_bytes(std::span(values)), 0);
+  return values;
+}
+
+// A scene of the service that ran here before: everything but its particles. Only rank 0 itself orders this.
+Response restore(Context& context, const wire::Json& request) {
+  auto options = read_options(request);
+  if (!options.ok()) return failed(options.status());
+  cuts::CutArrays arrays{.dims = options->dims, .method = options->method, .parts = options->parts};
+  arrays.part_sizes = broadcast_array<double>(context, "part_sizes");
+  arrays.axes = broadcast_array<std::int32_t>(context, "axes");
+  arrays.at = broadcast_array<double>(context, "at");
+  arrays.id = broadcast_array<cuts::Id>(context, "id");
+  auto tree = cuts::tree_of(arrays);
+  if (!tree.ok()) return failed(tree.status());
+  const auto name = request.at("scene").get<std::string>();
+  Scene scene = Scene::create(name, std::move(options).value());
+  scene.tree = std::move(*tree);
+  scene.epoch = request.at("epoch").get<std::uint64_t>();
+  scene.n = request.at("n").get<std::uint64_t>();
+  scene.ids = request.at("ids").get<bool>();
+  scene.particles.has_weights = request.at("weights").get<bool>();
+  context.scenes.insert_or_assign(name, std::move(scene));
+  return done(wire::Json::object());
+}
+
 Response drop(Context& context, Scene& scene, const wire::Json&) {
   const std::string name = scene.name;
   context.scenes.erase(name);
@@ -155,7 +192,8 @@ Response drop(Context& context, Scene& scene, const wire::Json&) {
   return response;
 }
 
-constexpr Command kSceneCommands[] = {{"scene.create", create}, {"scene.drop", drop, Needs::scene}};
+constexpr Command kSceneCommands[] = {
+    {"scene.create", create}, {"scene.restore", restore}, {"scene.drop", drop, Needs::scene}};
 
 }  // namespace
 

@@ -49,8 +49,8 @@ struct Context {
 using Handler = Response (*)(Context&, const wire::Json& request);
 using SceneHandler = Response (*)(Context&, Scene&, const wire::Json& request);
 
-// What must be there before a command is run: the scene that its request names, or its positions, too.
-enum class Needs { scene, positions };
+// What must be there before a command is run: the scene that its request names, its cuts, or its positions, too.
+enum class Needs { scene, cuts, positions };
 
 struct Command {
   constexpr Command(const char* of, Handler handler) : name(of), run(handler) {}

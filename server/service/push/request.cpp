@@ -51,7 +51,25 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   return order;
 }
 
+// A push that brings the particles of the last step to ranks that were started anew.
+static Status check_refill(const Scene& scene, const PushRequest& push) {
+  if (scene.pushed || scene.epoch == 0)
+    return {Code::invalid_argument, fmt::format("scene '{}' lacks no particles", scene.name), "push a step"};
+  if (push.n != scene.n || push.weights != scene.particles.has_weights)
+    return {Code::invalid_argument,
+            fmt::format("{} particles {} weights brought, scene '{}' has {} {} weights", push.n,
+                        push.weights ? "with" : "without", scene.name, scene.n,
+                        scene.particles.has_weights ? "with" : "without"),
+            "bring all particles of the last step"};
+  return {};
+}
+
 Status check_request(const Scene& scene, const PushRequest& push) {
+  if (push.refill) return check_refill(scene, push);
+  if (!scene.pushed && scene.epoch > 0)
+    return {Code::base_lost,
+            fmt::format("the ranks hold no particles of scene '{}' since the service was started", scene.name),
+            "bring all of them first: push.begin with \"refill\""};
   if (scene.step && push.id.step <= *scene.step) return scene::stale_step(scene.name, push.id.step, *scene.step);
   if (scene.pushed && push.n != scene.n)
     return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),

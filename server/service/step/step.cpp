@@ -257,6 +257,23 @@ scene::Held held_of(const Context& context, Scene& scene) {
   return held;
 }
 
+void refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push) {
+  scene.particles = std::move(staged.arrays);
+  scene.ids = staged.ids;
+  const particles::ParticleView view = scene.particles.view();
+  const cuts::Positions positions = cuts::Positions::axes(
+      std::span<const double* const>(view.position.data(), static_cast<std::size_t>(scene.options.dims)), view.count);
+  scene.part.resize(view.count);
+  const Status found = scene.snapshot().owner(positions, {.ids = scene.particles.id.span()}, scene.part.span());
+  RCB_CHECK(found.ok(), found.message());  // the values were checked
+  scene.loads =
+      partition::summarise_loads(context.comm, view, scene.part.span(), scene.options.part_sizes, scene.options.parts);
+  scene.told_loads.reset();
+  scene.pushed = true;
+  scene.step = push.id.step;
+  migrate(context.comm, scene, true);
+}
+
 scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
   const double start = context.clock.seconds();
   const bool first = !scene.pushed;
