@@ -1,7 +1,6 @@
 #include "server/scene/journal.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <optional>
 #include <utility>
 
@@ -14,7 +13,6 @@ namespace rcb::scene {
 namespace {
 
 constexpr const char* kScenes = "scenes";
-constexpr std::string_view kOld = "scenes.old-";
 constexpr const char* kState = "state";
 constexpr std::size_t kHexDigits = 16;
 
@@ -32,13 +30,6 @@ std::optional<SceneFolder> parse_folder_name(const std::string& name) {
   return same ? std::optional(std::move(scene)) : std::nullopt;
 }
 
-// Names in a folder; none if it isn't there.
-Result<std::vector<std::string>> names_if_there(const Storage& storage, const std::string& folder) {
-  auto names = storage.names_in(folder);
-  if (!names.ok() && names.status().code() == Code::not_found) return std::vector<std::string>();
-  return names;
-}
-
 }  // namespace
 
 std::string SceneFolder::path(const std::string& data) const {
@@ -46,7 +37,7 @@ std::string SceneFolder::path(const std::string& data) const {
 }
 
 Result<std::vector<SceneFolder>> scene_folders(const Storage& storage, const std::string& data) {
-  const auto names = names_if_there(storage, join_path(data, kScenes));
+  const auto names = storage.names_in(join_path(data, kScenes));
   if (!names.ok()) return names.status();
   std::vector<SceneFolder> found;
   for (const std::string& name : *names)
@@ -55,23 +46,19 @@ Result<std::vector<SceneFolder>> scene_folders(const Storage& storage, const std
 }
 
 Result<std::string> set_scenes_aside(Storage& storage, const std::string& data) {
-  const auto names = names_if_there(storage, data);
+  const auto names = storage.names_in(data);
   if (!names.ok()) return names.status();
   if (std::find(names->begin(), names->end(), kScenes) == names->end()) return std::string();
-  std::uint32_t last = 0;
-  for (const std::string& name : *names) {
-    std::uint32_t number = 0;
-    if (!name.starts_with(kOld)) continue;
-    std::from_chars(name.data() + kOld.size(), name.data() + name.size(), number);
-    last = std::max(last, number);
-  }
-  const std::string aside = join_path(data, fmt::format("{}{}", kOld, std::uint64_t{last} + 1));
+  std::string aside;
+  for (int n = 1; aside.empty() || std::find(names->begin(), names->end(), aside) != names->end(); ++n)
+    aside = fmt::format("{}.old-{}", kScenes, n);
+  aside = join_path(data, aside);
   if (Status renamed = storage.rename(join_path(data, kScenes), aside); !renamed) return renamed;
   return aside;
 }
 
 Status remove_scene_folder(Storage& storage, const std::string& path) {
-  const auto names = names_if_there(storage, path);
+  const auto names = storage.names_in(path);
   if (!names.ok()) return names.status();
   if (Status removed = storage.remove(join_path(path, kState)); !removed) return removed;
   for (const std::string& name : *names)
@@ -101,13 +88,9 @@ Result<Journal> Journal::open(Storage& storage, const std::string& data, const S
   if (Status checked = storage.make_folder(path); !checked) return checked;
   Journal journal(storage, path, scene.incarnation);
   found = {};
-  auto states = journal.state_.open(found.faults);
-  if (!states.ok()) return states.status();
-  auto cuts = journal.cuts_.open(found.faults);
-  if (!cuts.ok()) return cuts.status();
-  if (Status reports = journal.reports_.open(found.faults); !reports) return reports;
-  found.states = std::move(*states);
-  found.cuts = std::move(*cuts);
+  for (Status status : {journal.state_.open(found.states, found.faults), journal.cuts_.open(found.cuts, found.faults),
+                        journal.reports_.open(found.faults)})
+    if (!status.ok()) return status;
   return journal;
 }
 

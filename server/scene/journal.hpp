@@ -38,7 +38,7 @@ struct SceneFolder {
 // The folders of a data directory. One whose state isn't there, without any fault, was being made or removed when the
 // service ended, and is to be removed. Errors: io_error.
 Result<std::vector<SceneFolder>> scene_folders(const Storage& storage, const std::string& data);
-// Renames DATA/scenes to DATA/scenes.old-N, N above all others, and returns that path; empty if there is none to
+// Renames DATA/scenes to DATA/scenes.old-N, N = 1, 2, ..., and returns that path; empty if there is none to
 // rename.
 Result<std::string> set_scenes_aside(Storage& storage, const std::string& data);
 // Removes a folder, the state first. Errors: io_error.

@@ -21,12 +21,12 @@ std::string_view JournalSlots::slot(std::size_t which) const {
   return all.substr(which * (all.size() / 2), all.size() / 2);
 }
 
-Result<std::vector<std::string>> JournalSlots::open(std::vector<std::string>& faults) {
+Status JournalSlots::open(std::vector<std::string>& values, std::vector<std::string>& faults) {
   auto file = storage_->open_file(path_, Storage::Access::write);
   if (!file.ok()) {
     if (file.status().code() == Code::io_error) return file.status();
     if (file.status().code() != Code::not_found) faults.push_back(file.status().message());
-    return std::vector<std::string>();
+    return {};
   }
   file_ = std::move(*file);
   const std::array<std::optional<JournalRecord>, 2> in{decode_record(slot(0), seed_), decode_record(slot(1), seed_)};
@@ -36,14 +36,13 @@ Result<std::vector<std::string>> JournalSlots::open(std::vector<std::string>& fa
   if (!in[0] && !in[1]) {
     faults.push_back(path_ + ": neither slot is valid");
     file_.reset();
-    return std::vector<std::string>();
+    return {};
   }
   current_ = !in[0] || (in[1] && static_cast<std::int64_t>(in[1]->number - in[0]->number) > 0) ? 1 : 0;
   number_ = in[current_]->number;
-  std::vector<std::string> values;
   for (const std::size_t k : {current_, 1 - current_})
     if (in[k]) values.emplace_back(in[k]->bytes);
-  return values;
+  return {};
 }
 
 Status JournalSlots::put(std::string_view bytes) {
@@ -61,8 +60,8 @@ Status JournalSlots::move_to_larger_file(std::string_view bytes) {
   const std::size_t slot_bytes = std::max(kSlotBytesMin, 2 * (kRecordHeadBytes + bytes.size()));
   auto larger = storage_->make_file(path, 2 * slot_bytes);
   if (!larger.ok()) return larger.status();
-  if (file_)  // as the older one of two
-    (*larger)->store(0, encode_record(number_, decode_record(slot(current_), seed_)->bytes, seed_));
+  const auto current = file_ ? decode_record(slot(current_), seed_) : std::nullopt;
+  if (current) (*larger)->store(0, encode_record(number_, current->bytes, seed_));  // the older one of two from now on
   (*larger)->store(slot_bytes, encode_record(number_ + 1, bytes, seed_));
   if (Status renamed = storage_->rename(path, path_); !renamed) {
     static_cast<void>(storage_->remove(path));

@@ -21,9 +21,9 @@ class JournalSlots {
   JournalSlots(Storage& storage, std::string path, std::uint64_t seed)
       : storage_(&storage), path_(std::move(path)), seed_(seed) {}
 
-  // The values found, the newest first: two, one or, where the file isn't there, none. faults: what is wrong with the
-  // file, in words. Errors: io_error.
-  Result<std::vector<std::string>> open(std::vector<std::string>& faults);
+  // values: those found, the newest first: two, one or, where the file isn't there, none. faults: what is wrong with
+  // the file, in words, is added. Errors: io_error.
+  Status open(std::vector<std::string>& values, std::vector<std::string>& faults);
   // After an open() that found two: the older one is in force, so the newer one is overwritten next.
   void hold_older() { current_ = 1 - current_; }
   // Errors: io_error (only if it doesn't fit the slots, or for the first value), too_large; the values stand then.

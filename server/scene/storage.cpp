@@ -45,29 +45,37 @@ class DiskFile final : public MappedFile {
 
 // Gives each byte a place on the disk. What is there stays.
 int allocate(int file, std::size_t bytes) {
-  int fault = EINTR;
-  while (bytes > 0 && fault == EINTR) fault = ::posix_fallocate(file, 0, static_cast<off_t>(bytes));
-  return bytes > 0 ? fault : 0;
+  int fault = bytes == 0 ? 0 : EINTR;
+  while (fault == EINTR) fault = ::posix_fallocate(file, 0, static_cast<off_t>(bytes));
+  return fault;
 }
 
 Result<std::unique_ptr<MappedFile>> map_file(const std::string& path, int file, std::size_t bytes,
                                              Storage::Access access) {
-  if (bytes == 0) return std::unique_ptr<MappedFile>(std::make_unique<DiskFile>(nullptr, 0));  // can't be mapped
   const int protection = access == Storage::Access::write ? PROT_READ | PROT_WRITE : PROT_READ;
-  void* const at = ::mmap(nullptr, bytes, protection, MAP_SHARED, file, 0);
+  void* const at = bytes == 0 ? nullptr : ::mmap(nullptr, bytes, protection, MAP_SHARED, file, 0);  // 0 can't be mapped
   if (at == MAP_FAILED) return storage_fault("map", path, errno);
   return std::unique_ptr<MappedFile>(std::make_unique<DiskFile>(static_cast<char*>(at), bytes));
 }
 
-}  // namespace
-
-Status DiskStorage::make_folder(const std::string& path) { return make_own_directory(path); }
+class DiskStorage final : public Storage {
+ public:
+  Status make_folder(const std::string& path) override { return make_own_directory(path); }
+  Result<std::vector<std::string>> names_in(const std::string& folder) const override;
+  Result<std::unique_ptr<MappedFile>> make_file(const std::string& path, std::size_t bytes) override;
+  Result<std::unique_ptr<MappedFile>> open_file(const std::string& path, Access access) const override;
+  Status rename(const std::string& from, const std::string& to) override {
+    return ::rename(from.c_str(), to.c_str()) == 0 ? Status() : storage_fault("rename", from, errno);
+  }
+  Status remove(const std::string& path) override {
+    return std::remove(path.c_str()) == 0 || errno == ENOENT ? Status() : storage_fault("remove", path, errno);
+  }
+};
 
 Result<std::vector<std::string>> DiskStorage::names_in(const std::string& folder) const {
   std::error_code fault;
   auto names = rcb::names_in(folder, fault);
-  if (fault == std::errc::no_such_file_or_directory) return Status(Code::not_found, folder + " is not there");
-  if (fault) return storage_fault("look into", folder, fault.value());
+  if (fault && fault != std::errc::no_such_file_or_directory) return storage_fault("look into", folder, fault.value());
   return names;
 }
 
@@ -96,12 +104,8 @@ Result<std::unique_ptr<MappedFile>> DiskStorage::open_file(const std::string& pa
   return map_file(path, file->get(), bytes, access);
 }
 
-Status DiskStorage::rename(const std::string& from, const std::string& to) {
-  return ::rename(from.c_str(), to.c_str()) == 0 ? Status() : storage_fault("rename", from, errno);
-}
+}  // namespace
 
-Status DiskStorage::remove(const std::string& path) {
-  return std::remove(path.c_str()) == 0 || errno == ENOENT ? Status() : storage_fault("remove", path, errno);
-}
+std::unique_ptr<Storage> disk_storage() { return std::make_unique<DiskStorage>(); }
 
 }  // namespace rcb::scene

@@ -1,5 +1,5 @@
 // Storage: the few things that a journal asks of a file system, so that tests can put one in its place that is full,
-// fails or ends in the middle of a copy, thousands of times from a seed. DiskStorage is the real one.
+// fails or ends in the middle of a copy, thousands of times from a seed. disk_storage() is the real one.
 //
 // Invariants
 // 1. Files are mapped, and what is stored outlives the process without a further call, since the pages are the
@@ -39,6 +39,7 @@ class Storage {
   virtual ~Storage() = default;
   // Makes it and its missing parents, of mode 0700; one that is there is checked: whether others could change it.
   virtual Status make_folder(const std::string& path) = 0;
+  // None if it isn't there.
   virtual Result<std::vector<std::string>> names_in(const std::string& folder) const = 0;
   // A new file of zeros, of mode 0600, in place of what is there.
   virtual Result<std::unique_ptr<MappedFile>> make_file(const std::string& path, std::size_t bytes) = 0;
@@ -49,14 +50,6 @@ class Storage {
   virtual Status remove(const std::string& path) = 0;
 };
 
-class DiskStorage final : public Storage {
- public:
-  Status make_folder(const std::string& path) override;
-  Result<std::vector<std::string>> names_in(const std::string& folder) const override;
-  Result<std::unique_ptr<MappedFile>> make_file(const std::string& path, std::size_t bytes) override;
-  Result<std::unique_ptr<MappedFile>> open_file(const std::string& path, Access access) const override;
-  Status rename(const std::string& from, const std::string& to) override;
-  Status remove(const std::string& path) override;
-};
+std::unique_ptr<Storage> disk_storage();
 
 }  // namespace rcb::scene

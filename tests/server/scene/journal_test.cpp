@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <csignal>
+#include <cstring>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -36,8 +37,14 @@ using Reports = std::map<std::uint64_t, std::string>;
 std::string value_of(const char* kind, std::uint64_t version, std::size_t size_max) {
   Random random(version);
   std::string text = fmt::format("{} {} ", kind, version);
-  const std::size_t size = random.below(size_max + 1);
-  for (std::size_t k = 0; k < size; ++k) text += static_cast<char>(random.next());
+  const std::size_t begin = text.size();
+  const std::size_t size = begin + random.below(size_max + 1);
+  text.resize(size + sizeof(std::uint64_t));
+  for (std::size_t k = begin; k < size; k += 8) {
+    const std::uint64_t bytes = random.next();
+    std::memcpy(text.data() + k, &bytes, sizeof bytes);
+  }
+  text.resize(size);
   return text;
 }
 
@@ -89,15 +96,15 @@ class Lives {
   explicit Lives(std::uint64_t seed) : random_(seed), disk_(mix64(seed)) {
     if (random_.below(2) == 0) fault_rate_ = random_.uniform(0, 0.5);
     if (random_.below(3) == 0) disk_.room = random_.below(6U << 20U);
-    large_ = random_.below(3) == 0;
+    large_ = random_.below(6) == 0;
   }
 
   void run() {
     for (int life = 0; life < 4; ++life) {
-      disk_.die_after(1 + random_.below(random_.below(2) == 0 ? 15 : 700));
+      disk_.die_after(1 + random_.below(random_.below(2) == 0 ? 15 : 450));
       try {
         start();
-        for (int work = 0; work < 900 && !::testing::Test::HasFailure(); ++work) do_something();
+        for (int work = 0; work < 400 && !::testing::Test::HasFailure(); ++work) do_something();
         check();
       } catch (const ProcessDied&) {
       }
@@ -176,7 +183,7 @@ class Lives {
   }
   void append() {
     const std::uint64_t number = journal_->next_report() + (random_.below(10) == 0 ? random_.below(5) : 0);
-    const std::size_t size_max = !large_ ? 200 : random_.below(60) == 0 ? 1500000 : 30000;
+    const std::size_t size_max = !large_ ? 200 : random_.below(100) == 0 ? 1500000 : 30000;
     begun_report_.emplace(number, value_of("report", ++version_, size_max));
     const Status status = journal_->append(number, begun_report_->second);
     if (status.ok()) {
@@ -216,13 +223,386 @@ class Lives {
 TEST(Journal, GivesBackWhatWasPutWhereverTheProcessDies) {
   const std::uint64_t seed = std::random_device{}();
   std::size_t reports = 0;
-  for (std::uint64_t k = 0; k < 4000 && !HasFailure(); ++k) {
+  for (std::uint64_t k = 0; k < 3000 && !HasFailure(); ++k) {
     SCOPED_TRACE(fmt::format("seed {}", seed + k));
     Lives lives(seed + k);
     lives.run();
     reports += lives.reports();
   }
   EXPECT_GT(reports, 4000U);  // else nothing has been tested
+}
+
+// A journal of a few values on a simulated disk, to be damaged.
+class DamagedJournal : public ::testing::Test {
+ protected:
+  DamagedJournal() {
+    auto made = Journal::create(disk_, "data", kJet);
+    for (std::uint64_t k = 0; k < 12; ++k) {
+      EXPECT_TRUE(k % 4 != 0 || made->put_cuts(value_of("cuts", k, 90)).ok());
+      EXPECT_TRUE(made->put_state(value_of("state", k, 90)).ok());
+      reports_.emplace(k, value_of("report", k, 90));
+      EXPECT_TRUE(made->append(k, reports_[k]).ok());
+    }
+  }
+  // Opens it and checks that all that is found was put; says what was found.
+  JournalFound open() {
+    JournalFound found;
+    auto journal = Journal::open(disk_, "data", kJet, found);
+    EXPECT_TRUE(journal.ok()) << journal.status().message();
+    if (!journal.ok()) return found;
+    check("state", found.states, {11, 10});
+    check("cuts", found.cuts, {8, 4});
+    found_ = reports_in(*journal);
+    EXPECT_EQ(journal->reports(), found_.size());
+    EXPECT_TRUE(found_ == Reports(reports_.begin(), reports_.lower_bound(found_.size())));
+    // It takes what comes next, whatever was there.
+    EXPECT_TRUE(journal->put_state("next state").ok() && journal->put_cuts("next cuts").ok());
+    EXPECT_TRUE(journal->append(100, "next").ok());
+    JournalFound again;
+    journal = Journal::open(disk_, "data", kJet, again);
+    EXPECT_TRUE(journal.ok() && again.states[0] == "next state" && again.cuts[0] == "next cuts");
+    EXPECT_EQ(journal->reports(), found_.size() + 1);
+    EXPECT_EQ(reports_in(*journal)[100], "next");
+    return found;
+  }
+  static void check(const char* kind, const std::vector<std::string>& found, const std::vector<std::uint64_t>& put) {
+    std::size_t next = 0;
+    for (const std::string& value : found) {
+      while (next < put.size() && value != value_of(kind, put[next], 90)) ++next;
+      EXPECT_LT(next++, put.size()) << "never put, or out of order: " << value.substr(0, 20);
+    }
+  }
+  std::map<std::string, std::string> saved() const {
+    std::map<std::string, std::string> copy;
+    for (const auto& [path, bytes] : disk_.files) copy[path] = *bytes;
+    return copy;
+  }
+  void restore(const std::map<std::string, std::string>& copy) {
+    disk_.files.clear();
+    for (const auto& [path, bytes] : copy) disk_.files[path] = std::make_shared<std::string>(bytes);
+  }
+  std::string& file(const std::string& name) { return *disk_.files.at(kJet.path("data") + "/" + name); }
+
+  SimulatedStorage disk_{1};
+  Reports reports_, found_;
+};
+
+TEST_F(DamagedJournal, AnyByteChangedGivesNoWrongValue) {
+  const auto whole = saved();
+  std::size_t changed = 0;
+  for (const auto& [path, bytes] : whole)
+    for (std::size_t at = 0; at < bytes.size(); ++at) {
+      if (bytes[at] == '\0' && at % 997 != 0 && (at == 0 || bytes[at - 1] == '\0')) continue;  // most of it is unused
+      restore(whole);
+      (*disk_.files[path])[at] ^= static_cast<char>(1U << (at % 8));
+      SCOPED_TRACE(fmt::format("{}, byte {}", path, at));
+      const JournalFound found = open();
+      EXPECT_TRUE(found.states.size() + found.cuts.size() + found_.size() == 16 || !found.faults.empty());
+      EXPECT_GE(found.states.size() + found.cuts.size(), 3U);
+      if (HasFailure()) return;
+      ++changed;
+    }
+  EXPECT_GT(changed, 1000U);
+}
+
+TEST_F(DamagedJournal, FilesOfAnyLengthAreRead) {
+  const auto whole = saved();
+  for (const auto& [path, bytes] : whole)
+    for (std::size_t size = 0; size < bytes.size() + 40; size += size < 700 ? 1 : 1009) {
+      restore(whole);
+      disk_.files[path]->resize(size);
+      SCOPED_TRACE(fmt::format("{} of {} bytes", path, size));
+      open();
+      if (HasFailure()) return;
+    }
+}
+
+TEST_F(DamagedJournal, FilesThatAreMissingAreTold) {
+  const auto whole = saved();
+  for (const auto& [path, bytes] : whole) {
+    restore(whole);
+    disk_.files.erase(path);
+    const JournalFound found = open();
+    EXPECT_EQ(found.states.empty() + found.cuts.empty() + found_.empty(), 1) << path;
+    EXPECT_TRUE(found.faults.empty());
+  }
+}
+
+TEST_F(DamagedJournal, ADiskThatFailsForAMomentLosesNothing) {
+  const auto whole = saved();
+  int opened = 0;
+  for (int k = 0; k < 300; ++k) {
+    restore(whole);
+    disk_.fault_rate = 0.2;
+    JournalFound found;
+    const auto journal = Journal::open(disk_, "data", kJet, found);
+    disk_.fault_rate = 0;
+    if (journal.ok()) {
+      ++opened;
+      EXPECT_TRUE(found.states.size() == 2 && found.cuts.size() == 2 && journal->reports() == 12);
+    } else {
+      EXPECT_EQ(journal.status().code(), Code::io_error);
+    }
+    EXPECT_TRUE(saved() == whole);
+  }
+  EXPECT_TRUE(opened > 10 && opened < 290) << opened;
+}
+
+TEST_F(DamagedJournal, WhatWasForgottenIsNoDamage) {
+  JournalFound found;
+  auto journal = Journal::open(disk_, "data", kJet, found);
+  EXPECT_TRUE(journal->keep_below(5).ok());
+  EXPECT_TRUE(journal->append(5, "short").ok());
+  journal = Journal::open(disk_, "data", kJet, found);
+  EXPECT_EQ(journal->reports(), 6U);
+  EXPECT_TRUE(found.faults.empty()) << found.faults[0];
+}
+
+TEST_F(DamagedJournal, OneThatIsBeingRemovedHasNoState) {
+  const auto whole = saved();
+  std::size_t without = 0;
+  for (std::uint64_t calls = 1; calls < 10; ++calls)
+    for (int coin = 0; coin < 8; ++coin) {
+      restore(whole);
+      JournalFound found;
+      auto journal = Journal::open(disk_, "data", kJet, found);
+      disk_.die_after(calls);
+      try {
+        EXPECT_TRUE(journal->remove().ok());
+      } catch (const ProcessDied&) {
+      }
+      disk_.live();
+      journal = Journal::open(disk_, "data", kJet, found);
+      EXPECT_TRUE(found.states.empty() || (found.cuts.size() == 2 && journal->reports() == 12));
+      EXPECT_TRUE(found.faults.empty());
+      without += found.states.empty() ? 1 : 0;
+    }
+  EXPECT_GT(without, 10U);
+}
+
+TEST_F(DamagedJournal, FilesOfAnotherIncarnationAreNotTaken) {
+  const SceneFolder other{"jet", kJet.incarnation + 1};
+  auto made = Journal::create(disk_, "data", other);
+  ASSERT_TRUE(made->put_state("foreign").ok() && made->append(0, "foreign").ok());
+  for (const char* name : {"state", "steps.0"}) file(name) = *disk_.files.at(other.path("data") + "/" + name);
+  const JournalFound found = open();
+  EXPECT_TRUE(found.states.empty() && found_.empty());
+  EXPECT_EQ(found.faults.size(), 3U) << "the slot, so the file; the first report";
+}
+
+// Who can write the files can write their checksums.
+TEST_F(DamagedJournal, NumbersOfAnySizeAreSurvived) {
+  const std::uint64_t highest = ~std::uint64_t{0};
+  for (const std::uint64_t number : {highest, highest >> 1U, highest - 1, std::uint64_t{0}})
+    for (const std::uint64_t other : {highest, std::uint64_t{0}, number + 1}) {
+      file("state").replace(0, 28, scene::encode_record(number, "1st!", kJet.incarnation));
+      file("state").replace(file("state").size() / 2, 28, scene::encode_record(other, "2nd!", kJet.incarnation));
+      JournalFound found;
+      auto journal = Journal::open(disk_, "data", kJet, found);
+      ASSERT_TRUE(journal.ok() && found.states.size() == 2);
+      for (const char* state : {"a", "b", "c"}) {
+        ASSERT_TRUE(journal->put_state(state).ok());
+        journal = Journal::open(disk_, "data", kJet, found);
+        ASSERT_TRUE(journal.ok());
+        EXPECT_EQ(found.states.at(0), state) << number << " " << other;
+      }
+    }
+  for (const std::uint64_t number : {highest, highest >> 1U}) {
+    file("steps.0").replace(0, 28, scene::encode_record(number, "high", kJet.incarnation));
+    JournalFound found;
+    auto journal = Journal::open(disk_, "data", kJet, found);
+    ASSERT_TRUE(journal.ok());
+    EXPECT_EQ(journal->reports(), 0U);
+    EXPECT_EQ(journal->next_report(), 0U);
+    EXPECT_EQ(found.faults.size(), 1U);
+  }
+}
+
+TEST(Journal, TakesReportsAgainOnceThereIsRoom) {
+  SimulatedStorage disk(1);
+  disk.room = 3U << 20U;
+  auto journal = Journal::create(disk, "data", kJet);
+  ASSERT_TRUE(journal->put_state("state").ok() && journal->put_cuts("cuts").ok());
+  std::uint64_t number = 0;
+  while (journal->append(number, std::string(100000, 'x')).ok()) ++number;
+  EXPECT_EQ(number, 20U) << "two segments of ten";
+  EXPECT_EQ(journal->append(number, std::string(100000, 'x')).code(), Code::io_error);
+  EXPECT_TRUE(journal->append(number + 1, "a short one still fits").ok());
+  EXPECT_TRUE(journal->put_state("in place").ok() && journal->put_cuts("in place").ok());
+  EXPECT_EQ(journal->put_state(std::string(600000, 's')).code(), Code::io_error);
+  disk.room *= 2;
+  EXPECT_TRUE(journal->append(number + 2, std::string(100000, 'y')).ok());
+  JournalFound found;
+  journal = Journal::open(disk, "data", kJet, found);
+  EXPECT_EQ(found.states.at(0), "in place");
+  EXPECT_TRUE(found.faults.empty());
+  EXPECT_EQ(journal->reports(), 22U);
+  EXPECT_EQ(journal->next_report(), 23U);
+  EXPECT_EQ(reports_in(*journal, number, number + 2).size(), 1U);
+}
+
+TEST(Journal, RefusesWhatIsTooLargeOrOutOfOrder) {
+  SimulatedStorage disk(1);
+  auto journal = Journal::create(disk, "data", kJet);
+  const std::string large(scene::kRecordBytesMax + 1, 'x');
+  EXPECT_EQ(journal->put_state(large).code(), Code::too_large);
+  EXPECT_EQ(journal->append(0, large).code(), Code::too_large);
+  EXPECT_TRUE(journal->append(5, "five").ok());
+  EXPECT_EQ(journal->append(5, "again").code(), Code::invalid_argument);
+  EXPECT_EQ(Journal::create(disk, "data", kJet).status().code(), Code::already_exists);
+}
+
+TEST(Journal, FoldersAreListedAndSetAside) {
+  SimulatedStorage disk(1);
+  EXPECT_TRUE(scene::scene_folders(disk, "data")->empty());
+  EXPECT_EQ(*scene::set_scenes_aside(disk, "data"), "");
+  for (const char* name : {".", "a.b", "jet"}) {
+    auto journal = Journal::create(disk, "data", {name, 7});
+    EXPECT_TRUE(journal->put_state(name).ok());
+  }
+  for (const char* name : {"jet", "jet.7", "jet.000000000000000G", "jet.000000000000000A", ".0000000000000007",
+                           "j t.0000000000000007", "jet-0000000000000007"})
+    EXPECT_TRUE(disk.make_folder(std::string("data/scenes/") + name).ok());
+  std::string listed;
+  const auto folders = scene::scene_folders(disk, "data");
+  for (const SceneFolder& folder : *folders) listed += fmt::format("{} {}, ", folder.name, folder.incarnation);
+  EXPECT_EQ(listed, ". 7, a.b 7, jet 7, ");
+  EXPECT_EQ(*scene::set_scenes_aside(disk, "data"), "data/scenes.old-1");
+  EXPECT_TRUE(scene::scene_folders(disk, "data")->empty());
+  EXPECT_TRUE(Journal::create(disk, "data", kJet).ok());
+  EXPECT_EQ(*scene::set_scenes_aside(disk, "data"), "data/scenes.old-2");
+  EXPECT_TRUE(disk.files.contains("data/scenes.old-1/jet.0000000000000007/state"));
+}
+
+// On a real disk.
+class JournalOnDisk : public DirectoryTest {
+ protected:
+  std::string path(const std::string& name) const { return kJet.path(directory_) + "/" + name; }
+  Journal create() {
+    auto journal = Journal::create(*disk_, directory_, kJet);
+    return std::move(*journal);
+  }
+  Journal open(JournalFound& found) {
+    auto journal = Journal::open(*disk_, directory_, kJet, found);
+    RCB_CHECK(journal.ok(), journal.status().message());
+    return std::move(*journal);
+  }
+  const std::unique_ptr<scene::Storage> disk_ = scene::disk_storage();
+};
+
+TEST_F(JournalOnDisk, OutlivesItsObjectAndGoesWithItsScene) {
+  {
+    Journal journal = create();
+    EXPECT_TRUE(journal.put_state("state").ok() && journal.put_cuts(std::string(100000, 'c')).ok());
+    for (std::uint64_t k = 0; k < 30; ++k) EXPECT_TRUE(journal.append(k, std::string(100000, 'r')).ok());
+  }
+  for (const char* name : {"state", "cuts", "steps.0", "steps.2"}) {
+    EXPECT_EQ(mode_of(path(name)), 0600U);
+    struct stat info {};
+    EXPECT_EQ(::stat(path(name).c_str(), &info), 0);
+    EXPECT_GE(info.st_blocks * 512, info.st_size) << name << " has holes";
+  }
+  EXPECT_EQ(mode_of(kJet.path(directory_)), 0700U);
+  EXPECT_EQ(scene::scene_folders(*disk_, directory_)->size(), 1U);
+  JournalFound found;
+  Journal journal = open(found);
+  EXPECT_EQ(found.states.at(0), "state");
+  EXPECT_EQ(found.cuts.at(0).size(), 100000U);
+  EXPECT_TRUE(found.faults.empty());
+  EXPECT_EQ(reports_in(journal).size(), 30U);
+  EXPECT_EQ(reports_in(journal, 28).at(29).size(), 100000U);
+  EXPECT_TRUE(journal.remove().ok());
+  EXPECT_TRUE(scene::scene_folders(*disk_, directory_)->empty());
+  EXPECT_EQ(*scene::set_scenes_aside(*disk_, directory_), at("scenes.old-1"));
+}
+
+TEST_F(JournalOnDisk, OutlivesAProcessThatIsKilled) {
+  const std::uint64_t seed = std::random_device{}();
+  Random random(seed);
+  SCOPED_TRACE(fmt::format("seed {}", seed));
+  for (std::uint64_t round = 0; round < 20; ++round) {
+    int ends[2];
+    ASSERT_EQ(::pipe(ends), 0);
+    const pid_t child = ::fork();
+    if (child == 0) {
+      const SceneFolder scene{"jet", round};
+      auto journal = Journal::create(*disk_, directory_, scene);
+      for (std::uint64_t k = 0;; ++k) {
+        const bool kept =
+            journal->put_state(value_of("state", k, 9000)).ok() && journal->append(k, value_of("report", k, 9000)).ok();
+        if (!kept || ::write(ends[1], "k", 1) != 1) ::_exit(1);
+      }
+    }
+    ::close(ends[1]);
+    std::uint64_t done = 0;
+    char byte = 0;
+    for (const std::uint64_t last = 1 + random.below(500); done < last && ::read(ends[0], &byte, 1) == 1;) ++done;
+    ::kill(child, SIGKILL);
+    ::waitpid(child, nullptr, 0);
+    while (::read(ends[0], &byte, 1) == 1) ++done;
+    ::close(ends[0]);
+    JournalFound found;
+    auto journal = Journal::open(*disk_, directory_, {"jet", round}, found);
+    ASSERT_TRUE(journal.ok());
+    const std::uint64_t kept = journal->reports();
+    EXPECT_TRUE(kept == done || kept == done + 1) << kept << " of " << done;
+    EXPECT_TRUE(found.states.at(0) == value_of("state", kept, 9000) ||
+                found.states.at(0) == value_of("state", kept - 1, 9000));
+    const Reports reports = reports_in(*journal);
+    for (std::uint64_t k = 0; k < kept; ++k) EXPECT_TRUE(reports.at(k) == value_of("report", k, 9000)) << k;
+  }
+}
+
+TEST_F(JournalOnDisk, FilesThatAreNoneOfItsOwnAreNotFollowed) {
+  {
+    Journal journal = create();
+    EXPECT_TRUE(journal.put_state("state").ok() && journal.put_cuts("cuts").ok() && journal.append(0, "report").ok());
+  }
+  for (const char* name : {"state", "cuts", "steps.0"}) std::filesystem::rename(path(name), at(name));
+  std::filesystem::create_symlink(at("state"), path("state"));
+  ASSERT_EQ(::mkfifo(path("cuts").c_str(), 0600), 0);
+  std::filesystem::create_hard_link(at("steps.0"), path("steps.0"));
+  JournalFound found;
+  {
+    Journal journal = open(found);
+    EXPECT_TRUE(found.states.empty() && found.cuts.empty() && journal.reports() == 0);
+    EXPECT_EQ(found.faults.size(), 2U);
+    const std::string before = contents(at("steps.0")) + contents(at("state"));
+    EXPECT_TRUE(journal.put_state("new").ok() && journal.put_cuts("new").ok() && journal.append(0, "new").ok());
+    EXPECT_TRUE(contents(at("steps.0")) + contents(at("state")) == before);
+  }
+  Journal journal = open(found);
+  EXPECT_TRUE(found.states.at(0) == "new" && found.cuts.at(0) == "new" && journal.reports() == 1);
+  std::filesystem::resize_file(path("steps.0"), scene::Storage::kFileBytesMax + 1);
+  EXPECT_EQ(open(found).reports(), 0U) << "a file that is larger than any";
+}
+
+// The process may make no file beyond so many bytes: what a full disk is to it.
+TEST_F(JournalOnDisk, AFullDiskLosesReportsOnly) {
+  Journal journal = create();
+  EXPECT_TRUE(journal.put_state("state").ok() && journal.put_cuts("cuts").ok());
+  void (*handler)(int) = ::signal(SIGXFSZ, SIG_IGN);
+  rlimit before{};
+  ::getrlimit(RLIMIT_FSIZE, &before);
+  rlimit little = before;
+  little.rlim_cur = 100000;
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &little), 0);
+  const Status lost = journal.append(0, "lost");
+  const Status large = journal.put_state(std::string(100000, 's'));
+  const Status small = journal.put_state("small");
+  ::setrlimit(RLIMIT_FSIZE, &before);
+  ::signal(SIGXFSZ, handler);
+  EXPECT_EQ(lost.code(), Code::io_error);
+  EXPECT_NE(lost.message().find("steps.0"), std::string::npos) << lost.message();
+  EXPECT_NE(lost.hint().find("make room"), std::string::npos) << lost.hint();
+  EXPECT_EQ(large.code(), Code::io_error);
+  EXPECT_TRUE(small.ok());
+  EXPECT_FALSE(std::filesystem::exists(path("steps.0")));
+  EXPECT_TRUE(journal.append(1, "kept").ok());
+  JournalFound found;
+  journal = open(found);
+  EXPECT_EQ(found.states.at(0), "small");
+  EXPECT_EQ(journal.reports(), 1U);
 }
 
 }  // namespace
