@@ -27,6 +27,7 @@ ARROWS = {
     "common/io": ["common/io/formats"],
     "common/hdf5": ["common/io/formats"],
     "server/api": ["common/wire", "common/files", "common/particles"],
+    "server/scene": ["common/wire", "common/files"],
     "server/service/scene": ["server/api", "common/partition", "common/layout"],
     "server/service/context": ["server/service/scene", "server/api", "common/io"],
     "server/service/push": ["server/service/context"],
