@@ -69,15 +69,14 @@ Answer history(const Ledger& ledger, const wire::Json& request) {
                    R"(ask for them by pages: "from" and "count", as rcbctl history does, or for the "last" few)"});
   const auto page = read_page(request, total, total - wanted, wire::kReportsMax);
   if (!page.ok()) return failed(page.status());
-  return with_reports(ledger.history(), page->from, page->end,
-                      [page = *page, total](scene::FoundReports found, Answer& answer) {
-                        wire::Json& json = answer.json;
-                        json["total"] = total;
-                        json["lost"] = page.end - page.from - found.reports.size();
-                        if (json["lost"] != 0) json["loss"] = found.loss;
-                        json["history"] = std::move(found.reports);
-                        page.tell(json, total);
-                      });
+  return with_reports(ledger, page->from, page->end, [page = *page, total](scene::FoundReports found, Answer& answer) {
+    wire::Json& json = answer.json;
+    json["total"] = total;
+    json["lost"] = page.end - page.from - found.reports.size();
+    if (json["lost"] != 0) json["loss"] = found.loss;
+    json["history"] = std::move(found.reports);
+    page.tell(json, total);
+  });
 }
 
 }  // namespace
@@ -101,6 +100,7 @@ Answer describe(const Ledger& ledger, int ranks) {
                   {"ids", now.ids},
                   {"step", or_null(now.step)},
                   {"positions_step", or_null(now.positions_step)},
+                  {"filled", now.filled},
                   {"incarnation", wire::hex64(now.incarnation)},
                   {"epoch", now.epoch},
                   {"plan", plan_json(now)}};
@@ -142,7 +142,7 @@ wire::Json verdict_json(const scene::CountVerdict& verdict) {
 
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
   return with_reports(
-      ledger.history(), number, number + 1,
+      ledger, number, number + 1,
       [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
         if (found.reports.empty())
           answer.status =

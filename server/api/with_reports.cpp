@@ -24,14 +24,15 @@ class Awaited {
 
 }  // namespace
 
-Answer with_reports(const scene::History& history, std::uint64_t first, std::uint64_t last,
+Answer with_reports(const scene::Ledger& ledger, std::uint64_t first, std::uint64_t last,
                     std::function<void(scene::FoundReports, Answer&)> fill) {
   Answer answer = done(wire::Json::object());
-  if (history.in_memory(first)) {
-    fill(history.newest(first, last), answer);
+  if (ledger.history().in_memory(first)) {
+    fill(ledger.history().newest(first, last), answer);
     return answer;
   }
-  answer.later = [reading = history.reading(first, last), fill = std::move(fill)](Answer base, TakeAnswer take) {
+  answer.later = [reading = ledger.history().reading(first, last, ledger.journal()), fill = std::move(fill)](
+                     Answer base, TakeAnswer take) {
     auto awaited = std::make_shared<Awaited>(std::move(take));
     auto filled = std::make_shared<Answer>(std::move(base));
     auto whole = std::make_shared<bool>(false);

@@ -102,6 +102,10 @@ void add_options(CLI::App& app, Config& config) {
       ->envname("RCBD_STALL_SECONDS")
       ->check(CLI::Range(1.0, 86400.0))
       ->capture_default_str();
+  app.add_flag(
+         "--empty", config.empty,
+         "begins without the scenes that an earlier service has left in the data directory; they are set aside there")
+      ->envname("RCBD_EMPTY");
   app.add_option("--keep-reports", config.keep_reports,
                  "step reports kept in memory, all scenes together; older ones go to files in the data directory")
       ->envname("RCBD_KEEP_REPORTS")

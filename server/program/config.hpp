@@ -21,6 +21,7 @@ struct Config {
   std::uint64_t bulk_bytes = 0;  // 0: half of the memory
   double silence_seconds = 15;
   double stall_seconds = 120;
+  bool empty = false;  // begins without the scenes of an earlier service, which are set aside
   std::size_t keep_reports = 100'000;  // step reports in memory, all scenes together
   bool restarted = false;
   std::string no_skip;        // NoSkip::parse

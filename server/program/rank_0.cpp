@@ -20,13 +20,12 @@
 #include "server/program/direct_path.hpp"
 #include "server/program/job.hpp"
 #include "server/program/rank.hpp"
-#include "server/scene/report_file.hpp"
+#include "server/scene/journal.hpp"
 
 namespace rcb::server {
 namespace {
 
 constexpr double kStartSeconds = 30;
-constexpr const char* kReportDirectory = "reports";  // inside the data directory
 
 std::string host_of(const std::string& address) { return address.substr(0, address.rfind(':')); }
 
@@ -65,6 +64,7 @@ class Rank0 {
   net::IoLoop loop_;
   std::vector<LockFile> endpoint_locks_;  // unless its supervisor holds them
   std::optional<net::DataDirectory> data_;
+  std::shared_ptr<scene::Storage> storage_ = scene::disk_storage();
   net::Credentials credentials_;
   std::vector<net::OfferedToken> offered_;
   std::unique_ptr<net::DoorbellHub> doorbells_;
@@ -109,7 +109,10 @@ Status Rank0::open_data_directory() {
   auto data = net::DataDirectory::open(note.data_dir, !config.data_dir.empty(), note);
   if (!data.ok()) return data.status();
   data_.emplace(std::move(*data));
-  return {};
+  if (!config.empty) return {};
+  const auto aside = scene::set_scenes_aside(*storage_, data_->path());
+  if (aside.ok() && !aside->empty()) spdlog::info("the scenes of an earlier service are kept in {}", *aside);
+  return aside.status();
 }
 
 Status Rank0::lock_endpoints(EndpointNote note) {
@@ -157,13 +160,7 @@ net::ControlOptions Rank0::control_options(const ConnectionLimits& limits) const
   options.waiting_max = limits.waiting;
   options.files_over_tcp = !setup_.config.files_below.empty();
   // At once, since a rank that is stuck may keep the service from ending cleanly.
-  options.keep_reports = setup_.config.keep_reports;
-  // Without the directory the service runs all the same, and the history says that older reports are lost.
-  const std::string reports = join_path(data_->path(), kReportDirectory);
-  if (const Status made = scene::make_report_directory(reports); made.ok())
-    options.report_directory = reports;
-  else
-    spdlog::warn("older step reports will be lost: {}", made.message());
+  options.keeping = {.keep_reports = setup_.config.keep_reports, .storage = storage_, .data_dir = data_->path()};
   options.told_to_end = [path = data_->path()] { (void)net::leave_end_marker(path); };
   return options;
 }
@@ -240,7 +237,7 @@ void Rank0::serve() {
   loop_.run([this] { control_->start(); });
   say_ready(endpoints_);
   spdlog::info("rcbd {} is up: {} ranks, pid {}{}", RCB_VERSION, setup_.mpi.size(), ::getpid(),
-               setup_.config.restarted ? ", restarted and empty" : "");
+               setup_.config.restarted ? ", started again" : "");
   run_engine();
   finish();
 }
@@ -257,8 +254,6 @@ service::ServiceOptions Rank0::service_options() const {
 
 void Rank0::finish() {
   control_->finish(kGoodbyeSeconds);
-  std::error_code ignored;
-  std::filesystem::remove(join_path(data_->path(), kReportDirectory), ignored);  // empty, with no scenes left
   loop_.run([this] { port_->finish(); });
   doorbells_->finish(kGoodbyeSeconds);
   loop_.stop();

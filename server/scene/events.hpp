@@ -21,6 +21,7 @@ struct Held {
   bool ids = false;                                     // ids aren't 0..n-1
   std::uint64_t epoch = 0;                              // 0: no cuts yet
   std::uint64_t hash = 0;                               // of the cuts
+  std::shared_ptr<const cuts::CutTree> tree;            // null: no cuts yet
   std::shared_ptr<const partition::LoadSummary> loads;  // null: no cuts yet
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;

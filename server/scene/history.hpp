@@ -1,56 +1,49 @@
-// History: the step reports of a scene, numbered from 0 in the order of the steps; on rank 0 only. The newest reports
-// of all scenes together are kept in memory, up to a limit; older ones go to a file in the data directory.
+// History: the step reports of a scene, numbered from 0 in the order of the steps. The newest reports of all scenes
+// together are kept in memory, up to a limit; the others are read from the scene's journal.
 //
 // Invariants
-// 1. The reports [total() - recent, total()) are in memory. Older ones that the file could not take (in time) or give
-//    back are lost; a disk's fault has no other consequence.
-// 2. All histories that share a HistoryMemory together have at most `keep` reports in memory, and kOnTheirWayBytesMax
-//    bytes of those that the disk hasn't taken yet.
-// 3. Files are touched on the HistoryMemory's own thread alone, so that no engine waits for a disk.
+// 1. The reports [total() - recent, total()) are in memory. Older ones that the journal could not take or give back are
+//    lost; a disk's fault has no other consequence.
+// 2. All histories that share a HistoryMemory together have at most `keep` reports in memory.
+// 3. Reports are read on the HistoryMemory's own thread alone, so that nobody waits for a disk.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "common/files/side_thread.hpp"
+#include "server/scene/journal.hpp"
 #include "server/scene/report.hpp"
-#include "server/scene/report_file.hpp"
 
 namespace rcb::scene {
 
 class History;
 
-inline constexpr std::uint64_t kOnTheirWayBytesMax = std::uint64_t{8} << 20U;
-
 // The memory shared by the histories of all scenes.
 class HistoryMemory {
  public:
-  // directory: for older reports (make_report_directory); empty: they are lost.
-  HistoryMemory(std::size_t keep, std::string directory);
+  explicit HistoryMemory(std::size_t keep) : keep_(keep), thread_(kReadBytesMax) {}
   HistoryMemory(const HistoryMemory&) = delete;
   HistoryMemory& operator=(const HistoryMemory&) = delete;
 
   std::size_t held() const { return held_; }  // reports in memory
-  // That of the files; null if there is no directory.
-  SideThread* thread() { return thread_ ? &*thread_ : nullptr; }
 
  private:
   friend class History;
-  // Makes the longest histories move their oldest reports to their files until at most `keep` are in memory.
+  static constexpr std::uint64_t kReadBytesMax = std::uint64_t{8} << 20U;
+  // Lets the longest histories forget their oldest reports until at most `keep` are in memory.
   void make_room();
 
   std::size_t keep_;
-  std::string directory_;
   std::size_t held_ = 0;
   std::set<History*> histories_;
-  std::optional<SideThread> thread_;  // of the files
+  SideThread thread_;
 };
 
 // What was found of the reports that were asked for.
@@ -61,13 +54,14 @@ struct FoundReports {
 
 class History {
  public:
-  // The memory must outlive it.
-  History(HistoryMemory& memory, std::string scene);
+  // The memory must outlive it. total: reports of an earlier service, which are in the journal.
+  History(HistoryMemory& memory, std::string scene, std::uint64_t total = 0);
   ~History();
   History(const History&) = delete;
   History& operator=(const History&) = delete;
 
-  void add(StepReport report);
+  // journal: null where nothing lasts. json: the report as it is told to clients.
+  void add(StepReport report, const wire::Json& json, Journal* journal);
   const StepReport& last() const { return recent_.back(); }  // just added
   std::uint64_t total() const { return total_; }
   // Whether none of the reports from this one on has left the memory.
@@ -79,17 +73,17 @@ class History {
   using Reading = std::function<Status(std::function<void(FoundReports found)> take, SideThread::Job then)>;
   // To read the reports [first, last) of this moment, at once or later, while the memory is still there; last is at
   // most total().
-  Reading reading(std::uint64_t first, std::uint64_t last) const;
+  Reading reading(std::uint64_t first, std::uint64_t last, const Journal* journal) const;
 
  private:
   friend class HistoryMemory;
-  class Older;
-  void spill(std::size_t count);
+  void note_loss(const std::string& why);
 
   HistoryMemory& memory_;
-  std::shared_ptr<Older> older_;
+  std::string scene_;
   std::deque<StepReport> recent_;
   std::uint64_t total_ = 0;
+  std::string loss_;
 };
 
 }  // namespace rcb::scene

@@ -75,6 +75,8 @@ class Journal {
   Status read(std::uint64_t first, std::uint64_t last, const Visit& visit) const {
     return reports_.read(first, last, visit);
   }
+  // To read them on another thread, as of now.
+  JournalReports reader() const { return reports_.reader(); }
   // Forgets the reports from `number` on. Errors: io_error.
   Status keep_below(std::uint64_t number) { return reports_.keep_below(number); }
   std::uint64_t reports() const { return reports_.count(); }     // how many are kept

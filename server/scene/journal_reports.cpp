@@ -97,6 +97,13 @@ Status JournalReports::read(std::uint64_t first, std::uint64_t last, const Visit
   return {};
 }
 
+JournalReports JournalReports::reader() const {
+  JournalReports copy(*storage_, folder_, 0);
+  copy.end_ = end_;
+  copy.marks_ = marks_;
+  return copy;
+}
+
 Status JournalReports::keep_below(std::uint64_t number) {
   if (number >= end_.number) return {};
   const std::size_t mark = mark_before(number);

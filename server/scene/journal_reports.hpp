@@ -36,6 +36,8 @@ class JournalReports {
   Status append(std::uint64_t number, std::string_view report);
   // Those of the reports [first, last) that are there, ascending. Errors: io_error.
   Status read(std::uint64_t first, std::uint64_t last, const Visit& visit) const;
+  // What read() needs, as of now: for another thread, while this one goes on appending.
+  JournalReports reader() const;
   // Forgets those from `number` on. Errors: io_error.
   Status keep_below(std::uint64_t number);
   std::uint64_t count() const { return count_; }

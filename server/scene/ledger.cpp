@@ -4,7 +4,10 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
 #include <xxhash.h>
+
+#include "server/scene/lasting.hpp"
 
 namespace rcb::scene {
 namespace {
@@ -20,21 +23,51 @@ Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last
                       last + 1)};
 }
 
-Ledger::Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory)
-    : name_(std::move(name)), history_(std::make_unique<History>(memory, name_)) {
+Ledger::Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory,
+               std::unique_ptr<Journal> journal)
+    : name_(std::move(name)), journal_(std::move(journal)), history_(std::make_unique<History>(memory, name_)) {
   static_cast<Held&>(now_) = std::move(created.held);
   now_.options = std::move(created.options);
   now_.incarnation = incarnation;
+  keep();
+}
+
+Ledger::Ledger(std::string name, Lasting lasting, HistoryMemory& memory, std::unique_ptr<Journal> journal)
+    : name_(std::move(name)),
+      lasting_(std::move(lasting)),
+      journal_(std::move(journal)),
+      history_(std::make_unique<History>(memory, name_, totals_.steps)),
+      kept_hash_(now_.hash) {
+  if (now_.step) recent_.push_back({*now_.step, lasting_.last_session});
+}
+
+void Ledger::keep() {
+  if (!journal_) return;
+  Status kept;
+  if (now_.tree && now_.hash != kept_hash_) {
+    kept = journal_->put_cuts(encode(*now_.tree));
+    if (kept.ok()) kept_hash_ = now_.hash;
+  }
+  if (kept.ok()) kept = journal_->put_state(encode(lasting_));
+  if (!kept.ok() && keeps_) spdlog::warn("scene '{}' will not outlive the service: {}", name_, kept.message());
+  keeps_ = kept.ok();
+}
+
+void Ledger::drop() {
+  if (!journal_) return;
+  if (const Status removed = journal_->remove(); !removed.ok())
+    spdlog::warn("what was kept of scene '{}' can't be removed: {}", name_, removed.message());
+  journal_.reset();
 }
 
 DecisionTerms Ledger::terms(std::optional<double> step_seconds) const {
   DecisionTerms terms;
-  terms.error_when_not_adopted = error_when_not_adopted_;
+  terms.error_when_not_adopted = lasting_.error_when_not_adopted;
   if (now_.options.policy != Policy::cost || !step_seconds || !now_.step) return terms;
   terms.timed = true;
-  terms.lost_seconds = costs_.lost_seconds_with(*step_seconds, now_.loads->imbalance);
-  terms.repartition_seconds = costs_.repartition_seconds();
-  terms.since = costs_.since();
+  terms.lost_seconds = lasting_.costs.lost_seconds_with(*step_seconds, now_.loads->imbalance);
+  terms.repartition_seconds = lasting_.costs.repartition_seconds();
+  terms.since = lasting_.costs.since();
   return terms;
 }
 
@@ -45,14 +78,14 @@ const StepReport& Ledger::take(Stepped stepped) {
     report.drifted_known = stepped.drifted.has_value();
     report.drifted = stepped.drifted.value_or(0);
   }
-  if (now_.step && stepped.step_seconds) costs_.computed(*stepped.step_seconds, now_.loads->imbalance);
+  if (now_.step && stepped.step_seconds) lasting_.costs.computed(*stepped.step_seconds, now_.loads->imbalance);
   if (report.repartitioned) {
-    error_when_not_adopted_.reset();
-    costs_.start_again(report.imbalance);
-    costs_.repartitioned(report.step, report.seconds.search + report.seconds.migrate, !now_.step);
+    lasting_.error_when_not_adopted.reset();
+    lasting_.costs.start_again(report.imbalance);
+    lasting_.costs.repartitioned(report.step, report.seconds.search + report.seconds.migrate, !now_.step);
   } else if (stepped.wasted) {
-    error_when_not_adopted_ = report.error_before;
-    costs_.start_again(report.imbalance);
+    lasting_.error_when_not_adopted = report.error_before;
+    lasting_.costs.start_again(report.imbalance);
   }
   if (!now_.step || report.inserted > 0 || report.removed > 0) now_.id_sum.reset();
   static_cast<Held&>(now_) = std::move(stepped.held);
@@ -66,8 +99,9 @@ const StepReport& Ledger::take(Stepped stepped) {
 void Ledger::take(Rebalanced rebalanced) {
   now_.options = std::move(rebalanced.options);
   static_cast<Held&>(now_) = std::move(rebalanced.held);
-  error_when_not_adopted_.reset();
-  costs_.start_again(now_.loads->imbalance);
+  lasting_.error_when_not_adopted.reset();
+  lasting_.costs.start_again(now_.loads->imbalance);
+  keep();
 }
 
 // The loads stay those of the last step.
@@ -75,6 +109,7 @@ void Ledger::take(Refilled refilled) {
   refilled.held.loads = now_.loads;
   static_cast<Held&>(now_) = std::move(refilled.held);
   now_.filled = true;
+  keep();
 }
 
 void Ledger::take(const Asked& asked) {
@@ -91,7 +126,10 @@ void Ledger::remember(const StepReport& report, const std::string& session) {
   totals_ += report;
   for (const std::string& name : report.skipped.names()) ++totals_.skipped[name];
   if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
-  history_->add(report);
+  lasting_.last_session = recent_.back().session;
+  lasting_.last_report = to_json(report);
+  keep();
+  history_->add(report, lasting_.last_report, journal_.get());
 }
 
 std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::int64_t step) const {
@@ -167,20 +205,32 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
   if (!now_.weights) report.skipped.add(Skip::weights);
   if (!now_.ids) report.skipped.add(Skip::ids);
   for (const Skip skip : {Skip::exchange, Skip::search, Skip::positions}) report.skipped.add(skip);
-  if (record.step_seconds) costs_.computed(*record.step_seconds, now_.loads->imbalance);
+  if (record.step_seconds) lasting_.costs.computed(*record.step_seconds, now_.loads->imbalance);
   now_.loads = std::make_shared<const partition::LoadSummary>(std::move(loads));
   if (record.id_sum) now_.id_sum = record.id_sum;
   remember(report, record.session);
   return {std::move(done)};
 }
 
+void Ledgers::drop(const std::string& scene) {
+  if (Ledger* ledger = find(scene)) ledger->drop();
+  ledgers_.erase(scene);
+}
+
 const StepReport* Ledgers::take(Change change, std::uint64_t incarnation) {
-  if (memory_ == nullptr) return nullptr;
   if (auto* created = std::get_if<Created>(&change.event)) {
-    ledgers_.erase(change.scene);  // its history, first: it may have files of the same name
-    ledgers_.try_emplace(change.scene, change.scene, std::move(*created), incarnation, *memory_);
+    drop(change.scene);
+    std::unique_ptr<Journal> journal;
+    if (keeping_.storage) {
+      auto made = Journal::create(*keeping_.storage, keeping_.data_dir, {change.scene, incarnation});
+      if (made.ok())
+        journal = std::make_unique<Journal>(std::move(*made));
+      else
+        spdlog::warn("scene '{}' will not outlive the service: {}", change.scene, made.status().message());
+    }
+    ledgers_.try_emplace(change.scene, change.scene, std::move(*created), incarnation, *memory_, std::move(journal));
   } else if (std::holds_alternative<Dropped>(change.event)) {
-    ledgers_.erase(change.scene);
+    drop(change.scene);
   } else if (Ledger* ledger = find(change.scene)) {
     if (auto* stepped = std::get_if<Stepped>(&change.event)) return &ledger->take(std::move(*stepped));
     if (auto* rebalanced = std::get_if<Rebalanced>(&change.event)) ledger->take(std::move(*rebalanced));
@@ -190,9 +240,65 @@ const StepReport* Ledgers::take(Change change, std::uint64_t incarnation) {
   return nullptr;
 }
 
-void Ledgers::end() {
-  ledgers_.clear();
-  memory_.reset();
+Restored Ledgers::restore() {
+  Restored restored;
+  if (!keeping_.storage) return restored;
+  const auto folders = scene_folders(*keeping_.storage, keeping_.data_dir);
+  if (!folders.ok()) {
+    spdlog::warn("no scenes of an earlier service are restored: {}", folders.status().message());
+    return restored;
+  }
+  for (const SceneFolder& folder : *folders)
+    if (const Status status = restore_one(folder, restored); !status.ok())
+      spdlog::warn("scene '{}' of an earlier service is not restored: {}", folder.name, status.message());
+  return restored;
+}
+
+// Of two incarnations, left where the service died while a scene was replaced, the one with more steps goes on.
+Status Ledgers::restore_one(const SceneFolder& folder, Restored& restored) {
+  JournalFound found;
+  auto journal = Journal::open(*keeping_.storage, keeping_.data_dir, folder, found);
+  if (!journal.ok()) return journal.status();
+  for (const std::string& fault : found.faults) spdlog::warn("{}", fault);
+  if (found.states.empty() && found.faults.empty())
+    return remove_scene_folder(*keeping_.storage, folder.path(keeping_.data_dir));
+  Status why(Code::io_error, "its state is damaged");
+  for (const std::string& state : found.states) {
+    auto lasting = decode_lasting(state, folder.incarnation);
+    if (!lasting.ok()) {
+      why = lasting.status();
+      continue;
+    }
+    SceneState& now = lasting->now;
+    for (std::size_t k = 0; k < found.cuts.size() && !now.tree; ++k) {
+      auto tree = decode_tree(found.cuts[k]);
+      if (!tree.ok() || tree->hash() != now.hash) continue;
+      if (k == 1) journal->hold_older_cuts();
+      now.tree = std::make_shared<const cuts::CutTree>(std::move(*tree));
+    }
+    if (now.step && (!now.tree || now.tree->parts != now.options.parts || now.tree->dims != now.options.dims)) {
+      why = {Code::io_error, "its cuts are damaged"};
+      continue;
+    }
+    const std::uint64_t steps = lasting->totals.steps;
+    if (const Status cut = journal->keep_below(steps); !cut.ok()) spdlog::warn("{}", cut.message());
+    // The service died between the state and the report.
+    if (steps > 0 && journal->next_report() < steps)
+      if (const Status added = journal->append(steps - 1, wire::dump_json(lasting->last_report)); !added.ok())
+        spdlog::warn("{}", added.message());
+    if (const Ledger* other = find(folder.name)) {
+      if (other->totals().steps >= steps) return {Code::already_exists, "another of its name has more steps"};
+      ledgers_.erase(folder.name);
+      --restored.scenes;
+    }
+    ++restored.scenes;
+    restored.steps += steps;
+    restored.lost_records += steps - journal->reports();
+    ledgers_.try_emplace(folder.name, folder.name, std::move(*lasting), *memory_,
+                         std::make_unique<Journal>(std::move(*journal)));
+    return {};
+  }
+  return why;
 }
 
 Ledger* Ledgers::find(const std::string& scene) {

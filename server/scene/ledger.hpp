@@ -32,6 +32,7 @@ struct SceneTotals : StepCounts {
   std::map<std::string, std::uint64_t> asked;  // by command: queries whose answer took a pass over the particles
 };
 
+// Everything that must last, but the cuts' bytes and the history.
 struct SceneState : Held {
   SceneOptions options;
   std::uint64_t incarnation = 0;               // random, from its making
@@ -39,6 +40,16 @@ struct SceneState : Held {
   std::optional<std::int64_t> positions_step;  // whose positions the ranks hold; none: nobody can say
   bool filled = false;                         // the ranks hold its particles, of whatever step
   std::optional<std::uint64_t> id_sum;         // of mix64(id), mod 2^64; none: not known
+};
+
+// A ledger without its history.
+struct Lasting {
+  SceneState now;
+  SceneTotals totals;
+  CostAccount costs;
+  std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
+  std::uint64_t last_session = 0;                // key of the session that made the last step
+  wire::Json last_report;                        // null: no step yet
 };
 
 // What a count leads to.
@@ -68,13 +79,17 @@ class Ledger {
   static constexpr int kPartsMax = 65536;
   static constexpr int kWeightedPartsMax = 4096;
 
-  // The memory must outlive it.
-  Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory);
+  // The memory must outlive it. journal: null where nothing lasts.
+  Ledger(std::string name, Created created, std::uint64_t incarnation, HistoryMemory& memory,
+         std::unique_ptr<Journal> journal);
+  // Of an earlier service.
+  Ledger(std::string name, Lasting lasting, HistoryMemory& memory, std::unique_ptr<Journal> journal);
 
   const std::string& name() const { return name_; }
   const SceneState& now() const { return now_; }
   const SceneTotals& totals() const { return totals_; }
   const History& history() const { return *history_; }
+  const Journal* journal() const { return journal_.get(); }
 
   // What the decision about the next push needs; step_seconds: as that push says.
   DecisionTerms terms(std::optional<double> step_seconds) const;
@@ -90,6 +105,9 @@ class Ledger {
   // The number, in the history, of a step that this session has committed; nothing if it has not.
   std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
 
+  // Removes what would outlive the service.
+  void drop();
+
   // A question waits for the positions of the next step. Withdrawn by that step.
   void want_positions() { wants_positions_ = true; }
   bool wants_positions() const { return wants_positions_; }
@@ -102,31 +120,49 @@ class Ledger {
   Status check(const CountRecord& record) const;
   CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
   void remember(const StepReport& report, const std::string& session);
+  // Puts cuts and state into the journal.
+  void keep();
 
   std::string name_;
-  SceneState now_;
+  Lasting lasting_;
+  SceneState& now_ = lasting_.now;
+  SceneTotals& totals_ = lasting_.totals;
+  std::unique_ptr<Journal> journal_;
   std::unique_ptr<History> history_;
-  SceneTotals totals_;
-  CostAccount costs_;
-  std::optional<double> error_when_not_adopted_;  // error_before of the last wasted search
-  std::deque<RememberedStep> recent_;             // ascending
-  bool asked_ = false;                            // a query as in SceneTotals::asked came since the last step
+  std::uint64_t kept_hash_ = 0;        // of the cuts in the journal
+  bool keeps_ = true;                  // the journal has taken the last state
+  std::deque<RememberedStep> recent_;  // ascending
+  bool asked_ = false;                 // a query as in SceneTotals::asked came since the last step
   bool wants_positions_ = false;
 };
 
 // Refusal of a step that is not above the scene's last one.
 Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last);
 
+// What of the scenes lasts, and where.
+struct Keeping {
+  std::size_t keep_reports = 100'000;          // step reports in memory, all scenes together
+  std::shared_ptr<Storage> storage = nullptr;  // null: nothing lasts
+  std::string data_dir = {};
+};
+
+// What a start has found of an earlier service.
+struct Restored {
+  std::uint64_t scenes = 0;
+  std::uint64_t steps = 0;
+  std::uint64_t lost_records = 0;
+};
+
 // All scenes, by name.
 class Ledgers {
  public:
-  // Those of HistoryMemory.
-  Ledgers(std::size_t keep_reports, std::string report_directory)
-      : memory_(std::make_unique<HistoryMemory>(keep_reports, std::move(report_directory))) {}
+  explicit Ledgers(Keeping keeping)
+      : keeping_(std::move(keeping)), memory_(std::make_unique<HistoryMemory>(keeping_.keep_reports)) {}
 
-  // At a clean end: forgets all scenes, and removes the files of their reports.
-  void end();
-
+  // The scenes that an earlier service has left. What can't be read is logged, and left where it is.
+  Restored restore();
+  // What is kept of the scene stays.
+  void forget(const std::string& scene) { ledgers_.erase(scene); }
   // Takes in what an order has done. incarnation: of a scene that it has made. Returns the report of a step.
   const StepReport* take(Change change, std::uint64_t incarnation);
   Ledger* find(const std::string& scene);
@@ -137,7 +173,11 @@ class Ledgers {
   auto end() const { return ledgers_.end(); }
 
  private:
-  std::unique_ptr<HistoryMemory> memory_;  // outlives the ledgers; null after the end
+  Status restore_one(const SceneFolder& folder, Restored& restored);
+  void drop(const std::string& scene);
+
+  Keeping keeping_;
+  std::unique_ptr<HistoryMemory> memory_;  // outlives the ledgers
   std::map<std::string, Ledger> ledgers_;
 };
 

@@ -103,6 +103,26 @@ double CostAccount::repartition_seconds() const {
   return seconds_.empty() ? first_seconds_.value_or(0) : median({seconds_.begin(), seconds_.end()});
 }
 
+wire::Json CostAccount::to_json() const {
+  const auto or_null = [](const auto& value) { return value ? wire::Json(*value) : wire::Json(); };
+  return {{"best", best_imbalance_},
+          {"lost", lost_seconds_},
+          {"since", or_null(since_)},
+          {"first", or_null(first_seconds_)},
+          {"seconds", std::vector<double>(seconds_.begin(), seconds_.end())}};
+}
+
+CostAccount CostAccount::from_json(const wire::Json& json) {
+  CostAccount account;
+  account.best_imbalance_ = json.at("best").get<double>();
+  account.lost_seconds_ = json.at("lost").get<double>();
+  if (!json.at("since").is_null()) account.since_ = json["since"].get<std::int64_t>();
+  if (!json.at("first").is_null()) account.first_seconds_ = json["first"].get<double>();
+  const auto seconds = json.at("seconds").get<std::vector<double>>();
+  account.seconds_.assign(seconds.begin(), seconds.end());
+  return account;
+}
+
 Decision decide(const PolicyInput& input) {
   Decision decision = asked(input);
   if (!decision.search) return decision;

@@ -41,6 +41,8 @@ class CostAccount {
   double lost_seconds() const { return lost_seconds_; }
   double lost_seconds_with(double seconds, double imbalance) const;  // after computed()
   double repartition_seconds() const;                                // median of the last kRemembered
+  wire::Json to_json() const;
+  static CostAccount from_json(const wire::Json& json);  // throws where it isn't to_json()'s
   std::optional<std::int64_t> since() const { return since_; }
 
  private:

@@ -131,6 +131,7 @@ void Control::memory_reported(int rank, std::uint64_t resident_bytes) {
 void Control::slice_reported(int rank, const SliceReport& report) { state_->coordinator->slice_reported(rank, report); }
 
 void Control::start() {
+  state_->coordinator->restore_scenes();
   state_->unix_listener.start(
       [state = state_.get()](UnixAcceptor& acceptor) { state->accept(acceptor, "unix:" + state->unix_path); });
   for (TcpAcceptor& acceptor : state_->tcp_acceptors) state_->accept(acceptor, bound_address(acceptor));
@@ -150,7 +151,6 @@ void Control::finish(double seconds) {
     state_->loop.run([&] { empty = state_->coordinator->session_count() == 0; });
     if (!empty) std::this_thread::sleep_for(std::chrono::milliseconds(5));
   }
-  state_->loop.run([this] { state_->coordinator->scenes().end(); });
 }
 
 std::uint64_t bulk_bytes_default() { return machine_bytes() / 2; }

@@ -18,6 +18,7 @@
 #include "server/net/push/engine.hpp"
 #include "server/net/sockets/credentials.hpp"
 #include "server/net/sockets/io_loop.hpp"
+#include "server/scene/ledger.hpp"
 
 namespace rcb::net {
 
@@ -36,8 +37,7 @@ struct ControlOptions {
   int sessions_max = wire::kSessionsMax;
   std::size_t waiting_max = wire::kBeforeHelloMax;  // connections to a listener before their hello
   int orders_max = wire::kOrdersMax;
-  std::size_t keep_reports = 100'000;  // step reports in memory, all scenes together
-  std::string report_directory = {};   // for older ones (scene::make_report_directory); empty: they are lost
+  scene::Keeping keeping = {};  // what of the scenes lasts
   // Called once, on the thread for files, when the service has been told to end; owns what it touches. May be empty.
   std::function<void()> told_to_end = {};
 };

@@ -9,8 +9,10 @@
 
 #include "common/auth/proof.hpp"
 #include "common/base/wide.hpp"
+#include "server/api/cut_arrays.hpp"
 #include "server/net/control/session.hpp"
 #include "server/net/sockets/file_thread.hpp"
+#include "server/scene/lasting.hpp"
 
 namespace rcb::net {
 
@@ -30,7 +32,7 @@ Coordinator::Coordinator(asio::io_context& context, ControlOptions options, Engi
       engine_(engine),
       answers_(options_.bulk_bytes_max),
       large_requests_(wire::kLargeRequestBytesMax),
-      scenes_(options_.keep_reports, options_.report_directory),
+      scenes_(options_.keeping),
       memory_bytes_(static_cast<std::size_t>(options_.ranks)) {}
 
 void Coordinator::add_terms(Json& request, std::optional<double> step_seconds) const {
@@ -137,6 +139,32 @@ void Coordinator::want_positions(const std::string& scene) {
   if (ledger == nullptr || ledger->wants_positions()) return;
   std::erase_if(positions_wanted_, [](const auto& one) { return now() - one.second >= kBetween; });
   if (positions_wanted_.try_emplace(scene, now()).second) ledger->want_positions();
+}
+
+void Coordinator::restore_scenes() {
+  restored_ = scenes_.restore();
+  for (const auto& [name, ledger] : scenes_) {
+    const scene::SceneState& now = ledger.now();
+    Json request = to_json(now.options);
+    request.update({{"command", "scene.restore"},
+                    {"scene", name},
+                    {"epoch", now.epoch},
+                    {"n", now.n},
+                    {"weights", now.weights},
+                    {"ids", now.ids}});
+    OrderOptions order;
+    order.changes = name;
+    if (now.tree) order.slices.push_back({.arrays = api::cut_arrays(*now.tree)});
+    order.then = [self = shared_from_this(), scene = name](const Answer& answer) {
+      if (answer.status.ok()) return;
+      spdlog::error("scene '{}' of an earlier service can't be restored: {}", scene, answer.status.message());
+      self->scenes_.forget(scene);
+    };
+    if (const auto ordered = this->order(std::move(request), std::move(order)); !ordered.ok())
+      spdlog::error("scene '{}' of an earlier service can't be restored: {}", name, ordered.status().message());
+  }
+  if (restored_.scenes > 0)
+    spdlog::info("{} scenes of an earlier service are restored, with {} steps", restored_.scenes, restored_.steps);
 }
 
 // The report is the ledger's: the ranks don't know of steps that were counts.

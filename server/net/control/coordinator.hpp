@@ -134,6 +134,8 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   asio::io_context& context() { return context_; }
   const scene::Ledgers& scenes() const { return scenes_; }
   scene::Ledgers& scenes() { return scenes_; }
+  // Before anybody is let in: the scenes of an earlier service, without their particles.
+  void restore_scenes();
   // What the ranks need of the ledger to decide about a push.
   void add_terms(wire::Json& request, std::optional<double> step_seconds) const;
   // Has the scene's next step bring its positions, for a question; at most once a second.
@@ -244,6 +246,7 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
   std::vector<LocalAddress> local_addresses_;
   std::uint64_t pushes_numbered_ = 0;
   scene::Ledgers scenes_;
+  scene::Restored restored_;
   std::map<std::string, TimePoint> positions_wanted_;  // when a question last had a scene's positions sent
   std::set<Session*> sessions_;
   MemberGroups groups_{*this};

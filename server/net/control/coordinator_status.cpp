@@ -57,9 +57,6 @@ Status Coordinator::unknown_scene(const std::string& scene) const {
     hint += fmt::format("there {} {}", names.size() == 1 ? "is" : "are:",
                         fmt::join(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(shown), ", "));
     if (shown < names.size()) hint += fmt::format(" and {} more", names.size() - shown);
-    if (options_.restarted) hint += "; what was there before the service was restarted is lost";
-  } else if (options_.restarted) {
-    hint = "the service was restarted and is empty: create the scene again and push everything";
   } else {
     hint = "there is none yet: create it first";
   }
@@ -144,6 +141,8 @@ Json Coordinator::status_json() const {
           {"hosts", hosts_json()},
           {"empty", scenes_.empty()},
           {"restarted", options_.restarted},
+          {"restored",
+           {{"scenes", restored_.scenes}, {"steps", restored_.steps}, {"lost_records", restored_.lost_records}}},
           {"sessions", sessions_.size()},
           {"silent", silent_json()},
           {"unfinished", unfinished_json()},

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "common/cuts/cut_arrays.hpp"
+#include "server/api/cut_arrays.hpp"
 #include "server/service/context/collective.hpp"
 
 namespace rcb::service {
@@ -83,19 +83,12 @@ Status put_cut_arrays(const Context& context, Response& response, wire::Json& js
   constexpr std::uint64_t kBytesOfPart = 512;
   const auto parts = static_cast<std::uint64_t>(scene.options.parts);
   if (Status room = room_for(context.comm, parts * kBytesOfPart, "the cuts"); !room.ok()) return room;
-  const cuts::CutArrays arrays = cuts::arrays_of(scene.tree);
   json = {{"epoch", scene.epoch},
-          {"dims", arrays.dims},
-          {"method", cuts::method_name(arrays.method)},
-          {"parts", arrays.parts},
+          {"dims", scene.tree.dims},
+          {"method", cuts::method_name(scene.tree.method)},
+          {"parts", scene.tree.parts},
           {"hash", wire::hex64(scene.cuts_hash())}};
-  const std::vector<std::uint64_t> by_axis{arrays.id.size(), static_cast<std::uint64_t>(arrays.dims)};
-  response.arrays.push_back(make_array<std::int32_t>("axes", "<i4", arrays.axes));
-  response.arrays.back().shape = by_axis;
-  response.arrays.push_back(make_array<double>("at", "<f8", arrays.at));
-  response.arrays.back().shape = by_axis;
-  response.arrays.push_back(make_array<cuts::Id>("id", "<i8", arrays.id));
-  if (!arrays.part_sizes.empty()) response.arrays.push_back(make_array<double>("part_sizes", "<f8", arrays.part_sizes));
+  for (wire::Array& array : api::cut_arrays(scene.tree)) response.arrays.push_back(std::move(array));
   return {};
 }
 

@@ -55,6 +55,7 @@ struct Scene {
   cuts::Regions regions;  // for the cuts of epoch regions_epoch
   std::uint64_t regions_epoch = 0;
   partition::LoadSummary loads;                              // of the parts
+  std::shared_ptr<const cuts::CutTree> told_tree;            // likewise
   std::shared_ptr<const partition::LoadSummary> told_loads;  // rank 0: those that the ledger knows; null: others
   // Back-off after a wasted incremental search: the next full_searches_left repartitions search all particles.
   // full_searches_last is the number that the last wasted one caused (1, 3, then 7; 0 after a success).

@@ -234,6 +234,7 @@ void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
   scene.tree = std::move(found.tree);
   scene.tree_hash.reset();
   scene.known_cuts.reset();
+  scene.told_tree.reset();
   scene.loads = std::move(loads);
   scene.told_loads.reset();
   ++scene.epoch;
@@ -241,11 +242,13 @@ void adopt(Scene& scene, NewCuts found, partition::LoadSummary loads) {
 
 scene::Held held_of(const Context& context, Scene& scene) {
   if (!scene.told_loads && scene.pushed) scene.told_loads = std::make_shared<const partition::LoadSummary>(scene.loads);
+  if (!scene.told_tree && scene.pushed) scene.told_tree = std::make_shared<const cuts::CutTree>(scene.tree);
   scene::Held held{.n = scene.n,
                    .weights = scene.particles.has_weights,
                    .ids = scene.ids,
                    .epoch = scene.epoch,
                    .hash = scene.pushed ? scene.cuts_hash() : 0,
+                   .tree = scene.told_tree,
                    .loads = scene.told_loads,
                    .plan_version = scene.plan_version,
                    .plan_checksum = scene.plan_checksum,

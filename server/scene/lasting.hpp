@@ -1,0 +1,26 @@
+// What of a ledger lasts beyond its process, as bytes for the journal, and back. The bytes are CBOR (RFC 8949).
+//
+// Everything that is read back may be anything: it is checked, and what can't be a scene's is refused.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "common/cuts/cut_arrays.hpp"
+#include "server/scene/ledger.hpp"
+
+namespace rcb::scene {
+
+// The options as scene.create takes them.
+wire::Json to_json(const SceneOptions& options);
+
+std::string encode(const Lasting& lasting);
+// incarnation and name: of the folder. Errors: io_error.
+Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation);
+
+std::string encode(const cuts::CutTree& tree);
+// Errors: io_error.
+Result<cuts::CutTree> decode_tree(std::string_view bytes);
+
+}  // namespace rcb::scene
