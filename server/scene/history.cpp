@@ -73,11 +73,10 @@ HistoryMemory::HistoryMemory(std::size_t keep, std::string directory) : keep_(ke
   if (!directory_.empty()) thread_.emplace(kOnTheirWayBytesMax);
 }
 
-void HistoryMemory::make_room() {
+void HistoryMemory::make_room(const History* newest) {
+  const auto spare = [newest](const History* one) { return one->recent_.size() - (one == newest ? 1 : 0); };
   while (held_ > keep_) {
-    History* longest = *std::max_element(histories_.begin(), histories_.end(), [](const History* a, const History* b) {
-      return a->recent_.size() < b->recent_.size();
-    });
+    History* longest = *std::ranges::max_element(histories_, {}, spare);
     longest->spill(std::clamp<std::size_t>(longest->recent_.size() / 8, 1, kSpillMax));
   }
 }
@@ -98,7 +97,7 @@ void History::add(StepReport report) {
   recent_.push_back(std::move(report));
   ++total_;
   ++memory_.held_;
-  memory_.make_room();
+  memory_.make_room(this);
 }
 
 void History::spill(std::size_t count) {

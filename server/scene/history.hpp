@@ -32,7 +32,7 @@ inline constexpr std::uint64_t kOnTheirWayBytesMax = std::uint64_t{8} << 20U;
 // The memory shared by the histories of all scenes.
 class HistoryMemory {
  public:
-  // directory: for older reports (make_report_directory); empty: they are lost.
+  // keep: at least 1. directory: for older reports (make_report_directory); empty: they are lost.
   HistoryMemory(std::size_t keep, std::string directory);
   HistoryMemory(const HistoryMemory&) = delete;
   HistoryMemory& operator=(const HistoryMemory&) = delete;
@@ -43,8 +43,9 @@ class HistoryMemory {
 
  private:
   friend class History;
-  // Makes the longest histories move their oldest reports to their files until at most `keep` are in memory.
-  void make_room();
+  // Makes the longest histories move their oldest reports to their files until at most `keep` are in memory. `newest`
+  // keeps its last report.
+  void make_room(const History* newest);
 
   std::size_t keep_;
   std::string directory_;
