@@ -18,7 +18,7 @@ template <typename T>
 bool take(const wire::Array& array, const char* name, const char* dtype, std::size_t columns, std::vector<T>& into) {
   if (array.name != name || array.dtype != dtype) return false;
   into.resize(array.bytes.size() / sizeof(T));  // of a message: its sizes fit its shapes
-  std::memcpy(into.data(), array.bytes.data(), into.size() * sizeof(T));
+  if (!into.empty()) std::memcpy(into.data(), array.bytes.data(), into.size() * sizeof(T));
   return array.shape.size() == (columns == 1 ? 1U : 2U) && (columns == 1 || array.shape[1] == columns);
 }
 
@@ -38,17 +38,11 @@ Status check_parts(const CountRecord& record) {
   return odd(fmt::format("the parts have {} particles together, and n is {}", static_cast<double>(sum), record.n));
 }
 
-// Each load is at most what so many of the greatest weight have, so that no sum overflows.
-Status check_loads(const CountRecord& record, const WeightCount& weights) {
+Status check_weights(const CountRecord& record, const WeightCount& weights) {
   const auto right = [](double w) { return std::isfinite(w) && w >= 0; };
   if (!right(weights.least) || !right(weights.greatest) || weights.least > weights.greatest)
     return odd(fmt::format("weights from {} to {}: they must be finite and >= 0", weights.least, weights.greatest));
   if (weights.as_zero > record.n) return odd(fmt::format("{} weights as zero of {}", weights.as_zero, record.n));
-  u128 sum = 0;
-  for (const u128 load : weights.loads) {
-    if (load >= (u128{1} << 127U) || (sum += load) >= (u128{1} << 127U))
-      return odd("loads of more than 127 bits, which no sum of weights in a scene's scale has");
-  }
   return {};
 }
 
@@ -99,7 +93,7 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
     return odd("expected an array 'load' <u8 of the shape [parts, 2]");
   for (std::size_t k = 0; k < record.parts.size(); ++k)
     weights.loads.push_back(u128{halves[2 * k]} | u128{halves[2 * k + 1]} << 64U);
-  if (Status status = check_loads(record, weights); !status.ok()) return status;
+  if (Status status = check_weights(record, weights); !status.ok()) return status;
   record.weights = std::move(weights);
   return record;
 }
@@ -117,9 +111,14 @@ Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, st
     counts[static_cast<std::size_t>(record.parts[k])] = record.counts[k];
   if (!record.weights || !scale_due(*record.weights, record.n))
     return partition::summarise_counts(std::move(counts), sizes);
+  constexpr u128 kSumMost = u128{1} << 127U;
   std::vector<u128> loads(counts.size());
-  for (std::size_t k = 0; k < record.parts.size(); ++k)
-    loads[static_cast<std::size_t>(record.parts[k])] = record.weights->loads[k];
+  u128 sum = 0;
+  for (std::size_t k = 0; k < record.parts.size(); ++k) {
+    const u128 load = loads[static_cast<std::size_t>(record.parts[k])] = record.weights->loads[k];
+    if (load >= kSumMost || (sum += load) >= kSumMost)
+      return odd("loads of more than 127 bits, which no sum of weights in a scene's scale has");
+  }
   return partition::summarise_weighted(std::move(counts), std::move(loads), record.weights->scale,
                                        record.weights->as_zero, sizes);
 }

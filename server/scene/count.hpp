@@ -18,7 +18,7 @@ struct WeightCount {
   double least = 0;
   double greatest = 0;
   std::uint64_t as_zero = 0;  // weights above 0 that count as 0 in this scale
-  std::vector<u128> loads;    // by entry of CountRecord::parts
+  std::vector<u128> loads;    // by entry of CountRecord::parts; any bits where another scale is due
 };
 
 struct CountRecord {
@@ -40,8 +40,8 @@ struct CountRecord {
 // The JSON of a request `count` and its arrays. Errors: invalid_argument, whatever is wrong with the record by itself.
 Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire::Array>& arrays);
 
-// The loads of all parts, if the record has the scene's scale. sizes: of the parts, or empty. Errors: invalid_argument
-// (a part beyond the last).
+// The loads of all parts, if the record has the scale that is due. sizes: of the parts, or empty. Errors:
+// invalid_argument (a part beyond the last, loads that no weights have).
 Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes);
 
 // The scale that the weights of n particles need; nothing where weights don't count, since all are equal.

@@ -15,12 +15,10 @@ constexpr std::size_t kForgottenMax = 128;
 
 }  // namespace
 
-void HistoryMemory::make_room() {
+void HistoryMemory::make_room(const History* newest) {
+  const auto spare = [newest](const History* one) { return one->recent_.size() - (one == newest ? 1 : 0); };
   while (held_ > keep_) {
-    History* longest = *std::max_element(histories_.begin(), histories_.end(), [](const History* a, const History* b) {
-      return a->recent_.size() < b->recent_.size();
-    });
-    auto& reports = longest->recent_;
+    auto& reports = (*std::ranges::max_element(histories_, {}, spare))->recent_;
     const std::size_t count = std::clamp<std::size_t>(reports.size() / 8, 1, kForgottenMax);
     reports.erase(reports.begin(), reports.begin() + static_cast<std::ptrdiff_t>(count));
     held_ -= count;
@@ -48,7 +46,7 @@ void History::add(StepReport report, const wire::Json& json, Journal* journal) {
   recent_.push_back(std::move(report));
   ++total_;
   ++memory_.held_;
-  memory_.make_room();
+  memory_.make_room(this);
 }
 
 FoundReports History::newest(std::uint64_t first, std::uint64_t last) const {

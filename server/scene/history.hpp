@@ -28,6 +28,7 @@ class History;
 // The memory shared by the histories of all scenes.
 class HistoryMemory {
  public:
+  // keep: at least 1.
   explicit HistoryMemory(std::size_t keep) : keep_(keep), thread_(kReadBytesMax) {}
   HistoryMemory(const HistoryMemory&) = delete;
   HistoryMemory& operator=(const HistoryMemory&) = delete;
@@ -37,8 +38,9 @@ class HistoryMemory {
  private:
   friend class History;
   static constexpr std::uint64_t kReadBytesMax = std::uint64_t{8} << 20U;
-  // Lets the longest histories forget their oldest reports until at most `keep` are in memory.
-  void make_room();
+  // Lets the longest histories forget their oldest reports until at most `keep` are in memory. `newest` keeps its last
+  // report.
+  void make_room(const History* newest);
 
   std::size_t keep_;
   std::size_t held_ = 0;

@@ -139,10 +139,10 @@ std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::i
 }
 
 Status Ledger::check_seat(const CountRecord& record) const {
-  if (now_.step && record.step <= *now_.step) return stale_step(name_, record.step, *now_.step);
   if (record.incarnation != now_.incarnation)
     return {Code::not_found, fmt::format("scene '{}' was made anew since it was opened here", name_),
             "open it again, and push its positions"};
+  if (now_.step && record.step <= *now_.step) return stale_step(name_, record.step, *now_.step);
   return {};
 }
 
@@ -156,9 +156,9 @@ Status Ledger::check(const CountRecord& record) const {
             fmt::format("the ids counted have the sum {}, those of the last step had {}", wire::hex64(*record.id_sum),
                         wire::hex64(*now_.id_sum)),
             "each particle is counted once, by its id"};
-  if (record.weights.has_value() != now_.weights)
+  if (record.n > 0 && record.weights.has_value() != now_.weights)
     return {Code::invalid_argument,
-            fmt::format("the count has {} weights, scene '{}' has {}", record.weights ? "" : "no", name_,
+            fmt::format("the count has {}weights, scene '{}' has {}", record.weights ? "" : "no ", name_,
                         now_.weights ? "some" : "none"),
             "weights are there from the first push on, or never"};
   return {};

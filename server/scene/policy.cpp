@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 #include <vector>
 
@@ -96,7 +97,8 @@ void CostAccount::repartitioned(std::int64_t step, double seconds, bool first) {
 void CostAccount::computed(double seconds, double imbalance) { lost_seconds_ = lost_seconds_with(seconds, imbalance); }
 
 double CostAccount::lost_seconds_with(double seconds, double imbalance) const {
-  return imbalance > best_imbalance_ ? lost_seconds_ + seconds * (1 - best_imbalance_ / imbalance) : lost_seconds_;
+  if (imbalance <= best_imbalance_) return lost_seconds_;
+  return std::min(lost_seconds_ + seconds * (1 - best_imbalance_ / imbalance), std::numeric_limits<double>::max());
 }
 
 double CostAccount::repartition_seconds() const {

@@ -39,7 +39,7 @@ class CostAccount {
   void computed(double seconds, double imbalance);
 
   double lost_seconds() const { return lost_seconds_; }
-  double lost_seconds_with(double seconds, double imbalance) const;  // after computed()
+  double lost_seconds_with(double seconds, double imbalance) const;  // after computed(); finite
   double repartition_seconds() const;                                // median of the last kRemembered
   wire::Json to_json() const;
   static CostAccount from_json(const wire::Json& json);  // throws where it isn't to_json()'s

@@ -11,8 +11,6 @@
 namespace rcb::scene {
 namespace {
 
-constexpr u128 kLoadMost = u128{1} << 127U;
-
 Status cannot_add(std::size_t seat, const char* why) {
   return {Code::invalid_argument, fmt::format("the count of seat {}: {}", seat, why)};
 }
@@ -22,19 +20,18 @@ struct PartSum {
   u128 load = 0;
 };
 
-// False if a load has more bits than any sum of weights in a scene's scale.
-bool add_parts(const CountRecord& record, std::map<std::int32_t, PartSum>& parts) {
+// Loads in a scale that isn't due have any bits, so their sums may wrap.
+void add_parts(const CountRecord& record, std::map<std::int32_t, PartSum>& parts) {
   for (std::size_t k = 0; k < record.parts.size(); ++k) {
     PartSum& sum = parts[record.parts[k]];
     sum.count += record.counts[k];
-    if (record.weights && (sum.load += record.weights->loads[k]) >= kLoadMost) return false;
+    if (record.weights) sum.load += record.weights->loads[k];
   }
-  return true;
 }
 
 void add_weights(const CountRecord& record, CountRecord& all) {
   const WeightCount& weights = *record.weights;
-  if (!all.weights || all.n == record.n) {  // the first that has particles
+  if (!all.weights) {
     all.weights = WeightCount{weights.scale, weights.least, weights.greatest, weights.as_zero, {}};
     return;
   }
@@ -62,22 +59,22 @@ Result<CountRecord> Tally::sum() const {
     all.bytes += record.bytes;
     if (all.n > static_cast<std::uint64_t>(wire::kParticlesMax))
       return cannot_add(seat, "with it there are more particles than a scene has");
+    if (record.step_seconds) all.step_seconds = std::max(*record.step_seconds, all.step_seconds.value_or(0));
+    if (record.n == 0) continue;  // so it need not say whether there are weights
     if (!record.id_sum) return cannot_add(seat, "field 'id_sum' is missing: each seat says whose particles it counts");
     *all.id_sum += *record.id_sum;
-    if (record.step_seconds) all.step_seconds = std::max(*record.step_seconds, all.step_seconds.value_or(0));
-    if (record.weights.has_value() != records_.front()->weights.has_value())
-      return cannot_add(seat, record.weights ? "it has weights, that of seat 0 has none" : "it has no weights");
-    if (!add_parts(record, parts)) return cannot_add(seat, "with it a load has more than 127 bits");
-    if (record.weights && (record.n > 0 || !all.weights)) add_weights(record, all);
+    if (all.n > record.n && record.weights.has_value() != all.weights.has_value())
+      return cannot_add(seat, record.weights ? "it has weights, those before it have none" : "it has no weights");
+    if (record.epoch != all.epoch || record.hash != all.hash) all.epoch = 0;  // of no cuts in force
+    add_parts(record, parts);
+    if (record.weights) add_weights(record, all);
   }
   all.parts.clear();
   all.counts.clear();
-  u128 total = 0;
   for (const auto& [part, sum] : parts) {
     all.parts.push_back(part);
     all.counts.push_back(static_cast<std::uint64_t>(sum.count));
     if (all.weights) all.weights->loads.push_back(sum.load);
-    if ((total += sum.load) >= kLoadMost) return cannot_add(0, "all loads together have more than 127 bits");
   }
   if (const auto due = all.weights ? scale_due(*all.weights, all.n) : std::nullopt)
     for (const auto& record : records_)

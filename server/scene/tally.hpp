@@ -19,7 +19,8 @@ class Tally {
   bool has(std::size_t seat) const { return records_.at(seat).has_value(); }
   bool whole() const;
   // The counts of all seats together. Where they weigh in different scales, `weights->scale` is one that isn't due
-  // (scale_due), and the loads mean nothing. Errors: invalid_argument, naming the seat.
+  // (scale_due), and the loads mean nothing. Where they were counted by different cuts, `epoch` is 0, that of none.
+  // Errors: invalid_argument, naming the seat.
   Result<CountRecord> sum() const;
 
  private:
