@@ -375,7 +375,7 @@ TEST_F(DamagedJournal, OneThatIsBeingRemovedHasNoState) {
       journal = Journal::open(disk_, "data", kJet, found);
       EXPECT_TRUE(found.states.empty() || (found.cuts.size() == 2 && journal->reports() == 12));
       EXPECT_TRUE(found.faults.empty());
-      without += found.states.empty() ? 1 : 0;
+      if (found.states.empty()) ++without;
     }
   EXPECT_GT(without, 10U);
 }
