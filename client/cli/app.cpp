@@ -32,6 +32,7 @@ void add_scene_options(CLI::App& command, client::SceneOptions& scene) {
   add_value(command, "--cut-tolerance", scene.cut_tolerance, kind::number_between("E", 0, 1), kCutToleranceHelp)
       ->capture_default_str();
   add_value(command, "--policy", scene.policy, kind::policy(), kPolicyHelp)->capture_default_str();
+  add_value(command, "--positions", scene.positions, kind::positions(), kPositionsHelp)->capture_default_str();
   add_list(command, "--part-sizes", scene.part_sizes, kind::positive_number("LIST"), kPartSizesHelp);
   command.add_flag("--replace", scene.replace, "drop a scene of that name first");
 }

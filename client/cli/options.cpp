@@ -181,6 +181,7 @@ Kind one_of(const std::string& shown, const std::vector<std::string>& words) {
 
 Kind method() { return one_of("METHOD", {"rcb", "bands-x", "bands-y", "bands-z"}); }
 Kind policy() { return one_of("POLICY", {"tolerance", "cost"}); }
+Kind positions() { return one_of("WHEN", {"every-step", "when-needed"}); }
 
 Kind output_file(Format format) {
   const FormatNames names = names_of(format);

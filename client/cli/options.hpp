@@ -63,6 +63,7 @@ Kind dimensions();
 Kind one_of(const std::string& shown, const std::vector<std::string>& words);
 Kind method();
 Kind policy();
+Kind positions();
 // A file to be written: its extension may not be that of another format.
 enum class Format { csv, npy, json, figure };
 Kind output_file(Format format);
@@ -75,6 +76,9 @@ inline constexpr const char* kHysteresisHelp =
     "always";
 inline constexpr const char* kPolicyHelp =
     "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes";
+inline constexpr const char* kPositionsHelp =
+    "when positions travel to the service: at every step, or when needed: the client counts, and sends them where new "
+    "cuts are due or a question about positions waits";
 inline constexpr const char* kPartSizesHelp = "a share for each part, such as 1,2,3";
 inline constexpr const char* kStepSecondsHelp =
     "the solver's computing time since its last push; used by the policy cost";

@@ -65,6 +65,8 @@ struct SceneOptions {
   double cut_tolerance = 0;          // 0 to 1: how far off target new cuts may leave a part, as a fraction; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
+  std::string positions = "every-step";
+  int threads = 1;
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 

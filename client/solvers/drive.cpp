@@ -81,6 +81,7 @@ void declare(CLI::App& app, const Program& program, RunOptions& options, TypedOp
          "repartition at the tolerance or, with cost, once imbalance has cost more time than a repartition takes")
       ->check(CLI::IsMember({"tolerance", "cost"}))
       ->default_str(d.policy);
+  add_positions_option(app, options.positions);
   app.add_option("--scene", options.scene, "name of the scene in the service; one of that name is replaced")
       ->type_name("NAME")
       ->default_str(d.scene);
@@ -151,8 +152,11 @@ Result<std::unique_ptr<Service>> open_service(const Program& program, const RunO
   connect.on_notice = [name = program.name](const std::string& text) { say_notice(name, text); };
   auto client = client::Client::connect(connect);
   if (!client) return client.status();
-  const client::SceneOptions create{
-      .parts = options.parts, .tolerance = options.tolerance, .policy = options.policy, .replace = true};
+  const client::SceneOptions create{.parts = options.parts,
+                                    .tolerance = options.tolerance,
+                                    .policy = options.policy,
+                                    .positions = options.positions,
+                                    .replace = true};
   if (Status status = client->create_scene(options.scene, create); !status.ok()) return status;
   auto scene = client->open_scene(options.scene);
   if (!scene) return scene.status();
@@ -249,6 +253,15 @@ void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajec
       ->type_name("E");
   app.add_option("--trajectory", trajectory, "also write all positions to this .npy: (steps + 1, points, 3)")
       ->type_name("F.npy");
+}
+
+void add_positions_option(CLI::App& app, std::string& positions) {
+  app.add_option(
+         "--positions", positions,
+         "when positions travel to the service: at every step, or when needed: a step is then counted here, and "
+         "sent where new cuts are due or a question about positions waits")
+      ->check(CLI::IsMember({"every-step", "when-needed"}))
+      ->default_str(positions);
 }
 
 void add_outlive_option(CLI::App& app, bool& outlive) {

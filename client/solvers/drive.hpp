@@ -25,6 +25,7 @@ struct RunOptions {
   int parts = 8;
   double tolerance = 0.1;  // infinity: the first partition is kept
   std::string policy = "tolerance";
+  std::string positions = "every-step";
   std::string scene;
   std::string endpoint;          // empty: the client library's default
   std::string trajectory;        // empty: none
@@ -75,7 +76,8 @@ inline constexpr const char* kFooter =
     "4 not authorised, 5 a deadline passed.\n"
     "Start a service first with: rcbctl up";
 
-// Options that a solver of several processes has too: --endpoint and --trajectory; --no-outlive.
+// Options that a solver of several processes has too: --positions; --endpoint and --trajectory; --no-outlive.
+void add_positions_option(CLI::App& app, std::string& positions);
 void add_place_options(CLI::App& app, std::string& endpoint, std::string& trajectory);
 void add_outlive_option(CLI::App& app, bool& outlive);
 

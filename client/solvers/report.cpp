@@ -59,6 +59,7 @@ std::string json_document(const Program& program, const RunOptions& options, con
       {"parts", options.parts},
       {"tolerance", std::isinf(options.tolerance) ? json("inf") : json(options.tolerance)},
       {"policy", options.policy},
+      {"positions", options.positions},
       {"repartitions", options.no_service ? json() : json(record.repartitions())},
       {"recreations", options.no_service ? json() : json(record.recreations())},
       {"error_max", largest ? json(largest->error) : json()},
@@ -86,6 +87,7 @@ std::string summary(const Program& program, const RunOptions& options, double in
     text += fmt::format(", scene {} in {}, tolerance {:g}", options.scene, parts_text(options.parts, record.reports),
                         options.tolerance);
     if (options.policy != RunOptions{}.policy) text += ", policy " + options.policy;
+    if (options.positions != RunOptions{}.positions) text += ", positions " + options.positions;
   }
   text += '\n';
   if (const auto largest = record.largest_error()) {

@@ -105,6 +105,8 @@ std::optional<double> peak_growth(comm::Comm& comm, const Problem& problem, Cont
 
 }  // namespace
 
+std::uint64_t read_doubles(std::span<const double> values) { return sum_of(values.data(), values.size()); }
+
 std::uint64_t read_positions(const particles::ParticleView& particles) {
   std::uint64_t sum = 0;
   for (std::size_t a = 0; a < static_cast<std::size_t>(particles.dims); ++a)

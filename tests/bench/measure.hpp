@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -44,6 +45,7 @@ void keep_freed_memory();
 
 // Reads every coordinate once, and returns something of them: the floor of whatever looks at all particles. Local.
 std::uint64_t read_positions(const particles::ParticleView& particles);
+std::uint64_t read_doubles(std::span<const double> values);
 
 // Collective. The same on every rank. Contenders that don't fit the problem (Code::unsupported) are left out.
 std::vector<Measurement> measure(comm::Comm& comm, const Problem& problem, const Contenders& contenders,

@@ -11,7 +11,7 @@ STEPS = 30
 COUNTS = ("repartitions", "drifted", "moved", "migrated")
 ERRORS = ("error", "error_max", "error_before_mean", "error_before_max")
 SECONDS = ("seconds", "seconds_min", "seconds_max", "seconds_search", "seconds_migrate", "seconds_exchange",
-           "seconds_client", "seconds_first", "seconds_lost", "seconds_both", "seconds_balancing")
+           "seconds_client", "seconds_round_trip", "seconds_first", "seconds_lost", "seconds_both", "seconds_balancing")
 
 
 class Dynamic(unittest.TestCase):
@@ -27,10 +27,10 @@ class Dynamic(unittest.TestCase):
             with open(os.path.join(folder, "figure.gp")) as file:
                 cls.script = file.read()
 
-    def rows(self, scene, tool="rcbd", hysteresis=1.2):
+    def rows(self, scene, tool="rcbd", hysteresis=1.2, positions="when-needed"):
         return {row["tolerance"] if row["policy"] == "tolerance" else "cost": row for row in self.document["rows"]
                 if row["scene"] == scene and row["tool"] == tool and
-                row["axis_hysteresis"] == (hysteresis if tool == "rcbd" else None)}
+                (row["axis_hysteresis"], row["positions"]) == ((hysteresis, positions) if tool == "rcbd" else (None, None))}
 
     def peers(self):
         return ["Zoltan"] if "no Zoltan," not in self.document["peers"] else []
@@ -38,25 +38,38 @@ class Dynamic(unittest.TestCase):
     def test_every_row_has_its_fields(self):
         self.assertLessEqual({"bench", "commit", "machine", "repeats", "rows"}, set(self.document))
         self.assertEqual(self.document["bench"], "dynamic")
-        self.assertEqual(len(self.document["rows"]), 2 * (2 * 4 + 3 * len(self.peers())))
+        self.assertEqual(len(self.document["rows"]), 2 * (2 * 2 * 4 + 3 * len(self.peers())))
         for row in self.document["rows"]:
             self.assertEqual([row[f] for f in ("n", "dims", "parts", "ranks", "work", "steps", "ratio")],
                              [403, 3, 4, 2, "dynamic", STEPS, {}])
             for field in SECONDS:
-                self.assertGreaterEqual(row[field], 0, field)
+                if row["tool"] == "rcbd" or field != "seconds_round_trip":
+                    self.assertGreaterEqual(row[field], 0, field)
             for field in COUNTS:
                 self.assertIsInstance(row[field], int)
             self.assertLessEqual(row["seconds_min"], row["seconds_max"])
             self.assertLessEqual(row["seconds"], row["seconds_max"])
-            self.assertAlmostEqual(row["seconds_both"], row["seconds"] + row["seconds_lost"])
+            self.assertAlmostEqual(row["seconds_both"], row["seconds_client"] + row["seconds_lost"])
             self.assertAlmostEqual(row["seconds_balancing"], row["seconds_search"] + row["seconds_migrate"])
 
     def test_every_scene_has_every_setting(self):
         for scene in ("two_spheres", "slope"):
             for hysteresis in (1, 1.2):
-                self.assertEqual(list(self.rows(scene, hysteresis=hysteresis)), [0, 0.05, "inf", "cost"])
+                for positions in ("when-needed", "every-step"):
+                    self.assertEqual(list(self.rows(scene, "rcbd", hysteresis, positions)), [0, 0.05, "inf", "cost"])
             for tool in self.peers():
                 self.assertEqual(list(self.rows(scene, tool)), [0, 0.05, "inf"])
+
+    def test_counts_and_positions_give_one_history(self):
+        for scene in ("two_spheres", "slope"):
+            counted, sent = self.rows(scene), self.rows(scene, positions="every-step")
+            self.assertGreater(counted["inf"]["seconds_round_trip"], 0)
+            for tolerance in (0, 0.05, "inf"):
+                for field in (*COUNTS, *ERRORS):
+                    if field != "migrated":  # the ranks may be behind, and catch up when positions travel
+                        self.assertEqual(counted[tolerance][field], sent[tolerance][field], (scene, tolerance, field))
+                self.assertEqual(counted[tolerance]["sent"], counted[tolerance]["repartitions"], (scene, tolerance))
+                self.assertEqual(sent[tolerance]["sent"], STEPS)
 
     def test_tolerances_hold_their_error(self):
         quota = max(abs(count * 4 - 403) / 403 for count in (100, 101))
@@ -101,7 +114,7 @@ class Dynamic(unittest.TestCase):
 def two_spheres(*arguments):
     """The rows of the policy tolerance."""
     document, _ = measure("dynamic", "--scenes", "two_spheres", "--points", "2003", "--ranks", "2", "--repeats", "1",
-                          "--no-peers", *arguments)
+                          "--no-peers", "--positions", "every-step", *arguments)
     return [row for row in document["rows"] if row["policy"] == "tolerance"]
 
 
@@ -116,7 +129,7 @@ class Hysteresis(unittest.TestCase):
 class Refusals(unittest.TestCase):
     def test_wrong_usage(self):
         expect_refused(self, "rcb_bench", *(["dynamic", *words] for words in (
-            ["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"],
+            ["--scenes", "nowhere"], ["--tolerances", "-1"], ["--axis-hysteresis", "0.5"], ["--positions", "never"],
             ["--parts", "0"], ["--repeats", "0"], ["--points", "1.5"], ["--ranks", "x"])))
 
 

@@ -1,4 +1,5 @@
-"""rcb_bench step at running services, as the script beside it that measures what TLS costs uses it."""
+"""rcb_bench step: what its rows say holds together, and it runs at services that run already, as the script beside it that
+measures what TLS costs uses it. No time is asserted."""
 import json
 import os
 import subprocess
@@ -6,7 +7,49 @@ import tempfile
 import unittest
 
 BIN = os.environ["RCBD_BIN_DIR"]
+from measuring import expect_refused, measure
+
 SCRIPT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "step", "encryption.py")
+
+
+class Step(unittest.TestCase):
+    FLOORS = {"count": ["read", "round_trip"], "count-permuted": ["read", "round_trip"],
+              "count-weighted": ["read", "round_trip"], "send": ["read", "floor", "memory"],
+              "rows": ["read", "floor", "memory"], "unmoved": ["floor", "memory"]}
+
+    @classmethod
+    def setUpClass(cls):
+        cls.document, done = measure("step", "--scenes", "moving-small,moving-shuffled", "--points", "20000", "--parts",
+                                     "8,64,1024", "--ranks", "2", "--repeats", "3", "--variants", ",".join(cls.FLOORS))
+        cls.text = done.stdout
+
+    def test_each_row_stands_beside_its_floors(self):
+        rows = self.document["rows"]
+        self.assertEqual([(row["scene"], row["parts"], row["variant"]) for row in rows],
+                         [(scene, parts, variant) for scene in ("moving-small", "moving-shuffled") for parts in (8, 64, 1024)
+                          for variant in self.FLOORS])
+        for row in rows:
+            self.assertEqual((row["n"], row["ranks"]), (20000, 2))
+            self.assertEqual(list(row["ratio"]), self.FLOORS[row["variant"]])
+            for name, ratio in row["ratio"].items():
+                self.assertAlmostEqual(ratio, row["seconds"] / row[name + "_seconds"])
+                self.assertIn(f"{name} {1e3 * row[name + '_seconds']:.3f} ms", self.text)
+
+    def test_a_count_is_a_small_message(self):
+        for row in self.document["rows"]:
+            counted = row["variant"].startswith("count")
+            self.assertEqual("message_bytes" in row, counted)
+            if counted:
+                each = 32 if row["variant"] == "count-weighted" else 16
+                self.assertLessEqual(row["message_bytes"], each * row["parts"] + 1024)
+                self.assertGreater(row["message_bytes"], 12 * row["parts"])
+
+    def test_only_send_finds_new_cuts(self):
+        self.assertEqual({row["variant"] for row in self.document["rows"] if row["repartitioned"]}, {"send"})
+
+    def test_wrong_usage(self):
+        expect_refused(self, "rcb_bench", *(["step", *words] for words in (
+            ["--scenes", "nowhere"], ["--variants", "magic"], ["--parts", "0"], ["--points", "1.5"], ["--repeats", "0"])))
 
 
 class Encryption(unittest.TestCase):

@@ -53,7 +53,7 @@ class ForPeople final : public Sink {
   Status take(const client::StepReport&, const Json& report) override {
     table_.row({text_of(report, "step"), text_of(report, "epoch"), text_of(report, "error_before"),
                 text_of(report, "error"), text_of(report, "imbalance"), text_of(report, "drifted"),
-                text_of(report, "moved"), text_of(report, "migrated"),
+                text_of(report, "moved"), text_of(report, "migrated"), text_of(report, "way"),
                 milliseconds(report.at("seconds").at("total").get<double>()),
                 report.at("repartitioned").get<bool>() ? text_of(report, "reason") : ""});
     if (++rows_ % kTableRows == 0) table_.print();
@@ -73,6 +73,7 @@ class ForPeople final : public Sink {
                 {"drifted"},
                 {"moved"},
                 {"migrated"},
+                {"way", Table::Align::left},
                 {"ms"},
                 {"repartition", Table::Align::left}}};
   std::size_t rows_ = 0;

@@ -31,6 +31,7 @@ void print_report(const Json& report) {
   facts.add("repartition", fmt::format("{}: {}", text_of(report, "repartitioned"), text_of(report, "reason")));
   facts.add("points", fmt::format("{} drifted, {} moved, {} migrated", text_of(report, "drifted"),
                                   text_of(report, "moved"), text_of(report, "migrated")));
+  facts.add("way", text_of(report, "way"));
   facts.add("skipped", text_of(report, "skipped"));
   facts.add("time", milliseconds(report.at("seconds").at("total").get<double>()) + " ms");
   facts.print();

@@ -26,9 +26,11 @@ void print_scene(const Json& scene) {
                                                                   {"cut_tolerance", "cut tolerance"},
                                                                   {"policy", "policy"},
                                                                   {"part_sizes", "part sizes"},
+                                                                  {"positions", "positions"},
                                                                   {"weights", "weights"},
                                                                   {"ids", "own ids"},
                                                                   {"step", "step"},
+                                                                  {"positions_step", "positions of step"},
                                                                   {"epoch", "epoch"},
                                                                   {"error", "error"},
                                                                   {"imbalance", "imbalance"},
@@ -48,6 +50,7 @@ Status create(const CreateOptions& options, const Context& context) {
                  {"axis_hysteresis", scene.axis_hysteresis},
                  {"cut_tolerance", scene.cut_tolerance},
                  {"policy", scene.policy},
+                 {"positions", scene.positions},
                  {"replace", scene.replace}};
   if (!scene.part_sizes.empty()) arguments["part_sizes"] = scene.part_sizes;
   return ask_and_show(context, "scene.create", arguments, [&](const Json&) {

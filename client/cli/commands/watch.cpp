@@ -23,11 +23,11 @@ struct WatchOptions {
 
 std::string line(const Json& report) {
   const Json& before = report.at("error_before");
-  return fmt::format("step {}  epoch {}  error {}{}  drifted {}  moved {}  migrated {}  {} ms{}",
+  return fmt::format("step {}  epoch {}  error {}{}  drifted {}  moved {}  migrated {}  {}  {} ms{}",
                      text_of(report, "step"), text_of(report, "epoch"),
                      before.is_null() ? "" : text_of(before) + " -> ", text_of(report, "error"),
                      text_of(report, "drifted"), text_of(report, "moved"), text_of(report, "migrated"),
-                     milliseconds(report.at("seconds").at("total").get<double>()),
+                     text_of(report, "way"), milliseconds(report.at("seconds").at("total").get<double>()),
                      report.at("repartitioned").get<bool>() ? "  repartitioned: " + text_of(report, "reason") : "");
 }
 

@@ -54,6 +54,7 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
                      {"axis_hysteresis", wire::number_json(options.axis_hysteresis)},
                      {"cut_tolerance", wire::number_json(options.cut_tolerance)},
                      {"policy", options.policy},
+                     {"positions", options.positions},
                      {"replace", options.replace}};
   if (!options.part_sizes.empty()) {
     request["part_sizes"] = wire::Json::array();

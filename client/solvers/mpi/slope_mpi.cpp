@@ -31,6 +31,7 @@ struct Options {
   std::int64_t steps = 200;
   int parts = 8;
   double tolerance = 0.1;
+  std::string positions = "every-step";
   std::string scene = "slope";
   std::string endpoint;
   std::string trajectory;
@@ -73,6 +74,7 @@ void declare(CLI::App& app, Options& o) {
       ->transform(whole(1, 1'048'576));
   app.add_option("--tolerance", o.tolerance, "load error at which the service repartitions; inf: never after step 0")
       ->check(tolerance());
+  add_positions_option(app, o.positions);
   app.add_option("--scene", o.scene, "name of the scene; one of that name is replaced")->type_name("NAME");
   add_place_options(app, o.endpoint, o.trajectory);
   app.add_option("--deadline", o.deadline_seconds, "seconds that one push may take")->check(CLI::Range(1e-3, 3600.0));
@@ -118,8 +120,9 @@ Result<std::unique_ptr<Seat>> open_scene(const Options& options, MpiCores& cores
   auto client = client::Client::connect(connect);
   Status status = client.status();
   if (status && cores.rank() == 0)
-    status =
-        client->create_scene(options.scene, {.parts = options.parts, .tolerance = options.tolerance, .replace = true});
+    status = client->create_scene(
+        options.scene,
+        {.parts = options.parts, .tolerance = options.tolerance, .positions = options.positions, .replace = true});
   if (Status all = cores.agree(status); !all) return all;
   auto scene = client::MemberScene::open(*client, options.scene,
                                          {.member = cores.rank(), .members = cores.size(), .follow = true});
@@ -228,6 +231,7 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
                       {"points", options.slope.points},
                       {"steps", options.steps},
                       {"parts", options.parts},
+                      {"positions", options.positions},
                       {"repartitions", record.repartitions()},
                       {"recreations", recreations},
                       {"reports", std::move(reports)},

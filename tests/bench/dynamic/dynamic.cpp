@@ -34,6 +34,8 @@ Status check(const DynamicOptions& options) {
   check.between("--repeats", std::vector{options.repeats}, 1, kRepeatsMax);
   check.whole("--points", {options.points}, 0, 1e9);
   check.between("--steps", std::vector{options.steps}, 0, kStepsMax);
+  check.known("--positions", options.positions,
+              [](const std::string& word) { return word == "when-needed" || word == "every-step"; });
   check.known("--scenes", options.scenes, [](const std::string& scene) { return find_solver(scene) != nullptr; });
   return check.status();
 }
@@ -41,8 +43,10 @@ Status check(const DynamicOptions& options) {
 // peer: Zoltan, which of a setting has the tolerance alone.
 Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSetting& setting, bool peer,
             std::vector<DynamicRun> runs) {
-  std::sort(runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.seconds < b.seconds; });
+  std::sort(runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.seconds_client < b.seconds_client; });
   DynamicRun run = runs[(runs.size() - 1) / 2];
+  const auto [least, most] =
+      std::minmax_element(runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.seconds < b.seconds; });
   if (!setting.cost) run.take_medians(runs);  // the policy cost need not repartition at the same steps
   Json tolerance;
   if (!setting.cost) tolerance = std::isinf(setting.tolerance) ? Json("inf") : Json(setting.tolerance);
@@ -57,20 +61,23 @@ Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSet
           {"cut_tolerance", 0},
           {"policy", setting.cost ? "cost" : "tolerance"},
           {"tolerance", tolerance},
+          {"positions", peer ? Json() : Json(setting.positions)},
           {"axis_hysteresis", peer ? Json() : Json(setting.axis_hysteresis)},
           {"steps", trajectory.solver_seconds.size() - 1},
           {"seconds", run.seconds},
-          {"seconds_min", runs.front().seconds},
-          {"seconds_max", runs.back().seconds},
+          {"seconds_min", least->seconds},
+          {"seconds_max", most->seconds},
+          {"seconds_client", run.seconds_client},
           {"seconds_balancing", run.seconds_search + run.seconds_migrate},
           {"seconds_search", run.seconds_search},
           {"seconds_migrate", run.seconds_migrate},
           {"seconds_exchange", run.seconds_exchange},
-          {"seconds_client", run.seconds_client},
+          {"seconds_round_trip", peer ? Json() : Json(run.seconds_round_trip)},
           {"seconds_first", run.seconds_first},
           {"seconds_lost", run.seconds_lost},
-          {"seconds_both", run.seconds + run.seconds_lost},
+          {"seconds_both", run.seconds_client + run.seconds_lost},
           {"repartitions", run.repartitions},
+          {"sent", peer ? Json() : Json(run.sent)},
           {"drifted", run.drifted},
           {"moved", run.moved},
           {"migrated", run.migrated},
@@ -81,55 +88,82 @@ Json row_of(const Trajectory& trajectory, int parts, int ranks, const DynamicSet
           {"ratio", Json::object()}};
 }
 
-// All settings along one trajectory, in a service of its own.
-Status measure_service(const DynamicOptions& options, const Trajectory& trajectory, int ranks, Json& rows) {
-  auto service = launch::Embedded::start(ranks, [](double) {});
-  if (!service) return service.status();
-  auto client = launch::reach(service->endpoint(), "rcb_bench");
-  if (!client) return service->explain(client.status());
+std::vector<DynamicSetting> settings_of(const DynamicOptions& options) {
   std::vector<DynamicSetting> settings;
-  for (const double hysteresis : options.hystereses) {
-    for (const double tolerance : options.tolerances) settings.push_back({false, tolerance, hysteresis});
-    settings.push_back({true, std::numeric_limits<double>::infinity(), hysteresis});
-  }
-  for (const int parts : options.parts) {
-    fmt::print(stderr, "ranks {}: {}, {} points, {} parts\n", ranks, trajectory.scene, trajectory.points, parts);
-    std::vector<std::vector<DynamicRun>> runs(settings.size());
-    for (int repeat = 0; repeat < options.repeats; ++repeat)
-      for (std::size_t k = 0; k < settings.size(); ++k) {
-        const std::size_t s = (k + static_cast<std::size_t>(repeat)) % settings.size();
-        auto run = replay(*client, trajectory, parts, settings[s], interrupted);
-        if (!run) return service->explain(run.status());
-        runs[s].push_back(*run);
-      }
-    for (std::size_t s = 0; s < settings.size(); ++s)
-      rows.push_back(row_of(trajectory, parts, ranks, settings[s], false, runs[s]));
+  for (const std::string& positions : options.positions)
+    for (const double hysteresis : options.hystereses) {
+      for (const double tolerance : options.tolerances) settings.push_back({positions, false, tolerance, hysteresis});
+      settings.push_back({positions, true, std::numeric_limits<double>::infinity(), hysteresis});
+    }
+  return settings;
+}
+
+// The runs of one tool along a trajectory: by number of parts, then by setting.
+using Runs = std::vector<std::vector<std::vector<DynamicRun>>>;
+
+// All settings once, at a service that runs.
+Status replay_all(const DynamicOptions& options, client::Client& client, RoundTrip& round_trip,
+                  const Trajectory& trajectory, int repeat, Runs& runs) {
+  const auto settings = settings_of(options);
+  for (std::size_t p = 0; p < options.parts.size(); ++p)
+    for (std::size_t k = 0; k < settings.size(); ++k) {
+      const std::size_t s = (k + static_cast<std::size_t>(repeat)) % settings.size();
+      auto run = replay(client, round_trip, trajectory, options.parts[p], settings[s], interrupted);
+      if (!run) return run.status();
+      runs[p][s].push_back(*run);
+    }
+  return {};
+}
+
+// All tolerances once, by Zoltan in an MPI job of its own.
+Status replay_peer(const DynamicOptions& options, const Trajectory& trajectory, int ranks, const std::string& folder,
+                   int repeat, Runs& runs) {
+  const PeerPlan plan{trajectory, options.parts, options.tolerances, repeat};
+  if (Status status = save(plan, folder + "/plan"); !status.ok()) return status;
+  Json lines = Json::array();
+  if (Status status = run_job(folder, kPeerWord, ranks, kStallSeconds, lines); !status.ok()) return status;
+  try {
+    for (const Json& line : lines) {
+      const PeerRun run = peer_run_of(line);
+      const auto p = std::find(options.parts.begin(), options.parts.end(), run.parts) - options.parts.begin();
+      const auto t = std::find(options.tolerances.begin(), options.tolerances.end(), run.tolerance);
+      runs.at(static_cast<std::size_t>(p))
+          .at(static_cast<std::size_t>(t - options.tolerances.begin()))
+          .push_back(run.run);
+    }
+  } catch (const nlohmann::json::exception& error) {
+    return {Code::internal, fmt::format("a run of Zoltan: {}", error.what())};
   }
   return {};
 }
 
-// Zoltan along the same trajectory, in an MPI job of its own.
-Status measure_peer(const DynamicOptions& options, const Trajectory& trajectory, int ranks, const std::string& folder,
-                    Json& rows) {
-  fmt::print(stderr, "ranks {}: {}, {} points, Zoltan\n", ranks, trajectory.scene, trajectory.points);
-  const PeerPlan plan{trajectory, options.parts, options.tolerances, options.repeats};
-  if (Status status = save(plan, folder + "/plan"); !status.ok()) return status;
-  Json lines = Json::array();
-  Status status = run_job(folder, kPeerWord, ranks, kStallSeconds, lines);
-  std::vector<PeerRun> runs;
-  try {
-    for (const Json& line : lines) runs.push_back(peer_run_of(line));
-  } catch (const nlohmann::json::exception& error) {
-    return {Code::internal, fmt::format("a run of Zoltan: {}", error.what())};
+// Along one trajectory: all settings in a service of its own and, in turn with it, Zoltan.
+Status measure_ranks(const DynamicOptions& options, const Trajectory& trajectory, int ranks, const std::string& folder,
+                     Json& rows) {
+  const bool peers = options.peers && has_dynamic_peer();
+  const auto settings = settings_of(options);
+  Runs ours(options.parts.size(), std::vector<std::vector<DynamicRun>>(settings.size()));
+  Runs theirs(options.parts.size(), std::vector<std::vector<DynamicRun>>(options.tolerances.size()));
+  RoundTrip round_trip;
+  auto service = launch::Embedded::start(ranks, [](double) {});
+  if (!service) return service.status();
+  auto client = launch::reach(service->endpoint(), "rcb_bench");
+  if (!client) return service->explain(client.status());
+  for (int repeat = 0; repeat < options.repeats; ++repeat) {
+    fmt::print(stderr, "ranks {}: {}, {} points, repeat {}\n", ranks, trajectory.scene, trajectory.points, repeat + 1);
+    Status status = replay_all(options, *client, round_trip, trajectory, repeat, ours);
+    if (!status.ok()) return service->explain(status);
+    if (peers) status = replay_peer(options, trajectory, ranks, folder, repeat, theirs);
+    if (!status.ok()) return status;
   }
-  for (const int parts : options.parts)
-    for (const double tolerance : options.tolerances) {
-      std::vector<DynamicRun> own;
-      for (const PeerRun& run : runs)
-        if (run.parts == parts && run.tolerance == tolerance) own.push_back(run.run);
-      if (!own.empty()) rows.push_back(row_of(trajectory, parts, ranks, {.tolerance = tolerance}, true, own));
-    }
-  return status;
+  for (std::size_t p = 0; p < options.parts.size(); ++p)
+    for (std::size_t s = 0; s < settings.size(); ++s)
+      rows.push_back(row_of(trajectory, options.parts[p], ranks, settings[s], false, ours[p][s]));
+  for (std::size_t p = 0; p < options.parts.size(); ++p)
+    for (std::size_t t = 0; t < options.tolerances.size() && peers; ++t)
+      rows.push_back(
+          row_of(trajectory, options.parts[p], ranks, {.tolerance = options.tolerances[t]}, true, theirs[p][t]));
+  return {};
 }
 
 Status measure_all(const DynamicOptions& options, Json& rows) {
@@ -143,11 +177,8 @@ Status measure_all(const DynamicOptions& options, Json& rows) {
     fmt::print(stderr, "{}: {} points, {} steps are computed\n", scene, points, steps);
     const auto trajectory = record(kind, points, steps, folder.path() + "/" + scene + ".npy", interrupted);
     if (!trajectory) return trajectory.status();
-    for (const int ranks : options.ranks) {
-      if (Status status = measure_service(options, *trajectory, ranks, rows); !status.ok()) return status;
-      if (!options.peers || !has_dynamic_peer()) continue;
-      if (Status status = measure_peer(options, *trajectory, ranks, folder.path(), rows); !status.ok()) return status;
-    }
+    for (const int ranks : options.ranks)
+      if (Status status = measure_ranks(options, *trajectory, ranks, folder.path(), rows); !status.ok()) return status;
     std::remove(trajectory->path.c_str());
   }
   return {};
@@ -157,11 +188,13 @@ Status measure_all(const DynamicOptions& options, Json& rows) {
 
 CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
   options.tolerances = {0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, std::numeric_limits<double>::infinity()};
-  auto* command = app.add_subcommand("dynamic", "time in service and error along a solver's run, for every tolerance");
+  auto* command =
+      app.add_subcommand("dynamic", "what a solver waits, and the error, along its run, for every tolerance");
   add_list(*command, "--scenes", options.scenes, "two_spheres, slope");
   add_list(*command, "--tolerances", options.tolerances, "tolerances; the policy cost is run beside them");
   add_list(*command, "--parts", options.parts, "numbers of parts");
   add_list(*command, "--ranks", options.ranks, "numbers of MPI ranks, one service each");
+  add_list(*command, "--positions", options.positions, "of our scenes: when-needed, every-step");
   add_list(*command, "--axis-hysteresis", options.hystereses, "of our scenes");
   command->add_flag("!--no-peers", options.peers, "leave Zoltan out");
   command->add_option("--repeats", options.repeats, "timed runs of each setting")->capture_default_str();
@@ -169,7 +202,7 @@ CLI::App* add_dynamic(CLI::App& app, DynamicOptions& options) {
   command->add_option("--steps", options.steps, "steps of every scene, instead of its own number");
   command->add_option("--json", options.json, "write the result to this file");
   command->add_option("--figure", options.figure,
-                      "draw time in service against error as SVG (gnuplot source beside it)");
+                      "draw what a solver waits against error as SVG (gnuplot source beside it)");
   return command;
 }
 

@@ -6,9 +6,9 @@
 // 1. The service is the real one: rcbd under mpirun by the launcher, pushed to by the client's library.
 // 2. The first push, which is partitioned whatever the tolerance, counts in nothing but `seconds_first`.
 // 3. A peer of the same number of ranks, without a service, follows the same trajectory (dynamic_peers.hpp).
-// 4. Settings take turns, and each repeat begins with another one. A row's times are sums of each step's median over
-// the
-//    repeats; with the policy cost, of the repeat with the median time.
+// 4. Settings and peer take turns, and each repeat begins with another one. A row's times are sums of each step's
+// median
+//    over the repeats; with the policy cost, of the repeat with the median time.
 #pragma once
 
 #include <string>
@@ -26,6 +26,7 @@ struct DynamicOptions {
   std::vector<double> tolerances;  // infinity among them
   std::vector<int> parts{8};
   std::vector<int> ranks{2};
+  std::vector<std::string> positions{"when-needed", "every-step"};
   std::vector<double> hystereses{1.2};
   int repeats = 3;
   bool peers = true;

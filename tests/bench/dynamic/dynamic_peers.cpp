@@ -20,6 +20,7 @@ constexpr std::pair<const char*, double DynamicRun::*> kNumbers[] = {
     {"seconds_migrate", &DynamicRun::seconds_migrate},
     {"seconds_exchange", &DynamicRun::seconds_exchange},
     {"seconds_client", &DynamicRun::seconds_client},
+    {"seconds_round_trip", &DynamicRun::seconds_round_trip},
     {"seconds_first", &DynamicRun::seconds_first},
     {"seconds_lost", &DynamicRun::seconds_lost},
     {"arrival_mean", &DynamicRun::arrival_mean},
@@ -44,15 +45,14 @@ Status run_along(comm::Comm& comm, const std::string& plan_path, const std::stri
   std::ofstream rows;
   if (comm.rank() == 0) rows.open(rows_path);
   for (const int parts : plan->parts)
-    for (int repeat = 0; repeat < plan->repeats; ++repeat)
-      for (std::size_t k = 0; k < plan->tolerances.size(); ++k) {
-        const double tolerance = plan->tolerances[(k + static_cast<std::size_t>(repeat)) % plan->tolerances.size()];
-        const auto reader = io::open_trajectory(plan->trajectory.path, {});
-        if (!comm::agree(comm, reader.ok())) return reader.status();
-        const auto run = drive_zoltan(comm, **reader, plan->trajectory, parts, tolerance);
-        if (!comm::agree(comm, run.ok())) return run.status();
-        if (comm.rank() == 0) rows << json_of(PeerRun{parts, tolerance, *run}) << std::endl;
-      }
+    for (std::size_t k = 0; k < plan->tolerances.size(); ++k) {
+      const double tolerance = plan->tolerances[(k + static_cast<std::size_t>(plan->repeat)) % plan->tolerances.size()];
+      const auto reader = io::open_trajectory(plan->trajectory.path, {});
+      if (!comm::agree(comm, reader.ok())) return reader.status();
+      const auto run = drive_zoltan(comm, **reader, plan->trajectory, parts, tolerance);
+      if (!comm::agree(comm, run.ok())) return run.status();
+      if (comm.rank() == 0) rows << json_of(PeerRun{parts, tolerance, *run}) << std::endl;
+    }
   if (comm.rank() == 0) rows.close();
   if (!comm::agree(comm, !rows.fail())) return {Code::io_error, rows_path + ": can't be written"};
   return {};
@@ -69,7 +69,7 @@ Status save(const PeerPlan& plan, const std::string& path) {
                   {"solver_seconds", plan.trajectory.solver_seconds},
                   {"parts", plan.parts},
                   {"tolerances", tolerances},
-                  {"repeats", plan.repeats}};
+                  {"repeat", plan.repeat}};
   std::ofstream out(path);
   out << json << "\n";
   out.close();
@@ -86,7 +86,7 @@ Result<PeerPlan> load_peer_plan(const std::string& path) {
                        json.at("solver_seconds").get<std::vector<double>>()};
     plan.parts = json.at("parts").get<std::vector<int>>();
     for (const Json& tolerance : json.at("tolerances")) plan.tolerances.push_back(tolerance_of(tolerance));
-    plan.repeats = json.at("repeats");
+    plan.repeat = json.at("repeat");
     return plan;
   } catch (const Json::exception& error) {
     return Status(Code::io_error, path + ": " + error.what());

@@ -26,7 +26,7 @@ struct PeerPlan {
   Trajectory trajectory;
   std::vector<int> parts;
   std::vector<double> tolerances;
-  int repeats = 1;
+  int repeat = 0;  // which one this is: it begins with the tolerance of this number
 };
 Status save(const PeerPlan& plan, const std::string& path);
 Result<PeerPlan> load_peer_plan(const std::string& path);

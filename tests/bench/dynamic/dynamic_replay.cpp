@@ -1,6 +1,7 @@
 #include "tests/bench/dynamic/dynamic_replay.hpp"
 
 #include <algorithm>
+#include <optional>
 
 #include "common/base/clock.hpp"
 #include "common/io/points.hpp"
@@ -9,16 +10,20 @@
 namespace rcb::bench {
 namespace {
 
+constexpr const char* kCountWay = "count";
+
 client::Positions positions_of(const io::Points& points) {
   std::array<const double*, 3> axes{};
   for (std::size_t a = 0; a < 3; ++a) axes[a] = points.position[a].data();
   return client::Positions::axes(axes, points.position[0].size());
 }
 
-void add(DynamicRun& run, const client::StepReport& report, double waited) {
-  run.add({report.seconds_total, report.seconds_search, report.seconds_migrate, report.seconds_exchange, waited});
+void add(DynamicRun& run, const client::StepReport& report, double waited, double round_trip) {
+  run.add({report.seconds_total, report.seconds_search, report.seconds_migrate, report.seconds_exchange, waited,
+           round_trip});
+  if (report.way != kCountWay) ++run.sent;
   run.repartitions += report.repartitioned ? 1 : 0;
-  run.drifted += report.drifted;
+  run.drifted += std::optional<std::uint64_t>(report.drifted).value_or(0);
   run.moved += report.moved;
   run.migrated += report.migrated;
   run.arrival_mean += report.error_before.value_or(0);
@@ -27,8 +32,8 @@ void add(DynamicRun& run, const client::StepReport& report, double waited) {
   run.error_max = std::max(run.error_max, report.error);
 }
 
-constexpr std::array kSums{&DynamicRun::seconds, &DynamicRun::seconds_search, &DynamicRun::seconds_migrate,
-                           &DynamicRun::seconds_exchange, &DynamicRun::seconds_client};
+constexpr std::array kSums{&DynamicRun::seconds,          &DynamicRun::seconds_search, &DynamicRun::seconds_migrate,
+                           &DynamicRun::seconds_exchange, &DynamicRun::seconds_client, &DynamicRun::seconds_round_trip};
 
 }  // namespace
 
@@ -48,13 +53,14 @@ void DynamicRun::take_medians(std::span<const DynamicRun> runs) {
   }
 }
 
-Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, int parts,
+Result<DynamicRun> replay(client::Client& client, RoundTrip& round_trip, const Trajectory& trajectory, int parts,
                           const DynamicSetting& setting, const std::function<bool()>& interrupted) {
   client::SceneOptions options;
   options.parts = parts;
   options.tolerance = setting.tolerance;
   options.axis_hysteresis = setting.axis_hysteresis;
   options.policy = setting.cost ? "cost" : "tolerance";
+  options.positions = setting.positions;
   options.replace = true;
   if (Status status = client.create_scene("dynamic", options); !status.ok()) return status;
   auto scene = client.open_scene("dynamic");
@@ -64,6 +70,7 @@ Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, 
   const SteadyClock clock;
   DynamicRun run;
   double imbalance = 1;
+  std::uint64_t message = 16 * static_cast<std::uint64_t>(parts) + 1024;
   std::uint64_t frames = 0;
   for (;; ++frames) {
     if (interrupted()) return Status(Code::aborted, "interrupted");
@@ -78,9 +85,12 @@ Result<DynamicRun> replay(client::Client& client, const Trajectory& trajectory, 
     auto result = scene->step(positions_of(**points), step);
     const double waited = clock.seconds() - start;
     if (!result) return result.status();
+    if (result->report.way == kCountWay) message = result->report.bytes;
+    const auto bare = round_trip.seconds(message, result->report.json.size());
+    if (!bare) return Status(Code::internal, "the process of the bare round trip is gone");
     if (k > 0) {
       run.seconds_lost += balanced * (imbalance - 1);
-      add(run, result->report, waited);
+      add(run, result->report, waited, *bare);
     } else {
       run.seconds_first = result->report.seconds_total;
     }

@@ -25,12 +25,14 @@ bool is_peer(const Json& row) { return row["tool"] != "rcbd"; }
 
 std::string tool_of(const Json& row, const Json& head) {
   std::string name = row["tool"].get<std::string>() + " " + row["method"].get<std::string>();
+  if (!is_peer(row)) name += ", " + row["positions"].get<std::string>();
   if (!is_peer(row) && row["axis_hysteresis"] != head["axis_hysteresis"])
     name += fmt::format(", hysteresis {:g}", row["axis_hysteresis"].get<double>());
   return name;
 }
 
 std::string milliseconds(const Json& row, const char* field) {
+  if (row[field].is_null()) return "-";
   return fmt::format("{:.2f}", 1e3 * row[field].get<double>() / std::max(1.0, row["steps"].get<double>()));
 }
 
@@ -56,38 +58,51 @@ std::vector<std::vector<const Json*>> groups_of(const Json& rows) {
   return groups;
 }
 
-double milliseconds_of(const Json& row, const Json& head) {
-  return 1e3 * row["seconds"].get<double>() / std::max(1.0, head["steps"].get<double>());
+double milliseconds_of(const Json& row) {
+  return 1e3 * row["seconds_client"].get<double>() / std::max(1.0, row["steps"].get<double>());
+}
+
+// A curve of a panel: how gnuplot draws it.
+struct CurveLook {
+  const char* tool;       // a row's, or null: the policy cost
+  const char* positions;  // null: any
+  const char* title;
+  const char* style;  // linespoints or points
+  int point;
+  const char* colour;
+  const char* labels;  // where they stand; null: none
+};
+constexpr CurveLook kCurves[] = {{"rcbd", "when-needed", "rcbd, when-needed", "linespoints", 7, "#c1272d", "0.7,0.3"},
+                                 {"rcbd", "every-step", "rcbd, every-step", "linespoints", 9, "#e08214", "0.7,0.3"},
+                                 {nullptr, nullptr, "rcbd, policy cost", "points", 3, "#c1272d", nullptr},
+                                 {"Zoltan", nullptr, "Zoltan RCB", "linespoints", 4, "#1f5f99", "0.7,-0.3"}};
+
+bool shows(const CurveLook& curve, const Json& row) {
+  if (curve.tool == nullptr) return row["policy"] == "cost";
+  return row["policy"] != "cost" && row["tool"] == curve.tool &&
+         (curve.positions == nullptr || row["positions"] == curve.positions);
 }
 
 // What gnuplot is told of one scene; its points are added to `data`, in blocks that begin with `name`.
 std::string panel_of(const std::vector<const Json*>& group, const std::string& name, std::string& data) {
   const Json& head = *group.front();
-  std::string by_tolerance, by_cost, by_peer;
-  for (const Json* row : group) {
-    if (!is_peer(*row) && tool_of(*row, head) != tool_of(head, head)) continue;
-    (is_peer(*row)                ? by_peer
-     : (*row)["policy"] == "cost" ? by_cost
-                                  : by_tolerance) +=
-        fmt::format("{} {} {}\n", milliseconds_of(*row, head), std::max((*row)["error"].get<double>(), kDynamicFloor),
-                    setting_of(*row));
+  std::string text;
+  for (std::size_t c = 0; c < std::size(kCurves); ++c) {
+    const CurveLook& curve = kCurves[c];
+    std::string points;
+    for (const Json* row : group)
+      if (shows(curve, *row) && (is_peer(*row) || (*row)["axis_hysteresis"] == head["axis_hysteresis"]))
+        points += fmt::format("{} {} {}\n", milliseconds_of(*row),
+                              std::max((*row)["error"].get<double>(), kDynamicFloor), setting_of(*row));
+    if (points.empty()) continue;
+    data += fmt::format("{0}_{1} << EOD\n{2}EOD\n", name, c, points);
+    text += fmt::format("{}{}_{} using 1:2 with {} pointtype {} pointsize 0.8 linecolor '{}' title '{}'",
+                        text.empty() ? "plot " : ", ", name, c, curve.style, curve.point, curve.colour, curve.title);
+    if (curve.labels != nullptr)
+      text +=
+          fmt::format(", '' using 1:2:3 with labels left offset {} textcolor '{}' notitle", curve.labels, curve.colour);
   }
-  data += fmt::format("{0} << EOD\n{1}EOD\n{0}c << EOD\n{2}EOD\n{0}z << EOD\n{3}EOD\n", name, by_tolerance, by_cost,
-                      by_peer);
-  std::string plot = fmt::format(
-      "set title '{}'\nplot {} using 1:2 with linespoints pointtype 7 pointsize 0.7 linecolor '#c1272d' title "
-      "'rcbd', "
-      "'' using 1:2:3 with labels left offset 0.7,0.3 notitle",
-      title_of(head), name);
-  if (!by_cost.empty())
-    plot += fmt::format(
-        ", {}c using 1:2 with points pointtype 3 pointsize 0.8 linecolor '#c1272d' title 'rcbd, policy cost'", name);
-  if (!by_peer.empty())
-    plot += fmt::format(
-        ", {}z using 1:2 with linespoints pointtype 4 pointsize 0.9 linecolor '#1f5f99' title 'Zoltan RCB', "
-        "'' using 1:2:3 with labels left offset 0.7,-0.3 textcolor '#1f5f99' notitle",
-        name);
-  return plot + "\n";
+  return fmt::format("set title '{}'\n{}\n", title_of(head), text);
 }
 
 }  // namespace
@@ -96,14 +111,16 @@ std::string dynamic_tables(const Json& document) {
   std::string text;
   for (const auto& group : groups_of(document["rows"])) {
     text += "\n" + title_of(*group.front()) + "; milliseconds a step\n";
-    std::vector<std::vector<std::string>> lines{{"tool", "tolerance", "seconds", "balancing", "waited", "lost", "both",
-                                                 "repartitions", "drifted", "moved", "migrated", "mean error",
-                                                 "largest", "on arrival", "largest"}};
+    std::vector<std::vector<std::string>> lines{
+        {"tool", "tolerance", "waited", "bare message", "in service", "balancing", "lost", "both", "repartitions",
+         "sent", "drifted", "moved", "migrated", "mean error", "largest", "on arrival", "largest"}};
     for (const Json* row : group) {
       std::vector<std::string> line{tool_of(*row, *group.front()), setting_of(*row)};
-      for (const char* field : {"seconds", "seconds_balancing", "seconds_client", "seconds_lost", "seconds_both"})
+      for (const char* field :
+           {"seconds_client", "seconds_round_trip", "seconds", "seconds_balancing", "seconds_lost", "seconds_both"})
         line.push_back(milliseconds(*row, field));
-      for (const char* field : {"repartitions", "drifted", "moved", "migrated"}) line.push_back((*row)[field].dump());
+      for (const char* field : {"repartitions", "sent", "drifted", "moved", "migrated"})
+        line.push_back((*row)[field].is_null() ? "-" : (*row)[field].dump());
       for (const char* field : {"error", "error_max", "error_before_mean", "error_before_max"})
         line.push_back(error_text(*row, field));
       lines.push_back(std::move(line));
@@ -126,8 +143,8 @@ Status draw_dynamic(const Json& document, const std::string& path) {
     if (head["parts"] != groups.front().front()->at("parts") || head["ranks"] != groups.front().front()->at("ranks"))
       continue;
     for (const Json* row : group) {
-      least = std::min(least, milliseconds_of(*row, head));
-      most = std::max(most, milliseconds_of(*row, head));
+      least = std::min(least, milliseconds_of(*row));
+      most = std::max(most, milliseconds_of(*row));
     }
     panels.push_back(panel_of(group, fmt::format("$p{}", panels.size()), data));
   }
@@ -138,7 +155,7 @@ Status draw_dynamic(const Json& document, const std::string& path) {
                            "set format xy '%g'\n"
                            "set yrange [{}:10]\n"
                            "set ytics add ('0' {})\n"
-                           "set xlabel 'milliseconds a step'\n"
+                           "set xlabel 'milliseconds that the solver waits a step'\n"
                            "set ylabel 'mean over the steps of the largest relative error of a part'\n",
                            0.7 * least, 2.5 * most, kDynamicFloor / 2, kDynamicFloor);
   script += data + fmt::format("set multiplot layout 1,{}\n", panels.size());

@@ -10,8 +10,8 @@ namespace rcb::bench {
 
 std::string dynamic_tables(const Json& document);
 
-// Time in service against mean error, a point a tolerance, a panel a scene; at the first numbers of parts and ranks.
-// Writes `path` (SVG) and, beside it with .gp for its ending, what gnuplot was told. Errors: as draw().
+// What a solver waits against mean error, a point a tolerance, a panel a scene; at the first numbers of parts and
+// ranks. Writes `path` (SVG) and, beside it with .gp for its ending, what gnuplot was told. Errors: as draw().
 Status draw_dynamic(const Json& document, const std::string& path);
 
 }  // namespace rcb::bench

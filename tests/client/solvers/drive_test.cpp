@@ -130,6 +130,7 @@ TEST(Documents, CarryWhatWasPromised) {
   EXPECT_EQ(document["steps"], 1);
   EXPECT_EQ(document["parts"], 8);
   EXPECT_EQ(document["tolerance"], "inf");
+  EXPECT_EQ(document["positions"], "every-step");
   EXPECT_EQ(document["repartitions"], 1);
   EXPECT_EQ(document["error_max"], 0.2);
   ASSERT_EQ(document["reports"].size(), 2U);
@@ -218,6 +219,7 @@ TEST(CommandLine, WrongUsageIsTwoOnBothStreams) {
                                                                             {"--tolerance", "-.5"},
                                                                             {"--tolerance", "nan"},
                                                                             {"--deadline", "0"},
+                                                                            {"--positions", "never"},
                                                                             {"--speed", "inf"},
                                                                             {"--speed", "fast"},
                                                                             {"--unknown", "1"}}) {

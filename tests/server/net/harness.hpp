@@ -21,8 +21,11 @@ using rcb::testing::Directory;
 inline constexpr const char* kAnna = "00000000000000aa";  // sessions
 inline constexpr const char* kBert = "00000000000000bb";
 
-// Executes orders one by one on its own thread. Knows scene.create, scene.drop, push and fetch (an answer with as many
-// doubles as the scene's name says: "n1000"); anything else is answered with {"echo": command}.
+inline constexpr std::uint64_t kCutsHash = 0xc075;  // of every scene after its first push; their epoch is 1
+
+// Executes orders one by one on its own thread. Knows scene.create, scene.drop, push (after which all parts have
+// equally many particles, or one more) and fetch (an answer with as many doubles as the scene's name says: "n1000");
+// anything else is answered with {"echo": command}.
 class FakeEngine final : public Engine {
  public:
   FakeEngine();

@@ -1,12 +1,8 @@
 // A client of the service without sockets: holds the plan as a solver's library would, and pushes by it.
 #pragma once
 
-#include <chrono>
-#include <cstdlib>
-#include <functional>
-#include <future>
+#include <cstring>
 #include <map>
-#include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -16,13 +12,9 @@
 #include "common/base/clock.hpp"
 #include "common/base/random.hpp"
 #include "common/layout/layout.hpp"
-#include "server/service/service.hpp"
+#include "tests/server/service/service_with_ledgers.hpp"
 
 namespace rcb::testing {
-
-using service::PushSlice;
-using service::Response;
-using wire::Json;
 
 inline const SteadyClock kClock;
 
@@ -51,20 +43,10 @@ inline void drift(Particles& particles, std::uint64_t seed, double width) {
     for (double& value : axis) value += random.uniform(-width, width);
 }
 
-// The answer with what is read beside the engine; the test fails where that doesn't come in time.
-inline Response complete(Response response) {
-  std::promise<Response> whole;
-  auto coming = whole.get_future();
-  api::complete(std::move(response), [&whole](Response answer) { whole.set_value(std::move(answer)); });
-  if (coming.wait_for(std::chrono::seconds(60)) == std::future_status::ready) return coming.get();
-  ADD_FAILURE() << "no answer";
-  std::abort();  // whoever answers later would find no promise
-}
-
 // Every rank makes one over its own Service; all do the same.
 class Driver {
  public:
-  Driver(comm::Comm& comm, service::Service& service, std::string scene)
+  Driver(comm::Comm& comm, Service& service, std::string scene)
       : comm_(comm), service_(service), scene_(std::move(scene)) {}
 
   Response create(Json options) {
@@ -76,7 +58,7 @@ class Driver {
   Response ask(const std::string& command, Json arguments = Json::object()) {
     arguments["command"] = command;
     arguments["scene"] = scene_;
-    return complete(service_.execute(arguments));
+    return service_.execute(arguments);
   }
 
   // In the plan's order; the plan follows from the answer's changes (which all ranks are told, for the test's sake).
@@ -206,7 +188,7 @@ class Driver {
   }
 
   comm::Comm& comm_;
-  service::Service& service_;
+  Service& service_;
   std::string scene_;
   layout::Layout plan_ = layout::Layout::blocks(0, 1, {});
   std::vector<int> rank_of_row_;
@@ -215,12 +197,12 @@ class Driver {
 
 // One with a service of its own, on which its scene is made.
 struct OwnService {
-  service::Service service;
+  Service service;
 };
 class OwnDriver : public OwnService, public Driver {
  public:
   OwnDriver(comm::Comm& comm, const std::string& scene, const Json& options, service::ServiceOptions of_service = {})
-      : OwnService{service::Service(comm, kClock, std::move(of_service))}, Driver(comm, service, scene) {
+      : OwnService{Service(comm, kClock, std::move(of_service))}, Driver(comm, service, scene) {
     create(options);
   }
 };

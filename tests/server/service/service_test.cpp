@@ -13,7 +13,6 @@
 namespace rcb::testing {
 namespace {
 
-using service::Service;
 
 // What must not depend on the rank count.
 Json comparable(Json report) {

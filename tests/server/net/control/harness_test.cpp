@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <deque>
+#include <map>
 #include <mutex>
 #include <thread>
 #include <utility>
@@ -39,7 +40,7 @@ struct FakeEngine::State {
   std::vector<std::string> executed;
   Json request;
   std::vector<Slice> slices;
-  api::Snapshot scenes;
+  std::map<std::string, scene::SceneOptions> scenes;
   std::thread thread;
 
   Answer execute(Order& order) {
@@ -50,29 +51,44 @@ struct FakeEngine::State {
     executed.push_back(command);
     request = order.request;
     if (command == "scene.create") {
-      scenes[scene] = {.dims = order.request.value("dims", 3), .parts = order.request.value("parts", 1)};
-    } else if (command == "scene.drop" || command == "scene.show") {
-      if (!scenes.contains(scene)) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
-      if (command == "scene.drop") scenes.erase(scene);
+      scene::SceneOptions& options = scenes[scene] = {};
+      options.dims = order.request.value("dims", 3);
+      options.parts = order.request.value("parts", 1);
+      options.tolerance = order.request.value("tolerance", 0.1);
+      options.positions = *scene::travel_from_name(order.request.value("positions", "every-step"));
+      answer.change = {scene, scene::Created{options, {}}};
+    } else if (command == "scene.drop") {
+      if (scenes.erase(scene) == 0) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
+      answer.change = {scene, scene::Dropped{}};
     } else if (command == "push") {
-      const auto step = order.request.value("step", std::int64_t{-1});
-      executed.back() += fmt::format(" step {}", step);
-      api::SceneSummary& info = scenes[scene];
-      info.n = order.request.value("n", std::uint64_t{0});
-      info.step = step;
-      info.plan_version = 1;
-      ++info.steps;
+      scene::Stepped stepped = push(order.request, scenes[scene]);
+      executed.back() += fmt::format(" step {}", stepped.report.step);
       slices = std::move(order.slices);
-      answer.json = {{"report", {{"step", step}}}};
+      answer.json["previous_step"] = nullptr;
+      answer.change = {scene, std::move(stepped)};
     } else if (command == "fetch") {
       const std::uint64_t count = std::stoull(scene.substr(1));
       Buffer<std::byte> bytes(count * 8);
       std::memset(bytes.data(), 0, bytes.size());
       answer.arrays.push_back({"x", "<f8", {count}, std::move(bytes)});
     }
-    const auto found = scenes.find(scene);
-    answer.change = {scene, found == scenes.end() ? std::nullopt : std::optional(found->second)};
     return answer;
+  }
+
+  static scene::Stepped push(const Json& request, const scene::SceneOptions& options) {
+    scene::Stepped stepped;
+    stepped.session = request.value("session", "");
+    stepped.report.step = request.value("step", std::int64_t{-1});
+    stepped.report.positions_step = stepped.report.step;
+    stepped.report.n = stepped.held.n = request.value("n", std::uint64_t{0});
+    stepped.held.weights = request.value("weights", false);
+    stepped.held.epoch = 1;
+    stepped.held.hash = kCutsHash;
+    stepped.held.plan_version = 1;
+    auto counts = partition::quotas(stepped.held.n, options.part_sizes, options.parts);
+    stepped.held.loads = std::make_shared<const partition::LoadSummary>(
+        partition::summarise_counts(std::move(counts), options.part_sizes));
+    return stepped;
   }
 
   void run() {

@@ -15,23 +15,28 @@ using wire::Json;
 constexpr const char* kSessions[] = {"00000000000000aa", "00000000000000bb"};
 constexpr int kRanks = 3;
 
-// Knows one scene, of ten particles on three ranks; notes the members' pushes.
+// Knows one scene, of ten particles on three ranks, whose first push is of step 7; notes the members' pushes.
 class OneScene final : public Engine {
  public:
   void submit(Order order, std::function<void(Answer)> done) override {
-    api::SceneSummary summary{.n = 10,
-                              .dims = 2,
-                              .step = last_step,
-                              .epoch = 3,
-                              .plan_version = 2,
-                              .plan_checksum = 5,
-                              .rank_counts = {4, 3, 3}};
+    const std::lock_guard lock(mutex);
+    const std::string command = order.request["command"];
+    scene::Held held{.n = 10, .epoch = 3, .plan_version = 2, .plan_checksum = 5, .rank_counts = {4, 3, 3}};
     Answer answer;
-    if (order.request.contains("membership")) answer.json["membership"] = order.request["membership"];
-    if (order.request["command"] == "push.members") {
-      const std::lock_guard lock(mutex);
-      last_step = order.request["step"].get<std::int64_t>();
-      summary.step = last_step;
+    if (command == "scene.create") {
+      if (std::exchange(created, true)) answer.status = Status(Code::already_exists, "it is there");
+      scene::SceneOptions options;
+      options.dims = 2;
+      if (answer.status.ok()) answer.change = {"s", scene::Created{options, {}}};
+    }
+    if (command.starts_with("push")) {
+      scene::Stepped stepped;
+      stepped.report.step = last_step = order.request["step"].get<std::int64_t>();
+      stepped.held = std::move(held);
+      stepped.held.loads = std::make_shared<const partition::LoadSummary>();
+      answer.change = {"s", std::move(stepped)};
+    }
+    if (command == "push.members") {
       pushed.push_back(order.request);
       for (int k = 0; k < 2; ++k)
         for (const char* name : {"leave_id", "place_id"}) answer.arrays.push_back({name, "<i8", {0}, {}});
@@ -40,12 +45,12 @@ class OneScene final : public Engine {
         for (const char* name : {"axes", "at", "id", "part_sizes"}) answer.arrays.push_back({name, "<i8", {0}, {}});
       }
     }
-    answer.change = {"s", std::move(summary)};
     done(std::move(answer));
   }
 
   std::mutex mutex;
-  std::int64_t last_step = 7;
+  bool created = false;
+  std::int64_t last_step = 0;
   std::vector<Json> pushed;
 };
 
@@ -88,7 +93,10 @@ class MemberDirect : public ::testing::Test {
     for (int k = 0; k < 2; ++k) {
       team_[k] = Client::on_unix(path());
       EXPECT_EQ(team_[k].hello("member", kSessions[k]).json["data"].size(), 3U);
-      team_[k].call("scene.create", {{"scene", "s"}});  // now the scene is known
+      if (team_[k].call("scene.create", {{"scene", "s"}}).type == FrameType::reply) {
+        team_[k].begin(kSessions[k], 7, 0, {{"slices", 0}});
+        EXPECT_EQ(team_[k].receive_but_notices().json["report"]["step"], 7);
+      }
       Received opened =
           team_[k].call("scene.open", {{"scene", "s"}, {"member", k}, {"members", 2}, {"follow", follow}});
       EXPECT_EQ(opened.json["membership"]["member"], k);

@@ -47,7 +47,7 @@ TEST(Widen, AnyCountWhereFloatsAreTheLastHalfOfDoubles) {
 class Push : public ::testing::Test {
  protected:
   Push() { anna_.call("scene.create", {{"scene", "s"}, {"dims", 2}}); }
-  // Both names are known from the snapshot only when the service has seen them.
+  // Both names are known from the ledger only when the service has seen them.
   void commit(Client& client, const char* session, std::int64_t step, std::uint64_t n) {
     client.begin(session, step, n);
     client.slice(session, step, n);
@@ -139,8 +139,8 @@ TEST_F(Push, ItsDeadlineGivesItUp) {
   EXPECT_EQ(late.code(), "deadline_exceeded");
   EXPECT_EQ(late.request, 3U);
   anna_.slice(kAnna, 0, 4);  // too late: dropped
-  EXPECT_EQ(anna_.call("error").json["echo"], "error");
-  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "error"}));
+  EXPECT_EQ(anna_.call("plan").json["echo"], "plan");
+  EXPECT_EQ(service_.engine().executed(), (std::vector<std::string>{"scene.create", "plan"}));
 }
 
 TEST_F(Push, ANewerAttemptReplacesTheOlder) {
@@ -213,9 +213,22 @@ TEST_F(Push, BeginIsHeldAgainstTheScene) {
   EXPECT_EQ(anna_.receive().json["report"]["step"], 6);
 }
 
-TEST_F(Push, AStepThatIsNotAboveTheLastIsLeftToTheService) {
+TEST_F(Push, AStepThatIsNotAboveTheLastIsNotOrdered) {
+  commit(anna_, kAnna, 4, 4);
   commit(anna_, kAnna, 5, 4);
-  commit(anna_, kAnna, 5, 4);  // it would answer with the first's report
+  service_.engine().hold();
+  for (const std::int64_t step : {4, 5}) {
+    anna_.begin(kAnna, step, 4);
+    const Received again = anna_.receive_but_notices();
+    EXPECT_EQ(again.json["repeated"], true);
+    EXPECT_EQ(again.json["report"]["step"], step);
+    EXPECT_EQ(again.json["plan"]["version"], 1);
+    anna_.slice(kAnna, step, 4);  // dropped
+    bert_.begin(kBert, step, 4);
+    EXPECT_EQ(bert_.receive_but_notices().code(), "stale_step") << step;
+  }
+  anna_.begin(kAnna, 3, 4);
+  EXPECT_EQ(anna_.receive_but_notices().code(), "stale_step");
   EXPECT_EQ(service_.engine().executed().size(), 3U);
 }
 

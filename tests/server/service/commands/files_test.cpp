@@ -21,7 +21,6 @@ namespace rcb::testing {
 namespace {
 
 namespace fs = std::filesystem;
-using service::Service;
 
 // A folder for clients' files, and one beside it.
 class FilesTest : public DirectoryTest {

@@ -16,7 +16,6 @@ namespace rcb::testing {
 namespace {
 
 using service::OrderTerms;
-using service::Service;
 
 template <typename T>
 std::vector<T> array_in(const Response& response, const std::string& name) {
@@ -232,17 +231,18 @@ TEST(Scenes, AnOrderTellsOfItsOwnSceneAlone) {
       EXPECT_FALSE(pushed.change);
       return;
     }
-    ASSERT_TRUE(pushed.change && pushed.change->summary);
+    ASSERT_TRUE(pushed.change && std::holds_alternative<scene::Stepped>(pushed.change->event));
     EXPECT_EQ(pushed.change->scene, "s7");
-    EXPECT_EQ(pushed.change->summary->n, 40U);
-    EXPECT_EQ(pushed.change->summary->step, 4);
-    EXPECT_EQ(pushed.change->summary->steps, 1U);
-    EXPECT_EQ(pushed.change->summary->rank_counts.size(), static_cast<std::size_t>(comm.size()));
+    const auto& stepped = std::get<scene::Stepped>(pushed.change->event);
+    EXPECT_EQ(stepped.report.step, 4);
+    EXPECT_EQ(stepped.session, "s");
+    EXPECT_EQ(stepped.held.n, 40U);
+    EXPECT_EQ(stepped.held.rank_counts.size(), static_cast<std::size_t>(comm.size()));
     EXPECT_FALSE(asked.change);
     EXPECT_FALSE(refused.change);
     ASSERT_TRUE(dropped.change);
     EXPECT_EQ(dropped.change->scene, "s7");
-    EXPECT_FALSE(dropped.change->summary);
+    EXPECT_TRUE(std::holds_alternative<scene::Dropped>(dropped.change->event));
   });
 }
 

@@ -13,7 +13,6 @@
 namespace rcb::testing {
 namespace {
 
-using service::Service;
 
 struct Particle {
   std::array<double, 3> at;

@@ -12,7 +12,6 @@ namespace rcb::testing {
 namespace {
 
 using service::NoSkip;
-using service::Service;
 
 // A report without what tells of the work alone.
 Json outcome(Json report) {

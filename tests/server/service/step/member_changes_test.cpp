@@ -150,7 +150,7 @@ class TeamWorld {
     return slice;
   }
 
-  Response execute(service::Service& service, const Json& request, std::vector<PushSlice> slices) {
+  Response execute(Service& service, const Json& request, std::vector<PushSlice> slices) {
     const bool staged = request.contains("staged");
     return service.execute(request, comm_.rank() == 0 || staged ? std::move(slices) : std::vector<PushSlice>());
   }
@@ -347,7 +347,7 @@ class TeamWorld {
 
   comm::Comm& comm_;
   const SteadyClock clock_;
-  service::Service one_, many_;
+  Service one_, many_;
   Driver single_, team_;
   int members_;
   bool weighted_;
@@ -375,7 +375,7 @@ TEST(MemberChanges, LeaveTheSceneOfOneClient) {
 // A solver that makes a lost scene anew may be at a step that inserts and removes.
 TEST(MemberChanges, AFirstPushMayInsertAndRemove) {
   on_ranks({1, 2, 3}, [](comm::Comm& comm) {
-    service::Service service(comm, kClock), other(comm, kClock);
+    Service service(comm, kClock), other(comm, kClock);
     Driver team(comm, service, "m"), single(comm, other, "m");
     for (Driver* driver : {&team, &single}) driver->create({{"parts", 4}, {"dims", 2}});
     const Particles all = random_particles(3, 40, 2);

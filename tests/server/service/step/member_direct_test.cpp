@@ -70,7 +70,7 @@ std::vector<std::map<std::int64_t, Place>> places_of(const Truth& truth, int mem
 
 class Team {
  public:
-  Team(comm::Comm& comm, service::Service& service, int members)
+  Team(comm::Comm& comm, Service& service, int members)
       : comm_(comm), service_(service), members_(members), places_(static_cast<std::size_t>(members)) {}
 
   // Every member has some block of rows.
@@ -181,7 +181,7 @@ class Team {
   }
 
   comm::Comm& comm_;
-  service::Service& service_;
+  Service& service_;
   int members_;
   std::vector<std::map<std::int64_t, Place>> places_;
   std::map<std::int64_t, std::int32_t> changed_;
@@ -189,7 +189,7 @@ class Team {
 
 void same_scene_as_one_client(int members, bool own_ids, bool weighted) {
   on_ranks({1, 2, 3, 4}, [&](comm::Comm& comm) {
-    service::Service one(comm, kClock), many(comm, kClock);
+    Service one(comm, kClock), many(comm, kClock);
     Driver single(comm, one, "m"), asks(comm, many, "m");
     for (Driver* driver : {&single, &asks}) driver->create({{"parts", kDirectParts}, {"dims", 2}, {"tolerance", 0.08}});
     Particles particles = random_particles(kDirectSeed, kPoints, 2);
@@ -254,7 +254,7 @@ TEST(MembersDirect, OfOwnIdsAndWeights) {
 
 TEST(MembersDirect, AShareThatIsNotWhatItsPartsHaveIsRefused) {
   on_ranks({1, 2, 3}, [](comm::Comm& comm) {
-    service::Service service(comm, kClock);
+    Service service(comm, kClock);
     Driver asks(comm, service, "m");
     asks.create({{"parts", kDirectParts}, {"dims", 2}});
     Particles particles = random_particles(kDirectSeed, kPoints, 2);

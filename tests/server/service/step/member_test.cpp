@@ -42,7 +42,7 @@ std::vector<PushSlice> shares(const Particles& particles, const Split& split) {
   return slices;
 }
 
-Response push_members(comm::Comm& comm, service::Service& service, const Particles& particles, std::int64_t step,
+Response push_members(comm::Comm& comm, Service& service, const Particles& particles, std::int64_t step,
                       const Split& split, bool follow, const Json& more = Json::object()) {
   Json request{{"command", "push.members"},
                {"scene", "m"},
@@ -106,7 +106,7 @@ void exchange_particles(const Particles& particles, const Response& response,
 void same_scene(int members, bool own_ids, bool weighted) {
   constexpr int kParts = 6;
   on_ranks({1, 2, 3, 4}, [&](comm::Comm& comm) {
-    service::Service one(comm, kClock), many(comm, kClock);
+    Service one(comm, kClock), many(comm, kClock);
     Driver single(comm, one, "m"), team(comm, many, "m");
     for (Driver* driver : {&single, &team}) driver->create({{"parts", kParts}, {"dims", 2}, {"tolerance", 0.05}});
     Particles particles = random_particles(kSharesSeed, 300, 2);

@@ -8,7 +8,6 @@ namespace rcb::testing {
 namespace {
 
 using service::NoSkip;
-using service::Service;
 
 // Moves matter towards one end of an axis, smoothly, so that loads grow apart and few particles cross.
 void lean(Particles& particles, double by) {

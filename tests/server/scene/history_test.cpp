@@ -1,12 +1,10 @@
-// Step reports: in memory so many as the room has, the older ones in files, lost ones counted, all of them in pages.
+// Step reports: in memory so many as the room has, the older ones in files, lost ones counted.
 #include "server/scene/history.hpp"
 
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <future>
 #include <memory>
-#include <new>
 #include <thread>
 
 #include <fmt/format.h>
@@ -16,24 +14,20 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "server/service/commands/with_reports.hpp"
-#include "server/service/service.hpp"
-#include "tests/server/service/driver.hpp"
 #include "tests/support/directory.hpp"
-#include "tests/support/self_comm.hpp"
 
-namespace rcb::testing {
+namespace rcb::scene {
 namespace {
 
 namespace fs = std::filesystem;
-using service::History;
-using service::HistoryMemory;
-using service::StepReport;
+using rcb::testing::contents;
+using rcb::testing::Directory;
+using wire::Json;
 
 class ReportDirectory {
  public:
   ReportDirectory() {
-    const Status made = service::make_report_directory(reports);
+    const Status made = make_report_directory(reports);
     EXPECT_TRUE(made.ok()) << made.message();
   }
 
@@ -70,7 +64,7 @@ StepReport report_of(std::int64_t step) {
   report.n = 7;
   report.error = 1.0 / static_cast<double>(step + 3);
   report.reason = fmt::format("error {} is below the tolerance 0.1", report.error);
-  report.skipped.add(service::Skip::search);
+  report.skipped.add(Skip::search);
   return report;
 }
 
@@ -78,10 +72,10 @@ void add(History& history, std::int64_t from, std::int64_t to) {
   for (std::int64_t step = from; step < to; ++step) history.add(report_of(step));
 }
 
-service::FoundReports find(const History& history, std::uint64_t first, std::uint64_t last) {
+FoundReports find(const History& history, std::uint64_t first, std::uint64_t last) {
   std::promise<void> done;
-  service::FoundReports found;
-  const Status begun = history.reading(first, last)([&found](service::FoundReports all) { found = std::move(all); },
+  FoundReports found;
+  const Status begun = history.reading(first, last)([&found](FoundReports all) { found = std::move(all); },
                                                     [&done] { done.set_value(); });
   EXPECT_TRUE(begun.ok()) << begun.message();
   if (begun.ok()) done.get_future().wait();
@@ -92,7 +86,7 @@ std::vector<std::int64_t> steps(const History& history, std::uint64_t first, std
   std::vector<std::int64_t> found;
   for (const Json& report : find(history, first, last).reports) {
     found.push_back(report["step"].get<std::int64_t>());
-    EXPECT_EQ(report, service::to_json(report_of(found.back())));
+    EXPECT_EQ(report, to_json(report_of(found.back())));
   }
   return found;
 }
@@ -121,7 +115,7 @@ TEST(History, LinesThatAreNoReportsAreLost) {
   add(history, 0, 400);
   ASSERT_EQ(loss(history), "");
   settle(room);
-  const std::string path = service::report_file_path(directory.reports, "jet");
+  const std::string path = report_file_path(directory.reports, "jet");
   std::string text = contents(path);
   const std::size_t line = text.find('\n') + 1;
   std::string same_length(text.find('\n', line) - line, ' ');
@@ -169,14 +163,14 @@ TEST(History, FilesArePrivateAndThoseOfAnEarlierRunAreRemoved) {
     History history(room, "..");  // a name of two dots is a name
     add(history, 0, 10);
     settle(room);
-    const std::string path = service::report_file_path(directory.reports, "..");
+    const std::string path = report_file_path(directory.reports, "..");
     struct stat found {};
     ASSERT_EQ(::stat(path.c_str(), &found), 0);
     EXPECT_EQ(found.st_mode & 0777U, 0600U);
-    fs::copy_file(path, service::report_file_path(directory.reports, "left-behind"));
+    fs::copy_file(path, report_file_path(directory.reports, "left-behind"));
   }
   EXPECT_FALSE(fs::is_empty(directory.reports));
-  ASSERT_TRUE(service::make_report_directory(directory.reports).ok());
+  ASSERT_TRUE(make_report_directory(directory.reports).ok());
   EXPECT_TRUE(fs::is_empty(directory.reports));
 }
 
@@ -184,7 +178,7 @@ TEST(History, AStrangersLinkIsNotFollowed) {
   const ReportDirectory directory;
   const std::string victim = directory.reports + "/victim";
   std::ofstream(victim) << "mine";
-  fs::create_symlink(victim, service::report_file_path(directory.reports, "jet"));
+  fs::create_symlink(victim, report_file_path(directory.reports, "jet"));
   HistoryMemory room(1, directory.reports);
   History history(room, "jet");
   add(history, 0, 10);
@@ -220,7 +214,7 @@ TEST(History, WhoeverTakesTheFileAwayTakesTheReportsInItAlone) {
   for (const std::string how : {"remove", "truncate", "append", "remove the directory", "replace"}) {
     SCOPED_TRACE(how);
     const ReportDirectory directory;
-    const std::string path = service::report_file_path(directory.reports, "jet");
+    const std::string path = report_file_path(directory.reports, "jet");
     HistoryMemory room(16, directory.reports);
     History history(room, "jet");
     add(history, 0, 100);
@@ -270,19 +264,7 @@ TEST(History, ADiskThatStandsStillHoldsUpNobody) {
   EXPECT_EQ(steps(history, 0, 100), range(0, 100)) << "in its time it has taken all";
   EXPECT_EQ(loss(history), "");
   settle(room);
-  EXPECT_FALSE(fs::exists(service::report_file_path(directory.reports, "gone")));
-}
-
-TEST(History, AnAnswerThatCouldNotBeFilledIsAFailure) {
-  const ReportDirectory directory;
-  HistoryMemory room(8, directory.reports);
-  History history(room, "jet");
-  add(history, 0, 100);
-  std::promise<Status> told;
-  api::complete(service::with_reports(history, 0, 100,
-                                      [](service::FoundReports, const service::Response&) { throw std::bad_alloc(); }),
-                [&told](const api::Answer& answer) { told.set_value(answer.status); });
-  EXPECT_EQ(told.get_future().get().code(), Code::too_large);
+  EXPECT_FALSE(fs::exists(report_file_path(directory.reports, "gone")));
 }
 
 TEST(History, WhatADiskDoesNotTakeInTimeIsLostAndCountedAndTheRestIsThere) {
@@ -314,87 +296,5 @@ TEST(History, WithoutADirectoryOldReportsAreLost) {
   EXPECT_LE(found.size(), 16U);
 }
 
-// One rank and one particle that stands still: the cheapest steps there are.
-class Still {
- public:
-  explicit Still(service::ServiceOptions options) : service_(comm_, clock_, std::move(options)) {
-    driver_.create({{"parts", 1}});
-    driver_.push_by_id(random_particles(1, 1, 3), 0);
-  }
-
-  Response step(std::int64_t step, const std::string& session = "s") {
-    return complete(service_.execute({{"command", "push"},
-                                      {"scene", "still"},
-                                      {"session", session},
-                                      {"step", step},
-                                      {"attempt", 0},
-                                      {"n", 1},
-                                      {"order", "plan"},
-                                      {"moved", "none"},
-                                      {"base_step", step - 1}}));
-  }
-  Response ask(const std::string& command, Json arguments = Json::object()) {
-    return driver_.ask(command, std::move(arguments));
-  }
-
- private:
-  const SteadyClock clock_;
-  testing::SelfComm comm_;
-  service::Service service_;
-  Driver driver_{comm_, service_, "still"};
-};
-
-TEST(HistoryCommand, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
-  const ReportDirectory directory;
-  Still still({.keep_reports = 100, .report_directory = directory.reports});
-  constexpr int kSteps = 5000;
-  for (int step = 1; step < kSteps; ++step) ASSERT_TRUE(still.step(step).status.ok());
-
-  const Response whole = still.ask("history");
-  EXPECT_EQ(whole.status.code(), Code::too_large);
-  EXPECT_NE(whole.status.hint().find("count"), std::string::npos);
-  EXPECT_EQ(still.ask("history", {{"last", 4097}}).status.code(), Code::too_large);
-  EXPECT_EQ(still.ask("history", {{"last", 4096}}).json["history"].size(), 4096U);
-  EXPECT_EQ(still.ask("history", {{"last", 3}}).json["history"][0]["step"], kSteps - 3);
-  EXPECT_EQ(still.ask("history", {{"last", 0}}).json["history"], Json::array());
-
-  for (const Json& arguments : {Json{{"count", 1000}}, Json{{"from", 0}}, Json{{"last", 2000}, {"count", 777}}}) {
-    SCOPED_TRACE(arguments.dump());
-    std::vector<std::int64_t> found;
-    Json asked = arguments;
-    for (Json next = 0; !next.is_null();) {
-      const Response page = still.ask("history", asked);
-      ASSERT_TRUE(page.status.ok()) << page.status.message();
-      EXPECT_EQ(page.json["total"], kSteps);
-      EXPECT_EQ(page.json["lost"], 0);
-      for (const Json& report : page.json["history"]) found.push_back(report["step"].get<std::int64_t>());
-      next = page.json["next"];
-      asked = {{"from", next}, {"count", arguments.value("count", 100000)}};
-    }
-    EXPECT_EQ(found, range(arguments.contains("last") ? kSteps - 2000 : 0, kSteps));
-  }
-  EXPECT_EQ(still.ask("history", {{"from", 1}, {"last", 1}}).status.code(), Code::invalid_argument);
-  EXPECT_EQ(still.ask("history", {{"count", 0}}).status.code(), Code::invalid_argument);
-  const Response beyond = still.ask("history", {{"from", kSteps + 5}});
-  EXPECT_TRUE(beyond.json["history"].empty());
-  EXPECT_TRUE(beyond.json["next"].is_null());
-}
-
-TEST(HistoryCommand, ARepeatedStepIsAnsweredFromTheFile) {
-  const ReportDirectory directory;
-  Still still({.keep_reports = 1, .report_directory = directory.reports});
-  for (int step = 1; step < 50; ++step) ASSERT_TRUE(still.step(step).status.ok());
-  for (const int step : {1, 20, 49}) {
-    const Response again = still.step(step);
-    ASSERT_TRUE(again.status.ok()) << again.status.message();
-    EXPECT_EQ(again.json["repeated"], true);
-    EXPECT_EQ(again.json["report"]["step"], step);
-  }
-  EXPECT_EQ(still.step(20, "another").status.code(), Code::stale_step);
-  fs::remove_all(directory.reports);
-  EXPECT_EQ(still.step(20).status.code(), Code::io_error);
-  EXPECT_TRUE(still.step(50).status.ok());
-}
-
 }  // namespace
-}  // namespace rcb::testing
+}  // namespace rcb::scene

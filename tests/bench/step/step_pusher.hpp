@@ -1,0 +1,94 @@
+// What takes part in rcb_bench step: points that move, and for each variant a scene to which they are pushed.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/lib/client.hpp"
+#include "common/base/random.hpp"
+#include "tests/bench/scenes.hpp"
+#include "tests/bench/step/step_members.hpp"
+
+namespace rcb::bench {
+
+// shared-memory: the solver computes in arrays of the library, rows or an array an axis; shared-memory-copy: it keeps
+// its own rows. By sockets to each rank: axes, rows, float32 (axes).
+// endpoint: rows through rank 0. members: a parallel solver's, with the particles of their parts, from shared memory;
+// members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved. connect: no
+// step, but the time until a new client has been let in.
+// count: own rows of a scene whose positions travel when needed, which they aren't; count-permuted: with ids, the rows
+// in a new random order each step; count-weighted: with a weight for each particle. send: as shared-memory, of such a
+// scene at the tolerance 0, so that each step is counted, then sends, and new cuts are found.
+inline constexpr std::array kStepVariants{"count",
+                                          "count-permuted",
+                                          "count-weighted",
+                                          "send",
+                                          "shared-memory",
+                                          "shared-memory-axes",
+                                          "shared-memory-copy",
+                                          "axes",
+                                          "rows",
+                                          "endpoint",
+                                          "members",
+                                          "members-sockets",
+                                          "members-endpoint",
+                                          "float32",
+                                          "subset",
+                                          "unmoved",
+                                          "connect"};
+
+bool is_count(const std::string& variant);
+
+// Two sets of positions, in turn, so that every particle moves at every step.
+struct MovingPoints {
+  int dims = 3;
+  std::size_t n = 0;
+  std::array<std::vector<double>, 3> axes[2];
+  std::array<std::vector<float>, 3> singles[2];
+  std::vector<double> rows[2];
+
+  // shuffled: neighbours in the arrays aren't neighbours in space.
+  MovingPoints(const SceneKind& kind, std::size_t count, bool shuffled);
+
+  // What a variant sends.
+  std::size_t bytes_sent(const std::string& variant) const;
+  // The positions that its client looks at.
+  std::size_t bytes_read(const std::string& variant) const;
+  client::Positions by_singles(int phase) const;
+  client::Positions by_axes(int phase) const;
+};
+
+// One variant's scene, and its positions the way the variant has them.
+class Pusher {
+ public:
+  Pusher(std::string variant, const MovingPoints& motion, int members);
+
+  Status open(const std::string& endpoint, int parts);
+  int ranks() const { return client_->ranks(); }
+  // The seconds of one step. Errors also: internal, if it went by another way than the variant's.
+  Result<double> step(int phase, client::StepReport& report);
+
+ private:
+  client::Path path() const;
+  Result<client::Positions> prepare(int phase);
+  client::Positions own_rows(int phase);
+  Status check_way(const client::StepReport& report, bool first) const;
+  Result<double> connect() const;
+
+  std::string variant_;
+  const MovingPoints& motion_;
+  client::ConnectOptions connect_;
+  Random random_{23};
+  std::vector<std::uint64_t> moved_;
+  std::vector<double> rows_;  // of the count variants
+  std::vector<std::int64_t> ids_;
+  std::vector<double> weights_;
+  std::optional<client::Client> client_;
+  std::optional<client::Scene> scene_;
+  std::optional<MemberTeam> team_;  // instead
+};
+
+}  // namespace rcb::bench

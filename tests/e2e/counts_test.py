@@ -1,0 +1,72 @@
+"""Scenes whose positions travel when needed: a step is a count, and the history is that of a scene that is sent them all."""
+from support import *
+
+# What a step with its positions and a step without them tell alike.
+FIELDS = ("step", "epoch", "n", "parts", "error_before", "error", "imbalance", "repartitioned", "reason", "axes_flipped",
+          "drifted", "moved")
+
+
+def history(reports):
+    return [[report[field] for field in FIELDS] for report in reports]
+
+
+class Counts(ServiceTest):
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.trajectory = os.path.join(cls.dir, "t.npy")
+        cls.runs = {}
+        for positions in ("every-step", "when-needed"):
+            done = run("--points", 1500, "--steps", 200, "--parts", 8, "--positions", positions, "--scene", positions,
+                       "--trajectory", cls.trajectory, "--json", endpoint=cls.service.endpoint, check=True,
+                       program=os.path.join(BIN, "two_spheres"))
+            cls.runs[positions] = json.loads(done.stdout)
+
+    def test_one_history(self):
+        sent, counted = self.runs["every-step"], self.runs["when-needed"]
+        self.assertEqual([sent["positions"], counted["positions"]], ["every-step", "when-needed"])
+        self.assertEqual(history(counted["reports"]), history(sent["reports"]))
+        self.assertEqual(counted["repartitions"], 36)
+        self.assertEqual(self.service.json("cuts", "when-needed")["hash"], self.service.json("cuts", "every-step")["hash"])
+
+    def test_positions_travel_for_new_cuts_alone(self):
+        last = None
+        for report in self.runs["when-needed"]["reports"]:
+            self.assertEqual(report["sent"], report["repartitioned"], report)
+            self.assertEqual(report["way"] == "count", not report["sent"], report)
+            last = report["step"] if report["sent"] else last
+            self.assertEqual(report["positions_step"], last, report)
+            self.assertEqual("positions" in report["skipped"], not report["sent"], report)
+            if not report["sent"]:
+                self.assertLessEqual(report["bytes"], 16 * 8 + 1024)
+        for report in self.runs["every-step"]["reports"]:
+            self.assertTrue(report["sent"])
+            self.assertEqual(report["positions_step"], report["step"])
+
+    def test_the_program_tells_which_way_a_step_went(self):
+        table = self.service.ctl("history", "when-needed", check=True).stdout
+        counts = sum(not report["sent"] for report in self.runs["when-needed"]["reports"])
+        self.assertEqual(sum("  count  " in line for line in table.splitlines()), counts)
+        shown = self.service.json("scene", "show", "when-needed")
+        self.assertEqual((shown["positions"], shown["step"]), ("when-needed", 200))
+        self.assertEqual(shown["positions_step"], self.runs["when-needed"]["reports"][-1]["positions_step"])
+
+    def test_a_replay_counts_too(self):
+        table = os.path.join(self.dir, "replayed.csv")
+        self.service.json("replay", "replayed", self.trajectory, "--parts", 8, "--tolerance", "0.1", "--positions",
+                          "when-needed", "--history", table)
+        self.assertEqual(history(self.service.json("history", "replayed")), history(self.runs["every-step"]["reports"]))
+        rows = np.genfromtxt(table, delimiter=",", names=True, dtype=None, encoding="utf-8")
+        reports = self.runs["when-needed"]["reports"]
+        self.assertEqual([way == "count" for way in rows["way"]], [not report["sent"] for report in reports])
+        self.assertEqual(list(rows["positions_step"]), [report["positions_step"] for report in reports])
+
+    def test_wrong_words(self):
+        for failure in (self.service.failure("scene", "create", "s", "--parts", 2, "--positions", "never"),
+                        self.service.failure("replay", "s", self.trajectory, "--positions", "")):
+            self.assertEqual((failure["code"], failure["exit"]), ("usage", 2))
+            self.assertIn("every-step, when-needed", failure["message"])
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)

@@ -1,0 +1,111 @@
+// A service as its clients know it: the ranks, and on rank 0 the ledgers, which the coordinator keeps.
+#pragma once
+
+#include <chrono>
+#include <cstdlib>
+#include <future>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "server/api/commands.hpp"
+#include "server/api/ledger_answers.hpp"
+#include "server/scene/ledger.hpp"
+#include "server/service/service.hpp"
+
+namespace rcb::testing {
+
+using service::PushSlice;
+using service::Response;
+using wire::Json;
+
+// The answer with what is read beside the engine; the test fails where that doesn't come in time.
+inline Response complete(Response response) {
+  std::promise<Response> whole;
+  auto coming = whole.get_future();
+  api::complete(std::move(response), [&whole](Response answer) { whole.set_value(std::move(answer)); });
+  if (coming.wait_for(std::chrono::seconds(60)) == std::future_status::ready) return coming.get();
+  ADD_FAILURE() << "no answer";
+  std::abort();  // whoever answers later would find no promise
+}
+
+// Every rank makes one. What the coordinator does: commands of the ledger are answered by rank 0 alone, a push is told
+// what the policy needs, a step that this session has committed is answered without an order, and the ledger takes in
+// what an order has done.
+class Service {
+ public:
+  Service(comm::Comm& comm, const Clock& clock, service::ServiceOptions options = {})
+      : comm_(comm), service_(comm, clock, std::move(options)) {}
+
+  // Collective. Only rank 0 returns the answer.
+  Response execute(Json request, std::vector<PushSlice> slices = {}, const service::OrderTerms& terms = {}) {
+    const std::string command = request.at("command");
+    const std::string scene = request.value("scene", "");
+    const api::CommandInfo* info = api::find_command(command);
+    if (info != nullptr && info->runs_on == api::RunsOn::ledger) return root() ? answer(scene, request) : Response();
+    if (command.starts_with("push")) {
+      if (const auto number = repeated(scene, request))
+        return root() ? complete(api::repeated(*ledgers_.find(scene), *number)) : Response();
+      add_terms(scene, request);
+    }
+    Response response = service_.execute(request, std::move(slices), terms);
+    if (response.change) take_change(response);
+    if (command == "scene.create" && root() && response.status.ok())
+      response.json = api::describe(*ledgers_.find(scene), comm_.size()).json;
+    return response;
+  }
+
+  std::vector<service::Spare> take_spares() { return service_.take_spares(); }
+
+ private:
+  bool root() const { return comm_.rank() == 0; }
+
+  Response answer(const std::string& scene, const Json& request) const {
+    const scene::Ledger* ledger = ledgers_.find(scene);
+    if (ledger == nullptr) return api::failed({Code::not_found, "no scene '" + scene + "'"});
+    return complete(api::answer_from(*ledger, request, comm_.size()));
+  }
+
+  std::optional<std::uint64_t> repeated(const std::string& scene, const Json& request) {
+    const scene::Ledger* ledger = ledgers_.find(scene);  // none on the other ranks
+    std::optional<std::uint64_t> number;
+    if (ledger != nullptr) number = ledger->repeated(request.at("session"), request.at("step"));
+    std::uint64_t one_more = number ? *number + 1 : 0;
+    comm_.all_max({&one_more, 1});
+    return one_more > 0 ? std::optional(one_more - 1) : std::nullopt;
+  }
+
+  void add_terms(const std::string& scene, Json& request) {
+    std::string text;
+    if (const scene::Ledger* ledger = ledgers_.find(scene)) {
+      const auto seconds = request.find("step_seconds");
+      const bool told = seconds != request.end() && seconds->is_number();
+      text = to_json(ledger->terms(told ? std::optional(seconds->get<double>()) : std::nullopt)).dump();
+    }
+    std::uint64_t size = text.size();
+    comm_.all_max({&size, 1});
+    if (size == 0) return;
+    text.resize(size);
+    comm_.broadcast(std::as_writable_bytes(std::span(text)), 0);
+    request["terms"] = Json::parse(text);
+  }
+
+  void take_change(Response& response) {
+    const scene::Ledger* ledger = ledgers_.find(response.change->scene);
+    const Json previous_step = ledger != nullptr && ledger->now().step ? Json(*ledger->now().step) : Json();
+    const scene::StepReport* report = ledgers_.take(*response.change, ++incarnations_);
+    if (report == nullptr) return;
+    response.json["report"] = to_json(*report);
+    if (response.json.contains("previous_step")) response.json["previous_step"] = previous_step;
+  }
+
+  comm::Comm& comm_;
+  service::Service service_;
+  scene::Ledgers ledgers_{1000, ""};
+  std::uint64_t incarnations_ = 0;
+};
+
+}  // namespace rcb::testing
