@@ -164,7 +164,9 @@ void CountPass::add_parts(const std::int32_t* part, std::size_t count) {
       if (!loads_.empty()) loads_[at(p[0])] += scaled_.sum(from, size);
       continue;
     }
-    for (std::size_t i = 0; i < size; ++i) ++counts_[(1 + i % kInTurn) * parts_ + at(p[i])];
+    std::array<std::uint64_t*, kInTurn> table;
+    for (std::size_t t = 0; t < kInTurn; ++t) table[t] = &counts_[(1 + t) * parts_];
+    for (std::size_t i = 0; i < size; ++i) ++table[i % kInTurn][p[i]];
     for (std::size_t i = 0; i < size && !loads_.empty(); ++i) loads_[at(p[i])] += scaled_[from + i];
   }
 }
