@@ -64,6 +64,12 @@ struct SceneOptions {
   double axis_hysteresis = 1.2;      // >= 1: a cut keeps its axis until another is longer by this factor
   double cut_tolerance = 0;          // 0 to 1: how far off target new cuts may leave a part, as a fraction; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
+  // When step() has the service's ranks take the positions: "every-step", or "when-needed": at first, where the cuts
+  // may have to change, and where a question about positions waits. In other steps this library counts by the cuts
+  // itself, which takes one pass over the positions, and sends the counts; that needs all positions, no insertions or
+  // removals.
+  std::string positions = "every-step";
+  int threads = 1;                   // for counting
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   std::string positions = "every-step";
   int threads = 1;
@@ -94,20 +100,25 @@ struct StepReport {
   bool repartitioned = false;
   std::string reason;
   int axes_flipped = 0;
-  std::uint64_t drifted = 0;   // particles that moved across a cut into another part
+  // Particles that moved across a cut into another part. None where nobody knows the parts before: after counts, those
+  // of a step whose answer another Scene has, or that inserted or removed particles.
+  std::optional<std::uint64_t> drifted;
   std::uint64_t moved = 0;     // particles whose part new cuts changed; not those of StepOptions::moved
   std::uint64_t migrated = 0;  // particles that changed rank; 0 at the first push
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
-  std::optional<std::int64_t> first_id;  // of the inserted, if the service chose their ids: they are consecutive
-  std::uint64_t weights_as_zero = 0;     // particles whose weight is too far below the greatest one to count
-  std::uint64_t scanned = 0;             // particles whose positions were sent
-  std::uint64_t searched = 0;            // particles that the search for cuts looked at
-  std::uint64_t rounds = 0;              // of the search for cuts; 0: there was no search
-  std::uint64_t reductions = 0;          // collectives of the search
+  std::optional<std::int64_t> first_id;        // of the inserted, if the service chose their ids: they are consecutive
+  std::uint64_t weights_as_zero = 0;           // particles whose weight is too far below the greatest one to count
+  bool sent = true;                            // the ranks took positions in this step
+  std::optional<std::int64_t> positions_step;  // whose positions the ranks hold
+  std::uint64_t strangers = 0;                 // particles that were outside their seat's parts; 0 for one client
+  std::uint64_t scanned = 0;                   // particles whose positions were sent
+  std::uint64_t searched = 0;                  // particles that the search for cuts looked at
+  std::uint64_t rounds = 0;                    // of the search for cuts; 0: there was no search
+  std::uint64_t reductions = 0;                // collectives of the search
   std::vector<std::string> skipped;
   std::uint64_t bytes = 0;
-  std::string way;  // by which the positions came: "endpoint", "sockets", "shared-memory", or "file" (load)
+  std::string way;  // how the positions came: "endpoint", "sockets", "shared-memory", "file" (load); or "count"
   double seconds_receive = 0, seconds_exchange = 0, seconds_search = 0, seconds_migrate = 0, seconds_total = 0;
   std::string json;  // the report as the service sent it
 };
@@ -149,7 +160,7 @@ struct StepOptions {
   const Insertion* inserted = nullptr;
   bool want_parts = false;    // fill StepResult::parts
   bool want_changes = false;  // fill StepResult::changes
-  int threads = 1;            // for finding these, where step() has all positions by rows or axes
+  int threads = 1;            // for finding these, where step() has all positions by rows or axes, and for counting
   double deadline_seconds = 60;
 };
 
@@ -242,8 +253,8 @@ class Scene {
   // Waits until the deadline for a lost service or connection.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
-  // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or the service has lost
-  // the scene: push all positions.
+  // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or it has lost the scene,
+  // or needs positions that its ranks don't hold ("when-needed"): push all positions.
   Result<StepResult> step_unmoved(const StepOptions& options = {});
   // A step in which only these particles moved: positions[k] is that of ids[k], [ids.size()], by rows or axes. For a
   // caller that doesn't have all positions at hand (otherwise use StepOptions::moved). Errors also: base_lost, as

@@ -2,15 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <exception>
-#include <functional>
 #include <mutex>
-#include <new>
-#include <thread>
 
 #include <fmt/format.h>
 
 #include "common/base/axis_names.hpp"
+#include "common/cuts/calls.hpp"
 #include "common/cuts/halo_pass.hpp"
 
 namespace rcb::cuts {
@@ -18,64 +15,7 @@ namespace {
 
 using geometry::Box;
 
-constexpr std::size_t kRowsEach = 16384;  // fewer rows than this are not worth a thread
 constexpr int kSeatsMax = 1 << 24;
-
-Status bad_call(std::string message) { return {Code::invalid_argument, std::move(message)}; }
-
-Status check_call(const CutTree& tree, const Positions& positions, const OwnerOptions& options) {
-  if (positions.dims != tree.dims)
-    return bad_call(fmt::format("positions of {} dimensions, the cuts have {}", positions.dims, tree.dims));
-  for (std::size_t a = 0; a < at(tree.dims) && positions.count > 0; ++a)
-    if ((positions.single() ? static_cast<const void*>(positions.axis_f4[a]) : positions.axis[a]) == nullptr)
-      return bad_call(fmt::format("no array for axis {}", kAxisNames[a]));
-  if (positions.stride == 0) return bad_call("a stride of 0");
-  if (!options.ids.empty() && options.ids.size() != positions.count)
-    return bad_call(fmt::format("{} ids for {} positions", options.ids.size(), positions.count));
-  if (!options.last_part.empty() && options.last_part.size() != positions.count)
-    return bad_call(fmt::format("{} last parts for {} positions", options.last_part.size(), positions.count));
-  if (options.threads < 1) return bad_call(fmt::format("{} threads", options.threads));
-  return {};
-}
-
-// Calls work(k, begin, end) for shares of the rows, each on a thread of its own as far as the system gives them.
-// Returns the first share's error.
-Status share_rows(std::size_t count, std::size_t shares,
-                  const std::function<Status(std::size_t, std::size_t, std::size_t)>& work) {
-  std::vector<Status> status(shares);
-  const auto run = [&](std::size_t k) {
-    try {
-      status[k] = work(k, count * k / shares, count * (k + 1) / shares);
-    } catch (const std::bad_alloc&) {
-      status[k] = Status(Code::too_large, "no memory");  // so short that it needs none
-    }
-  };
-  std::vector<std::thread> threads;
-  threads.reserve(shares);
-  for (std::size_t k = 1; k < shares; ++k) try {
-      threads.emplace_back(run, k);
-    } catch (const std::exception&) {  // no thread, or no memory for one
-      run(k);
-    }
-  run(0);
-  for (std::thread& thread : threads) thread.join();
-  const auto bad = std::find_if(status.begin(), status.end(), [](const Status& one) { return !one.ok(); });
-  return bad == status.end() ? Status() : *bad;
-}
-
-// What ask() returns, or the error that there was no memory for it.
-template <typename Ask>
-auto within_memory(const Ask& ask) -> decltype(ask()) {
-  try {
-    return ask();
-  } catch (const std::bad_alloc&) {
-    return Status(Code::too_large, "no memory for an answer of the cuts");
-  }
-}
-
-std::size_t shares_of(std::size_t count, int threads) {
-  return std::clamp<std::size_t>(count / kRowsEach, 1, at(threads));
-}
 
 // Joins the entries of all shares by target; a stable order, so rows stay ascending.
 Result<Halo> join(const std::vector<std::unique_ptr<HaloPass>>& shares, std::size_t targets, int dims, bool shifts,
@@ -136,12 +76,12 @@ Cuts::Cuts(CutTree tree, std::uint64_t epoch) : data_(std::make_shared<const Dat
 const CutTree& Cuts::tree() const { return data_->tree; }
 std::uint64_t Cuts::epoch() const { return data_->epoch; }
 std::uint64_t Cuts::hash() const { return data_->hash; }
+const OwnerTables& Cuts::tables() const { return data_->tables; }
 std::span<const Box> Cuts::regions() const { return data_->tables.boxes; }
 
 Status Cuts::owner(const Positions& positions, const OwnerOptions& options, std::span<std::int32_t> part) const {
   if (Status status = check_call(tree(), positions, options); !status) return status;
-  if (part.size() != positions.count)
-    return bad_call(fmt::format("room for {} parts of {} positions", part.size(), positions.count));
+  if (Status status = check_room(positions, part); !status) return status;
   return share_rows(positions.count, shares_of(positions.count, options.threads),
                     [&](std::size_t, std::size_t begin, std::size_t end) -> Status {
                       OwnerPass pass(data_->tables, positions, options.ids, options.last_part);

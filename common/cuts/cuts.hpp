@@ -35,6 +35,8 @@ struct Narrowest {
   double width = 0;
 };
 
+struct OwnerTables;
+
 class Cuts {
  public:
   Cuts(CutTree tree, std::uint64_t epoch);
@@ -44,6 +46,7 @@ class Cuts {
   int dims() const { return tree().dims; }
   std::uint64_t epoch() const;
   std::uint64_t hash() const;
+  const OwnerTables& tables() const;  // for the passes of this room
 
   // Sets part[i] to the part that owns position i. Errors: invalid_argument (lengths, dims), not_finite (names the
   // row).

@@ -109,10 +109,9 @@ std::int32_t OwnerPass::expect(std::size_t begin, std::size_t count, std::int32_
     }
     if (most < static_cast<std::uint32_t>(tables_.tree.parts)) {  // else they are no parts of these cuts
       expected = last[0];
-      if (other != 0) {
-        std::copy_n(last, count, part);
-        return -1;
-      }
+      if (other != 0 && part != last) std::copy_n(last, count, part);
+      if (other != 0) return -1;
+      if (part == last) return expected;
     }
   }
   std::fill_n(part, count, expected);

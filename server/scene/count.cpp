@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include "common/base/exact_scale.hpp"
 #include "common/wire/field_reader.hpp"
 #include "common/wire/limits.hpp"
 
@@ -102,7 +103,7 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
 
 std::optional<int> scale_due(const WeightCount& weights, std::uint64_t n) {
   if (n == 0 || weights.least == weights.greatest) return std::nullopt;
-  return partition::ExactScale(weights.greatest, n).exponent();
+  return ExactScale(weights.greatest, n).exponent();
 }
 
 Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes) {

@@ -7,9 +7,10 @@
 #include <fmt/format.h>
 
 #include "common/base/clock.hpp"
+#include "common/base/exact_scale.hpp"
 #include "common/base/index.hpp"
 #include "common/base/random.hpp"
-#include "common/cuts/cuts.hpp"
+#include "common/cuts/count.hpp"
 #include "common/partition/partition.hpp"
 #include "tests/bench/measure.hpp"
 #include "tests/bench/options.hpp"
@@ -97,6 +98,24 @@ std::vector<Work> works_of(const cuts::Cuts& cuts, const OrderedRows& rows, cons
   works.back().name = "owner, float rows";
   works.push_back(owner(by_axes, hinted));
   works.back().name = "owner, last parts";
+  // As a step counts: the hint is the array that takes the parts. Uneven weights, all within the scale.
+  cuts::CountOptions counted;
+  counted.ids = halo.ids;
+  counted.threads = options.threads;
+  counted.last_part = part;
+  cuts::CountOptions weighted = counted;
+  weighted.weights = rows.particles.position[0].span();
+  weighted.scale = ExactScale(box.hi[0], count).exponent();
+  const auto counts = [&cuts, &part](const char* name, const cuts::Positions& positions,
+                                     const cuts::CountOptions& with) {
+    return Work{name, [&cuts, &part, positions, with]() -> std::uint64_t {
+                  return cuts::count(cuts, positions, with, part).value().counts[0];
+                }};
+  };
+  works.push_back(counts("count", by_axes, counted));
+  works.push_back(counts("count, rows", by_rows, counted));
+  works.push_back(counts("count, float rows", by_floats, counted));
+  works.push_back(counts("count, weights", by_axes, weighted));
   works.push_back(halos("halo", by_axes, halo));
   works.push_back(halos("halo, rows", by_rows, halo));
   works.push_back(halos("halo, Euclidean", by_axes, euclid));

@@ -45,6 +45,8 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
   if (Status status = wire::check_scene_name(name); !status) return status;
   if (std::isnan(options.tolerance) || std::isnan(options.axis_hysteresis) || std::isnan(options.cut_tolerance))
     return {Code::invalid_argument, "a tolerance or axis hysteresis that is not a number"};
+  if (options.threads < 1)
+    return {Code::invalid_argument, fmt::format("{} threads", options.threads), "give 1 or more"};
   wire::Json request{{"command", "scene.create"},
                      {"scene", name},
                      {"parts", options.parts},
@@ -63,7 +65,7 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
   wire::Json known = scene_options(request);
   if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
     return made.status();
-  state_->begin_run(name, std::move(known));
+  state_->begin_run(name, std::move(known), options.threads);
   return {};
 }
 

@@ -8,8 +8,8 @@ namespace rcb::client {
 
 wire::Json scene_options(const wire::Json& description) {
   wire::Json options = wire::Json::object();
-  for (const char* name :
-       {"parts", "dims", "method", "tolerance", "axis_hysteresis", "cut_tolerance", "policy", "part_sizes"})
+  for (const char* name : {"parts", "dims", "method", "tolerance", "axis_hysteresis", "cut_tolerance", "policy",
+                           "positions", "part_sizes"})
     if (const auto field = description.find(name); field != description.end() && !field->is_null())
       options[name] = *field;
   return options;
@@ -65,10 +65,10 @@ Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& argumen
   return opened;
 }
 
-void Client::State::begin_run(const std::string& scene, wire::Json options) {
+void Client::State::begin_run(const std::string& scene, wire::Json options, int threads) {
   ++runs[scene];
   if (options.is_object())
-    created[scene] = {std::move(options), session->instance()};
+    created[scene] = {std::move(options), session->instance(), threads};
   else
     created.erase(scene);
 }

@@ -18,6 +18,7 @@ namespace rcb::client {
 struct KnownScene {
   wire::Json options;    // arguments of scene.create; null: not known yet
   std::string instance;  // identifies the run of the service that had the scene
+  int threads = 1;       // SceneOptions::threads
 };
 
 // Picks the scene's options out of a described() scene or the arguments of a scene.create.
@@ -60,7 +61,7 @@ struct Client::State {
             "open it with another client, or after that one has ended"};
   }
   // To be called when the client has created a scene, with its options, or has dropped it, with none.
-  void begin_run(const std::string& scene, wire::Json options);
+  void begin_run(const std::string& scene, wire::Json options, int threads = 1);
 };
 
 }  // namespace rcb::client

@@ -11,12 +11,14 @@ void Scene::State::lose() {
   lost_ = true;
   pushed_ = false;
   cuts_.known.reset();
+  counted_.forget();
   if (!known_) known_ = std::move(parts_);
   parts_.clear();
 }
 
 void Scene::State::keep_weights(std::span<const double> weights) {
-  if (session().outlive() && weights.data() != weights_.data()) weights_.assign(weights.begin(), weights.end());
+  if ((session().outlive() || when_needed_) && weights.data() != weights_.data())
+    weights_.assign(weights.begin(), weights.end());
 }
 
 Status Scene::State::base_lost(const std::string& why) const {

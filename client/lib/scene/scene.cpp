@@ -75,6 +75,7 @@ void Scene::State::forget_if_replaced() {
   forget_rows();
   cuts_.known.reset();
   weights_.clear();
+  when_needed_ = false;
   began_ = answered_ = told_ = missed_ = base_unknown_ = false;
 }
 
@@ -83,6 +84,7 @@ void Scene::State::forget_rows() {
   rows_assumed_ = false;
   parts_.clear();
   known_.reset();
+  counted_.forget();
 }
 
 Result<cuts::Cuts> Scene::State::current_cuts(double deadline_seconds) {
@@ -124,6 +126,8 @@ Result<Scene::State::Description> Scene::State::read_description(const wire::Jso
   if (fields.has("step")) found.step = fields.integer("step", 0, wire::kStepMax);
   found.ids = fields.flag("ids");
   found.weights = fields.flag("weights");
+  found.when_needed = fields.text_or("positions", 16, "every-step") == "when-needed";
+  found.incarnation = fields.text_or("incarnation", 16, "");
   if (!fields.ok()) return odd_answer("scene.open", fields.status().message());
   return found;
 }
@@ -144,6 +148,9 @@ Status Scene::State::hold(const Retry& retry) {
   scene_.options = scene_options(*json);
   parts_count_ = found->parts;
   dims_ = found->dims;
+  when_needed_ = found->when_needed;
+  incarnation_ = found->incarnation;
+  if (when_needed_) cuts_.wanted = true;
   if (!has_particles()) {
     count_ = found->count;
     epoch_ = found->epoch;

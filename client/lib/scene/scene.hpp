@@ -17,6 +17,7 @@
 #include <string>
 #include <vector>
 
+#include "client/lib/scene/count_step.hpp"
 #include "client/lib/scene/lost_scene.hpp"
 #include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/push_source.hpp"
@@ -85,6 +86,8 @@ struct Scene::State {
     std::uint64_t epoch = 0;
     std::optional<std::int64_t> step;  // none: the scene has no positions
     bool ids = false, weights = false;
+    bool when_needed = false;
+    std::string incarnation;
   };
 
   Session& session() const { return *client_->session; }
@@ -123,6 +126,14 @@ struct Scene::State {
   // One attempt to push a step.
   Result<Committed> try_step(const StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
                              const Retry& retry);
+  // Whether the step can be a count: where its scene wants that, and all rows are at hand.
+  bool can_count(const StepRequest& ask) const;
+  CountedRows rows_of(const StepRequest& ask) const;
+  // One attempt at the step as a count, if it can be one. Returns the answer with its report; nothing if the step's
+  // positions are to be pushed.
+  Result<std::optional<Frame>> step_by_count(const StepRequest& ask, std::int64_t step, const Retry& retry);
+  // One attempt at the push of a step. Changes what is pushed where the ranks need more than what the step brings.
+  Result<Frame> step_by_push(StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base, const Retry& retry);
   // A checksum of what the step pushes.
   std::uint64_t content_of(const StepRequest& ask) const;
   // Asks whether the unanswered step of an earlier call was committed; true if so, and the caller needs its answer.
@@ -149,18 +160,19 @@ struct Scene::State {
   struct Answer {
     wire::Json json;
     StepReport report;
-    bool first;                       // the scene had no positions
-    bool repeated;                    // it is that of an earlier attempt
-    bool epoch_follows;               // on the epoch that this Scene knows
-    bool follows;                     // layout and parts follow from those known
-    std::optional<Frame> plan;        // the answer to `plan`, if it was asked for, too
-    std::optional<cuts::Cuts> cuts;   // after the step, if this Scene uses them
-    std::vector<std::int32_t> parts;  // by these, if StepRequest::wants_by_cuts()
+    bool first;                                      // the scene had no positions
+    bool repeated;                                   // it is that of an earlier attempt
+    bool epoch_follows;                              // on the epoch that this Scene knows
+    bool follows;                                    // layout and parts follow from those known
+    bool counted = false;                            // its rows are, by the cuts after it
+    std::optional<Frame> plan;                       // the answer to `plan`, if it was asked for, too
+    std::optional<cuts::Cuts> cuts;                  // after the step, if this Scene uses them
+    std::optional<std::vector<std::int32_t>> parts;  // by these, if they are asked for and known here
   };
   // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
   Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
   // Adds to the answer what else has to be asked or computed for it.
-  Status complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer) const;
+  Status complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer);
   bool uses_cuts(const StepRequest& ask) const { return cuts_.wanted || ask.wants_by_cuts(); }
   Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask, const Retry& retry);
   // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
@@ -216,13 +228,16 @@ struct Scene::State {
   // By row, the parts last told to the caller; none: these are parts_.
   std::optional<std::vector<std::int32_t>> known_;
   SceneCuts cuts_;
+  bool when_needed_ = false;  // the ranks hold positions of the steps that need them alone
+  std::string incarnation_;
+  CountStep counted_;
   std::uint64_t count_if_committed_ = 0;  // if the service commits the current push
   bool began_ = false;                    // this Scene made the first push, so its rows are known
   bool answered_ = false;                 // a step was answered, so the rows are known
   bool told_ = false;                     // parts were told: changes are relative to them
   bool missed_ = false;                   // a step was committed whose answer this Scene hasn't seen
   bool base_unknown_ = false;             // if missed_: that step may have changed positions that the caller builds on
-  std::vector<double> weights_;           // by row; kept only to restore a lost scene
+  std::vector<double> weights_;           // by row; kept to restore a lost scene, and to count
   bool restored_ = false;                 // by restore(), in the current step
   bool first_ = false;                    // the current step is this scene's first
 };

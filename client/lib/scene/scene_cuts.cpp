@@ -43,14 +43,20 @@ Result<cuts::Cuts> read_cuts(const Frame& answer, const wire::Json& json) {
   return found;
 }
 
-Result<cuts::Cuts> ask_cuts(Session& session, const std::string& scene, const Retry& retry) {
+}  // namespace
+
+Result<cuts::Cuts> SceneCuts::ask(Session& session, const std::string& scene, const Retry& retry) {
   const auto answer = session.call_once({{"command", "cuts"}, {"scene", scene}, {"list", "arrays"}}, retry);
   if (!answer) return answer.status();
   const auto json = answer->json();
   return json ? read_cuts(*answer, *json) : json.status();
 }
 
-}  // namespace
+Result<cuts::Cuts> SceneCuts::told_or_asked(const Frame& answer, const wire::Json& json, Session& session,
+                                            const std::string& scene, const Retry& retry) {
+  const auto told = json.find("cuts");
+  return told != json.end() ? read_cuts(answer, *told) : ask(session, scene, retry);
+}
 
 wire::Json SceneCuts::known_json() const {
   if (!known) return wire::Json::object();
@@ -59,11 +65,10 @@ wire::Json SceneCuts::known_json() const {
 
 Result<cuts::Cuts> SceneCuts::after_step(const Frame& answer, const wire::Json& json, Session& session,
                                          const std::string& scene, const Retry& retry) const {
-  if (const auto told = json.find("cuts"); told != json.end()) return read_cuts(answer, *told);
   const auto report = json.value("report", wire::Json::object());
   const auto epoch = wire::integer_field_or(report, "epoch", 0, kLarge, 0);
-  if (known && epoch && static_cast<std::uint64_t>(*epoch) == known->epoch()) return *known;
-  return ask_cuts(session, scene, retry);
+  if (known && epoch && static_cast<std::uint64_t>(*epoch) == known->epoch() && !json.contains("cuts")) return *known;
+  return told_or_asked(answer, json, session, scene, retry);
 }
 
 Result<cuts::Cuts> SceneCuts::current(std::uint64_t epoch, Session& session, const std::string& scene,
@@ -73,7 +78,7 @@ Result<cuts::Cuts> SceneCuts::current(std::uint64_t epoch, Session& session, con
   Retry retry(deadline_seconds);
   auto found = session.retry_until_deadline(retry, [&]() -> Result<cuts::Cuts> {
     if (Status status = hold(retry); !status) return status;
-    return ask_cuts(session, scene, retry);
+    return ask(session, scene, retry);
   });
   if (found) known = *found;
   return found;

@@ -1,4 +1,4 @@
-// Scene::step: check, push, and retry. The answer is read in step_answer.cpp.
+// Scene::step: check, push, and retry. Counts are in count_step.cpp; the answer is read in step_answer.cpp.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -124,6 +124,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                    {"inserted_ids", ask.inserted() > 0 && !options.inserted->ids.empty()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
+  if (pushed_ && counted_.drifted()) begin["drifted"] = *counted_.drifted();
   if (uses_cuts(ask)) begin["cuts_known"] = cuts_.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
   if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
@@ -259,6 +260,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   if (!base || (!answered_ && ask.moved == StepRequest::Moved::rows)) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
   restored_ = false;
+  if (!again && (ask.moved != StepRequest::Moved::none || ask.edits())) counted_.begin();
   first_ = !has_particles() || (again && first_);
   auto result = push_and_complete(ask, step, base, retry);
   if (!result && unanswered_) unanswered_.keep(content_of(original), first_ || ask.edits());
@@ -357,17 +359,12 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
     if (ask.edits())
       if (Status status = restore(sent, retry); !status) return status;
   }
-  // From shared memory the ranks take the particles by id, where rows are ids. Then the layout is of use only to tell
-  // which parts changed.
-  shared_ = by_shared_memory(sent, retry);
-  by_id_ = shared_ && session().ranks_apart().empty() && rows_are_ids(sent);
-  const bool asks_plan = sent.wants() && !sent.wants_by_cuts();
-  const bool with_plan = (!by_id_ && sent.moved != StepRequest::Moved::none) || asks_plan || sent.edits();
-  if (shared_ && !with_plan) plan_.reset();
-  const std::uint64_t count = pushed_ ? count_ : sent.positions.count;
-  if (Status status = ready(count, sent.options.ids, retry, with_plan); !status) return status;
   const bool tried_before = unanswered_.begin(step);
-  const auto frame = push(sent, step, base, retry);
+  auto counted = step_by_count(sent, step, retry);
+  const bool by_count = counted.ok() && counted->has_value();
+  const auto frame = !counted.ok() ? Result<Frame>(counted.status())
+                     : by_count    ? Result<Frame>(std::move(**counted))
+                                   : step_by_push(sent, step, base, retry);
   if (!frame) {
     unanswered_.failed(frame.status().code(), tried_before);
     if (frame.status().code() == Code::stale_step) {  // another session has pushed that number: go on behind it
@@ -383,6 +380,24 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
   unanswered_.answered();
   if (!answer) return answer.status();
   return finish(*frame, std::move(*answer), sent, retry);
+}
+
+Result<Frame> Scene::State::step_by_push(StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
+                                         const Retry& retry) {
+  if (when_needed_ && pushed_ && ask.whole()) {  // those that the ranks hold may be older
+    ask.moved = StepRequest::Moved::all;
+    if (has_weights_ && ask.options.weights.empty() && weights_.size() == count_) ask.options.weights = weights_;
+  }
+  // From shared memory the ranks take the particles by id, where rows are ids. Then the layout is of use only to tell
+  // which parts changed.
+  shared_ = by_shared_memory(ask, retry);
+  by_id_ = shared_ && session().ranks_apart().empty() && rows_are_ids(ask);
+  const bool asks_plan = ask.wants() && !ask.wants_by_cuts();
+  const bool with_plan = (!by_id_ && ask.moved != StepRequest::Moved::none) || asks_plan || ask.edits();
+  if (shared_ && !with_plan) plan_.reset();
+  const std::uint64_t count = pushed_ ? count_ : ask.positions.count;
+  if (Status status = ready(count, ask.options.ids, retry, with_plan); !status) return status;
+  return push(ask, step, base, retry);
 }
 
 }  // namespace rcb::client

@@ -66,23 +66,30 @@ Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::
   const bool step_follows = first || (!missed_ && before && *before == last_step_.value_or(-1));
   const bool epoch_follows = first || report->epoch == epoch_ + (report->repartitioned ? 1U : 0U);
   const bool follows = !repeated && epoch_follows && step_follows && report->parts == parts_count_;
-  return Answer{*json, std::move(*report), first, repeated, epoch_follows, follows, {}, {}, {}};
+  return Answer{*json, std::move(*report), first, repeated, epoch_follows, follows, false, {}, {}, {}};
 }
 
-Status Scene::State::complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry,
-                                     Answer& answer) const {
+Status Scene::State::complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer) {
   if (uses_cuts(ask)) {
     auto after = cuts_.after_step(frame, answer.json, session(), name_, retry);
     if (!after) return after.status();
     answer.cuts = std::move(*after);
   }
-  if (ask.wants_by_cuts()) {
-    answer.parts.resize(ask.positions.count);
-    cuts::OwnerOptions options{.ids = ids_of_rows(ask), .threads = ask.options.threads};
-    if (parts_.size() == answer.parts.size()) options.last_part = parts_;
-    return answer.cuts->owner(ask.positions, options, answer.parts);
+  if (can_count(ask)) {  // its drift is told already
+    if (Status status = counted_.count(*answer.cuts, rows_of(ask), std::nullopt); !status) return status;
+    answer.counted = true;
+  } else if (when_needed_ && ask.moved == StepRequest::Moved::none && !ask.edits()) {
+    answer.counted = counted_.holds(last_step_, *answer.cuts);
   }
-  if (!ask.wants() || (answer.follows && plan_)) return {};
+  if (ask.wants() && answer.counted) {
+    answer.parts.emplace(counted_.parts().begin(), counted_.parts().end());
+  } else if (ask.wants_by_cuts()) {
+    answer.parts.emplace(ask.positions.count);
+    cuts::OwnerOptions options{.ids = ids_of_rows(ask), .threads = std::max(ask.options.threads, scene_.threads)};
+    if (parts_.size() == answer.parts->size()) options.last_part = parts_;
+    return answer.cuts->owner(ask.positions, options, *answer.parts);
+  }
+  if (!ask.wants() || answer.parts || (answer.follows && plan_)) return {};
   auto told = ask_plan(retry);
   if (told) answer.plan = std::move(*told);
   return told.status();
@@ -107,8 +114,13 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
   parts_count_ = report.parts;
   scene_.options["parts"] = parts_count_;
   if (answer.cuts) cuts_.known = std::move(answer.cuts);
-  const bool by_cuts = ask.wants_by_cuts();
-  if (by_cuts) done.result.changes = differences(parts_told(), answer.parts);
+  if (answer.counted)
+    counted_.committed(report.step);
+  else
+    counted_.forget();
+  const bool by_cuts = answer.parts.has_value();
+  if (by_cuts) done.result.changes = differences(parts_told(), *answer.parts);
+  if (!report.sent) plan_.reset();  // it is that of an older step; parts_ go on
   const bool asked = ask.wants();
   if (plan_ && !asked && told_ && !known_) known_ = parts_;
   if (ask.edits()) {
@@ -120,11 +132,11 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
   }
   // Without a layout and where nothing is asked, it is fetched when it is needed.
   std::vector<PartChange> changes;
-  if (plan_ || (asked && !by_cuts))
+  if (report.sent && (plan_ || (asked && !by_cuts)))
     done.plan_needed = !answer.follows || !plan_ || !apply(frame, answer.json, answer.first, changes);
   if (done.plan_needed) plan_.reset();
   if (by_cuts) {
-    parts_ = std::move(answer.parts);
+    parts_ = std::move(*answer.parts);
     known_.reset();
     told_ = true;
     done.plan_needed = false;

@@ -50,7 +50,8 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.flag("repartitioned", report.repartitioned);
   reader.text("reason", report.reason);
   reader.count("axes_flipped", report.axes_flipped);
-  reader.count("drifted", report.drifted);
+  if (json.contains("drifted") && !json["drifted"].is_null()) reader.count("drifted", report.drifted.emplace(0));
+  reader.count("strangers", report.strangers);
   reader.count("moved", report.moved);
   reader.count("migrated", report.migrated);
   reader.count("inserted", report.inserted);
@@ -59,6 +60,9 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("searched", report.searched);
   reader.count("rounds", report.rounds);
   reader.count("reductions", report.reductions);
+  if (json.contains("sent")) reader.flag("sent", report.sent);
+  if (json.contains("positions_step") && !json["positions_step"].is_null())
+    reader.count("positions_step", report.positions_step.emplace(0));
   if (json.contains("first_id")) reader.count("first_id", report.first_id.emplace(0));
   reader.count("weights_as_zero", report.weights_as_zero);
   reader.count("bytes", report.bytes);

@@ -93,26 +93,6 @@ void finish(LoadSummary& summary, std::span<const double> sizes) {
 
 }  // namespace
 
-ExactScale::ExactScale(double largest, std::uint64_t count) {
-  RCB_CHECK(largest > 0 && std::isfinite(largest) && count >= 1, "a positive largest value");
-  int above = 0;
-  std::frexp(largest, &above);                                            // largest < 2^above
-  exponent_ = 127 - above - static_cast<int>(std::bit_width(count - 1));  // count <= 2^bit_width(count - 1)
-}
-
-u128 ExactScale::operator()(double value) const {
-  const auto bits = std::bit_cast<std::uint64_t>(value);
-  const auto biased = static_cast<int>((bits >> 52U) & 0x7FFU);
-  const std::uint64_t fraction = bits & 0xFFFFFFFFFFFFFU;
-  const std::uint64_t significand = biased == 0 ? fraction : fraction | (std::uint64_t{1} << 52U);
-  const int shift = std::max(biased, 1) - 1075 + exponent_;
-  if (shift <= -64) return 0;
-  if (shift < 0) return significand >> static_cast<unsigned>(-shift);
-  if (significand == 0) return 0;
-  RCB_CHECK(static_cast<int>(std::bit_width(significand)) + shift <= 127, "a value beyond the largest");
-  return u128{significand} << static_cast<unsigned>(shift);
-}
-
 std::vector<u128> exact_sizes(std::span<const double> sizes, int parts) {
   std::vector<u128> exact(static_cast<std::size_t>(parts), u128{1});
   if (sizes.empty() || std::ranges::all_of(sizes, [&](double size) { return size == sizes[0]; })) return exact;

@@ -10,27 +10,11 @@
 #include <span>
 #include <vector>
 
-#include "common/base/wide.hpp"
+#include "common/base/exact_scale.hpp"
 #include "common/comm/comm.hpp"
 #include "common/particles/particle_set.hpp"
 
 namespace rcb::partition {
-
-// Turns non-negative finite doubles into integers by one power-of-two scale for all: value * 2^scale, rounded down. The
-// scale is chosen so that the sum of `count` values fits in 127 bits. A value loses less than 2^-(125 - log2(count)) of
-// the largest one, and nothing while largest / smallest spans fewer than 73 - log2(count) binades (a double has 53
-// bits).
-class ExactScale {
- public:
-  // largest: the greatest value, > 0; count: how many values are summed, >= 1.
-  ExactScale(double largest, std::uint64_t count);
-  explicit ExactScale(int exponent) : exponent_(exponent) {}
-  u128 operator()(double value) const;
-  int exponent() const { return exponent_; }
-
- private:
-  int exponent_ = 0;
-};
 
 // Part sizes as exact integers, each at least 1; all 1 if `sizes` is empty or all sizes are equal.
 std::vector<u128> exact_sizes(std::span<const double> sizes, int parts);

@@ -2,12 +2,10 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <utility>
 
 #include <fmt/format.h>
 
-#include "common/base/axis_names.hpp"
 #include "server/service/context/collective.hpp"
 
 namespace rcb::service {
@@ -29,15 +27,10 @@ bool any_below_zero(const double* values, std::size_t count) {
 }
 
 std::optional<ValueFault> fault_of(const particles::ParticleView& view, std::size_t i) {
-  for (std::size_t a = 0; a < static_cast<std::size_t>(view.dims); ++a)
-    if (const double x = view.position[a][i]; !std::isfinite(x))
-      return ValueFault{i, Code::not_finite, fmt::format("{} is {}", kAxisNames[a], x)};
-  if (view.weight != nullptr && !(view.weight[i] >= 0 && std::isfinite(view.weight[i])))
-    return ValueFault{i, std::isfinite(view.weight[i]) ? Code::invalid_argument : Code::not_finite,
-                      fmt::format("weight is {}", view.weight[i])};
-  if (view.id != nullptr && view.id[i] < 0)
-    return ValueFault{i, Code::invalid_argument, fmt::format("id is {}", view.id[i])};
-  return std::nullopt;
+  auto fault = particles::fault_of(view.point(i), view.dims, view.weight == nullptr ? 1 : view.weight[i],
+                                   view.id == nullptr ? 0 : view.id[i]);
+  if (fault) fault->particle = i;
+  return fault;
 }
 
 bool suspicious(const particles::ParticleView& view) {

@@ -3,22 +3,15 @@
 
 #include <cstdint>
 #include <optional>
-#include <string>
 
 #include "common/base/status.hpp"
 #include "common/comm/comm.hpp"
-#include "common/particles/particle_set.hpp"
+#include "common/particles/value_fault.hpp"
 
 namespace rcb::service {
 
-// A particle's coordinate, weight or id that a scene doesn't take.
-struct ValueFault {
-  std::size_t particle = 0;
-  Code code = Code::invalid_argument;  // or not_finite
-  std::string text;                    // "x is nan"
-};
-inline constexpr const char* kGoodValues =
-    "positions must be finite, weights finite and >= 0, ids >= 0; the previous step stands";
+using particles::kGoodValues;
+using particles::ValueFault;
 
 // The fault of the first particle that has one. Local.
 std::optional<ValueFault> first_fault(const particles::ParticleView& view);

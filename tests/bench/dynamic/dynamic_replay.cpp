@@ -23,7 +23,7 @@ void add(DynamicRun& run, const client::StepReport& report, double waited, doubl
            round_trip});
   if (report.way != kCountWay) ++run.sent;
   run.repartitions += report.repartitioned ? 1 : 0;
-  run.drifted += std::optional<std::uint64_t>(report.drifted).value_or(0);
+  run.drifted += report.drifted.value_or(0);
   run.moved += report.moved;
   run.migrated += report.migrated;
   run.arrival_mean += report.error_before.value_or(0);

@@ -148,7 +148,7 @@ class Run {
                      {"bytes_peak", peak},
                      {"bytes_peaks", peaks},
                      {"peak_over_particles", static_cast<double>(peak) / particle_bytes(n_)},
-                     {"drifted", report.drifted},
+                     {"drifted", report.drifted.value_or(0)},
                      {"moved", report.moved},
                      {"migrated", report.migrated},
                      {"seconds_search", report.seconds_search},

@@ -121,7 +121,7 @@ Json outcome(const client::StepReport& report) {
           {"imbalance", report.imbalance},
           {"repartitioned", report.repartitioned},
           {"axes_flipped", report.axes_flipped},
-          {"drifted", report.drifted},
+          {"drifted", report.drifted.value_or(0)},
           {"moved", report.moved},
           {"migrated", report.migrated}};
 }

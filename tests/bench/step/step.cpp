@@ -120,7 +120,7 @@ Json row_of(const StepCell& cell, const Timed& one, const std::vector<std::pair<
            {"error", report.error},
            {"empty_parts", 0},
            {"repartitioned", report.repartitioned},
-           {"drifted", std::optional<std::uint64_t>(report.drifted).value_or(0)},
+           {"drifted", report.drifted.value_or(0)},
            {"migrated", report.migrated},
            {"scanned", report.scanned},
            {"bytes", report.bytes}};

@@ -1,0 +1,69 @@
+// CountStep: what a Scene keeps to step by counts, where the ranks need no positions: the part of each of its rows, and
+// what was counted last.
+//
+// Invariants
+// 1. A step's rows are counted once by the same cuts, however often the step is tried.
+// 2. The parts are those of step_; while there is none, they are but a hint.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "client/lib/client.hpp"
+#include "common/cuts/count.hpp"
+#include "common/wire/message.hpp"
+
+namespace rcb::client {
+
+// All rows of a step.
+struct CountedRows {
+  Positions positions;
+  std::span<const std::int64_t> ids;  // empty: the row is the id
+  std::span<const double> weights;
+  bool weighted = false;  // the scene has weights
+  int threads = 1;
+};
+
+class CountStep {
+ public:
+  // A step begins whose rows aren't counted yet.
+  void begin() { by_.reset(); }
+  // Counts the rows, unless that has been done. last: the step before. scale: the one that the service asks for.
+  Status count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
+               std::optional<int> scale = std::nullopt);
+  // Whether the parts and the count are those of this step by these cuts: a step in which nothing moves has them again.
+  bool holds(std::optional<std::int64_t> step, const cuts::Cuts& cuts) const {
+    return step && step_ == step && by_ == name_of(cuts);
+  }
+  void nothing_moved() { drifted_ = 0; }
+  // Of the rows counted for this step; none where the parts before aren't known.
+  std::optional<std::uint64_t> drifted() const { return by_ ? drifted_ : std::nullopt; }
+  std::span<const std::int32_t> parts() const { return part_; }
+  // The request `count`: a frame. json: what else it says.
+  std::string frame(std::uint64_t request, wire::Json json) const;
+  void committed(std::int64_t step) { step_ = step; }
+  void forget() { *this = {}; }
+
+ private:
+  struct Name {  // of cuts
+    std::uint64_t epoch = 0;
+    std::uint64_t hash = 0;
+    bool operator==(const Name&) const = default;
+  };
+  static Name name_of(const cuts::Cuts& cuts) { return {cuts.epoch(), cuts.hash()}; }
+
+  std::vector<std::int32_t> part_;    // by row
+  std::optional<std::int64_t> step_;  // whose parts these are
+  std::optional<Name> by_;            // the cuts that `count_` was made by; none: it is of no use
+  std::optional<Name> parts_by_;      // the cuts of part_
+  cuts::Count count_;
+  bool weighted_ = false;
+  std::optional<int> scale_;  // of the last loads
+  std::optional<std::uint64_t> drifted_;
+  std::optional<std::uint64_t> id_sum_;
+};
+
+}  // namespace rcb::client
