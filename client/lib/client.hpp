@@ -71,8 +71,6 @@ struct SceneOptions {
   std::string positions = "every-step";
   int threads = 1;                   // for counting
   std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
-  std::string positions = "every-step";
-  int threads = 1;
   bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
 };
 
