@@ -36,6 +36,8 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   const std::uint64_t count = fields.particles("n");
   const auto epoch_now = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
   const bool has_weights = fields.flag("weights");
+  when_needed = fields.text_or("positions", 16, "every-step") == "when-needed";
+  incarnation = fields.text_or("incarnation", 16, "");
   fields.fail(generation.status());
   if (!fields.ok()) return odd_member_answer(fields.status().message());
   connection = session().generation();
@@ -191,7 +193,12 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
   if (Status status = take_seat(retry); !status) return status;
   const bool lacks_weights = lost && weights && with.weights.empty() && positions.count > 0;
   const bool tried_before = unanswered.begin(step);
-  const auto answer = lacks_weights ? ask_for_answer(step, with, retry) : push(positions, ids, step, with, retry);
+  auto counted = count(positions, ids, step, with, retry);
+  const bool by_count = counted.ok() && counted->has_value();
+  const auto answer = !counted.ok()   ? Result<Frame>(counted.status())
+                      : by_count      ? Result<Frame>(std::move(**counted))
+                      : lacks_weights ? ask_for_answer(step, with, retry)
+                                      : push(positions, ids, step, with, retry);
   if (!answer) {
     unanswered.failed(answer.status().code(), tried_before);
     return answer.status();
@@ -224,6 +231,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
   const bool first = !state_->last_step;
   state_->send_all = false;
+  state_->counting.begin_others();
   const bool counts_from_zero = first && !options.step && !unanswered;
   Session& session = state_->session();
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };

@@ -13,6 +13,7 @@
 #include "client/lib/member.hpp"
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
+#include "client/lib/scene/count_step.hpp"
 #include "client/lib/scene/lost_scene.hpp"
 #include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/shared_arrays.hpp"
@@ -63,6 +64,12 @@ struct MemberScene::State {
   // One attempt to push a step.
   Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                               const MemberStepOptions& with, const Retry& retry);
+  // Whether this member can count the step; if all can, none pushes.
+  bool can_count(const MemberStepOptions& with) const;
+  // The answer to the count that commits the step; none: its particles are to be pushed. What is wrong with them is
+  // told to the other members.
+  Result<std::optional<Frame>> count(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                                     const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                      const MemberStepOptions& with, const Retry& retry);
   // Asks for the answer to a step that was committed before the service was lost, when the member can't push that step
@@ -109,6 +116,9 @@ struct MemberScene::State {
   UnansweredStep unanswered;
   std::uint64_t epoch = 0;  // after last_step
   SceneCuts scene_cuts;
+  bool when_needed = false;  // positions travel when needed
+  std::string incarnation;   // of the scene
+  CountStep counting;
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
   bool up_to_date = false;
