@@ -49,7 +49,9 @@ Status check_weights(const CountRecord& record, const WeightCount& weights) {
 Result<std::uint64_t> hex_field(const wire::Json& request, const char* name) {
   const auto text = wire::string_field(request, name, 16);
   if (!text.ok()) return text.status();
-  return wire::parse_hex64(*text);
+  auto value = wire::parse_hex64(*text);
+  if (!value.ok()) return odd(fmt::format("field '{}': {}", name, value.status().message()));
+  return value;
 }
 
 }  // namespace
