@@ -52,7 +52,7 @@ struct Pushed {
     return ledger->count(record);
   }
 
-  Ledgers ledgers{2000, ""};
+  Ledgers ledgers{{.keep_reports = 2000}};
   scene::Ledger* ledger = nullptr;
   std::optional<double> seconds;
 };
@@ -154,7 +154,7 @@ TEST(Ledger, OfAnotherIncarnationIsAnotherScene) {
 
 // With room for a single report; which history is asked to give up one must not depend on where it lies in memory.
 TEST(Ledger, TheReportOfAStepIsThereWhenItIsTaken) {
-  Ledgers ledgers(1, "");
+  Ledgers ledgers({.keep_reports = 1});
   for (const char* name : {"a", "b", "c", "d"}) ledgers.take({name, Created{}}, 1);
   std::int64_t step = 0;
   for (const char* name : {"d", "c", "b", "a", "b", "c", "d"}) {
