@@ -168,9 +168,6 @@ TEST(Ledger, TheReportOfAStepIsThereWhenItIsTaken) {
     EXPECT_EQ(report->step, step);
     EXPECT_EQ(ledgers.find(name)->history().newest(0, ledgers.find(name)->history().total()).reports.size(), 1U);
   }
-  ledgers.end();
-  EXPECT_TRUE(ledgers.empty());
-  EXPECT_EQ(ledgers.take({"a", Created{}}, 1), nullptr);
 }
 
 }  // namespace
