@@ -25,6 +25,7 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, const Positions
     scene_cuts.known.reset();
   }
   unanswered.answered();
+  counting.committed(step);
   const bool epoch_follows = !last_step || lost || report->epoch == epoch + (report->repartitioned ? 1U : 0U);
   if (!epoch_follows) refresh_options(session(), name, known, retry);
   if (report->parts > 0) known.options["parts"] = report->parts;
@@ -64,7 +65,9 @@ Status MemberScene::State::classify(const Positions& positions, std::span<const 
   result.parts.resize(positions.count + result.inserted_ids.size());
   const auto [pushed, inserted] =
       std::pair(std::span(result.parts).first(positions.count), std::span(result.parts).subspan(positions.count));
-  if (Status status = scene_cuts.known->owner(positions, {.ids = ids, .threads = with.threads}, pushed); !status)
+  if (counting.holds(last_step, *scene_cuts.known))
+    std::ranges::copy(counting.parts(), pushed.begin());
+  else if (Status status = scene_cuts.known->owner(positions, {.ids = ids, .threads = with.threads}, pushed); !status)
     return status;
   if (!inserted.empty())
     if (Status status = scene_cuts.known->owner(with.inserted->positions,
