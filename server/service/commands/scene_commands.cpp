@@ -126,7 +126,6 @@ Response create(Context& context, const wire::Json& request) {
   const std::string name = fields.text("scene", 256);
   if (fields.ok()) fields.fail(wire::check_scene_name(name));
   const bool replace = fields.flag("replace");
-  const bool recreated = fields.flag("recreated");
   if (!fields.ok()) return failed(fields.status());
   auto options = read_options(request);
   if (!options.ok()) return failed(options.status());
@@ -140,9 +139,8 @@ Response create(Context& context, const wire::Json& request) {
   if (Status status = check_parts_total(context.scenes, name, options->parts); !status.ok())
     return failed(std::move(status));
   if (exists) context.spares.push_back({name, {}});
-  Scene scene = Scene::create(name, std::move(options).value());
-  scene.recreated = recreated;
-  Scene& made = context.scenes.insert_or_assign(name, std::move(scene)).first->second;
+  Scene& made =
+      context.scenes.insert_or_assign(name, Scene::create(name, std::move(options).value())).first->second;
   Response response = done(wire::Json::object());
   if (context.root()) response.change = {name, scene::Created{made.options, held_of(context, made)}};
   return response;

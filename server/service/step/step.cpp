@@ -298,7 +298,6 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   }
   report.n = scene.n;
   report.parts = scene.options.parts;
-  report.scene_recreated = first && scene.recreated;
   report.epoch = scene.epoch;
   report.error = scene.loads.error;
   report.imbalance = scene.loads.imbalance;
