@@ -2,9 +2,9 @@
 //
 //   auto scene = rcb::client::MemberScene::open(client, "jet", {.member = rank, .members = size, .follow = true});
 //   auto result = scene->step(rcb::client::Positions::axes(axes, n), ids);
-//   // then, with follow: send the particles result->leave, and receive result->enter
+//   // then, with follow: send the rows result->leaving to their members, and add what those send
 //
-// With follow, a member that has exchanged particles as told pushes directly to the ranks, without ids: the library
+// With follow, a member that has handed over as told pushes directly to the ranks, without ids: the library
 // keeps the rank and slot of each of its particles, and pushes by ids when it isn't sure of them. This is cheapest if
 // rows keep their order except for the particles that leave and enter. RCBD_PATH and ConnectOptions::path apply as for
 // a Scene.
@@ -32,7 +32,7 @@ struct MemberOptions {
   int member = 0;   // 0 .. members-1
   int members = 1;  // the same for all
   // Member k keeps the particles of the parts [floor(k P / members), floor((k+1) P / members)), and each step tells it
-  // which particles to hand over. The same for all members.
+  // which particles to hand over; it learns from the others what they hand over to it. The same for all members.
   bool follow = false;
   double deadline_seconds = 60;
 };
@@ -44,7 +44,7 @@ struct MemberStepOptions {
   std::optional<double> step_seconds{};  // computing time of this member since its last push
   // Rows that moved since this member's last step, distinct, in any order: the positions of the others are unchanged
   // and need not be sent. Not given: all. All are sent nevertheless with new weights, where the service can't build on
-  // that step, and without `follow`: then the service knows a member's particles only from what it sends.
+  // that step, and, unless they go straight to the ranks, with want_changes: else it can't tell whose a change is.
   std::optional<std::span<const std::uint64_t>> moved{};
   bool unmoved = false;  // no particle has moved: as an empty `moved`
   // Particles among `ids` that go with this step, and new ones that come. Members that insert in the same step either
@@ -62,30 +62,20 @@ struct MemberChange {
   std::int32_t part;
 };
 
-struct Leaving {
-  std::int64_t id;
-  int to;  // member
-};
-
 struct LeavingRow {
-  std::uint64_t row;  // index into the arrays that were pushed
-  int to;             // member
-};
-
-struct Entering {
-  std::int64_t id;
-  int from;  // member
-  std::int32_t part;
+  // Index into the arrays that were pushed; behind them count those of what was inserted: row 0 of these is `count`.
+  std::uint64_t row;
+  int to;  // member
 };
 
 struct MemberStep {
   StepReport report;
   std::vector<std::int64_t> inserted_ids;  // of what this member inserted, in the order given
   std::vector<MemberChange> changes;  // of the particles this member pushed, those whose part changed; ascending id
-  std::vector<Leaving> leave;         // with follow; ascending id; perhaps of particles that were just inserted
-  std::vector<Entering> enter;        // with follow; ascending id
-  std::vector<LeavingRow> leaving;    // with follow; those of `leave` that were pushed, by ascending row
-  std::vector<std::int32_t> parts;    // of each row that was pushed, under the cuts after the step
+  // With follow: those that it has, or has just inserted, of the parts of other members; by ascending row. Found by the
+  // cuts after the step, so it is there after a repeated step, too; what wasn't handed over is named again.
+  std::vector<LeavingRow> leaving;
+  std::vector<std::int32_t> parts;  // of each row that was pushed, then of each inserted, under the cuts after the step
 };
 
 class MemberScene {

@@ -3,13 +3,28 @@ import numpy as np
 from protocol_client import REQUEST, Client, arrays_of, described, frame
 
 
+def owner(parts, count, members):
+    """The member of each part."""
+    of_part = np.concatenate([np.full((k + 1) * count // members - k * count // members, k) for k in range(members)])
+    return of_part[parts]
+
+
+def handed_over(held, answers):
+    """What each member has once all have handed over, by the changes that they were told of what they had."""
+    count = len(held)
+    to = [owner(news["changed_part"], answer["report"]["parts"], count) for answer, news in answers]
+    stay = [np.setdiff1d(ids, news["changed_id"][to[k] != k]) for k, (ids, (_, news)) in enumerate(zip(held, answers))]
+    return [np.concatenate([stay[k], *(news["changed_id"][to[other] == k] for other, (_, news) in enumerate(answers)
+                                       if other != k)]) for k in range(count)]
+
+
 class Member(Client):
     """Member k of M, from PROTOCOL.md alone."""
 
     def __init__(self, path, scene, member, members, **kwargs):
         self.more = {k: kwargs.pop(k) for k in ("follow", "generation") if k in kwargs}
         super().__init__(path, **kwargs)
-        self.scene, self.member = scene, member
+        self.scene, self.member, self.members = scene, member, members
         self.opened = self.ask("scene.open", scene=scene, member=member, members=members, **self.more)[0]
 
     def begin(self, step, ids, attempt=0, **more):
@@ -103,7 +118,8 @@ class DirectMember(Member):
             return answer, news
         if answer["places"] == "all":
             self.places = {}
-        for i in news["leave_id"].tolist() + list(self.removed):
+        to = owner(news["changed_part"], answer["report"]["parts"], self.members)
+        for i in news["changed_id"][to != self.member].tolist() + list(self.removed):
             self.places.pop(i, None)
         self.removed = ()
         self.places.update(zip(news["place_id"].tolist(), zip(news["place_rank"].tolist(), news["place_slot"].tolist())))

@@ -188,7 +188,6 @@ std::optional<std::int64_t> MemberScene::State::open_step(const Retry& retry) {
 Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   pushing_directly = pushing_few = false;
-  pushed.reset();
   if (Status status = take_seat(retry); !status) return status;
   const bool lacks_weights = lost && weights && with.weights.empty() && positions.count > 0;
   const bool tried_before = unanswered.begin(step);
@@ -197,9 +196,7 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
     unanswered.failed(answer.status().code(), tried_before);
     return answer.status();
   }
-  auto result = read(*answer, step, with, retry);
-  if (result && (options.follow || with.want_parts))
-    if (Status status = classify(positions, ids, with, *result); !status) result = parts_unknown(step, status);
+  auto result = read(*answer, positions, ids, step, with, retry);
   if (!result) {  // the step is committed, but its changes aren't known
     places.forget();
     up_to_date = false;

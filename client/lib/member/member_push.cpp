@@ -92,10 +92,9 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   if (!direct) return direct.status();
   const auto* rows = *direct && last_step ? places.rows(ids) : nullptr;
   pushing_directly = rows != nullptr;
-  if (options.follow && !*direct) pushed.emplace(ids);
-  // Only a push of all particles by ids tells their places, which the direct path needs. And only one of all tells the
-  // service that a particle was not handed over as it has said, or, without `follow`, who has it.
-  send_all = send_all || !options.follow || (*direct ? !pushing_directly : pushed != held);
+  // Only a push of all particles by ids tells their places, which the direct path needs, and tells the service whose a
+  // change of parts is.
+  send_all = send_all || (!pushing_directly && (*direct || with.want_changes));
   const auto moved = moved_rows(with);
   pushing_few = moved.has_value();
   const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count;

@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "client/lib/member.hpp"
-#include "client/lib/member/id_sum.hpp"
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/lost_scene.hpp"
@@ -85,15 +84,14 @@ struct MemberScene::State {
   Result<bool> needs_unanswered(const Retry& retry);
   // The rows that moved; nullopt: all are to be sent.
   std::optional<std::span<const std::uint64_t>> moved_rows(const MemberStepOptions& with) const;
-  Result<MemberStep> read(const Frame& answer, std::int64_t step, const MemberStepOptions& with, const Retry& retry);
+  Result<MemberStep> read(const Frame& answer, const Positions& positions, std::span<const std::int64_t> ids,
+                          std::int64_t step, const MemberStepOptions& with, const Retry& retry);
   bool uses_cuts(const MemberStepOptions& with) const { return scene_cuts.wanted || options.follow || with.want_parts; }
   // Fills in `parts` and `leaving` by the cuts after the step.
   Status classify(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& with,
                   MemberStep& result) const;
-  Status read_follow(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
-                     MemberStep& result);
-  Status read_places(const Frame& answer, const wire::Json& json, std::span<const std::int64_t> removed,
-                     const MemberStep& result);
+  // Keeps the places of the particles if the answer tells all of them. left: what went, or is to be handed over.
+  Status read_places(const Frame& answer, const wire::Json& json, std::vector<std::int64_t> left);
 
   std::shared_ptr<Client::State> client;
   std::string name;
@@ -114,8 +112,6 @@ struct MemberScene::State {
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
   bool up_to_date = false;
-  std::optional<IdSum> pushed;  // the ids of the current push, with follow; none: it goes to the ranks
-  std::optional<IdSum> held;    // what this member holds if it hands over as it was told last; none: not known
   // After last_step, with follow:
   MemberPlaces places;
   wire::Json plan;

@@ -122,51 +122,32 @@ Status MpiCores::agree(const Status& mine) {
   return {static_cast<Code>(head[0]), text.substr(0, head[1]), text.substr(head[1])};
 }
 
-Status MpiCores::hand_over(Mpm& mpm, std::span<const client::Leaving> leave, std::span<const client::Entering> enter) {
-  std::vector<std::size_t> by_id(mpm.size());
-  std::iota(by_id.begin(), by_id.end(), std::size_t{0});
-  const auto ids = mpm.id();
-  std::sort(by_id.begin(), by_id.end(), [ids](std::size_t a, std::size_t b) { return ids[a] < ids[b]; });
+void MpiCores::hand_over(Mpm& mpm, std::span<const client::LeavingRow> leaving) {
   const auto ranks = static_cast<std::size_t>(size_);
   std::vector<std::vector<PointState>> to(ranks);
-  std::vector<std::size_t> places;
-  Status status;
-  for (const client::Leaving& one : leave) {
-    const auto found = std::lower_bound(by_id.begin(), by_id.end(), one.id,
-                                        [ids](std::size_t place, std::int64_t id) { return ids[place] < id; });
-    if (found == by_id.end() || ids[*found] != one.id) {
-      status = {Code::internal, fmt::format("particle {} is to leave process {}, which hasn't got it", one.id, rank_)};
-      break;
-    }
-    places.push_back(*found);
-    to[static_cast<std::size_t>(one.to)].push_back(mpm.point(*found));
+  std::vector<std::size_t> rows;  // ascending
+  for (const client::LeavingRow& one : leaving) {
+    rows.push_back(one.row);
+    to[static_cast<std::size_t>(one.to)].push_back(mpm.point(one.row));
   }
-  if (Status all = agree(status); !all.ok()) return all;
-  std::vector<std::size_t> leaving(ranks), entering(ranks);
+  std::vector<std::uint64_t> going(ranks), coming(ranks);
   std::vector<PointState> sent;
   for (std::size_t r = 0; r < ranks; ++r) {
-    leaving[r] = to[r].size();
+    going[r] = to[r].size();
     sent.insert(sent.end(), to[r].begin(), to[r].end());
   }
-  for (const client::Entering& one : enter) ++entering[static_cast<std::size_t>(one.from)];
-  std::vector<PointState> arrived(enter.size());
+  MPI_Alltoall(going.data(), 1, MPI_UINT64_T, coming.data(), 1, MPI_UINT64_T, comm_);
+  std::vector<PointState> arrived(std::accumulate(coming.begin(), coming.end(), std::size_t{0}));
   MPI_Datatype point = MPI_DATATYPE_NULL;
   MPI_Type_contiguous(static_cast<int>(sizeof(PointState)), MPI_BYTE, &point);
   MPI_Type_commit(&point);
-  const Layout out(leaving);
-  const Layout in(entering);
+  const Layout out({going.begin(), going.end()});
+  const Layout in({coming.begin(), coming.end()});
   MPI_Alltoallv(sent.data(), out.count.data(), out.first.data(), point, arrived.data(), in.count.data(),
                 in.first.data(), point, comm_);
   MPI_Type_free(&point);
   std::sort(arrived.begin(), arrived.end(), [](const PointState& a, const PointState& b) { return a.id < b.id; });
-  for (std::size_t k = 0; k < enter.size() && status.ok(); ++k)
-    if (arrived[k].id != enter[k].id)
-      status = {Code::internal,
-                fmt::format("process {} got particle {}, expected {}", rank_, arrived[k].id, enter[k].id)};
-  if (Status all = agree(status); !all.ok()) return all;
-  std::sort(places.begin(), places.end());
-  mpm.exchange(places, arrived);
-  return {};
+  mpm.exchange(rows, arrived);
 }
 
 std::vector<double> MpiCores::gather_positions(const Mpm& mpm, std::uint64_t points) {

@@ -29,9 +29,8 @@ class MpiCores final : public OtherCores {
   void sum_grid(Mpm& mpm) override;
   Status agree(const Status& mine) override;
 
-  // Sends the leaving points with their whole state, and adds the entering ones. Errors, the same on every process: a
-  // list doesn't match the points, or another process's list.
-  Status hand_over(Mpm& mpm, std::span<const client::Leaving> leave, std::span<const client::Entering> enter);
+  // Sends the leaving points with their whole state, and adds those that the others send.
+  void hand_over(Mpm& mpm, std::span<const client::LeavingRow> leaving);
   // Returns on rank 0 all points' positions in the order of their ids, (points, 3).
   std::vector<double> gather_positions(const Mpm& mpm, std::uint64_t points);
   Balance sum(const Balance& mine);

@@ -165,9 +165,9 @@ Status push(Seat& seat, const Options& options, MpiCores& cores, Mpm& mpm, std::
   record.seconds_service += answered - begin;
   if (Status all = cores.agree(news.status()); !all)
     return {all.code(), fmt::format("step {}: {}", step, all.message()), all.hint()};
-  if (Status handed = cores.hand_over(mpm, news->leave, news->enter); !handed) return handed;
+  cores.hand_over(mpm, news->leaving);
   record.seconds_exchange += clock.seconds() - answered;
-  record.handed_over += news->leave.size();
+  record.handed_over += news->leaving.size();
   record.reports.push_back(news->report);
   return options.check ? cores.agree(check_held(seat.client, options, news->report, cores, mpm)) : Status{};
 }

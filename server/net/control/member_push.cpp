@@ -118,10 +118,8 @@ Status MemberGroups::begin(ContributionBegin begin) {
     step->end = begin.end;
     coordinator_.arm(step->front.lock(), begin.end);
   }
-  if (contribution->slices.terms().to_ranks()) {
-    if (contribution->slices.terms().direct()) coordinator_.receive_directly(contribution);
-    if (Status counted = check_counts(*step); !counted.ok()) abort(step, nullptr, counted);
-  }
+  if (contribution->slices.terms().direct()) coordinator_.receive_directly(contribution);
+  if (Status counted = check_counts(*step); !counted.ok()) abort(step, nullptr, counted);
   if (contribution->given_up) return {};
   if (contribution->ready())
     contribution_whole(contribution);
@@ -156,24 +154,26 @@ Status MemberGroups::check_counts(const MemberPush& step) const {
   if (std::find(step.contributions.begin(), step.contributions.end(), nullptr) != step.contributions.end()) return {};
   const scene::SceneState& scene = coordinator_.scenes().find(step.scene)->now();
   const auto differ = [&](std::uint64_t count, const std::string& whose, std::uint64_t held) {
-    return Status(Code::stale_plan,
+    return Status(step.to_ranks() ? Code::stale_plan : Code::invalid_argument,
                   fmt::format("step {} of scene '{}': the members push {} particles of {}, which has {}", step.step,
                               step.scene, count, whose, held),
-                  "push this step in order \"id\"");
+                  "push this step in order \"id\", all particles; that names those that no member has, or two");
   };
-  std::vector<std::uint64_t> counts(scene.rank_counts.size(), 0);
   std::uint64_t n = 0;
-  bool few = false;  // of some members only those that moved are counted, which each rank checks by their slots
+  bool all = true, few = false;
   for (const auto& contribution : step.contributions) {
-    const PushTerms& terms = contribution->slices.terms();
-    for (std::size_t rank = 0; rank < counts.size(); ++rank) counts[rank] += terms.counts[rank];
-    n += terms.n;
-    few = few || terms.moved == Moved::some;
+    n += contribution->slices.terms().n;
+    all = all && contribution->slices.terms().moved == Moved::all;
+    few = few || contribution->slices.terms().moved == Moved::some;
   }
+  if (!step.to_ranks() && all) return {};  // every id is checked
   if (n != scene.n) return differ(n, "the scene", scene.n);
-  for (std::size_t rank = 0; rank < counts.size() && !few; ++rank)
-    if (counts[rank] != scene.rank_counts[rank])
-      return differ(counts[rank], fmt::format("rank {}", rank), scene.rank_counts[rank]);
+  // Of some members only those that moved are counted, which each rank checks by their slots.
+  for (std::size_t rank = 0; step.to_ranks() && !few && rank < scene.rank_counts.size(); ++rank) {
+    std::uint64_t count = 0;
+    for (const auto& contribution : step.contributions) count += contribution->slices.terms().counts[rank];
+    if (count != scene.rank_counts[rank]) return differ(count, fmt::format("rank {}", rank), scene.rank_counts[rank]);
+  }
   return {};
 }
 
@@ -334,7 +334,6 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   coordinator_.add_terms(request, all.step_seconds);
   request["weights"] = weights_of(*step, coordinator_.scenes().find(step->scene)->now());
   request["members"] = members;
-  request["follow"] = find(step->scene)->follow;
   order.received_seconds = seconds_since(step->started);
   order.deadline_seconds = std::chrono::duration<double>(step->end - step->started).count();
   request["deadline_seconds"] = order.deadline_seconds;

@@ -22,7 +22,7 @@ namespace {
 
 struct MemberRequest {
   PushRequest push;
-  ResultTerms message;
+  ResultTerms answer;
 };
 
 Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
@@ -30,7 +30,6 @@ Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
   if (!push.ok()) return push.status();
   wire::FieldReader fields(request);
   const std::int64_t members = fields.integer("members", 1, wire::kSessionsMax);
-  const bool follow = fields.flag("follow");
   const bool places = fields.flag("places");
   if (!fields.ok()) return fields.status();
   const auto moved_by = request.find("moved_by");
@@ -45,7 +44,8 @@ Result<MemberRequest> read_member_push(const wire::Json& request, int ranks) {
     push->way = all_share ? api::Way::shared_memory : api::Way::sockets;
   }
   const bool changes = push->changes;
-  return MemberRequest{std::move(*push), {static_cast<int>(members), changes, follow, follow && places}};
+  const bool inserted = push->inserted > 0;
+  return MemberRequest{std::move(*push), {static_cast<int>(members), changes, places, inserted}};
 }
 
 // Puts the slices of that kind, of all members in turn, behind one another, and tells which particle is whose.
@@ -75,11 +75,11 @@ std::span<const particles::Id> ids_of(const PushSlice& slice) {
 Status check_shares(const std::vector<PushSlice>& slices, const Scene& scene, const MemberRequest& request) {
   const std::size_t arrays = static_cast<std::size_t>(scene.options.dims) + (request.push.weights ? 1U : 0U) + 1U;
   const std::uint64_t announced = request.push.moving();
-  std::vector<bool> seen(static_cast<std::size_t>(request.message.members), false);
+  std::vector<bool> seen(static_cast<std::size_t>(request.answer.members), false);
   std::uint64_t count = 0;
   for (const PushSlice& slice : slices) {
     if (slice.rank < 0) continue;  // inserted or removed
-    if (slice.member < 0 || slice.member >= request.message.members || seen[static_cast<std::size_t>(slice.member)])
+    if (slice.member < 0 || slice.member >= request.answer.members || seen[static_cast<std::size_t>(slice.member)])
       return {Code::invalid_argument, fmt::format("two shares of member {}, or no such member", slice.member)};
     seen[static_cast<std::size_t>(slice.member)] = true;
     bool fits = slice.arrays.size() == arrays && slice.arrays.back().name == "id";
@@ -94,21 +94,8 @@ Status check_shares(const std::vector<PushSlice>& slices, const Scene& scene, co
   return {Code::invalid_argument, fmt::format("the shares have {} particles, {} are announced", count, announced)};
 }
 
-// The k-th entry is the index of the particle with the k-th smallest id. No sorting if the ids are 0..n-1 in any order.
-Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
-  const auto n = static_cast<std::uint64_t>(ids.size());
-  Buffer<std::uint64_t> order(n);
-  std::fill(order.begin(), order.end(), kNone);
-  for (std::uint64_t k = 0; k < n; ++k) {
-    const auto place = static_cast<std::uint64_t>(ids[k]);
-    if (place >= n || order[place] != kNone) return order_by_id(ids);
-    order[place] = k;
-  }
-  return order;
-}
-
 // Merges the contributions into one slice in ascending id; `joined` gets each particle's id and member.
-Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Whereabouts& joined) {
+Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, OfMembers& joined) {
   std::sort(slices.begin(), slices.end(), [](const PushSlice& a, const PushSlice& b) { return a.member < b.member; });
   Buffer<particles::Id> ids;
   Buffer<std::int32_t> members;
@@ -156,7 +143,7 @@ Status join_shares(std::vector<PushSlice>& slices, std::uint64_t n, Whereabouts&
 }
 
 // Checks that the pushed ids are exactly the scene's. scene_ids: ascending; empty if they are 0..n-1.
-Status check_ids(const Scene& scene, const Whereabouts& joined, const Buffer<particles::Id>& scene_ids) {
+Status check_ids(const Scene& scene, const OfMembers& joined, const Buffer<particles::Id>& scene_ids) {
   for (std::uint64_t k = 0; k < std::max<std::uint64_t>(scene.n, joined.id.size()); ++k) {
     const bool there = k < joined.id.size();
     const bool known = k < scene.n;
@@ -174,49 +161,28 @@ Status check_ids(const Scene& scene, const Whereabouts& joined, const Buffer<par
   return {};
 }
 
-// Ascending ids of the particles that members remove.
-std::vector<particles::Id> removed_ids(const PushSlice& removed) {
-  std::vector<particles::Id> ids;
-  if (!removed.arrays.empty()) ids.assign(ids_of(removed).begin(), ids_of(removed).end());
-  std::sort(ids.begin(), ids.end());
-  return ids;
-}
-
-// Takes these ids, ascending, out of a list of particles. True if all of them were there.
-bool take_out(std::span<const particles::Id> ids, Whereabouts& from, std::vector<wire::Array>* arrays = nullptr) {
+// Takes these ids, ascending, out of a list of particles and their arrays. True if all of them were there.
+bool take_out(std::span<const particles::Id> ids, OfMembers& from, std::vector<wire::Array>& arrays) {
   std::size_t kept = 0;
   for (std::size_t k = 0; k < from.id.size(); ++k) {
     if (std::binary_search(ids.begin(), ids.end(), from.id[k])) continue;
-    if (arrays != nullptr)
-      for (wire::Array& array : *arrays) std::memmove(array.bytes.data() + 8 * kept, array.bytes.data() + 8 * k, 8);
+    for (wire::Array& array : arrays) std::memmove(array.bytes.data() + 8 * kept, array.bytes.data() + 8 * k, 8);
     from.id[kept] = from.id[k];
     from.member[kept++] = from.member[k];
   }
   const bool all = from.id.size() - kept == ids.size();
   from.id.resize(kept);
   from.member.resize(kept);
-  if (arrays != nullptr)
-    for (wire::Array& array : *arrays) {
-      array.bytes.resize(8 * kept);
-      array.shape = {kept};
-    }
+  for (wire::Array& array : arrays) {
+    array.bytes.resize(8 * kept);
+    array.shape = {kept};
+  }
   return all;
-}
-
-// Adds the inserted particles to a list of particles.
-void put_in(const InsertedByMembers& inserted, Whereabouts& to) {
-  if (inserted.id.empty()) return;
-  to.id.append(std::as_const(inserted.id).span());
-  to.member.append(std::as_const(inserted.member).span());
-  const Buffer<std::uint64_t> order = order_by_id(to.id);
-  Buffer<std::byte> spare;
-  put_in_order(to.member, order, spare);
-  put_in_order(to.id, order, spare);
 }
 
 // What members insert into a scene that has no particles yet are further particles of theirs. Those without ids get the
 // integers above all others.
-Status add_to_shares(std::vector<PushSlice>& slices, bool have_ids, InsertedByMembers& inserted) {
+Status add_to_shares(std::vector<PushSlice>& slices, bool have_ids, OfMembers& inserted) {
   std::uint64_t next = 0;
   std::stable_sort(slices.begin(), slices.end(), [](const auto& a, const auto& b) { return a.member < b.member; });
   for (const PushSlice& slice : slices)
@@ -241,10 +207,12 @@ Status add_to_shares(std::vector<PushSlice>& slices, bool have_ids, InsertedByMe
 
 // The first push: all members' particles, with those that they insert and without those that they remove, since a
 // solver that makes a lost scene anew may be at a step that does so.
-Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, Whereabouts& joined,
-                  InsertedByMembers& inserted) {
+Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, OfMembers& joined, OfMembers& inserted) {
   std::vector<std::int32_t> removed_by;
-  const auto removed = removed_ids(take_joined(slices, wire::kRemovedSlice, removed_by));
+  const PushSlice gone = take_joined(slices, wire::kRemovedSlice, removed_by);
+  std::vector<particles::Id> removed;
+  if (!gone.arrays.empty()) removed.assign(ids_of(gone).begin(), ids_of(gone).end());
+  std::sort(removed.begin(), removed.end());
   if (Status status = add_to_shares(slices, push.inserted_ids, inserted); !status.ok()) return status;
   for (const PushSlice& slice : slices)
     if (slice.arrays.size() != slices.front().arrays.size() || slice.arrays.back().name != "id")
@@ -252,8 +220,7 @@ Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, Where
   if (Status status = join_shares(slices, push.n + push.inserted, joined); !status.ok()) return status;
   const bool inserted_here = std::ranges::any_of(
       inserted.id, [&removed](particles::Id id) { return std::ranges::binary_search(removed, id); });
-  if (removed.empty() ||
-      (!inserted_here && take_out(removed, joined, slices.empty() ? nullptr : &slices.front().arrays))) {
+  if (removed.empty() || (!inserted_here && !slices.empty() && take_out(removed, joined, slices.front().arrays))) {
     for (PushSlice& slice : slices) slice.count = joined.id.size();
     return {};
   }
@@ -263,8 +230,7 @@ Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, Where
 
 // Makes context.slices and `push` what they would be if a single client had pushed by id. Collective. Errors: faults of
 // the contributions, the same on every rank.
-Status merge(Context& context, const Scene& scene, MemberRequest& request, Whereabouts& joined,
-             InsertedByMembers& inserted) {
+Status merge(Context& context, const Scene& scene, MemberRequest& request, OfMembers& joined, OfMembers& inserted) {
   PushRequest& push = request.push;
   const bool all = push.moved == Moved::all;
   Buffer<particles::Id> scene_ids;
@@ -325,35 +291,30 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   auto members = read_member_push(request, context.comm.size());
   if (!members.ok()) return failed(members.status());
   PushRequest& push = members->push;
+  const ResultTerms& terms = members->answer;
   const double start = context.clock.seconds();
-  members->message.inserted = push.inserted > 0;
-  // By ids: where all push all, known is every particle and the member that pushed it; where some do, it becomes that.
-  // Else what has changed is found by comparing.
+  // By ids, where all push all, every particle is named with its member. Else what has changed is found by comparing.
   const bool all = !push.staged && push.moved == Moved::all;
-  const bool some_all = !all && !push.staged && std::count(push.moved_by.begin(), push.moved_by.end(), Moved::all) > 0;
-  Whereabouts known;
-  InsertedByMembers inserted;
+  const bool any_all = !push.staged && std::count(push.moved_by.begin(), push.moved_by.end(), Moved::all) > 0;
+  MemberNews news;
+  OfMembers& inserted = news.inserted;
   std::optional<PlacesBefore> before;
-  if (!all && !some_all) before.emplace(of);
+  if (!all && (terms.changes || terms.places)) before.emplace(of);
   if (!push.staged && push.moved != Moved::none)
-    if (Status merged = merge(context, of, *members, known, inserted); !merged.ok()) return failed(merged);
+    if (Status merged = merge(context, of, *members, news.pushed, inserted); !merged.ok()) return failed(merged);
   // Once the step has changed anything it must not lack memory for the answer.
   constexpr std::uint64_t kBytesGathered = 64;
-  if (some_all) {
+  if (!all && any_all && terms.places)
     if (Status room = agree_room(context.comm, context.root() ? of.n * kBytesGathered : 0,
-                                 fmt::format("what the members hold of {} particles", of.n));
+                                 fmt::format("the places of {} particles", of.n));
         !room.ok())
       return failed(std::move(room));
-    known = held_by_all(context, of, members->message.members, known);
-  }
-  std::vector<particles::Id> removed;
   if (context.root() && push.edits()) {
     std::vector<std::int32_t> inserted_by, removed_by;
     context.slices.push_back(take_joined(context.slices, wire::kInsertedSlice, inserted_by));
     if (push.inserted_ids && context.slices.back().count > 0) inserted.id.append(ids_of(context.slices.back()));
     inserted.member.append(std::span<const std::int32_t>(inserted_by));
     context.slices.push_back(take_joined(context.slices, wire::kRemovedSlice, removed_by));
-    removed = removed_ids(context.slices.back());
     std::erase_if(context.slices, [](const PushSlice& slice) { return slice.rank < 0 && slice.count == 0; });
   }
   context.received_seconds += context.clock.seconds() - start;
@@ -361,30 +322,24 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   if (!staged.ok()) return failed(staged.status());
   if (all && !push.ids) staged->bytes += 8 * push.n;  // the ids that the members sent
   if (push.staged && push.moved == Moved::all) staged->bytes -= bytes_left_out(of, push);
-  PartChanges changes;
   const std::optional<std::int64_t> previous_step = of.step;
-  const bool edits = push.edits();
-  inserted.part = std::move(staged->edits.inserted_part);
-  scene::Stepped stepped = commit(context, of, *staged, push, push.changes ? &changes : nullptr);
+  scene::Stepped stepped = commit(context, of, *staged, push, terms.changes ? &news.changes : nullptr);
   const StepReport& report = stepped.report;
   give_back(context, of, push, *staged);
   for (std::size_t i = inserted.id.size(); i < inserted.member.size(); ++i)
     inserted.id.push_back(*report.first_id + static_cast<particles::Id>(i));
-  if (before && (report.drifted > 0 || report.moved > 0 || edits)) {
-    known = find_changed(context, of, *before, members->message.members, inserted);
-  } else if (all || some_all) {
-    if (context.root() && edits) {
-      take_out(removed, known);
-      put_in(inserted, known);
-    }
-    if (members->message.follow || members->message.inserted) find_all(context, of, members->message.places, known);
+  if (before && (report.drifted > 0 || report.moved > 0 || push.edits())) {
+    const Buffer<std::uint64_t> slots = changed_slots(of, *before, terms.members);
+    if (terms.changes) news.before = holders_before(context, of, *before, slots, terms.members);
+    if (terms.places && !any_all) news.places = find_places(context, of, &slots);
   }
+  if (terms.places && any_all) news.places = find_places(context, of, nullptr);
   if (!context.root()) return {};
   Response response = done({{"report", to_json(report)},
                             {"previous_step", previous_step ? wire::Json(*previous_step) : wire::Json(nullptr)},
                             {"plan", {{"version", of.plan_version}, {"checksum", wire::hex64(of.plan_checksum)}}}});
-  if (members->message.places) response.json["places"] = before ? "changed" : "all";
-  response.arrays = member_results(of, members->message, context.comm.size(), known, changes, inserted);
+  if (terms.places) response.json["places"] = any_all ? "all" : "changed";
+  response.arrays = member_results(of, terms, context.comm.size(), news);
   put_cuts_unless_known(context, response, of, push);  // once, for all members
   response.change = {of.name, std::move(stepped)};
   return response;

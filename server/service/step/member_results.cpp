@@ -1,6 +1,8 @@
 #include "server/service/step/member_results.hpp"
 
 #include <algorithm>
+#include <numeric>
+#include <optional>
 
 #include "common/layout/layout.hpp"
 #include "server/service/context/collective.hpp"
@@ -10,11 +12,9 @@ namespace {
 
 // The results for one member.
 struct Results {
-  Buffer<particles::Id> changed_id, leave_id, enter_id, place_id;
-  Buffer<std::int32_t> changed_part, leave_to, enter_from, enter_part, place_rank;
+  Buffer<particles::Id> changed_id, place_id, inserted_id;
+  Buffer<std::int32_t> changed_part, place_rank;
   Buffer<std::uint64_t> place_slot;
-  Buffer<particles::Id> inserted_id;
-  Buffer<std::int32_t> inserted_part;
 };
 
 template <typename T>
@@ -30,7 +30,35 @@ Buffer<T> in_order(const Buffer<T>& values, const Buffer<std::uint64_t>& order) 
   return out;
 }
 
-// This rank's slots that hold another particle than before the step, or one that now belongs to another member.
+// Goes through a list in ascending id, as it is asked for ascending ids.
+class MemberFinder {
+ public:
+  explicit MemberFinder(const OfMembers& list) : list_(list) {}
+  std::optional<std::int32_t> find(particles::Id id) {
+    while (at_ < list_.id.size() && list_.id[at_] < id) ++at_;
+    if (at_ == list_.id.size() || list_.id[at_] != id) return std::nullopt;
+    return list_.member[at_];
+  }
+
+ private:
+  const OfMembers& list_;
+  std::size_t at_ = 0;
+};
+
+}  // namespace
+
+Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids) {
+  const auto n = static_cast<std::uint64_t>(ids.size());
+  Buffer<std::uint64_t> order(n);
+  std::fill(order.begin(), order.end(), kNone);
+  for (std::uint64_t k = 0; k < n; ++k) {
+    const auto place = static_cast<std::uint64_t>(ids[k]);
+    if (place >= n || order[place] != kNone) return order_by_id(ids);
+    order[place] = k;
+  }
+  return order;
+}
+
 Buffer<std::uint64_t> changed_slots(const Scene& scene, const PlacesBefore& before, int members) {
   std::vector<std::int32_t> member_of;
   for (int p = 0; p < scene.options.parts; ++p)
@@ -48,149 +76,84 @@ Buffer<std::uint64_t> changed_slots(const Scene& scene, const PlacesBefore& befo
   return slots;
 }
 
-}  // namespace
-
-void find_all(Context& context, const Scene& scene, bool places, Whereabouts& all) {
-  const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
-  const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
-  if (!context.root()) return;
-  Buffer<std::uint64_t> order(ids.size());
-  if (scene.ids)
-    order = order_by_id(ids);
-  else  // ids are 0..n-1, so an id is its own place in the order
-    for (std::size_t k = 0; k < ids.size(); ++k) order[static_cast<std::size_t>(ids[k])] = k;
-  all.part = in_order(parts, order);
-  if (!places) return;
-  Buffer<std::uint64_t> slots(ids.size());
-  std::size_t at = 0;
-  for (int rank = 0; rank < context.comm.size(); ++rank) {
-    const std::uint64_t count = held_by(scene, scene.n, rank, context.comm.size());
-    for (std::uint64_t slot = 0; slot < count; ++slot) slots[at++] = slot;
+Whereabouts find_places(Context& context, const Scene& scene, const Buffer<std::uint64_t>* slots) {
+  Buffer<std::uint64_t> those;  // but for slots that are free now
+  if (slots != nullptr) {
+    const auto end = std::lower_bound(slots->begin(), slots->end(), scene.part.size());
+    those.assign({slots->begin(), end});
   }
-  all.slot = in_order(slots, order);
+  const auto gather = [&]<typename T>(const Buffer<T>& values) {
+    return gather_values<T>(context.comm, slots == nullptr ? values.span() : in_order(values, those).span());
+  };
+  const auto ids = gather(scene.particles.id);
+  const auto parts = gather(scene.part);
+  auto at = gather_values<std::uint64_t>(context.comm, those.span());
+  if (!context.root()) return {};
+  for (int rank = 0; slots == nullptr && rank < context.comm.size(); ++rank) {
+    const std::size_t first = at.size();
+    at.resize(first + held_by(scene, scene.n, rank, context.comm.size()));
+    std::iota(at.begin() + first, at.end(), std::uint64_t{0});
+  }
+  const Buffer<std::uint64_t> order = ascending(ids);
+  return {in_order(ids, order), in_order(parts, order), in_order(at, order)};
 }
 
-Whereabouts held_by_all(Context& context, const Scene& scene, int members, const Whereabouts& pushed) {
-  const auto ids = gather_values<particles::Id>(context.comm, scene.particles.id.span());
-  const auto parts = gather_values<std::int32_t>(context.comm, scene.part.span());
-  Whereabouts all;
-  if (!context.root()) return all;
-  all.id.reserve(ids.size());
-  all.member.reserve(ids.size());
-  std::size_t p = 0;
-  for (const std::uint64_t k : order_by_id(ids)) {
-    while (p < pushed.id.size() && pushed.id[p] < ids[k]) ++p;
-    const bool named = p < pushed.id.size() && pushed.id[p] == ids[k];
-    all.id.push_back(ids[k]);
-    all.member.push_back(named ? pushed.member[p] : layout::rank_of_part(parts[k], scene.options.parts, members));
+OfMembers holders_before(Context& context, const Scene& scene, const PlacesBefore& before,
+                         const Buffer<std::uint64_t>& slots, int members) {
+  OfMembers mine;
+  for (const std::uint64_t slot : slots) {
+    if (slot >= before.id.size()) break;
+    mine.id.push_back(before.id[slot]);
+    mine.member.push_back(layout::rank_of_part(before.part[slot], scene.options.parts, members));
   }
-  return all;
-}
-
-Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members,
-                         const InsertedByMembers& inserted) {
-  Buffer<particles::Id> id_before, id_now;
-  Buffer<std::int32_t> member_before, part_now;
-  Buffer<std::uint64_t> slot_now;
-  for (const std::uint64_t slot : changed_slots(scene, before, members)) {
-    if (slot < before.id.size()) {
-      id_before.push_back(before.id[slot]);
-      member_before.push_back(layout::rank_of_part(before.part[slot], scene.options.parts, members));
-    }
-    if (slot < scene.part.size()) {
-      id_now.push_back(scene.particles.id[slot]);
-      part_now.push_back(scene.part[slot]);
-      slot_now.push_back(slot);
-    }
-  }
-  Whereabouts changed;
-  const auto from = gather_values<particles::Id>(context.comm, id_before.span());
-  const auto member = gather_values<std::int32_t>(context.comm, member_before.span());
-  const auto to = gather_values<particles::Id>(context.comm, id_now.span());
-  const auto part = gather_values<std::int32_t>(context.comm, part_now.span());
-  const auto slot = gather_values<std::uint64_t>(context.comm, slot_now.span());
-  if (!context.root()) return changed;
-  const Buffer<std::uint64_t> order_before = order_by_id(from);
-  const Buffer<std::uint64_t> order_now = order_by_id(to);
-  const Buffer<std::uint64_t> order_inserted = order_by_id(inserted.id);
-  changed.id = in_order(to, order_now);
-  // A particle that is not there any more was removed, one that was not there before was inserted.
-  std::size_t b = 0;
-  std::size_t i = 0;
-  for (const particles::Id id : changed.id) {
-    while (b < from.size() && from[order_before[b]] < id) ++b;
-    while (i < inserted.id.size() && inserted.id[order_inserted[i]] < id) ++i;
-    const bool was = b < from.size() && from[order_before[b]] == id;
-    RCB_CHECK(was || (i < inserted.id.size() && inserted.id[order_inserted[i]] == id), "a particle came from nowhere");
-    changed.member.push_back(was ? member[order_before[b]] : inserted.member[order_inserted[i]]);
-  }
-  changed.part = in_order(part, order_now);
-  changed.slot = in_order(slot, order_now);
-  return changed;
+  const auto ids = gather_values<particles::Id>(context.comm, std::as_const(mine.id).span());
+  const auto of = gather_values<std::int32_t>(context.comm, std::as_const(mine.member).span());
+  if (!context.root()) return {};
+  const Buffer<std::uint64_t> order = ascending(ids);
+  return {in_order(ids, order), in_order(of, order)};
 }
 
 std::vector<wire::Array> member_results(const Scene& scene, const ResultTerms& terms, int ranks,
-                                        const Whereabouts& known, const PartChanges& changes,
-                                        const InsertedByMembers& inserted) {
+                                        const MemberNews& news) {
   std::vector<Results> of(static_cast<std::size_t>(terms.members));
+  const auto results_of = [&](std::int32_t member) -> Results& { return of[static_cast<std::size_t>(member)]; };
   const auto member_of = [&](std::int32_t part) {
     return layout::rank_of_part(part, scene.options.parts, terms.members);
   };
-  std::size_t place = 0;
-  for (std::size_t k = 0; k < changes.id.size(); ++k) {
-    while (place < known.id.size() && known.id[place] < changes.id[k]) ++place;
-    // A particle not in `known` has kept its member, which is that of its new part.
-    const bool is_known = place < known.id.size() && known.id[place] == changes.id[k];
-    Results& mine = of[static_cast<std::size_t>(is_known ? known.member[place] : member_of(changes.part[k]))];
-    mine.changed_id.push_back(changes.id[k]);
-    mine.changed_part.push_back(changes.part[k]);
+  const Buffer<std::uint64_t> order = order_by_id(news.inserted.id);
+  const OfMembers inserted_in_order{in_order(news.inserted.id, order), in_order(news.inserted.member, order)};
+  MemberFinder pushed(news.pushed), before(news.before), inserted(inserted_in_order);
+  for (std::size_t k = 0; k < news.changes.id.size(); ++k) {
+    const particles::Id id = news.changes.id[k];
+    const std::int32_t part = news.changes.part[k];
+    auto member = pushed.find(id);
+    if (!member) member = inserted.find(id);
+    if (!member) member = before.find(id);
+    Results& mine = results_of(member.value_or(member_of(part)));
+    mine.changed_id.push_back(id);
+    mine.changed_part.push_back(part);
   }
-  for (std::size_t k = 0; k < known.part.size(); ++k) {  // the results of terms.follow and terms.places
-    const int from = known.member[k];
-    const int to = member_of(known.part[k]);
-    Results& winner = of[static_cast<std::size_t>(to)];
-    if (terms.places) {
-      winner.place_id.push_back(known.id[k]);
-      winner.place_rank.push_back(layout::rank_of_part(known.part[k], scene.options.parts, ranks));
-      winner.place_slot.push_back(known.slot[k]);
-    }
-    if (from == to) continue;
-    Results& loser = of[static_cast<std::size_t>(from)];
-    loser.leave_id.push_back(known.id[k]);
-    loser.leave_to.push_back(to);
-    winner.enter_id.push_back(known.id[k]);
-    winner.enter_from.push_back(from);
-    winner.enter_part.push_back(known.part[k]);
+  for (std::size_t k = 0; k < news.places.id.size(); ++k) {
+    const std::int32_t part = news.places.part[k];
+    Results& mine = results_of(member_of(part));
+    mine.place_id.push_back(news.places.id[k]);
+    mine.place_rank.push_back(layout::rank_of_part(part, scene.options.parts, ranks));
+    mine.place_slot.push_back(news.places.slot[k]);
   }
-  for (std::size_t k = 0; k < inserted.id.size(); ++k) {
-    Results& mine = of[static_cast<std::size_t>(inserted.member[k])];
-    const auto found = std::lower_bound(known.id.begin(), known.id.end(), inserted.id[k]) - known.id.begin();
-    mine.inserted_id.push_back(inserted.id[k]);
-    mine.inserted_part.push_back(inserted.part.empty() ? known.part[static_cast<std::size_t>(found)]
-                                                       : inserted.part[k]);
-  }
+  for (std::size_t k = 0; k < news.inserted.id.size(); ++k)
+    results_of(news.inserted.member[k]).inserted_id.push_back(news.inserted.id[k]);
   std::vector<wire::Array> arrays;
   for (Results& mine : of) {
     if (terms.changes) {
       add_array(arrays, "changed_id", "<i8", mine.changed_id);
       add_array(arrays, "changed_part", "<i4", mine.changed_part);
     }
-    if (terms.follow) {
-      add_array(arrays, "leave_id", "<i8", mine.leave_id);
-      add_array(arrays, "leave_to", "<i4", mine.leave_to);
-      add_array(arrays, "enter_id", "<i8", mine.enter_id);
-      add_array(arrays, "enter_from", "<i4", mine.enter_from);
-      add_array(arrays, "enter_part", "<i4", mine.enter_part);
-    }
     if (terms.places) {
       add_array(arrays, "place_id", "<i8", mine.place_id);
       add_array(arrays, "place_rank", "<i4", mine.place_rank);
       add_array(arrays, "place_slot", "<u8", mine.place_slot);
     }
-    if (terms.inserted) {
-      add_array(arrays, "inserted_id", "<i8", mine.inserted_id);
-      add_array(arrays, "inserted_part", "<i4", mine.inserted_part);
-    }
+    if (terms.inserted) add_array(arrays, "inserted_id", "<i8", mine.inserted_id);
   }
   return arrays;
 }

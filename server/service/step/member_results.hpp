@@ -1,10 +1,8 @@
-// What the members of a parallel solver are told after a step: which particles changed part, which they hand over to
-// whom, and where particles are in the layout.
+// What the members of a parallel solver are told after a step: which particles changed part, where particles are in the
+// layout, and the ids of what they inserted.
 //
-// Invariants
-// 1. What member A is told to give to B is what B is told to get from A.
-// 2. Nothing is remembered between steps. A push tells which member has which particles: by the ids it brings or, if it
-//    came straight to the ranks or brought few, by the parts before the step.
+// Nothing is remembered between steps. A push tells which member has which particles: by the ids it brings or, if it
+// came straight to the ranks or brought few, by the parts before the step.
 #pragma once
 
 #include <cstdint>
@@ -15,20 +13,18 @@
 
 namespace rcb::service {
 
-// Particles in ascending id, on rank 0 only. part and slot (a slot of the part's rank) are those after the step.
+// Where particles stand after a step: the slot is one of the part's rank. In ascending id, on rank 0.
 struct Whereabouts {
   Buffer<particles::Id> id;
-  Buffer<std::int32_t> member;  // the member that pushed the particle
   Buffer<std::int32_t> part;
   Buffer<std::uint64_t> slot;
 };
 
-// Fills in part and, if `places`, slot of all particles; the caller has filled in id and member. Collective.
-void find_all(Context& context, const Scene& scene, bool places, Whereabouts& all);
-
-// All particles before a step: id, and the member that pushed it or, of those that nobody pushed since they stood
-// still, that of its part. pushed: ascending, on rank 0. Collective.
-Whereabouts held_by_all(Context& context, const Scene& scene, int members, const Whereabouts& pushed);
+// Particles and the members that pushed, held, or inserted them; on rank 0.
+struct OfMembers {
+  Buffer<particles::Id> id;
+  Buffer<std::int32_t> member;
+};
 
 // A copy of this rank's ids and parts before a step.
 struct PlacesBefore {
@@ -37,34 +33,39 @@ struct PlacesBefore {
   Buffer<std::int32_t> part;
 };
 
-// What the members inserted, each member's in the order given; on rank 0.
-struct InsertedByMembers {
-  Buffer<particles::Id> id;
-  Buffer<std::int32_t> member;
-  // Their parts when they arrived, before new cuts of the step. Empty: member_results() takes the parts from `known`.
-  Buffer<std::int32_t> part;
-};
+// The k-th entry is the index of the particle with the k-th smallest id. No sorting if the ids are 0..n-1 in any order.
+Buffer<std::uint64_t> ascending(const Buffer<particles::Id>& ids);
 
-// The particles whose rank, slot or member changed in the step, and those inserted. Before it each member had the
-// particles of its parts. Collective.
-Whereabouts find_changed(Context& context, const Scene& scene, const PlacesBefore& before, int members,
-                         const InsertedByMembers& inserted);
+// This rank's slots, ascending, that hold another particle than before the step, or one of another member, or none any
+// more. Local.
+Buffer<std::uint64_t> changed_slots(const Scene& scene, const PlacesBefore& before, int members);
+
+// The particles in these slots of each rank; those in all slots if there is no list. Collective.
+Whereabouts find_places(Context& context, const Scene& scene, const Buffer<std::uint64_t>* slots);
+
+// The particles that were in these slots, each with the member of its part; in ascending id. Collective.
+OfMembers holders_before(Context& context, const Scene& scene, const PlacesBefore& before,
+                         const Buffer<std::uint64_t>& slots, int members);
 
 struct ResultTerms {
   int members = 1;
   bool changes = false;
-  bool follow = false;
   bool places = false;
   bool inserted = false;  // by any member
 };
 
-// Returns for each member in turn the arrays that the terms ask for: changed_id, changed_part; leave_id, leave_to,
-// enter_id, enter_from, enter_part; place_id, place_rank, place_slot, each list in ascending id; inserted_id,
-// inserted_part, in the order given. Local, on rank 0.
-//   known  all particles, or those that find_changed() returned
+struct MemberNews {
+  PartChanges changes;
+  // Whose a particle is: as pushed, or inserted, else as holders_before() says. One in no list has kept its member.
+  OfMembers pushed, before;  // in ascending id
+  OfMembers inserted;        // of each member in the order given
+  Whereabouts places;
+};
+
+// Returns for each member in turn the arrays that the terms ask for: changed_id, changed_part; place_id, place_rank,
+// place_slot, each list in ascending id; inserted_id, in the order given. Local, on rank 0.
 //   ranks  number of ranks of the service
 std::vector<wire::Array> member_results(const Scene& scene, const ResultTerms& terms, int ranks,
-                                        const Whereabouts& known, const PartChanges& changes,
-                                        const InsertedByMembers& inserted);
+                                        const MemberNews& news);
 
 }  // namespace rcb::service

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <barrier>
+#include <iterator>
 #include <optional>
 #include <thread>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -20,8 +22,7 @@ struct MemberTeam::Member {
   std::array<std::vector<double>, 3> position;
   Status status;
   client::StepReport report;
-  std::vector<client::Leaving> leaving;  // as the last answer said
-  std::vector<client::Entering> entering;
+  std::vector<client::LeavingRow> leaving;  // as the last answer said
 
   void take_positions(const std::array<std::vector<double>, 3>& axes, int dims) {
     for (std::size_t a = 0; a < static_cast<std::size_t>(dims); ++a) {
@@ -37,17 +38,7 @@ struct MemberTeam::Member {
     status = answer.status();
     if (!status.ok()) return;
     report = std::move(answer->report);
-    leaving = std::move(answer->leave);
-    entering = std::move(answer->enter);
-  }
-  void exchange_particles() {
-    const auto leaves = [this](std::int64_t id) {
-      const auto found = std::lower_bound(leaving.begin(), leaving.end(), id,
-                                          [](const client::Leaving& one, std::int64_t i) { return one.id < i; });
-      return found != leaving.end() && found->id == id;
-    };
-    std::erase_if(ids, leaves);
-    for (const client::Entering& one : entering) ids.push_back(one.id);
+    leaving = std::move(answer->leaving);
   }
 };
 
@@ -91,9 +82,15 @@ Result<double> MemberTeam::step(int phase, client::StepReport& report) {
         ended[k] = clock.seconds();
       });
   }
-  for (const auto& mine : members_) {
+  for (const auto& mine : members_)
     if (!mine->status.ok()) return mine->status;
-    mine->exchange_particles();
+  std::vector<std::vector<std::int64_t>> arriving(members_.size());
+  for (const auto& mine : members_)
+    for (const client::LeavingRow& one : mine->leaving)
+      arriving[static_cast<std::size_t>(one.to)].push_back(std::exchange(mine->ids[one.row], -1));
+  for (std::size_t k = 0; k < members_.size(); ++k) {
+    std::erase(members_[k]->ids, -1);
+    std::ranges::copy(arriving[k], std::back_inserter(members_[k]->ids));
   }
   report = members_.front()->report;
   return *std::max_element(ended.begin(), ended.end()) - start;

@@ -8,6 +8,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -27,8 +28,10 @@ constexpr int kRebalanced = 6;  // after this step
 // Where all particles of the solver are. Its members hold disjoint sets of them.
 struct Solver {
   explicit Solver(int members) : all_have_read(members) {}
-  std::barrier<> all_have_read;  // what this step has done
+  std::barrier<> all_have_read;  // what this step has done; then what is handed over
   std::mutex mutex;
+  std::map<int, std::vector<std::int64_t>> handed_over;  // to each member
+  std::map<std::int64_t, int> keeper;                    // after the last step
   std::map<std::int64_t, Point> at;
   std::set<std::string> ways;
 };
@@ -58,6 +61,10 @@ class ChangingMember {
       if (step == kRebalanced && member_ == 0) {
         EXPECT_TRUE(client_->call("rebalance", R"({"scene":"team","method":"bands-x"})").ok());
       }
+    }
+    {
+      const std::lock_guard lock(solver_.mutex);
+      for (const std::int64_t id : ids_) solver_.keeper[id] = member_;
     }
     solver_.all_have_read.arrive_and_drop();
   }
@@ -94,33 +101,34 @@ class ChangingMember {
     const auto done = scene.step(Positions::rows(rows.data(), ids_.size(), 3), ids_, options);
     ASSERT_TRUE(done.ok()) << done.status().message();
     ASSERT_EQ(done->inserted_ids.size(), count);
-    expect_rows_that_leave(scene, *done);
-    const std::lock_guard lock(solver_.mutex);
-    if (step > 1 && step != kRebalanced + 1) solver_.ways.insert(done->report.way);
-    for (const std::int64_t id : removed) solver_.at.erase(id), std::erase(ids_, id);
-    for (std::size_t k = 0; k < count; ++k) {
-      solver_.at[done->inserted_ids[k]] = {inserted[3 * k], inserted[3 * k + 1], inserted[3 * k + 2]};
-      ids_.push_back(done->inserted_ids[k]);
-    }
-    for (const Leaving& one : done->leave) EXPECT_EQ(std::erase(ids_, one.id), 1U);
-    for (const Entering& one : done->enter) ids_.push_back(one.id);
-  }
-
-  // By the cuts a member finds out by itself what the service tells it, but for what it has just inserted.
-  void expect_rows_that_leave(MemberScene& scene, const MemberStep& done) {
-    std::map<std::int64_t, int> told, found;
-    for (const Leaving& one : done.leave)
-      if (std::ranges::find(done.inserted_ids, one.id) == done.inserted_ids.end()) told[one.id] = one.to;
-    for (const LeavingRow& one : done.leaving) found[ids_[one.row]] = one.to;
-    EXPECT_EQ(found, told);
-    EXPECT_EQ(found.size(), done.leaving.size());
-    EXPECT_TRUE(std::ranges::is_sorted(done.leaving, {}, &LeavingRow::row));
     const auto cuts = scene.cuts();
     ASSERT_TRUE(cuts.ok()) << cuts.status().message();
-    EXPECT_EQ(cuts->epoch(), done.report.epoch);
-    ASSERT_EQ(done.parts.size(), ids_.size());
-    for (const LeavingRow& one : done.leaving)
-      EXPECT_EQ(cuts::seat_of_part(done.parts[one.row], done.report.parts, members_), one.to);
+    EXPECT_EQ(cuts->epoch(), done->report.epoch);
+    const std::set<std::int64_t> gone(removed.begin(), removed.end());
+    std::vector<std::int64_t> all = ids_, stay;
+    all.insert(all.end(), done->inserted_ids.begin(), done->inserted_ids.end());
+    ASSERT_EQ(done->parts.size(), all.size());
+    std::vector<std::pair<std::uint64_t, int>> leaving, told;
+    for (const LeavingRow& one : done->leaving) told.emplace_back(one.row, one.to);
+    for (std::size_t row = 0; row < all.size(); ++row) {
+      const int to = cuts::seat_of_part(done->parts[row], done->report.parts, members_);
+      if (gone.contains(all[row])) continue;
+      if (to != member_) leaving.emplace_back(row, to);
+      if (to == member_) stay.push_back(all[row]);
+    }
+    EXPECT_EQ(told, leaving);
+    {
+      const std::lock_guard lock(solver_.mutex);
+      if (step > 1 && step != kRebalanced + 1) solver_.ways.insert(done->report.way);
+      for (const std::int64_t id : removed) solver_.at.erase(id);
+      for (std::size_t k = 0; k < count; ++k)
+        solver_.at[done->inserted_ids[k]] = {inserted[3 * k], inserted[3 * k + 1], inserted[3 * k + 2]};
+      for (const LeavingRow& one : done->leaving) solver_.handed_over[one.to].push_back(all[one.row]);
+    }
+    solver_.all_have_read.arrive_and_wait();
+    const std::lock_guard lock(solver_.mutex);
+    ids_ = std::move(stay);
+    for (const std::int64_t id : std::exchange(solver_.handed_over[member_], {})) ids_.push_back(id);
   }
 
   Solver& solver_;
@@ -156,6 +164,11 @@ TEST(ChangingMembers, TheSceneIsWhatTheyHave) {
         EXPECT_EQ((Point{held->find("x")->f8()[i], held->find("y")->f8()[i], held->find("z")->f8()[i]}), at) << one;
         ++i;
       }
+      const auto assigned = control->call("assign", "{\"scene\":\"team\"}");
+      ASSERT_TRUE(assigned.ok()) << assigned.status().message();
+      ASSERT_EQ(solver.keeper.size(), solver.at.size());
+      for (std::size_t k = 0; k < id.size(); ++k)
+        EXPECT_EQ(solver.keeper[id[k]], cuts::seat_of_part(assigned->find("part")->i4()[k], 6, members)) << id[k];
       EXPECT_EQ(solver.ways.contains("endpoint"), path == Path::gateway) << "not in other steps";
     }
 }

@@ -1,8 +1,10 @@
 // Steps from memory that the client shares with the ranks of a real service.
 #include <algorithm>
+#include <barrier>
 #include <map>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -271,7 +273,14 @@ TEST_F(SharedArraysTest, MembersShareTheirsWithTheRanks) {
   ASSERT_TRUE(maker.create_scene("team", {.parts = 6, .tolerance = 0.3, .replace = true}).ok());
   const auto begin = random_rows(kCount, 5);
   std::vector<std::vector<std::string>> ways(kMembers);
+  std::barrier handed_over(kMembers);
+  std::vector<std::int64_t> to_other[kMembers];  // by whom
+  struct Leaver {  // one that fails keeps nobody waiting
+    std::barrier<>& barrier;
+    ~Leaver() { barrier.arrive_and_drop(); }
+  };
   const auto solve = [&](int member) {
+    const Leaver leaver{handed_over};
     Client client = connect(Path::shared);
     auto of = MemberScene::open(client, "team", {.member = member, .members = kMembers, .follow = true});
     ASSERT_TRUE(of.ok()) << of.status().message();
@@ -290,10 +299,12 @@ TEST_F(SharedArraysTest, MembersShareTheirsWithTheRanks) {
       const auto done = of->step(Positions::rows(to, ids.size(), 3), ids);
       ASSERT_TRUE(done.ok()) << done.status().message();
       ways[static_cast<std::size_t>(member)].push_back(done->report.way);
-      std::erase_if(ids, [&](std::int64_t id) {
-        return std::any_of(done->leave.begin(), done->leave.end(), [id](const Leaving& one) { return one.id == id; });
-      });
-      for (const Entering& one : done->enter) ids.push_back(one.id);
+      auto& going = to_other[member];
+      going.clear();
+      for (const LeavingRow& one : done->leaving) going.push_back(std::exchange(ids[one.row], -1));
+      std::erase(ids, -1);
+      handed_over.arrive_and_wait();
+      ids.insert(ids.end(), to_other[1 - member].begin(), to_other[1 - member].end());
     }
   };
   std::thread other(solve, 1);

@@ -1,7 +1,7 @@
 """Members of a parallel solver that join, push, die in the midst of a slice and come back."""
 import numpy as np
 from actor import Actor
-from member_client import DirectMember, Member
+from member_client import DirectMember, Member, handed_over
 from model import Model, check_report, check_scene
 from protocol_client import Refused
 from pushers import UNTRUE
@@ -95,11 +95,7 @@ class Members(Actor):
             self.model.parts[arrays["changed_id"]] = arrays["changed_part"]
         if not self.direct:
             return
-        left = sum(len(arrays["leave_id"]) for _, arrays in answers)
-        entered = sum(len(arrays["enter_id"]) for _, arrays in answers)
-        self.expect(left == entered, "members hand over", left, "and are handed", entered)
-        self.held = [np.union1d(np.setdiff1d(ids, arrays["leave_id"]), arrays["enter_id"])
-                     for ids, (_, arrays) in zip(self.held, answers)]
+        self.held = handed_over(self.held, answers)
         together = np.sort(np.concatenate(self.held))
         self.expect(np.array_equal(together, self.model.ids), "particles of all members together")
 

@@ -19,15 +19,13 @@ namespace {
 using protocol::array_of;
 using protocol::Json;
 
-// Nothing is handed over; the places told are these, of the ids.
+// The member keeps the only part; the places told are these, of the ids.
 std::vector<protocol::Array> news(const std::vector<std::int64_t>& ids, const std::vector<std::int32_t>& ranks,
                                   const std::vector<std::uint64_t>& slots) {
-  std::vector<protocol::Array> arrays = ToldCuts(2, 3, 4).arrays;
+  std::vector<protocol::Array> arrays = ToldCuts(2, 1, 4).arrays;
   arrays.insert(arrays.end(),
-                {array_of<std::int64_t>("leave_id", "<i8", {}), array_of<std::int32_t>("leave_to", "<i4", {}),
-                 array_of<std::int64_t>("enter_id", "<i8", {}), array_of<std::int32_t>("enter_from", "<i4", {}),
-                 array_of<std::int32_t>("enter_part", "<i4", {}), array_of("place_id", "<i8", ids),
-                 array_of("place_rank", "<i4", ranks), array_of("place_slot", "<u8", slots)});
+                {array_of("place_id", "<i8", ids), array_of("place_rank", "<i4", ranks),
+                 array_of("place_slot", "<u8", slots)});
   return arrays;
 }
 
@@ -36,7 +34,7 @@ Json plan_of(int version) { return {{"version", version}, {"checksum", "00000000
 Json answer_of(int step, Json more = Json::object()) {
   Json json{{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}, {"epoch", 4}}},
             {"plan", plan_of(step + 1)},
-            {"cuts", ToldCuts(2, 3, 4).json}};
+            {"cuts", ToldCuts(2, 1, 4).json}};
   json.update(more);
   return json;
 }
@@ -71,7 +69,7 @@ class TwoRanks {
                  {{"scene", "s"},
                   {"dims", 2},
                   {"step", nullptr},
-                  {"membership", {{"member", 1}, {"members", 3}, {"generation", number + 1}, {"follow", true}}}});
+                  {"membership", {{"member", 2}, {"members", 3}, {"generation", number + 1}, {"follow", true}}}});
       script_(peer);
       while (const auto close = peer.receive()) peer.reply(*close, Json::object());
     });
@@ -110,7 +108,7 @@ std::vector<Status> push(const std::string& endpoint, int times, Path path = Pat
   std::vector<Status> statuses;
   auto client = Client::connect({.endpoint = endpoint, .path = path});
   EXPECT_TRUE(client.ok()) << client.status().message();
-  auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+  auto scene = MemberScene::open(*client, "s", {.member = 2, .members = 3, .follow = true});
   EXPECT_TRUE(scene.ok()) << scene.status().message();
   for (int k = 0; k < times; ++k) statuses.push_back(scene->step(Positions::axes(kAxes, 3), kIds).status());
   return statuses;
@@ -172,7 +170,7 @@ TEST(MemberSceneDirect, SendsNothingOfWhatHasNotMoved) {
   });
   {
     auto client = Client::connect({.endpoint = service.endpoint(), .path = Path::direct});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
+    auto scene = MemberScene::open(*client, "s", {.member = 2, .members = 3, .follow = true});
     for (int k = 0; k < 2; ++k) {
       MemberStepOptions options;
       options.unmoved = true;

@@ -31,13 +31,10 @@ Json report(int step) {
   return {{"report", {{"scene", "s"}, {"step", step}, {"n", 30}, {"reason", ""}}}, {"cuts", told_cuts().json}};
 }
 
-std::vector<protocol::Array> news(std::int32_t to = 2) {
+std::vector<protocol::Array> news() {
   std::vector<protocol::Array> arrays = told_cuts().arrays;
   arrays.insert(arrays.end(),
-                {array_of<std::int64_t>("changed_id", "<i8", {3}), array_of<std::int32_t>("changed_part", "<i4", {4}),
-                 array_of<std::int64_t>("leave_id", "<i8", {3, 7}), array_of<std::int32_t>("leave_to", "<i4", {0, to}),
-                 array_of<std::int64_t>("enter_id", "<i8", {5}), array_of<std::int32_t>("enter_from", "<i4", {2}),
-                 array_of<std::int32_t>("enter_part", "<i4", {3})});
+                {array_of<std::int64_t>("changed_id", "<i8", {3}), array_of<std::int32_t>("changed_part", "<i4", {4})});
   return arrays;
 }
 
@@ -89,12 +86,9 @@ TEST(MemberScene, SendsItsOwnParticlesWithTheirIdsAndReadsWhatMoves) {
     ASSERT_TRUE(result.ok()) << result.status().message();
     EXPECT_EQ(result->report.step, 7);
     EXPECT_EQ(scene->last_step(), 7);
-    ASSERT_EQ(result->leave.size(), 2U);
-    EXPECT_EQ(result->leave[1].id, 7);
-    EXPECT_EQ(result->leave[1].to, 2);
-    ASSERT_EQ(result->enter.size(), 1U);
-    EXPECT_EQ(result->enter[0].from, 2);
-    EXPECT_EQ(result->enter[0].part, 3);
+    ASSERT_EQ(result->leaving.size(), 2U);
+    EXPECT_EQ(result->leaving[1].row, 1U);
+    EXPECT_EQ(result->leaving[1].to, 0);
     ASSERT_EQ(result->changes.size(), 1U);
     EXPECT_EQ(result->changes[0].part, 4);
   }
@@ -198,9 +192,8 @@ TEST(MemberScene, AsksForNoGenerationTwiceUnlessItWasRefused) {
   EXPECT_EQ(opened[3]["generation"], 6);
 }
 
-// The service takes those that a member doesn't name to be where it last told it to bring them.
-TEST(MemberScene, BringsAllItsParticlesUnlessTheyAreThoseThatItWasTold) {
-  const std::vector<std::int64_t> told{5, 900};
+// A change of a particle that nobody names is told to the member of its part, which may not be the one that has it.
+TEST(MemberScene, BringsAllItsParticlesWhereItAsksForChanges) {
   std::vector<Json> begun;
   FakeService service([&](Peer& peer, int) {
     peer.greet(2);
@@ -217,17 +210,57 @@ TEST(MemberScene, BringsAllItsParticlesUnlessTheyAreThoseThatItWasTold) {
     auto [client, scene] = Seated(service);
     MemberStepOptions unmoved;
     unmoved.unmoved = true;
-    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
-    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
-    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 2), told, unmoved).ok());
-    EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
+    for (const bool changes : {false, false, true, false}) {
+      unmoved.want_changes = changes;
+      EXPECT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds, unmoved).ok());
+    }
   }
   service.stop();
   ASSERT_EQ(begun.size(), 4U);
   EXPECT_EQ(begun[0]["moved"], "all") << "an object that has heard of no step knows nothing";
-  EXPECT_EQ(begun[1]["moved"], "all") << "nothing was handed over";
-  EXPECT_EQ(begun[2]["moved"], "none");
-  EXPECT_EQ(begun[3]["moved"], "all");
+  EXPECT_EQ(begun[1]["moved"], "none");
+  EXPECT_EQ(begun[2]["moved"], "all");
+  EXPECT_EQ(begun[3]["moved"], "none");
+}
+
+// Also where the answer has no arrays, being that of a step that was committed before.
+TEST(MemberScene, WhatLeavesIsFoundByTheCutsAlsoAmongWhatItInserts) {
+  FakeService service([&](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_reply(4, 6));
+    for (const bool repeated : {false, true}) {
+      const auto begin = peer.receive();
+      for (int k = 0; k < begin->json["slices"]; ++k) peer.receive();
+      Json answer = report(repeated ? 8 : 7);
+      std::vector<protocol::Array> arrays;
+      if (repeated) answer["repeated"] = true, answer.erase("cuts");
+      if (!repeated) arrays = news(), arrays.push_back(array_of<std::int64_t>("inserted_id", "<i8", {901, 902, 903}));
+      peer.reply(*begin, answer, arrays);
+    }
+    answer_close(peer);
+  });
+  {
+    auto [client, scene] = Seated(service);
+    const std::vector<double> x{2.5, 4.5, 0.5}, y{0, 0, 0};  // the parts 2, 4 and 0
+    const std::array<const double*, 2> axes{x.data(), y.data()};
+    Insertion in{.positions = Positions::axes(axes, 3)};
+    const std::vector<std::int64_t> removed{3}, ids{901, 902, 903};
+    for (const bool repeated : {false, true}) {
+      MemberStepOptions options;
+      options.removed = removed;
+      options.inserted = &in;
+      options.want_parts = true;
+      if (repeated) in.ids = ids;
+      const auto result = scene->step(Positions::axes(kAxes, 3), kIds, options);
+      ASSERT_TRUE(result.ok()) << result.status().message();
+      EXPECT_EQ(result->inserted_ids, ids);
+      EXPECT_EQ(result->parts, (std::vector<std::int32_t>{0, 1, 2, 2, 4, 0}));
+      std::vector<std::pair<std::uint64_t, int>> leaving;
+      for (const LeavingRow& one : result->leaving) leaving.emplace_back(one.row, one.to);
+      EXPECT_EQ(leaving, (std::vector<std::pair<std::uint64_t, int>>{{0, 0}, {4, 2}, {5, 0}}));
+    }
+  }
+  service.stop();
 }
 
 TEST(MemberScene, OfAReplacedSceneItsArraysHaveTheNewDimensions) {
@@ -281,39 +314,6 @@ TEST(MemberScene, AFreshOneTakesTheStepThatTheOthersPush) {
   EXPECT_EQ(begun[1]["step"], 7);
 }
 
-// The service takes particles that nobody names to be with the members that keep their parts.
-TEST(MemberScene, WithoutFollowItBringsAllItsParticles) {
-  std::vector<Json> begun;
-  FakeService service([&](Peer& peer, int) {
-    peer.greet(2);
-    Json seat = seat_reply(4, -1);
-    seat["membership"]["follow"] = false;
-    peer.reply(*peer.receive(), seat);
-    for (int step = 0; step < 3; ++step) {
-      const auto begin = peer.receive();
-      begun.push_back(begin->json);
-      if (begin->json["slices"] == 1) peer.receive();
-      peer.reply(*begin, report(step));
-    }
-    answer_close(peer);
-  });
-  {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3});
-    MemberStepOptions options;
-    for (int step = 0; step < 3; ++step) {
-      options.unmoved = step == 1;
-      options.moved.reset();
-      if (step == 2) options.moved.emplace();
-      const auto result = scene->step(Positions::axes(kAxes, 3), kIds, options);
-      EXPECT_TRUE(result.ok()) << result.status().message();
-    }
-  }
-  service.stop();
-  ASSERT_EQ(begun.size(), 3U);
-  for (const Json& begin : begun) EXPECT_EQ(begin["moved"], "all");
-}
-
 // A rebalance that came while the connection was gone told nobody who has which particle now.
 TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
   for (const int epoch_now : {3, 4}) {
@@ -356,12 +356,11 @@ TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
   FakeService service([](Peer& peer, int) {
     peer.greet(2);
     peer.reply(*peer.receive(), seat_reply(1, -1));
-    for (int k = 0; k < 3; ++k) {
+    for (int k = 0; k < 2; ++k) {
       const auto begin = peer.receive();
       peer.receive();
       if (k == 0) peer.fail(*begin, {Code::aborted, "member 2 has lost its connection", "push again"});
-      if (k == 1) peer.reply(*begin, report(0), told_cuts().arrays);  // without what moves
-      if (k == 2) peer.reply(*begin, report(0), news(3));             // to a fourth of three
+      if (k == 1) peer.reply(*begin, report(0), told_cuts().arrays);  // without what changed
     }
     answer_close(peer);
   });
@@ -376,10 +375,7 @@ TEST(MemberScene, FaultsOfTheCallerAndOfTheServiceAreNamed) {
   const Status aborted = scene->step(mine, kIds).status();
   EXPECT_EQ(aborted.code(), Code::aborted);
   EXPECT_NE(aborted.message().find("member 2"), std::string::npos);
-  EXPECT_EQ(scene->step(mine, kIds).status().code(), Code::protocol_error);
-  MemberStepOptions zero;
-  zero.step = 0;
-  EXPECT_EQ(scene->step(mine, kIds, zero).status().code(), Code::protocol_error);
+  EXPECT_EQ(scene->step(mine, kIds, with_changes()).status().code(), Code::protocol_error);
 }
 
 // Another member has lost its connection: it comes back, and this one waits for it.

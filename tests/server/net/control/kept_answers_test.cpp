@@ -34,8 +34,8 @@ MemberAnswers answers_of(std::int64_t step) {
   MemberAnswers answers{step, {"00000000000000aa", "00000000000000bb"}, {{"report", {{"step", step}}}}, {}};
   for (const std::int64_t member : {0, 1}) {
     answers.arrays.emplace_back();
-    answers.arrays.back().push_back(array_of("leave_id", {step, member, 7}));
-    answers.arrays.back().push_back(array_of("enter_id", {}));
+    answers.arrays.back().push_back(array_of("changed_id", {step, member, 7}));
+    answers.arrays.back().push_back(array_of("inserted_id", {}));
     answers.arrays.back().push_back(array_of("place_id", {1, 2, 3}));
   }
   answers.cuts.push_back(array_of("axes", {step, 1, 0}));

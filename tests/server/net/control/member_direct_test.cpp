@@ -39,7 +39,7 @@ class OneScene final : public Engine {
     if (command == "push.members") {
       pushed.push_back(order.request);
       for (int k = 0; k < 2; ++k)
-        for (const char* name : {"leave_id", "place_id"}) answer.arrays.push_back({name, "<i8", {0}, {}});
+        for (const char* name : {"changed_id", "place_id"}) answer.arrays.push_back({name, "<i8", {0}, {}});
       if (order.request.contains("cuts_known")) {
         answer.json["cuts"] = {{"epoch", 4}};
         for (const char* name : {"axes", "at", "id", "part_sizes"}) answer.arrays.push_back({name, "<i8", {0}, {}});
@@ -108,13 +108,13 @@ class MemberDirect : public ::testing::Test {
     Json begin{{"slices", 0},      {"order", "plan"},
                {"path", "direct"}, {"counts", counts},
                {"epoch", 3},       {"base_step", 7},
-               {"ids", false},     {"places", true},
+               {"ids", false},     {"places", true},     {"changes", true},
                {"attempt", 1},     {"plan", {{"version", 2}, {"checksum", wire::hex64(5)}}}};
     begin.update(more);
     team_[k].begin(kSessions[k], step, n, begin);
   }
   void by_ids(int k, std::uint64_t n, std::int64_t attempt = 2) {
-    team_[k].begin(kSessions[k], 8, n, {{"ids", true}, {"attempt", attempt}});
+    team_[k].begin(kSessions[k], 8, n, {{"ids", true}, {"changes", true}, {"attempt", attempt}});
     Json ids{{"attempt", attempt},
              {"arrays",
               {{{"name", "x"}, {"dtype", "<f8"}, {"shape", {n}}},
@@ -474,8 +474,11 @@ TEST_F(MemberDirect, FewByIdsNeedThePartsOfTheLastStep) {
   refused(0, "base_lost", "epoch 2");
   begin(2, Json::object());
   refused(0, "invalid_argument", "epoch");
-  begin(3, {{"epoch", 3}});
+  begin(3, {{"epoch", 3}, {"n", 3}});
   by_ids(1, 6);
+  for (const int k : {0, 1}) refused(k, "invalid_argument", "9 particles of the scene, which has 10");
+  begin(4, {{"epoch", 3}});
+  by_ids(1, 6, 4);
   for (Client& one : team_) EXPECT_EQ(one.receive_but_notices().type, FrameType::reply);
   EXPECT_EQ(engine_.pushed.at(0)["moved_by"], Json({"none", "all"}));
   EXPECT_EQ(engine_.pushed.at(0)["moved"], "some");
