@@ -140,10 +140,16 @@ wire::Json verdict_json(const scene::CountVerdict& verdict) {
   return {{"again", "cuts"}};
 }
 
+wire::Json repeated_to_member(const Ledger& ledger, const scene::MemberShare& share) {
+  wire::Json json{{"report", ledger.last_report()}, {"repeated", true}, {"plan", plan_json(ledger.now())}};
+  if (const auto first = json["report"].find("first_id"); first != json["report"].end())
+    json["first_id"] = first->get<std::int64_t>() + static_cast<std::int64_t>(share.inserted_before);
+  return json;
+}
+
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
   return with_reports(
-      ledger, number, number + 1,
-      [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
+      ledger, number, number + 1, [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
         if (found.reports.empty())
           answer.status =
               Status(Code::io_error, fmt::format("the step is committed, but its report was lost: {}", found.loss),

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/partition/balance/load.hpp"
+#include "server/scene/count.hpp"
 #include "server/scene/options.hpp"
 #include "server/scene/report.hpp"
 
@@ -39,6 +40,7 @@ struct Stepped {
   StepReport report;
   Held held;
   std::string session;                   // that pushed
+  std::vector<MemberShare> members;      // if members pushed together: of each
   std::optional<double> step_seconds;    // as the push said
   std::optional<std::uint64_t> drifted;  // since the step before, as the push said
   bool wasted = false;                   // new cuts were searched, and not adopted

@@ -151,6 +151,7 @@ std::string encode(const Lasting& lasting) {
                    {"costs", lasting.costs.to_json()},
                    {"not_adopted", or_null(lasting.error_when_not_adopted)},
                    {"last_session", lasting.last_session},
+                   {"last_members", packed(lasting.last_members)},
                    {"last_report", lasting.last_report}});
 }
 
@@ -175,6 +176,7 @@ Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation
   lasting.costs = CostAccount::from_json(json.at("costs"));
   lasting.error_when_not_adopted = maybe<double>(json.at("not_adopted"));
   lasting.last_session = json.at("last_session").get<std::uint64_t>();
+  lasting.last_members = unpacked<MemberShare>(json.at("last_members"));
   lasting.last_report = json.at("last_report");
   if (now.step.has_value() != (now.loads != nullptr) || now.step.has_value() != (now.epoch > 0) ||
       now.step.has_value() != lasting.last_report.is_object())

@@ -10,11 +10,8 @@
 #include "server/scene/lasting.hpp"
 
 namespace rcb::scene {
-namespace {
 
 std::uint64_t session_key(const std::string& session) { return XXH3_64bits(session.data(), session.size()); }
-
-}  // namespace
 
 Status stale_step(const std::string& scene, std::int64_t step, std::int64_t last) {
   return {Code::stale_step, fmt::format("step {} of scene '{}' is not above the last one, {}", step, scene, last),
@@ -92,7 +89,7 @@ const StepReport& Ledger::take(Stepped stepped) {
   now_.positions_step = report.step;
   now_.filled = true;
   wants_positions_ = false;
-  remember(report, stepped.session);
+  remember(report, stepped.session, std::move(stepped.members));
   return history_->last();
 }
 
@@ -117,7 +114,7 @@ void Ledger::take(const Asked& asked) {
   asked_ = true;
 }
 
-void Ledger::remember(const StepReport& report, const std::string& session) {
+void Ledger::remember(const StepReport& report, const std::string& session, std::vector<MemberShare> members) {
   now_.step = report.step;
   recent_.push_back({report.step, session_key(session)});
   if (recent_.size() > kRememberedSteps) recent_.pop_front();
@@ -127,6 +124,7 @@ void Ledger::remember(const StepReport& report, const std::string& session) {
   for (const std::string& name : report.skipped.names()) ++totals_.skipped[name];
   if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
   lasting_.last_session = recent_.back().session;
+  lasting_.last_members = std::move(members);
   lasting_.last_report = to_json(report);
   keep();
   history_->add(report, lasting_.last_report, journal_.get());
@@ -136,6 +134,11 @@ std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::i
   const auto found = std::ranges::lower_bound(recent_, step, {}, &RememberedStep::step);
   if (found == recent_.end() || found->step != step || found->session != session_key(session)) return std::nullopt;
   return history_->total() - static_cast<std::uint64_t>(recent_.end() - found);
+}
+
+const MemberShare* Ledger::share_in_last(const std::string& session, std::int64_t step) const {
+  const auto found = std::ranges::find(lasting_.last_members, session_key(session), &MemberShare::session);
+  return step == now_.step && found != lasting_.last_members.end() ? &*found : nullptr;
 }
 
 Status Ledger::check_seat(const CountRecord& record) const {
@@ -208,7 +211,7 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
   if (record.step_seconds) lasting_.costs.computed(*record.step_seconds, now_.loads->imbalance);
   now_.loads = std::make_shared<const partition::LoadSummary>(std::move(loads));
   if (record.id_sum) now_.id_sum = record.id_sum;
-  remember(report, record.session);
+  remember(report, record.session, record.members);
   return {std::move(done)};
 }
 

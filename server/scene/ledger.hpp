@@ -49,6 +49,7 @@ struct Lasting {
   CostAccount costs;
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
   std::uint64_t last_session = 0;                // key of the session that made the last step
+  std::vector<MemberShare> last_members;         // likewise, of members
   wire::Json last_report;                        // null: no step yet
 };
 
@@ -105,6 +106,10 @@ class Ledger {
   // The number, in the history, of a step that this session has committed; nothing if it has not.
   std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
 
+  // What this session, of a member, had in the last step, if that is this one; null if it isn't.
+  const MemberShare* share_in_last(const std::string& session, std::int64_t step) const;
+  const wire::Json& last_report() const { return lasting_.last_report; }
+
   // Removes what would outlive the service.
   void drop();
 
@@ -115,11 +120,11 @@ class Ledger {
  private:
   struct RememberedStep {
     std::int64_t step = 0;
-    std::uint64_t session = 0;  // XXH3-64 of its name, which takes less memory than the text
+    std::uint64_t session = 0;  // session_key()
   };
   Status check(const CountRecord& record) const;
   CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
-  void remember(const StepReport& report, const std::string& session);
+  void remember(const StepReport& report, const std::string& session, std::vector<MemberShare> members);
   // Puts cuts and state into the journal.
   void keep();
 

@@ -123,10 +123,12 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
 
 void Coordinator::complete(Answer answer, const std::shared_ptr<OrderReservation>& unfinished,
                            const std::shared_ptr<Pending>& pending) {
-  if (answer.change) take_change(answer);
   const OrderOptions& order = unfinished->order();
+  if (answer.change) {
+    if (auto* stepped = std::get_if<scene::Stepped>(&answer.change->event)) stepped->members = order.members;
+    take_change(answer);
+  }
   unfinished->end();
-  if (order.ends_run && answer.status.ok()) groups_.forget_answers(order.changes);
   if (!order.changes.empty()) groups_.scene_changed(order.changes);
   if (order.then) return order.then(std::move(answer));
   pending->answer = std::move(answer);
@@ -416,7 +418,6 @@ void Coordinator::shut_down(const std::string& why, std::function<void()> told) 
 
 void Coordinator::say_goodbye() {
   ended_ = true;
-  groups_.forget_all_answers();
   for (auto& told : std::exchange(shutdown_callbacks_, {})) told();
   for (Session* session : sessions_) session->say_goodbye();
 }

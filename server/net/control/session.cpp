@@ -298,9 +298,6 @@ awaitable<void> Session::scene_change(Request& request) {
   }
   OrderOptions order = options_of(request);
   order.changes = *scene;
-  const bool restores = wire::is_true(request.json, "recreated") && !wire::is_true(request.json, "replace") &&
-                        !coordinator_->scenes().contains(*scene);
-  order.ends_run = request.command == "scene.drop" || (request.command == "scene.create" && !restores);
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
   coordinator_->wake_queue(*scene);
   if (!pending.ok()) {

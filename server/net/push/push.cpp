@@ -194,6 +194,12 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   return terms;
 }
 
+Status not_lacking(const PushId& id) {
+  return {Code::stale_step,
+          fmt::format("the ranks don't lack the particles of step {} of scene '{}'", id.step, id.scene),
+          "ask scene.show, and push a step"};
+}
+
 bool may_bring_slices(const wire::Json& request) {
   return request.value("path", wire::Json()) == "direct" || request.contains("sockets");
 }

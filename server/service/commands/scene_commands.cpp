@@ -139,8 +139,7 @@ Response create(Context& context, const wire::Json& request) {
   if (Status status = check_parts_total(context.scenes, name, options->parts); !status.ok())
     return failed(std::move(status));
   if (exists) context.spares.push_back({name, {}});
-  Scene& made =
-      context.scenes.insert_or_assign(name, Scene::create(name, std::move(options).value())).first->second;
+  Scene& made = context.scenes.insert_or_assign(name, Scene::create(name, std::move(options).value())).first->second;
   Response response = done(wire::Json::object());
   if (context.root()) response.change = {name, scene::Created{made.options, held_of(context, made)}};
   return response;

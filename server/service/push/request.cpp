@@ -64,7 +64,7 @@ static Status check_refill(const Scene& scene, const PushRequest& push) {
                         push.weights ? "with" : "without", scene.name, scene.n,
                         scene.particles.has_weights ? "with" : "without"),
             "bring all particles of the last step"};
-  if (scene.ids && !push.ids && push.n > 0)
+  if (scene.ids && !push.ids && push.n > 0 && push.members() == 0)
     return {Code::invalid_argument, fmt::format("scene '{}' has ids of its own, and none are brought", scene.name),
             "bring the ids, too"};
   return {};

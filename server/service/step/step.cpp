@@ -260,7 +260,7 @@ scene::Held held_of(const Context& context, Scene& scene) {
   return held;
 }
 
-void refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push) {
+Response refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push) {
   scene.particles = std::move(staged.arrays);
   scene.ids = staged.ids;
   const particles::ParticleView view = scene.particles.view();
@@ -275,6 +275,12 @@ void refill(Context& context, Scene& scene, Staged& staged, const PushRequest& p
   scene.pushed = true;
   scene.step = push.id.step;
   migrate(context.comm, scene, true);
+  give_back(context, scene, push, staged);
+  Response response =
+      done({{"refilled", true},
+            {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+  if (context.root()) response.change = {scene.name, scene::Refilled{held_of(context, scene)}};
+  return response;
 }
 
 scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
