@@ -6,10 +6,9 @@
 // 1. A process that dies leaves the newest state and cuts that were put, or those before; and the reports up to the one
 //    that was being appended. Nothing is synced: what the machine had not written when it went down is lost.
 // 2. At a commit the owner puts new cuts first, then the state, then appends the report. So a start may find cuts that
-// no
-//    state knows yet (hold_older_cuts() then), and a state that is one report ahead: it holds the last report, which is
-//    appended then. Whatever else is missing is lost. Reports that are ahead of the state, because it could not be put
-//    on a full disk, are to be forgotten: keep_below().
+//    no state knows yet (hold_older_cuts() then), and a state that is one report ahead: it holds the last report, which
+//    is appended then. Whatever else is missing is lost. Reports that are ahead of the state, because it could not be
+//    put on a full disk, are to be forgotten: keep_below().
 // 3. What is read back is hostile until its checksum holds, and remains untrusted input for the owner.
 // 4. No function here waits but for the file system; those that ask it for room say io_error where there is none, and
 //    may be called again.
@@ -38,8 +37,7 @@ struct SceneFolder {
 // The folders of a data directory. One whose state isn't there, without any fault, was being made or removed when the
 // service ended, and is to be removed. Errors: io_error.
 Result<std::vector<SceneFolder>> scene_folders(const Storage& storage, const std::string& data);
-// Renames DATA/scenes to DATA/scenes.old-N, N = 1, 2, ..., and returns that path; empty if there is none to
-// rename.
+// Renames DATA/scenes to DATA/scenes.old-N, N = 1, 2, ..., and returns that path; empty if there is none.
 Result<std::string> set_scenes_aside(Storage& storage, const std::string& data);
 // Removes a folder, the state first. Errors: io_error.
 Status remove_scene_folder(Storage& storage, const std::string& path);

@@ -61,6 +61,27 @@ class Counts(ServiceTest):
         self.assertEqual([way == "count" for way in rows["way"]], [not report["sent"] for report in reports])
         self.assertEqual(list(rows["positions_step"]), [report["positions_step"] for report in reports])
 
+    def test_a_client_of_one_page_counts(self):
+        client = subprocess.run([sys.executable, os.path.join(os.path.dirname(__file__), "counting_client.py"),
+                                 self.service.endpoint[len("unix:"):], "by-hand", self.trajectory],
+                                stdout=subprocess.PIPE, text=True, timeout=120, check=True)
+        reports = [json.loads(line) for line in client.stdout.splitlines()]
+        self.assertEqual(history(reports), history(self.runs["when-needed"]["reports"]))
+        self.assertEqual([report["way"] == "count" for report in reports],
+                         [not report["sent"] for report in self.runs["when-needed"]["reports"]])
+
+    def test_members_count_together(self):
+        for members in (1, 3):
+            scene = f"of-{members}"
+            subprocess.run(["mpirun", "--allow-run-as-root", "--bind-to", "none", "--oversubscribe", "-n", str(members),
+                            os.path.join(BIN, "slope_mpi"), "--points", "4000", "--steps", "30", "--parts", "6", "--tolerance",
+                            "0.05", "--positions", "when-needed" if members > 1 else "every-step", "--scene", scene,
+                            "--endpoint", self.service.endpoint], stdout=subprocess.DEVNULL, timeout=240, check=True)
+        one, three = (self.service.json("history", f"of-{members}") for members in (1, 3))
+        fields = [field for field in FIELDS if field != "drifted"]  # which several processes don't count
+        self.assertEqual([[report[f] for f in fields] for report in three], [[report[f] for f in fields] for report in one])
+        self.assertEqual([report["sent"] for report in three], [report["repartitioned"] for report in three])
+
     def test_wrong_words(self):
         for failure in (self.service.failure("scene", "create", "s", "--parts", 2, "--positions", "never"),
                         self.service.failure("replay", "s", self.trajectory, "--positions", "")):

@@ -36,6 +36,7 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   const std::uint64_t count = fields.particles("n");
   const auto epoch_now = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
   const bool has_weights = fields.flag("weights");
+  when_needed = fields.text_or("positions", 16, "every-step") == "when-needed";
   const std::string incarnation_now = fields.text_or("incarnation", 16, "");
   const bool filled_now = !fields.has("filled") || fields.flag("filled");
   fields.fail(generation.status());
@@ -179,11 +180,16 @@ Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std:
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   pushing_directly = pushing_few = false;
   if (Status status = take_seat(retry); !status) return status;
-  const bool asks = !filled && step == last_step;
-  if (!filled && !asks)
-    if (Status status = refill(positions, ids, with, retry); !status) return status;
   const bool tried_before = unanswered.begin(step);
-  const auto answer = asks ? ask_for_answer(step, with, retry) : push(positions, ids, step, with, retry);
+  auto counted = count(positions, ids, step, with, retry);
+  const auto pushes = [&]() -> Result<Frame> {
+    if (!filled && step == last_step) return ask_for_answer(step, with, retry);
+    if (Status status = filled ? Status() : refill(positions, ids, with, retry); !status) return status;
+    return push(positions, ids, step, with, retry);
+  };
+  const auto answer = !counted.ok()          ? Result<Frame>(counted.status())
+                      : counted->has_value() ? Result<Frame>(std::move(**counted))
+                                             : pushes();
   if (!answer) {
     unanswered.failed(answer.status().code(), tried_before);
     return answer.status();
@@ -216,6 +222,7 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
   if (!step) step = state_->last_step ? *state_->last_step + 1 : 0;
   const bool first = !state_->last_step;
   state_->send_all = false;
+  state_->counting.begin_others();
   Session& session = state_->session();
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
   const auto mend = [&](const Status& status) {

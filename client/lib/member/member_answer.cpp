@@ -25,6 +25,7 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, const Positions
     scene_cuts.known = std::move(*after);
   }
   unanswered.answered();
+  counting.committed(step);
   epoch = report->epoch;
   last_step = std::max(step, last_step.value_or(step));
   up_to_date = true;
@@ -68,7 +69,9 @@ Status MemberScene::State::classify(const Positions& positions, std::span<const 
   result.parts.resize(positions.count + result.inserted_ids.size());
   const auto [pushed, inserted] =
       std::pair(std::span(result.parts).first(positions.count), std::span(result.parts).subspan(positions.count));
-  if (Status status = scene_cuts.known->owner(positions, {.ids = ids, .threads = with.threads}, pushed); !status)
+  if (counting.holds(last_step, *scene_cuts.known))
+    std::ranges::copy(counting.parts(), pushed.begin());
+  else if (Status status = scene_cuts.known->owner(positions, {.ids = ids, .threads = with.threads}, pushed); !status)
     return status;
   if (!inserted.empty())
     if (Status status = scene_cuts.known->owner(with.inserted->positions,

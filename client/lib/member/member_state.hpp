@@ -14,6 +14,7 @@
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
 #include "client/lib/scene/client_state.hpp"
+#include "client/lib/scene/count_step.hpp"
 #include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/shared_arrays.hpp"
 #include "client/lib/session/unanswered.hpp"
@@ -57,6 +58,12 @@ struct MemberScene::State {
   // One attempt to push a step.
   Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                               const MemberStepOptions& with, const Retry& retry);
+  // Whether this member can count the step; if all can, none pushes.
+  bool can_count(const MemberStepOptions& with) const;
+  // The answer to the count that commits the step; none: its particles are to be pushed. What is wrong with them is
+  // told to the other members.
+  Result<std::optional<Frame>> count(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
+                                     const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                      const MemberStepOptions& with, const Retry& retry);
   // Brings ranks that hold none this member's particles, as the other members do. Errors: base_lost (no weights).
@@ -105,6 +112,9 @@ struct MemberScene::State {
   UnansweredStep unanswered;
   std::uint64_t epoch = 0;  // after last_step
   SceneCuts scene_cuts;
+  bool when_needed = false;  // positions travel when needed
+  std::string incarnation;   // of the scene
+  CountStep counting;
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.
   bool up_to_date = false;

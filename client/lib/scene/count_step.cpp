@@ -12,8 +12,6 @@
 namespace rcb::client {
 namespace {
 
-constexpr int kScaleMost = 1300;  // of the smallest double there is
-
 std::uint64_t sum_of_rows(std::uint64_t n) {
   std::uint64_t sum = 0;
   for (std::uint64_t row = 0; row < n; ++row) sum += mix64(row);
@@ -44,6 +42,7 @@ Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::op
   options.threads = rows.threads;
   options.sum_ids = !id_sum_;
   options.scale = scale.value_or(scale_.value_or(0));
+  scale_told_ = scale_told_ || scale;
   const bool hinted = part_.size() == rows.positions.count;
   part_.resize(rows.positions.count);
   for (bool again = false;; again = true) {
@@ -55,7 +54,7 @@ Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::op
     if (!id_sum_) id_sum_ = rows.ids.empty() ? sum_of_rows(count_.n) : count_.id_sum;
     options.sum_ids = false;
     const int due = count_.greatest > 0 ? ExactScale(count_.greatest, count_.n).exponent() : options.scale;
-    if (again || scale || due == options.scale) break;
+    if (again || scale || scale_told_ || due == options.scale) break;
     options.scale = due;  // most often it is that of the step before
   }
   scale_ = options.scale;

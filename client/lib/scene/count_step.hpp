@@ -18,6 +18,8 @@
 
 namespace rcb::client {
 
+inline constexpr int kScaleMost = 1300;  // that a service may ask for: of the smallest double there is
+
 // All rows of a step.
 struct CountedRows {
   Positions positions;
@@ -31,6 +33,11 @@ class CountStep {
  public:
   // A step begins whose rows aren't counted yet.
   void begin() { by_.reset(); }
+  // The same, and they may be of other particles than those of the step before.
+  void begin_others() {
+    begin();
+    id_sum_.reset();
+  }
   // Counts the rows, unless that has been done. last: the step before. scale: the one that the service asks for.
   Status count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
                std::optional<int> scale = std::nullopt);
@@ -62,6 +69,7 @@ class CountStep {
   cuts::Count count_;
   bool weighted_ = false;
   std::optional<int> scale_;  // of the last loads
+  bool scale_told_ = false;   // by the service: what the weights of these rows need doesn't tell
   std::optional<std::uint64_t> drifted_;
   std::optional<std::uint64_t> id_sum_;
 };

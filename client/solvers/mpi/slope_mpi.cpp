@@ -1,5 +1,5 @@
 // slope_mpi: the submarine slope on several processes, each a member of the scene that the service partitions. A
-// process holds only the points of its own parts; each step's report says which points it hands over to whom.
+// process holds only the points of its own parts; each step tells which of them it hands over to whom.
 #include <algorithm>
 #include <array>
 #include <cstdio>
@@ -247,7 +247,7 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
 int run_on(MpiCores& cores, int argc, char** argv) {
   CLI::App app(
       "The submarine slope of `slope` on several processes. Each is a member of the scene and holds the points of its\n"
-      "own parts; the service's reports say which points they hand over:\n"
+      "own parts; each step tells which of them it hands over to whom:\n"
       "  mpirun --oversubscribe -n 4 slope_mpi        (as root also --allow-run-as-root)",
       "slope_mpi");
   app.footer(kFooter);

@@ -93,7 +93,7 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
   Status refused;
   if (shutting_down_)
     refused = Status(Code::unavailable, "the service is shutting down");
-  else if (unfinished_.size() >= static_cast<std::size_t>(options_.orders_max))
+  else if (!order.own && unfinished_.size() >= static_cast<std::size_t>(options_.orders_max))
     refused =
         Status(Code::busy, fmt::format("{} commands are unfinished", unfinished_.size()), "try again in a moment");
   else if (text.size() > wire::kJsonBytesMax)  // dump_json writes 1e9 as 1000000000.0
@@ -155,6 +155,7 @@ void Coordinator::restore_scenes() {
                     {"weights", now.weights},
                     {"ids", now.ids}});
     OrderOptions order;
+    order.own = true;
     order.changes = name;
     if (now.tree) order.slices.push_back({.arrays = api::cut_arrays(*now.tree)});
     order.then = [self = shared_from_this(), scene = name](const Answer& answer) {

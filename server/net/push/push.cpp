@@ -164,12 +164,16 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (terms.direct() && terms.by_id)
     return Status(Code::invalid_argument, "slices in order \"id\" can't go to the ranks directly",
                   "push in order \"plan\", or by the path \"gateway\"");
+  if (scene.step && !scene.filled && !terms.refill)
+    return Status(Code::base_lost,
+                  fmt::format("the ranks hold no particles of scene '{}' since the service was started", id.scene),
+                  "bring all of them first: push.begin with \"refill\"");
   if (Status base = check_base(terms, scene); !base.ok()) return base;
-  if (scene.weights && !terms.weights && scene.positions_step != scene.step)
-    return Status(
-        Code::invalid_argument,
-        fmt::format("the push brings no weights, and the ranks hold those of an older step of scene '{}'", id.scene),
-        "push all weights");
+  if (scene.weights && !terms.weights && scene.positions_step && scene.positions_step != scene.step)
+    return Status(Code::invalid_argument,
+                  fmt::format("the push brings no weights, and the ranks hold those of an older step of scene '{}'",
+                              id.scene),
+                  "push all weights");
   if (terms.direct() && terms.moved == Moved::none && pusher == Pusher::client)
     return Status(Code::invalid_argument, "a push without slices for the ranks can't go to them",
                   "push by the path \"gateway\"");

@@ -50,7 +50,7 @@ class Floors {
                                                           int ranks, int members) {
     std::vector<std::pair<const char*, FloorKey>> keys;
     if (const std::size_t read = motion.bytes_read(variant); read > 0)
-      keys.push_back({"read", {Floor::Kind::read, read, variant.starts_with("members") ? members : 1}});
+      keys.push_back({"read", {Floor::Kind::read, read, by_members(variant) ? members : 1}});
     if (is_count(variant)) return keys;
     const std::size_t sent = motion.bytes_sent(variant);
     for (const auto& [name, kind] : {std::pair{"floor", Floor::Kind::sockets}, {"memory", Floor::Kind::memory}})

@@ -21,6 +21,7 @@ void shuffle(Random& random, std::size_t count, const auto& exchange) {
 }  // namespace
 
 bool is_count(const std::string& variant) { return variant.starts_with("count"); }
+bool by_members(const std::string& variant) { return variant.starts_with("members") || variant == "count-members"; }
 
 MovingPoints::MovingPoints(const SceneKind& kind, std::size_t count, bool shuffled) : dims(kind.dims), n(count) {
   particles::ParticleSet set = make_rows(kind, n, 0, n);
@@ -69,10 +70,10 @@ client::Positions MovingPoints::by_axes(int phase) const {
 
 Pusher::Pusher(std::string variant, const MovingPoints& motion, int members)
     : variant_(std::move(variant)), motion_(motion) {
-  if (variant_.starts_with("members")) team_.emplace(motion.axes, motion.dims, members);
+  if (by_members(variant_)) team_.emplace(motion.axes, motion.dims, members);
   if (variant_ == "subset")
     for (std::size_t row = 0; row < motion.n; row += kSubset) moved_.push_back(row);
-  if (is_count(variant_)) rows_.resize(motion.rows[0].size());
+  if (is_count(variant_) && !team_) rows_.resize(motion.rows[0].size());
   if (variant_ == "count-permuted") {
     ids_.resize(motion.n);
     std::iota(ids_.begin(), ids_.end(), std::int64_t{0});
@@ -110,7 +111,13 @@ Status Pusher::open(const std::string& endpoint, int parts) {
 
 Result<double> Pusher::step(int phase, client::StepReport& report) {
   if (variant_ == "connect") return connect();
-  if (team_) return team_->step(phase, report);
+  if (team_) {
+    const bool first = std::exchange(first_, false);
+    const auto seconds = team_->step(phase, report);
+    if (seconds.ok() && is_count(variant_) && !first && report.way != "count")
+      return Status(Code::internal, fmt::format("variant {} went by {}", variant_, report.way));
+    return seconds;
+  }
   auto positions = prepare(phase);
   if (!positions.ok()) return positions.status();
   const bool first = !scene_->last_step();

@@ -35,12 +35,15 @@ inline constexpr std::array kStepVariants{"count",
                                           "members",
                                           "members-sockets",
                                           "members-endpoint",
+                                          "count-members",
                                           "float32",
                                           "subset",
                                           "unmoved",
                                           "connect"};
 
 bool is_count(const std::string& variant);
+// The processes of a solver push together.
+bool by_members(const std::string& variant);
 
 // Two sets of positions, in turn, so that every particle moves at every step.
 struct MovingPoints {
@@ -89,6 +92,7 @@ class Pusher {
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
   std::optional<MemberTeam> team_;  // instead
+  bool first_ = true;               // step of the team
 };
 
 }  // namespace rcb::bench

@@ -1,20 +1,23 @@
-// Counts of particles as a solver's processes send them.
+// Counts of particles as a solver's processes send them, and what a ledger makes of them.
 #pragma once
 
 #include <cmath>
 #include <cstdint>
-#include <cstring>
+#include <limits>
 #include <map>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
+
 #include "common/base/random.hpp"
 #include "common/base/wide.hpp"
 #include "common/partition/balance/load.hpp"
 #include "common/wire/message.hpp"
-#include "server/scene/count.hpp"
+#include "server/scene/ledger.hpp"
+#include "server/scene/tally.hpp"
 
 namespace rcb::testing {
 
@@ -82,6 +85,33 @@ inline std::optional<int> scale_needed(const particles::ParticleView& particles)
   const auto greatest = partition::greatest_weight(bits);
   if (!greatest) return std::nullopt;
   return partition::ExactScale(*greatest, particles.count).exponent();
+}
+
+inline std::string in_words(const scene::CountVerdict& verdict) {
+  if (const auto* status = std::get_if<Status>(&verdict.is))
+    return fmt::format("refused {}", code_name(status->code()));
+  if (const auto* send = std::get_if<scene::CountVerdict::Send>(&verdict.is)) return "send: " + send->why;
+  if (std::holds_alternative<scene::CountVerdict::OtherCuts>(verdict.is)) return "other cuts";
+  if (const auto* other = std::get_if<scene::CountVerdict::OtherScale>(&verdict.is))
+    return fmt::format("other scale {}", other->exponent);
+  if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&verdict.is))
+    return fmt::format("repeated {}", again->number);
+  return fmt::format("committed after {}",
+                     std::get<scene::CountVerdict::Committed>(verdict.is).previous_step.value_or(-1));
+}
+
+// Counts a step, of which each seat brings its share.
+inline std::string ask(scene::Ledger& ledger, const std::vector<CountRequest>& seats) {
+  scene::Tally tally(0, seats.size());
+  Result<scene::CountRecord> record = Status(Code::internal, "no seats");
+  for (std::size_t seat = 0; seat < seats.size(); ++seat) {
+    record = scene::read_count(seats[seat].json, seats[seat].arrays);
+    if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
+    tally.put(seat, *record);
+  }
+  if (seats.size() > 1) record = tally.sum();
+  if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
+  return in_words(ledger.count(*record));
 }
 
 }  // namespace rcb::testing

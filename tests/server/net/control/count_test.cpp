@@ -322,9 +322,14 @@ TEST_F(Count, ArraysAreOnesThatACountHas) {
   Json third = good.arrays();
   third.push_back({{"name", "load"}, {"dtype", "<u8"}, {"shape", {4, 2}}});
   EXPECT_EQ(send_as(third, bulk + std::string(64, '\0')), "invalid_argument");
-  // More than 28 bytes a part aren't kept.
+  // More than 28 bytes a part aren't read: then it is as if they weren't there.
   third[2]["shape"] = {1'000'000, 2};
-  EXPECT_EQ(send_as(third, bulk + std::string(16'000'000, '\0')), "invalid_argument");
+  Json weighted = good.json;
+  weighted.update({{"arrays", third}, {"scale", 1}, {"least", 0}, {"greatest", 1}, {"weights_as_zero", 0}});
+  anna_.send(FrameType::request, weighted, bulk + std::string(16'000'000, '\0'));
+  const Received refused = anna_.receive_but_notices();
+  EXPECT_EQ(refused.code(), "invalid_argument");
+  EXPECT_NE(refused.message().find("expected arrays 'part'"), std::string::npos) << refused.message();
   Json json = good.json;
   EXPECT_EQ(anna_.call("count", json).code(), "invalid_argument") << "no arrays";
   json["scene"] = "nobody";

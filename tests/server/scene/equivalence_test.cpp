@@ -1,0 +1,384 @@
+// One and the same history, whether every step's positions travel or only those that a count can't stand in for; and
+// no trace in the ledger of what isn't a step.
+#include <array>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <gtest/gtest.h>
+
+#include "server/scene/ledger.hpp"
+#include "tests/server/scene/counting.hpp"
+#include "tests/server/scene/model.hpp"
+
+namespace rcb::testing {
+namespace {
+
+using scene::Ledger;
+using scene::SceneOptions;
+using scene::Stepped;
+using scene::StepReport;
+using scene::Travel;
+using wire::Json;
+
+constexpr std::uint64_t kIncarnation = 0xC0FFEE;
+
+std::string picture(const scene::DecisionTerms& terms) {
+  return fmt::format("{} {} {} {} {}", terms.error_when_not_adopted.value_or(-1), terms.timed, terms.lost_seconds,
+                     terms.repartition_seconds, terms.since.value_or(-1));
+}
+
+// All that can be seen of a ledger.
+std::string picture(const Ledger& ledger) {
+  const scene::SceneState& now = ledger.now();
+  const scene::SceneTotals& totals = ledger.totals();
+  return fmt::format("{} {} {} {} {} / {} {} {} {} {} {} {} {} / {} {} {} {} {} {} {} {} {} / {} {} {}",
+                     now.options.parts, now.options.tolerance, now.options.cut_tolerance, now.options.part_sizes,
+                     now.incarnation, now.step.value_or(-1), now.positions_step.value_or(-1), now.id_sum.value_or(0),
+                     now.n, now.weights, now.epoch, now.hash, static_cast<const void*>(now.loads.get()), totals.steps,
+                     totals.repartitions, totals.bytes, totals.drifted, totals.moved, totals.seconds.search,
+                     totals.skipped, totals.asked, ledger.history().total(), picture(ledger.terms(0.1)),
+                     picture(ledger.terms({})), ledger.wants_positions());
+}
+
+// One random scene, stepped by pushes alone (`every`) and by counts and pushes (`lazy`).
+class TwoLedgers {
+ public:
+  // What came about, over all scenes.
+  struct Seen {
+    std::uint64_t committed = 0, sent = 0, wasted = 0, other_cuts = 0, other_scale = 0, lost = 0, rebalanced = 0;
+    std::array<std::uint64_t, 12> faults{};
+  };
+
+  TwoLedgers(std::uint64_t seed, Seen& seen) : random_(seed), seen_(seen) {}
+
+  void run() {
+    for (int k = 0; k < 12 && !::testing::Test::HasFailure(); ++k) {
+      SCOPED_TRACE(fmt::format("step {}", step_));
+      step();
+    }
+    EXPECT_EQ(every_.history().total(), lazy_.history().total());
+  }
+
+ private:
+  static SceneOptions with(SceneOptions options, Travel travel) {
+    options.positions = travel;
+    return options;
+  }
+
+  void step() {
+    const bool resized = lazy_.now().step && chance(random_, 12);
+    world_.move(random_);
+    if (resized) world_.resize(random_, random_.below(2 * world_.set.count() + 3));
+    step_ += 1 + static_cast<std::int64_t>(random_.below(3));
+    if (chance(random_, 8)) session_ = fmt::format("run {}", step_);
+    seconds_ = chance(random_, 4) ? std::nullopt : std::optional(random_.uniform(0, 0.1));
+    if (lazy_.now().step && chance(random_, 8)) rebalance_due_ = true;
+    if (rebalance_due_ || chance(random_, 10)) lazy_.want_positions();
+    if (chance(random_, 4)) {
+      every_.take(scene::Asked{"quality"});
+      lazy_.take(scene::Asked{"quality"});
+    }
+    const bool waits = lazy_.wants_positions();
+    if (resized) look();
+    const std::string outcome = resized ? "send: changed" : count();
+    const bool send = outcome.starts_with("send: ");
+    if (send && !resized && chance(random_, 6)) {  // never followed by its push
+      ++seen_.lost;
+      return;
+    }
+    const bool first = !every_.now().step;
+    const bool held = lazy_.now().positions_step == lazy_.now().step;
+    Stepped all = every_ranks_.push(world_.set, step_, every_.terms(seconds_));
+    EXPECT_TRUE(send == (resized || first || waits || all.report.repartitioned || all.wasted)) << outcome;
+    take(every_, std::move(all));
+    if (send) {
+      ++seen_.sent;
+      const auto terms = wire::parse_json(wire::dump_json(to_json(lazy_.terms(seconds_))));
+      Stepped one = lazy_ranks_.push(world_.set, step_, scene::read_terms(*terms));
+      seen_.wasted += one.wasted ? 1 : 0;
+      one.drifted = drifted_;
+      take(lazy_, std::move(one));
+    }
+    numbers_.push_back(step_);
+    sessions_.push_back(session_);
+    compare(first || (send && held) || drifted_.has_value(), send);
+    lose_answer();
+    learn(send);
+    if (rebalance_due_ && send) rebalance();
+  }
+
+  void take(Ledger& ledger, Stepped stepped) {
+    stepped.session = session_;
+    stepped.step_seconds = seconds_;
+    const StepReport& report = ledger.take(std::move(stepped));
+    EXPECT_EQ(report.step, step_);
+  }
+
+  // Counts the step until the verdict is about the step itself; returns it.
+  std::string count() {
+    for (;;) {
+      look();
+      const std::vector<CountRequest> seats = requests();
+      const scene::SceneState& now = lazy_.now();
+      const auto due = now.weights ? scale_needed(world_.set.view()) : std::nullopt;
+      const std::string before = picture(lazy_);
+      if (now.step && cuts_.epoch == now.epoch && (!due || *due == scale_)) {
+        for (std::uint64_t k = random_.below(4); k > 0; --k) disturb(seats, due);
+        EXPECT_EQ(ask(every_, at_step(seats, step_)), "send: the scene's ranks hold every step");
+      }
+      const std::string outcome = ask(lazy_, seats);
+      if (outcome.starts_with("committed")) {
+        EXPECT_EQ(outcome, fmt::format("committed after {}", numbers_.back()));
+        ++seen_.committed;
+        return outcome;
+      }
+      EXPECT_EQ(picture(lazy_), before) << outcome;
+      if (outcome.starts_with("send: ")) {
+        EXPECT_EQ(ask(lazy_, at_step(seats, step_ + 2)), outcome);
+        EXPECT_EQ(ask(lazy_, seats), outcome);
+        EXPECT_EQ(picture(lazy_), before);
+        return outcome;
+      }
+      if (outcome == "other cuts") {
+        EXPECT_NE(cuts_.epoch, now.epoch);
+        ++seen_.other_cuts;
+        cuts_ = {lazy_ranks_.tree(), now.epoch, now.hash};
+        part_known_ = false;
+      } else {
+        EXPECT_EQ(outcome, fmt::format("other scale {}", due.value_or(0)));
+        if (!due || scale_ == *due) return outcome;
+        ++seen_.other_scale;
+        scale_ = *due;
+      }
+    }
+  }
+
+  // The parts of all rows by the cuts that the client knows.
+  void look() {
+    part_.resize(world_.set.count());
+    std::ranges::fill(part_, 0);
+    if (cuts_.epoch > 0) cuts_.tree.classify(world_.set.view(), part_.span());
+    drifted_ = part_known_ ? std::optional(differences(part_, last_part_)) : std::nullopt;
+  }
+  std::vector<CountRequest> requests() {
+    const std::size_t n = world_.set.count();
+    std::size_t count = chance(random_, 3) ? 2 + random_.below(3) : 1;
+    if (count > 1) drifted_.reset();
+    std::vector<CountRequest> seats;
+    for (std::size_t seat = 0, first = 0; seat < count; ++seat) {
+      const std::size_t last = seat + 1 == count ? n : first + random_.below(n - first + 1);
+      seats.push_back(count_rows(world_.set.view(), part_.span(), std::exchange(first, last), last, scale_));
+      Json& json = seats.back().json;
+      json.update({{"session", session_}, {"step", step_}, {"epoch", cuts_.epoch}});
+      json.update({{"hash", wire::hex64(cuts_.hash)}, {"incarnation", wire::hex64(kIncarnation)}});
+      if (drifted_) json["drifted"] = *drifted_;
+      if (seconds_) json["step_seconds"] = seat == 0 ? *seconds_ : 0;
+      if (count == 1 && !tells_ids_) json["id_sum"] = nullptr;
+    }
+    return seats;
+  }
+
+  static std::vector<CountRequest> at_step(std::vector<CountRequest> seats, std::int64_t step) {
+    for (CountRequest& seat : seats) seat.json.update({{"step", step}, {"session", "another"}});
+    return seats;
+  }
+
+  // Asks something that must change nothing, made of counts that could be committed.
+  void disturb(std::vector<CountRequest> seats, std::optional<int> due) {
+    if (world_.set.count() == 0) seats.resize(1);
+    std::size_t at = random_.below(seats.size());  // with particles: what the others counted by doesn't matter
+    while (seats.size() > 1 && seats[at].json["n"] == 0) at = (at + 1) % seats.size();
+    CountRequest& one = seats[at];
+    const auto set_all = [&seats](const char* name, const Json& value) {
+      for (CountRequest& seat : seats) seat.json[name] = value;
+    };
+    const bool any = !one.arrays[0].bytes.empty();
+    std::string expected = "refused not_conserved";
+    const std::uint64_t fault = random_.below(seen_.faults.size());
+    const std::uint64_t k = random_.below(numbers_.size());
+    switch (fault) {
+      case 0:  // an old step, by another session
+        seats = at_step(seats, numbers_[k]);
+        expected = "refused stale_step";
+        break;
+      case 1:
+        set_all("step", numbers_[k]);
+        set_all("session", sessions_[k]);
+        expected = fmt::format("repeated {}", k);
+        break;
+      case 2:
+        one.json["hash"] = wire::hex64(cuts_.hash ^ 1U);
+        expected = "other cuts";
+        break;
+      case 3:
+        one.json["epoch"] = cuts_.epoch - 1;
+        expected = "other cuts";
+        break;
+      case 4:
+        set_all("incarnation", wire::hex64(kIncarnation + 1));
+        expected = "refused not_found";
+        break;
+      case 5: {  // one particle more
+        CountRequest more = count_rows(world_.set.view(), part_.span(), 0, world_.set.count(), scale_);
+        more.json.update(seats[0].json);
+        more.json["n"] = world_.set.count() + 1;
+        std::vector<std::uint64_t> counts(more.arrays[1].bytes.size() / 8 + (world_.set.count() == 0 ? 1 : 0));
+        if (!more.arrays[1].bytes.empty())
+          std::memcpy(counts.data(), more.arrays[1].bytes.data(), more.arrays[1].bytes.size());
+        ++counts[0];
+        more.arrays[1] = array_of("count", "<u8", counts);
+        if (world_.set.count() == 0) more.arrays[0] = array_of("part", "<i4", std::vector<std::int32_t>{0});
+        if (world_.set.count() == 0 && more.arrays.size() > 2)
+          more.arrays[2] = array_of("load", "<u8", std::vector<std::uint64_t>{0, 0}, 2);
+        seats = {more};
+        break;
+      }
+      case 6:  // another particle
+        if (!lazy_.now().id_sum) return;
+        one.json["id_sum"] = wire::hex64(random_.next());
+        break;
+      case 7:
+        if (!any) return;
+        for (CountRequest& seat : seats) {
+          if (seat.json["n"] == 0) continue;
+          if (seat.arrays.size() > 2)
+            seat.arrays.pop_back();
+          else
+            seat.arrays.push_back(
+                array_of("load", "<u8", std::vector<std::uint64_t>(seat.arrays[0].bytes.size() / 2), 2));
+          seat.json["scale"] = lazy_.now().weights ? Json() : Json(0);
+        }
+        expected = "refused invalid_argument";
+        break;
+      case 8:
+        if (!due || !any) return;
+        one.json["scale"] = *due + 1;
+        expected = fmt::format("other scale {}", *due);
+        break;
+      case 9:  // a load that no weights have
+        if (!due || !any) return;
+        one.arrays[2].bytes[15] = std::byte{0x80};
+        expected = "refused invalid_argument";
+        break;
+      case 10: {  // a part that isn't there
+        if (!any) return;
+        const std::int32_t beyond = lazy_.now().options.parts;
+        std::memcpy(one.arrays[0].bytes.data() + one.arrays[0].bytes.size() - 4, &beyond, 4);
+        expected = "refused invalid_argument";
+        break;
+      }
+      default:
+        std::swap(one.arrays[0], one.arrays[1]);
+        expected = "malformed invalid_argument";
+    }
+    ++seen_.faults[fault];
+    const std::string before = picture(lazy_);
+    EXPECT_EQ(ask(lazy_, seats), expected) << "fault " << fault;
+    EXPECT_EQ(picture(lazy_), before) << "fault " << fault;
+  }
+
+  // drifted: whether anybody could know it.
+  void compare(bool drifted, bool sent) {
+    const Json one = newest(every_);
+    const Json other = newest(lazy_);
+    for (const char* name : {"scene", "step", "n", "parts", "error_before", "error", "imbalance", "repartitioned",
+                             "reason", "epoch", "moved", "axes_flipped", "inserted", "removed", "weights_as_zero"})
+      EXPECT_EQ(one.value(name, Json()), other.value(name, Json())) << name;
+    EXPECT_EQ(other["drifted"], drifted ? one["drifted"] : Json());
+    EXPECT_EQ(other["sent"], sent);
+    if (sent) positions_step_ = step_;
+    EXPECT_EQ(other["positions_step"], positions_step_);
+    EXPECT_EQ(lazy_.now().positions_step, positions_step_);
+    EXPECT_FALSE(sent && lazy_.wants_positions());
+    EXPECT_EQ(lazy_.now().step, step_);
+    EXPECT_EQ(every_.now().hash, lazy_.now().hash);
+    EXPECT_EQ(every_.now().loads->loads, lazy_.now().loads->loads);
+    EXPECT_EQ(every_.now().loads->part_errors, lazy_.now().loads->part_errors);
+    EXPECT_EQ(picture(every_.terms(0.1)), picture(lazy_.terms(0.1)));
+    EXPECT_EQ(every_.totals().steps, lazy_.totals().steps);
+    EXPECT_EQ(every_.totals().repartitions, lazy_.totals().repartitions);
+    EXPECT_EQ(Json(every_.totals().skipped).value("questions", 0), Json(lazy_.totals().skipped).value("questions", 0));
+  }
+  static Json newest(const Ledger& ledger) {
+    const std::uint64_t total = ledger.history().total();
+    return ledger.history().newest(total - 1, total).reports.at(0);
+  }
+
+  // The answer doesn't arrive: the step is counted again, or pushed, which asks for what is remembered.
+  void lose_answer() {
+    const std::string before = picture(lazy_);
+    const std::uint64_t number = lazy_.history().total() - 1;
+    EXPECT_EQ(ask(lazy_, requests()), fmt::format("repeated {}", number));
+    EXPECT_EQ(lazy_.repeated(session_, step_), number);
+    EXPECT_EQ(lazy_.repeated(session_ + "'", step_), std::nullopt);
+    EXPECT_EQ(lazy_.repeated(session_, step_ + 1), std::nullopt);
+    EXPECT_EQ(picture(lazy_), before);
+  }
+
+  // What the client knows after a step.
+  void learn(bool sent) {
+    if (sent) cuts_ = {lazy_ranks_.tree(), lazy_.now().epoch, lazy_.now().hash};
+    last_part_.resize(world_.set.count());
+    cuts_.tree.classify(world_.set.view(), last_part_.span());
+    part_known_ = true;
+  }
+
+  void rebalance() {
+    const SceneOptions options = random_options(random_, world_.dims);
+    every_.take(every_ranks_.rebalance(with(options, Travel::every_step)));
+    lazy_.take(lazy_ranks_.rebalance(with(options, Travel::when_needed)));
+    EXPECT_EQ(every_.now().hash, lazy_.now().hash);
+    rebalance_due_ = false;
+    ++seen_.rebalanced;
+  }
+
+  struct KnownCuts {
+    cuts::CutTree tree;
+    std::uint64_t epoch = 0;
+    std::uint64_t hash = 0;
+  };
+
+  Random random_;
+  Seen& seen_;
+  World world_{random_};
+  SceneOptions options_ = random_options(random_, world_.dims);
+  Ranks every_ranks_{with(options_, Travel::every_step)};
+  Ranks lazy_ranks_{with(options_, Travel::when_needed)};
+  scene::HistoryMemory memory_{100, ""};
+  Ledger every_{"jet", {with(options_, Travel::every_step), every_ranks_.held()}, kIncarnation, memory_};
+  Ledger lazy_{"jet", {with(options_, Travel::when_needed), lazy_ranks_.held()}, kIncarnation, memory_};
+  bool tells_ids_ = chance(random_, 2);
+
+  // The client's:
+  std::int64_t step_ = -1;
+  std::string session_ = "run";
+  std::optional<double> seconds_;
+  KnownCuts cuts_;
+  int scale_ = 0;
+  Buffer<std::int32_t> part_;       // at this step
+  Buffer<std::int32_t> last_part_;  // at the step before, by the cuts it knows
+  bool part_known_ = false;
+  std::optional<std::uint64_t> drifted_;  // as the count said
+
+  std::vector<std::int64_t> numbers_;  // of the steps in the history
+  std::vector<std::string> sessions_;
+  std::optional<std::int64_t> positions_step_;
+  bool rebalance_due_ = false;
+};
+
+TEST(Ledger, CountsLeaveTheHistoryThatPushesLeave) {
+  constexpr std::uint64_t kScenes = 2000;
+  TwoLedgers::Seen seen;
+  for (std::uint64_t seed = 1; seed <= kScenes && !HasFailure(); ++seed) {
+    SCOPED_TRACE(fmt::format("seed {}", seed));
+    TwoLedgers(seed, seen).run();
+  }
+  if (HasFailure()) return;
+  for (const std::uint64_t count :
+       {seen.committed, seen.sent, seen.wasted, seen.other_cuts, seen.other_scale, seen.lost, seen.rebalanced})
+    EXPECT_GT(count, kScenes / 10);
+  for (const std::uint64_t count : seen.faults) EXPECT_GT(count, kScenes / 10);
+}
+
+}  // namespace
+}  // namespace rcb::testing
