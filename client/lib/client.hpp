@@ -64,16 +64,14 @@ struct SceneOptions {
   double axis_hysteresis = 1.2;      // >= 1: a cut keeps its axis until another is longer by this factor
   double cut_tolerance = 0;          // 0 to 1: how far off target new cuts may leave a part, as a fraction; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
+  std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   // When step() has the service's ranks take the positions: "every-step", or "when-needed": at first, where the cuts
   // may have to change, and where a question about positions waits. In other steps this library counts by the cuts
   // itself, which takes one pass over the positions, and sends the counts; that needs all positions, no insertions or
   // removals.
   std::string positions = "every-step";
-  int threads = 1;                   // for counting
-  std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
-  std::string positions = "every-step";
-  int threads = 1;
-  bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
+  int threads = 1;       // for counting
+  bool replace = false;  // drops a scene of that name first; else it is an error (already_exists)
 };
 
 using Positions = cuts::Positions;  // in the caller's memory, where they stay
