@@ -1,21 +1,20 @@
 // What rank 0 answers from a ledger alone: pages of step reports, and steps that are repeated, of which older reports
-// are read from a file.
+// are read from its journal.
 #include "server/api/ledger_answers.hpp"
 
 #include <chrono>
-#include <filesystem>
 #include <future>
 #include <new>
 
 #include <gtest/gtest.h>
 
 #include "server/api/with_reports.hpp"
-#include "tests/support/directory.hpp"
+#include "tests/support/simulated_storage.hpp"
 
 namespace rcb::api {
 namespace {
 
-using rcb::testing::DirectoryTest;
+using rcb::testing::SimulatedStorage;
 using wire::Json;
 
 // The answer with what is read beside the engine; a failure where that doesn't come in time.
@@ -30,8 +29,7 @@ Answer whole_of(Answer answer) {
 // A scene that one client steps; a step here is its report alone.
 class StillScene {
  public:
-  StillScene(std::size_t keep_reports, const std::string& directory) : ledgers_(keep_reports, directory) {
-    EXPECT_TRUE(scene::make_report_directory(directory).ok());
+  explicit StillScene(std::size_t keep_reports) : ledgers_({keep_reports, disk, "data"}) {
     ledgers_.take({"still", scene::Created{}}, 1);
     step(0);
   }
@@ -54,11 +52,11 @@ class StillScene {
   }
   const scene::Ledger& ledger() const { return *ledgers_.find("still"); }
 
+  const std::shared_ptr<SimulatedStorage> disk = std::make_shared<SimulatedStorage>(1);
+
  private:
   scene::Ledgers ledgers_;
 };
-
-class LedgerAnswers : public DirectoryTest {};
 
 std::vector<std::int64_t> numbers_in(std::int64_t from, std::int64_t to) {
   std::vector<std::int64_t> numbers;
@@ -66,16 +64,16 @@ std::vector<std::int64_t> numbers_in(std::int64_t from, std::int64_t to) {
   return numbers;
 }
 
-TEST_F(LedgerAnswers, OneThatCouldNotBeFilledIsAFailure) {
-  StillScene still(8, directory_);
+TEST(LedgerAnswers, OneThatCouldNotBeFilledIsAFailure) {
+  StillScene still(8);
   for (int step = 1; step < 100; ++step) still.step(step);
-  const Answer answer = whole_of(with_reports(still.ledger().history(), 0, 100,
-                                              [](scene::FoundReports, const Answer&) { throw std::bad_alloc(); }));
+  const Answer answer = whole_of(
+      with_reports(still.ledger(), 0, 100, [](scene::FoundReports, const Answer&) { throw std::bad_alloc(); }));
   EXPECT_EQ(answer.status.code(), Code::too_large);
 }
 
-TEST_F(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
-  StillScene still(100, directory_);
+TEST(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
+  StillScene still(100);
   constexpr int kSteps = 5000;
   for (int step = 1; step < kSteps; ++step) still.step(step);
 
@@ -109,8 +107,8 @@ TEST_F(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
   EXPECT_TRUE(beyond.json["next"].is_null());
 }
 
-TEST_F(LedgerAnswers, ARepeatedStepIsAnsweredFromTheFile) {
-  StillScene still(1, directory_);
+TEST(LedgerAnswers, ARepeatedStepIsAnsweredFromTheJournal) {
+  StillScene still(1);
   for (int step = 1; step < 50; ++step) still.step(step);
   for (const int step : {1, 20, 49}) {
     const Answer again = still.again(step);
@@ -120,7 +118,7 @@ TEST_F(LedgerAnswers, ARepeatedStepIsAnsweredFromTheFile) {
   }
   EXPECT_FALSE(still.ledger().repeated("another", 20));
   EXPECT_FALSE(still.ledger().repeated("s", 50));
-  std::filesystem::remove_all(directory_);
+  still.disk->files.clear();
   EXPECT_EQ(still.again(20).status.code(), Code::io_error);
   still.step(50);
   EXPECT_EQ(still.again(50).json["report"]["step"], 50);

@@ -528,15 +528,16 @@ TEST(Session, WhatWasOrderedIsAnsweredBeforeTheEnd) {
   EXPECT_EQ(anna.receive().type, FrameType::goodbye);
 }
 
-TEST(Session, ARestartedServiceSaysThatItIsEmpty) {
+TEST(Session, ARestartedServiceSaysSoAndThatItIsEmpty) {
   TestService service([](ControlOptions& options) { options.restarted = true; });
   Client client = service.client("c");
   const Received status = client.call("status");
   EXPECT_TRUE(status.json["restarted"]);
   EXPECT_TRUE(status.json["empty"]);
-  EXPECT_NE(client.call("scene.open", {{"scene", "s"}}).hint().find("restarted and is empty"), std::string::npos);
+  EXPECT_EQ(status.json["restored"]["scenes"], 0);
+  EXPECT_NE(client.call("scene.open", {{"scene", "s"}}).hint().find("there is none yet"), std::string::npos);
   client.begin(kAnna, 0, 2);
-  EXPECT_NE(client.receive().hint().find("restarted and is empty"), std::string::npos);
+  EXPECT_NE(client.receive().hint().find("there is none yet"), std::string::npos);
 }
 
 }  // namespace
