@@ -104,7 +104,7 @@ class Service {
 
   comm::Comm& comm_;
   service::Service service_;
-  scene::Ledgers ledgers_{1000, ""};
+  scene::Ledgers ledgers_{{.keep_reports = 1000}};
   std::uint64_t incarnations_ = 0;
 };
 
