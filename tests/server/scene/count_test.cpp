@@ -159,7 +159,7 @@ TEST(Count, OfNothingIsEmpty) {
 TEST(Count, HasNoMoreLoadThanWeightsCanHave) {
   const auto loads = [](std::uint64_t first, std::uint64_t second) {
     CountRequest request = good_request();
-    request.json["scale"] = partition::ExactScale(5, 7).exponent();
+    request.json["scale"] = ExactScale(5, 7).exponent();
     request.arrays[2] = array_of("load", "<u8", std::vector<std::uint64_t>{0, first, 0, second}, 2);
     return loads_of(*read_count(request.json, request.arrays), 4, {}).status().code();
   };
