@@ -113,7 +113,6 @@ struct MemberScene::State {
   std::uint64_t epoch = 0;  // after last_step
   SceneCuts scene_cuts;
   bool when_needed = false;  // positions travel when needed
-  std::string incarnation;   // of the scene
   CountStep counting;
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.

@@ -528,16 +528,5 @@ TEST(Session, WhatWasOrderedIsAnsweredBeforeTheEnd) {
   EXPECT_EQ(anna.receive().type, FrameType::goodbye);
 }
 
-TEST(Session, ARestartedServiceSaysThatItIsEmpty) {
-  TestService service([](ControlOptions& options) { options.restarted = true; });
-  Client client = service.client("c");
-  const Received status = client.call("status");
-  EXPECT_TRUE(status.json["restarted"]);
-  EXPECT_TRUE(status.json["empty"]);
-  EXPECT_NE(client.call("scene.open", {{"scene", "s"}}).hint().find("restarted and is empty"), std::string::npos);
-  client.begin(kAnna, 0, 2);
-  EXPECT_NE(client.receive().hint().find("restarted and is empty"), std::string::npos);
-}
-
 }  // namespace
 }  // namespace rcb::net::testing
