@@ -27,6 +27,7 @@ struct Held {
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
   std::vector<std::uint64_t> rank_counts;  // particles on each rank
+  std::optional<std::uint64_t> id_next;    // above every id ever used; none: not looked for yet
   std::uint64_t search_rounds = 0;         // of the search for the current cuts
   std::uint64_t search_reductions = 0;
 };

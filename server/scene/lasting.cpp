@@ -147,6 +147,7 @@ std::string encode(const Lasting& lasting) {
                    {"reductions", now.search_reductions},
                    {"step", or_null(now.step)},
                    {"id_sum", or_null(now.id_sum)},
+                   {"id_next", or_null(now.id_next)},
                    {"totals", totals_json(lasting.totals)},
                    {"costs", lasting.costs.to_json()},
                    {"not_adopted", or_null(lasting.error_when_not_adopted)},
@@ -172,6 +173,7 @@ Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation
   now.search_reductions = json.at("reductions").get<std::uint64_t>();
   now.step = maybe<std::int64_t>(json.at("step"));
   now.id_sum = maybe<std::uint64_t>(json.at("id_sum"));
+  now.id_next = maybe<std::uint64_t>(json.at("id_next"));
   lasting.totals = totals_from(json.at("totals"));
   lasting.costs = CostAccount::from_json(json.at("costs"));
   lasting.error_when_not_adopted = maybe<double>(json.at("not_adopted"));

@@ -154,6 +154,7 @@ void Coordinator::restore_scenes() {
                     {"n", now.n},
                     {"weights", now.weights},
                     {"ids", now.ids}});
+    if (now.id_next) request["id_next"] = *now.id_next;
     OrderOptions order;
     order.own = true;
     order.changes = name;

@@ -206,8 +206,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
 
   // Names of the clients that have the scene open; sessions with the number `except` are left out.
   std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
-  // Which step the members of a scene are pushing; null: none.
-  wire::Json open_step(const std::string& scene) const;
   Status unknown_scene(const std::string& scene) const;
 
   // Finds out whether the log is this service's, for status_json(); returns after a moment where the disk doesn't

@@ -386,7 +386,6 @@ void Session::reply(const Request& request, Answer answer) {
     answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
   if (request.command == "scene.open" && request.json.contains("membership"))
     answer.json["membership"] = request.json["membership"];
-  if (request.command == "scene.show") answer.json["open_step"] = coordinator_->open_step(request.json["scene"]);
   std::shared_ptr<void> held;
   if (request.info->reads()) {  // the answer to a change is always sent, whatever its size
     std::uint64_t bytes = 0;

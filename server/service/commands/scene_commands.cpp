@@ -162,20 +162,23 @@ std::vector<T> broadcast_array(Context& context, const char* name) {
 Response restore(Context& context, const wire::Json& request) {
   auto options = read_options(request);
   if (!options.ok()) return failed(options.status());
-  cuts::CutArrays arrays{.dims = options->dims, .method = options->method, .parts = options->parts};
-  arrays.part_sizes = broadcast_array<double>(context, "part_sizes");
-  arrays.axes = broadcast_array<std::int32_t>(context, "axes");
-  arrays.at = broadcast_array<double>(context, "at");
-  arrays.id = broadcast_array<cuts::Id>(context, "id");
-  auto tree = cuts::tree_of(arrays);
-  if (!tree.ok()) return failed(tree.status());
   const auto name = request.at("scene").get<std::string>();
-  Scene scene = Scene::create(name, std::move(options).value());
-  scene.tree = std::move(*tree);
+  Scene scene = Scene::create(name, *options);
   scene.epoch = request.at("epoch").get<std::uint64_t>();
+  if (scene.epoch > 0) {
+    cuts::CutArrays arrays{.dims = options->dims, .method = options->method, .parts = options->parts};
+    arrays.part_sizes = broadcast_array<double>(context, "part_sizes");
+    arrays.axes = broadcast_array<std::int32_t>(context, "axes");
+    arrays.at = broadcast_array<double>(context, "at");
+    arrays.id = broadcast_array<cuts::Id>(context, "id");
+    auto tree = cuts::tree_of(arrays);
+    if (!tree.ok()) return failed(tree.status());
+    scene.tree = std::move(*tree);
+  }
   scene.n = request.at("n").get<std::uint64_t>();
   scene.ids = request.at("ids").get<bool>();
   scene.particles.has_weights = request.at("weights").get<bool>();
+  if (const auto next = request.find("id_next"); next != request.end()) scene.id_next = next->get<std::uint64_t>();
   context.scenes.insert_or_assign(name, std::move(scene));
   return done(wire::Json::object());
 }

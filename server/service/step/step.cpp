@@ -253,6 +253,7 @@ scene::Held held_of(const Context& context, Scene& scene) {
                    .plan_version = scene.plan_version,
                    .plan_checksum = scene.plan_checksum,
                    .rank_counts = {},
+                   .id_next = scene.id_next,
                    .search_rounds = scene.search_rounds,
                    .search_reductions = scene.search_reductions};
   for (int r = 0; r < context.comm.size(); ++r)
