@@ -15,6 +15,9 @@ Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int r
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 
+// What has the ranks take up a scene of an earlier service. The cuts, if any, go with it: cut_arrays().
+wire::Json restore_order(const scene::Ledger& ledger);
+
 // What a count is answered, unless it is refused or repeated.
 wire::Json verdict_json(const scene::CountVerdict& verdict);
 

@@ -370,9 +370,9 @@ class TwoLedgers {
   SceneOptions options_ = random_options(random_, world_.dims);
   Ranks every_ranks_{with(options_, Travel::every_step)};
   Ranks lazy_ranks_{with(options_, Travel::when_needed)};
-  scene::HistoryMemory memory_{100, ""};
-  Ledger every_{"jet", {with(options_, Travel::every_step), every_ranks_.held()}, kIncarnation, memory_};
-  Ledger lazy_{"jet", {with(options_, Travel::when_needed), lazy_ranks_.held()}, kIncarnation, memory_};
+  scene::HistoryMemory memory_{100};
+  Ledger every_{"jet", {with(options_, Travel::every_step), every_ranks_.held()}, kIncarnation, memory_, nullptr};
+  Ledger lazy_{"jet", {with(options_, Travel::when_needed), lazy_ranks_.held()}, kIncarnation, memory_, nullptr};
   bool tells_ids_ = chance(random_, 2);
 
   // The client's:
