@@ -6,10 +6,10 @@
 //   auto result = scene->step(rcb::client::Positions::rows(xyz.data(), n, 3));
 //
 // A call that loses its connection, or whose service died and is started again, reconnects until its deadline. Reads
-// are repeated automatically. So is a step, which the service applies only once. A scene that was lost with its service
-// is created again, and the step brings all particles (StepReport::scene_recreated). Other commands that were cut off
-// fail with `unavailable`: the caller has to ask whether they took effect. Thread-safety: a Client and its Scenes
-// belong to one thread at a time. No call waits without a deadline. Errors are returned as Status: code, message, hint.
+// are repeated automatically. So is a step, which the service applies only once. The scenes of a service outlive it but
+// for their particles, which the next step brings. Other commands that were cut off fail with `unavailable`: the caller
+// has to ask whether they took effect. Thread-safety: a Client and its Scenes belong to one thread at a time. No call
+// waits without a deadline. Errors are returned as Status: code, message, hint.
 #pragma once
 
 #include <cstdint>
@@ -50,9 +50,9 @@ struct ConnectOptions {
   // Called about ten times a second while a call waits for the service. If it returns false, the call ends with
   // `interrupted`; whether the service does what was asked is then not known. It must not throw, nor call the client.
   std::function<bool()> on_wait{};
-  // Once connected: if true, calls wait until their deadline for a service that has gone, and create a lost scene
-  // again; so do create_scene() and drop_scene(), and a member for its seat, for another client that holds the scene.
-  // If false, one new connection is tried, and a lost scene or a held one is an error.
+  // Once connected: if true, calls wait until their deadline for a service that has gone; so do create_scene() and
+  // drop_scene(), and a member for its seat, for another client that holds the scene. If false, one new connection is
+  // tried, and a held scene is an error.
   bool outlive = true;
 };
 
@@ -64,14 +64,14 @@ struct SceneOptions {
   double axis_hysteresis = 1.2;      // >= 1: a cut keeps its axis until another is longer by this factor
   double cut_tolerance = 0;          // 0 to 1: how far off target new cuts may leave a part, as a fraction; 0: exact
   std::string policy = "tolerance";  // or "cost": repartition when imbalance has cost more than a repartition
+  std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
   // When step() has the service's ranks take the positions: "every-step", or "when-needed": at first, where the cuts
   // may have to change, and where a question about positions waits. In other steps this library counts by the cuts
   // itself, which takes one pass over the positions, and sends the counts; that needs all positions, no insertions or
   // removals.
   std::string positions = "every-step";
-  int threads = 1;                   // for counting
-  std::vector<double> part_sizes{};  // [parts] > 0, in no unit: the share of each; empty: equal shares
-  bool replace = false;              // drops a scene of that name first; else it is an error (already_exists)
+  int threads = 1;       // for counting
+  bool replace = false;  // drops a scene of that name first; else it is an error (already_exists)
 };
 
 using Positions = cuts::Positions;  // in the caller's memory, where they stay
@@ -88,10 +88,7 @@ struct StepReport {
   std::int64_t step = 0;
   std::uint64_t epoch = 0;  // rises whenever new cuts are adopted
   std::uint64_t n = 0;
-  int parts = 0;  // another client's rebalance may change it between two steps
-  // The service had lost the scene; it was created again and this step brought all particles. The cuts are those of a
-  // first partition.
-  bool scene_recreated = false;
+  int parts = 0;                       // another client's rebalance may change it between two steps
   std::optional<double> error_before;  // none at the first push
   double error = 0;
   double imbalance = 1;  // max(load / target)
@@ -251,8 +248,8 @@ class Scene {
   // Waits until the deadline for a lost service or connection.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // A step in which nothing moved: one round trip, for a caller that doesn't have its positions at hand. May remove and
-  // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or it has lost the scene,
-  // or needs positions that its ranks don't hold ("when-needed"): push all positions.
+  // insert particles. Errors also: base_lost, if the service's last step isn't this Scene's, or its ranks lack
+  // positions that it needs (since it was started again, or "when-needed"): push all positions.
   Result<StepResult> step_unmoved(const StepOptions& options = {});
   // A step in which only these particles moved: positions[k] is that of ids[k], [ids.size()], by rows or axes. For a
   // caller that doesn't have all positions at hand (otherwise use StepOptions::moved). Errors also: base_lost, as

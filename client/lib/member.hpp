@@ -11,10 +11,10 @@
 //
 // A step returns when every member has pushed it and it is committed. At its deadline it fails with the name of a
 // missing member; then the previous step stands and all may push again. Members need not communicate: the service alone
-// decides. Lost connections and a restarted service are handled as for a Scene: the first member to reconnect creates
-// the scene again, and all push by ids. A member that had no answer yet to a step committed before the crash gets it
-// from the restarted service. A restarted process opens the scene and goes on from the last step. Thread-safety: as a
-// Client's. A Client has one MemberScene of a scene, and then no Scene of it (busy).
+// decides. Lost connections and a restarted service are handled as for a Scene: all bring their particles again, by
+// ids. A member that had no answer yet to a step committed before the crash gets it from the restarted service. A
+// restarted process opens the scene and goes on from the last step. Thread-safety: as a Client's. A Client has one
+// MemberScene of a scene, and then no Scene of it (busy).
 #pragma once
 
 #include <cstdint>
@@ -91,7 +91,7 @@ class MemberScene {
   // Pushes this member's particles, in any order. positions: count may be 0.
   //   ids  [count]; every id of the scene belongs to exactly one member, also those that this step removes
   // Errors: aborted and deadline_exceeded name the member at fault (if it names none: push this step again, it may be
-  // committed); base_lost: the service has lost the scene, which had weights: push this step with weights.
+  // committed); base_lost: the service was started again, and the scene has weights: push this step with weights.
   Result<MemberStep> step(const Positions& positions, std::span<const std::int64_t> ids,
                           const MemberStepOptions& options = {});
   // As those of Scene.

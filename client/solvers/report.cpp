@@ -61,7 +61,6 @@ std::string json_document(const Program& program, const RunOptions& options, con
       {"policy", options.policy},
       {"positions", options.positions},
       {"repartitions", options.no_service ? json() : json(record.repartitions())},
-      {"recreations", options.no_service ? json() : json(record.recreations())},
       {"error_max", largest ? json(largest->error) : json()},
       {"error_max_step", largest ? json(largest->step) : json()},
       {"reports", std::move(reports)},
@@ -92,9 +91,6 @@ std::string summary(const Program& program, const RunOptions& options, double in
   text += '\n';
   if (const auto largest = record.largest_error()) {
     text += fmt::format("  repartitions   {} (the first partition included)\n", record.repartitions());
-    if (record.recreations() > 0)
-      text += fmt::format("  service lost   {} time{}; the scene was made anew\n", record.recreations(),
-                          record.recreations() == 1 ? "" : "s");
     text += fmt::format("  largest error  {:.4g} at step {}, before new cuts if it got any\n", largest->error,
                         largest->step);
     text += fmt::format("  in service     {:.3g} ms a step on average\n", 1e3 * record.seconds_service / frames);

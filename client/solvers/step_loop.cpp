@@ -57,11 +57,6 @@ std::uint64_t RunRecord::repartitions() const {
       std::count_if(reports.begin(), reports.end(), [](const auto& report) { return report.repartitioned; }));
 }
 
-std::uint64_t RunRecord::recreations() const {
-  return static_cast<std::uint64_t>(
-      std::count_if(reports.begin(), reports.end(), [](const auto& report) { return report.scene_recreated; }));
-}
-
 std::optional<RunRecord::Largest> RunRecord::largest_error() const {
   std::optional<Largest> largest;
   for (const client::StepReport& report : reports) {

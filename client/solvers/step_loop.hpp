@@ -43,7 +43,6 @@ struct RunRecord {
   double seconds_service = 0;  // waiting for pushes, measured here
 
   std::uint64_t repartitions() const;  // including the first partition
-  std::uint64_t recreations() const;   // times that the scene was made anew after the service had lost it
   struct Largest {
     double error;
     std::int64_t step;

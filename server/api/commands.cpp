@@ -13,7 +13,7 @@ using Fields = std::string_view;
 constexpr std::array<Fields, 1> kScene{"scene"};
 constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims",          "method",
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
-                                         "part_sizes", "replace",         "recreated",     "positions"};
+                                         "part_sizes", "replace",         "positions"};
 constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
 constexpr std::array<Fields, 27> kPushBegin{
     "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",      "plan",    "moved",

@@ -119,6 +119,21 @@ Answer describe(const Ledger& ledger, int ranks) {
   return answer;
 }
 
+wire::Json restore_order(const Ledger& ledger) {
+  const SceneState& now = ledger.now();
+  wire::Json order = to_json(now.options);
+  order.update({{"command", "scene.restore"},
+                {"scene", ledger.name()},
+                {"epoch", now.epoch},
+                {"n", now.n},
+                {"weights", now.weights},
+                {"ids", now.ids},
+                {"rounds", now.search_rounds},
+                {"reductions", now.search_reductions}});
+  if (now.id_next) order["id_next"] = *now.id_next;
+  return order;
+}
+
 Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
   const std::string command = request.at("command").get<std::string>();
   if (command == "history") return history(ledger, request);
@@ -140,10 +155,16 @@ wire::Json verdict_json(const scene::CountVerdict& verdict) {
   return {{"again", "cuts"}};
 }
 
+wire::Json repeated_to_member(const Ledger& ledger, const scene::MemberShare& share) {
+  wire::Json json{{"report", ledger.last_report()}, {"repeated", true}, {"plan", plan_json(ledger.now())}};
+  if (const auto first = json["report"].find("first_id"); first != json["report"].end())
+    json["first_id"] = first->get<std::int64_t>() + static_cast<std::int64_t>(share.inserted_before);
+  return json;
+}
+
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
   return with_reports(
-      ledger, number, number + 1,
-      [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
+      ledger, number, number + 1, [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
         if (found.reports.empty())
           answer.status =
               Status(Code::io_error, fmt::format("the step is committed, but its report was lost: {}", found.loss),

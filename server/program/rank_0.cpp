@@ -109,7 +109,7 @@ Status Rank0::open_data_directory() {
   auto data = net::DataDirectory::open(note.data_dir, !config.data_dir.empty(), note);
   if (!data.ok()) return data.status();
   data_.emplace(std::move(*data));
-  if (!config.empty) return {};
+  if (!config.empty || config.restarted) return {};
   const auto aside = scene::set_scenes_aside(*storage_, data_->path());
   if (aside.ok() && !aside->empty()) spdlog::info("the scenes of an earlier service are kept in {}", *aside);
   return aside.status();

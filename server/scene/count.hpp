@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,15 @@
 #include "common/wire/message.hpp"
 
 namespace rcb::scene {
+
+// What a member of a parallel solver needs to be told again of a step.
+struct MemberShare {
+  std::uint64_t session = 0;          // session_key()
+  std::uint64_t inserted_before = 0;  // by members of lower numbers
+};
+
+// XXH3-64 of a session's name, which takes less memory than the text.
+std::uint64_t session_key(const std::string& session);
 
 struct WeightCount {
   int scale = 0;  // a load is the sum of weights, each times 2^scale, rounded down
@@ -34,7 +44,8 @@ struct CountRecord {
   std::vector<std::int32_t> parts;       // that have particles, ascending
   std::vector<std::uint64_t> counts;     // of these
   std::optional<WeightCount> weights;
-  std::uint64_t bytes = 0;  // of its frame
+  std::uint64_t bytes = 0;           // of its frame
+  std::vector<MemberShare> members;  // of all members together: of each
 };
 
 // The JSON of a request `count` and its arrays. Errors: invalid_argument, whatever is wrong with the record by itself.
@@ -44,6 +55,9 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
 // invalid_argument (a part beyond the last, loads that no weights have).
 Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes);
 
+inline constexpr int kScaleMost = 1300;  // either way; of the smallest double there is
+// Whether these are loads in a scale: of 127 bits, all together.
+bool sum_fits(std::span<const u128> loads);
 // The scale that the weights of n particles need; nothing where weights don't count, since all are equal.
 std::optional<int> scale_due(const WeightCount& weights, std::uint64_t n);
 

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/partition/balance/load.hpp"
+#include "server/scene/count.hpp"
 #include "server/scene/options.hpp"
 #include "server/scene/report.hpp"
 
@@ -26,6 +27,7 @@ struct Held {
   std::uint64_t plan_version = 0;
   std::uint64_t plan_checksum = 0;
   std::vector<std::uint64_t> rank_counts;  // particles on each rank
+  std::optional<std::uint64_t> id_next;    // above every id ever used; none: not looked for yet
   std::uint64_t search_rounds = 0;         // of the search for the current cuts
   std::uint64_t search_reductions = 0;
 };
@@ -39,6 +41,7 @@ struct Stepped {
   StepReport report;
   Held held;
   std::string session;                   // that pushed
+  std::vector<MemberShare> members;      // if members pushed together: of each
   std::optional<double> step_seconds;    // as the push said
   std::optional<std::uint64_t> drifted;  // since the step before, as the push said
   bool wasted = false;                   // new cuts were searched, and not adopted

@@ -35,7 +35,7 @@ struct SceneTotals : StepCounts {
 // Everything that must last, but the cuts' bytes and the history.
 struct SceneState : Held {
   SceneOptions options;
-  std::uint64_t incarnation = 0;               // random, from its making
+  std::uint64_t incarnation = 0;               // from its making: no other's, and above those of earlier scenes
   std::optional<std::int64_t> step;            // the last one; none: no positions yet
   std::optional<std::int64_t> positions_step;  // whose positions the ranks hold; none: nobody can say
   bool filled = false;                         // the ranks hold its particles, of whatever step
@@ -49,6 +49,7 @@ struct Lasting {
   CostAccount costs;
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
   std::uint64_t last_session = 0;                // key of the session that made the last step
+  std::vector<MemberShare> last_members;         // likewise, of members
   wire::Json last_report;                        // null: no step yet
 };
 
@@ -105,6 +106,10 @@ class Ledger {
   // The number, in the history, of a step that this session has committed; nothing if it has not.
   std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
 
+  // What this session, of a member, had in the last step, if that is this one; null if it isn't.
+  const MemberShare* share_in_last(const std::string& session, std::int64_t step) const;
+  const wire::Json& last_report() const { return lasting_.last_report; }
+
   // Removes what would outlive the service.
   void drop();
 
@@ -115,11 +120,11 @@ class Ledger {
  private:
   struct RememberedStep {
     std::int64_t step = 0;
-    std::uint64_t session = 0;  // XXH3-64 of its name, which takes less memory than the text
+    std::uint64_t session = 0;  // session_key()
   };
   Status check(const CountRecord& record) const;
   CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
-  void remember(const StepReport& report, const std::string& session);
+  void remember(const StepReport& report, const std::string& session, std::vector<MemberShare> members);
   // Puts cuts and state into the journal.
   void keep();
 
@@ -157,7 +162,8 @@ struct Restored {
 class Ledgers {
  public:
   explicit Ledgers(Keeping keeping)
-      : keeping_(std::move(keeping)), memory_(std::make_unique<HistoryMemory>(keeping_.keep_reports)) {}
+      : keeping_(std::move(keeping)),
+        memory_(std::make_unique<HistoryMemory>(keeping_.keep_reports, keeping_.storage)) {}
 
   // The scenes that an earlier service has left. What can't be read is logged, and left where it is.
   Restored restore();
@@ -173,7 +179,7 @@ class Ledgers {
   auto end() const { return ledgers_.end(); }
 
  private:
-  Status restore_one(const SceneFolder& folder, Restored& restored);
+  Status restore_one(const SceneFolder& folder);
   void drop(const std::string& scene);
 
   Keeping keeping_;

@@ -74,7 +74,6 @@ wire::Json to_json(const StepReport& report) {
                {"epoch", report.epoch},
                {"n", report.n},
                {"parts", report.parts},
-               {"scene_recreated", report.scene_recreated},
                {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
                {"error", report.error},
                {"imbalance", report.imbalance},

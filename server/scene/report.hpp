@@ -68,7 +68,6 @@ struct StepReport : StepCounts {
   std::uint64_t epoch = 0;
   std::uint64_t n = 0;
   int parts = 1;
-  bool scene_recreated = false;  // first step of a scene that its client made anew after the service lost it
   std::optional<double> error_before;
   double error = 0;
   double imbalance = 1;

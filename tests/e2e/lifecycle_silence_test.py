@@ -107,10 +107,10 @@ class Silence(unittest.TestCase):
             self.assertTrue(wait_for(lambda: not set(ranks) & set(service.processes("rcbd")), 60))
             self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0, 60))
             status = service.json("status")
-            self.assertEqual((status["restarted"], status["scenes"]), (True, []))
+            self.assertEqual((status["restarted"], status["scenes"][0]["step"]), (True, 0))
             with Client(service.endpoint) as again:
-                again.ask("scene.create", scene="a", parts=6)
-                self.assertEqual(again.push("a", 1, points)[0]["report"]["n"], 500)
+                again.push("a", 0, points, refill=True)
+                self.assertEqual(again.push("a", 1, points[::-1])[0]["report"]["n"], 500)
 
     def test_down_ends_what_hangs(self):
         with Service(1) as service:

@@ -77,7 +77,7 @@ class Lifecycle(unittest.TestCase):
             self.assertLess(max(seen.values(), default=0), looks / 4, seen)
             self.assertLess(max(rates.values()), 50, rates)
 
-    def test_killed_rank_restarts_empty(self):
+    def test_a_service_whose_rank_is_killed_comes_back_with_its_scenes(self):
         with Service(3) as service:
             service.json("scene", "create", "s", "--parts", 2)
             ranks = service.processes("rcbd")
@@ -87,10 +87,9 @@ class Lifecycle(unittest.TestCase):
             self.assertTrue(wait_for(lambda: not set(ranks) & set(service.processes("rcbd"))))
             self.assertTrue(wait_for(lambda: service.ctl("status").returncode == 0))
             status = service.json("status")
-            self.assertTrue(status["restarted"] and status["empty"], status)
-            failure = service.failure("error", "s")
-            self.assertEqual(failure["code"], "not_found")
-            self.assertIn("restarted", failure["message"] + failure["hint"])
+            self.assertTrue(status["restarted"] and not status["empty"], status)
+            self.assertEqual(status["restored"], {"scenes": 1, "steps": 0, "lost_records": 0})
+            self.assertEqual(service.json("scene", "show", "s")["parts"], 2)
 
     def test_a_stopped_rank_is_noticed(self):
         with Service(3) as service:

@@ -1,6 +1,8 @@
 """What a solver meets that keeps its scene: a service that is started again, and another client that changes the parts."""
+import glob
+
 import ranks
-from member_client import Member, handed_over
+from member_client import Member
 from protocol_client import Client, Refused
 from support import *
 
@@ -27,8 +29,9 @@ class Outlive(unittest.TestCase):
 
         wait_for(another)
 
-    def test_a_member_that_has_not_heard_of_a_step_gets_its_answer_from_the_next_service(self):
+    def test_a_member_that_has_not_heard_of_a_step_gets_its_report_from_the_next_service(self):
         points = np.random.default_rng(3).random((500, 3))
+        more = np.random.default_rng(5).random((8, 3))
         rng = np.random.default_rng(4)
         held = np.split(rng.permutation(500), [200])
         with Client(self.path) as control:
@@ -36,31 +39,45 @@ class Outlive(unittest.TestCase):
         team = [Member(self.path, "s", k, 2, follow=True) for k in range(2)]
         for one, ids in zip(team, held):
             one.start(0, ids, points)
+        for one in team:
+            one.finish()
+        for one, ids, new in zip(team, held, np.split(more, [3])):
+            one.begin(1, ids, inserted=len(new), slices=2)
+            one.slice(ids, points)
+            one.edit("inserted", dict(zip("xyz", new.T)))
         answers = [one.finish() for one in team]
-        after = handed_over(held, answers)
-        self.assertFalse(np.isin(after[0], held[0]).all())
         for _ in range(2):  # the service may die again before all have asked
             self.kill_and_wait()
-        with Client(self.path) as control:
-            control.ask("scene.create", scene="s", parts=5, recreated=True)
         back = [Member(self.path, "s", k, 2, follow=True, generation=2, session=team[k].session) for k in range(2)]
         self.addCleanup(lambda: [one.close() for one in team + back])
-        # Member 0 has its answer and goes on; member 1 asks for its own, and gets what it would have got.
-        back[0].start(1, after[0], points)
-        with self.assertRaises(Refused) as refused:  # of step 1 there is no answer yet
-            back[1].ask("push.begin", **self.nothing(back[1], 1))
-        self.assertEqual(refused.exception.args[0], "unsupported")
-        self.assertTrue(back[1].ask("push.begin", **self.nothing(back[1], 0))[0]["repeated"])
-        back[1].start(0, held[1], points, attempt=2)
-        answer, news = back[1].finish()
-        self.assertTrue(answer["repeated"])
-        self.assertEqual(answer["report"], answers[1][0]["report"])
-        for name, values in answers[1][1].items():
-            np.testing.assert_array_equal(news[name], values, name)
-        back[1].start(1, after[1], points)
+        for one in back:
+            self.assertEqual((one.opened["step"], one.opened["filled"]), (1, False))
+        # Member 0 has its answer and goes on: it brings its particles, in a scene where others would push.
+        whole = np.concatenate([points, more])
+        now = [np.append(held[0], [500, 501, 502]), np.append(held[1], range(503, 508))]
+        back[0].start(1, now[0], whole, attempt=3, refill=True)
+        back[1].begin(1, [], attempt=4, moved="none")
+        again, arrays = back[1].finish()
+        self.assertEqual((again["repeated"], again["report"], arrays), (True, answers[1][0]["report"], {}))
+        self.assertEqual(again["first_id"], answers[1][1]["inserted_id"][0])
+        back[1].start(2, now[1], whole, attempt=5)
+        with self.assertRaises(Refused) as refused:
+            back[1].finish()
+        self.assertIn("the others push step 1 (refill)", refused.exception.args[1])
+        back[1].start(1, now[1], whole, attempt=6, refill=True)
+        for one in back:
+            self.assertTrue(one.finish()[0]["refilled"])
+        back[0].start(1, now[0], whole, attempt=7, refill=True)  # there is nothing to bring any more
+        with self.assertRaises(Refused) as refused:
+            back[0].finish()
+        self.assertEqual(refused.exception.args[0], "stale_step")
+        for one, ids in zip(back, now):
+            one.start(2, ids, whole * [1, 1, 0.5], attempt=8)
         reports = [one.finish()[0]["report"] for one in back]
         self.assertEqual(reports[0], reports[1])
-        self.assertEqual((reports[0]["step"], reports[0]["scene_recreated"], reports[0]["n"]), (1, True, 500))
+        self.assertEqual((reports[0]["step"], reports[0]["n"]), (2, 508))
+        with Client(self.path) as control:
+            self.assertEqual([one["step"] for one in control.ask("history", scene="s")[0]["history"]], [0, 1, 2])
         # Another session never gets it.
         stranger = Client(self.path)
         self.addCleanup(stranger.close)
@@ -68,43 +85,36 @@ class Outlive(unittest.TestCase):
             stranger.push("s", 0, points)
         self.assertEqual(refused.exception.args[0], "busy")
 
-    def test_answers_to_a_run_that_is_over_are_nobodys(self):
-        """The next run's steps begin again at 0, pushed by the same session."""
+    def test_what_a_refill_must_be(self):
         points = np.random.default_rng(3).random((80, 3))
-
-        def push(count, generation):
-            with Member(self.path, scene, 0, 1, generation=generation, session=session) as member:
-                member.start(0, np.arange(count), points)
-                return member.finish()[0]
-
-        def create(**more):
-            with Client(self.path) as client:
-                client.ask("scene.create", scene=scene, parts=4, **more)
-
-        for scene in ("kill, replace", "kill, drop", "replace, kill"):
-            session = np.random.default_rng(len(scene)).bytes(8).hex()
-            what, scene = scene, scene.replace(", ", "-")
-            create()
-            self.assertEqual(push(50, 1)["report"]["n"], 50)
-            if what == "replace, kill":
-                create(replace=True)
-            self.kill_and_wait()
-            create(recreated=True)
-            if what != "replace, kill":
-                self.assertTrue(push(50, 2)["repeated"], what)
-            if what == "kill, replace":
-                create(replace=True)
-            if what == "kill, drop":
-                with Client(self.path) as client:
-                    client.ask("scene.drop", scene=scene)
-                create()
-            answer = push(80, 3)
-            self.assertEqual((answer.get("repeated", False), answer["report"]["n"]), (False, 80), what)
-
-    def nothing(self, member, step):
-        """A push that asks for the answer to this step alone."""
-        return {"scene": "s", "session": member.session, "step": step, "attempt": 9, "n": 0, "slices": 0, "order": "id",
-                "ids": True, "moved": "none"}
+        with Client(self.path) as client:
+            client.ask("scene.create", scene="r", parts=4)
+            first = client.push("r", 3, points)[0]["report"]
+            with self.assertRaises(Refused) as refused:
+                client.push("r", 3, points, refill=True)
+            self.assertEqual(refused.exception.args[0], "stale_step")
+            session, hash_before = client.session, client.ask("scene.show", scene="r")[0]["hash"]
+        self.kill_and_wait()
+        with Client(self.path, session=session) as client:
+            for code, step, some, more in (("stale_step", 2, points, {}), ("stale_step", 4, points, {}),
+                                           ("invalid_argument", 3, points[:79], {}),
+                                           ("invalid_argument", 3, points, {"removed": 1, "slices": 2})):
+                with self.assertRaises(Refused) as refused:
+                    client.push("r", step, some, refill=True, **more)
+                self.assertEqual(refused.exception.args[0], code, refused.exception.args)
+            with self.assertRaises(Refused) as refused:
+                client.push("r", 4, points)
+            self.assertEqual(refused.exception.args[0], "base_lost")
+            for command in ("fetch", "assign", "rebalance"):
+                with self.assertRaises(Refused) as refused:
+                    client.ask(command, scene="r")
+                self.assertIn("hold no positions of", refused.exception.args[1])
+            self.assertEqual(client.push("r", 3, points + 9)[0]["report"], first)  # its answer, whatever it brings
+            client.push("r", 3, points + 1, refill=True, attempt=5)
+            report = client.push("r", 4, points + 1, attempt=6)[0]["report"]
+            shown = client.ask("scene.show", scene="r")[0]
+        self.assertEqual((report["n"], report["drifted"], report["epoch"]), (80, None, first["epoch"] + 1))
+        self.assertNotEqual(shown["hash"], hash_before)
 
     def solver(self, *command):
         return subprocess.Popen([*map(str, command), "--endpoint", self.service.endpoint], stdin=subprocess.DEVNULL,
@@ -136,20 +146,6 @@ class Outlive(unittest.TestCase):
         parts = [report["parts"] for report in reports]
         self.assertEqual([p for k, p in enumerate(parts) if k == 0 or parts[k - 1] != p], [4, 5, 11])
 
-    def test_a_scene_made_anew_in_the_place_of_another_begins_a_run(self):
-        points = np.random.default_rng(7).random((60, 3))
-        session = "00000000000000aa"
-        with Client(self.path, session=session) as client:
-            client.ask("scene.create", scene="s", parts=2)
-            client.push("s", 3, points)
-            with self.assertRaises(Refused) as caught:
-                client.ask("scene.create", scene="s", parts=2, recreated=True)
-            self.assertEqual(caught.exception.args[0], "already_exists")
-            client.ask("scene.create", scene="s", parts=2, recreated=True, replace=True)
-            anew = client.push("s", 3, points + 1, attempt=1)[0]
-            self.assertFalse(anew.get("repeated", False))
-            self.assertTrue(anew["report"]["scene_recreated"])
-
     def test_parts_change_under_a_solver(self):
         self.check_parts_under(self.solver(os.path.join(BIN, "two_spheres"), "--steps", 2000, "--parts", 4, "--scene", "a",
                                            "--json"), "a", "two_spheres")
@@ -170,7 +166,23 @@ class Outlive(unittest.TestCase):
         finally:
             running.kill()
         self.assertEqual(running.returncode, 0, out[-2000:] + err)
-        self.assertEqual(sum(report["scene_recreated"] for report in json.loads(out)["reports"]), 1)
+        self.assertEqual([report["step"] for report in json.loads(out)["reports"]], list(range(1501)))
+        self.assertEqual(self.service.json("history", "d"), json.loads(out)["reports"])
+
+    def test_a_service_that_begins_anew_keeps_the_old_scenes_aside(self):
+        with Client(self.path) as client:
+            client.ask("scene.create", scene="old", parts=3)
+            client.push("old", 0, np.random.default_rng(1).random((50, 3)))
+        for options, steps in (((), [0]), (("--empty",), [])):
+            self.service.ctl("down", check=True)
+            run("up", "-n", 2, "--data-dir", self.service.data, *options, endpoint=self.service.endpoint, check=True)
+            self.assertEqual([scene["step"] for scene in self.service.json("status")["scenes"]], steps)
+        self.assertTrue(glob.glob(os.path.join(self.service.data, "scenes.old-*", "old.*", "state")))
+        with Client(self.path) as client:
+            client.ask("scene.create", scene="new", parts=3)
+        self.kill_and_wait()  # and this doesn't begin anew once more
+        self.assertEqual([scene["scene"] for scene in self.service.json("status")["scenes"]], ["new"])
+        self.assertIn("yes, after it had died: 1 scene, 0 steps restored", self.service.ctl("status").stdout)
 
     def test_a_solver_that_does_not_outlive_ends_and_the_hint_is_true(self):
         running = self.solver(os.path.join(BIN, "two_spheres"), "--steps", 100000, "--scene", "c", "--json", "--no-outlive")
@@ -196,7 +208,7 @@ class Outlive(unittest.TestCase):
             os.kill(supervisor, signal.SIGCONT)
         out, _ = asking.communicate(timeout=60)
         self.assertIn("is being started again", waiting)
-        self.assertEqual(json.loads(out)["failure"]["code"], "not_found")  # the service is back, without its scenes
+        self.assertEqual(json.loads(out)["failure"]["code"], "not_found")  # the service is back; there was no such scene
 
     def test_no_service_at_all_is_told_at_once(self):
         nowhere = run("status", "--json", "--endpoint", "unix:/nowhere/s")

@@ -12,31 +12,33 @@ class OutlivingClient:
     """One scene, all of whose particles are pushed in each step."""
 
     def __init__(self, address, scene, **options):
-        self.address, self.scene, self.options = address, scene, options
-        self.session, self.attempts, self.instance, self.link = os.urandom(8).hex(), 0, None, None
+        self.address, self.scene = address, scene
+        self.session, self.attempts, self.link = os.urandom(8).hex(), 0, None
         self.connect()
+        self.link.ask("scene.create", scene=scene, replace=True, **options)
 
     def connect(self):
         self.link = Client(self.address, session=self.session)
-        if self.instance == self.link.hello["instance"]:
-            return
-        try:  # the service is another one than had the scene: it is made anew
-            fresh = {"replace": True} if self.instance is None else {"recreated": True}
-            self.link.ask("scene.create", scene=self.scene, **self.options, **fresh)
-        except Refused as refused:
-            if refused.args[0] != "already_exists":
-                raise
-        self.instance = self.link.hello["instance"]
+
+    def fill(self, number, points):
+        """Brings the particles again to a service that was started again, unless it has the step and will say so."""
+        scene = self.link.ask("scene.open", scene=self.scene)[0]
+        if not scene["filled"] and scene["step"] not in (None, number):
+            self.push(scene["step"], points, refill=True)
+
+    def push(self, step, points, **more):
+        self.attempts += 1
+        return self.link.push(self.scene, step, points, attempt=self.attempts, **more)[0]
 
     def step(self, number, points, deadline=60):
         """The report of the step, which is committed once however often the service is lost meanwhile."""
         end, pause = time.monotonic() + deadline, 0
         while True:
-            self.attempts += 1
             try:
                 if self.link is None:
                     self.connect()
-                return self.link.push(self.scene, number, points, attempt=self.attempts)[0]["report"]
+                    self.fill(number, points)
+                return self.push(number, points)["report"]
             except (OSError, EOFError, Refused) as lost:
                 if time.monotonic() > end or (isinstance(lost, Refused) and lost.args[0] not in TRY_AGAIN):
                     raise

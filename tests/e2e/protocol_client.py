@@ -191,10 +191,10 @@ class Client:
         part = {"command": "push.slice", **push, "rank": 0, "count": n, "arrays": arrays}
         return begin, part, b"".join(column.astype("<f8").tobytes() for column in columns.values())
 
-    def push(self, scene, step, points, attempt=0, flags=0):
+    def push(self, scene, step, points, attempt=0, flags=0, **more):
         columns = {name: points[:, k] for k, name in enumerate("xyz"[: points.shape[1]])}
         begin, part, bulk = self.push_frames(scene, step, columns, len(points), attempt)
-        self.send(begin)
+        self.send({**begin, **more})
         number = self.number
         self.send(part, bulk, flags)
         self.number = number

@@ -124,7 +124,7 @@ class SlurmTest(MachinesTest):
         text = self.output(solver, "solver")
         result = json.loads(text[text.index("{"):])
         self.assertEqual(len(result["reports"]), 1001, text[:2000])
-        self.assertTrue(any(report["scene_recreated"] for report in result["reports"]))
+        self.assertEqual(self.status("d")["restored"]["scenes"], 1)
         self.hosts.slurm("scancel", service)
         self.ended(service)
 

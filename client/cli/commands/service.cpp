@@ -23,6 +23,7 @@ struct UpOptions {
   double answer_seconds = 30;
   // Options passed to rcbd at this start and at each restart.
   std::vector<std::string> files_below;
+  bool empty = false;
   bool trusted_network = false;
   bool trusted_interconnect = false;
   std::string keep_reports;
@@ -41,6 +42,7 @@ std::vector<std::string> service_arguments(const UpOptions& options, const clien
   // rcbd has another working directory, so paths are made absolute here.
   if (options.files_below.empty() && endpoint.is_unix)
     add("--local-files-below", std::filesystem::current_path().string());
+  if (options.empty) arguments.emplace_back("--empty");
   if (options.trusted_network) arguments.emplace_back("--trusted-network");
   if (options.trusted_interconnect) arguments.emplace_back("--trusted-interconnect");
   add("--keep-reports", options.keep_reports);
@@ -143,7 +145,10 @@ void add_up_options(CLI::App& command, UpOptions& options) {
   add_value(command, "--publish", options.publish, kind::text("FILE"),
             "write where the service is to FILE once it answers; clients take file:FILE for an endpoint");
   add_value(command, "--data-dir", options.data_dir, kind::text("DIR"),
-            "for the log, the token and older step reports (default: one per endpoint)");
+            "for the log, the token, and what lasts of the scenes (default: one per endpoint)");
+  command.add_flag("--empty", options.empty,
+                   "begin without the scenes of the service that was there before; they are kept aside in the data "
+                   "directory");
   add_value(command, "--deadline", options.deadline, kind::positive_number("SECONDS"),
             "how long to wait for its first answer")
       ->capture_default_str();

@@ -50,6 +50,17 @@ std::string hosts_text(const Json& status) {
   return hosts.size() < 2 ? "" : text;
 }
 
+// Of an earlier service; empty: nothing.
+std::string restored_text(const Json& status) {
+  const Json restored = status.value("restored", Json::object());
+  const auto number = [&restored](const char* name) { return restored.value(name, std::uint64_t{0}); };
+  if (number("scenes") == 0) return status.value("restarted", false) ? "it had no scenes" : "";
+  std::string text = fmt::format("{} scene{}, {} step{} restored", number("scenes"), number("scenes") == 1 ? "" : "s",
+                                 number("steps"), number("steps") == 1 ? "" : "s");
+  if (number("lost_records") > 0) text += fmt::format("; {} step reports are lost", number("lost_records"));
+  return text;
+}
+
 void print_facts(const Json& status) {
   Facts facts;
   facts.add("version", text_of(status, "version"));
@@ -60,7 +71,9 @@ void print_facts(const Json& status) {
   facts.add("ranks", ranks_text(status));
   if (const std::string hosts = hosts_text(status); !hosts.empty()) facts.add("hosts", hosts);
   facts.add("uptime", duration(status.value("uptime_seconds", 0.0)));
-  if (status.value("restarted", false)) facts.add("restarted", "yes, after it had died: what it held before is lost");
+  const bool restarted = status.value("restarted", false);
+  if (const std::string text = restored_text(status); restarted || !text.empty())
+    facts.add(restarted ? "restarted" : "restored", (restarted ? "yes, after it had died: " : "") + text);
   facts.add("clients", text_of(status, "sessions"));
   facts.add("steps", text_of(status, "steps"));
   facts.add("memory", memory_text(status));

@@ -14,8 +14,8 @@ constexpr std::initializer_list<const char*> kColumns = {
     "reason",  "axes_flipped", "drifted", "moved",      "migrated",     "inserted", "removed",   "first_id",
     "scanned", "searched",     "rounds",  "reductions", "skipped",      "bytes"};
 // After the seconds: these fields were added last, and columns keep their places.
-constexpr std::initializer_list<const char*> kLastColumns = {"parts", "scene_recreated", "way",      "weights_as_zero",
-                                                             "sent",  "positions_step",  "strangers"};
+constexpr std::initializer_list<const char*> kLastColumns = {"parts",          "way",      "weights_as_zero", "sent",
+                                                             "positions_step", "strangers"};
 constexpr std::initializer_list<const char*> kPhases = {"receive", "exchange", "search", "migrate", "total"};
 
 std::string csv_quoted(const std::string& text) {

@@ -22,8 +22,8 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   // an answer was lost, the seat may have the generation that was asked for last.
   const std::uint64_t asked_before = asked;
   if (seat > 0) request["generation"] = asked = std::max(seat, asked) + 1;
-  const std::string service_before = known.instance;
-  const auto json = open_or_make_anew(session(), request, known, retry);
+  request["command"] = "scene.open";
+  const auto json = described(session(), request, retry);
   // Busy: another process has taken the seat. Higher and higher numbers would take it from that one.
   if (json.status().code() == Code::busy) asked = asked_before;
   if (!json) return json.status();
@@ -37,24 +37,27 @@ Status MemberScene::State::take_seat(const Retry& retry) {
   const auto epoch_now = static_cast<std::uint64_t>(fields.integer_or("epoch", 0, kLarge, 0));
   const bool has_weights = fields.flag("weights");
   when_needed = fields.text_or("positions", 16, "every-step") == "when-needed";
-  incarnation = fields.text_or("incarnation", 16, "");
+  const std::string incarnation_now = fields.text_or("incarnation", 16, "");
+  const bool filled_now = !fields.has("filled") || fields.flag("filled");
   fields.fail(generation.status());
   if (!fields.ok()) return odd_member_answer(fields.status().message());
+  if (last_step && incarnation_now != incarnation) {
+    static_cast<void>(session().call_once({{"command", "scene.close"}, {"scene", name}}, retry));
+    return {Code::not_found, fmt::format("scene '{}' is another one than it was, made anew", name),
+            "open it again, and push from its first step"};
+  }
   connection = session().generation();
   const bool known_before = seat > 0;
   seat = static_cast<std::uint64_t>(*generation);
-  known.options = scene_options(*json);
   dims = axes;
-  const bool other_service = known.instance != service_before;
-  lost = step < 0 && (lost || (last_step && other_service));
   const auto step_now = step >= 0 ? std::optional(step) : std::nullopt;
-  if (other_service) scene_cuts.known.reset();
+  incarnation = incarnation_now;
+  filled = !step_now || filled_now;
   // A rebalance changes the epoch alone.
-  if (known_before && (step_now != last_step || epoch_now != epoch || other_service)) {
+  if (known_before && (step_now != last_step || epoch_now != epoch || !filled)) {
     places.forget();
     up_to_date = false;
   }
-  if (lost) return {};
   n = count;
   weights = has_weights;
   epoch = epoch_now;
@@ -65,14 +68,9 @@ Status MemberScene::State::take_seat(const Retry& retry) {
 Status MemberScene::State::open() {
   Retry retry(options.deadline_seconds);
   const auto mend = [&](const Status& status) {
-    // Not found: another member, which has created the scene and so knows its options, will create it again. Busy: the
-    // service may not have noticed yet that the connection which holds the seat was lost: our previous one, or that of
-    // a process in whose place this one was started.
-    const bool scene_lost = status.code() == Code::not_found && session().restarted();
-    const bool taken = status.code() == Code::busy;
-    const std::string what =
-        scene_lost ? fmt::format("scene '{}', which was lost, to be made anew", name) : status.message();
-    return session().outlive() && (scene_lost || taken) && session().wait(retry, status, what).ok();
+    // The service may not have noticed yet that the connection which holds the seat was lost: our previous one, or that
+    // of a process in whose place this one was started.
+    return session().outlive() && status.code() == Code::busy && session().wait(retry, status, status.message()).ok();
   };
   return session().retry_until_deadline(
       retry, [&] { return take_seat(retry); }, mend);
@@ -81,10 +79,9 @@ Status MemberScene::State::open() {
 void MemberScene::State::forget_if_replaced() {
   const std::uint64_t now = client->run_of(name);
   if (std::exchange(run, now) == now) return;
-  known = client->known(name);
-  if (known.options.is_object()) dims = known.options.value("dims", dims);
+  dims = client->known(name).dims.value_or(dims);
   n = epoch = 0;
-  weights = lost = up_to_date = false;
+  weights = up_to_date = false;
   last_step.reset();
   scene_cuts.known.reset();
   unanswered = {};
@@ -124,7 +121,6 @@ std::uint64_t MemberScene::State::content_of(const Positions& positions, std::sp
 
 Result<bool> MemberScene::State::needs_unanswered(const Retry& retry) {
   if (Status status = take_seat(retry); !status) return status;
-  if (lost) return false;
   const auto json = described(session(), {{"command", "scene.show"}, {"scene", name}}, retry);
   if (!json) return json.status();
   wire::FieldReader fields(*json);
@@ -180,25 +176,20 @@ Result<MemberScene> MemberScene::open(Client& client, const std::string& name, c
   return MemberScene(std::move(state));
 }
 
-std::optional<std::int64_t> MemberScene::State::open_step(const Retry& retry) {
-  const auto shown = session().call_once({{"command", "scene.show"}, {"scene", name}}, retry);
-  const auto json = shown ? shown->json() : Result<wire::Json>(shown.status());
-  if (!json || !json->contains("open_step") || !json->at("open_step").is_number_integer()) return std::nullopt;
-  return json->at("open_step").get<std::int64_t>();
-}
-
 Result<MemberStep> MemberScene::State::try_step(const Positions& positions, std::span<const std::int64_t> ids,
                                                 std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   pushing_directly = pushing_few = false;
   if (Status status = take_seat(retry); !status) return status;
-  const bool lacks_weights = lost && weights && with.weights.empty() && positions.count > 0;
   const bool tried_before = unanswered.begin(step);
   auto counted = count(positions, ids, step, with, retry);
-  const bool by_count = counted.ok() && counted->has_value();
-  const auto answer = !counted.ok()   ? Result<Frame>(counted.status())
-                      : by_count      ? Result<Frame>(std::move(**counted))
-                      : lacks_weights ? ask_for_answer(step, with, retry)
-                                      : push(positions, ids, step, with, retry);
+  const auto pushes = [&]() -> Result<Frame> {
+    if (!filled && step == last_step) return ask_for_answer(step, with, retry);
+    if (Status status = filled ? Status() : refill(positions, ids, with, retry); !status) return status;
+    return push(positions, ids, step, with, retry);
+  };
+  const auto answer = !counted.ok()          ? Result<Frame>(counted.status())
+                      : counted->has_value() ? Result<Frame>(std::move(**counted))
+                                             : pushes();
   if (!answer) {
     unanswered.failed(answer.status().code(), tried_before);
     return answer.status();
@@ -232,7 +223,6 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
   const bool first = !state_->last_step;
   state_->send_all = false;
   state_->counting.begin_others();
-  const bool counts_from_zero = first && !options.step && !unanswered;
   Session& session = state_->session();
   const auto once = [&] { return state_->try_step(positions, ids, *step, options, retry); };
   const auto mend = [&](const Status& status) {
@@ -242,12 +232,6 @@ Result<MemberStep> MemberScene::step(const Positions& positions, std::span<const
       return true;
     }
     if (state_->pushing_few && !state_->send_all && status.code() == Code::base_lost) return state_->send_all = true;
-    if (counts_from_zero && status.code() == Code::invalid_argument) {
-      const std::optional<std::int64_t> open = state_->open_step(retry);
-      if (!open || *open <= *step) return false;
-      step = open;
-      return true;
-    }
     if (status.code() != Code::aborted) return false;
     // This member or another lost its connection. That one reconnects, and all members push again.
     const bool data_lost = session.data_lost();

@@ -1,5 +1,6 @@
 // The answer to a member's push: the report, what leaves by the new cuts, and the places of the member's particles.
 #include <algorithm>
+#include <numeric>
 
 #include "client/lib/member/member_state.hpp"
 #include "client/lib/scene/step_report.hpp"
@@ -16,27 +17,22 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, const Positions
   auto report = read_report(*found);
   if (!report) return report.status();
   const auto repeated = wire::bool_field(*json, "repeated");
-  const bool still_lost = lost && repeated && *repeated;  // it is one that was kept by the service before the restart
-  if (uses_cuts(with)) {
+  // The service was started again since the step: it tells no changes.
+  const bool all_changed = with.want_changes && repeated && *repeated && !answer.array<std::int64_t>("changed_id");
+  if (uses_cuts(with) || all_changed) {
     auto after = scene_cuts.after_step(answer, *json, session(), name, retry);
     if (!after) return parts_unknown(step, after.status());
     scene_cuts.known = std::move(*after);
-  } else if (lost && !still_lost) {
-    scene_cuts.known.reset();
   }
   unanswered.answered();
   counting.committed(step);
-  const bool epoch_follows = !last_step || lost || report->epoch == epoch + (report->repartitioned ? 1U : 0U);
-  if (!epoch_follows) refresh_options(session(), name, known, retry);
-  if (report->parts > 0) known.options["parts"] = report->parts;
   epoch = report->epoch;
   last_step = std::max(step, last_step.value_or(step));
   up_to_date = true;
   weights = weights || !with.weights.empty();
-  lost = still_lost;
   MemberStep result;
   result.report = std::move(*report);
-  if (with.want_changes) {
+  if (with.want_changes && !all_changed) {
     const auto id = answer.array<std::int64_t>("changed_id");
     const auto part = answer.array<std::int32_t>("changed_part");
     if (!id || !part || id->size() != part->size())
@@ -47,11 +43,19 @@ Result<MemberStep> MemberScene::State::read(const Frame& answer, const Positions
   if (const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count; inserted > 0) {
     result.inserted_ids.assign(with.inserted->ids.begin(), with.inserted->ids.end());
     const auto id = answer.array<std::int64_t>("inserted_id");
+    if (const auto first = wire::integer_field_or(*json, "first_id", 0, kLarge, -1); first && *first >= 0) {
+      result.inserted_ids.resize(inserted);
+      std::iota(result.inserted_ids.begin(), result.inserted_ids.end(), *first);
+    }
     if (id && id->size() == inserted) result.inserted_ids.assign(id->begin(), id->end());
     if (result.inserted_ids.size() != inserted) return odd_member_answer("not the ids of what was inserted");
   }
-  if (!options.follow && !with.want_parts) return result;
+  if (!options.follow && !with.want_parts && !all_changed) return result;
   if (Status status = classify(positions, ids, with, result); !status) return parts_unknown(step, status);
+  for (std::size_t row = 0; all_changed && row < ids.size(); ++row)
+    result.changes.push_back({ids[row], result.parts[row]});
+  std::ranges::sort(result.changes, {}, &MemberChange::id);
+  if (!with.want_parts) result.parts.clear();
   if (!options.follow) return result;
   std::vector<std::int64_t> left(with.removed.begin(), with.removed.end());
   for (const LeavingRow& one : result.leaving)
@@ -85,7 +89,6 @@ Status MemberScene::State::classify(const Positions& positions, std::span<const 
     if (row >= ids.size() || !std::binary_search(removed.begin(), removed.end(), ids[row]))
       result.leaving.push_back({row, to});
   }
-  if (!with.want_parts) result.parts.clear();
   return {};
 }
 

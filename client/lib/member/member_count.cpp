@@ -20,7 +20,7 @@ std::string fault_frame(std::uint64_t request, wire::Json json, const Status& fa
 
 bool MemberScene::State::can_count(const MemberStepOptions& with) const {
   const bool edits = !with.removed.empty() || (with.inserted != nullptr && with.inserted->positions.count > 0);
-  return when_needed && last_step && !lost && !edits && !with.want_changes && (!weights || !with.weights.empty());
+  return when_needed && last_step && filled && !edits && !with.want_changes && (!weights || !with.weights.empty());
 }
 
 Result<std::optional<Frame>> MemberScene::State::count(const Positions& positions, std::span<const std::int64_t> ids,

@@ -94,7 +94,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   pushing_directly = rows != nullptr;
   // Only a push of all particles by ids tells their places, which the direct path needs, and tells the service whose a
   // change of parts is.
-  send_all = send_all || (!pushing_directly && (*direct || with.want_changes));
+  send_all = send_all || !filled || (!pushing_directly && (*direct || with.want_changes));
   const auto moved = moved_rows(with);
   pushing_few = moved.has_value();
   const std::size_t inserted = with.inserted == nullptr ? 0 : with.inserted->positions.count;
@@ -108,7 +108,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"order", "id"},
                    {"plan", nullptr},
                    {"dtype", single ? "<f4" : "<f8"},
-                   {"weights", !with.weights.empty() || (lost && weights && positions.count == 0)},
+                   {"weights", !with.weights.empty() || (!moved && weights && positions.count == 0)},
                    {"ids", !pushing_directly && !pushing_few},
                    {"changes", with.want_changes},
                    {"places", *direct},
@@ -120,6 +120,7 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
                    {"inserted_ids", inserted > 0 && !with.inserted->ids.empty()},
                    {"removed", with.removed.size()},
                    {"deadline_seconds", retry.seconds_left()}};
+  if (!filled) begin["refill"] = true;
   if (with.step_seconds) begin["step_seconds"] = *with.step_seconds;
   if (uses_cuts(with)) begin["cuts_known"] = scene_cuts.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name);
@@ -137,6 +138,23 @@ Result<Frame> MemberScene::State::push(const Positions& positions, std::span<con
   return session().exchange(request, source, what, deadline);
 }
 
+Status MemberScene::State::refill(const Positions& positions, std::span<const std::int64_t> ids,
+                                  const MemberStepOptions& with, const Retry& retry) {
+  if (weights && with.weights.empty() && positions.count > 0)
+    return {Code::base_lost,
+            fmt::format("the service at {} was started again, and its ranks hold no particles of scene '{}', which has "
+                        "weights",
+                        session().endpoint(), name),
+            "push this step with weights; the other members are told the same"};
+  MemberStepOptions all;
+  all.weights = with.weights;
+  const auto answer = push(positions, ids, *last_step, all, retry);
+  if (!answer && answer.status().code() != Code::stale_step) return answer.status();  // stale: others were quicker
+  filled = true;
+  up_to_date = false;
+  return {};
+}
+
 Result<Frame> MemberScene::State::ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry) {
   wire::Json begin{{"command", "push.begin"},
                    {"scene", name},
@@ -146,16 +164,9 @@ Result<Frame> MemberScene::State::ask_for_answer(std::int64_t step, const Member
                    {"n", 0},
                    {"slices", 0},
                    {"order", "id"},
-                   {"ids", true},
-                   {"moved", "none"},
-                   {"changes", with.want_changes}};
+                   {"moved", "none"}};
   if (uses_cuts(with)) begin["cuts_known"] = scene_cuts.known_json();
-  auto answer = session().call_once(std::move(begin), retry);
-  if (answer || !session().connected()) return answer;
-  return Status(Code::base_lost,
-                fmt::format("the service at {} was started again and has lost scene '{}', which had weights",
-                            session().endpoint(), name),
-                "push this step with weights; the other members are told the same");
+  return session().call_once(std::move(begin), retry);
 }
 
 }  // namespace rcb::client

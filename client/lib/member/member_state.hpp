@@ -13,8 +13,8 @@
 #include "client/lib/member.hpp"
 #include "client/lib/member/member_places.hpp"
 #include "client/lib/scene/changes.hpp"
+#include "client/lib/scene/client_state.hpp"
 #include "client/lib/scene/count_step.hpp"
-#include "client/lib/scene/lost_scene.hpp"
 #include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/shared_arrays.hpp"
 #include "client/lib/session/unanswered.hpp"
@@ -29,11 +29,7 @@ inline Status odd_member_answer(const std::string& why) {
 
 struct MemberScene::State {
   State(std::shared_ptr<Client::State> of, std::string scene, const MemberOptions& terms)
-      : client(std::move(of)),
-        name(std::move(scene)),
-        options(terms),
-        known(client->known(name)),
-        run(client->run_of(name)) {
+      : client(std::move(of)), name(std::move(scene)), options(terms), run(client->run_of(name)) {
     client->seats.insert(name);
   }
 
@@ -59,8 +55,6 @@ struct MemberScene::State {
   Status check(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& step) const;
   // Whether to push directly to the ranks. All members decide alike, unless their Path options differ.
   Result<bool> wants_direct(const Deadline& deadline) const;
-  // Which step the other members are pushing, if they are.
-  std::optional<std::int64_t> open_step(const Retry& retry);
   // One attempt to push a step.
   Result<MemberStep> try_step(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                               const MemberStepOptions& with, const Retry& retry);
@@ -72,8 +66,10 @@ struct MemberScene::State {
                                      const MemberStepOptions& with, const Retry& retry);
   Result<Frame> push(const Positions& positions, std::span<const std::int64_t> ids, std::int64_t step,
                      const MemberStepOptions& with, const Retry& retry);
-  // Asks for the answer to a step that was committed before the service was lost, when the member can't push that step
-  // again. Errors: base_lost, if there is none.
+  // Brings ranks that hold none this member's particles, as the other members do. Errors: base_lost (no weights).
+  Status refill(const Positions& positions, std::span<const std::int64_t> ids, const MemberStepOptions& with,
+                const Retry& retry);
+  // Of a step that the service has committed, as it says. It is answered by the report alone.
   Result<Frame> ask_for_answer(std::int64_t step, const MemberStepOptions& with, const Retry& retry);
   // Whether few positions would be copied for nothing if the ranks on this machine read them from shared memory. rows:
   // by rank, of all particles, here and below.
@@ -103,7 +99,6 @@ struct MemberScene::State {
   std::shared_ptr<Client::State> client;
   std::string name;
   MemberOptions options;
-  KnownScene known;
   std::uint64_t run;             // Client::State::runs
   std::uint64_t connection = 0;  // the one that holds the seat
   std::uint64_t seat = 0;        // generation of the seat; 0: never had it
@@ -111,13 +106,13 @@ struct MemberScene::State {
   int dims = 3;
   std::uint64_t n = 0;  // particles of the scene; 0: not known yet
   bool weights = false;
-  bool lost = false;  // the service was restarted, and the scene has no positions yet
+  std::string incarnation;
+  bool filled = true;  // the ranks hold the scene's particles, if it has any
   std::optional<std::int64_t> last_step;
   UnansweredStep unanswered;
   std::uint64_t epoch = 0;  // after last_step
   SceneCuts scene_cuts;
   bool when_needed = false;  // positions travel when needed
-  std::string incarnation;   // of the scene
   CountStep counting;
   // Whether this object was told of the last step and of the cuts. If not, it can't name a step as the base of its
   // push, and brings all its particles.

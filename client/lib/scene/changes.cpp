@@ -104,7 +104,7 @@ Status check_insertion(const std::string& scene, const Insertion& in, const Posi
 
 Status Scene::State::check_edits(const StepRequest& ask) const {
   if (!ask.edits()) return {};
-  if (!has_particles())
+  if (!pushed_)
     return wrong("insertions or removals, and the scene has no particles yet", "push a first step with all of them");
   if (ask.options.removed.size() > count_)
     return wrong(fmt::format("{} particles to remove, the scene has {}", ask.options.removed.size(), count_), "");

@@ -4,7 +4,7 @@
 
 #include <fmt/format.h>
 
-#include "client/lib/scene/lost_scene.hpp"
+#include "client/lib/scene/client_state.hpp"
 #include "common/wire/limits.hpp"
 
 namespace rcb::client {
@@ -17,6 +17,11 @@ std::span<const T> elements(const Array& array) {
 }
 
 }  // namespace
+
+Result<wire::Json> described(Session& session, wire::Json request, const Retry& retry) {
+  const auto answer = session.call_once(std::move(request), retry);
+  return answer ? answer->json() : answer.status();
+}
 
 std::span<const double> Array::f8() const { return elements<double>(*this); }
 std::span<const std::int64_t> Array::i8() const { return elements<std::int64_t>(*this); }
@@ -62,10 +67,9 @@ Status Client::create_scene(const std::string& name, const SceneOptions& options
     request["part_sizes"] = wire::Json::array();
     for (const double size : options.part_sizes) request["part_sizes"].push_back(wire::number_json(size));
   }
-  wire::Json known = scene_options(request);
   if (const auto made = state_->session->call(std::move(request), wire::kDeadlineSecondsDefault); !made)
     return made.status();
-  state_->begin_run(name, std::move(known), options.threads);
+  state_->begin_run(name, KnownScene{options.dims, options.threads});
   return {};
 }
 
@@ -73,11 +77,7 @@ Status Client::drop_scene(const std::string& name) {
   if (Status status = wire::check_scene_name(name); !status) return status;
   const auto dropped =
       state_->session->call({{"command", "scene.drop"}, {"scene", name}}, wire::kDeadlineSecondsDefault);
-  const Code code = dropped.status().code();
-  if (dropped)
-    state_->begin_run(name, {});
-  else if (code == Code::unavailable || code == Code::deadline_exceeded || code == Code::interrupted)
-    state_->created.erase(name);  // it may be dropped: then it isn't to be made anew
+  if (dropped) state_->begin_run(name, {});
   return dropped.status();
 }
 
@@ -98,7 +98,8 @@ Result<Reply> Client::call(const std::string& command, const std::string& argume
   auto frame = state_->session->call(std::move(*request), deadline_seconds);
   if (!frame) return frame.status();
   if (const auto scene = wire::string_field(begun, "scene", 256); scene)
-    state_->begin_run(*scene, command == "scene.create" ? scene_options(begun) : wire::Json());
+    state_->begin_run(*scene,
+                      command == "scene.create" ? std::optional(KnownScene{begun.value("dims", 3)}) : std::nullopt);
   Reply reply{std::move(frame->text), {}};
   reply.arrays.reserve(frame->arrays.size());
   for (wire::Array& array : frame->arrays)

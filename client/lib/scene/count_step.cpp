@@ -117,7 +117,7 @@ Result<std::optional<Frame>> Scene::State::step_by_count(const StepRequest& ask,
   static constexpr int kTriesMax = 8;  // others may change the cuts, again and again
   const std::optional<Frame> send;
   const bool still = ask.moved == StepRequest::Moved::none && !ask.edits();
-  if (!pushed_ || lost_ || !(still ? when_needed_ : can_count(ask))) return send;
+  if (!pushed_ || !(still ? when_needed_ : can_count(ask))) return send;
   if (still && !(cuts_.known && counted_.holds(last_step_, *cuts_.known))) return send;
   if (still) counted_.nothing_moved();
   if (!cuts_.known) {

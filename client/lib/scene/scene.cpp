@@ -66,8 +66,8 @@ void Scene::State::forget_if_replaced() {
   if (std::exchange(run_, run) == run) return;
   replaced_ = true;
   scene_ = client_->known(name_);
-  if (scene_.options.is_object()) dims_ = scene_.options.value("dims", dims_);
-  pushed_ = lost_ = has_ids_ = has_weights_ = false;
+  dims_ = scene_.dims.value_or(dims_);
+  pushed_ = has_ids_ = has_weights_ = false;
   count_ = epoch_ = 0;
   last_step_.reset();
   unanswered_ = {};
@@ -126,6 +126,11 @@ Result<Scene::State::Description> Scene::State::read_description(const wire::Jso
   if (fields.has("step")) found.step = fields.integer("step", 0, wire::kStepMax);
   found.ids = fields.flag("ids");
   found.weights = fields.flag("weights");
+  if (fields.has("filled")) found.filled = fields.flag("filled");
+  if (json.contains("positions_step"))
+    found.older =
+        found.step != (fields.has("positions_step") ? std::optional(fields.integer("positions_step", 0, wire::kStepMax))
+                                                    : std::nullopt);
   found.when_needed = fields.text_or("positions", 16, "every-step") == "when-needed";
   found.incarnation = fields.text_or("incarnation", 16, "");
   if (!fields.ok()) return odd_answer("scene.open", fields.status().message());
@@ -134,24 +139,31 @@ Result<Scene::State::Description> Scene::State::read_description(const wire::Jso
 
 Status Scene::State::hold(const Retry& retry) {
   if (held()) return {};
-  const std::string service_before = scene_.instance;
-  const auto json = open_or_make_anew(session(), {{"scene", name_}}, scene_, retry);
+  const auto json = described(session(), {{"command", "scene.open"}, {"scene", name_}}, retry);
   const std::string lost = fmt::format("the connection to {} was lost, and now", session().endpoint());
   const std::string advice = "create the scene and push it from its first step";
-  if (json.status().code() == Code::not_found && has_particles())
+  if (json.status().code() == Code::not_found && pushed_)
     return {Code::not_found, fmt::format("{} it has no scene '{}'", lost, name_), advice};
   if (!json) return json.status();
   const auto found = read_description(*json);
   if (!found) return found.status();
+  const bool same = found->incarnation == incarnation_;
+  if (pushed_ && !(same && found->step && (found->count == count_ || found->count == count_if_committed_)))
+    return {Code::not_found,
+            !same         ? fmt::format("{} scene '{}' is another one, made anew", lost, name_)
+            : found->step ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, found->count, count_)
+                          : fmt::format("{} scene '{}' is empty", lost, name_),
+            advice};
   generation_ = session().generation();
   replaced_ = false;
-  scene_.options = scene_options(*json);
   parts_count_ = found->parts;
   dims_ = found->dims;
   when_needed_ = found->when_needed;
   incarnation_ = found->incarnation;
+  filled_ = found->filled;
+  older_ = found->older;
   if (when_needed_) cuts_.wanted = true;
-  if (!has_particles()) {
+  if (!pushed_) {
     count_ = found->count;
     epoch_ = found->epoch;
     pushed_ = found->step.has_value();
@@ -160,26 +172,11 @@ Status Scene::State::hold(const Retry& retry) {
     has_weights_ = found->weights;
     return {};
   }
-  const bool other_service = scene_.instance != service_before;
-  if (other_service) plan_.reset();
-  if (!found->step && (lost_ || (session().outlive() && other_service))) {
-    lose();
-    return {};
-  }
   // Counts a step whose answer was lost, too.
-  if (found->step && (found->count == count_ || found->count == count_if_committed_)) {
-    pushed_ = true;
-    lost_ = false;
-    missed_ = missed_ || found->step != last_step_;
-    base_unknown_ = base_unknown_ || (found->step != last_step_ && found->step != unanswered_.number());
-    last_step_ = found->step;
-    return {};
-  }
-  generation_ = 0;  // so that the next step asks again
-  return {Code::not_found,
-          found->step ? fmt::format("{} scene '{}' holds {} particles, not {}", lost, name_, found->count, count_)
-                      : fmt::format("{} scene '{}' is empty", lost, name_),
-          advice};
+  missed_ = missed_ || found->step != last_step_;
+  base_unknown_ = base_unknown_ || (found->step != last_step_ && found->step != unanswered_.number());
+  last_step_ = found->step;
+  return {};
 }
 
 Result<Frame> Scene::State::ask_plan(const Retry& retry) const {

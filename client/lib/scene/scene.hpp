@@ -1,5 +1,5 @@
-// Room `scene`: a single client's scene: its steps and their answers, its history, and how it is made anew if the
-// service lost it. The public classes are in client/lib/client.hpp.
+// Room `scene`: a single client's scene: its steps and their answers, and its history. The public classes are in
+// client/lib/client.hpp.
 //
 // What the client knows of a scene that it pushes to.
 //
@@ -7,8 +7,9 @@
 // 1. plan_ (the layout) and parts_ are of the same moment. After a commit both are updated from the changes in the
 //    answer; if the result doesn't match the answer's version or checksum, they are fetched instead.
 // 2. A push that failed changes nothing here.
-// 3. While lost_, the service has the scene without particles, and this client knows which there were: the next push
-//    brings all of them. Ids and weights, which the caller need not give again, are kept for this.
+// 3. While the scene has positions and filled_ is false, the ranks hold none of its particles, since their service was
+//    started again: the next push brings all of them. Ids and weights, which the caller need not give again, are kept
+//    for this.
 #pragma once
 
 #include <cstdint>
@@ -17,8 +18,8 @@
 #include <string>
 #include <vector>
 
+#include "client/lib/scene/client_state.hpp"
 #include "client/lib/scene/count_step.hpp"
-#include "client/lib/scene/lost_scene.hpp"
 #include "client/lib/scene/scene_cuts.hpp"
 #include "client/lib/session/push_source.hpp"
 #include "client/lib/session/session.hpp"
@@ -85,6 +86,8 @@ struct Scene::State {
     std::uint64_t count = 0;
     std::uint64_t epoch = 0;
     std::optional<std::int64_t> step;  // none: the scene has no positions
+    bool filled = true;                // the ranks hold its particles
+    bool older = false;                // at positions that aren't known to be those of the last step
     bool ids = false, weights = false;
     bool when_needed = false;
     std::string incarnation;
@@ -96,24 +99,21 @@ struct Scene::State {
   Status check(const StepRequest& ask) const;
   Status check_positions(const StepRequest& ask) const;
   Status check_edits(const StepRequest& ask) const;
-  bool has_particles() const { return pushed_ || lost_; }
   // Forgets the scene if this client has created another one in its place, or dropped it.
   void forget_if_replaced();
   bool held() const { return !replaced_ && generation_ == session().generation(); }
   // Opens the scene on the current connection, if it isn't open there, and checks that it is still the one pushed to.
   Status hold(const Retry& retry);
-  void lose();
+  bool on_ranks() const { return pushed_ && filled_; }
   // All particles with ids and weights, from what the caller gives and what is kept here. Errors: base_lost, which says
   // what is missing.
   Result<StepRequest> with_all_particles(const StepRequest& ask) const;
-  // Then the scene that is made anew has weights, too, for the particles that come later.
-  bool lost_empty_with_weights() const { return lost_ && has_weights_ && count_ == 0; }
   Status base_lost(const std::string& why) const;
-  // If the caller gives other particles than those lost, forgets the lost ones.
-  void forget_lost_if_replaced(const StepRequest& ask);
-  // Pushes the lost particles again, at their current positions and under the number of the last step: needed before a
-  // step that inserts or removes particles.
-  Status restore(const StepRequest& whole, const Retry& retry);
+  // Brings ranks that hold none all particles, at the positions that this step begins with. Errors: stale_plan, if
+  // another client has done so.
+  Status refill(const StepRequest& ask, const Retry& retry);
+  // Of a step that the service has committed, as it says. It is answered by the report alone.
+  Result<Frame> ask_for_answer(const StepRequest& ask, std::int64_t step, const Retry& retry);
   // A committed step. The parts may not be known yet.
   struct Committed {
     StepResult result;
@@ -167,21 +167,24 @@ struct Scene::State {
     bool counted = false;                            // its rows are, by the cuts after it
     std::optional<Frame> plan;                       // the answer to `plan`, if it was asked for, too
     std::optional<cuts::Cuts> cuts;                  // after the step, if this Scene uses them
-    std::optional<std::vector<std::int32_t>> parts;  // by these, if they are asked for and known here
+    std::optional<std::vector<std::int32_t>> parts;  // by these, if they are asked for and known here; before edits
+    std::vector<std::int32_t> inserted_part;         // by these, of the inserted
   };
   // tried_before: an earlier attempt to push the step may have been committed, so the answer may repeat its report.
   Result<Answer> read_answer(const Frame& frame, std::int64_t step, bool tried_before) const;
   // Adds to the answer what else has to be asked or computed for it.
   Status complete_answer(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer);
+  // The parts of all rows before the edit, and of those inserted.
+  Status parts_by_cuts(const Frame& frame, const StepRequest& ask, const Retry& retry, Answer& answer) const;
   bool uses_cuts(const StepRequest& ask) const { return cuts_.wanted || ask.wants_by_cuts(); }
-  Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask, const Retry& retry);
+  Result<Committed> finish(const Frame& frame, Answer answer, const StepRequest& ask);
   // Fills in parts and changes, and reconnects for it if need be. Errors: the step is committed, but its parts are not
   // known.
   Result<StepResult> complete(const StepRequest& ask, Committed done, Retry& retry);
   Status fetch_plan_of_step(const StepRequest& ask, Retry& retry);
   // By row, after a step.
   std::span<const std::int64_t> ids_of_rows(const StepRequest& ask) const;
-  // The service now has the scene's first positions, or those that replace lost ones.
+  // The service now has the scene's first positions.
   void take_first(const StepRequest& ask);
   void keep_weights(std::span<const double> weights);
   // Rank and slot of the moved particles. Errors: invalid_argument, not_found.
@@ -213,8 +216,9 @@ struct Scene::State {
   std::uint64_t generation_ = 0;  // of the connection on which the scene is open
   int dims_ = 3;
   int parts_count_ = 1;
-  bool pushed_ = false;   // the service has positions of the scene
-  bool lost_ = false;     // the service had positions and lost them
+  bool pushed_ = false;   // the scene has positions
+  bool filled_ = true;    // if so: the ranks hold its particles
+  bool older_ = false;    // perhaps at older positions than those of the last step
   bool has_ids_ = false;  // ids given by a solver
   bool has_weights_ = false;
   std::uint64_t count_ = 0;
@@ -237,8 +241,7 @@ struct Scene::State {
   bool told_ = false;                     // parts were told: changes are relative to them
   bool missed_ = false;                   // a step was committed whose answer this Scene hasn't seen
   bool base_unknown_ = false;             // if missed_: that step may have changed positions that the caller builds on
-  std::vector<double> weights_;           // by row; kept to restore a lost scene, and to count
-  bool restored_ = false;                 // by restore(), in the current step
+  std::vector<double> weights_;           // by row; kept to bring them again, and to count
   bool first_ = false;                    // the current step is this scene's first
 };
 

@@ -30,7 +30,7 @@ Status Scene::State::check_positions(const StepRequest& ask) const {
   if (positions.count > static_cast<std::uint64_t>(wire::kParticlesMax))
     return wrong(fmt::format("{} particles", positions.count),
                  fmt::format("at most {} are taken", wire::kParticlesMax));
-  if (has_particles() && ask.whole() && positions.count != count_)
+  if (pushed_ && ask.whole() && positions.count != count_)
     return wrong(fmt::format("{} particles, the scene has {}", positions.count, count_),
                  "push all particles of the scene, with those to insert or remove beside them, or create it anew with "
                  "replace");
@@ -51,7 +51,7 @@ Status Scene::State::check(const StepRequest& ask) const {
   if (!options.weights.empty() && options.weights.size() != positions.count)
     return wrong(fmt::format("{} weights for {} particles", options.weights.size(), positions.count),
                  "give one weight a particle, or none");
-  if (has_particles() && !options.weights.empty() && !has_weights_)
+  if (pushed_ && !options.weights.empty() && !has_weights_)
     return wrong("weights, and the scene has none", "weights must be there from the first push on");
   if (!rows_assumed_ && (began_ || answered_ || !ids_.empty()) && ask.whole() && !options.ids.empty())
     for (std::size_t row = 0; row < options.ids.size(); ++row)
@@ -61,7 +61,7 @@ Status Scene::State::check(const StepRequest& ask) const {
                      "ids belong to rows, which insertions and removals alone change; leave them out after the first "
                      "push");
   const bool rows_unknown = ids_.empty() || rows_assumed_;
-  if (has_particles() && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
+  if (pushed_ && has_ids_ && rows_unknown && options.ids.empty() && count_ > 0 && ask.whole())
     return wrong("the scene has ids of its own, and the push gives none",
                  "say whose positions these are: a column \"id\" in a file, StepOptions::ids in a program");
   if (Status status = check_terms(name_, options.step, options.step_seconds, options.deadline_seconds, options.threads);
@@ -71,7 +71,7 @@ Status Scene::State::check(const StepRequest& ask) const {
 }
 
 Status Scene::State::ready(std::uint64_t count, std::span<const std::int64_t> ids, const Retry& retry, bool with_plan) {
-  if (!pushed_) {
+  if (!on_ranks()) {
     plan_.reset();
     if (with_plan) plan_ = layout::Layout::blocks(count, session().ranks(), ids);
     return {};
@@ -93,7 +93,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
   const Positions& positions = ask.positions;
   const StepOptions& options = ask.options;
   const bool all = ask.moved == StepRequest::Moved::all;
-  const bool send_ids = !pushed_ && !options.ids.empty();
+  const bool send_ids = !on_ranks() && !options.ids.empty();
   Selection few;
   if (ask.moved == StepRequest::Moved::rows || ask.moved == StepRequest::Moved::ids) {
     auto selected = select(ask);
@@ -116,7 +116,7 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                              : some ? "some"
                                     : "none"},
                    {"dtype", single ? "<f4" : "<f8"},
-                   {"weights", !options.weights.empty() || lost_empty_with_weights()},
+                   {"weights", !options.weights.empty() || (pushed_ && !filled_ && has_weights_)},
                    {"ids", send_ids},
                    {"changes", plan_.has_value()},
                    {"inserted", ask.inserted()},
@@ -124,7 +124,8 @@ Result<Frame> Scene::State::push(const StepRequest& ask, std::int64_t step, std:
                    {"inserted_ids", ask.inserted() > 0 && !options.inserted->ids.empty()},
                    {"deadline_seconds", retry.seconds_left()}};
   if (options.step_seconds) begin["step_seconds"] = *options.step_seconds;
-  if (pushed_ && counted_.drifted()) begin["drifted"] = *counted_.drifted();
+  if (pushed_ && !filled_) begin["refill"] = true;
+  if (on_ranks() && counted_.drifted()) begin["drifted"] = *counted_.drifted();
   if (uses_cuts(ask)) begin["cuts_known"] = cuts_.known_json();
   const std::string what = fmt::format("push of step {} to scene '{}'", step, name_);
   if (shared_) return push_shared(std::move(begin), ask, what, retry.deadline());
@@ -157,14 +158,14 @@ bool Scene::State::by_shared_memory(const StepRequest& ask, const Retry& retry) 
     const std::size_t apart = session().ranks_apart().size();
     const bool large = ask.positions.count * static_cast<std::size_t>(dims_) * sizeof(double) >= kDirectBytesMin;
     const bool few_copies = arrays_.gave(ask.positions) || 2 * apart <= static_cast<std::size_t>(session().ranks());
-    return apart == 0 || (pushed_ && (path == Path::shared || (large && few_copies)));
+    return apart == 0 || (on_ranks() && (path == Path::shared || (large && few_copies)));
   };
   // Where the connections to the ranks are opened it may turn out that more of them are apart.
   return worth_while() && session().can_share(retry.deadline()) && worth_while();
 }
 
 bool Scene::State::rows_are_ids(const StepRequest& ask) const {
-  if (!pushed_) return true;
+  if (!on_ranks()) return true;
   if (has_ids_) return false;
   std::int64_t row = 0;
   const auto ids = ids_by_row(ask.options.ids);
@@ -174,7 +175,7 @@ bool Scene::State::rows_are_ids(const StepRequest& ask) const {
 Result<Frame> Scene::State::push_shared(wire::Json begin, const StepRequest& ask, const std::string& what,
                                         const Deadline& deadline) {
   SharedArrays::Values values{.positions = ask.positions, .weights = ask.options.weights};
-  if (!pushed_) values.ids = ask.options.ids;
+  if (!on_ranks()) values.ids = ask.options.ids;
   RankRows rows;
   if (!by_id_) {
     rows = all_rows(*plan_);
@@ -220,10 +221,9 @@ Result<Frame> Scene::State::send(wire::Json begin, const RankRows& rows, std::ve
 
 Result<StepResult> Scene::State::step(StepRequest ask) {
   forget_if_replaced();
-  forget_lost_if_replaced(ask);
   // If the scene has no particles, those pushed are sent as insertions.
   Insertion all;
-  if (pushed_ && !lost_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
+  if (pushed_ && count_ == 0 && ask.whole() && ask.positions.count > 0 && !ask.edits()) {
     all = {ask.positions, ask.options.ids, ask.options.weights};
     ask.positions = Positions{.dims = all.positions.dims};
     ask.options.ids = {};
@@ -246,7 +246,7 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   if (!fits) return fits;
   if (!again && !options.step && last_step_ && *last_step_ == wire::kStepMax)
     return Status(Code::invalid_argument, "there is no step number left");
-  if (!has_particles() && !ask.whole())
+  if (!pushed_ && !ask.whole())
     return Status(Code::base_lost, fmt::format("push to scene '{}': it has no positions yet", name_),
                   "push all positions with step()");
   if (!again && options.step && last_step_ && *options.step <= *last_step_)
@@ -259,9 +259,8 @@ Result<StepResult> Scene::State::step(StepRequest ask) {
   // Which positions the others had before, only a Scene knows that has heard of a step.
   if (!base || (!answered_ && ask.moved == StepRequest::Moved::rows)) ask.moved = StepRequest::Moved::all;
   count_if_committed_ = count_ + ask.inserted() - options.removed.size();
-  restored_ = false;
   if (!again && (ask.moved != StepRequest::Moved::none || ask.edits())) counted_.begin();
-  first_ = !has_particles() || (again && first_);
+  first_ = !pushed_ || (again && first_);
   auto result = push_and_complete(ask, step, base, retry);
   if (!result && unanswered_) unanswered_.keep(content_of(original), first_ || ask.edits());
   return result;
@@ -299,13 +298,8 @@ Result<StepResult> Scene::State::push_and_complete(StepRequest& ask, std::int64_
         return false;
     }
   };
-  for (;;) {
-    auto done = session().retry_until_deadline(retry, once, mend);
-    if (!done) return done.status();
-    auto result = complete(ask, std::move(*done), retry);
-    // If the service has lost the scene meanwhile, the step is pushed again. Rows that were edited can't be.
-    if (result || !lost_ || ask.edits()) return result;
-  }
+  auto done = session().retry_until_deadline(retry, once, mend);
+  return done ? complete(ask, std::move(*done), retry) : done.status();
 }
 
 std::uint64_t Scene::State::content_of(const StepRequest& ask) const {
@@ -320,7 +314,6 @@ std::uint64_t Scene::State::content_of(const StepRequest& ask) const {
 
 Result<bool> Scene::State::needs_unanswered(const Retry& retry) {
   if (Status status = hold(retry); !status) return status;
-  if (lost_) return false;
   // The ranks answer this after whatever of the step was still under way.
   const auto step = step_in_force(retry);
   if (!step) return step.status();
@@ -352,13 +345,6 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
                     last_step_.value_or(0), name_),
         "push all positions with step()");
   StepRequest sent = ask;
-  if (lost_) {
-    auto whole = with_all_particles(ask);
-    if (!whole) return whole.status();
-    sent = *whole;
-    if (ask.edits())
-      if (Status status = restore(sent, retry); !status) return status;
-  }
   const bool tried_before = unanswered_.begin(step);
   auto counted = step_by_count(sent, step, retry);
   const bool by_count = counted.ok() && counted->has_value();
@@ -379,12 +365,16 @@ Result<Scene::State::Committed> Scene::State::try_step(const StepRequest& ask, s
     return parts_unknown(step, told);
   unanswered_.answered();
   if (!answer) return answer.status();
-  return finish(*frame, std::move(*answer), sent, retry);
+  return finish(*frame, std::move(*answer), sent);
 }
 
 Result<Frame> Scene::State::step_by_push(StepRequest& ask, std::int64_t step, std::optional<std::int64_t> base,
                                          const Retry& retry) {
-  if (when_needed_ && pushed_ && ask.whole()) {  // those that the ranks hold may be older
+  if (pushed_ && !filled_) {
+    if (step == last_step_) return ask_for_answer(ask, step, retry);
+    if (Status status = refill(ask, retry); !status) return status;
+  }
+  if ((when_needed_ || older_) && pushed_ && ask.whole()) {  // those that the ranks hold may be older
     ask.moved = StepRequest::Moved::all;
     if (has_weights_ && ask.options.weights.empty() && weights_.size() == count_) ask.options.weights = weights_;
   }

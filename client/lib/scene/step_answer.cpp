@@ -1,6 +1,7 @@
 // Scene::step after the commit: updates layout and parts, and collects the changes for the caller.
 #include <algorithm>
 #include <limits>
+#include <numeric>
 
 #include <fmt/format.h>
 
@@ -37,13 +38,12 @@ void add_inserted(StepResult& result, std::span<const std::int32_t> parts) {
 
 void Scene::State::take_first(const StepRequest& ask) {
   const StepOptions& options = ask.options;
-  has_weights_ = !options.weights.empty() || lost_empty_with_weights();
+  has_weights_ = !options.weights.empty();
   has_ids_ = !options.ids.empty();
   if (options.ids.empty() || options.ids.data() != ids_.data()) ids_.assign(options.ids.begin(), options.ids.end());
   rows_assumed_ = false;
   count_ = ask.positions.count;
   pushed_ = began_ = true;
-  lost_ = false;
 }
 
 Result<Scene::State::Answer> Scene::State::read_answer(const Frame& frame, std::int64_t step, bool tried_before) const {
@@ -90,36 +90,52 @@ Status Scene::State::complete_answer(const Frame& frame, const StepRequest& ask,
     return answer.cuts->owner(ask.positions, options, *answer.parts);
   }
   if (!ask.wants() || answer.parts || (answer.follows && plan_)) return {};
+  if (ask.whole()) return parts_by_cuts(frame, ask, retry, answer);
   auto told = ask_plan(retry);
   if (told) answer.plan = std::move(*told);
   return told.status();
 }
 
+Status Scene::State::parts_by_cuts(const Frame& frame, const StepRequest& ask, const Retry& retry,
+                                   Answer& answer) const {
+  auto after = cuts_.after_step(frame, answer.json, session(), name_, retry);
+  if (!after) return after.status();
+  const int threads = std::max(ask.options.threads, scene_.threads);
+  answer.parts.emplace(ask.positions.count);
+  if (Status status =
+          after->owner(ask.positions, {.ids = ids_by_row(ask.options.ids), .threads = threads}, *answer.parts);
+      !status || ask.inserted() == 0)
+    return status;
+  const Insertion& in = *ask.options.inserted;
+  std::vector<std::int64_t> ids(in.ids.begin(), in.ids.end());
+  if (ids.empty()) ids.resize(ask.inserted());
+  if (in.ids.empty()) std::iota(ids.begin(), ids.end(), answer.report.first_id.value_or(0));
+  answer.inserted_part.resize(ask.inserted());
+  return after->owner(in.positions, {.ids = ids, .threads = threads}, answer.inserted_part);
+}
+
 // The step is committed: an error here doesn't undo it.
-Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer answer, const StepRequest& ask,
-                                                     const Retry& retry) {
+Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer answer, const StepRequest& ask) {
   const StepOptions& options = ask.options;
   StepReport& report = answer.report;
   // If the answer to the first push was lost, the scene is found with its particles; which rows they are is known here
   // alone.
   if (answer.first || (first_ && answer.repeated)) take_first(ask);
   if (!options.weights.empty()) keep_weights(options.weights);
-  if (restored_) mark_recreated(report);
   last_step_ = std::max(report.step, last_step_.value_or(report.step));
   missed_ = base_unknown_ = false;
   answered_ = true;
   epoch_ = report.epoch;
+  older_ = !report.sent;
   Committed done;
-  if (!answer.epoch_follows) refresh_options(session(), name_, scene_, retry);
   parts_count_ = report.parts;
-  scene_.options["parts"] = parts_count_;
   if (answer.cuts) cuts_.known = std::move(answer.cuts);
   if (answer.counted)
     counted_.committed(report.step);
   else
     counted_.forget();
   const bool by_cuts = answer.parts.has_value();
-  if (by_cuts) done.result.changes = differences(parts_told(), *answer.parts);
+  if (by_cuts && !ask.edits()) done.result.changes = differences(parts_told(), *answer.parts);
   if (!report.sent) plan_.reset();  // it is that of an older step; parts_ go on
   const bool asked = ask.wants();
   if (plan_ && !asked && told_ && !known_) known_ = parts_;
@@ -128,17 +144,26 @@ Result<Scene::State::Committed> Scene::State::finish(const Frame& frame, Answer 
     if (!found_rows) return found_rows.status();
     done.edit = std::move(*found_rows);
     if (ids_.empty()) ids_.assign(options.ids.begin(), options.ids.end());
+    if (by_cuts) {
+      if (!known_) known_ = std::move(parts_);
+      parts_ = std::move(*answer.parts);
+    }
     edit_rows(ask, done.edit, report, frame, answer.follows, done.result);
+    if (by_cuts)
+      for (const layout::SlotMove& move : done.edit.moves.moves)
+        if (move.arrival) parts_[move.to] = answer.inserted_part[move.from];
   }
   // Without a layout and where nothing is asked, it is fetched when it is needed.
   std::vector<PartChange> changes;
   if (report.sent && (plan_ || (asked && !by_cuts)))
     done.plan_needed = !answer.follows || !plan_ || !apply(frame, answer.json, answer.first, changes);
   if (done.plan_needed) plan_.reset();
-  if (by_cuts) {
+  if (by_cuts && !ask.edits()) {
     parts_ = std::move(*answer.parts);
     known_.reset();
     told_ = true;
+  }
+  if (by_cuts) {
     done.plan_needed = false;
   } else {
     done.result.changes = std::move(changes);
@@ -158,7 +183,7 @@ std::span<const std::int64_t> Scene::State::ids_of_rows(const StepRequest& ask) 
 Status Scene::State::fetch_plan_of_step(const StepRequest& ask, Retry& retry) {
   return session().retry_until_deadline(retry, [&]() -> Status {
     if (Status status = hold(retry); !status) return status;
-    return lost_ ? base_lost("they are to be pushed again") : fetch_plan(ids_of_rows(ask), retry);
+    return filled_ ? fetch_plan(ids_of_rows(ask), retry) : base_lost("their parts are told after the next step");
   });
 }
 

@@ -42,7 +42,6 @@ Result<StepReport> read_report(const wire::Json& json) {
   reader.count("epoch", report.epoch);
   reader.count("n", report.n);
   reader.count("parts", report.parts);
-  reader.flag("scene_recreated", report.scene_recreated);
   if (json.contains("error_before") && !json["error_before"].is_null())
     reader.number("error_before", report.error_before.emplace(0));
   reader.number("error", report.error);
@@ -87,15 +86,6 @@ Result<StepReport> read_report(const wire::Json& json) {
 Status parts_unknown(std::int64_t step, const Status& why) {
   return {why.code(), fmt::format("step {} is committed, but its parts are not known: {}", step, why.message()),
           why.hint()};
-}
-
-void mark_recreated(StepReport& report) {
-  if (report.scene_recreated) return;
-  report.scene_recreated = true;
-  auto json = wire::parse_json(report.json, wire::kReplyJsonBytesMax);
-  RCB_CHECK(json.ok(), "a report that was written here");
-  (*json)["scene_recreated"] = true;
-  report.json = wire::dump_json(*json);
 }
 
 }  // namespace rcb::client

@@ -12,7 +12,4 @@ Result<StepReport> read_report(const wire::Json& json);
 // The error of a step that is committed, and why more can't be said of it.
 Status parts_unknown(std::int64_t step, const Status& why);
 
-// Sets scene_recreated in a report, also in its JSON: the client knows, not the service, that particles were restored.
-void mark_recreated(StepReport& report);
-
 }  // namespace rcb::client

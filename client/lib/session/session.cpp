@@ -174,7 +174,7 @@ Status Session::connect(const Deadline& deadline) {
       const Status status = connect_to(endpoint, deadline);
       if (status) {
         endpoints_ = {Endpoint(endpoint)};
-        if (generation_++ == 0) first_instance_ = instance_;
+        ++generation_;
         told_goodbye_ = told_caller_of_stop_ = false;
         return {};
       }
@@ -220,7 +220,6 @@ Status Session::connect_to(const Endpoint& endpoint, const Deadline& deadline) {
   const auto ranks = wire::integer_field(*reply, "ranks", 1, 1 << 20);
   if (!ranks) return {Code::protocol_error, fmt::format("answer to hello: {}", ranks.status().message())};
   ranks_ = static_cast<int>(*ranks);
-  instance_ = reply->value("instance", wire::Json()).is_string() ? reply->at("instance").get<std::string>() : "";
   if (const auto token = reply->find("data_token"); endpoint.is_unix && token != reply->end() && token->is_string())
     token_ = token->get<std::string>();  // for ranks on other machines
   if (const auto data = reply->find("data"); data != reply->end() && data->is_array())
@@ -366,23 +365,23 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
     if (Status status = ensure(retry.deadline()); !status) return status;
     return call_once(std::move(request), retry);
   }
-  std::optional<std::string> sent_to;  // instance to which the command was sent; it may have been done there
+  bool sent = false;  // it may have been done
   const bool frees = *command == "scene.create" || *command == "scene.drop";
   // Whoever holds the scene may be a solver whose machine has vanished, which the service notices in a while.
   const auto mend = [&](const Status& status) {
-    sent_to.reset();
+    sent = false;
     return frees && status.code() == Code::busy && options_.outlive &&
            wait(retry, status, fmt::format("'{}' to be possible: {}", *command, status.message())).ok();
   };
   const auto once = [&]() -> Result<Frame> {
-    if (!repeatable(*command) && sent_to == instance_)
+    if (!repeatable(*command) && sent)
       return Status(
           Code::unavailable,
           fmt::format("the connection to {} was lost; whether '{}' was done is not known", endpoint_text_, *command),
           "ask the service, then repeat it if need be");
-    sent_to = instance_;
+    sent = true;
     auto answer = call_once(request, retry);
-    if (!answer && told_goodbye_) sent_to.reset();  // a service that ends has answered whatever it has begun
+    if (!answer && told_goodbye_) sent = false;  // a service that ends has answered whatever it has begun
     return answer;
   };
   return retry_until_deadline(retry, once, mend);

@@ -6,8 +6,7 @@
 //
 // Invariants
 // 1. The session number stays the same over all connections, so that the service recognises a repeated step.
-// 2. A command is repeated automatically only if doing it twice has the same effect as once, or if the service that may
-//    have done it is gone.
+// 2. A command is repeated automatically only if doing it twice has the same effect as once.
 // 3. retry_until_deadline() is the only loop in which a call waits for a service that has gone.
 #pragma once
 
@@ -61,10 +60,6 @@ class Session {
   bool connected() const { return connection_ != nullptr && process_ == ::getpid(); }
   // Rises with every new connection.
   std::uint64_t generation() const { return generation_; }
-  // Identifies the run of the service at the last connection; if it changes, all scenes were lost.
-  const std::string& instance() const { return instance_; }
-  // Whether the service was restarted since this session began.
-  bool restarted() const { return instance_ != first_instance_; }
   bool outlive() const { return options_.outlive; }
 
   // Runs `once`, with a connection established, and repeats it while it fails by losing the service. Any other error is
@@ -189,7 +184,6 @@ class Session {
   std::string endpoint_text_;
   std::string number_;
   int ranks_ = 0;
-  std::string instance_, first_instance_;
   pid_t process_ = 0;          // the one that made the connection
   bool told_goodbye_ = false;  // the service said that it was told to end
   bool told_caller_of_stop_ = false;

@@ -207,20 +207,17 @@ Status run(const Options& options, MpiCores& cores, Record& record) {
 }
 
 void say_end(const Options& options, const MpiCores& cores, const Record& record, std::uint64_t handed_over) {
-  const auto recreations = record.recreations();
   const Balance& start = record.physics.start;
   const Balance& end = record.physics.end;
   if (!options.json) {
     fmt::print(
         "slope_mpi: {} points on {} processes, {} steps of {:g} s in {} substeps, scene {} in {}\n"
         "  repartitions   {} (the first partition included)\n"
-        "{}"
         "  handed over    {} points\n"
         "  wall clock     {:.3g} s physics, {:.3g} s service, {:.3g} s handing over\n",
         options.slope.points, cores.size(), options.steps, options.slope.interval, record.substeps, options.scene,
-        parts_text(options.parts, record.reports), record.repartitions(),
-        recreations > 0 ? fmt::format("  service lost   {}; the scene was made anew\n", recreations) : "", handed_over,
-        record.seconds_physics, record.seconds_service, record.seconds_exchange);
+        parts_text(options.parts, record.reports), record.repartitions(), handed_over, record.seconds_physics,
+        record.seconds_service, record.seconds_exchange);
     return;
   }
   json reports = json::array();
@@ -233,7 +230,6 @@ void say_end(const Options& options, const MpiCores& cores, const Record& record
                       {"parts", options.parts},
                       {"positions", options.positions},
                       {"repartitions", record.repartitions()},
-                      {"recreations", recreations},
                       {"reports", std::move(reports)},
                       {"held", record.held},
                       {"handed_over", handed_over},

@@ -26,10 +26,10 @@ struct ControlOptions {
   std::string version;
   int ranks = 1;
   std::vector<RankHost> hosts = {};  // by rank; empty: not known
-  bool restarted = false;            // restarted after a crash, so scenes may have been lost
-  std::string data_dir;              // keeps the members' last answers beyond this process; empty: they aren't kept
-  Credentials credentials;           // for clients over TCP
-  bool files_over_tcp = false;       // clients over TCP may have the service read and write files
+  bool restarted = false;            // after a crash
+  std::string data_dir;
+  Credentials credentials;      // for clients over TCP
+  bool files_over_tcp = false;  // clients over TCP may have the service read and write files
   std::uint64_t bulk_bytes_max = std::uint64_t{1} << 30U;
   double hello_seconds = wire::kHelloSecondsMax;
   double frame_seconds = wire::kFrameSecondsMax;

@@ -116,7 +116,8 @@ struct OrderOptions {
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
-  bool ends_run = false;                         // drop, or create anew: kept answers to members are dropped
+  bool restores = false;                         // at the start, when nobody else orders: any number may be unfinished
+  std::vector<scene::MemberShare> members;       // of a push by members
   std::string changes;                           // name of the scene that the order changes; empty: none
   std::uint64_t charged_bytes = 0;               // released when the order is answered
   std::shared_ptr<std::atomic<bool>> cancelled;  // set to end the order early; null: it can't be
@@ -205,8 +206,6 @@ class Coordinator : public std::enable_shared_from_this<Coordinator> {
 
   // Names of the clients that have the scene open; sessions with the number `except` are left out.
   std::vector<std::string> members(const std::string& scene, const std::string& except = {}) const;
-  // Which step the members of a scene are pushing; null: none.
-  wire::Json open_step(const std::string& scene) const;
   Status unknown_scene(const std::string& scene) const;
 
   // Finds out whether the log is this service's, for status_json(); returns after a moment where the disk doesn't

@@ -37,12 +37,6 @@ std::vector<std::string> Coordinator::members(const std::string& scene, const st
   return names;
 }
 
-wire::Json Coordinator::open_step(const std::string& scene) const {
-  const auto found = gates_.find(scene);
-  if (found == gates_.end() || !found->second.push || !found->second.push->round) return nullptr;
-  return found->second.push->round->step;
-}
-
 Status Coordinator::unknown_scene(const std::string& scene) const {
   constexpr std::size_t kNamesMax = 8;
   constexpr std::size_t kComparedMax = 100;  // comparing more names takes too long on the I/O thread

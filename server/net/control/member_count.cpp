@@ -32,9 +32,9 @@ Status MemberGroups::count(CountBegin begin) {
   if (!begin.fault.ok()) return begin.fault;
   if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
     // A seat that repeats a step of which the others have the answer.
-    if (fits.code() != Code::stale_step || !group->counted || group->counted->step != begin.step) return fits;
-    begin.connection->send(FrameType::reply, begin.request, group->counted->repeated);
-    return {};
+    const auto* share = ledger->share_in_last(begin.record->session, begin.step);
+    if (fits.code() != Code::stale_step || share == nullptr) return fits;
+    return send_to(begin, api::repeated_to_member(*ledger, *share));
   }
   const auto open = coordinator_.gate(begin.scene).push;
   if (open && open->round) return send_to(begin, {{"send", "other members push this step"}});
@@ -45,6 +45,7 @@ Status MemberGroups::count(CountBegin begin) {
             "all members count the same step"};
   if (!group->counting) open_count(begin.scene, begin.step, *group);
   MemberCount& counting = *group->counting;
+  begin.session = scene::session_key(begin.record->session);
   counting.tally.put(*seat, std::move(*begin.record));
   counting.end = std::min(counting.end, begin.end);
   counting.timer.cancel();  // so that the deadline is heeded
@@ -63,12 +64,11 @@ void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
   auto all = group.counting->tally.sum();
   if (!all.ok()) return end_count(group, all.status());
   all->session = kMembersSession;
+  for (const auto& begin : group.counting->waiting) all->members.push_back({begin->session, 0});
   const scene::CountVerdict verdict = ledger.count(*all);
   if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
   const Json json = api::verdict_json(verdict);
   if (std::holds_alternative<scene::CountVerdict::Committed>(verdict.is)) {
-    group.counted = Counted{all->step, json};
-    group.counted->repeated["repeated"] = true;
     group.last.reset();
   }
   answer_count(group, json);

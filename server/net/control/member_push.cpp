@@ -7,6 +7,7 @@
 #include <spdlog/spdlog.h>
 
 #include "common/wire/limits.hpp"
+#include "server/api/ledger_answers.hpp"
 #include "server/net/control/coordinator.hpp"
 #include "server/net/control/members.hpp"
 
@@ -39,17 +40,17 @@ bool copy_for(const Json& begin, const std::vector<wire::Array>& arrays, std::ve
   return true;
 }
 
+const char* as(bool refill) { return refill ? " (refill)" : ""; }
+
 // Whether the push brings particles whose weights its flag `weights` is about. Who has none need not say it.
-bool weights_matter(const PushTerms& terms, const scene::SceneState& scene) {
-  return terms.n > 0 || (terms.inserted > 0 && !scene.step);
-}
+bool weights_matter(const PushTerms& terms) { return terms.n > 0; }
 
 // Whether the members push weights: what those say who bring particles; if nobody does, what any says.
-bool weights_of(const MemberPush& step, const scene::SceneState& scene) {
+bool weights_of(const MemberPush& step) {
   bool any = false;
   for (const auto& contribution : step.contributions) {
     const PushTerms& terms = contribution->slices.terms();
-    if (weights_matter(terms, scene)) return terms.weights;
+    if (weights_matter(terms)) return terms.weights;
     any = any || terms.weights;
   }
   return any;
@@ -66,28 +67,20 @@ Status MemberGroups::begin(ContributionBegin begin) {
     return {Code::aborted, fmt::format("another generation of this member has opened scene '{}'", scene),
             "open the scene again with a higher generation"};
   const std::size_t member = *seat;
-  if (const MemberAnswers* before = kept_.before(scene);
-      before != nullptr && answer_again(*before, nullptr, member, begin))
-    return {};
   const scene::Ledger* ledger = coordinator_.scenes().find(scene);
   if (ledger == nullptr) return coordinator_.unknown_scene(scene);
   const scene::SceneState& info = ledger->now();
-  if (info.step && begin.id.step <= *info.step) {
-    if (begin.id.step == *info.step && group->last && answer_again(*group->last, group->delivery.get(), member, begin))
-      return {};
-    return scene::stale_step(scene, begin.id.step, *info.step);
-  }
+  const bool refill = wire::is_true(begin.json, "refill");
+  if (refill && (info.filled || info.step != begin.id.step)) return not_lacking(begin.id);
+  if (!refill && info.step && begin.id.step <= *info.step)
+    return answer_again(*group, *ledger, member, begin) ? Status()
+                                                        : scene::stale_step(scene, begin.id.step, *info.step);
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
-  // A process that was started again together with the service counts from 0; the others know which step it is.
-  if (step && !step->ordered && !step->contributions[member] && !info.step && begin.id.step > step->step) {
-    abort(step, nullptr,
-          {Code::aborted, fmt::format("member {} pushes step {}, which is later", member, begin.id.step)});
-    step = nullptr;
-  }
-  if (step && step->step != begin.id.step)
+  if (step && (step->step != begin.id.step || step->refill != refill))
     return {Code::invalid_argument,
-            fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),
+            fmt::format("member {} pushes step {}{}, the others push step {}{}", member, begin.id.step, as(refill),
+                        step->step, as(step->refill)),
             "all members push the same step"};
   if (step && step->contributions[member]) {
     const PushId& older = step->contributions[member]->slices.terms().id;
@@ -103,6 +96,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   if (!refused.ok()) return refused;
   if (step && step->to_ranks() && !terms->to_ranks()) withdraw_direct(*step, member);
   if (!step) step = open_step(scene, begin.id.step, *group);
+  step->refill = refill;
   answer_count(*group, {{"send", fmt::format("{} pushes this step", name(scene, member))}});
   auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
   contribution->connection = std::move(begin.connection);
@@ -204,7 +198,7 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
   for (const auto& contribution : step->contributions) {
     if (!contribution) continue;
     const PushTerms& other = contribution->slices.terms();
-    if (other.weights != terms->weights && weights_matter(other, info) && weights_matter(*terms, info))
+    if (other.weights != terms->weights && weights_matter(other) && weights_matter(*terms))
       return Status(Code::invalid_argument,
                     fmt::format("this push {} weights, that of member {} does{}", terms->weights ? "has" : "has no",
                                 contribution->member, terms->weights ? " not" : ""),
@@ -219,30 +213,32 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
   return terms;
 }
 
-bool MemberGroups::answer_again(const MemberAnswers& answers, Delivery* delivery, std::size_t member,
+bool MemberGroups::answer_again(const Group& group, const scene::Ledger& ledger, std::size_t member,
                                 const ContributionBegin& begin) {
-  if (answers.step != begin.id.step || member >= answers.sessions.size() ||
-      answers.sessions[member] != begin.id.session)
-    return false;
+  const auto& last = group.last;
+  const bool here = last && last->step == begin.id.step && member < last->sessions.size() &&
+                    last->sessions[member] == begin.id.session;
+  const scene::MemberShare* share = here ? nullptr : ledger.share_in_last(begin.id.session, begin.id.step);
+  if (!here && share == nullptr) return false;
   if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);
-  Delivery::To to{member, begin.connection, begin.request, begin.json, true};
-  if (delivery != nullptr)
-    delivery->to.push_back(std::move(to));
+  if (here)
+    send(*last, member, *begin.connection, begin.request, begin.json, true);
   else
-    send(answers, to);
+    begin.connection->send(FrameType::reply, begin.request, api::repeated_to_member(ledger, *share));
   return true;
 }
 
-void MemberGroups::send(const MemberAnswers& answers, const Delivery::To& to) {
+void MemberGroups::send(const Answers& answers, std::size_t member, Connection& connection, std::uint64_t request,
+                        const Json& begin, bool repeated) {
   Json json = answers.json;
-  if (to.repeated) json["repeated"] = true;
-  if (!to.begin.contains("cuts_known")) json.erase("cuts");
+  if (repeated) json["repeated"] = true;
+  if (!begin.contains("cuts_known")) json.erase("cuts");
   std::vector<wire::Array> arrays;
-  const bool copied = copy_for(to.begin, answers.arrays[to.member], arrays) && copy_for(to.begin, answers.cuts, arrays);
+  const bool copied = copy_for(begin, answers.arrays[member], arrays) && copy_for(begin, answers.cuts, arrays);
   const Status sent =
-      copied ? to.connection->send_message(FrameType::reply, to.request, std::move(json), std::move(arrays))
+      copied ? connection.send_message(FrameType::reply, request, std::move(json), std::move(arrays))
              : Status(Code::busy, "the step is committed, and there is no memory for its answer", "push it again");
-  if (!sent.ok()) to.connection->send(FrameType::failure, to.request, wire::failure_json(sent));
+  if (!sent.ok()) connection.send(FrameType::failure, request, wire::failure_json(sent));
 }
 
 void MemberGroups::contribution_whole(const std::shared_ptr<OpenPush>& contribution) {
@@ -288,6 +284,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
     all.inserted += terms.inserted;
     all.removed += terms.removed;
     all.inserted_ids = all.inserted_ids || terms.inserted_ids;
+    order.members.push_back({scene::session_key(terms.id.session), all.inserted - terms.inserted});
     if (terms.step_seconds) all.step_seconds = std::max(*terms.step_seconds, all.step_seconds.value_or(0));
     if (terms.base_step) all.base_step = terms.base_step;
     if (terms.cuts_known && all.cuts_known.value_or(*terms.cuts_known) != *terms.cuts_known)
@@ -319,6 +316,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   if (!to_ranks && all.moved != Moved::all) all.n = coordinator_.scenes().find(step->scene)->now().n;
   request["counts"] = counts;
   if (to_ranks) request["plan"] = step->contributions.front()->begin["plan"];
+  if (step->refill) request["refill"] = true;
   if (all.base_step) request["base_step"] = *all.base_step;
   if (all.cuts_known)
     request["cuts_known"] = {{"epoch", all.cuts_known->epoch}, {"hash", wire::hex64(all.cuts_known->hash)}};
@@ -332,7 +330,7 @@ void MemberGroups::order(const std::shared_ptr<MemberPush>& step) {
   request["changes"] = changes;
   request["places"] = places;
   coordinator_.add_terms(request, all.step_seconds);
-  request["weights"] = weights_of(*step, coordinator_.scenes().find(step->scene)->now());
+  request["weights"] = weights_of(*step);
   request["members"] = members;
   order.received_seconds = seconds_since(step->started);
   order.deadline_seconds = std::chrono::duration<double>(step->end - step->started).count();
@@ -362,32 +360,24 @@ void MemberGroups::answered(const std::shared_ptr<MemberPush>& step, Answer answ
         contribution->connection->send(FrameType::failure, contribution->request, wire::failure_json(answer.status));
     return;
   }
-  auto kept = std::make_shared<MemberAnswers>();
-  kept->step = step->step;
-  kept->json = std::move(answer.json);
+  Answers kept;
+  kept.step = step->step;
+  kept.json = std::move(answer.json);
   const auto cuts = std::ranges::find_if(answer.arrays, is_of_cuts);
-  kept->cuts.assign(std::make_move_iterator(cuts), std::make_move_iterator(answer.arrays.end()));
+  kept.cuts.assign(std::make_move_iterator(cuts), std::make_move_iterator(answer.arrays.end()));
   answer.arrays.erase(cuts, answer.arrays.end());
-  auto delivery = std::make_shared<Delivery>();
   const std::size_t each = answer.arrays.size() / contributions.size();
   auto next = std::make_move_iterator(answer.arrays.begin());
   for (const auto& contribution : contributions) {
-    kept->sessions.push_back(contribution->slices.terms().id.session);
-    kept->arrays.emplace_back(next, next + static_cast<std::ptrdiff_t>(each));
+    kept.sessions.push_back(contribution->slices.terms().id.session);
+    kept.arrays.emplace_back(next, next + static_cast<std::ptrdiff_t>(each));
     next += static_cast<std::ptrdiff_t>(each);
     if (!told)
-      delivery->to.push_back({static_cast<std::size_t>(contribution->member), contribution->connection,
-                              contribution->request, std::move(contribution->begin), false});
+      send(kept, static_cast<std::size_t>(contribution->member), *contribution->connection, contribution->request,
+           contribution->begin, false);
   }
-  if (Group* group = find(step->scene); group != nullptr && group->seats.size() == contributions.size()) {
-    group->last = kept;
-    group->counted.reset();
-    group->delivery = delivery;
-  }
-  kept_.keep(step->scene, kept, [this, scene = step->scene, kept, delivery] {
-    for (const Delivery::To& to : delivery->to) send(*kept, to);
-    if (Group* group = find(scene); group != nullptr && group->delivery == delivery) group->delivery.reset();
-  });
+  Group* group = find(step->scene);
+  if (group != nullptr && !step->refill && group->seats.size() == contributions.size()) group->last = std::move(kept);
 }
 
 void MemberGroups::abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why) {

@@ -57,9 +57,7 @@ bool MemberPush::to_ranks() const {
                      [](const auto& one) { return one && one->slices.terms().to_ranks(); });
 }
 
-MemberGroups::MemberGroups(Coordinator& coordinator)
-    : coordinator_(coordinator),
-      kept_(coordinator.context(), coordinator.options().data_dir, coordinator.options().restarted) {}
+MemberGroups::MemberGroups(Coordinator& coordinator) : coordinator_(coordinator) {}
 
 MemberGroups::Group* MemberGroups::find(const std::string& scene) {
   const auto found = groups_.find(scene);

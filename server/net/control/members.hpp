@@ -7,7 +7,7 @@
 // 2. A step of the members ends for all of them at once: it is ordered, or aborted with a message that names the member
 //    at fault.
 // 3. The answers to the last step are kept, so that a member that lost its connection gets its answer when it pushes
-//    that step again; after a crash of the service, from the restarted one (kept_answers.hpp).
+//    that step again. Where the service was started again since, it is the report alone, from the ledger.
 // Everything runs on the I/O thread.
 #pragma once
 
@@ -19,7 +19,6 @@
 #include <vector>
 
 #include "common/base/status.hpp"
-#include "server/net/control/kept_answers.hpp"
 #include "server/net/push/engine.hpp"
 #include "server/net/push/push.hpp"
 #include "server/net/sockets/asio.hpp"
@@ -54,6 +53,7 @@ struct MemberPush {
   Timer timer;                                           // until the next notice to waiting members
   TimePoint started = now();
   TimePoint end = TimePoint::max();
+  bool refill = false;  // no step: it brings ranks that hold none the particles of the last one
   bool ordered = false;
   bool over = false;  // every contribution is answered
 
@@ -85,7 +85,8 @@ struct CountBegin {
   std::uint64_t request = 0;
   TimePoint end;
   std::optional<scene::CountRecord> record;
-  Status fault;  // instead: what this member found in its particles, for which the step fails for all
+  std::uint64_t session = 0;  // session_key() of the record's
+  Status fault;               // instead: what this member found in its particles, for which the step fails for all
 };
 
 // A step that members are counting.
@@ -113,8 +114,7 @@ class MemberGroups {
   void leave_all(const Connection* connection);
   // leave() for an open that failed: the generation that join() gave counts as never taken.
   void give_back_seat(const std::string& scene, const Connection* connection);
-  // leave() for a member that has closed the scene. Once all members have, the kept answers are dropped, since nobody
-  // can ask for them.
+  // leave() for a member that has closed the scene. Once all members have, their answers are dropped.
   void close(const std::string& scene, const Connection* connection);
   // Whether the connection holds a seat of the scene, or held one that a later generation has taken.
   bool knows(const std::string& scene, const Connection* connection) const;
@@ -135,8 +135,6 @@ class MemberGroups {
   void abort(const std::shared_ptr<MemberPush>& step, const OpenPush* contribution, const Status& why);
   // The error at a step's deadline: it names the missing members.
   Status late(const MemberPush& step) const;
-  void forget_answers(const std::string& scene) { kept_.forget(scene); }
-  void forget_all_answers() { kept_.forget_all(); }
   // To be called after every change of a scene.
   void scene_changed(const std::string& scene);
 
@@ -148,29 +146,19 @@ class MemberGroups {
     const Connection* connection = nullptr;  // null: free
     std::vector<const Connection*> former;   // lost the seat to a later generation but are still open
   };
-  // Answers that are sent once they are kept.
-  struct Delivery {
-    struct To {
-      std::size_t member = 0;
-      std::shared_ptr<Connection> connection;
-      std::uint64_t request = 0;
-      wire::Json begin;
-      bool repeated = false;  // the member has pushed the step again
-    };
-    std::vector<To> to;
-  };
-  // The last step that was counted, and its answer for a member that counts it again.
-  struct Counted {
+  // The answers to the members' last push.
+  struct Answers {
     std::int64_t step = 0;
-    wire::Json repeated;
+    std::vector<std::string> sessions;  // session of each member
+    wire::Json json;
+    std::vector<std::vector<wire::Array>> arrays;  // by member
+    std::vector<wire::Array> cuts;                 // for all members that say which cuts they know
   };
   struct Group {
     bool follow = false;
     std::shared_ptr<MemberCount> counting;  // null: no step is being counted
-    std::optional<Counted> counted;
     std::vector<Seat> seats;
-    std::shared_ptr<const MemberAnswers> last;
-    std::shared_ptr<Delivery> delivery;  // of `last`, until it is sent
+    std::optional<Answers> last;
   };
 
   static constexpr const char* kMembersSession = "members";  // of the steps of all members together
@@ -190,11 +178,11 @@ class MemberGroups {
   void abort_step_because_of(const std::string& scene, std::size_t member, const std::string& why);
   std::string name(const std::string& scene, std::size_t member) const;
   std::string missing(const MemberPush& step) const;
-  // Answers a push.begin of a step that is committed, with the delivery if there is one. False: the push isn't of that
-  // step.
-  bool answer_again(const MemberAnswers& answers, Delivery* delivery, std::size_t member,
+  // Answers a push.begin of the last step. False: this session has not pushed that.
+  bool answer_again(const Group& group, const scene::Ledger& ledger, std::size_t member,
                     const ContributionBegin& begin);
-  static void send(const MemberAnswers& answers, const Delivery::To& to);
+  static void send(const Answers& answers, std::size_t member, Connection& connection, std::uint64_t request,
+                   const wire::Json& begin, bool repeated);
   Result<PushTerms> read_terms(const ContributionBegin& begin, const scene::SceneState& info,
                                const MemberPush* step) const;
   // Member `because_of` pushes by ids: asks the members that use the direct path to push by ids, too.
@@ -210,7 +198,6 @@ class MemberGroups {
 
   Coordinator& coordinator_;
   std::map<std::string, Group> groups_;
-  KeptAnswers kept_;
 };
 
 }  // namespace rcb::net

@@ -298,9 +298,6 @@ awaitable<void> Session::scene_change(Request& request) {
   }
   OrderOptions order = options_of(request);
   order.changes = *scene;
-  const bool restores = wire::is_true(request.json, "recreated") && !wire::is_true(request.json, "replace") &&
-                        !coordinator_->scenes().contains(*scene);
-  order.ends_run = request.command == "scene.drop" || (request.command == "scene.create" && !restores);
   Result<std::shared_ptr<Pending>> pending = coordinator_->order(request.json, std::move(order));
   coordinator_->wake_queue(*scene);
   if (!pending.ok()) {
@@ -389,7 +386,6 @@ void Session::reply(const Request& request, Answer answer) {
     answer.json["members"] = coordinator_->members(request.json.value("scene", ""));
   if (request.command == "scene.open" && request.json.contains("membership"))
     answer.json["membership"] = request.json["membership"];
-  if (request.command == "scene.show") answer.json["open_step"] = coordinator_->open_step(request.json["scene"]);
   std::shared_ptr<void> held;
   if (request.info->reads()) {  // the answer to a change is always sent, whatever its size
     std::uint64_t bytes = 0;

@@ -19,6 +19,7 @@ awaitable<Status> Session::watch(const Request& request, const std::string& scen
   Place place(gate.watching, coordinator_->context());
   TimePoint notice_at = now() + duration_of(coordinator_->options().notice_seconds);
   while (!done()) {
+    if (connection_->peer_is_lost()) co_return Status(Code::aborted, "the client has gone");
     if (coordinator_->shutting_down()) co_return Status(Code::unavailable, "the service is shutting down");
     if (now() >= request.end)
       co_return Status(Code::deadline_exceeded,

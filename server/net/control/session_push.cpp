@@ -116,10 +116,7 @@ Result<std::shared_ptr<OpenPush>> Session::admit_push(const Request& request, co
   if (ledger == nullptr) return coordinator_->unknown_scene(id.scene);
   const auto& last = ledger->now().step;
   if (wire::is_true(request.json, "refill")) {
-    if (ledger->now().filled || id.step != last)
-      return Status(Code::stale_step,
-                    fmt::format("scene '{}' doesn't lack the particles of step {}", id.scene, id.step),
-                    "ask scene.show, and push a step");
+    if (ledger->now().filled || id.step != last) return not_lacking(id);
   } else if (last && id.step <= *last) {
     return scene::stale_step(id.scene, id.step, *last);
   }

@@ -69,8 +69,10 @@ Status check_slice_count(const PushTerms& terms) {
 Status check_base(const PushTerms& terms, const scene::SceneState& scene) {
   if (!terms.base_step || (scene.step == terms.base_step && scene.positions_step == scene.step)) return {};
   return {Code::base_lost,
-          scene.step ? fmt::format("the push builds on step {}, the scene is at step {}", *terms.base_step, *scene.step)
-                     : fmt::format("the push builds on step {}, the scene has no positions yet", *terms.base_step),
+          fmt::format("the push builds on step {}, {}", *terms.base_step,
+                      !scene.step                     ? "the scene has no positions yet"
+                      : scene.step != terms.base_step ? fmt::format("the scene is at step {}", *scene.step)
+                                                      : "whose positions the ranks don't hold"),
           "push all particles"};
 }
 
@@ -81,9 +83,9 @@ Status check_shared(const PushTerms& terms, const scene::SceneState& scene, Push
   if (terms.moved != Moved::all) return {Code::unsupported, "from shared memory all particles are pushed", hint};
   if (terms.by_id && pusher == Pusher::member)
     return {Code::unsupported, "a member pushes from shared memory in order \"plan\"", hint};
-  if (!terms.by_id && !scene.step)
-    return {Code::unsupported, "a first push from shared memory is in order \"id\"", hint};
-  if (scene.step && scene.ids && terms.by_id)
+  const bool first = !scene.step || terms.refill;
+  if (!terms.by_id && first) return {Code::unsupported, "a first push from shared memory is in order \"id\"", hint};
+  if (!first && scene.ids && terms.by_id)
     return {Code::unsupported, "the scene has ids of its own (scene.show: ids), so they name no rows of the memory",
             "push in order \"plan\", or by another path"};
   if (!terms.by_id && terms.counts.size() != static_cast<std::size_t>(terms.ranks))
@@ -162,8 +164,12 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (terms.direct() && terms.by_id)
     return Status(Code::invalid_argument, "slices in order \"id\" can't go to the ranks directly",
                   "push in order \"plan\", or by the path \"gateway\"");
+  if (scene.step && !scene.filled && !terms.refill)
+    return Status(Code::base_lost,
+                  fmt::format("the ranks hold no particles of scene '{}' since the service was started", id.scene),
+                  "bring all of them first: push.begin with \"refill\"");
   if (Status base = check_base(terms, scene); !base.ok()) return base;
-  if (scene.weights && !terms.weights && scene.positions_step != scene.step)
+  if (scene.weights && !terms.weights && scene.positions_step && scene.positions_step != scene.step)
     return Status(Code::invalid_argument,
                   fmt::format("the push brings no weights, and the ranks hold those of an older step of scene '{}'",
                               id.scene),
@@ -181,14 +187,21 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
                   fmt::format("the push has {} particles, scene '{}' has {}", terms.n, id.scene, scene.n),
                   scene.n == 0 ? "insert them, into a push of no particles"
                                : "insert and remove particles, or create the scene anew for another number of them");
-  if (!terms.by_id && (terms.direct() || (terms.moved != Moved::none && scene.step)))
+  const bool planned = !terms.by_id && terms.moved != Moved::none && scene.step && !terms.refill;
+  if (planned || (!terms.by_id && terms.direct()))
     if (const auto plan = read_plan(request); !plan.ok()) return plan.status();
-  if (!terms.by_id && terms.moved != Moved::none && scene.step)
+  if (planned)
     if (const Status plan = check_plan(terms, scene); !plan.ok()) return plan;
   if (terms.bytes() > bytes_max)
     return Status(Code::too_large, fmt::format("the push has {} bytes, at most {} are taken", terms.bytes(), bytes_max),
                   "start the service with a larger --bulk-bytes, or on a larger machine");
   return terms;
+}
+
+Status not_lacking(const PushId& id) {
+  return {Code::stale_step,
+          fmt::format("the ranks don't lack the particles of step {} of scene '{}'", id.step, id.scene),
+          "ask scene.show, and push a step"};
 }
 
 bool may_bring_slices(const wire::Json& request) {

@@ -49,6 +49,9 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
                                   int ranks, std::uint64_t bytes_max, Pusher pusher = Pusher::client);
 
 // Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.
+// Refusal of a refill.
+Status not_lacking(const PushId& id);
+
 bool may_bring_slices(const wire::Json& request);
 
 // A slice of `count` particles with the arrays that the terms require, still without bytes.

@@ -146,7 +146,7 @@ Result<io::Points> read_slice(Context& context, const LoadRequest& load) {
 Response load(Context& context, Scene& scene, const wire::Json& request) {
   auto load = read_load(request);
   if (!load.ok()) return failed(load.status());
-  if (scene.pushed)
+  if (scene.epoch > 0)
     return failed({Code::invalid_argument, fmt::format("scene '{}' has positions already", scene.name),
                    "load is for a scene's first positions; push the file instead"});
   if (load->options.dims == 0) load->options.dims = scene.options.dims;

@@ -161,76 +161,9 @@ Status check_ids(const Scene& scene, const OfMembers& joined, const Buffer<parti
   return {};
 }
 
-// Takes these ids, ascending, out of a list of particles and their arrays. True if all of them were there.
-bool take_out(std::span<const particles::Id> ids, OfMembers& from, std::vector<wire::Array>& arrays) {
-  std::size_t kept = 0;
-  for (std::size_t k = 0; k < from.id.size(); ++k) {
-    if (std::binary_search(ids.begin(), ids.end(), from.id[k])) continue;
-    for (wire::Array& array : arrays) std::memmove(array.bytes.data() + 8 * kept, array.bytes.data() + 8 * k, 8);
-    from.id[kept] = from.id[k];
-    from.member[kept++] = from.member[k];
-  }
-  const bool all = from.id.size() - kept == ids.size();
-  from.id.resize(kept);
-  from.member.resize(kept);
-  for (wire::Array& array : arrays) {
-    array.bytes.resize(8 * kept);
-    array.shape = {kept};
-  }
-  return all;
-}
-
-// What members insert into a scene that has no particles yet are further particles of theirs. Those without ids get the
-// integers above all others.
-Status add_to_shares(std::vector<PushSlice>& slices, bool have_ids, OfMembers& inserted) {
-  std::uint64_t next = 0;
-  std::stable_sort(slices.begin(), slices.end(), [](const auto& a, const auto& b) { return a.member < b.member; });
-  for (const PushSlice& slice : slices)
-    if (slice.rank >= 0)
-      for (const particles::Id id : ids_of(slice)) next = std::max(next, static_cast<std::uint64_t>(id) + 1);
-  for (PushSlice& slice : slices) {
-    if (slice.rank != wire::kInsertedSlice) continue;
-    slice.rank = 0;
-    if (!have_ids) {
-      const Result<particles::Id> first = first_of_ids(next, slice.count);
-      if (!first.ok()) return first.status();
-      std::vector<particles::Id> ids(slice.count);
-      std::iota(ids.begin(), ids.end(), *first);
-      next += slice.count;
-      slice.arrays.push_back(make_array("id", "<i8", std::span<const particles::Id>(ids)));
-    }
-    inserted.id.append(ids_of(slice));
-    for (std::uint64_t i = 0; i < slice.count; ++i) inserted.member.push_back(slice.member);
-  }
-  return {};
-}
-
-// The first push: all members' particles, with those that they insert and without those that they remove, since a
-// solver that makes a lost scene anew may be at a step that does so.
-Status join_first(std::vector<PushSlice>& slices, const PushRequest& push, OfMembers& joined, OfMembers& inserted) {
-  std::vector<std::int32_t> removed_by;
-  const PushSlice gone = take_joined(slices, wire::kRemovedSlice, removed_by);
-  std::vector<particles::Id> removed;
-  if (!gone.arrays.empty()) removed.assign(ids_of(gone).begin(), ids_of(gone).end());
-  std::sort(removed.begin(), removed.end());
-  if (Status status = add_to_shares(slices, push.inserted_ids, inserted); !status.ok()) return status;
-  for (const PushSlice& slice : slices)
-    if (slice.arrays.size() != slices.front().arrays.size() || slice.arrays.back().name != "id")
-      return {Code::invalid_argument, "inserted particles must have the arrays of the others"};
-  if (Status status = join_shares(slices, push.n + push.inserted, joined); !status.ok()) return status;
-  const bool inserted_here = std::ranges::any_of(
-      inserted.id, [&removed](particles::Id id) { return std::ranges::binary_search(removed, id); });
-  if (removed.empty() || (!inserted_here && !slices.empty() && take_out(removed, joined, slices.front().arrays))) {
-    for (PushSlice& slice : slices) slice.count = joined.id.size();
-    return {};
-  }
-  return {Code::not_found, "a particle is to be removed that no member pushes, or twice",
-          "the scene has no particles yet"};
-}
-
 // Makes context.slices and `push` what they would be if a single client had pushed by id. Collective. Errors: faults of
 // the contributions, the same on every rank.
-Status merge(Context& context, const Scene& scene, MemberRequest& request, OfMembers& joined, OfMembers& inserted) {
+Status merge(Context& context, const Scene& scene, MemberRequest& request, OfMembers& joined) {
   PushRequest& push = request.push;
   const bool all = push.moved == Moved::all;
   Buffer<particles::Id> scene_ids;
@@ -247,7 +180,10 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, OfMem
   std::uint64_t own_ids = 0;
   if (context.root()) {
     status = check_shares(context.slices, scene, request);
-    if (status.ok() && !scene.pushed) status = join_first(context.slices, push, joined, inserted);
+    if (status.ok() && !scene.pushed)
+      status = push.edits()
+                   ? Status(Code::invalid_argument, "a first push inserts and removes nothing", "push all particles")
+                   : join_shares(context.slices, push.n, joined);
     if (status.ok() && scene.pushed) {
       std::vector<PushSlice> edits;
       for (PushSlice& slice : context.slices)
@@ -265,10 +201,6 @@ Status merge(Context& context, const Scene& scene, MemberRequest& request, OfMem
   context.comm.all_max({&own_ids, 1});
   push.by_id = true;
   push.ids = own_ids != 0;
-  if (!scene.pushed) {
-    push.n = push.n + push.inserted - push.removed;
-    push.inserted = push.removed = 0;
-  }
   if (context.root() && all && !push.ids)
     for (PushSlice& slice : context.slices)
       if (slice.rank >= 0) slice.arrays.pop_back();
@@ -301,7 +233,7 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   std::optional<PlacesBefore> before;
   if (!all && (terms.changes || terms.places)) before.emplace(of);
   if (!push.staged && push.moved != Moved::none)
-    if (Status merged = merge(context, of, *members, news.pushed, inserted); !merged.ok()) return failed(merged);
+    if (Status merged = merge(context, of, *members, news.pushed); !merged.ok()) return failed(merged);
   // Once the step has changed anything it must not lack memory for the answer.
   constexpr std::uint64_t kBytesGathered = 64;
   if (!all && any_all && terms.places)
@@ -320,6 +252,7 @@ Response push_members(Context& context, Scene& of, const wire::Json& request) {
   context.received_seconds += context.clock.seconds() - start;
   auto staged = prepare(context, of, push);
   if (!staged.ok()) return failed(staged.status());
+  if (push.refill) return refill(context, of, *staged, push);
   if (all && !push.ids) staged->bytes += 8 * push.n;  // the ids that the members sent
   if (push.staged && push.moved == Moved::all) staged->bytes -= bytes_left_out(of, push);
   const std::optional<std::int64_t> previous_step = of.step;

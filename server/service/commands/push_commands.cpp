@@ -44,13 +44,7 @@ Response push(Context& context, Scene& scene, const wire::Json& request) {
   if (!push.ok()) return failed(push.status());
   auto staged = prepare(context, scene, push.value());
   if (!staged.ok()) return failed(staged.status());
-  if (push->refill) {
-    refill(context, scene, *staged, push.value());
-    give_back(context, scene, push.value(), *staged);
-    Response response = done({{"refilled", true}, {"plan", plan_json(scene)}});
-    if (context.root()) response.change = {scene.name, scene::Refilled{held_of(context, scene)}};
-    return response;
-  }
+  if (push->refill) return refill(context, scene, *staged, push.value());
   PartChanges changes;
   const std::optional<std::int64_t> previous_step = scene.step;
   scene::Stepped stepped = commit(context, scene, *staged, push.value(), push->changes ? &changes : nullptr);

@@ -42,7 +42,6 @@ struct Scene {
   std::string name;
   SceneOptions options;
 
-  bool recreated = false;  // made anew by its client after the service had lost it
   bool pushed = false;     // a first push was committed
   bool ids = false;        // ids aren't 0..n-1
   std::uint64_t n = 0;

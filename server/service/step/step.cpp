@@ -253,6 +253,7 @@ scene::Held held_of(const Context& context, Scene& scene) {
                    .plan_version = scene.plan_version,
                    .plan_checksum = scene.plan_checksum,
                    .rank_counts = {},
+                   .id_next = scene.id_next,
                    .search_rounds = scene.search_rounds,
                    .search_reductions = scene.search_reductions};
   for (int r = 0; r < context.comm.size(); ++r)
@@ -260,7 +261,7 @@ scene::Held held_of(const Context& context, Scene& scene) {
   return held;
 }
 
-void refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push) {
+Response refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push) {
   scene.particles = std::move(staged.arrays);
   scene.ids = staged.ids;
   const particles::ParticleView view = scene.particles.view();
@@ -275,6 +276,12 @@ void refill(Context& context, Scene& scene, Staged& staged, const PushRequest& p
   scene.pushed = true;
   scene.step = push.id.step;
   migrate(context.comm, scene, true);
+  give_back(context, scene, push, staged);
+  Response response =
+      done({{"refilled", true},
+            {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+  if (context.root()) response.change = {scene.name, scene::Refilled{held_of(context, scene)}};
+  return response;
 }
 
 scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes) {
@@ -298,7 +305,6 @@ scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const Push
   }
   report.n = scene.n;
   report.parts = scene.options.parts;
-  report.scene_recreated = first && scene.recreated;
   report.epoch = scene.epoch;
   report.error = scene.loads.error;
   report.imbalance = scene.loads.imbalance;

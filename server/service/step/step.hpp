@@ -21,8 +21,9 @@ struct PartChanges {
 // ledger is told; on other ranks the report alone.
 scene::Stepped commit(Context& context, Scene& scene, Staged& staged, const PushRequest& push, PartChanges* changes);
 
-// Takes in the particles that a service lacks which was started again: no step. Collective; can't fail.
-void refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push);
+// Takes in the particles that a service lacks which was started again: no step. Returns the answer. Collective; can't
+// fail.
+Response refill(Context& context, Scene& scene, Staged& staged, const PushRequest& push);
 
 // What a search for all of a scene's cuts is asked. Local.
 partition::PartitionOptions search_options(const SceneOptions& options);

@@ -27,7 +27,7 @@ class FakeScene {
     late_after_commit,    // commits, and says only that it wasn't done in time
     busy_early,           // refuses at push.begin, then reads the slices
     wrong_checksum,       // commits, with a plan that isn't what the client derives
-    die_before_commit,    // reads the push, then is another service, without the scene
+    die_before_commit,    // reads the push, then is started again, and its ranks hold nothing
     die_after_commit,     // commits, then the same
   };
 
@@ -42,6 +42,11 @@ class FakeScene {
   // What the test pushes, by id.
   std::function<double(std::int64_t id, std::size_t axis, std::int64_t step)> position;
 
+  // What the n-th count (from 0) meets, and its answer, if that is not a report.
+  std::function<Fault(int)> count_fault = [](int) { return Fault::none; };
+  std::function<protocol::Json(int)> verdict = [](int) { return protocol::Json(); };
+  std::vector<Received> counted;
+
   std::vector<std::string> sessions;
   std::vector<std::int64_t> attempts;
   std::vector<protocol::Json> cuts_known;  // as each push.begin says; null: it doesn't
@@ -51,17 +56,16 @@ class FakeScene {
   int commits = 0;
   bool empty_now = false;  // the scene was dropped
   int restarts = 0;
+  int refills = 0;
   protocol::Json options = protocol::Json::object();  // more of what scene.open tells
-  std::vector<protocol::Json> created;                // scene.create of lost scenes
   std::vector<double> weights;                        // as pushed last, by row
   std::optional<std::int64_t> step;
   std::int64_t epoch = 0;
-  std::vector<double> long_part_sizes;  // told in an array beside the scene's description
   // Whether the connection ends at the n-th (from 0) of these commands, instead of its answer.
   std::function<bool(const std::string& command, int n)> close_at = [](const std::string&, int) { return false; };
 
   void serve(Peer& peer) {
-    const auto hello = peer.greet(ranks_, "instance " + std::to_string(restarts));
+    const auto hello = peer.greet(ranks_);
     if (!hello) return;
     sessions.push_back(hello->json["session"].get<std::string>());
     while (auto frame = peer.receive()) {
@@ -74,11 +78,10 @@ class FakeScene {
         if (empty_now)
           peer.fail(*frame, {Code::not_found, "no such scene"});
         else
-          peer.reply(*frame, description(), described_arrays());
+          peer.reply(*frame, description());
       } else if (command == "scene.show") {
-        peer.reply(*frame, description(), described_arrays());
+        peer.reply(*frame, description());
       } else if (command == "scene.create") {
-        created.push_back(frame->json);
         empty_now = false;
         if (frame->json.value("replace", false)) clear();
         peer.reply(*frame, description());
@@ -98,6 +101,8 @@ class FakeScene {
           peer.fail(*frame, {Code::not_found, "no positions yet"});
       } else if (command == "push.begin") {
         if (!push(peer, *frame)) return;
+      } else if (command == "count") {
+        if (!count(peer, *frame)) return;
       } else if (command != "push.slice") {
         peer.fail(*frame, {Code::unsupported, "unknown command"});
       }
@@ -123,13 +128,10 @@ class FakeScene {
                         {"epoch", epoch},
                         {"step", step ? protocol::Json(*step) : protocol::Json(nullptr)},
                         {"ids", has_ids_},
-                        {"weights", weights_}};
+                        {"weights", weights_},
+                        {"filled", filled_}};
     json.update(options);
     return json;
-  }
-  std::vector<protocol::Array> described_arrays() const {
-    if (long_part_sizes.empty()) return {};
-    return {protocol::array_of("part_sizes", "<f8", long_part_sizes)};
   }
   void send_plan(Peer& peer, const Received& request) const {
     std::vector<std::int64_t> ids;
@@ -144,6 +146,26 @@ class FakeScene {
     }
     peer.reply(request, {{"counts", counts}, {"plan", plan_->json()}, {"parts", parts_}, {"ranks", ranks_}},
                {protocol::array_of("id", "<i8", ids), protocol::array_of("part", "<i4", parts)}, true);
+  }
+
+  // False: the connection ends.
+  bool count(Peer& peer, const Received& request) {
+    const int n = static_cast<int>(counted.size());
+    counted.push_back(request);
+    const Fault now = count_fault(n);
+    if (now == Fault::close_before_commit) return false;
+    const auto number = request.json["step"].get<std::int64_t>();
+    protocol::Json answer = verdict(n);
+    if (!answer.is_null()) return peer.reply(request, answer);
+    const bool repeated = step == number;
+    answer["previous_step"] = *step;
+    answer["report"] = report(number, 0);
+    answer["report"].update({{"sent", false}, {"way", "count"}, {"drifted", request.json["drifted"]}});
+    if (repeated) answer["repeated"] = true;
+    step = number;
+    if (now == Fault::close_after_commit) return false;
+    if (now == Fault::late_after_commit) return peer.fail(request, {Code::deadline_exceeded, "it goes on"});
+    return peer.reply(request, answer);
   }
 
   // False: the connection ends.
@@ -173,8 +195,13 @@ class FakeScene {
       peer.fail(begin, {Code::deadline_exceeded, "it was late"});
       return true;
     }
+    if (begin.json.value("refill", false)) return refill(peer, begin, slices, now);
     if (step == number) {
       peer.reply(begin, {{"report", report(number, 0)}, {"plan", plan_->json()}, {"repeated", true}});
+      return true;
+    }
+    if (!first && !filled_) {
+      peer.fail(begin, {Code::base_lost, "the ranks hold no particles"});
       return true;
     }
     if (first) take_ids(begin, slices);
@@ -189,9 +216,30 @@ class FakeScene {
 
   bool restart() {
     ++restarts;
-    empty_now = true;
-    clear();
+    filled_ = false;
     return false;
+  }
+
+  // The positions of the step after: a particle is in the part in whose region its x lies.
+  bool refill(Peer& peer, const Received& begin, const Slices& slices, Fault now) {
+    EXPECT_FALSE(filled_);
+    EXPECT_EQ(begin.json["step"], *step);
+    const auto before = ids_;
+    take_ids(begin, slices);
+    EXPECT_EQ(ids_, before);
+    check_slices(begin, slices, *step + 1);
+    if (weights_) take_weights(slices);
+    for (const auto& [rank, slice] : slices) {
+      const auto x = slice.values<double>("x");
+      const auto& ids = plan_->slots[static_cast<std::size_t>(rank)];
+      for (std::size_t i = 0; i < ids.size(); ++i) part_[ids[i]] = static_cast<std::int32_t>(x[i]);
+    }
+    plan_->commit(part_, parts_, true);
+    filled_ = true;
+    ++refills;
+    if (now == Fault::die_after_commit) return restart();
+    peer.reply(begin, {{"refilled", true}, {"plan", plan_->json()}});
+    return true;
   }
 
   void clear() {
@@ -199,6 +247,7 @@ class FakeScene {
     plan_.reset();
     part_.clear();
     epoch = 0;
+    filled_ = true;
     ids_.clear();
     has_ids_ = weights_ = false;
     weights.clear();
@@ -276,7 +325,6 @@ class FakeScene {
     if (first) epoch = 1;
     step = number;
     ++commits;
-    first_of_recreated_ = first && restarts > 0;
     if (now == Fault::die_after_commit) return restart();
     if (now == Fault::close_after_commit) return false;
     if (now == Fault::taken) {
@@ -306,7 +354,6 @@ class FakeScene {
             {"epoch", epoch},
             {"n", ids_.size()},
             {"parts", parts_},
-            {"scene_recreated", first_of_recreated_},
             {"error_before", nullptr},
             {"error", 0.25},
             {"imbalance", 1.5},
@@ -326,7 +373,7 @@ class FakeScene {
   int ranks_;
   bool has_ids_ = false;
   bool weights_ = false;
-  bool first_of_recreated_ = false;
+  bool filled_ = true;
   std::vector<std::int64_t> ids_;  // by row
   std::optional<protocol::Plan> plan_;
   std::map<std::int64_t, std::int32_t> part_;  // by id

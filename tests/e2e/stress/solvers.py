@@ -7,7 +7,7 @@ import subprocess
 from actor import Actor
 from support import MPIRUN
 
-CHANGING = ("seconds", "bytes", "scene", "searched", "rounds", "reductions", "way", "scene_recreated")
+CHANGING = ("seconds", "bytes", "scene", "searched", "rounds", "reductions", "way")
 
 
 class Solver(Actor):

@@ -1,20 +1,21 @@
 // What rank 0 answers from a ledger alone: pages of step reports, and steps that are repeated, of which older reports
-// are read from its journal.
+// are read from a journal.
 #include "server/api/ledger_answers.hpp"
 
 #include <chrono>
+#include <filesystem>
 #include <future>
 #include <new>
 
 #include <gtest/gtest.h>
 
 #include "server/api/with_reports.hpp"
-#include "tests/support/simulated_storage.hpp"
+#include "tests/support/directory.hpp"
 
 namespace rcb::api {
 namespace {
 
-using rcb::testing::SimulatedStorage;
+using rcb::testing::DirectoryTest;
 using wire::Json;
 
 // The answer with what is read beside the engine; a failure where that doesn't come in time.
@@ -29,7 +30,8 @@ Answer whole_of(Answer answer) {
 // A scene that one client steps; a step here is its report alone.
 class StillScene {
  public:
-  explicit StillScene(std::size_t keep_reports) : ledgers_({keep_reports, disk, "data"}) {
+  StillScene(std::size_t keep_reports, const std::string& directory)
+      : ledgers_({keep_reports, scene::disk_storage(), directory}) {
     ledgers_.take({"still", scene::Created{}}, 1);
     step(0);
   }
@@ -52,11 +54,11 @@ class StillScene {
   }
   const scene::Ledger& ledger() const { return *ledgers_.find("still"); }
 
-  const std::shared_ptr<SimulatedStorage> disk = std::make_shared<SimulatedStorage>(1);
-
  private:
   scene::Ledgers ledgers_;
 };
+
+class LedgerAnswers : public DirectoryTest {};
 
 std::vector<std::int64_t> numbers_in(std::int64_t from, std::int64_t to) {
   std::vector<std::int64_t> numbers;
@@ -64,16 +66,16 @@ std::vector<std::int64_t> numbers_in(std::int64_t from, std::int64_t to) {
   return numbers;
 }
 
-TEST(LedgerAnswers, OneThatCouldNotBeFilledIsAFailure) {
-  StillScene still(8);
+TEST_F(LedgerAnswers, OneThatCouldNotBeFilledIsAFailure) {
+  StillScene still(8, directory_);
   for (int step = 1; step < 100; ++step) still.step(step);
   const Answer answer = whole_of(
       with_reports(still.ledger(), 0, 100, [](scene::FoundReports, const Answer&) { throw std::bad_alloc(); }));
   EXPECT_EQ(answer.status.code(), Code::too_large);
 }
 
-TEST(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
-  StillScene still(100);
+TEST_F(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
+  StillScene still(100, directory_);
   constexpr int kSteps = 5000;
   for (int step = 1; step < kSteps; ++step) still.step(step);
 
@@ -107,8 +109,8 @@ TEST(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
   EXPECT_TRUE(beyond.json["next"].is_null());
 }
 
-TEST(LedgerAnswers, ARepeatedStepIsAnsweredFromTheJournal) {
-  StillScene still(1);
+TEST_F(LedgerAnswers, ARepeatedStepIsAnsweredFromTheJournal) {
+  StillScene still(1, directory_);
   for (int step = 1; step < 50; ++step) still.step(step);
   for (const int step : {1, 20, 49}) {
     const Answer again = still.again(step);
@@ -118,7 +120,7 @@ TEST(LedgerAnswers, ARepeatedStepIsAnsweredFromTheJournal) {
   }
   EXPECT_FALSE(still.ledger().repeated("another", 20));
   EXPECT_FALSE(still.ledger().repeated("s", 50));
-  still.disk->files.clear();
+  std::filesystem::remove_all(at("scenes"));
   EXPECT_EQ(still.again(20).status.code(), Code::io_error);
   still.step(50);
   EXPECT_EQ(still.again(50).json["report"]["step"], 50);

@@ -282,38 +282,6 @@ TEST(MemberScene, OfAReplacedSceneItsArraysHaveTheNewDimensions) {
   service.stop();
 }
 
-// Its process was started again together with the service, and the others know which step it is.
-TEST(MemberScene, AFreshOneTakesTheStepThatTheOthersPush) {
-  std::vector<Json> begun;
-  FakeService service([&](Peer& peer, int) {
-    peer.greet(2);
-    peer.reply(*peer.receive(), seat_reply(1, -1));
-    for (const bool refuse : {true, false}) {
-      const auto begin = peer.receive();
-      begun.push_back(begin->json);
-      peer.receive();
-      if (!refuse) {
-        peer.reply(*begin, report(7), news());
-        break;
-      }
-      peer.fail(*begin, {Code::invalid_argument, "member 1 pushes step 0, the others push step 7"});
-      const auto show = peer.receive();
-      EXPECT_EQ(show->json["command"], "scene.show");
-      peer.reply(*show, {{"open_step", 7}});
-    }
-    answer_close(peer);
-  });
-  {
-    auto [client, scene] = Seated(service);
-    const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
-    EXPECT_TRUE(result.ok()) << result.status().message();
-  }
-  service.stop();
-  ASSERT_EQ(begun.size(), 2U);
-  EXPECT_EQ(begun[0]["step"], 0);
-  EXPECT_EQ(begun[1]["step"], 7);
-}
-
 // A rebalance that came while the connection was gone told nobody who has which particle now.
 TEST(MemberScene, AfterNewCutsThatItWasNotToldOfItBringsAllItsParticles) {
   for (const int epoch_now : {3, 4}) {
@@ -401,135 +369,116 @@ TEST(MemberScene, AStepThatWasAbortedIsPushedAgain) {
   EXPECT_EQ(pushes, 4);
 }
 
-// The scene died with its service. Whoever is quicker makes it anew; all push the step that they were at, by ids.
-TEST(MemberScene, ALostSceneIsMadeAnewOrFoundAndPushedByIds) {
-  for (const bool quicker : {true, false}) {
-    std::vector<Json> made;
-    std::vector<Received> opened, begun;
-    FakeService service([&](Peer& peer, int number) {
-      peer.greet(2, number == 0 ? "first" : "second");
-      opened.push_back(*peer.receive());
-      if (number == 0) {
-        Json seat = seat_reply(4, 6);
-        seat["parts"] = 7;
-        seat["tolerance"] = 0.25;
-        peer.reply(opened.back(), seat);
-      } else {
-        peer.fail(opened.back(), {Code::not_found, "no scene 's'", "the service was restarted and is empty"});
-        const auto create = peer.receive();
-        made.push_back(create->json);
-        if (quicker)
-          peer.reply(*create, Json::object());
-        else
-          peer.fail(*create, {Code::already_exists, "scene 's' exists already"});
-        opened.push_back(*peer.receive());
-        Json seat = seat_reply(5, -1);
-        seat["parts"] = 7;
-        seat["tolerance"] = quicker ? 0.25 : 0.5;
-        peer.reply(opened.back(), seat);
-      }
+Json seat_unfilled(int generation, int step, bool weights) {
+  Json seat = seat_reply(generation, step);
+  seat.update({{"filled", false}, {"weights", weights}});
+  return seat;
+}
+
+// The service was started again, and its ranks hold no particles.
+TEST(MemberScene, BringsItsParticlesToAServiceThatWasStartedAgain) {
+  std::vector<Received> begun;
+  FakeService service([&](Peer& peer, int number) {
+    peer.greet(2);
+    const auto open = peer.receive();
+    peer.reply(*open, number == 0 ? seat_reply(4, 6) : seat_unfilled(5, 6, false));
+    for (int k = number == 0 ? 1 : 0; k < 2; ++k) {
       begun.push_back(*peer.receive());
       peer.receive();
       if (number == 0) return;
-      peer.reply(begun.back(), report(7), news());
-      answer_close(peer);
-    });
-    {
-      std::string told;
-      ConnectOptions options;
-      options.endpoint = service.endpoint();
-      options.on_notice = [&told](const std::string& text) { told += text + "\n"; };
-      auto client = Client::connect(options);
-      auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
-      ASSERT_TRUE(scene.ok()) << scene.status().message();
-      const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
-      EXPECT_TRUE(result.ok()) << result.status().message();
-      EXPECT_EQ(scene->last_step(), 7);
-      EXPECT_EQ(told.find("made by somebody else, with tolerance 0.5 instead of 0.25") != std::string::npos, !quicker)
-          << told;
+      if (k == 0)
+        peer.reply(begun.back(), {{"refilled", true}});
+      else
+        peer.reply(begun.back(), report(7), news());
     }
-    service.stop();
-    ASSERT_EQ(made.size(), 1U);
-    EXPECT_EQ(made[0]["command"], "scene.create");
-    EXPECT_EQ(made[0]["parts"], 7);
-    EXPECT_EQ(made[0]["tolerance"], 0.25);
-    EXPECT_EQ(made[0]["recreated"], true);
-    ASSERT_EQ(begun.size(), 2U);
-    EXPECT_EQ(begun[1].json["step"], 7) << "the solver's number, though the new scene has no step";
-    EXPECT_EQ(begun[1].json["session"], begun[0].json["session"]);
-    EXPECT_EQ(begun[1].json["order"], "id");
-    EXPECT_EQ(opened.back().json["generation"], 5);
+    answer_close(peer);
+  });
+  {
+    auto [client, scene] = Seated(service);
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds);
+    EXPECT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(scene->last_step(), 7);
+  }
+  service.stop();
+  ASSERT_EQ(begun.size(), 3U);
+  EXPECT_EQ(begun[1].json["step"], 6);
+  EXPECT_EQ(begun[1].json["refill"], true);
+  EXPECT_EQ(begun[1].json["n"], 3);
+  EXPECT_EQ(begun[2].json["step"], 7);
+  EXPECT_FALSE(begun[2].json.contains("refill"));
+  for (const Received& begin : begun) {
+    EXPECT_EQ(begin.json["moved"], "all");
+    EXPECT_EQ(begin.json["order"], "id");
   }
 }
 
-// Once, and not again and again until the deadline, whatever the step before was.
-TEST(MemberScene, WeightsOfALostSceneAreAskedForAlsoAfterAStepOfFew) {
-  const std::vector<std::int64_t> told{5, 900};
-  int asked = 0;
-  FakeService service([&asked](Peer& peer, int number) {
-    peer.greet(2, number == 0 ? "first" : "second");
-    const auto open = peer.receive();
-    Json seat = seat_reply(4 + number, number == 0 ? 6 : -1);
-    seat["weights"] = number == 0;
-    peer.reply(*open, seat);
-    for (int step = 7; number == 0 && step < 9; ++step) {
-      const auto begin = peer.receive();
-      EXPECT_EQ(begin->json["moved"], step == 7 ? "all" : "none");
-      if (step == 7) peer.receive();
-      peer.reply(*begin, report(step), news());
-    }
-    if (number == 0) return;
-    while (const auto begin = peer.receive()) {
-      if (begin->json["command"] != "push.begin") return static_cast<void>(peer.reply(*begin, Json::object()));
-      if (++asked == 3) return;
-      peer.fail(*begin, {Code::unsupported, "members push all their particles"});
-    }
+// Its answer was lost with the service, which tells the report alone: the rest comes from the cuts.
+TEST(MemberScene, AsksForTheAnswerToAStepThatTheServiceHasCommitted) {
+  std::vector<Json> begun;
+  FakeService service([&](Peer& peer, int number) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), number == 0 ? seat_reply(4, 6) : seat_unfilled(5, 7, false));
+    begun.push_back(peer.receive()->json);
+    if (number == 0) return static_cast<void>(peer.receive());
+    Json answer = report(7);
+    answer.erase("cuts");
+    answer.update({{"repeated", true}, {"first_id", 77}});
+    peer.reply({protocol::FrameType::request, 3, begun.back()}, answer);
+    const auto asked = peer.receive();
+    EXPECT_EQ(asked->json["command"], "cuts");
+    peer.reply(*asked, told_cuts().json, told_cuts().arrays);
+    answer_close(peer);
   });
   {
-    auto client = Client::connect({.endpoint = service.endpoint(), .outlive = true});
-    auto scene = MemberScene::open(*client, "s", {.member = 1, .members = 3, .follow = true});
-    MemberStepOptions unmoved;
-    unmoved.unmoved = true;
-    ASSERT_TRUE(scene->step(Positions::axes(kAxes, 3), kIds).ok());
-    ASSERT_TRUE(scene->step(Positions::axes(kAxes, 2), told, unmoved).ok());
-    const Status status = scene->step(Positions::axes(kAxes, 2), told).status();
-    EXPECT_EQ(status.code(), Code::base_lost) << status.message();
+    auto [client, scene] = Seated(service);
+    MemberStepOptions options = with_changes();
+    const std::array<double, 2> more{1.5, 2.5};
+    const Insertion in{.positions = Positions::rows(more.data(), 1, 2)};
+    options.inserted = &in;
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds, options);
+    ASSERT_TRUE(result.ok()) << result.status().message();
+    EXPECT_EQ(result->changes.size(), 3U);
+    EXPECT_EQ(result->inserted_ids, (std::vector<std::int64_t>{77}));
+    EXPECT_FALSE(result->leaving.empty());
   }
   service.stop();
-  EXPECT_EQ(asked, 1);
+  ASSERT_EQ(begun.size(), 2U);
+  EXPECT_EQ(begun[1]["moved"], "none");
+  EXPECT_EQ(begun[1]["slices"], 0);
+  EXPECT_EQ(begun[1]["session"], begun[0]["session"]);
 }
 
 // Weights are the solver's to bring: every member says so by the same rule, so that none waits for another.
-TEST(MemberScene, WeightsOfALostSceneAreAskedFor) {
-  FakeService service([](Peer& peer, int number) {
-    peer.greet(2, number == 0 ? "first" : "second");
+TEST(MemberScene, WeightsThatTheRanksLackAreAskedFor) {
+  std::vector<Json> begun;
+  FakeService service([&](Peer& peer, int) {
+    peer.greet(2);
+    peer.reply(*peer.receive(), seat_unfilled(4, 6, true));
     for (int k = 0; k < 2; ++k) {
-      const auto open = peer.receive();
-      if (!open) return;
-      Json seat = seat_reply(4 + number, number == 0 ? 6 : -1);
-      seat["weights"] = number == 0;
-      peer.reply(*open, seat);
-      auto begin = peer.receive();
-      if (!begin || number == 0) return;
-      EXPECT_EQ(begin->json["moved"], "none") << "was the step committed before?";
-      peer.fail(*begin, {Code::unsupported, "members push all their particles"});
-      begin = peer.receive();
+      const auto begin = peer.receive();
+      begun.push_back(begin->json);
       peer.receive();
-      EXPECT_EQ(begin->json["weights"], true);
-      peer.reply(*begin, report(7), news());
-      answer_close(peer);
+      if (k == 0)
+        peer.reply(*begin, {{"refilled", true}});
+      else
+        peer.reply(*begin, report(7), news());
     }
+    answer_close(peer);
   });
-  auto [client, scene] = Seated(service);
-  ASSERT_TRUE(scene.ok()) << scene.status().message();
-  const Status status = scene->step(Positions::axes(kAxes, 3), kIds).status();
-  EXPECT_EQ(status.code(), Code::base_lost) << status.message();
-  EXPECT_NE(status.message().find("which had weights"), std::string::npos) << status.message();
-  const std::vector<double> weights{1, 2, 3};
-  MemberStepOptions with;
-  with.weights = weights;
-  const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with);
-  EXPECT_TRUE(result.ok()) << result.status().message();
+  {
+    auto [client, scene] = Seated(service);
+    const Status status = scene->step(Positions::axes(kAxes, 3), kIds).status();
+    EXPECT_EQ(status.code(), Code::base_lost) << status.message();
+    EXPECT_NE(status.message().find("which has weights"), std::string::npos) << status.message();
+    const std::vector<double> weights{1, 2, 3};
+    MemberStepOptions with;
+    with.weights = weights;
+    const auto result = scene->step(Positions::axes(kAxes, 3), kIds, with);
+    EXPECT_TRUE(result.ok()) << result.status().message();
+  }
+  service.stop();
+  ASSERT_EQ(begun.size(), 2U);
+  for (const Json& begin : begun) EXPECT_EQ(begin["weights"], true);
 }
 
 }  // namespace

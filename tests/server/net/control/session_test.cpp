@@ -528,17 +528,5 @@ TEST(Session, WhatWasOrderedIsAnsweredBeforeTheEnd) {
   EXPECT_EQ(anna.receive().type, FrameType::goodbye);
 }
 
-TEST(Session, ARestartedServiceSaysSoAndThatItIsEmpty) {
-  TestService service([](ControlOptions& options) { options.restarted = true; });
-  Client client = service.client("c");
-  const Received status = client.call("status");
-  EXPECT_TRUE(status.json["restarted"]);
-  EXPECT_TRUE(status.json["empty"]);
-  EXPECT_EQ(status.json["restored"]["scenes"], 0);
-  EXPECT_NE(client.call("scene.open", {{"scene", "s"}}).hint().find("there is none yet"), std::string::npos);
-  client.begin(kAnna, 0, 2);
-  EXPECT_NE(client.receive().hint().find("there is none yet"), std::string::npos);
-}
-
 }  // namespace
 }  // namespace rcb::net::testing

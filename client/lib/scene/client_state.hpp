@@ -1,9 +1,9 @@
-// Creates a scene again if its service was restarted, empty, with the options that the client knows. Scene and
-// MemberScene then push the particles into it.
+// What the scenes of one Client share.
 #pragma once
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 
@@ -14,27 +14,14 @@
 
 namespace rcb::client {
 
-// What is known of a scene besides its particles.
+// What a Client remembers of a scene that it has created.
 struct KnownScene {
-  wire::Json options;    // arguments of scene.create; null: not known yet
-  std::string instance;  // identifies the run of the service that had the scene
-  int threads = 1;       // SceneOptions::threads
+  std::optional<int> dims;
+  int threads = 1;  // SceneOptions::threads
 };
 
-// Picks the scene's options out of a described() scene or the arguments of a scene.create.
-wire::Json scene_options(const wire::Json& description);
-
-// The answer to a request that describes a scene. Long part sizes, which come as an array beside the answer, are in it.
+// The answer to a request that describes a scene.
 Result<wire::Json> described(Session& session, wire::Json request, const Retry& retry);
-
-// One scene.open with these arguments. If the service was restarted and doesn't have the scene, creates it first.
-// Another client may create it at the same moment, with the same options: either will do. Errors: not_found, if the
-// scene can't be created: it was dropped, its options aren't known, or ConnectOptions::outlive is false.
-Result<wire::Json> open_or_make_anew(Session& session, const wire::Json& arguments, KnownScene& known,
-                                     const Retry& retry);
-
-// Asks for the scene's options after another client has changed them. If that fails, they stay as they were.
-void refresh_options(Session& session, const std::string& scene, KnownScene& known, const Retry& retry);
 
 // Defined here so that Scene and MemberScene can use it; nobody outside this folder sees it.
 struct Client::State {
@@ -60,8 +47,12 @@ struct Client::State {
     return {Code::busy, fmt::format("this client has scene '{}' open as a {}", scene, kind),
             "open it with another client, or after that one has ended"};
   }
-  // To be called when the client has created a scene, with its options, or has dropped it, with none.
-  void begin_run(const std::string& scene, wire::Json options, int threads = 1);
+  // To be called when the client has created a scene or, without `made`, has dropped it.
+  void begin_run(const std::string& scene, std::optional<KnownScene> made) {
+    ++runs[scene];
+    created.erase(scene);
+    if (made) created[scene] = *made;
+  }
 };
 
 }  // namespace rcb::client

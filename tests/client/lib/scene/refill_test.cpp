@@ -1,5 +1,5 @@
-// A service that dies and is started again without its scenes: the scene is made anew and gets all particles, whatever
-// the step would have brought, and the caller hears what has changed since it was last told.
+// A service that dies and is started again, whose ranks hold no particles then: they get all of them, whatever the step
+// brings, and the caller hears what has changed since it was last told.
 #include <algorithm>
 #include <array>
 #include <numeric>
@@ -86,90 +86,32 @@ struct Solver {
   std::optional<Scene> pushed;
 };
 
-TEST(Restore, EveryStepHasOneReportAndItsNumberThroughAnyNumberOfDeaths) {
+TEST(Refill, EveryStepIsCommittedAndToldOnceThroughAnyNumberOfDeaths) {
   for (const Fault fault : {Fault::die_before_commit, Fault::die_after_commit}) {
     FakeScene fake = scene_that(fault, {0, 3, 4, 8});
     Solver solver(fake);
-    int recreated = 0;
     for (std::int64_t step = 0; step < 8; ++step) {
       const auto result = solver.step(step);
       ASSERT_TRUE(result.ok()) << result.status().message();
       EXPECT_EQ(result->report.step, step);
-      recreated += result->report.scene_recreated ? 1 : 0;
       solver.expect(*result, step, step - 1);
       if (HasFatalFailure()) return;
     }
     EXPECT_EQ(solver.pushed->last_step(), 7);
     solver.end();
     EXPECT_EQ(fake.restarts, 4);
-    EXPECT_EQ(recreated, 3) << "two deaths in a row, one loss";
-    EXPECT_EQ(fake.commits, fault == Fault::die_before_commit ? 8 : 12);
+    EXPECT_EQ(fake.commits, 8);
+    EXPECT_GE(fake.refills, 2);
+    EXPECT_NE(std::ranges::find_if(solver.notices,
+                                   [](const std::string& text) {
+                                     return text.find("was started again, and gets the particles of scene 's' anew") !=
+                                            std::string::npos;
+                                   }),
+              solver.notices.end());
   }
 }
 
-TEST(Restore, TheSceneIsMadeWithTheOptionsThatTheServiceSaidLast) {
-  FakeScene fake = scene_that(Fault::die_before_commit, {1});
-  fake.options = {{"tolerance", "inf"}, {"policy", "cost"}, {"part_sizes", {1, 2, 3, 4, 5}}};
-  Solver solver(fake);
-  ASSERT_TRUE(solver.step(0).ok() && solver.step(1).ok());
-  solver.end();
-  ASSERT_EQ(fake.created.size(), 1U);
-  const protocol::Json& made = fake.created[0];
-  EXPECT_EQ(made["parts"], kParts);
-  EXPECT_EQ(made["dims"], kDims);
-  EXPECT_EQ(made["tolerance"], "inf");
-  EXPECT_EQ(made["policy"], "cost");
-  EXPECT_EQ(made["part_sizes"], fake.options["part_sizes"]);
-  EXPECT_EQ(made["recreated"], true);
-  EXPECT_FALSE(made.contains("replace")) << "whoever was quicker has made it just so";
-  EXPECT_NE(std::find_if(solver.notices.begin(), solver.notices.end(),
-                         [](const std::string& text) { return text.find("made anew") != std::string::npos; }),
-            solver.notices.end());
-}
-
-// A drop that the service refuses leaves the scene as it was, also what is known of it.
-TEST(Restore, ASceneWhoseDropWasRefusedIsMadeAnew) {
-  std::vector<protocol::Json> created;
-  FakeService service([&](Peer& peer, int number) {
-    if (!peer.greet(1, "instance " + std::to_string(number))) return;
-    while (const auto request = peer.receive()) {
-      if (request->type == protocol::FrameType::goodbye) return;
-      const auto command = request->json["command"].get<std::string>();
-      if (number == 0 && command == "scene.open") return;  // the service dies
-      if (command == "scene.create") created.push_back(request->json);
-      if (command == "scene.drop")
-        peer.fail(*request, {Code::busy, "another client has it open"});
-      else if (command == "scene.open" && created.size() < 2)
-        peer.fail(*request, {Code::not_found, "no such scene"});
-      else
-        peer.reply(*request, {{"scene", "s"}, {"n", 0}, {"dims", 2}, {"parts", 7}, {"ranks", 1}, {"epoch", 0}});
-    }
-  });
-  {
-    auto client = Client::connect({.endpoint = service.endpoint()});
-    ASSERT_TRUE(client.ok());
-    ASSERT_TRUE(client->create_scene("s", {.parts = 7, .dims = 2}).ok());
-    EXPECT_EQ(client->drop_scene("s").code(), Code::busy);
-    const auto scene = client->open_scene("s");
-    EXPECT_TRUE(scene.ok()) << scene.status().message();
-  }
-  service.stop();
-  ASSERT_EQ(created.size(), 2U);
-  EXPECT_EQ(created[1]["parts"], 7);
-  EXPECT_EQ(created[1]["recreated"], true);
-}
-
-TEST(Restore, PartSizesThatCameAsAnArrayAreKept) {
-  FakeScene fake = scene_that(Fault::die_before_commit, {1});
-  fake.long_part_sizes = {5, 4, 3, 2, 1};
-  Solver solver(fake);
-  ASSERT_TRUE(solver.step(0).ok() && solver.step(1).ok());
-  solver.end();
-  ASSERT_EQ(fake.created.size(), 1U);
-  EXPECT_EQ(fake.created[0]["part_sizes"], protocol::Json(fake.long_part_sizes));
-}
-
-TEST(Restore, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
+TEST(Refill, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
   FakeScene fake = scene_that(Fault::die_before_commit, {1});
   Solver solver(fake);
   std::vector<double> weights(kParticles);
@@ -184,45 +126,59 @@ TEST(Restore, WeightsAndRowsThatStoodStillAreBroughtAsTheyWere) {
   ASSERT_TRUE(result.ok()) << result.status().message();
   solver.expect(*result, 1, 0);
   solver.end();
+  EXPECT_EQ(fake.refills, 1);
   EXPECT_EQ(fake.weights, weights);
 }
 
-TEST(Restore, AStepWithoutAllPositionsSaysWhatItLacksAndTheNextOneGoesOn) {
-  FakeScene fake = scene_that(Fault::die_before_commit, {1, 3});
+TEST(Refill, AStepWithoutAllPositionsSaysWhatItLacksAndTheNextOneGoesOn) {
+  FakeScene fake = scene_that(Fault::die_before_commit, {1});
   Solver solver(fake);
   ASSERT_TRUE(solver.step(0).ok());
   for (int again = 0; again < 2; ++again) {
     const Status status = solver.pushed->step_unmoved().status();
     EXPECT_EQ(status.code(), Code::base_lost) << status.message();
-    EXPECT_NE(status.message().find("has lost the particles of scene 's'"), std::string::npos) << status.message();
+    EXPECT_NE(status.message().find("its ranks hold no particles of scene 's'"), std::string::npos) << status.message();
     EXPECT_NE(status.message().find("of 600 particles this push has the positions of 0"), std::string::npos)
         << status.message();
   }
   const auto result = solver.step(1);
   ASSERT_TRUE(result.ok()) << result.status().message();
-  EXPECT_TRUE(result->report.scene_recreated);
   solver.expect(*result, 1, 0);
-  // Other particles than were lost are a new beginning.
-  EXPECT_EQ(solver.pushed->step_unmoved().status().code(), Code::base_lost);
-  std::vector<double> fewer;
-  for (std::int64_t row = 0; row < 10; ++row)
-    for (std::size_t a = 0; a < kDims; ++a) fewer.push_back(value_of(row, a, 2));
-  const auto others = solver.pushed->step(Positions::rows(fewer.data(), 10, kDims), {.want_changes = true});
-  ASSERT_TRUE(others.ok()) << others.status().message();
-  EXPECT_EQ(others->changes.size(), 10U);
 }
 
-TEST(Restore, WhoDoesNotWantItIsTold) {
+TEST(Refill, AClientThatKnowsNeitherIdsNorWeightsIsAskedForThem) {
   FakeScene fake = scene_that(Fault::die_before_commit, {1});
-  ConnectOptions plain;
-  plain.outlive = false;
-  Solver solver(fake, plain);
+  Solver solver(fake);
+  const std::vector<double> weights(kParticles, 2);
+  StepOptions first;
+  first.weights = weights;
+  ASSERT_TRUE(solver.step(0, first).ok());
+  EXPECT_EQ(solver.pushed->step_unmoved().status().code(), Code::base_lost);  // the service dies
+  solver.pushed.reset();
+  solver.pushed.emplace(solver.client->open_scene("s").value());
+  StepOptions ids;
+  ids.ids = solver.ids;
+  const Status status = solver.pushed->step(solver.at(1), ids).status();
+  EXPECT_EQ(status.code(), Code::base_lost);
+  EXPECT_NE(status.message().find("they have weights"), std::string::npos) << status.message();
+  ids.weights = weights;
+  EXPECT_TRUE(solver.pushed->step(solver.at(1), ids).ok());
+  solver.end();
+  EXPECT_EQ(fake.refills, 1);
+}
+
+TEST(Refill, ASceneThatSomebodyReplacedIsNotGoneOnWith) {
+  FakeScene fake = scene_that(Fault::none, {});
+  fake.options = {{"incarnation", "00000000000000aa"}};
+  fake.fault = [&fake](int push) {
+    if (push == 1) fake.options["incarnation"] = "00000000000000bb";
+    return push == 1 ? Fault::close_before_commit : Fault::none;
+  };
+  Solver solver(fake);
   ASSERT_TRUE(solver.step(0).ok());
   const Status status = solver.step(1).status();
   EXPECT_EQ(status.code(), Code::not_found);
-  EXPECT_NE(status.message().find("no scene 's'"), std::string::npos) << status.message();
-  solver.end();
-  EXPECT_TRUE(fake.created.empty());
+  EXPECT_NE(status.message().find("is another one, made anew"), std::string::npos) << status.message();
 }
 
 }  // namespace
