@@ -11,14 +11,17 @@ namespace {
 
 class Builder final : public nlohmann::json_sax<Json> {
  public:
-  explicit Builder(std::size_t values_max) : values_left_(values_max) {}
+  enum class Binary { refused, taken };
+  Builder(std::size_t values_max, Binary binary) : values_left_(values_max), binary_(binary) {}
   bool null() override { return place(nullptr); }
   bool boolean(bool value) override { return place(value); }
   bool number_integer(number_integer_t value) override { return place(value); }
   bool number_unsigned(number_unsigned_t value) override { return place(value); }
   bool number_float(number_float_t value, const string_t&) override { return place(value); }
   bool string(string_t& value) override { return place(std::move(value)); }
-  bool binary(binary_t&) override { return fail("binary values have no place in it"); }
+  bool binary(binary_t& value) override {
+    return binary_ == Binary::taken ? place(std::move(value)) : fail("binary values have no place in it");
+  }
   bool start_object(std::size_t) override { return open(Json::object()); }
   bool end_object() override { return close(); }
   bool start_array(std::size_t) override { return open(Json::array()); }
@@ -90,6 +93,7 @@ class Builder final : public nlohmann::json_sax<Json> {
   std::vector<Json*> open_;
   Json* slot_ = nullptr;
   std::size_t values_left_;
+  Binary binary_;
   std::string fault_;
 };
 
@@ -100,9 +104,16 @@ Result<Json> parse_json(std::string_view text, std::size_t bytes_max, std::size_
     return Status(Code::protocol_error, fmt::format("JSON: {} bytes, at most {} are taken", text.size(), bytes_max));
   // The parser takes a zero byte for the end of the text and would accept what stands before it.
   if (text.find('\0') != std::string_view::npos) return Status(Code::protocol_error, "JSON: a zero byte inside");
-  Builder builder(values_max);
+  Builder builder(values_max, Builder::Binary::refused);
   if (!Json::sax_parse(text.begin(), text.end(), &builder))
     return Status(Code::protocol_error, "JSON: " + builder.fault(), "a frame carries one JSON object in UTF-8");
+  return builder.take();
+}
+
+Result<Json> parse_cbor(std::string_view bytes) {
+  Builder builder(kJsonValuesMax, Builder::Binary::taken);
+  if (!Json::sax_parse(bytes.begin(), bytes.end(), &builder, Json::input_format_t::cbor))
+    return Status(Code::protocol_error, "CBOR: " + builder.fault());
   return builder.take();
 }
 

@@ -119,6 +119,21 @@ Answer describe(const Ledger& ledger, int ranks) {
   return answer;
 }
 
+wire::Json restore_order(const Ledger& ledger) {
+  const SceneState& now = ledger.now();
+  wire::Json order = to_json(now.options);
+  order.update({{"command", "scene.restore"},
+                {"scene", ledger.name()},
+                {"epoch", now.epoch},
+                {"n", now.n},
+                {"weights", now.weights},
+                {"ids", now.ids},
+                {"rounds", now.search_rounds},
+                {"reductions", now.search_reductions}});
+  if (now.id_next) order["id_next"] = *now.id_next;
+  return order;
+}
+
 Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
   const std::string command = request.at("command").get<std::string>();
   if (command == "history") return history(ledger, request);

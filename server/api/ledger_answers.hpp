@@ -17,6 +17,9 @@ Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int r
 wire::Json repeated_to_member(const scene::Ledger& ledger, const scene::MemberShare& share);
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 
+// What has the ranks take up a scene of an earlier service. The cuts, if any, go with it: cut_arrays().
+wire::Json restore_order(const scene::Ledger& ledger);
+
 // What a count is answered, unless it is refused or repeated.
 wire::Json verdict_json(const scene::CountVerdict& verdict);
 

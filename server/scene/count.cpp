@@ -1,5 +1,6 @@
 #include "server/scene/count.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
@@ -11,8 +12,6 @@
 
 namespace rcb::scene {
 namespace {
-
-constexpr int kScaleMost = 1300;  // of the smallest double there is
 
 // An array of so many columns, by rows.
 template <typename T>
@@ -106,6 +105,12 @@ std::optional<int> scale_due(const WeightCount& weights, std::uint64_t n) {
   return ExactScale(weights.greatest, n).exponent();
 }
 
+bool sum_fits(std::span<const u128> loads) {
+  constexpr u128 kSumMost = u128{1} << 127U;
+  u128 sum = 0;
+  return std::ranges::all_of(loads, [&sum](u128 load) { return load < kSumMost && (sum += load) < kSumMost; });
+}
+
 Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes) {
   if (!record.parts.empty() && record.parts.back() >= parts)
     return odd(fmt::format("part {}, and the scene has {} parts", record.parts.back(), parts));
@@ -114,14 +119,11 @@ Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, st
     counts[static_cast<std::size_t>(record.parts[k])] = record.counts[k];
   if (!record.weights || !scale_due(*record.weights, record.n))
     return partition::summarise_counts(std::move(counts), sizes);
-  constexpr u128 kSumMost = u128{1} << 127U;
+  if (!sum_fits(record.weights->loads))
+    return odd("loads of more than 127 bits, which no sum of weights in a scene's scale has");
   std::vector<u128> loads(counts.size());
-  u128 sum = 0;
-  for (std::size_t k = 0; k < record.parts.size(); ++k) {
-    const u128 load = loads[static_cast<std::size_t>(record.parts[k])] = record.weights->loads[k];
-    if (load >= kSumMost || (sum += load) >= kSumMost)
-      return odd("loads of more than 127 bits, which no sum of weights in a scene's scale has");
-  }
+  for (std::size_t k = 0; k < record.parts.size(); ++k)
+    loads[static_cast<std::size_t>(record.parts[k])] = record.weights->loads[k];
   return partition::summarise_weighted(std::move(counts), std::move(loads), record.weights->scale,
                                        record.weights->as_zero, sizes);
 }

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -54,6 +55,9 @@ Result<CountRecord> read_count(const wire::Json& request, const std::vector<wire
 // invalid_argument (a part beyond the last, loads that no weights have).
 Result<partition::LoadSummary> loads_of(const CountRecord& record, int parts, std::span<const double> sizes);
 
+inline constexpr int kScaleMost = 1300;  // either way; of the smallest double there is
+// Whether these are loads in a scale: of 127 bits, all together.
+bool sum_fits(std::span<const u128> loads);
 // The scale that the weights of n particles need; nothing where weights don't count, since all are equal.
 std::optional<int> scale_due(const WeightCount& weights, std::uint64_t n);
 

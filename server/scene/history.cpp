@@ -25,8 +25,8 @@ void HistoryMemory::make_room(const History* newest) {
   }
 }
 
-History::History(HistoryMemory& memory, std::string scene, std::uint64_t total)
-    : memory_(memory), scene_(std::move(scene)), total_(total) {
+History::History(HistoryMemory& memory, std::string scene, std::uint64_t total, std::string loss)
+    : memory_(memory), scene_(std::move(scene)), total_(total), loss_(std::move(loss)) {
   memory_.histories_.insert(this);
 }
 
@@ -40,9 +40,10 @@ void History::note_loss(const std::string& why) {
 }
 
 void History::add(StepReport report, const wire::Json& json, Journal* journal) {
-  Status kept(Code::io_error, "the service has no data directory for them");
-  if (journal != nullptr) kept = journal->append(total_, wire::dump_json(json));
-  if (!kept.ok()) note_loss(kept.message());
+  if (journal == nullptr)
+    loss_ = "the service has no data directory for them";
+  else if (const Status kept = journal->append(total_, wire::dump_json(json)); !kept.ok())
+    note_loss(kept.message());
   recent_.push_back(std::move(report));
   ++total_;
   ++memory_.held_;
@@ -64,8 +65,9 @@ History::Reading History::reading(std::uint64_t first, std::uint64_t last, const
   const std::uint64_t upto = std::min(last, total_ - recent_.size());
   std::shared_ptr<JournalReports> reader;
   if (journal != nullptr) reader = std::make_shared<JournalReports>(journal->reader());
-  return [reader, thread = &memory_.thread_, first, upto, found](auto take, auto then) -> Status {
-    const auto read = [reader, first, upto, found, take] {
+  return [reader, storage = memory_.storage_, thread = &memory_.thread_, first, upto, found](auto take,
+                                                                                             auto then) -> Status {
+    const auto read = [reader, storage, first, upto, found, take] {
       FoundReports all;
       all.loss = found->loss;
       const auto keep = [&all](std::uint64_t, std::string_view text) {

@@ -12,9 +12,11 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/files/side_thread.hpp"
@@ -28,8 +30,9 @@ class History;
 // The memory shared by the histories of all scenes.
 class HistoryMemory {
  public:
-  // keep: at least 1.
-  explicit HistoryMemory(std::size_t keep) : keep_(keep), thread_(kReadBytesMax) {}
+  // keep: at least 1. storage: what journals read from; a read that hangs may keep it beyond this object.
+  explicit HistoryMemory(std::size_t keep, std::shared_ptr<const Storage> storage = nullptr)
+      : keep_(keep), storage_(std::move(storage)), thread_(kReadBytesMax) {}
   HistoryMemory(const HistoryMemory&) = delete;
   HistoryMemory& operator=(const HistoryMemory&) = delete;
 
@@ -45,6 +48,7 @@ class HistoryMemory {
   std::size_t keep_;
   std::size_t held_ = 0;
   std::set<History*> histories_;
+  std::shared_ptr<const Storage> storage_;
   SideThread thread_;
 };
 
@@ -56,8 +60,8 @@ struct FoundReports {
 
 class History {
  public:
-  // The memory must outlive it. total: reports of an earlier service, which are in the journal.
-  History(HistoryMemory& memory, std::string scene, std::uint64_t total = 0);
+  // The memory must outlive it. total: reports of an earlier service, which are in the journal but for a loss.
+  History(HistoryMemory& memory, std::string scene, std::uint64_t total = 0, std::string loss = {});
   ~History();
   History(const History&) = delete;
   History& operator=(const History&) = delete;

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "common/base/random.hpp"
 #include "common/files/paths.hpp"
 #include "common/wire/message.hpp"
 
@@ -69,9 +70,9 @@ Status remove_scene_folder(Storage& storage, const std::string& path) {
 Journal::Journal(Storage& storage, std::string path, std::uint64_t seed)
     : storage_(&storage),
       path_(std::move(path)),
-      state_(storage, join_path(path_, kState), seed),
-      cuts_(storage, join_path(path_, "cuts"), seed),
-      reports_(storage, path_, seed) {}
+      state_(storage, join_path(path_, kState), mix64(seed)),
+      cuts_(storage, join_path(path_, "cuts"), mix64(seed + 1)),
+      reports_(storage, path_, mix64(seed + 2)) {}  // so none is taken for another
 
 Result<Journal> Journal::create(Storage& storage, const std::string& data, const SceneFolder& scene) {
   const std::string path = scene.path(data);

@@ -1,7 +1,8 @@
 #include "server/scene/lasting.hpp"
 
 #include <cstring>
-#include <limits>
+#include <numeric>
+#include <stdexcept>
 #include <utility>
 
 #include <fmt/format.h>
@@ -12,6 +13,22 @@ namespace rcb::scene {
 namespace {
 
 using wire::Json;
+
+// Reading throws, as nlohmann's functions do; decode_lasting() and decode_tree() catch it.
+void need(bool holds, const char* what) {
+  if (!holds) throw std::out_of_range(what);
+}
+
+template <typename T>
+T valid(Result<T> read) {
+  if (!read.ok()) throw std::out_of_range(read.status().message());
+  return std::move(read).value();
+}
+
+std::uint64_t whole(const Json& json, std::uint64_t most = ~std::uint64_t{0}) {
+  need(json.is_number_unsigned() && json.get<std::uint64_t>() <= most, "a number");
+  return json.get<std::uint64_t>();
+}
 
 template <typename T>
 Json packed(const std::vector<T>& values) {
@@ -33,33 +50,10 @@ Json or_null(const std::optional<T>& value) {
   return value ? Json(*value) : Json();
 }
 
-template <typename T>
-std::optional<T> maybe(const Json& json) {
-  return json.is_null() ? std::nullopt : std::optional(json.get<T>());
-}
-
 std::string bytes_of(const Json& json) {
   std::string bytes;
   Json::to_cbor(json, bytes);
   return bytes;
-}
-
-SceneOptions options_from(const Json& json) {
-  SceneOptions options;
-  options.parts = json.at("parts").get<int>();
-  options.dims = json.at("dims").get<int>();
-  options.method = cuts::method_from_name(json.at("method").get<std::string>()).value();
-  const Json& tolerance = json.at("tolerance");
-  options.tolerance = tolerance.is_string() ? std::numeric_limits<double>::infinity() : tolerance.get<double>();
-  options.axis_hysteresis = json.at("axis_hysteresis").get<double>();
-  options.cut_tolerance = json.at("cut_tolerance").get<double>();
-  options.policy = policy_from_name(json.at("policy").get<std::string>()).value();
-  options.positions = travel_from_name(json.at("positions").get<std::string>()).value();
-  options.part_sizes = json.at("part_sizes").get<std::vector<double>>();
-  if (options.parts < 1 || options.parts > wire::kPartsMax || options.dims < 1 || options.dims > 3 ||
-      (!options.part_sizes.empty() && options.part_sizes.size() != static_cast<std::size_t>(options.parts)))
-    throw std::out_of_range("options");
-  return options;
 }
 
 Json loads_json(const partition::LoadSummary* loads) {
@@ -71,18 +65,20 @@ Json loads_json(const partition::LoadSummary* loads) {
   return json;
 }
 
-std::shared_ptr<const partition::LoadSummary> loads_from(const Json& json, const SceneOptions& options) {
+std::shared_ptr<const partition::LoadSummary> loads_from(const Json& json, const SceneState& now) {
   if (json.is_null()) return nullptr;
   auto counts = unpacked<std::uint64_t>(json.at("counts"));
-  if (counts.size() != static_cast<std::size_t>(options.parts)) throw std::out_of_range("counts");
+  need(counts.size() == static_cast<std::size_t>(now.options.parts), "a count of each part");
+  need(std::accumulate(counts.begin(), counts.end(), u128{0}) == now.n, "counts of all particles");
   if (!json.contains("loads"))
     return std::make_shared<const partition::LoadSummary>(
-        partition::summarise_counts(std::move(counts), options.part_sizes));
+        partition::summarise_counts(std::move(counts), now.options.part_sizes));
   auto loads = unpacked<u128>(json["loads"]);
-  if (loads.size() != counts.size()) throw std::out_of_range("loads");
-  return std::make_shared<const partition::LoadSummary>(
-      partition::summarise_weighted(std::move(counts), std::move(loads), json.at("scale").get<int>(),
-                                    json.at("as_zero").get<std::uint64_t>(), options.part_sizes));
+  need(loads.size() == counts.size() && sum_fits(loads), "a load of each part");
+  const Json& scale = json.at("scale");
+  need(scale.is_number_integer() && scale >= -kScaleMost && scale <= kScaleMost, "a scale");
+  return std::make_shared<const partition::LoadSummary>(partition::summarise_weighted(
+      std::move(counts), std::move(loads), scale.get<int>(), whole(json.at("as_zero"), now.n), now.options.part_sizes));
 }
 
 Json totals_json(const SceneTotals& totals) {
@@ -96,23 +92,24 @@ Json totals_json(const SceneTotals& totals) {
 
 SceneTotals totals_from(const Json& json) {
   SceneTotals totals;
-  const auto number = [&json](const char* name) { return json.at(name).get<std::uint64_t>(); };
-  totals.bytes = number("bytes");
-  totals.drifted = number("drifted");
-  totals.moved = number("moved");
-  totals.migrated = number("migrated");
-  totals.scanned = number("scanned");
-  totals.searched = number("searched");
-  totals.rounds = number("rounds");
-  totals.reductions = number("reductions");
+  for (const auto& [name, into] :
+       std::initializer_list<std::pair<const char*, std::uint64_t*>>{{"bytes", &totals.bytes},
+                                                                     {"drifted", &totals.drifted},
+                                                                     {"moved", &totals.moved},
+                                                                     {"migrated", &totals.migrated},
+                                                                     {"scanned", &totals.scanned},
+                                                                     {"searched", &totals.searched},
+                                                                     {"rounds", &totals.rounds},
+                                                                     {"reductions", &totals.reductions},
+                                                                     {"steps", &totals.steps},
+                                                                     {"repartitions", &totals.repartitions}})
+    *into = whole(json.at(name));
   const Json& seconds = json.at("seconds");
   totals.seconds = {seconds.at("receive").get<double>(), seconds.at("exchange").get<double>(),
                     seconds.at("search").get<double>(), seconds.at("migrate").get<double>(),
                     seconds.at("total").get<double>()};
-  totals.steps = number("steps");
-  totals.repartitions = number("repartitions");
-  totals.skipped = json.at("skipped").get<std::map<std::string, std::uint64_t>>();
-  totals.asked = json.at("asked").get<std::map<std::string, std::uint64_t>>();
+  for (const auto& [name, into] : {std::pair{"skipped", &totals.skipped}, {"asked", &totals.asked}})
+    for (const auto& [of, count] : json.at(name).get_ref<const Json::object_t&>()) (*into)[of] = whole(count);
   return totals;
 }
 
@@ -121,18 +118,6 @@ Status damaged(const char* what, const std::exception& why) {
 }
 
 }  // namespace
-
-Json to_json(const SceneOptions& options) {
-  return {{"parts", options.parts},
-          {"dims", options.dims},
-          {"method", cuts::method_name(options.method)},
-          {"tolerance", wire::number_json(options.tolerance)},
-          {"axis_hysteresis", options.axis_hysteresis},
-          {"cut_tolerance", options.cut_tolerance},
-          {"policy", policy_name(options.policy)},
-          {"positions", travel_name(options.positions)},
-          {"part_sizes", options.part_sizes}};
-}
 
 std::string encode(const Lasting& lasting) {
   const SceneState& now = lasting.now;
@@ -156,33 +141,34 @@ std::string encode(const Lasting& lasting) {
                    {"last_report", lasting.last_report}});
 }
 
-// nlohmann's exceptions and those above say what is wrong.
 Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation) try {
-  const Json json = Json::from_cbor(bytes);
+  const Json json = valid(wire::parse_cbor(bytes));
   Lasting lasting;
   SceneState& now = lasting.now;
-  now.options = options_from(json.at("options"));
+  now.options = valid(read_options(json.at("options")));
   now.incarnation = incarnation;
-  now.n = json.at("n").get<std::uint64_t>();
+  now.n = whole(json.at("n"), wire::kParticlesMax);
   now.weights = json.at("weights").get<bool>();
   now.ids = json.at("ids").get<bool>();
-  now.epoch = json.at("epoch").get<std::uint64_t>();
-  now.hash = json.at("hash").get<std::uint64_t>();
-  now.loads = loads_from(json.at("loads"), now.options);
-  now.search_rounds = json.at("rounds").get<std::uint64_t>();
-  now.search_reductions = json.at("reductions").get<std::uint64_t>();
-  now.step = maybe<std::int64_t>(json.at("step"));
-  now.id_sum = maybe<std::uint64_t>(json.at("id_sum"));
-  now.id_next = maybe<std::uint64_t>(json.at("id_next"));
+  now.epoch = whole(json.at("epoch"));
+  now.hash = whole(json.at("hash"));
+  now.loads = loads_from(json.at("loads"), now);
+  now.search_rounds = whole(json.at("rounds"));
+  now.search_reductions = whole(json.at("reductions"));
+  if (const Json& step = json.at("step"); !step.is_null())
+    now.step = static_cast<std::int64_t>(whole(step, wire::kStepMax));
+  if (const Json& sum = json.at("id_sum"); !sum.is_null()) now.id_sum = whole(sum);
+  if (const Json& next = json.at("id_next"); !next.is_null()) now.id_next = whole(next);
   lasting.totals = totals_from(json.at("totals"));
   lasting.costs = CostAccount::from_json(json.at("costs"));
-  lasting.error_when_not_adopted = maybe<double>(json.at("not_adopted"));
-  lasting.last_session = json.at("last_session").get<std::uint64_t>();
+  if (const Json& error = json.at("not_adopted"); !error.is_null()) lasting.error_when_not_adopted = finite_from(error);
+  lasting.last_session = whole(json.at("last_session"));
   lasting.last_members = unpacked<MemberShare>(json.at("last_members"));
   lasting.last_report = json.at("last_report");
-  if (now.step.has_value() != (now.loads != nullptr) || now.step.has_value() != (now.epoch > 0) ||
-      now.step.has_value() != lasting.last_report.is_object())
-    throw std::out_of_range("steps");
+  const bool stepped = now.step.has_value();
+  need((now.loads != nullptr) == stepped && (now.epoch > 0) == stepped && (lasting.totals.steps > 0) == stepped &&
+           lasting.last_report.is_object() == stepped,
+       "all that a step leaves, or nothing of it");
   return lasting;
 } catch (const std::exception& why) {
   return damaged("state", why);
@@ -200,16 +186,16 @@ std::string encode(const cuts::CutTree& tree) {
 }
 
 Result<cuts::CutTree> decode_tree(std::string_view bytes) try {
-  const Json json = Json::from_cbor(bytes);
+  const Json json = valid(wire::parse_cbor(bytes));
   cuts::CutArrays arrays;
-  arrays.dims = json.at("dims").get<int>();
+  arrays.dims = static_cast<int>(whole(json.at("dims"), 3));
   arrays.method = cuts::method_from_name(json.at("method").get<std::string>()).value();
-  arrays.parts = json.at("parts").get<int>();
+  arrays.parts = static_cast<int>(whole(json.at("parts"), wire::kPartsMax));
   arrays.part_sizes = unpacked<double>(json.at("part_sizes"));
   arrays.axes = unpacked<std::int32_t>(json.at("axes"));
   arrays.at = unpacked<double>(json.at("at"));
   arrays.id = unpacked<cuts::Id>(json.at("id"));
-  return cuts::tree_of(arrays);
+  return valid(cuts::tree_of(arrays));
 } catch (const std::exception& why) {
   return damaged("cuts", why);
 }

@@ -12,11 +12,8 @@
 
 namespace rcb::scene {
 
-// The options as scene.create takes them.
-wire::Json to_json(const SceneOptions& options);
-
 std::string encode(const Lasting& lasting);
-// incarnation and name: of the folder. Errors: io_error.
+// incarnation: of the folder. Errors: io_error.
 Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation);
 
 std::string encode(const cuts::CutTree& tree);

@@ -33,7 +33,9 @@ Ledger::Ledger(std::string name, Lasting lasting, HistoryMemory& memory, std::un
     : name_(std::move(name)),
       lasting_(std::move(lasting)),
       journal_(std::move(journal)),
-      history_(std::make_unique<History>(memory, name_, totals_.steps)),
+      history_(
+          std::make_unique<History>(memory, name_, totals_.steps,
+                                    journal_->reports() < totals_.steps ? "an earlier service could not keep it" : "")),
       kept_hash_(now_.hash) {
   if (now_.step) recent_.push_back({*now_.step, lasting_.last_session});
 }
@@ -41,11 +43,14 @@ Ledger::Ledger(std::string name, Lasting lasting, HistoryMemory& memory, std::un
 void Ledger::keep() {
   if (!journal_) return;
   Status kept;
-  if (now_.tree && now_.hash != kept_hash_) {
-    kept = journal_->put_cuts(encode(*now_.tree));
-    if (kept.ok()) kept_hash_ = now_.hash;
-  }
+  const bool new_cuts = now_.tree && now_.hash != kept_hash_;
+  if (new_cuts) kept = journal_->put_cuts(encode(*now_.tree));
+  const bool put = new_cuts && kept.ok();
   if (kept.ok()) kept = journal_->put_state(encode(lasting_));
+  if (put && kept.ok())
+    kept_hash_ = now_.hash;
+  else if (put)
+    journal_->hold_older_cuts();  // which the state in the journal names
   if (!kept.ok() && keeps_) spdlog::warn("scene '{}' will not outlive the service: {}", name_, kept.message());
   keeps_ = kept.ok();
 }
@@ -252,13 +257,19 @@ Restored Ledgers::restore() {
     return restored;
   }
   for (const SceneFolder& folder : *folders)
-    if (const Status status = restore_one(folder, restored); !status.ok())
+    if (const Status status = restore_one(folder); !status.ok())
       spdlog::warn("scene '{}' of an earlier service is not restored: {}", folder.name, status.message());
+  for (const auto& [name, ledger] : ledgers_) {
+    ++restored.scenes;
+    restored.steps += ledger.totals().steps;
+    restored.lost_records += ledger.totals().steps - ledger.journal()->reports();
+  }
   return restored;
 }
 
-// Of two incarnations, left where the service died while a scene was replaced, the one with more steps goes on.
-Status Ledgers::restore_one(const SceneFolder& folder, Restored& restored) {
+// Of two incarnations, which are left where the files of a scene that was replaced could not be removed, the later one
+// goes on.
+Status Ledgers::restore_one(const SceneFolder& folder) {
   JournalFound found;
   auto journal = Journal::open(*keeping_.storage, keeping_.data_dir, folder, found);
   if (!journal.ok()) return journal.status();
@@ -284,19 +295,15 @@ Status Ledgers::restore_one(const SceneFolder& folder, Restored& restored) {
       continue;
     }
     const std::uint64_t steps = lasting->totals.steps;
-    if (const Status cut = journal->keep_below(steps); !cut.ok()) spdlog::warn("{}", cut.message());
+    if (const Status cut = journal->keep_below(steps); !cut.ok()) return cut;
     // The service died between the state and the report.
     if (steps > 0 && journal->next_report() < steps)
       if (const Status added = journal->append(steps - 1, wire::dump_json(lasting->last_report)); !added.ok())
         spdlog::warn("{}", added.message());
-    if (const Ledger* other = find(folder.name)) {
-      if (other->totals().steps >= steps) return {Code::already_exists, "another of its name has more steps"};
-      ledgers_.erase(folder.name);
-      --restored.scenes;
+    if (Ledger* other = find(folder.name)) {
+      if (other->now().incarnation > folder.incarnation) return journal->remove();
+      drop(folder.name);
     }
-    ++restored.scenes;
-    restored.steps += steps;
-    restored.lost_records += steps - journal->reports();
     ledgers_.try_emplace(folder.name, folder.name, std::move(*lasting), *memory_,
                          std::make_unique<Journal>(std::move(*journal)));
     return {};

@@ -35,7 +35,7 @@ struct SceneTotals : StepCounts {
 // Everything that must last, but the cuts' bytes and the history.
 struct SceneState : Held {
   SceneOptions options;
-  std::uint64_t incarnation = 0;               // random, from its making
+  std::uint64_t incarnation = 0;               // from its making: no other's, and above those of earlier scenes
   std::optional<std::int64_t> step;            // the last one; none: no positions yet
   std::optional<std::int64_t> positions_step;  // whose positions the ranks hold; none: nobody can say
   bool filled = false;                         // the ranks hold its particles, of whatever step
@@ -162,7 +162,8 @@ struct Restored {
 class Ledgers {
  public:
   explicit Ledgers(Keeping keeping)
-      : keeping_(std::move(keeping)), memory_(std::make_unique<HistoryMemory>(keeping_.keep_reports)) {}
+      : keeping_(std::move(keeping)),
+        memory_(std::make_unique<HistoryMemory>(keeping_.keep_reports, keeping_.storage)) {}
 
   // The scenes that an earlier service has left. What can't be read is logged, and left where it is.
   Restored restore();
@@ -178,7 +179,7 @@ class Ledgers {
   auto end() const { return ledgers_.end(); }
 
  private:
-  Status restore_one(const SceneFolder& folder, Restored& restored);
+  Status restore_one(const SceneFolder& folder);
   void drop(const std::string& scene);
 
   Keeping keeping_;

@@ -8,7 +8,9 @@
 #include <string_view>
 #include <vector>
 
+#include "common/base/status.hpp"
 #include "common/cuts/cut_tree.hpp"
+#include "common/wire/message.hpp"
 
 namespace rcb::scene {
 
@@ -35,5 +37,11 @@ struct SceneOptions {
   Travel positions = Travel::every_step;
   std::vector<double> part_sizes;
 };
+
+// As scene.create takes them, and back. Errors: invalid_argument.
+wire::Json to_json(const SceneOptions& options);
+Result<SceneOptions> read_options(const wire::Json& request);
+// The field "method", or `otherwise` if absent; must suit `dims`. Errors: invalid_argument.
+Result<cuts::Method> read_method(const wire::Json& request, int dims, cuts::Method otherwise);
 
 }  // namespace rcb::scene

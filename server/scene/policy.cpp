@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <stdexcept>
 #include <vector>
 
 #include <fmt/format.h>
@@ -114,14 +115,24 @@ wire::Json CostAccount::to_json() const {
           {"seconds", std::vector<double>(seconds_.begin(), seconds_.end())}};
 }
 
+double finite_from(const wire::Json& json) {
+  const auto value = json.get<double>();
+  if (!std::isfinite(value) || value < 0) throw std::out_of_range("a number that isn't finite, or below 0");
+  return value;
+}
+
 CostAccount CostAccount::from_json(const wire::Json& json) {
   CostAccount account;
-  account.best_imbalance_ = json.at("best").get<double>();
-  account.lost_seconds_ = json.at("lost").get<double>();
-  if (!json.at("since").is_null()) account.since_ = json["since"].get<std::int64_t>();
-  if (!json.at("first").is_null()) account.first_seconds_ = json["first"].get<double>();
-  const auto seconds = json.at("seconds").get<std::vector<double>>();
-  account.seconds_.assign(seconds.begin(), seconds.end());
+  account.best_imbalance_ = finite_from(json.at("best"));
+  account.lost_seconds_ = finite_from(json.at("lost"));
+  if (const wire::Json& since = json.at("since"); !since.is_null()) {
+    if (!since.is_number_integer()) throw std::out_of_range("a step that isn't a whole number");
+    account.since_ = since.get<std::int64_t>();
+  }
+  if (!json.at("first").is_null()) account.first_seconds_ = finite_from(json["first"]);
+  for (const wire::Json& seconds : json.at("seconds").get_ref<const wire::Json::array_t&>())
+    account.seconds_.push_back(finite_from(seconds));
+  if (account.seconds_.size() > kRemembered) throw std::out_of_range("more repartitions than are kept");
   return account;
 }
 

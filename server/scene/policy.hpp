@@ -42,7 +42,7 @@ class CostAccount {
   double lost_seconds_with(double seconds, double imbalance) const;  // after computed(); finite
   double repartition_seconds() const;                                // median of the last kRemembered
   wire::Json to_json() const;
-  static CostAccount from_json(const wire::Json& json);  // throws where it isn't to_json()'s
+  static CostAccount from_json(const wire::Json& json);  // throws std::exception where it can't be to_json()'s
   std::optional<std::int64_t> since() const { return since_; }
 
  private:
@@ -63,6 +63,8 @@ struct DecisionTerms {
 };
 
 wire::Json to_json(const DecisionTerms& terms);
+// A finite number that isn't below 0. Throws where it is none.
+double finite_from(const wire::Json& json);
 // Of an order, which rank 0 has made: trusted.
 DecisionTerms read_terms(const wire::Json& json);
 

@@ -63,9 +63,8 @@ class Dem(ServiceTest):
         kill(self.service.processes("rcbd")[-1])
         out, err = running.communicate(timeout=120)
         self.assertEqual((running.returncode, out), (0, serial("--steps", 3000)), err)
-        reports = self.service.json("history", "killed")  # of the service that came after
-        self.assertEqual((reports[-1]["step"], reports[0]["repartitioned"]), (149, True))
-        self.assertGreater(reports[0]["step"], 20)
+        reports = self.service.json("history", "killed")  # of the service that died, and of the one that came after
+        self.assertEqual([report["step"] for report in reports], list(range(150)))
 
     def test_usage_and_no_service(self):
         for wrong in [("--particles", 0), ("--reach", "nan"), ("--damping", 101), ("--seed",), ("--fast", 1)]:

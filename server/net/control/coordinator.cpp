@@ -1,6 +1,7 @@
 #include "server/net/control/coordinator.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <numeric>
 #include <utility>
 
@@ -10,9 +11,9 @@
 #include "common/auth/proof.hpp"
 #include "common/base/wide.hpp"
 #include "server/api/cut_arrays.hpp"
+#include "server/api/ledger_answers.hpp"
 #include "server/net/control/session.hpp"
 #include "server/net/sockets/file_thread.hpp"
-#include "server/scene/lasting.hpp"
 
 namespace rcb::net {
 
@@ -21,7 +22,13 @@ using wire::Json;
 
 namespace {
 
-std::uint64_t random_number() { return wire::parse_hex64(auth::random_hex(8)).value(); }
+// Milliseconds, then random bits: above those of scenes made earlier.
+std::uint64_t new_incarnation() {
+  constexpr unsigned kRandomBits = 22;
+  const auto time = std::chrono::system_clock::now().time_since_epoch();
+  const auto before = static_cast<std::uint64_t>(std::chrono::duration_cast<std::chrono::milliseconds>(time).count());
+  return before << kRandomBits | wire::parse_hex64(auth::random_hex(8)).value() >> (64 - kRandomBits);
+}
 
 }  // namespace
 
@@ -93,7 +100,7 @@ Result<std::shared_ptr<Pending>> Coordinator::order(Json request, OrderOptions o
   Status refused;
   if (shutting_down_)
     refused = Status(Code::unavailable, "the service is shutting down");
-  else if (!order.own && unfinished_.size() >= static_cast<std::size_t>(options_.orders_max))
+  else if (!order.restores && unfinished_.size() >= static_cast<std::size_t>(options_.orders_max))
     refused =
         Status(Code::busy, fmt::format("{} commands are unfinished", unfinished_.size()), "try again in a moment");
   else if (text.size() > wire::kJsonBytesMax)  // dump_json writes 1e9 as 1000000000.0
@@ -146,26 +153,18 @@ void Coordinator::want_positions(const std::string& scene) {
 void Coordinator::restore_scenes() {
   restored_ = scenes_.restore();
   for (const auto& [name, ledger] : scenes_) {
-    const scene::SceneState& now = ledger.now();
-    Json request = to_json(now.options);
-    request.update({{"command", "scene.restore"},
-                    {"scene", name},
-                    {"epoch", now.epoch},
-                    {"n", now.n},
-                    {"weights", now.weights},
-                    {"ids", now.ids}});
-    if (now.id_next) request["id_next"] = *now.id_next;
     OrderOptions order;
-    order.own = true;
     order.changes = name;
-    if (now.tree) order.slices.push_back({.arrays = api::cut_arrays(*now.tree)});
+    order.restores = true;
+    if (const auto& tree = ledger.now().tree) order.slices.push_back({.arrays = api::cut_arrays(*tree)});
     order.then = [self = shared_from_this(), scene = name](const Answer& answer) {
       if (answer.status.ok()) return;
       spdlog::error("scene '{}' of an earlier service can't be restored: {}", scene, answer.status.message());
       self->scenes_.forget(scene);
     };
-    if (const auto ordered = this->order(std::move(request), std::move(order)); !ordered.ok())
-      spdlog::error("scene '{}' of an earlier service can't be restored: {}", name, ordered.status().message());
+    const auto then = order.then;
+    if (const auto ordered = this->order(api::restore_order(ledger), std::move(order)); !ordered.ok())
+      asio::post(context_, [then, why = ordered.status()] { then(api::failed(why)); });
   }
   if (restored_.scenes > 0)
     spdlog::info("{} scenes of an earlier service are restored, with {} steps", restored_.scenes, restored_.steps);
@@ -175,7 +174,7 @@ void Coordinator::restore_scenes() {
 void Coordinator::take_change(Answer& answer) {
   const scene::Ledger* ledger = scenes_.find(answer.change->scene);
   const Json previous_step = ledger != nullptr && ledger->now().step ? Json(*ledger->now().step) : Json();
-  const scene::StepReport* report = scenes_.take(*std::move(answer.change), random_number());
+  const scene::StepReport* report = scenes_.take(*std::move(answer.change), new_incarnation());
   if (report == nullptr) return;
   answer.json["report"] = to_json(*report);
   if (answer.json.contains("previous_step")) answer.json["previous_step"] = previous_step;

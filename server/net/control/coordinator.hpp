@@ -116,7 +116,7 @@ struct OrderOptions {
   std::vector<Slice> slices;
   double received_seconds = 0;
   double deadline_seconds = 60;
-  bool own = false;                              // the service's own, which is never refused
+  bool restores = false;                         // at the start, when nobody else orders: any number may be unfinished
   std::vector<scene::MemberShare> members;       // of a push by members
   std::string changes;                           // name of the scene that the order changes; empty: none
   std::uint64_t charged_bytes = 0;               // released when the order is answered

@@ -79,14 +79,12 @@ std::span<const Command> file_commands();
 // (also: it has no positions yet).
 Result<Scene*> find_scene(Context& context, const wire::Json& request, Needs needs);
 
-// The field "method", or `otherwise` if absent; must suit `dims`. Errors: invalid_argument.
-Result<cuts::Method> read_method(const wire::Json& request, int dims, cuts::Method otherwise);
-
 // Checks the limit on the parts of all scenes together if the scene `changed` gets `parts`. Errors: too_large.
 Status check_parts_total(const std::map<std::string, Scene>& scenes, const std::string& changed, int parts);
 
 using api::done;
 using api::failed;
 using api::make_array;
+using scene::read_method;
 
 }  // namespace rcb::service

@@ -55,18 +55,19 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
 static Status check_refill(const Scene& scene, const PushRequest& push) {
   if (scene.pushed || scene.epoch == 0)
     return {Code::invalid_argument, fmt::format("scene '{}' lacks no particles", scene.name), "push a step"};
-  if (push.moved != Moved::all || push.edits() || (!push.by_id && push.plan.version != 0))
-    return {Code::invalid_argument, "particles are brought again all together, as at a first push",
-            "push the step after"};
-  if (push.n != scene.n || push.weights != scene.particles.has_weights)
+  const auto with = [](bool there) { return there ? "with" : "without"; };
+  const bool ids = push.ids || push.members() > 0 || push.n == 0 || !scene.ids;
+  if (push.n != scene.n || push.weights != scene.particles.has_weights || !ids)
     return {Code::invalid_argument,
-            fmt::format("{} particles {} weights brought, scene '{}' has {} {} weights", push.n,
-                        push.weights ? "with" : "without", scene.name, scene.n,
-                        scene.particles.has_weights ? "with" : "without"),
+            fmt::format("{} particles {} weights, {} ids are brought, scene '{}' has {} {} weights, {} ids", push.n,
+                        with(push.weights), with(push.ids), scene.name, scene.n, with(scene.particles.has_weights),
+                        with(scene.ids)),
             "bring all particles of the last step"};
-  if (scene.ids && !push.ids && push.n > 0 && push.members() == 0)
-    return {Code::invalid_argument, fmt::format("scene '{}' has ids of its own, and none are brought", scene.name),
-            "bring the ids, too"};
+  if (push.moved != Moved::all || push.edits() || (push.from_memory() && !push.by_id) ||
+      (!push.by_id && push.plan.version != 0))
+    return {Code::invalid_argument,
+            "particles that the ranks lack are brought as in a first push: all, none inserted "
+            "or removed, and from shared memory in order \"id\""};
   return {};
 }
 

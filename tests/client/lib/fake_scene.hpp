@@ -42,6 +42,11 @@ class FakeScene {
   // What the test pushes, by id.
   std::function<double(std::int64_t id, std::size_t axis, std::int64_t step)> position;
 
+  // What the n-th count (from 0) meets, and its answer, if that is not a report.
+  std::function<Fault(int)> count_fault = [](int) { return Fault::none; };
+  std::function<protocol::Json(int)> verdict = [](int) { return protocol::Json(); };
+  std::vector<Received> counted;
+
   std::vector<std::string> sessions;
   std::vector<std::int64_t> attempts;
   std::vector<protocol::Json> cuts_known;  // as each push.begin says; null: it doesn't
@@ -96,6 +101,8 @@ class FakeScene {
           peer.fail(*frame, {Code::not_found, "no positions yet"});
       } else if (command == "push.begin") {
         if (!push(peer, *frame)) return;
+      } else if (command == "count") {
+        if (!count(peer, *frame)) return;
       } else if (command != "push.slice") {
         peer.fail(*frame, {Code::unsupported, "unknown command"});
       }
@@ -139,6 +146,26 @@ class FakeScene {
     }
     peer.reply(request, {{"counts", counts}, {"plan", plan_->json()}, {"parts", parts_}, {"ranks", ranks_}},
                {protocol::array_of("id", "<i8", ids), protocol::array_of("part", "<i4", parts)}, true);
+  }
+
+  // False: the connection ends.
+  bool count(Peer& peer, const Received& request) {
+    const int n = static_cast<int>(counted.size());
+    counted.push_back(request);
+    const Fault now = count_fault(n);
+    if (now == Fault::close_before_commit) return false;
+    const auto number = request.json["step"].get<std::int64_t>();
+    protocol::Json answer = verdict(n);
+    if (!answer.is_null()) return peer.reply(request, answer);
+    const bool repeated = step == number;
+    answer["previous_step"] = *step;
+    answer["report"] = report(number, 0);
+    answer["report"].update({{"sent", false}, {"way", "count"}, {"drifted", request.json["drifted"]}});
+    if (repeated) answer["repeated"] = true;
+    step = number;
+    if (now == Fault::close_after_commit) return false;
+    if (now == Fault::late_after_commit) return peer.fail(request, {Code::deadline_exceeded, "it goes on"});
+    return peer.reply(request, answer);
   }
 
   // False: the connection ends.

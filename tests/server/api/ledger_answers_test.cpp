@@ -1,5 +1,5 @@
 // What rank 0 answers from a ledger alone: pages of step reports, and steps that are repeated, of which older reports
-// are read from a file.
+// are read from a journal.
 #include "server/api/ledger_answers.hpp"
 
 #include <chrono>
@@ -30,8 +30,8 @@ Answer whole_of(Answer answer) {
 // A scene that one client steps; a step here is its report alone.
 class StillScene {
  public:
-  StillScene(std::size_t keep_reports, const std::string& directory) : ledgers_(keep_reports, directory) {
-    EXPECT_TRUE(scene::make_report_directory(directory).ok());
+  StillScene(std::size_t keep_reports, const std::string& directory)
+      : ledgers_({keep_reports, scene::disk_storage(), directory}) {
     ledgers_.take({"still", scene::Created{}}, 1);
     step(0);
   }
@@ -69,8 +69,8 @@ std::vector<std::int64_t> numbers_in(std::int64_t from, std::int64_t to) {
 TEST_F(LedgerAnswers, OneThatCouldNotBeFilledIsAFailure) {
   StillScene still(8, directory_);
   for (int step = 1; step < 100; ++step) still.step(step);
-  const Answer answer = whole_of(with_reports(still.ledger().history(), 0, 100,
-                                              [](scene::FoundReports, const Answer&) { throw std::bad_alloc(); }));
+  const Answer answer = whole_of(
+      with_reports(still.ledger(), 0, 100, [](scene::FoundReports, const Answer&) { throw std::bad_alloc(); }));
   EXPECT_EQ(answer.status.code(), Code::too_large);
 }
 
@@ -109,7 +109,7 @@ TEST_F(LedgerAnswers, PagesAreTheWholeAndTheWholeIsRefusedWhereItIsLong) {
   EXPECT_TRUE(beyond.json["next"].is_null());
 }
 
-TEST_F(LedgerAnswers, ARepeatedStepIsAnsweredFromTheFile) {
+TEST_F(LedgerAnswers, ARepeatedStepIsAnsweredFromTheJournal) {
   StillScene still(1, directory_);
   for (int step = 1; step < 50; ++step) still.step(step);
   for (const int step : {1, 20, 49}) {
@@ -120,7 +120,7 @@ TEST_F(LedgerAnswers, ARepeatedStepIsAnsweredFromTheFile) {
   }
   EXPECT_FALSE(still.ledger().repeated("another", 20));
   EXPECT_FALSE(still.ledger().repeated("s", 50));
-  std::filesystem::remove_all(directory_);
+  std::filesystem::remove_all(at("scenes"));
   EXPECT_EQ(still.again(20).status.code(), Code::io_error);
   still.step(50);
   EXPECT_EQ(still.again(50).json["report"]["step"], 50);

@@ -156,6 +156,19 @@ TEST(Count, OfNothingIsEmpty) {
   EXPECT_FALSE(loads->weighted);
 }
 
+TEST(Count, HasNoMoreLoadThanWeightsCanHave) {
+  const auto loads = [](std::uint64_t first, std::uint64_t second) {
+    CountRequest request = good_request();
+    request.json["scale"] = ExactScale(5, 7).exponent();
+    request.arrays[2] = array_of("load", "<u8", std::vector<std::uint64_t>{0, first, 0, second}, 2);
+    return loads_of(*read_count(request.json, request.arrays), 4, {}).status().code();
+  };
+  constexpr std::uint64_t kHalf = std::uint64_t{1} << 62U;
+  EXPECT_EQ(loads(kHalf, kHalf - 1), Code::ok);
+  EXPECT_EQ(loads(kHalf, kHalf), Code::invalid_argument);
+  EXPECT_EQ(loads(4 * kHalf - 1, kHalf), Code::invalid_argument);
+}
+
 TEST(Count, SurvivesWhatNobodySends) {
   const Json odd[] = {nullptr,
                       true,

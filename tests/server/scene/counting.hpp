@@ -38,7 +38,7 @@ wire::Array array_of(const char* name, const char* dtype, const std::vector<T>& 
 inline u128 scaled_weight(double weight, int scale) {
   int above = 0;
   std::frexp(weight, &above);
-  return above + scale > 127 ? ~u128{0} : partition::ExactScale(scale)(weight);
+  return above + scale > 127 ? ~u128{0} : ExactScale(scale)(weight);
 }
 
 // Counts the rows [first, last), which have these parts; weights in this scale. What identifies the step is left out.
@@ -84,7 +84,7 @@ inline std::optional<int> scale_needed(const particles::ParticleView& particles)
   const auto bits = partition::weight_order_bits(particles);
   const auto greatest = partition::greatest_weight(bits);
   if (!greatest) return std::nullopt;
-  return partition::ExactScale(*greatest, particles.count).exponent();
+  return ExactScale(*greatest, particles.count).exponent();
 }
 
 inline std::string in_words(const scene::CountVerdict& verdict) {

@@ -163,7 +163,6 @@ class TwoLedgers {
   std::vector<CountRequest> requests() {
     const std::size_t n = world_.set.count();
     std::size_t count = chance(random_, 3) ? 2 + random_.below(3) : 1;
-    if (count > 1) drifted_.reset();
     std::vector<CountRequest> seats;
     for (std::size_t seat = 0, first = 0; seat < count; ++seat) {
       const std::size_t last = seat + 1 == count ? n : first + random_.below(n - first + 1);
@@ -171,10 +170,11 @@ class TwoLedgers {
       Json& json = seats.back().json;
       json.update({{"session", session_}, {"step", step_}, {"epoch", cuts_.epoch}});
       json.update({{"hash", wire::hex64(cuts_.hash)}, {"incarnation", wire::hex64(kIncarnation)}});
-      if (drifted_) json["drifted"] = *drifted_;
+      if (drifted_) json["drifted"] = count > 1 ? 0 : *drifted_;  // a seat doesn't know where its rows were
       if (seconds_) json["step_seconds"] = seat == 0 ? *seconds_ : 0;
       if (count == 1 && !tells_ids_) json["id_sum"] = nullptr;
     }
+    if (count > 1) drifted_.reset();
     return seats;
   }
 
@@ -344,9 +344,9 @@ class TwoLedgers {
   SceneOptions options_ = random_options(random_, world_.dims);
   Ranks every_ranks_{with(options_, Travel::every_step)};
   Ranks lazy_ranks_{with(options_, Travel::when_needed)};
-  scene::HistoryMemory memory_{100, ""};
-  Ledger every_{"jet", {with(options_, Travel::every_step), every_ranks_.held()}, kIncarnation, memory_};
-  Ledger lazy_{"jet", {with(options_, Travel::when_needed), lazy_ranks_.held()}, kIncarnation, memory_};
+  scene::HistoryMemory memory_{100};
+  Ledger every_{"jet", {with(options_, Travel::every_step), every_ranks_.held()}, kIncarnation, memory_, nullptr};
+  Ledger lazy_{"jet", {with(options_, Travel::when_needed), lazy_ranks_.held()}, kIncarnation, memory_, nullptr};
   bool tells_ids_ = chance(random_, 2);
 
   // The client's:

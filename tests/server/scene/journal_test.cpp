@@ -395,8 +395,8 @@ TEST_F(DamagedJournal, NumbersOfAnySizeAreSurvived) {
   const std::uint64_t highest = ~std::uint64_t{0};
   for (const std::uint64_t number : {highest, highest >> 1U, highest - 1, std::uint64_t{0}})
     for (const std::uint64_t other : {highest, std::uint64_t{0}, number + 1}) {
-      file("state").replace(0, 28, scene::encode_record(number, "1st!", kJet.incarnation));
-      file("state").replace(file("state").size() / 2, 28, scene::encode_record(other, "2nd!", kJet.incarnation));
+      file("state").replace(0, 28, scene::encode_record(number, "1st!", mix64(kJet.incarnation)));
+      file("state").replace(file("state").size() / 2, 28, scene::encode_record(other, "2nd!", mix64(kJet.incarnation)));
       JournalFound found;
       auto journal = Journal::open(disk_, "data", kJet, found);
       ASSERT_TRUE(journal.ok() && found.states.size() == 2);
@@ -408,7 +408,7 @@ TEST_F(DamagedJournal, NumbersOfAnySizeAreSurvived) {
       }
     }
   for (const std::uint64_t number : {highest, highest >> 1U}) {
-    file("steps.0").replace(0, 28, scene::encode_record(number, "high", kJet.incarnation));
+    file("steps.0").replace(0, 28, scene::encode_record(number, "high", mix64(kJet.incarnation + 2)));
     JournalFound found;
     auto journal = Journal::open(disk_, "data", kJet, found);
     ASSERT_TRUE(journal.ok());

@@ -16,31 +16,42 @@ namespace {
 using scene::Created;
 using scene::Ledgers;
 
+enum class Search { none, adopted, wasted };
+
 // A scene that was pushed as step 0, with so many particles in each part.
 struct Pushed {
-  explicit Pushed(std::vector<std::uint64_t> counts, scene::SceneOptions options = {}, bool weighted = false) {
+  explicit Pushed(std::vector<std::uint64_t> counts, scene::SceneOptions options = {}, bool with_weights = false)
+      : weighted(with_weights) {
     options.parts = static_cast<int>(counts.size());
     options.positions = scene::Travel::when_needed;
     ledgers.take({"jet", Created{options, {}}}, 5);
     ledger = ledgers.find("jet");
-    push(0, std::move(counts), weighted);
+    push(0, std::move(counts), Search::adopted);
   }
-  void push(std::int64_t step, std::vector<std::uint64_t> counts, bool weighted = false, bool repartitioned = true) {
+  scene::Held held(std::vector<std::uint64_t> counts) const {
+    scene::Held held;
+    held.weights = weighted;
+    held.epoch = 1;
+    for (const std::uint64_t count : counts) held.n += count;
+    held.loads = std::make_shared<const partition::LoadSummary>(partition::summarise_counts(std::move(counts), {}));
+    return held;
+  }
+  void push(std::int64_t step, std::vector<std::uint64_t> counts, Search search = Search::none) {
     scene::Stepped stepped;
-    stepped.report.step = step;
-    stepped.report.repartitioned = repartitioned;
-    stepped.report.seconds.search = 0.25;
+    stepped.held = held(std::move(counts));
     stepped.session = "run";
     stepped.step_seconds = seconds;
-    stepped.held.weights = weighted;
-    stepped.held.epoch = 1;
-    for (const std::uint64_t count : counts) stepped.held.n += count;
-    const auto loads = partition::summarise_counts(std::move(counts), {});
-    stepped.report.imbalance = loads.imbalance;
-    stepped.held.loads = std::make_shared<const partition::LoadSummary>(loads);
+    stepped.wasted = search == Search::wasted;
+    scene::StepReport& report = stepped.report;
+    report.step = step;
+    report.repartitioned = search == Search::adopted;
+    report.seconds.search = search_seconds;
+    report.seconds.migrate = 0.125;
+    report.error_before = report.error = stepped.held.loads->error;
+    report.imbalance = stepped.held.loads->imbalance;
     ledger->take(std::move(stepped));
   }
-  scene::CountVerdict count(std::int64_t step, const std::vector<std::uint64_t>& counts, bool weighted = false) {
+  scene::CountVerdict count(std::int64_t step, const std::vector<std::uint64_t>& counts) {
     scene::CountRecord record{"run", step, 5, 1, 0};
     record.step_seconds = seconds;
     for (std::size_t p = 0; p < counts.size(); ++p) {
@@ -52,9 +63,11 @@ struct Pushed {
     return ledger->count(record);
   }
 
-  Ledgers ledgers{2000, ""};
+  bool weighted = false;
+  Ledgers ledgers{{.keep_reports = 2000}};
   scene::Ledger* ledger = nullptr;
   std::optional<double> seconds;
+  double search_seconds = 0.125;
 };
 
 scene::SceneOptions by_cost() {
@@ -81,11 +94,35 @@ TEST(Ledger, ChargesAStepForTheImbalanceBeforeItOnce) {
     EXPECT_EQ(in_words(scene.count(4, {6, 2})),
               "send: error 0.5; imbalance has cost 0.253 s since step 0, a repartition costs 0.25 s");
   EXPECT_DOUBLE_EQ(lost(), 0.22);
-  scene.push(4, {6, 2}, false, false);
+  scene.push(4, {6, 2});
   EXPECT_DOUBLE_EQ(lost(), 0.22 + 0.1 * (1 - 1 / 1.5));
-  scene.push(5, {4, 4});
+  scene.push(5, {4, 4}, Search::adopted);
   EXPECT_EQ(lost(), 0);
   EXPECT_EQ(scene.ledger->terms(0.0).since, 5);
+}
+
+TEST(Ledger, BeginsItsAccountAnewWithNewCutsOrAfterAVainSearch) {
+  Pushed scene({4, 4}, by_cost());
+  scene.seconds = 1;
+  const auto terms = [&scene] { return scene.ledger->terms(0.0); };
+  EXPECT_EQ(terms().repartition_seconds, 0.25);  // of the first partition, as long as there is no other
+  scene.count(1, {5, 3});
+  scene.push(2, {5, 3}, Search::wasted);
+  EXPECT_EQ(terms().error_when_not_adopted, 0.25);
+  EXPECT_EQ(terms().lost_seconds, 0);
+  EXPECT_EQ(terms().since, std::nullopt);
+  EXPECT_EQ(in_words(scene.count(3, {6, 2})), "committed after 2");
+  EXPECT_EQ(terms().lost_seconds, 0);  // 1.25 is the best that can be had
+  scene.push(4, {6, 2});
+  EXPECT_DOUBLE_EQ(terms().lost_seconds, 1 - 1.25 / 1.5);
+  EXPECT_EQ(terms().error_when_not_adopted, 0.25);
+  scene.ledger->take(scene::Rebalanced{by_cost(), scene.held({5, 3})});
+  EXPECT_EQ(terms().error_when_not_adopted, std::nullopt);
+  EXPECT_EQ(terms().lost_seconds, 0);
+  scene.search_seconds = 0.875;
+  scene.push(5, {5, 3}, Search::adopted);
+  EXPECT_EQ(terms().repartition_seconds, 1);
+  EXPECT_EQ(terms().since, 5);
 }
 
 // Where a part is so small that its quota is no particle, the error is 1 however the others are loaded, and no
@@ -101,7 +138,7 @@ TEST(Ledger, WhatImbalanceCostsStaysANumber) {
     const auto order = wire::parse_json(wire::dump_json(to_json(terms)));
     ASSERT_TRUE(order.ok());
     EXPECT_EQ(scene::read_terms(*order).lost_seconds, terms.lost_seconds);
-    scene.push(step, {0, 14, 6}, false, false);
+    scene.push(step, {0, 14, 6});
   }
 }
 
@@ -120,7 +157,7 @@ TEST(Ledger, HasTooManyPartsToBeJudgedAlone) {
   const auto verdict = [](int parts, bool weighted) {
     const std::vector<std::uint64_t> counts(static_cast<std::size_t>(parts), 1);
     Pushed scene(counts, {}, weighted);
-    return in_words(scene.count(1, counts, weighted));
+    return in_words(scene.count(1, counts));
   };
   const std::string send = "send: its parts are too many to be judged by one process";
   EXPECT_EQ(verdict(scene::Ledger::kPartsMax, false), "committed after 0");
@@ -134,7 +171,7 @@ TEST(Ledger, SendsOnceForAQuestion) {
   scene.ledger->want_positions();
   for (int again = 0; again < 2; ++again)
     EXPECT_EQ(in_words(scene.count(1, {2, 2})), "send: a question about positions waits");
-  scene.push(1, {2, 2}, false, false);
+  scene.push(1, {2, 2});
   EXPECT_EQ(in_words(scene.count(2, {2, 2})), "committed after 1");
   EXPECT_EQ(scene.ledger->now().positions_step, 1);
 }
@@ -146,7 +183,7 @@ TEST(Ledger, OfAnotherIncarnationIsAnotherScene) {
   scene.ledger = scene.ledgers.find("jet");
   EXPECT_EQ(scene.ledger->history().total(), 0U);
   EXPECT_EQ(in_words(scene.count(1, {2, 2})), "refused not_found");
-  scene.push(7, {2, 2});
+  scene.push(7, {2, 2}, Search::adopted);
   EXPECT_EQ(in_words(scene.count(3, {2, 2})), "refused not_found");  // rather than a step that is too late
   scene.ledgers.take({"jet", scene::Dropped{}}, 0);
   EXPECT_EQ(scene.ledgers.find("jet"), nullptr);
@@ -154,7 +191,7 @@ TEST(Ledger, OfAnotherIncarnationIsAnotherScene) {
 
 // With room for a single report; which history is asked to give up one must not depend on where it lies in memory.
 TEST(Ledger, TheReportOfAStepIsThereWhenItIsTaken) {
-  Ledgers ledgers(1, "");
+  Ledgers ledgers({.keep_reports = 1});
   for (const char* name : {"a", "b", "c", "d"}) ledgers.take({name, Created{}}, 1);
   std::int64_t step = 0;
   for (const char* name : {"d", "c", "b", "a", "b", "c", "d"}) {
@@ -168,9 +205,6 @@ TEST(Ledger, TheReportOfAStepIsThereWhenItIsTaken) {
     EXPECT_EQ(report->step, step);
     EXPECT_EQ(ledgers.find(name)->history().newest(0, ledgers.find(name)->history().total()).reports.size(), 1U);
   }
-  ledgers.end();
-  EXPECT_TRUE(ledgers.empty());
-  EXPECT_EQ(ledgers.take({"a", Created{}}, 1), nullptr);
 }
 
 }  // namespace

@@ -107,6 +107,9 @@ class Ranks {
     held.epoch = epoch_;
     if (epoch_ == 0) return held;
     held.hash = tree_.hash();
+    held.tree = std::make_shared<const cuts::CutTree>(tree_);
+    held.search_rounds = 3 * epoch_;
+    held.search_reductions = 2 * epoch_;
     held.loads = std::make_shared<const partition::LoadSummary>(loads_);
     held.rank_counts = {held.n};
     return held;

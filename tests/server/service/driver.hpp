@@ -78,6 +78,46 @@ class Driver {
     return response;
   }
 
+  // Brings the particles of the last step to a service that lacks them.
+  Response refill(const Particles& particles, std::int64_t step, const std::string& order = "plan",
+                  const Json& more = Json::object()) {
+    const int slices_due = order == "id" ? 1 : comm_.size();
+    first_ = true;
+    plan_ = layout::Layout::blocks(particles.count(), slices_due, particles.ids);
+    Json request = begin(particles, step, "s", order);
+    request["refill"] = true;
+    std::vector<PushSlice> slices;
+    for (int r = 0; r < slices_due && comm_.rank() == 0; ++r) slices.push_back(slice_of(particles, r));
+    request["plan"] = {{"version", plan_.version()}, {"checksum", wire::hex64(plan_.checksum())}};
+    request.update(more);
+    Response response = service_.execute(request, std::move(slices));
+    std::uint64_t done = comm_.rank() == 0 && response.status.ok() ? 1 : 0;
+    comm_.all_max({&done, 1});
+    if (done == 1) fetch_plan(particles);
+    if (done == 1 && comm_.rank() == 0) {
+      EXPECT_EQ(response.json["plan"]["checksum"].get<std::string>(), wire::hex64(plan_.checksum()));
+    }
+    return response;
+  }
+
+  // Takes the plan from the service, as after a rebalance.
+  void fetch_plan(const Particles& particles) {
+    Response told = ask("plan");
+    if (comm_.rank() == 0) {
+      auto numbers = told.json["counts"].get<std::vector<std::uint64_t>>();
+      numbers.push_back(told.json["plan"]["version"].get<std::uint64_t>());
+      told.arrays.push_back(api::make_array<std::uint64_t>("numbers", "<u8", numbers));
+    }
+    const auto ids = everywhere<std::int64_t>(told, 0);
+    auto counts = everywhere<std::uint64_t>(told, 2);
+    const std::uint64_t version = counts.back();
+    counts.pop_back();
+    plan_ = layout::Layout::full(counts, ids, particles.ids, version).value();
+    rank_of_row_.resize(particles.count());
+    for (std::size_t row = 0; row < rank_of_row_.size(); ++row) rank_of_row_[row] = plan_.rank_of_row(row);
+    first_ = false;
+  }
+
   // As a simple client does: one slice in ascending id.
   Response push_by_id(const Particles& particles, std::int64_t step, const std::string& session = "s") {
     std::vector<PushSlice> slices;
@@ -96,7 +136,8 @@ class Driver {
   Json cuts_known;        // likewise
 
  private:
-  Json begin(const Particles& particles, std::int64_t step, const std::string& session, const char* order) const {
+  Json begin(const Particles& particles, std::int64_t step, const std::string& session,
+             const std::string& order) const {
     return {{"command", "push"},
             {"scene", scene_},
             {"session", session},

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdlib>
 #include <future>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -12,6 +13,7 @@
 #include <gtest/gtest.h>
 
 #include "server/api/commands.hpp"
+#include "server/api/cut_arrays.hpp"
 #include "server/api/ledger_answers.hpp"
 #include "server/scene/ledger.hpp"
 #include "server/service/service.hpp"
@@ -39,6 +41,28 @@ class Service {
  public:
   Service(comm::Comm& comm, const Clock& clock, service::ServiceOptions options = {})
       : comm_(comm), service_(comm, clock, std::move(options)) {}
+  // Its scenes last in this storage, which is rank 0's.
+  Service(comm::Comm& comm, const Clock& clock, std::shared_ptr<scene::Storage> storage)
+      : comm_(comm), service_(comm, clock), ledgers_({1000, root() ? std::move(storage) : nullptr, "data"}) {}
+
+  // Collective. Takes up the scenes in the storage.
+  scene::Restored restore() {
+    const scene::Restored restored = ledgers_.restore();
+    std::vector<const scene::Ledger*> found;
+    for (const auto& [name, ledger] : ledgers_) found.push_back(&ledger);
+    std::uint64_t count = found.size();
+    comm_.all_max({&count, 1});
+    for (std::size_t k = 0; k < count; ++k) {
+      std::vector<PushSlice> slices;
+      if (root() && found[k]->now().tree) slices.push_back({.arrays = api::cut_arrays(*found[k]->now().tree)});
+      const std::string order = everywhere(root() ? api::restore_order(*found[k]).dump() : "");
+      const Response response = service_.execute(Json::parse(order), std::move(slices));
+      EXPECT_TRUE(response.status.ok()) << response.status.message();
+    }
+    return restored;
+  }
+  // Rank 0's.
+  const scene::Ledgers& ledgers() const { return ledgers_; }
 
   // Collective. Only rank 0 returns the answer.
   Response execute(Json request, std::vector<PushSlice> slices = {}, const service::OrderTerms& terms = {}) {
@@ -46,7 +70,7 @@ class Service {
     const std::string scene = request.value("scene", "");
     const api::CommandInfo* info = api::find_command(command);
     if (info != nullptr && info->runs_on == api::RunsOn::ledger) return root() ? answer(scene, request) : Response();
-    if (command.starts_with("push")) {
+    if (command.starts_with("push") && !request.contains("refill")) {
       if (const auto number = repeated(scene, request))
         return root() ? complete(api::repeated(*ledgers_.find(scene), *number)) : Response();
       add_terms(scene, request);
@@ -85,12 +109,17 @@ class Service {
       const bool told = seconds != request.end() && seconds->is_number();
       text = to_json(ledger->terms(told ? std::optional(seconds->get<double>()) : std::nullopt)).dump();
     }
+    text = everywhere(std::move(text));
+    if (!text.empty()) request["terms"] = Json::parse(text);
+  }
+
+  // Rank 0's text.
+  std::string everywhere(std::string text) {
     std::uint64_t size = text.size();
     comm_.all_max({&size, 1});
-    if (size == 0) return;
     text.resize(size);
-    comm_.broadcast(std::as_writable_bytes(std::span(text)), 0);
-    request["terms"] = Json::parse(text);
+    if (size > 0) comm_.broadcast(std::as_writable_bytes(std::span(text)), 0);
+    return text;
   }
 
   void take_change(Response& response) {
@@ -104,7 +133,7 @@ class Service {
 
   comm::Comm& comm_;
   service::Service service_;
-  scene::Ledgers ledgers_{1000, ""};
+  scene::Ledgers ledgers_{{.keep_reports = 1000}};
   std::uint64_t incarnations_ = 0;
 };
 
