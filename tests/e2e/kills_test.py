@@ -76,6 +76,8 @@ class Kills(unittest.TestCase):
                 finally:
                     killer.stopped.set()
                     killer.join()
+                awaited(lambda: service.ctl("status").returncode == 0, 60)
+                result = (*result, service.json("history", scene), service.json("scene", "show", scene)["hash"])
             killed += len(killer.killed)
             print(f"{self.id()}: kills at steps {killer.at} of ranks {killer.killed}, {killed} of {OPTIONS.kills} kills",
                   flush=True)
@@ -92,10 +94,7 @@ class Kills(unittest.TestCase):
                                "--deadline", "120"], capture_output=True, text=True, timeout=SECONDS,
                               stdin=subprocess.DEVNULL)
         self.assertEqual(done.returncode, 0, done.stdout[-2000:] + done.stderr)
-        return (json.loads(done.stdout)["reports"], *self.kept(service, "s")), np.load(file)
-
-    def kept(self, service, scene):
-        return service.json("history", scene), service.json("scene", "show", scene)
+        return json.loads(done.stdout)["reports"], np.load(file)
 
     def check_history(self, reports, path, **options):
         """Against a scene that is pushed the same positions."""
@@ -110,30 +109,29 @@ class Kills(unittest.TestCase):
                 self.assertIn(report["drifted"], (expected["drifted"], None), step)
             return judge.ask("scene.show", scene="judge")[0]["hash"]
 
-    def check(self, result, path, **options):
-        reports, kept, shown = result
-        self.assertEqual(shown["hash"], self.check_history(reports, path, **options))
+    def check(self, reports, path, kept, hash_kept, **options):
+        self.assertEqual(hash_kept, self.check_history(reports, path, **options))
         self.assertEqual(kept, reports)
 
     def test_two_spheres(self):
         command = [os.path.join(BIN, "two_spheres"), "--steps", 200, "--parts", 8, "--tolerance", 0.1, "--scene", "s"]
         with Service(OPTIONS.ranks) as service:
-            result, path = self.run_solver(service, *command)
-        self.check(result, path, parts=8, tolerance=0.1)
-        for result, disturbed in self.disturbed("s", 200, lambda service: self.run_solver(service, *command)):
+            reports, path = self.run_solver(service, *command)
+        self.check_history(reports, path, parts=8, tolerance=0.1)
+        for reports, disturbed, *kept in self.disturbed("s", 200, lambda service: self.run_solver(service, *command)):
             self.assertEqual(disturbed.tobytes(), path.tobytes())
-            self.check(result, path, parts=8, tolerance=0.1)
+            self.check(reports, path, *kept, parts=8, tolerance=0.1)
 
     def test_slope_mpi(self):
         command = [MPIRUN, 3, os.path.join(BIN, "slope_mpi"), "--points", 1500, "--steps", 40, "--interval", 0.3, "--parts",
                    7, "--tolerance", 0.05, "--scene", "s"]
         with Service(OPTIONS.ranks) as service:
-            result, path = self.run_solver(service, *command)
-        self.check(result, path, parts=7, tolerance=0.05)
-        for result, disturbed in self.disturbed("s", 40, lambda service: self.run_solver(service, *command)):
+            reports, path = self.run_solver(service, *command)
+        self.check_history(reports, path, parts=7, tolerance=0.05)
+        for reports, disturbed, *kept in self.disturbed("s", 40, lambda service: self.run_solver(service, *command)):
             print(f"slope_mpi: positions within {np.abs(disturbed - path).max():.1e} m of the undisturbed run")
             np.testing.assert_allclose(disturbed, path, rtol=0, atol=1e-9)
-            self.check(result, disturbed, parts=7, tolerance=0.05)
+            self.check(reports, disturbed, *kept, parts=7, tolerance=0.05)
 
     def test_a_client_in_python(self):
         noise = np.random.default_rng(OPTIONS.seed).normal(0, 5e-3, (300, 800, 3))
@@ -143,10 +141,10 @@ class Kills(unittest.TestCase):
             client = OutlivingClient(service.endpoint[5:], "s", parts=6, tolerance=0.1)
             reports = [client.step(step, points) for step, points in enumerate(path)]
             client.close()
-            return reports, *self.kept(service, "s")
+            return (reports,)
 
-        for result in self.disturbed("s", len(path), solve):
-            self.check(result, path, parts=6, tolerance=0.1)
+        for reports, *kept in self.disturbed("s", len(path), solve):
+            self.check(reports, path, *kept, parts=6, tolerance=0.1)
 
 
 if __name__ == "__main__":

@@ -353,22 +353,5 @@ class Members(ServiceTest):
             done.join()
 
 
-class End(unittest.TestCase):
-    def test_a_clean_end_keeps_no_answers(self):
-        with Service(2) as service:
-            answers = lambda: [name for name in os.listdir(service.data) if name.startswith("answers.")]
-            with Client(service.endpoint[5:]) as client:
-                client.ask("scene.create", scene="s", parts=2)
-            team = [Member(service.endpoint[5:], "s", k, 2) for k in range(2)]
-            for k, one in enumerate(team):
-                one.start(0, np.arange(50) * 2 + k, np.random.default_rng(1).random((100, 3)))
-            for one in team:
-                one.finish()
-                one.close()
-            self.assertTrue(answers())
-            self.assertEqual(service.ctl("down").returncode, 0)
-            self.assertEqual(answers(), [])
-
-
 if __name__ == "__main__":
     unittest.main(verbosity=2)

@@ -98,7 +98,7 @@ class Outlive(unittest.TestCase):
         with Client(self.path, session=session) as client:
             for code, step, some, more in (("stale_step", 2, points, {}), ("stale_step", 4, points, {}),
                                            ("invalid_argument", 3, points[:79], {}),
-                                           ("invalid_argument", 3, points, {"removed": 1, "slices": 2})):
+                                           ("invalid_argument", 3, points, {"moved": "none", "slices": 0})):
                 with self.assertRaises(Refused) as refused:
                     client.push("r", step, some, refill=True, **more)
                 self.assertEqual(refused.exception.args[0], code, refused.exception.args)

@@ -160,7 +160,7 @@ Status Scene::State::hold(const Retry& retry) {
   dims_ = found->dims;
   when_needed_ = found->when_needed;
   incarnation_ = found->incarnation;
-  filled_ = found->filled;
+  filled_ = found->filled || !found->step;
   older_ = found->older;
   if (when_needed_) cuts_.wanted = true;
   if (!pushed_) {

@@ -366,6 +366,7 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
     return call_once(std::move(request), retry);
   }
   bool sent = false;  // it may have been done
+  const bool again = repeatable(*command) || (*command == "scene.create" && wire::is_true(request, "replace"));
   const bool frees = *command == "scene.create" || *command == "scene.drop";
   // Whoever holds the scene may be a solver whose machine has vanished, which the service notices in a while.
   const auto mend = [&](const Status& status) {
@@ -374,7 +375,7 @@ Result<Frame> Session::call(wire::Json request, double deadline_seconds) {
            wait(retry, status, fmt::format("'{}' to be possible: {}", *command, status.message())).ok();
   };
   const auto once = [&]() -> Result<Frame> {
-    if (!repeatable(*command) && sent)
+    if (sent && !again)
       return Status(
           Code::unavailable,
           fmt::format("the connection to {} was lost; whether '{}' was done is not known", endpoint_text_, *command),

@@ -216,8 +216,8 @@ Result<PushTerms> MemberGroups::read_terms(const ContributionBegin& begin, const
 bool MemberGroups::answer_again(const Group& group, const scene::Ledger& ledger, std::size_t member,
                                 const ContributionBegin& begin) {
   const auto& last = group.last;
-  const bool here = last && last->step == begin.id.step && member < last->sessions.size() &&
-                    last->sessions[member] == begin.id.session;
+  const bool here = last && begin.id.step == last->step && begin.id.step == ledger.now().step &&
+                    member < last->sessions.size() && last->sessions[member] == begin.id.session;
   const scene::MemberShare* share = here ? nullptr : ledger.share_in_last(begin.id.session, begin.id.step);
   if (!here && share == nullptr) return false;
   if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);

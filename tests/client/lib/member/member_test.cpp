@@ -418,12 +418,13 @@ TEST(MemberScene, AsksForTheAnswerToAStepThatTheServiceHasCommitted) {
   FakeService service([&](Peer& peer, int number) {
     peer.greet(2);
     peer.reply(*peer.receive(), number == 0 ? seat_reply(4, 6) : seat_unfilled(5, 7, false));
-    begun.push_back(peer.receive()->json);
+    const auto begin = peer.receive();
+    begun.push_back(begin->json);
     if (number == 0) return static_cast<void>(peer.receive());
     Json answer = report(7);
     answer.erase("cuts");
     answer.update({{"repeated", true}, {"first_id", 77}});
-    peer.reply({protocol::FrameType::request, 3, begun.back()}, answer);
+    peer.reply(*begin, answer);
     const auto asked = peer.receive();
     EXPECT_EQ(asked->json["command"], "cuts");
     peer.reply(*asked, told_cuts().json, told_cuts().arrays);
