@@ -117,7 +117,10 @@ class TwoLedgers {
     if (lazy().now().step && chance(random_, 8)) rebalance_due_ = true;
     if (rebalance_due_ || chance(random_, 10)) lazy().want_positions();
     if (chance(random_, 4)) lazy().take(scene::Asked{"quality"});
-    if (resized) look();
+    if (resized) {
+      look();
+      drifted_.reset();  // not counted, so by which cuts nobody has said
+    }
     const std::string outcome = resized ? "send: changed" : count();
     const bool send = outcome.starts_with("send: ");
     if (send && !resized && chance(random_, 6)) {  // never followed by its push
