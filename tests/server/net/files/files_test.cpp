@@ -1,6 +1,7 @@
 // What lies in the file system: socket, lock, token, marker.
 #include <filesystem>
 #include <fstream>
+#include <future>
 #include <memory>
 
 #include <gtest/gtest.h>
