@@ -110,10 +110,10 @@ Result<Json> parse_json(std::string_view text, std::size_t bytes_max, std::size_
   return builder.take();
 }
 
-Result<Json> parse_cbor(std::string_view bytes) {
+Result<Json> parse_msgpack(std::string_view bytes) {
   Builder builder(kJsonValuesMax, Builder::Binary::taken);
-  if (!Json::sax_parse(bytes.begin(), bytes.end(), &builder, Json::input_format_t::cbor))
-    return Status(Code::protocol_error, "CBOR: " + builder.fault());
+  if (!Json::sax_parse(bytes.begin(), bytes.end(), &builder, Json::input_format_t::msgpack))
+    return Status(Code::protocol_error, "MessagePack: " + builder.fault());
   return builder.take();
 }
 

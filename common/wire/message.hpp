@@ -45,8 +45,8 @@ std::size_t dtype_bytes(std::string_view dtype);
 // protocol_error.
 Result<Json> parse_json(std::string_view text, std::size_t bytes_max = kJsonBytesMax,
                         std::size_t values_max = kJsonValuesMax);
-// The same of CBOR (RFC 8949), which may hold binary values, and strings that aren't UTF-8.
-Result<Json> parse_cbor(std::string_view bytes);
+// The same of MessagePack (msgpack.org), which may hold binary values, and strings that aren't UTF-8.
+Result<Json> parse_msgpack(std::string_view bytes);
 // Compact JSON; bytes that aren't UTF-8 become U+FFFD.
 std::string dump_json(const Json& json);
 // A frame's "arrays" entry, checked against the length of its bulk (the sizes may not overflow). Errors:

@@ -52,7 +52,7 @@ Json or_null(const std::optional<T>& value) {
 
 std::string bytes_of(const Json& json) {
   std::string bytes;
-  Json::to_cbor(json, bytes);
+  Json::to_msgpack(json, bytes);
   return bytes;
 }
 
@@ -142,7 +142,7 @@ std::string encode(const Lasting& lasting) {
 }
 
 Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation) try {
-  const Json json = valid(wire::parse_cbor(bytes));
+  const Json json = valid(wire::parse_msgpack(bytes));
   Lasting lasting;
   SceneState& now = lasting.now;
   now.options = valid(read_options(json.at("options")));
@@ -186,7 +186,7 @@ std::string encode(const cuts::CutTree& tree) {
 }
 
 Result<cuts::CutTree> decode_tree(std::string_view bytes) try {
-  const Json json = valid(wire::parse_cbor(bytes));
+  const Json json = valid(wire::parse_msgpack(bytes));
   cuts::CutArrays arrays;
   arrays.dims = static_cast<int>(whole(json.at("dims"), 3));
   arrays.method = cuts::method_from_name(json.at("method").get<std::string>()).value();

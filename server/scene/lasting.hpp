@@ -1,4 +1,4 @@
-// What of a ledger lasts beyond its process, as bytes for the journal, and back. The bytes are CBOR (RFC 8949).
+// What of a ledger lasts beyond its process, as bytes for the journal, and back. The bytes are MessagePack.
 //
 // Everything that is read back may be anything: it is checked, and what can't be a scene's is refused.
 #pragma once

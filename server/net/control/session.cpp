@@ -333,7 +333,7 @@ awaitable<void> Session::open_scene(Request& request) {
   const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
   if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
   if (ledger != nullptr) co_return reply(request, api::describe(*ledger, coordinator_->options().ranks));
-  fail(request.number, status);
+  reply(request, api::failed(status));
   if (fresh) open_.erase(*scene);
   if (*membership) coordinator_->groups().give_back_seat(*scene, connection_.get());
 }

@@ -45,10 +45,7 @@ awaitable<void> Session::answer_from_ledger(Request& request) {
   if (status.ok()) status = co_await wait_settled(request, *scene);
   const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
   if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
-  if (!status.ok()) {
-    fail(request.number, status);
-    co_return;
-  }
+  if (!status.ok()) co_return reply(request, api::failed(status));
   send_later(request, api::answer_from(*ledger, request.json, coordinator_->options().ranks));
 }
 
@@ -143,7 +140,7 @@ awaitable<void> Session::count(Request& request) {
     status = co_await wait_turn(request, id->scene, ready, joins);
   }
   if (status.ok()) status = member ? count_as_member(request, *id) : count_alone(request, *id);
-  if (!status.ok()) fail(request.number, status);
+  if (!status.ok()) reply(request, api::failed(status));
   coordinator_->wake_queue(id->scene);
 }
 

@@ -216,5 +216,89 @@ TEST(Count, LeavesTheHistoryOfEveryStep) {
   EXPECT_GT(seen.repartitions, 100);
 }
 
+// Steps that counts can't tell bring positions and weights; then counts go on.
+TEST(Count, ComesBackAfterInsertionsAndRemovals) {
+  auto service = launch::Embedded::start(3, [](double) {});
+  ASSERT_TRUE(service.ok());
+  auto client = Client::connect({.endpoint = service->endpoint()});
+  ASSERT_TRUE(client->create_scene("s", {.parts = 6, .tolerance = INFINITY, .positions = "when-needed"}).ok());
+  auto scene = client->open_scene("s");
+  Random random(kCountSeed);
+  constexpr std::size_t kOld = 2000, kMore = 10;
+  std::vector<double> xyz(3 * kOld), more(3 * kMore);
+  std::vector<double> weights(kOld), more_weights(kMore, 0.75);
+  for (double& value : xyz) value = random.uniform();
+  for (double& value : more) value = random.uniform();
+  for (double& weight : weights) weight = random.uniform();
+  const auto at = [&] { return Positions::rows(xyz.data(), xyz.size() / 3, 3); };
+  const auto move = [&] {
+    for (double& value : xyz) value += 0.1 * random.uniform(-1, 1);
+  };
+  ASSERT_TRUE(scene->step(at(), {.weights = weights}).ok());
+  move();
+  EXPECT_FALSE(scene->step(at())->report.sent);
+  const std::vector<std::int64_t> one{3}, removed{0, 17, 1999};
+  EXPECT_EQ(scene->step_moved(one, Positions::rows(more.data(), 1, 3)).status().code(), Code::base_lost);
+
+  const Insertion in{Positions::rows(more.data(), kMore, 3), {}, more_weights};
+  move();
+  const auto edited = scene->step(at(), {.removed = removed, .inserted = &in});
+  ASSERT_TRUE(edited.ok()) << edited.status().message();
+  EXPECT_TRUE(edited->report.sent);
+  const auto before = xyz;
+  const auto weights_before = weights;
+  xyz.resize(3 * edited->report.n);
+  weights.resize(edited->report.n);
+  for (const RowMove& row : edited->row_moves) {
+    std::copy_n((row.inserted ? more : before).data() + 3 * row.from, 3, xyz.data() + 3 * row.to);
+    weights[row.to] = (row.inserted ? more_weights : weights_before)[row.from];
+  }
+  for (const bool known : {false, true}) {
+    move();
+    const auto counted = scene->step(at());
+    ASSERT_TRUE(counted.ok()) << counted.status().message();
+    EXPECT_FALSE(counted->report.sent);
+    EXPECT_EQ(counted->report.n, kOld + 7);
+    EXPECT_EQ(counted->report.drifted.has_value(), known);
+  }
+  const auto still = scene->step_unmoved({.want_parts = true});
+  ASSERT_TRUE(still.ok());
+  EXPECT_FALSE(still->report.sent);
+  std::vector<std::int32_t> owners(xyz.size() / 3);
+  ASSERT_TRUE(scene->cuts()->owner(at(), {}, owners).ok());
+  // Row 0 has another particle now: on no cut, so that its id decides nothing.
+  EXPECT_EQ(still->parts, owners);
+
+  std::vector<double> loads(6);
+  for (std::size_t i = 0; i < owners.size(); ++i) loads[static_cast<std::size_t>(owners[i])] += weights[i];
+  const auto told = wire::parse_json(client->call("counts", R"({"scene":"s"})")->json)->at("loads");
+  for (std::size_t p = 0; p < loads.size(); ++p) EXPECT_NEAR(told.at(p).get<double>(), loads[p], 1e-9);
+}
+
+TEST(Count, AWrongValueIsTheSameErrorAsInAPush) {
+  auto service = launch::Embedded::start(2, [](double) {});
+  ASSERT_TRUE(service.ok());
+  auto client = Client::connect({.endpoint = service->endpoint()});
+  std::vector<Status> told;
+  for (const char* positions : {"every-step", "when-needed"}) {
+    ASSERT_TRUE(client->create_scene(positions, {.parts = 4, .dims = 1, .positions = positions}).ok());
+    auto scene = client->open_scene(positions);
+    std::vector<double> x(300), weights(300, 1.0);
+    std::iota(x.begin(), x.end(), 0);
+    ASSERT_TRUE(scene->step(Positions::rows(x.data(), 300, 1), {.weights = weights}).ok());
+    x[77] = -INFINITY;
+    told.push_back(scene->step(Positions::rows(x.data(), 300, 1)).status());
+    x[77] = 77;
+    weights[78] = -2;
+    told.push_back(scene->step(Positions::rows(x.data(), 300, 1), {.weights = weights}).status());
+    EXPECT_TRUE(scene->step(Positions::rows(x.data(), 300, 1)).ok());
+  }
+  for (const std::size_t k : {0U, 1U}) {
+    EXPECT_EQ(told[k].code(), told[k + 2].code());
+    EXPECT_EQ(told[k].message(), told[k + 2].message());
+    EXPECT_EQ(told[k].hint(), told[k + 2].hint());
+  }
+}
+
 }  // namespace
 }  // namespace rcb::client

@@ -1,14 +1,18 @@
 // One and the same history, whether every step's positions travel or only those that a count can't stand in for; and
-// no trace in the ledger of what isn't a step.
+// no trace in the ledger of what isn't a step. The service may die at any call that stores, and is started again.
 #include <array>
+#include <future>
+#include <memory>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <gtest/gtest.h>
+#include <spdlog/spdlog.h>
 
 #include "server/scene/ledger.hpp"
 #include "tests/server/scene/counting.hpp"
 #include "tests/server/scene/model.hpp"
+#include "tests/support/simulated_storage.hpp"
 
 namespace rcb::testing {
 namespace {
@@ -45,18 +49,24 @@ class TwoLedgers {
  public:
   // What came about, over all scenes.
   struct Seen {
-    std::uint64_t committed = 0, sent = 0, wasted = 0, other_cuts = 0, other_scale = 0, lost = 0, rebalanced = 0;
+    std::uint64_t committed = 0, sent = 0, wasted = 0, other_cuts = 0, other_scale = 0, lost = 0, rebalanced = 0,
+                  died_before = 0, died_after = 0;
     std::array<std::uint64_t, 12> faults{};
   };
 
-  TwoLedgers(std::uint64_t seed, Seen& seen) : random_(seed), seen_(seen) {}
+  TwoLedgers(std::uint64_t seed, Seen& seen) : random_(seed), seen_(seen) {
+    ledgers_->take({"jet", scene::Created{with(options_, Travel::when_needed), lazy_ranks_.held()}}, kIncarnation);
+  }
 
   void run() {
     for (int k = 0; k < 12 && !::testing::Test::HasFailure(); ++k) {
       SCOPED_TRACE(fmt::format("step {}", step_));
       step();
     }
-    EXPECT_EQ(every_.history().total(), lazy_.history().total());
+    const auto all = reports(every_, 0);
+    const auto other = reports(lazy(), 0);
+    ASSERT_EQ(all.size(), other.size());
+    for (std::size_t k = 0; k < all.size(); ++k) expect_alike(all[k], other[k]);
   }
 
  private:
@@ -65,21 +75,52 @@ class TwoLedgers {
     return options;
   }
 
+  Ledger& lazy() { return *ledgers_->find("jet"); }
+
+  // The service has died, and another takes up what it has kept; a client brings the particles of the last step.
+  // before: the ranks without this step, if they have taken it.
+  void restart(const Ranks* before = nullptr) {
+    disk_->live();
+    ledgers_ = std::make_unique<scene::Ledgers>(keeping_);
+    EXPECT_EQ(ledgers_->restore().scenes, 1U);
+    const bool committed = lazy().now().step == step_;
+    ++(committed ? seen_.died_after : seen_.died_before);
+    if (before != nullptr && !committed) lazy_ranks_ = *before;
+    lazy().take(scene::Refilled{lazy_ranks_.held()});
+    remembered_ = lazy().history().total() - 1;
+    if (committed)
+      positions_lost_ = true;
+    else
+      positions_step_.reset();
+  }
+
+  // Does what may store; returns false if the service died of it.
+  template <typename Work>
+  bool survives(const Work& work) {
+    if (lazy().now().step && chance(random_, 10)) disk_->die_after(1 + random_.below(8));
+    try {
+      work();
+    } catch (const ProcessDied&) {
+      return false;
+    }
+    disk_->live();
+    return true;
+  }
+
   void step() {
-    const bool resized = lazy_.now().step && chance(random_, 12);
+    const bool resized = lazy().now().step && chance(random_, 12);
     world_.move(random_);
     if (resized) world_.resize(random_, random_.below(2 * world_.set.count() + 3));
     step_ += 1 + static_cast<std::int64_t>(random_.below(3));
     if (chance(random_, 8)) session_ = fmt::format("run {}", step_);
     seconds_ = chance(random_, 4) ? std::nullopt : std::optional(random_.uniform(0, 0.1));
-    if (lazy_.now().step && chance(random_, 8)) rebalance_due_ = true;
-    if (rebalance_due_ || chance(random_, 10)) lazy_.want_positions();
-    if (chance(random_, 4)) {
-      every_.take(scene::Asked{"quality"});
-      lazy_.take(scene::Asked{"quality"});
+    if (lazy().now().step && chance(random_, 8)) rebalance_due_ = true;
+    if (rebalance_due_ || chance(random_, 10)) lazy().want_positions();
+    if (chance(random_, 4)) lazy().take(scene::Asked{"quality"});
+    if (resized) {
+      look();
+      drifted_.reset();  // not counted, so by which cuts nobody has said
     }
-    const bool waits = lazy_.wants_positions();
-    if (resized) look();
     const std::string outcome = resized ? "send: changed" : count();
     const bool send = outcome.starts_with("send: ");
     if (send && !resized && chance(random_, 6)) {  // never followed by its push
@@ -87,24 +128,34 @@ class TwoLedgers {
       return;
     }
     const bool first = !every_.now().step;
-    const bool held = lazy_.now().positions_step == lazy_.now().step;
+    const bool due = resized || first || lazy().wants_positions() || (send && !lazy().now().positions_step);
+    bool held = false;
     Stepped all = every_ranks_.push(world_.set, step_, every_.terms(seconds_));
-    EXPECT_TRUE(send == (resized || first || waits || all.report.repartitioned || all.wasted)) << outcome;
+    EXPECT_TRUE(send == (due || all.report.repartitioned || all.wasted)) << outcome;
     take(every_, std::move(all));
-    if (send) {
-      ++seen_.sent;
-      const auto terms = wire::parse_json(wire::dump_json(to_json(lazy_.terms(seconds_))));
-      Stepped one = lazy_ranks_.push(world_.set, step_, scene::read_terms(*terms));
-      seen_.wasted += one.wasted ? 1 : 0;
-      one.drifted = drifted_;
-      take(lazy_, std::move(one));
-    }
+    if (send) held = push();
     numbers_.push_back(step_);
     sessions_.push_back(session_);
     compare(first || (send && held) || drifted_.has_value(), send);
     lose_answer();
     learn(send);
-    if (rebalance_due_ && send) rebalance();
+    if (rebalance_due_ && lazy().now().positions_step == lazy().now().step) rebalance();
+  }
+
+  // Returns whether the ranks held the positions of the step before.
+  bool push() {
+    ++seen_.sent;
+    for (;;) {
+      const bool held = lazy().now().positions_step == lazy().now().step;
+      const auto terms = wire::parse_json(wire::dump_json(to_json(lazy().terms(seconds_))));
+      const Ranks before = lazy_ranks_;
+      Stepped one = lazy_ranks_.push(world_.set, step_, scene::read_terms(*terms));
+      seen_.wasted += one.wasted ? 1 : 0;
+      one.drifted = drifted_;
+      if (survives([&] { take(lazy(), one); })) return held;
+      restart(&before);
+      if (lazy().now().step == step_) return held;
+    }
   }
 
   void take(Ledger& ledger, Stepped stepped) {
@@ -119,24 +170,29 @@ class TwoLedgers {
     for (;;) {
       look();
       const std::vector<CountRequest> seats = requests();
-      const scene::SceneState& now = lazy_.now();
+      const scene::SceneState& now = lazy().now();
       const auto due = now.weights ? scale_needed(world_.set.view()) : std::nullopt;
-      const std::string before = picture(lazy_);
+      const std::string before = picture(lazy());
       if (now.step && cuts_.epoch == now.epoch && (!due || *due == scale_)) {
-        for (std::uint64_t k = random_.below(4); k > 0; --k) disturb(seats, due);
+        for (std::uint64_t k = now.positions_step ? random_.below(4) : 0; k > 0; --k) disturb(seats, due);
         EXPECT_EQ(ask(every_, at_step(seats, step_)), "send: the scene's ranks hold every step");
       }
-      const std::string outcome = ask(lazy_, seats);
+      std::string outcome;
+      if (!survives([&] { outcome = ask(lazy(), seats); })) {
+        restart();
+        if (lazy().now().step != step_) continue;
+        outcome = fmt::format("committed after {}", numbers_.back());
+      }
       if (outcome.starts_with("committed")) {
         EXPECT_EQ(outcome, fmt::format("committed after {}", numbers_.back()));
         ++seen_.committed;
         return outcome;
       }
-      EXPECT_EQ(picture(lazy_), before) << outcome;
+      EXPECT_EQ(picture(lazy()), before) << outcome;
       if (outcome.starts_with("send: ")) {
-        EXPECT_EQ(ask(lazy_, at_step(seats, step_ + 2)), outcome);
-        EXPECT_EQ(ask(lazy_, seats), outcome);
-        EXPECT_EQ(picture(lazy_), before);
+        EXPECT_EQ(ask(lazy(), at_step(seats, step_ + 2)), outcome);
+        EXPECT_EQ(ask(lazy(), seats), outcome);
+        EXPECT_EQ(picture(lazy()), before);
         return outcome;
       }
       if (outcome == "other cuts") {
@@ -204,7 +260,7 @@ class TwoLedgers {
       case 1:
         set_all("step", numbers_[k]);
         set_all("session", sessions_[k]);
-        expected = fmt::format("repeated {}", k);
+        expected = k < remembered_ ? "refused stale_step" : fmt::format("repeated {}", k);
         break;
       case 2:
         one.json["hash"] = wire::hex64(cuts_.hash ^ 1U);
@@ -234,7 +290,7 @@ class TwoLedgers {
         break;
       }
       case 6:  // another particle
-        if (!lazy_.now().id_sum) return;
+        if (!lazy().now().id_sum) return;
         one.json["id_sum"] = wire::hex64(random_.next());
         break;
       case 7:
@@ -246,7 +302,7 @@ class TwoLedgers {
           else
             seat.arrays.push_back(
                 array_of("load", "<u8", std::vector<std::uint64_t>(seat.arrays[0].bytes.size() / 2), 2));
-          seat.json["scale"] = lazy_.now().weights ? Json() : Json(0);
+          seat.json["scale"] = lazy().now().weights ? Json() : Json(0);
         }
         expected = "refused invalid_argument";
         break;
@@ -262,7 +318,7 @@ class TwoLedgers {
         break;
       case 10: {  // a part that isn't there
         if (!any) return;
-        const std::int32_t beyond = lazy_.now().options.parts;
+        const std::int32_t beyond = lazy().now().options.parts;
         std::memcpy(one.arrays[0].bytes.data() + one.arrays[0].bytes.size() - 4, &beyond, 4);
         expected = "refused invalid_argument";
         break;
@@ -272,52 +328,63 @@ class TwoLedgers {
         expected = "malformed invalid_argument";
     }
     ++seen_.faults[fault];
-    const std::string before = picture(lazy_);
-    EXPECT_EQ(ask(lazy_, seats), expected) << "fault " << fault;
-    EXPECT_EQ(picture(lazy_), before) << "fault " << fault;
+    const std::string before = picture(lazy());
+    EXPECT_EQ(ask(lazy(), seats), expected) << "fault " << fault;
+    EXPECT_EQ(picture(lazy()), before) << "fault " << fault;
   }
 
   // drifted: whether anybody could know it.
   void compare(bool drifted, bool sent) {
-    const Json one = newest(every_);
-    const Json other = newest(lazy_);
-    for (const char* name : {"scene", "step", "n", "parts", "error_before", "error", "imbalance", "repartitioned",
-                             "reason", "epoch", "moved", "axes_flipped", "inserted", "removed", "weights_as_zero"})
-      EXPECT_EQ(one.value(name, Json()), other.value(name, Json())) << name;
+    const Json one = reports(every_, every_.history().total() - 1).at(0);
+    const Json other = reports(lazy(), lazy().history().total() - 1).at(0);
+    expect_alike(one, other);
     EXPECT_EQ(other["drifted"], drifted ? one["drifted"] : Json());
     EXPECT_EQ(other["sent"], sent);
     if (sent) positions_step_ = step_;
-    EXPECT_EQ(other["positions_step"], positions_step_);
-    EXPECT_EQ(lazy_.now().positions_step, positions_step_);
-    EXPECT_FALSE(sent && lazy_.wants_positions());
-    EXPECT_EQ(lazy_.now().step, step_);
-    EXPECT_EQ(every_.now().hash, lazy_.now().hash);
-    EXPECT_EQ(every_.now().loads->loads, lazy_.now().loads->loads);
-    EXPECT_EQ(every_.now().loads->part_errors, lazy_.now().loads->part_errors);
-    EXPECT_EQ(picture(every_.terms(0.1)), picture(lazy_.terms(0.1)));
-    EXPECT_EQ(every_.totals().steps, lazy_.totals().steps);
-    EXPECT_EQ(every_.totals().repartitions, lazy_.totals().repartitions);
-    EXPECT_EQ(Json(every_.totals().skipped).value("questions", 0), Json(lazy_.totals().skipped).value("questions", 0));
+    EXPECT_EQ(other["positions_step"], positions_step_ ? Json(*positions_step_) : Json());
+    if (std::exchange(positions_lost_, false)) positions_step_.reset();
+    EXPECT_EQ(lazy().now().positions_step, positions_step_);
+    EXPECT_FALSE(sent && lazy().wants_positions());
+    EXPECT_EQ(lazy().now().step, step_);
+    EXPECT_EQ(every_.now().hash, lazy().now().hash);
+    EXPECT_EQ(every_.now().loads->loads, lazy().now().loads->loads);
+    EXPECT_EQ(every_.now().loads->part_errors, lazy().now().loads->part_errors);
+    EXPECT_EQ(picture(every_.terms(0.1)), picture(lazy().terms(0.1)));
+    EXPECT_EQ(every_.totals().steps, lazy().totals().steps);
+    EXPECT_EQ(every_.totals().repartitions, lazy().totals().repartitions);
   }
-  static Json newest(const Ledger& ledger) {
-    const std::uint64_t total = ledger.history().total();
-    return ledger.history().newest(total - 1, total).reports.at(0);
+  static void expect_alike(const Json& one, const Json& other) {
+    for (const char* name : {"scene", "step", "n", "parts", "error_before", "error", "imbalance", "repartitioned",
+                             "reason", "epoch", "moved", "axes_flipped", "inserted", "removed", "weights_as_zero"})
+      EXPECT_EQ(one.value(name, Json()), other.value(name, Json())) << name;
+  }
+  // All from `first` on.
+  static std::vector<Json> reports(const Ledger& ledger, std::uint64_t first) {
+    const scene::History& history = ledger.history();
+    if (history.in_memory(first)) return history.newest(first, history.total()).reports;
+    std::promise<void> done;
+    scene::FoundReports found;
+    const Status begun = history.reading(first, history.total(), ledger.journal())(
+        [&found](scene::FoundReports all) { found = std::move(all); }, [&done] { done.set_value(); });
+    EXPECT_TRUE(begun.ok());
+    if (begun.ok()) done.get_future().wait();
+    return found.reports;
   }
 
   // The answer doesn't arrive: the step is counted again, or pushed, which asks for what is remembered.
   void lose_answer() {
-    const std::string before = picture(lazy_);
-    const std::uint64_t number = lazy_.history().total() - 1;
-    EXPECT_EQ(ask(lazy_, requests()), fmt::format("repeated {}", number));
-    EXPECT_EQ(lazy_.repeated(session_, step_), number);
-    EXPECT_EQ(lazy_.repeated(session_ + "'", step_), std::nullopt);
-    EXPECT_EQ(lazy_.repeated(session_, step_ + 1), std::nullopt);
-    EXPECT_EQ(picture(lazy_), before);
+    const std::string before = picture(lazy());
+    const std::uint64_t number = lazy().history().total() - 1;
+    EXPECT_EQ(ask(lazy(), requests()), fmt::format("repeated {}", number));
+    EXPECT_EQ(lazy().repeated(session_, step_), number);
+    EXPECT_EQ(lazy().repeated(session_ + "'", step_), std::nullopt);
+    EXPECT_EQ(lazy().repeated(session_, step_ + 1), std::nullopt);
+    EXPECT_EQ(picture(lazy()), before);
   }
 
   // What the client knows after a step.
   void learn(bool sent) {
-    if (sent) cuts_ = {lazy_ranks_.tree(), lazy_.now().epoch, lazy_.now().hash};
+    if (sent) cuts_ = {lazy_ranks_.tree(), lazy().now().epoch, lazy().now().hash};
     last_part_.resize(world_.set.count());
     cuts_.tree.classify(world_.set.view(), last_part_.span());
     part_known_ = true;
@@ -326,8 +393,8 @@ class TwoLedgers {
   void rebalance() {
     const SceneOptions options = random_options(random_, world_.dims);
     every_.take(every_ranks_.rebalance(with(options, Travel::every_step)));
-    lazy_.take(lazy_ranks_.rebalance(with(options, Travel::when_needed)));
-    EXPECT_EQ(every_.now().hash, lazy_.now().hash);
+    lazy().take(lazy_ranks_.rebalance(with(options, Travel::when_needed)));
+    EXPECT_EQ(every_.now().hash, lazy().now().hash);
     rebalance_due_ = false;
     ++seen_.rebalanced;
   }
@@ -346,7 +413,9 @@ class TwoLedgers {
   Ranks lazy_ranks_{with(options_, Travel::when_needed)};
   scene::HistoryMemory memory_{100};
   Ledger every_{"jet", {with(options_, Travel::every_step), every_ranks_.held()}, kIncarnation, memory_, nullptr};
-  Ledger lazy_{"jet", {with(options_, Travel::when_needed), lazy_ranks_.held()}, kIncarnation, memory_, nullptr};
+  std::shared_ptr<SimulatedStorage> disk_ = std::make_shared<SimulatedStorage>(random_.next());
+  scene::Keeping keeping_{.keep_reports = 100, .storage = disk_, .data_dir = "/data"};
+  std::unique_ptr<scene::Ledgers> ledgers_ = std::make_unique<scene::Ledgers>(keeping_);  // with the lazy one
   bool tells_ids_ = chance(random_, 2);
 
   // The client's:
@@ -363,19 +432,24 @@ class TwoLedgers {
   std::vector<std::int64_t> numbers_;  // of the steps in the history
   std::vector<std::string> sessions_;
   std::optional<std::int64_t> positions_step_;
+  std::uint64_t remembered_ = 0;  // in the history: the first step whose session the ledger knows
+  bool positions_lost_ = false;   // the service died after it had kept the step
   bool rebalance_due_ = false;
 };
 
 TEST(Ledger, CountsLeaveTheHistoryThatPushesLeave) {
+  const auto level = spdlog::get_level();
+  spdlog::set_level(spdlog::level::off);  // what the services that died have left half done
   constexpr std::uint64_t kScenes = 2000;
   TwoLedgers::Seen seen;
   for (std::uint64_t seed = 1; seed <= kScenes && !HasFailure(); ++seed) {
     SCOPED_TRACE(fmt::format("seed {}", seed));
     TwoLedgers(seed, seen).run();
   }
+  spdlog::set_level(level);
   if (HasFailure()) return;
-  for (const std::uint64_t count :
-       {seen.committed, seen.sent, seen.wasted, seen.other_cuts, seen.other_scale, seen.lost, seen.rebalanced})
+  for (const std::uint64_t count : {seen.committed, seen.sent, seen.wasted, seen.other_cuts, seen.other_scale,
+                                    seen.lost, seen.rebalanced, seen.died_before, seen.died_after})
     EXPECT_GT(count, kScenes / 10);
   for (const std::uint64_t count : seen.faults) EXPECT_GT(count, kScenes / 10);
 }

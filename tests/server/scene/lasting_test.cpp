@@ -438,7 +438,7 @@ TEST(LastingScene, WhoseMakingWasCutShortIsRemoved) {
 
 std::vector<std::string> encodings() {
   std::vector<std::string> all;
-  for (std::uint64_t seed = 1; seed < 40; ++seed) {
+  for (std::uint64_t seed = 1; seed < 25; ++seed) {
     auto disk = std::make_shared<SimulatedStorage>(seed);
     std::vector<Moment> moments;
     run(Life(seed), disk, 12, moments);
@@ -453,8 +453,17 @@ std::vector<std::string> encodings() {
   return all;
 }
 
-// What can be read can be used, and is written again as it was read.
-bool read_and_use(const std::string& bytes) {
+class LastingBytes : public ::testing::Test {
+ protected:
+  // What can be read can be used, and is written again as it was read.
+  bool read_and_use(const std::string& bytes);
+
+ private:
+  SimulatedStorage disk_{1};
+  scene::HistoryMemory memory_{1};
+};
+
+bool LastingBytes::read_and_use(const std::string& bytes) {
   bool read = false;
   if (auto tree = scene::decode_tree(bytes); tree.ok()) {
     read = true;
@@ -473,10 +482,8 @@ bool read_and_use(const std::string& bytes) {
   if (again.ok()) {
     EXPECT_EQ(scene::encode(*again), encoded);
   }
-  SimulatedStorage disk(1);
-  scene::HistoryMemory memory(1);
-  auto journal = scene::Journal::create(disk, "data", {"jet", 7});
-  Ledger ledger("jet", *lasting, memory, std::make_unique<scene::Journal>(std::move(*journal)));
+  auto journal = scene::Journal::create(disk_, "data", {"jet", 7});
+  Ledger ledger("jet", *lasting, memory_, std::make_unique<scene::Journal>(std::move(*journal)));
   const auto terms = wire::parse_json(wire::dump_json(to_json(ledger.terms(0.1))));
   EXPECT_TRUE(terms.ok());
   if (terms.ok()) scene::read_terms(*terms);
@@ -486,7 +493,7 @@ bool read_and_use(const std::string& bytes) {
   return true;
 }
 
-TEST(LastingBytes, AreReadWhateverTheyAre) {
+TEST_F(LastingBytes, AreReadWhateverTheyAre) {
   const std::uint64_t seed = std::random_device{}();
   SCOPED_TRACE(fmt::format("seed {}", seed));
   Random random(seed);
@@ -494,7 +501,7 @@ TEST(LastingBytes, AreReadWhateverTheyAre) {
   std::uint64_t changed = 0;
   for (const std::string& bytes : all) {
     EXPECT_TRUE(read_and_use(bytes));
-    for (int k = 0; k < 300 && !HasFailure(); ++k) {
+    for (int k = 0; k < 100 && !HasFailure(); ++k) {
       std::string other = bytes;
       if (chance(random, 3)) other.resize(random.below(bytes.size()));
       for (std::uint64_t times = random.below(4); times > 0 && !other.empty(); --times)
@@ -511,24 +518,18 @@ TEST(LastingBytes, AreReadWhateverTheyAre) {
   }
 }
 
-TEST(LastingBytes, OfHugeCountsAndDepthsAreRefused) {
+TEST_F(LastingBytes, OfHugeCountsAndDepthsAreRefused) {
   const std::string huge(8, '\xff');
-  for (const char head : {'\x5b', '\x7b', '\x9b', '\xbb'}) EXPECT_FALSE(read_and_use(std::string(1, head) + huge));
-  for (const char head : {'\x81', '\x9f', '\xa1', '\xbf', '\xc1', '\x5f', '\x7f', '\xd8'}) {
-    EXPECT_FALSE(read_and_use(std::string(10'000'000, head)));
-    EXPECT_FALSE(
-        read_and_use("\xa1"
-                     "aa" +
-                     std::string(10'000'000, head)));
-    std::string nested =
-        "\xa1"
-        "ga";
-    for (int k = 0; k < 100'000; ++k)
-      nested +=
-          "\xa1"
-          "aa";
-    EXPECT_FALSE(read_and_use(nested));
+  const std::string inside("\x81\xa1", 2);  // an object of one field, whose name has one letter
+  for (int head = 0x80; head < 0x100; ++head) {
+    const std::string one(1, static_cast<char>(head));
+    EXPECT_FALSE(read_and_use(one + huge));
+    EXPECT_FALSE(read_and_use(inside + "a" + one + huge));
+    EXPECT_FALSE(read_and_use(inside + "a" + std::string(5'000'000, one[0])));
   }
+  std::string nested;
+  for (int k = 0; k < 1'000'000; ++k) nested += inside + "a";
+  EXPECT_FALSE(read_and_use(nested));
 }
 
 // Calls visit(value) for each value in the JSON, in place.
@@ -538,7 +539,7 @@ void for_each_value(Json& json, const std::function<void(Json&)>& visit) {
     for (Json& inside : json) for_each_value(inside, visit);
 }
 
-TEST(LastingBytes, WithFieldsOfOtherTypesAndValuesAreReadOrRefused) {
+TEST_F(LastingBytes, WithFieldsOfOtherTypesAndValuesAreReadOrRefused) {
   const std::vector<Json> others{nullptr,
                                  -1,
                                  std::numeric_limits<std::int64_t>::min(),
@@ -555,31 +556,36 @@ TEST(LastingBytes, WithFieldsOfOtherTypesAndValuesAreReadOrRefused) {
                                  Json::object(),
                                  Json::binary({}),
                                  Json::binary(std::vector<std::uint8_t>(48, 0xff))};
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE(fmt::format("seed {}", seed));
+  Random random(seed);
   std::uint64_t refused = 0;
   for (const std::string& bytes : encodings()) {
-    Json json = Json::from_cbor(bytes);
+    Json json = Json::from_msgpack(bytes);
     std::vector<Json*> values;
     for_each_value(json, [&values](Json& value) { values.push_back(&value); });
     if (values.size() > 400) continue;
     for (Json* value : values)
       for (const Json& other : others) {
+        if (!chance(random, 5)) continue;
         Json was = other;
         std::swap(*value, was);
         std::string changed;
-        Json::to_cbor(json, changed);
+        Json::to_msgpack(json, changed);
         if (!read_and_use(changed)) ++refused;
         std::swap(*value, was);
         if (HasFailure()) return;
       }
-    for (const auto& [name, value] : Json(json).items()) {
-      Json without = json;
+    const Json complete = json;
+    for (const auto& [name, value] : complete.items()) {
+      Json without = complete;
       without.erase(name);
       std::string changed;
-      Json::to_cbor(without, changed);
+      Json::to_msgpack(without, changed);
       EXPECT_FALSE(read_and_use(changed)) << name;
     }
   }
-  EXPECT_GT(refused, 10'000U);
+  EXPECT_GT(refused, 2000U);
 }
 
 }  // namespace

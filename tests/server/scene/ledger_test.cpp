@@ -174,6 +174,14 @@ TEST(Ledger, SendsOnceForAQuestion) {
   scene.push(1, {2, 2});
   EXPECT_EQ(in_words(scene.count(2, {2, 2})), "committed after 1");
   EXPECT_EQ(scene.ledger->now().positions_step, 1);
+  const auto without = [&scene] { return scene.ledger->totals().skipped.at("questions"); };
+  EXPECT_EQ(without(), 3U);  // all steps so far
+  scene.ledger->take(scene::Asked{"quality"});
+  EXPECT_EQ(scene.ledger->totals().asked.at("quality"), 1U);
+  scene.count(3, {2, 2});
+  EXPECT_EQ(without(), 3U);
+  scene.count(4, {2, 2});
+  EXPECT_EQ(without(), 4U);
 }
 
 TEST(Ledger, OfAnotherIncarnationIsAnotherScene) {
