@@ -323,6 +323,7 @@ class FakeScene {
     part_ = std::move(after);
     plan_->commit(part_, parts_, first);
     if (first) epoch = 1;
+    filled_ = true;
     step = number;
     ++commits;
     if (now == Fault::die_after_commit) return restart();
