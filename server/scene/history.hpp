@@ -37,6 +37,8 @@ class HistoryMemory {
   HistoryMemory& operator=(const HistoryMemory&) = delete;
 
   std::size_t held() const { return held_; }  // reports in memory
+  // On the thread for files, where a disk that stands still holds up nobody.
+  void run_beside(SideThread::Job job) { thread_.post_surely(std::move(job)); }
 
  private:
   friend class History;

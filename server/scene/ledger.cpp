@@ -55,11 +55,12 @@ void Ledger::keep() {
   keeps_ = kept.ok();
 }
 
-void Ledger::drop() {
-  if (!journal_) return;
-  if (const Status removed = journal_->remove(); !removed.ok())
-    spdlog::warn("what was kept of scene '{}' can't be removed: {}", name_, removed.message());
-  journal_.reset();
+std::function<void()> Ledger::drop() {
+  if (!journal_) return [] {};
+  return [journal = std::shared_ptr<Journal>(std::move(journal_)), name = name_] {
+    if (const Status removed = journal->remove(); !removed.ok())
+      spdlog::warn("what was kept of scene '{}' can't be removed: {}", name, removed.message());
+  };
 }
 
 DecisionTerms Ledger::terms(std::optional<double> step_seconds) const {
@@ -222,7 +223,8 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
 }
 
 void Ledgers::drop(const std::string& scene) {
-  if (Ledger* ledger = find(scene)) ledger->drop();
+  if (Ledger* ledger = find(scene))
+    memory_->run_beside([storage = keeping_.storage, remove = ledger->drop()] { remove(); });
   ledgers_.erase(scene);
 }
 

@@ -12,6 +12,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -110,8 +111,8 @@ class Ledger {
   const MemberShare* share_in_last(const std::string& session, std::int64_t step) const;
   const wire::Json& last_report() const { return lasting_.last_report; }
 
-  // Removes what would outlive the service.
-  void drop();
+  // Returns what removes all that would outlive the service, for any thread.
+  std::function<void()> drop();
 
   // A question waits for the positions of the next step. Withdrawn by that step.
   void want_positions() { wants_positions_ = true; }

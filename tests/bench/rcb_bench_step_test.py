@@ -13,8 +13,7 @@ SCRIPT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "step", "encry
 
 
 class Step(unittest.TestCase):
-    FLOORS = {"count": ["read", "round_trip"], "count-permuted": ["read", "round_trip"],
-              "count-weighted": ["read", "round_trip"], "send": ["read", "floor", "memory"],
+    FLOORS = {"count": ["read", "round_trip"], "count-weighted": ["read", "round_trip"], "send": ["read", "floor", "memory"],
               "rows": ["read", "floor", "memory"], "unmoved": ["floor", "memory"]}
 
     @classmethod

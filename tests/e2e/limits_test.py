@@ -80,7 +80,10 @@ class History(unittest.TestCase):
             before = memory_mib(rank_0(service))
             steps(20_000, self.STEPS)
             self.assertLess(memory_mib(rank_0(service)) - before, 15)  # 40,000 reports would take more
-            self.assertGreater(os.path.getsize(os.path.join(service.data, "reports", "still.reports")), 100 * self.STEPS)
+            scenes = os.path.join(service.data, "scenes")
+            kept, = os.listdir(scenes)
+            self.assertGreater(sum(os.path.getsize(os.path.join(scenes, kept, name)) for name in
+                                   os.listdir(os.path.join(scenes, kept))), 100 * self.STEPS)
 
             with self.assertRaises(Refused) as refused:
                 client.ask("history", scene="still")
@@ -94,7 +97,7 @@ class History(unittest.TestCase):
 
             self.read_by_rcbctl(service)
             client.ask("scene.drop", scene="still")
-            self.assertEqual(os.listdir(os.path.join(service.data, "reports")), [])
+            awaited(lambda: not os.listdir(scenes))
 
     def read_by_rcbctl(self, service):
         reports = service.json("history", "still")

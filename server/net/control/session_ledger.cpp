@@ -42,7 +42,8 @@ awaitable<Status> Session::wait_settled(const Request& request, const std::strin
 awaitable<void> Session::answer_from_ledger(Request& request) {
   const auto scene = wire::string_field(request.json, "scene", 256);
   Status status = scene.status();
-  if (status.ok()) status = co_await wait_settled(request, *scene);
+  // Whoever has lost an answer asks what came of the step, which may still be under way.
+  if (status.ok() && request.command == "scene.show") status = co_await wait_settled(request, *scene);
   const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(*scene) : nullptr;
   if (status.ok() && ledger == nullptr) status = coordinator_->unknown_scene(*scene);
   if (!status.ok()) co_return reply(request, api::failed(status));
@@ -66,9 +67,13 @@ Status Session::check_positions(const std::string& scene) const {
   const scene::Ledger* ledger = coordinator_->scenes().find(scene);
   if (ledger == nullptr || ledger->now().positions_step == ledger->now().step) return {};
   const auto& held = ledger->now().positions_step;
+  if (!held)
+    return {Code::invalid_argument,
+            fmt::format("the ranks hold no positions of scene '{}' since the service was started", scene),
+            "they come with the next step of its solver"};
   return {Code::invalid_argument,
-          fmt::format("the ranks hold the positions of {}, the last step of scene '{}' is {}",
-                      held ? fmt::format("step {}", *held) : "no step", scene, *ledger->now().step),
+          fmt::format("the ranks hold the positions of step {}, the last step of scene '{}' is {}", *held, scene,
+                      *ledger->now().step),
           "its next step that brings positions can be repartitioned; --dry-run tells what the held ones give"};
 }
 

@@ -22,7 +22,6 @@ namespace rcb::bench {
 struct StepBenchOptions {
   std::vector<std::string> scenes{"moving", "moving-2d", "moving-shuffled", "moving-small"};
   std::vector<std::string> variants{"count",
-                                    "count-permuted",
                                     "count-weighted",
                                     "send",
                                     "shared-memory",

@@ -74,10 +74,6 @@ Pusher::Pusher(std::string variant, const MovingPoints& motion, int members)
   if (variant_ == "subset")
     for (std::size_t row = 0; row < motion.n; row += kSubset) moved_.push_back(row);
   if (is_count(variant_) && !team_) rows_.resize(motion.rows[0].size());
-  if (variant_ == "count-permuted") {
-    ids_.resize(motion.n);
-    std::iota(ids_.begin(), ids_.end(), std::int64_t{0});
-  }
   if (variant_ == "count-weighted")
     for (std::size_t row = 0; row < motion.n; ++row) weights_.push_back(random_.uniform(0.5, 1.5));
 }
@@ -125,7 +121,6 @@ Result<double> Pusher::step(int phase, client::StepReport& report) {
   const double start = clock.seconds();
   client::StepOptions options;
   if ((variant_ == "subset" || variant_ == "unmoved") && !first) options.moved = moved_;
-  options.ids = ids_;
   options.weights = weights_;
   auto result = scene_->step(*positions, options);
   const double seconds = clock.seconds() - start;
@@ -168,16 +163,8 @@ Result<client::Positions> Pusher::prepare(int phase) {
 
 // The arrays of a solver that moves its particles where they are, and before a step may put them into another order.
 client::Positions Pusher::own_rows(int phase) {
-  const auto d = static_cast<std::size_t>(motion_.dims);
   const std::vector<double>& from = motion_.rows[phase];
-  if (variant_ == "count-permuted") {
-    shuffle(random_, ids_.size(), [this](std::size_t i, std::size_t j) { std::swap(ids_[i], ids_[j]); });
-    for (std::size_t i = 0; i < ids_.size(); ++i)
-      std::copy_n(from.begin() + static_cast<std::ptrdiff_t>(static_cast<std::size_t>(ids_[i]) * d), d,
-                  rows_.begin() + static_cast<std::ptrdiff_t>(i * d));
-  } else {
-    std::copy(from.begin(), from.end(), rows_.begin());
-  }
+  std::copy(from.begin(), from.end(), rows_.begin());
   return client::Positions::rows(rows_.data(), motion_.n, motion_.dims);
 }
 

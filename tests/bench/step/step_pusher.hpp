@@ -19,11 +19,10 @@ namespace rcb::bench {
 // endpoint: rows through rank 0. members: a parallel solver's, with the particles of their parts, from shared memory;
 // members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved. connect: no
 // step, but the time until a new client has been let in.
-// count: own rows of a scene whose positions travel when needed, which they aren't; count-permuted: with ids, the rows
-// in a new random order each step; count-weighted: with a weight for each particle. send: as shared-memory, of such a
+// count: own rows of a scene whose positions travel when needed, which they aren't; count-weighted: with a weight
+// for each particle. send: as shared-memory, of such a
 // scene at the tolerance 0, so that each step is counted, then sends, and new cuts are found.
 inline constexpr std::array kStepVariants{"count",
-                                          "count-permuted",
                                           "count-weighted",
                                           "send",
                                           "shared-memory",
@@ -87,7 +86,6 @@ class Pusher {
   Random random_{23};
   std::vector<std::uint64_t> moved_;
   std::vector<double> rows_;  // of the count variants
-  std::vector<std::int64_t> ids_;
   std::vector<double> weights_;
   std::optional<client::Client> client_;
   std::optional<client::Scene> scene_;
