@@ -12,9 +12,9 @@ Answer describe(const scene::Ledger& ledger, int ranks);
 // Answers error, counts, stats, history and the description. Errors: not_found (no positions yet), those of the
 // request.
 Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int ranks);
-// The report of a committed step, for whoever pushes or counts it again. number: in the history.
 // To a member of the last step that pushes or counts it again.
 wire::Json repeated_to_member(const scene::Ledger& ledger, const scene::MemberShare& share);
+// The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 
 // What has the ranks take up a scene of an earlier service. The cuts, if any, go with it: cut_arrays().

@@ -160,6 +160,8 @@ void Coordinator::restore_scenes() {
     order.then = [self = shared_from_this(), scene = name](const Answer& answer) {
       if (answer.status.ok()) return;
       spdlog::error("scene '{}' of an earlier service can't be restored: {}", scene, answer.status.message());
+      --self->restored_.scenes;
+      self->restored_.steps -= self->scenes_.find(scene)->totals().steps;
       self->scenes_.forget(scene);
     };
     const auto then = order.then;

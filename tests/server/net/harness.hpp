@@ -24,7 +24,7 @@ inline constexpr const char* kBert = "00000000000000bb";
 inline constexpr std::uint64_t kCutsHash = 0xc075;  // of every scene after its first push; their epoch is 1
 
 // Executes orders one by one on its own thread. Knows scene.create, scene.drop, push (after which all parts have
-// equally many particles, or one more) and fetch (an answer with as many doubles as the scene's name says: "n1000");
+// equally many particles, or one more; a refill is none), scene.restore (but of "refused") and fetch (an answer with as many doubles as the scene's name says: "n1000");
 // anything else is answered with {"echo": command}.
 class FakeEngine final : public Engine {
  public:
@@ -43,7 +43,7 @@ class FakeEngine final : public Engine {
   std::vector<std::string> executed() const;
   // The last order's request.
   wire::Json request() const;
-  // The slices of the last push.
+  // The slices of the last push or scene.restore.
   std::vector<Slice> slices() const;
 
  private:

@@ -109,11 +109,11 @@ TEST(EngineLoop, WhatMayLastGivesWay) {
       queue.push_step(scene, 0);
     }
     queue.add("compare", "long");
-    queue.add("error", "long");
+    queue.add("cuts", "long");
     queue.push_step("other", 1);
     queue.add({{"command", "scene.create"}, {"scene", "third"}, {"parts", 2}, {"dims", 3}});
     queue.push_step("third", 0);
-    queue.add("error", "third");
+    queue.add("cuts", "third");
     queue.add({{"command", "assign"}, {"scene", 7}});  // refused, and no more
     std::thread at_its_end([&] { queue.add("shutdown", ""); });
     const SteadyClock clock;
@@ -121,9 +121,9 @@ TEST(EngineLoop, WhatMayLastGivesWay) {
     loop.run(service);
     at_its_end.join();
     std::vector<std::string> expected{"scene.create long", "push long",  "scene.create other", "push other",
-                                      "error long",        "push other", "scene.create third", "push third",
-                                      "error third",       "assign ?",   "compare long",       "shutdown "};
-    if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("error"); });
+                                      "cuts long",         "push other", "scene.create third", "push third",
+                                      "cuts third",        "assign ?",   "compare long",       "shutdown "};
+    if (comm.rank() != 0) std::erase_if(expected, [](const std::string& one) { return one.starts_with("cuts"); });
     EXPECT_EQ(queue.done, expected);
   });
 }
@@ -166,7 +166,7 @@ TEST(EngineLoop, EveryRankExecutesTheSameSequence) {
         if (kind < 2)
           queue.push_step(scene, k);
         else
-          queue.add(kind == 2 ? "compare" : kind == 3 ? "quality" : kind == 4 ? "assign" : "error", scene);
+          queue.add(kind == 2 ? "compare" : kind == 3 ? "quality" : kind == 4 ? "assign" : "cuts", scene);
         if (pace.below(3) == 0) std::this_thread::sleep_for(std::chrono::microseconds(pace.below(400)));
       }
       queue.add("shutdown", "");
@@ -174,7 +174,7 @@ TEST(EngineLoop, EveryRankExecutesTheSameSequence) {
     service::Service service(comm, clock);
     loop.run(service);
     filler.join();
-    std::erase_if(queue.done, [](const std::string& one) { return one.starts_with("error"); });
+    std::erase_if(queue.done, [](const std::string& one) { return one.starts_with("cuts"); });
     const std::lock_guard lock(mutex);
     all.push_back(queue.done);
     if (static_cast<int>(all.size()) < comm.size()) return;

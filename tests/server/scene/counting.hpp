@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <future>
 #include <limits>
 #include <map>
 #include <optional>
@@ -11,6 +12,7 @@
 #include <vector>
 
 #include <fmt/format.h>
+#include <gtest/gtest.h>
 
 #include "common/base/random.hpp"
 #include "common/base/wide.hpp"
@@ -112,6 +114,19 @@ inline std::string ask(scene::Ledger& ledger, const std::vector<CountRequest>& s
   if (seats.size() > 1) record = tally.sum();
   if (!record.ok()) return fmt::format("malformed {}", code_name(record.status().code()));
   return in_words(ledger.count(*record));
+}
+
+// All reports from `first` on, of the memory or the journal.
+inline std::vector<wire::Json> reports(const scene::Ledger& ledger, std::uint64_t first) {
+  const scene::History& history = ledger.history();
+  if (history.in_memory(first)) return history.newest(first, history.total()).reports;
+  std::promise<void> done;
+  scene::FoundReports found;
+  const Status begun = history.reading(first, history.total(), ledger.journal())(
+      [&found](scene::FoundReports all) { found = std::move(all); }, [&done] { done.set_value(); });
+  EXPECT_TRUE(begun.ok());
+  if (begun.ok()) done.get_future().wait();
+  return found.reports;
 }
 
 }  // namespace rcb::testing

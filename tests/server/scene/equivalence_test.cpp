@@ -1,7 +1,6 @@
 // One and the same history, whether every step's positions travel or only those that a count can't stand in for; and
 // no trace in the ledger of what isn't a step. The service may die at any call that stores, and is started again.
 #include <array>
-#include <future>
 #include <memory>
 
 #include <fmt/format.h>
@@ -112,6 +111,7 @@ class TwoLedgers {
     world_.move(random_);
     if (resized) world_.resize(random_, random_.below(2 * world_.set.count() + 3));
     step_ += 1 + static_cast<std::int64_t>(random_.below(3));
+    if (lazy().now().step && chance(random_, 20)) restart();
     if (chance(random_, 8)) session_ = fmt::format("run {}", step_);
     seconds_ = chance(random_, 4) ? std::nullopt : std::optional(random_.uniform(0, 0.1));
     if (lazy().now().step && chance(random_, 8)) rebalance_due_ = true;
@@ -128,7 +128,7 @@ class TwoLedgers {
       return;
     }
     const bool first = !every_.now().step;
-    const bool due = resized || first || lazy().wants_positions() || (send && !lazy().now().positions_step);
+    const bool due = resized || first || lazy().wants_positions() || !had_positions_;
     bool held = false;
     Stepped all = every_ranks_.push(world_.set, step_, every_.terms(seconds_));
     EXPECT_TRUE(send == (due || all.report.repartitioned || all.wasted)) << outcome;
@@ -178,6 +178,7 @@ class TwoLedgers {
         EXPECT_EQ(ask(every_, at_step(seats, step_)), "send: the scene's ranks hold every step");
       }
       std::string outcome;
+      had_positions_ = now.positions_step.has_value();
       if (!survives([&] { outcome = ask(lazy(), seats); })) {
         restart();
         if (lazy().now().step != step_) continue;
@@ -358,19 +359,6 @@ class TwoLedgers {
                              "reason", "epoch", "moved", "axes_flipped", "inserted", "removed", "weights_as_zero"})
       EXPECT_EQ(one.value(name, Json()), other.value(name, Json())) << name;
   }
-  // All from `first` on.
-  static std::vector<Json> reports(const Ledger& ledger, std::uint64_t first) {
-    const scene::History& history = ledger.history();
-    if (history.in_memory(first)) return history.newest(first, history.total()).reports;
-    std::promise<void> done;
-    scene::FoundReports found;
-    const Status begun = history.reading(first, history.total(), ledger.journal())(
-        [&found](scene::FoundReports all) { found = std::move(all); }, [&done] { done.set_value(); });
-    EXPECT_TRUE(begun.ok());
-    if (begun.ok()) done.get_future().wait();
-    return found.reports;
-  }
-
   // The answer doesn't arrive: the step is counted again, or pushed, which asks for what is remembered.
   void lose_answer() {
     const std::string before = picture(lazy());
@@ -433,6 +421,7 @@ class TwoLedgers {
   std::vector<std::string> sessions_;
   std::optional<std::int64_t> positions_step_;
   std::uint64_t remembered_ = 0;  // in the history: the first step whose session the ledger knows
+  bool had_positions_ = false;    // the ranks, of a step that is known, as it was counted
   bool positions_lost_ = false;   // the service died after it had kept the step
   bool rebalance_due_ = false;
 };

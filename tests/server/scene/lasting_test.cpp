@@ -46,10 +46,14 @@ Json picture_of(const Ledger& ledger) {
             {"hash", now.hash},
             {"search", {now.search_rounds, now.search_reductions}},
             {"step", or_null(now.step)},
-            {"id_sum", or_null(now.id_sum)},
+            {"ids", {or_null(now.id_sum), or_null(now.id_next)}},
             {"terms", {to_json(ledger.terms({})), to_json(ledger.terms(0.01)), to_json(ledger.terms(5.0))}},
             {"counts", to_json(static_cast<const scene::StepCounts&>(totals))},
             {"totals", {totals.steps, totals.repartitions, totals.skipped, totals.asked}}};
+  for (int member = 0; member < 3 && now.step; ++member) {
+    const auto* share = ledger.share_in_last(fmt::format("member {}", member), *now.step);
+    json["members"].push_back(share == nullptr ? Json() : Json(share->inserted_before));
+  }
   if (!now.loads) return json;
   json["loads"] = {now.loads->counts, now.loads->load_values, now.loads->part_errors, now.loads->targets};
   json["balance"] = {now.loads->error, now.loads->imbalance, now.loads->weighted, now.loads->scale_exponent,
@@ -132,6 +136,9 @@ class Life {
     scene::Stepped stepped = ranks_.push(world_->set, step_, ledger.terms(seconds_));
     stepped.session = session_;
     stepped.step_seconds = seconds_;
+    stepped.members = shares();
+    if (resized) id_next_ = 1000 + random_.below(1000);
+    stepped.held.id_next = id_next_;
     reports_.push_back(to_json(*ledgers.take({"jet", std::move(stepped)}, 0)));
   }
 
@@ -146,8 +153,9 @@ class Life {
     request.json.update({{"session", session_}, {"step", step_}, {"epoch", now.epoch}});
     request.json.update({{"hash", wire::hex64(now.hash)}, {"incarnation", wire::hex64(now.incarnation)}});
     if (seconds_) request.json["step_seconds"] = *seconds_;
-    const auto record = scene::read_count(request.json, request.arrays);
+    auto record = scene::read_count(request.json, request.arrays);
     EXPECT_TRUE(record.ok()) << record.status().message();
+    record->members = shares();
     const auto verdict = ledger.count(*record);
     const auto* done = std::get_if<scene::CountVerdict::Committed>(&verdict.is);
     EXPECT_TRUE(done != nullptr || std::holds_alternative<scene::CountVerdict::Send>(verdict.is));
@@ -155,10 +163,19 @@ class Life {
     return done != nullptr;
   }
 
+  // Of no members, or of up to three.
+  std::vector<scene::MemberShare> shares() {
+    std::vector<scene::MemberShare> shares;
+    for (std::uint64_t k = random_.below(4); k > 0; --k)
+      shares.push_back({scene::session_key(fmt::format("member {}", k - 1)), random_.below(50)});
+    return shares;
+  }
+
   Random random_;
   std::optional<World> world_;
   Ranks ranks_{scene::SceneOptions()};
   std::uint64_t incarnation_ = 0x1000;
+  std::optional<std::uint64_t> id_next_;
   std::int64_t step_ = -1;
   std::string session_ = "run";
   std::optional<double> seconds_;

@@ -60,6 +60,15 @@ struct FakeEngine::State {
     } else if (command == "scene.drop") {
       if (scenes.erase(scene) == 0) answer.status = Status(Code::not_found, "no scene '" + scene + "'");
       answer.change = {scene, scene::Dropped{}};
+    } else if (command == "scene.restore") {
+      scenes[scene] = *scene::read_options(order.request);
+      slices = std::move(order.slices);
+      if (scene == "refused") answer.status = Status(Code::too_large, "no memory for it");
+    } else if (command == "push" && order.request.contains("refill")) {
+      executed.back() = fmt::format("refill step {}", order.request.value("step", -1));
+      slices = std::move(order.slices);
+      answer.json = {{"refilled", true}};
+      answer.change = {scene, scene::Refilled{push(order.request, scenes[scene]).held}};
     } else if (command == "push") {
       scene::Stepped stepped = push(order.request, scenes[scene]);
       executed.back() += fmt::format(" step {}", stepped.report.step);
