@@ -1,4 +1,4 @@
-"""Solvers outlive their service: random ranks are killed at random moments, and every solver ends as it would have.
+"""Solvers outlive their service: ranks and mpirun are killed at random moments, and every solver ends as it would have.
 
 What a solver computed is the same to the last bit, but for slope_mpi, whose sums are rounded in an order that depends on
 which process holds which point when. Every step has one report, and the history that the service keeps has it, too. It is
@@ -50,6 +50,7 @@ class Killer(threading.Thread):
             running = []
             while not running and not self.stopped.is_set():
                 running = ranks.ranks(self.supervisor)
+                running += ranks.children(self.supervisor) if running else []  # mpirun, too
                 self.stopped.wait(0.01)
             if self.stopped.is_set():
                 return
@@ -123,7 +124,7 @@ class Kills(unittest.TestCase):
             self.check(reports, path, *kept, parts=8, tolerance=0.1)
 
     def test_slope_mpi(self):
-        command = [MPIRUN, 3, os.path.join(BIN, "slope_mpi"), "--points", 1500, "--steps", 40, "--interval", 0.3, "--parts",
+        command = [MPIRUN, 4, os.path.join(BIN, "slope_mpi"), "--points", 1500, "--steps", 40, "--interval", 0.3, "--parts",
                    7, "--tolerance", 0.05, "--scene", "s"]
         with Service(OPTIONS.ranks) as service:
             reports, path = self.run_solver(service, *command)
