@@ -143,7 +143,7 @@ Status CountPass::add(std::size_t first, std::size_t count) {
   std::int32_t* const part = &part_[first];
   const bool hinted = !options_.last_part.empty();
   if (hinted) std::copy_n(&options_.last_part[first], count, before_.data());
-  if (!pass_.read_whole(first, count, part))
+  if (!pass_.read_rows(first, count, part))
     if (Status status = pass_.read(first, count, part); !status) return fault(first, count);
   if (hinted) sums_.drifted += differing(part, before_.data(), count);
   if (!loads_.empty())
