@@ -92,12 +92,6 @@ std::uint64_t differing(const std::int32_t* a, const std::int32_t* b, std::size_
   return static_cast<std::uint64_t>(found);
 }
 
-bool all_equal(const std::int32_t* part, std::size_t count) {
-  std::int32_t other = 0;
-  for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
-  return other == 0;
-}
-
 // Counts a share of the rows.
 class CountPass {
  public:

@@ -61,11 +61,15 @@ template <typename T>
 
 // A bit for each of at most 64 rows that is not strictly inside the box of its own part.
 template <typename T>
-std::uint64_t outside_each(const T* rows, std::size_t from, std::size_t count, const geometry::Box* boxes,
+std::uint64_t outside_rows(const T* rows, std::size_t from, std::size_t count, const geometry::Box* boxes,
                            const std::int32_t* part) {
   std::uint64_t bits = 0;
-  for (std::size_t i = from; i < count; ++i)
-    bits |= static_cast<std::uint64_t>(!all_inside(rows + 3 * i, 1, boxes[part[i]])) << i;
+  for (std::size_t i = from; i < count; ++i) {
+    const geometry::Box& box = boxes[part[i]];
+    bool inside = true;
+    for (std::size_t a = 0; a < 3; ++a) inside = inside & (rows[3 * i + a] > box.lo[a]) & (rows[3 * i + a] < box.hi[a]);
+    bits |= static_cast<std::uint64_t>(!inside) << i;
+  }
   return bits;
 }
 
@@ -75,7 +79,7 @@ std::uint64_t outside_each(const T* rows, std::size_t from, std::size_t count, c
 
 // A row at a time: of the four values that a load takes, three count. So the last row is left to others.
 template <typename T>
-[[gnu::target("avx2")]] std::uint64_t outside_each_avx2(const T* rows, std::size_t count, const geometry::Box* boxes,
+[[gnu::target("avx2")]] std::uint64_t outside_rows_avx2(const T* rows, std::size_t count, const geometry::Box* boxes,
                                                         const std::int32_t* part) {
   static_assert(sizeof(geometry::Box) == 6 * sizeof(double), "lo, then hi");
   std::uint64_t bits = 0;
@@ -88,7 +92,7 @@ template <typename T>
         _mm256_and_pd(_mm256_cmp_pd(x, _mm256_loadu_pd(lo), _CMP_GT_OQ), _mm256_cmp_pd(x, upper, _CMP_LT_OQ));
     bits |= static_cast<std::uint64_t>((_mm256_movemask_pd(inside) & 7) != 7) << i;
   }
-  return bits | outside_each(rows, i, count, boxes, part);
+  return bits | outside_rows(rows, i, count, boxes, part);
 }
 
 template <typename T>
@@ -108,9 +112,9 @@ bool rows_inside(const T* rows, std::size_t count, const geometry::Box& box) {
 template <typename T>
 std::uint64_t rows_outside(const T* rows, std::size_t count, const geometry::Box* boxes, const std::int32_t* part) {
 #if defined(__x86_64__)
-  if (has_avx2()) return outside_each_avx2(rows, count, boxes, part);
+  if (has_avx2()) return outside_rows_avx2(rows, count, boxes, part);
 #endif
-  return outside_each(rows, 0, count, boxes, part);
+  return outside_rows(rows, 0, count, boxes, part);
 }
 
 }  // namespace
@@ -165,7 +169,7 @@ bool OwnerPass::decide(std::size_t begin, const Bits& bits, std::int32_t* part) 
 }
 
 void OwnerPass::settle(std::size_t count, const std::int32_t* part) {
-  uniform_ = std::all_of(part, part + count, [part](std::int32_t p) { return p == part[0]; }) ? part[0] : -1;
+  uniform_ = all_equal(part, count) ? part[0] : -1;
   before_ = part[count - 1];
 }
 
@@ -196,9 +200,11 @@ OwnerPass::Bits OwnerPass::outside(std::size_t count, const std::int32_t* part) 
   Bits bits{};
   for (std::size_t w = 0; w * kWord < count; ++w) {
     const std::size_t size = std::min(kWord, count - w * kWord);
-    if (uniform_ >= 0) bits[w] = outside_of(x(w * kWord), size, tables_.boxes[at(uniform_)]);
-    for (std::size_t a = 0; uniform_ < 0 && a < at(positions_.dims); ++a)
-      bits[w] |= tables_.regions.outside(a, {x_[a] + w * kWord, size}, part + w * kWord);
+    const std::int32_t* const own = part + w * kWord;
+    const bool one = uniform_ >= 0 || all_equal(own, size);
+    if (one) bits[w] = outside_of(x(w * kWord), size, tables_.boxes[at(own[0])]);
+    for (std::size_t a = 0; !one && a < at(positions_.dims); ++a)
+      bits[w] |= tables_.regions.outside(a, {x_[a] + w * kWord, size}, own);
   }
   return bits;
 }

@@ -27,6 +27,12 @@ struct OwnerTables {
   Classifier classifier;
 };
 
+inline bool all_equal(const std::int32_t* part, std::size_t count) {
+  std::int32_t other = 0;
+  for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
+  return other == 0;
+}
+
 class OwnerPass {
  public:
   static constexpr std::size_t kWord = 64;  // rows that a word has a bit for
