@@ -87,7 +87,7 @@ Status Cuts::owner(const Positions& positions, const OwnerOptions& options, std:
                       OwnerPass pass(data_->tables, positions, options.ids, options.last_part);
                       for (std::size_t first = begin; first < end; first += Batch::kMost) {
                         const std::size_t count = std::min(Batch::kMost, end - first);
-                        if (pass.read_whole(first, count, &part[first])) continue;
+                        if (pass.read_rows(first, count, &part[first])) continue;
                         if (Status status = pass.read(first, count, &part[first]); !status) return status;
                       }
                       return {};

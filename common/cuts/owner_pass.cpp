@@ -4,6 +4,10 @@
 #include <bit>
 #include <cmath>
 
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
 #include <fmt/format.h>
 
 #include "common/base/axis_names.hpp"
@@ -55,7 +59,42 @@ template <typename T>
   return true;
 }
 
+// A bit for each of at most 64 rows that is not strictly inside the box of its own part.
+template <typename T>
+std::uint64_t outside_rows(const T* rows, std::size_t from, std::size_t count, const geometry::Box* boxes,
+                           const std::int32_t* part) {
+  std::uint64_t bits = 0;
+  for (std::size_t i = from; i < count; ++i) {
+    const geometry::Box& box = boxes[part[i]];
+    bool inside = true;
+    for (std::size_t a = 0; a < 3; ++a) inside = inside & (rows[3 * i + a] > box.lo[a]) & (rows[3 * i + a] < box.hi[a]);
+    bits |= static_cast<std::uint64_t>(!inside) << i;
+  }
+  return bits;
+}
+
 #if defined(__x86_64__)
+[[gnu::target("avx2")]] __m256d load_four(const double* x) { return _mm256_loadu_pd(x); }
+[[gnu::target("avx2")]] __m256d load_four(const float* x) { return _mm256_cvtps_pd(_mm_loadu_ps(x)); }
+
+// A row at a time: of the four values that a load takes, three count. So the last row is left to others.
+template <typename T>
+[[gnu::target("avx2")]] std::uint64_t outside_rows_avx2(const T* rows, std::size_t count, const geometry::Box* boxes,
+                                                        const std::int32_t* part) {
+  static_assert(sizeof(geometry::Box) == 6 * sizeof(double), "lo, then hi");
+  std::uint64_t bits = 0;
+  std::size_t i = 0;
+  for (; i + 1 < count; ++i) {
+    const double* const lo = boxes[part[i]].lo.data();
+    const __m256d upper = _mm256_permute4x64_pd(_mm256_loadu_pd(lo + 2), 0b11'11'10'01);
+    const __m256d x = load_four(rows + 3 * i);
+    const __m256d inside =
+        _mm256_and_pd(_mm256_cmp_pd(x, _mm256_loadu_pd(lo), _CMP_GT_OQ), _mm256_cmp_pd(x, upper, _CMP_LT_OQ));
+    bits |= static_cast<std::uint64_t>((_mm256_movemask_pd(inside) & 7) != 7) << i;
+  }
+  return bits | outside_rows(rows, i, count, boxes, part);
+}
+
 template <typename T>
 [[gnu::target("avx2")]] bool all_inside_avx2(const T* rows, std::size_t count, const geometry::Box& box) {
   return all_inside(rows, count, box);
@@ -70,6 +109,14 @@ bool rows_inside(const T* rows, std::size_t count, const geometry::Box& box) {
   return all_inside(rows, count, box);
 }
 
+template <typename T>
+std::uint64_t rows_outside(const T* rows, std::size_t count, const geometry::Box* boxes, const std::int32_t* part) {
+#if defined(__x86_64__)
+  if (has_avx2()) return outside_rows_avx2(rows, count, boxes, part);
+#endif
+  return outside_rows(rows, 0, count, boxes, part);
+}
+
 }  // namespace
 
 void OwnerPass::load(std::size_t begin, std::size_t count) {
@@ -82,18 +129,48 @@ void OwnerPass::load(std::size_t begin, std::size_t count) {
     x_[a] = a >= dims ? kZeros.data() : in_place ? positions_.axis[a] + begin : batch_.axis(a);
 }
 
-bool OwnerPass::read_whole(std::size_t begin, std::size_t count, std::int32_t* part) {
+bool OwnerPass::read_rows(std::size_t begin, std::size_t count, std::int32_t* part) {
   const auto in_rows = [this](const auto& axis) { return axis[1] == axis[0] + 1 && axis[2] == axis[0] + 2; };
-  if (positions_.dims != 3 || positions_.stride != 3 || uniform_ < 0) return false;
+  if (positions_.dims != 3 || positions_.stride != 3 || !hinted()) return false;
   if (!(positions_.single() ? in_rows(positions_.axis_f4) : in_rows(positions_.axis))) return false;
+  return positions_.single() ? read_triples(positions_.axis_f4[0] + 3 * begin, begin, count, part)
+                             : read_triples(positions_.axis[0] + 3 * begin, begin, count, part);
+}
+
+template <typename T>
+bool OwnerPass::read_triples(const T* rows, std::size_t begin, std::size_t count, std::int32_t* part) {
   const std::int32_t expected = expect(begin, count, part);
-  if (expected < 0) return false;
-  const geometry::Box& box = tables_.boxes[at(expected)];
-  if (!(positions_.single() ? rows_inside(positions_.axis_f4[0] + 3 * begin, count, box)
-                            : rows_inside(positions_.axis[0] + 3 * begin, count, box)))
-    return false;
-  uniform_ = before_ = expected;
+  if (expected >= 0 && rows_inside(rows, count, tables_.boxes[at(expected)])) {
+    uniform_ = before_ = expected;
+    return true;
+  }
+  Bits bits{};
+  std::size_t undecided = 0;
+  for (std::size_t w = 0; w * kWord < count; ++w) {
+    bits[w] =
+        rows_outside(rows + 3 * w * kWord, std::min(kWord, count - w * kWord), tables_.boxes.data(), part + w * kWord);
+    undecided += static_cast<std::size_t>(std::popcount(bits[w]));
+  }
+  if (undecided > kFew || !decide(begin, bits, part)) return false;
+  settle(count, part);
   return true;
+}
+
+// Decides the rows with a bit one by one. False: one of them isn't finite.
+bool OwnerPass::decide(std::size_t begin, const Bits& bits, std::int32_t* part) const {
+  for (std::size_t w = 0; w < bits.size(); ++w)
+    for (std::uint64_t word = bits[w]; word != 0; word &= word - 1) {
+      const std::size_t i = w * kWord + at(std::countr_zero(word));
+      const Point x = positions_.point(begin + i);
+      if (!(std::isfinite(x[0]) && std::isfinite(x[1]) && std::isfinite(x[2]))) return false;
+      part[i] = tables_.tree.part_of(x, id(begin + i));
+    }
+  return true;
+}
+
+void OwnerPass::settle(std::size_t count, const std::int32_t* part) {
+  uniform_ = all_equal(part, count) ? part[0] : -1;
+  before_ = part[count - 1];
 }
 
 // Fills in the parts that are expected. Returns the one expected for all rows, or -1.
@@ -123,9 +200,11 @@ OwnerPass::Bits OwnerPass::outside(std::size_t count, const std::int32_t* part) 
   Bits bits{};
   for (std::size_t w = 0; w * kWord < count; ++w) {
     const std::size_t size = std::min(kWord, count - w * kWord);
-    if (uniform_ >= 0) bits[w] = outside_of(x(w * kWord), size, tables_.boxes[at(uniform_)]);
-    for (std::size_t a = 0; uniform_ < 0 && a < at(positions_.dims); ++a)
-      bits[w] |= tables_.regions.outside(a, {x_[a] + w * kWord, size}, part + w * kWord);
+    const std::int32_t* const own = part + w * kWord;
+    const bool one = uniform_ >= 0 || all_equal(own, size);
+    if (one) bits[w] = outside_of(x(w * kWord), size, tables_.boxes[at(own[0])]);
+    for (std::size_t a = 0; !one && a < at(positions_.dims); ++a)
+      bits[w] |= tables_.regions.outside(a, {x_[a] + w * kWord, size}, own);
   }
   return bits;
 }
@@ -143,12 +222,11 @@ Status OwnerPass::check_finite(std::size_t begin, std::size_t count) const {
 }
 
 Status OwnerPass::read(std::size_t begin, std::size_t count, std::int32_t* part) {
-  const auto id = [this, begin](std::size_t i) { return ids_.empty() ? static_cast<Id>(begin + i) : ids_[begin + i]; };
   load(begin, count);
-  const bool hinted = uniform_ >= 0 || !last_part_.empty();  // after rows of several parts, no part is expected
   Bits bits{};
   std::size_t undecided = count;
-  if (hinted) {
+  const bool was_hinted = hinted();
+  if (was_hinted) {
     uniform_ = expect(begin, count, part);
     bits = outside(count, part);
     undecided = 0;
@@ -156,19 +234,14 @@ Status OwnerPass::read(std::size_t begin, std::size_t count, std::int32_t* part)
     if (undecided == 0) return {};
   }
   if (Status status = check_finite(begin, count); !status) return status;
-  if (undecided > kFew || !hinted) {
+  if (undecided > kFew || !was_hinted) {
     for (std::size_t a = 0; a < at(positions_.dims); ++a)
       if (x_[a] != batch_.axis(a)) std::copy_n(x_[a], count, batch_.axis(a));
-    tables_.classifier.classify(batch_, count, part, id);
+    tables_.classifier.classify(batch_, count, part, [this, begin](std::size_t i) { return id(begin + i); });
   } else {
-    for (std::size_t w = 0; w * kWord < count; ++w)
-      for (std::uint64_t word = bits[w]; word != 0; word &= word - 1) {
-        const std::size_t i = w * kWord + at(std::countr_zero(word));
-        part[i] = tables_.tree.part_of(point(i), id(i));
-      }
+    decide(begin, bits, part);
   }
-  uniform_ = std::all_of(part, part + count, [part](std::int32_t p) { return p == part[0]; }) ? part[0] : -1;
-  before_ = part[count - 1];
+  settle(count, part);
   return {};
 }
 

@@ -27,6 +27,12 @@ struct OwnerTables {
   Classifier classifier;
 };
 
+inline bool all_equal(const std::int32_t* part, std::size_t count) {
+  std::int32_t other = 0;
+  for (std::size_t i = 0; i < count; ++i) other |= part[i] ^ part[0];
+  return other == 0;
+}
+
 class OwnerPass {
  public:
   static constexpr std::size_t kWord = 64;  // rows that a word has a bit for
@@ -39,9 +45,9 @@ class OwnerPass {
   // row.
   Status read(std::size_t begin, std::size_t count, std::int32_t* part);
 
-  // The same if the rows are triples that all lie strictly inside the region of one part, which takes no copies of
-  // them; else false, and they are to be read.
-  bool read_whole(std::size_t begin, std::size_t count, std::int32_t* part);
+  // The same where rows are triples and nearly all lie where they are expected, without copies of them; else false, and
+  // they are to be read.
+  bool read_rows(std::size_t begin, std::size_t count, std::int32_t* part);
 
   // Of the rows that were read last: their coordinates by axis, and the part of all of them, or -1 if there are
   // several.
@@ -52,6 +58,13 @@ class OwnerPass {
  private:
   using Bits = std::array<std::uint64_t, Batch::kMost / kWord>;
 
+  // Whether parts are expected: after rows of several parts without hints, there are none.
+  bool hinted() const { return uniform_ >= 0 || !last_part_.empty(); }
+  Id id(std::size_t row) const { return ids_.empty() ? static_cast<Id>(row) : ids_[row]; }
+  template <typename T>
+  bool read_triples(const T* rows, std::size_t begin, std::size_t count, std::int32_t* part);
+  bool decide(std::size_t begin, const Bits& bits, std::int32_t* part) const;
+  void settle(std::size_t count, const std::int32_t* part);
   std::int32_t expect(std::size_t begin, std::size_t count, std::int32_t* part);
   void load(std::size_t begin, std::size_t count);
   Bits outside(std::size_t count, const std::int32_t* part) const;

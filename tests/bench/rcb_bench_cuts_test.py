@@ -3,7 +3,8 @@ import unittest
 
 from measuring import expect_refused, measure
 
-WORKS = ["read", "owner", "owner, rows", "owner, float rows", "owner, last parts", "halo", "halo, rows",
+WORKS = ["read", "owner", "owner, rows", "owner, float rows", "owner, last parts", "count", "count, rows",
+         "count, float rows", "count, weights", "halo", "halo, rows",
          "halo, Euclidean", "halo, periodic"]
 
 

@@ -35,9 +35,10 @@ class CountTrial {
     testing::Scene scene = testing::make_scene(shape_, weights, dims, n, random_.below(2) == 0, seed);
     if (weights == Weights::zeros && n > 0) scene.weight[random_.below(n)] = -0.0;
     // With bits in every place of the scale, and below it; or hardly above 0.
-    const int binades = random_.below(2) == 0 ? 50 : -1020;
-    for (std::size_t i = 0; !scene.weight.empty() && i < n && seed % 3 == 0; ++i)
-      scene.weight[i] = std::ldexp(random_.uniform(), binades - static_cast<int>(random_.below(190)));
+    const int binades = random_.below(3) != 0 ? 50 : -1020;
+    const std::uint64_t range = std::array{20U, 54U, 57U, 66U, 190U}[random_.below(5)];
+    for (std::size_t i = 0; !scene.weight.empty() && i < n && seed % 2 == 0; ++i)
+      scene.weight[i] = std::ldexp(random_.uniform(), binades - static_cast<int>(random_.below(range)));
     partition::PartitionOptions options;
     options.parts = 1 + static_cast<int>(random_.below(random_.below(2) == 0 ? 6 : 40));
     if (random_.below(4) == 0) options.method = Method::bands_x;
@@ -219,18 +220,18 @@ TEST(Count, IsWhatTheDefinitionSays) {
 }
 
 TEST(Count, AWeightBeyondTheScaleIsTold) {
-  const std::vector<double> x{1, 2, 3};
-  const std::vector<double> weights{1, 1e300, 2};
-  std::vector<std::int32_t> part(3);
+  const std::vector<double> x{1, 2, 3, 4, 5};
+  const std::vector<double> weights{1, 1e300, 2, 2, 2};
+  std::vector<std::int32_t> part(5);
   CutTree tree;
   tree.dims = 1;
   CountOptions options;
   options.weights = weights;
-  options.scale = ExactScale(2, 3).exponent();
-  const auto found = count(Cuts(tree, 1), Positions::rows(x.data(), 3, 1), options, part);
+  options.scale = ExactScale(2, 5).exponent();
+  const auto found = count(Cuts(tree, 1), Positions::rows(x.data(), 5, 1), options, part);
   ASSERT_TRUE(found.ok());
   EXPECT_EQ(found->greatest, 1e300);
-  EXPECT_NE(ExactScale(found->greatest, 3).exponent(), options.scale);
+  EXPECT_NE(ExactScale(found->greatest, 5).exponent(), options.scale);
 }
 
 TEST(Count, WrongCallsAreRefused) {
