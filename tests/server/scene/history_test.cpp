@@ -127,9 +127,9 @@ TEST_F(HistoryOnDisk, WhatIsAskedForIsThatOfTheMomentWhateverComesMeanwhile) {
   HistoryMemory memory(50, storage_);
   Scene scene(memory, *storage_, data_);
   std::vector<std::pair<std::int64_t, History::Reading>> readings;
-  for (std::int64_t step = 0; step < 6000; step += 300) {  // over several segments
-    scene.add(step, step + 300);
-    readings.emplace_back(step + 300, scene.history.reading(0, static_cast<std::uint64_t>(step) + 300, &scene.journal));
+  for (std::int64_t step = 0; step < 6000; step += 600) {  // over several segments
+    scene.add(step, step + 600);
+    readings.emplace_back(step + 600, scene.history.reading(0, static_cast<std::uint64_t>(step) + 600, &scene.journal));
   }
   ASSERT_TRUE(fs::exists(path(scene) + "/steps.2"));
   std::vector<std::future<void>> done;

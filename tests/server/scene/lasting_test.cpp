@@ -272,7 +272,7 @@ void live_and_die(std::uint64_t seed, Seen& seen) {
 
 TEST(LastingScene, IsThatOfTheLastStepOrTheOneBeforeWhereverTheProcessDies) {
   const std::uint64_t seed = std::random_device{}();
-  constexpr std::uint64_t kLives = 200;
+  constexpr std::uint64_t kLives = 120;
   Seen seen;
   for (std::uint64_t k = 0; k < kLives && !HasFailure(); ++k) {
     SCOPED_TRACE(fmt::format("seed {}", seed + k));
@@ -395,6 +395,85 @@ TEST(LastingScene, WhoseFilesAreDamagedIsOneThatItWasOrNone) {
     }
   }
   for (const std::uint64_t count : {same, older, none}) EXPECT_GT(count, 50U);
+}
+
+// A disk without room for larger states takes new cuts all the same, and must not take them in place of those that the
+// state in the journal names.
+TEST(LastingScene, KeepsTheCutsOfTheStateThatIsKept) {
+  auto disk = std::make_shared<SimulatedStorage>(1);
+  Json kept;
+  {
+    Ledgers ledgers(keeping(disk));
+    Random random(3);
+    ParticleSet particles;
+    particles.dims = 1;
+    particles.has_weights = true;
+    particles.resize(2000);
+    for (std::size_t i = 0; i < 2000; ++i) {
+      particles.position[0][i] = random.uniform();
+      particles.weight[i] = random.uniform(1, 2);
+      particles.id[i] = static_cast<particles::Id>(i);
+    }
+    scene::SceneOptions options;
+    options.parts = 3;
+    options.dims = 1;
+    Ranks ranks(options);
+    ledgers.take({"jet", scene::Created{options, ranks.held()}}, 1);
+    ledgers.take({"jet", ranks.push(particles, 0, {})}, 0);
+    kept = picture_of(*ledgers.find("jet"));
+    disk->room = 0;
+    for (const int parts : {500, 501, 502}) {
+      options.parts = parts;
+      options.part_sizes.assign(static_cast<std::size_t>(parts), 1.1);
+      options.part_sizes[0] = 1;
+      ledgers.take({"jet", ranks.rebalance(options)}, 0);
+    }
+    disk->room = std::numeric_limits<std::size_t>::max();
+  }
+  {
+    Ledgers ledgers(keeping(disk));
+    EXPECT_EQ(ledgers.restore().scenes, 1U);
+    ASSERT_TRUE(ledgers.contains("jet"));
+    EXPECT_EQ(picture_of(*ledgers.find("jet")), kept);
+  }
+}
+
+// New cuts that no state knows, since the process died in between, are those to be overwritten next.
+TEST(LastingScene, IsThereHoweverOftenItsProcessDiesAsItsCutsChange) {
+  Random random(5);
+  World world(random);
+  scene::SceneOptions options = random_options(random, world.dims);
+  options.parts = 4;
+  options.part_sizes.clear();
+  Ranks ranks(options);
+  auto first = std::make_shared<SimulatedStorage>(1);
+  {
+    Ledgers ledgers(keeping(first));
+    ledgers.take({"jet", scene::Created{options, ranks.held()}}, 1);
+    ledgers.take({"jet", ranks.push(world.set, 0, {})}, 0);
+  }
+  const auto rebalance = [&](const Disk& disk, int parts, std::uint64_t calls) {
+    options.parts = parts;
+    Ledgers ledgers(keeping(disk));
+    ledgers.restore();
+    disk->die_after(calls);
+    try {
+      ledgers.take({"jet", ranks.rebalance(options)}, 0);
+    } catch (const ProcessDied&) {
+    }
+    disk->live();
+  };
+  for (std::uint64_t k = 0; k < 400; ++k) {
+    SCOPED_TRACE(k);
+    const Disk disk = copy_of(*first);
+    for (const int parts : {5, 6, 7}) rebalance(disk, parts, 1 + random.below(3));
+    Ledgers ledgers(keeping(disk));
+    EXPECT_EQ(ledgers.restore().scenes, 1U);
+    ASSERT_TRUE(ledgers.contains("jet"));
+    const scene::SceneState& now = ledgers.find("jet")->now();
+    EXPECT_EQ(now.tree->parts, now.options.parts);
+    EXPECT_EQ(now.tree->hash(), now.hash);
+  }
 }
 
 // A scene made, and stepped so many times by an engine that does nothing.
@@ -594,6 +673,14 @@ TEST_F(LastingBytes, WithFieldsOfOtherTypesAndValuesAreReadOrRefused) {
         if (HasFailure()) return;
       }
     const Json complete = json;
+    for (const char* name : {"counts", "loads"}) {
+      if (!complete.contains("loads") || !complete["loads"].is_object() || !complete["loads"].contains(name)) continue;
+      Json more = complete;
+      std::ranges::fill(more["loads"][name].get_binary(), std::uint8_t{0xff});
+      std::string changed;
+      Json::to_msgpack(more, changed);
+      EXPECT_FALSE(read_and_use(changed)) << "too many of " << name;
+    }
     for (const auto& [name, value] : complete.items()) {
       Json without = complete;
       without.erase(name);
