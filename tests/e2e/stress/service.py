@@ -67,5 +67,5 @@ class Service:
         left = glob.glob(f"{self.folder}/s") + glob.glob(f"{self.folder}/s.*")
         left += [place for place in sorted(self.places) if os.path.exists(place)]
         left += [name for name in os.listdir(self.data)
-                 if not re.fullmatch(rf"rcbd\.log(\.\d+)?|clean-shutdown|lock|launch\.lock|token|{FILLING}", name)]
+                 if not re.fullmatch(rf"rcbd\.log(\.\d+)?|clean-shutdown|lock|launch\.lock|token|scenes|{FILLING}", name)]
         return [f"left behind: {path}" for path in left]
