@@ -111,7 +111,8 @@ class Life {
   }
   const std::vector<Json>& reports() const { return reports_; }
   const std::string& session() const { return session_; }
-  bool replaced() const { return replaced_; }  // by what happened last
+  const std::vector<scene::MemberShare>& members() const { return members_; }  // of the last step
+  bool replaced() const { return replaced_; }                                  // by what happened last
 
  private:
   void create(Ledgers& ledgers) {
@@ -136,7 +137,7 @@ class Life {
     scene::Stepped stepped = ranks_.push(world_->set, step_, ledger.terms(seconds_));
     stepped.session = session_;
     stepped.step_seconds = seconds_;
-    stepped.members = shares();
+    stepped.members = members_ = shares();
     if (resized) id_next_ = 1000 + random_.below(1000);
     stepped.held.id_next = id_next_;
     reports_.push_back(to_json(*ledgers.take({"jet", std::move(stepped)}, 0)));
@@ -159,6 +160,7 @@ class Life {
     const auto verdict = ledger.count(*record);
     const auto* done = std::get_if<scene::CountVerdict::Committed>(&verdict.is);
     EXPECT_TRUE(done != nullptr || std::holds_alternative<scene::CountVerdict::Send>(verdict.is));
+    if (done != nullptr) members_ = record->members;
     if (done != nullptr) reports_.push_back(to_json(done->report));
     return done != nullptr;
   }
@@ -174,6 +176,7 @@ class Life {
   Random random_;
   std::optional<World> world_;
   Ranks ranks_{scene::SceneOptions()};
+  std::vector<scene::MemberShare> members_;
   std::uint64_t incarnation_ = 0x1000;
   std::optional<std::uint64_t> id_next_;
   std::int64_t step_ = -1;
@@ -211,6 +214,14 @@ void check_restored(const Ledger& ledger, const Life& life, std::uint64_t lost =
   EXPECT_EQ(now.tree->hash(), now.hash);
   EXPECT_EQ(ledger.repeated(life.session(), *now.step), ledger.totals().steps - 1);
   EXPECT_EQ(ledger.repeated(life.session() + "'", *now.step), std::nullopt);
+  for (std::size_t k = 0; k < 4; ++k) {
+    const auto* share = ledger.share_in_last(fmt::format("member {}", k), *now.step);
+    const auto& members = life.members();
+    const auto same = [&](const auto& one) {
+      return share != nullptr && one.session == share->session && one.inserted_before == share->inserted_before;
+    };
+    EXPECT_EQ(std::ranges::any_of(members, same), k < members.size()) << k;
+  }
   const auto reports = reports_of(ledger);
   ASSERT_EQ(ledger.totals().steps, life.reports().size());
   EXPECT_EQ(reports.size(), ledger.journal()->reports());
