@@ -57,6 +57,8 @@ void Ledger::keep() {
 
 std::function<void()> Ledger::drop() {
   if (!journal_) return [] {};
+  if (const Status told = journal_->put_state(""); !told.ok())
+    spdlog::warn("scene '{}' may be there again after a restart: {}", name_, told.message());
   return [journal = std::shared_ptr<Journal>(std::move(journal_)), name = name_] {
     if (const Status removed = journal->remove(); !removed.ok())
       spdlog::warn("what was kept of scene '{}' can't be removed: {}", name, removed.message());
@@ -284,6 +286,7 @@ Status Ledgers::restore_one(const SceneFolder& folder) {
   for (const std::string& fault : found.faults) spdlog::warn("{}", fault);
   if (found.states.empty() && found.faults.empty())
     return remove_scene_folder(*keeping_.storage, folder.path(keeping_.data_dir));
+  if (!found.states.empty() && found.states.front().empty()) return journal->remove();  // it was dropped
   Status why(Code::io_error, "its state is damaged");
   for (const std::string& state : found.states) {
     auto lasting = decode_lasting(state, folder.incarnation);

@@ -111,7 +111,7 @@ class Ledger {
   const MemberShare* share_in_last(const std::string& session, std::int64_t step) const;
   const wire::Json& last_report() const { return lasting_.last_report; }
 
-  // Returns what removes all that would outlive the service, for any thread.
+  // No later service knows the scene from here on. Returns what removes its files, for any thread.
   std::function<void()> drop();
 
   // A question waits for the positions of the next step. Withdrawn by that step.

@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <functional>
+#include <future>
 #include <limits>
 #include <map>
 #include <memory>
@@ -63,6 +64,15 @@ Json picture_of(const Ledger& ledger) {
   return json;
 }
 
+// Until the files of scenes that were dropped are removed.
+void settle(const Ledgers& ledgers) {
+  if (ledgers.empty()) return;
+  std::promise<void> done;
+  const auto reading = ledgers.begin()->second.history().reading(0, 0, nullptr);
+  ASSERT_TRUE(reading([](const scene::FoundReports&) {}, [&done] { done.set_value(); }).ok());
+  done.get_future().wait();
+}
+
 std::map<std::string, Json> pictures_of(const Ledgers& ledgers) {
   std::map<std::string, Json> pictures;
   for (const auto& [name, ledger] : ledgers) pictures[name] = picture_of(ledger);
@@ -111,7 +121,8 @@ class Life {
   }
   const std::vector<Json>& reports() const { return reports_; }
   const std::string& session() const { return session_; }
-  bool replaced() const { return replaced_; }  // by what happened last
+  const std::vector<scene::MemberShare>& members() const { return members_; }  // of the last step
+  bool replaced() const { return replaced_; }                                  // by what happened last
 
  private:
   void create(Ledgers& ledgers) {
@@ -136,7 +147,7 @@ class Life {
     scene::Stepped stepped = ranks_.push(world_->set, step_, ledger.terms(seconds_));
     stepped.session = session_;
     stepped.step_seconds = seconds_;
-    stepped.members = shares();
+    stepped.members = members_ = shares();
     if (resized) id_next_ = 1000 + random_.below(1000);
     stepped.held.id_next = id_next_;
     reports_.push_back(to_json(*ledgers.take({"jet", std::move(stepped)}, 0)));
@@ -159,6 +170,7 @@ class Life {
     const auto verdict = ledger.count(*record);
     const auto* done = std::get_if<scene::CountVerdict::Committed>(&verdict.is);
     EXPECT_TRUE(done != nullptr || std::holds_alternative<scene::CountVerdict::Send>(verdict.is));
+    if (done != nullptr) members_ = record->members;
     if (done != nullptr) reports_.push_back(to_json(done->report));
     return done != nullptr;
   }
@@ -174,6 +186,7 @@ class Life {
   Random random_;
   std::optional<World> world_;
   Ranks ranks_{scene::SceneOptions()};
+  std::vector<scene::MemberShare> members_;
   std::uint64_t incarnation_ = 0x1000;
   std::optional<std::uint64_t> id_next_;
   std::int64_t step_ = -1;
@@ -197,6 +210,7 @@ void run(Life life, const Disk& disk, int count, std::vector<Moment>& moments) {
   moments.push_back({life, pictures_of(ledgers)});
   for (int k = 0; k < count && !::testing::Test::HasFailure(); ++k) {
     life.next(ledgers);
+    settle(ledgers);
     moments.push_back({life, pictures_of(ledgers)});
   }
 }
@@ -211,6 +225,14 @@ void check_restored(const Ledger& ledger, const Life& life, std::uint64_t lost =
   EXPECT_EQ(now.tree->hash(), now.hash);
   EXPECT_EQ(ledger.repeated(life.session(), *now.step), ledger.totals().steps - 1);
   EXPECT_EQ(ledger.repeated(life.session() + "'", *now.step), std::nullopt);
+  for (std::size_t k = 0; k < 4; ++k) {
+    const auto* share = ledger.share_in_last(fmt::format("member {}", k), *now.step);
+    const auto& members = life.members();
+    const auto same = [&](const auto& one) {
+      return share != nullptr && one.session == share->session && one.inserted_before == share->inserted_before;
+    };
+    EXPECT_EQ(std::ranges::any_of(members, same), k < members.size()) << k;
+  }
   const auto reports = reports_of(ledger);
   ASSERT_EQ(ledger.totals().steps, life.reports().size());
   EXPECT_EQ(reports.size(), ledger.journal()->reports());
@@ -312,6 +334,7 @@ TEST(LastingScene, OnADiskThatFailsOrIsFullIsOneThatItWas) {
       Life life = moments.back().life;
       for (int at = 0; at < 30; ++at) {
         life.next(ledgers);
+        settle(ledgers);
         moments.push_back({life, pictures_of(ledgers)});
       }
     }
@@ -333,6 +356,7 @@ TEST(LastingScene, OnADiskThatFailsOrIsFullIsOneThatItWas) {
     // Once there is room, all lasts again.
     Life life = moment->life;
     for (int at = 0; at < 5; ++at) life.next(ledgers);
+    settle(ledgers);
     Ledgers again(keeping(copy_of(*disk)));
     again.restore();
     const Ledger* last = ledgers.find("jet");
@@ -496,11 +520,13 @@ TEST(LastingScene, OfTwoOfItsNameTheLaterGoesOn) {
     auto disk = std::make_shared<SimulatedStorage>(1);
     const std::string earlier = make_scene(disk, 1, first);
     const std::string later = make_scene(disk, 2, second);
-    Ledgers ledgers(keeping(disk));
-    const scene::Restored restored = ledgers.restore();
-    EXPECT_EQ(restored.scenes, 1U);
-    EXPECT_EQ(restored.steps, static_cast<std::uint64_t>(second));
-    EXPECT_EQ(ledgers.find("jet")->now().incarnation, 2U);
+    {
+      Ledgers ledgers(keeping(disk));
+      const scene::Restored restored = ledgers.restore();
+      EXPECT_EQ(restored.scenes, 1U);
+      EXPECT_EQ(restored.steps, static_cast<std::uint64_t>(second));
+      EXPECT_EQ(ledgers.find("jet")->now().incarnation, 2U);
+    }
     EXPECT_FALSE(disk->files.contains(earlier + "/state")) << "it would come back once the later one is dropped";
     EXPECT_TRUE(disk->files.contains(later + "/state"));
   }
@@ -509,14 +535,22 @@ TEST(LastingScene, OfTwoOfItsNameTheLaterGoesOn) {
 TEST(LastingScene, ThatIsDroppedLeavesNothing) {
   auto disk = std::make_shared<SimulatedStorage>(1);
   make_scene(disk, 1, 3);
-  Ledgers ledgers(keeping(disk));
-  ledgers.restore();
-  EXPECT_FALSE(disk->files.empty());
-  ledgers.forget("jet");
+  {
+    Ledgers ledgers(keeping(disk));
+    ledgers.restore();
+    ledgers.forget("jet");
+  }
   EXPECT_FALSE(disk->files.empty()) << "it stays for the next start";
-  Ledgers next(keeping(disk));
-  EXPECT_EQ(next.restore().scenes, 1U);
-  next.take({"jet", scene::Dropped{}}, 0);
+  {
+    Ledgers ledgers(keeping(disk));
+    EXPECT_EQ(ledgers.restore().scenes, 1U);
+    disk->fault_rate = 1;  // its files can't be removed
+    ledgers.take({"jet", scene::Dropped{}}, 0);
+  }
+  disk->fault_rate = 0;
+  EXPECT_FALSE(disk->files.empty());
+  Ledgers ledgers(keeping(disk));
+  EXPECT_EQ(ledgers.restore().scenes, 0U) << "it was dropped";
   EXPECT_TRUE(disk->files.empty());
   EXPECT_TRUE(disk->names_in("data/scenes")->empty());
 }
