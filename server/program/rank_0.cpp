@@ -160,10 +160,7 @@ net::ControlOptions Rank0::control_options(const ConnectionLimits& limits) const
   options.waiting_max = limits.waiting;
   options.files_over_tcp = !setup_.config.files_below.empty();
   // At once, since a rank that is stuck may keep the service from ending cleanly.
-  options.keeping = {.keep_reports = setup_.config.keep_reports,
-                     .storage = storage_,
-                     .data_dir = data_->path(),
-                     .removes_beside = true};
+  options.keeping = {.keep_reports = setup_.config.keep_reports, .storage = storage_, .data_dir = data_->path()};
   options.told_to_end = [path = data_->path()] { (void)net::leave_end_marker(path); };
   return options;
 }

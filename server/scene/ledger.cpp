@@ -224,14 +224,10 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
   return {std::move(done)};
 }
 
+// On the thread for files, so that a disk that stands still holds up nobody.
 void Ledgers::drop(const std::string& scene) {
-  if (Ledger* ledger = find(scene)) {
-    auto remove = [storage = keeping_.storage, drop = ledger->drop()] { drop(); };
-    if (keeping_.removes_beside)
-      memory_->run_beside(std::move(remove));
-    else
-      remove();
-  }
+  if (Ledger* ledger = find(scene))
+    memory_->run_beside([storage = keeping_.storage, remove = ledger->drop()] { remove(); });
   ledgers_.erase(scene);
 }
 

@@ -150,8 +150,6 @@ struct Keeping {
   std::size_t keep_reports = 100'000;          // step reports in memory, all scenes together
   std::shared_ptr<Storage> storage = nullptr;  // null: nothing lasts
   std::string data_dir = {};
-  // What is dropped is removed on the thread for files, so that a disk that stands still holds up nobody.
-  bool removes_beside = false;
 };
 
 // What a start has found of an earlier service.
