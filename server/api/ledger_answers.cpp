@@ -13,11 +13,7 @@ namespace {
 
 using scene::Ledger;
 using scene::SceneState;
-
-template <typename T>
-wire::Json or_null(const std::optional<T>& value) {
-  return value ? wire::Json(*value) : wire::Json(nullptr);
-}
+using wire::or_null;
 
 wire::Json plan_json(const SceneState& now) {
   return {{"version", now.plan_version}, {"checksum", wire::hex64(now.plan_checksum)}};
@@ -84,27 +80,19 @@ Answer history(const Ledger& ledger, const wire::Json& request) {
 Answer describe(const Ledger& ledger, int ranks) {
   const SceneState& now = ledger.now();
   const scene::SceneOptions& options = now.options;
-  wire::Json json{{"scene", ledger.name()},
-                  {"n", now.n},
-                  {"dims", options.dims},
-                  {"parts", options.parts},
-                  {"ranks", ranks},
-                  {"method", cuts::method_name(options.method)},
-                  {"tolerance", wire::number_json(options.tolerance)},
-                  {"axis_hysteresis", options.axis_hysteresis},
-                  {"cut_tolerance", options.cut_tolerance},
-                  {"policy", policy_name(options.policy)},
-                  {"positions", travel_name(options.positions)},
-                  {"part_sizes", nullptr},
-                  {"weights", now.weights},
-                  {"ids", now.ids},
-                  {"step", or_null(now.step)},
-                  {"positions_step", or_null(now.positions_step)},
-                  {"filled", now.filled},
-                  {"incarnation", wire::hex64(now.incarnation)},
-                  {"epoch", now.epoch},
-                  {"plan", plan_json(now)}};
-  for (const char* name : {"error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
+  wire::Json json = to_json(options);
+  json.update({{"scene", ledger.name()},
+               {"n", now.n},
+               {"ranks", ranks},
+               {"weights", now.weights},
+               {"ids", now.ids},
+               {"step", or_null(now.step)},
+               {"positions_step", or_null(now.positions_step)},
+               {"filled", now.filled},
+               {"incarnation", wire::hex64(now.incarnation)},
+               {"epoch", now.epoch},
+               {"plan", plan_json(now)}});
+  for (const char* name : {"part_sizes", "error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
     json[name] = nullptr;
   Answer answer = done(std::move(json));
   if (!options.part_sizes.empty()) put_list<double>(answer, answer.json, "part_sizes", options.part_sizes);
@@ -123,6 +111,7 @@ wire::Json restore_order(const Ledger& ledger) {
   const SceneState& now = ledger.now();
   wire::Json order = to_json(now.options);
   order.update({{"command", "scene.restore"},
+                {"part_sizes", now.options.part_sizes},
                 {"scene", ledger.name()},
                 {"epoch", now.epoch},
                 {"n", now.n},
@@ -145,13 +134,13 @@ Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
   return command == "error" ? error(ledger) : counts(ledger);
 }
 
-wire::Json verdict_json(const scene::CountVerdict& verdict) {
+wire::Json verdict_json(const Ledger& ledger, const scene::CountVerdict& verdict) {
   using scene::CountVerdict;
   if (const auto* send = std::get_if<CountVerdict::Send>(&verdict.is)) return {{"send", send->why}};
   if (const auto* other = std::get_if<CountVerdict::OtherScale>(&verdict.is))
     return {{"again", "scale"}, {"scale", other->exponent}};
   if (const auto* done = std::get_if<CountVerdict::Committed>(&verdict.is))
-    return {{"report", to_json(done->report)}, {"previous_step", or_null(done->previous_step)}};
+    return {{"report", ledger.last_report()}, {"previous_step", or_null(done->previous_step)}};
   return {{"again", "cuts"}};
 }
 

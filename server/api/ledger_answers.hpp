@@ -21,6 +21,6 @@ Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 wire::Json restore_order(const scene::Ledger& ledger);
 
 // What a count is answered, unless it is refused or repeated.
-wire::Json verdict_json(const scene::CountVerdict& verdict);
+wire::Json verdict_json(const scene::Ledger& ledger, const scene::CountVerdict& verdict);
 
 }  // namespace rcb::api

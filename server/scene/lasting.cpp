@@ -13,6 +13,7 @@ namespace rcb::scene {
 namespace {
 
 using wire::Json;
+using wire::or_null;
 
 // Reading throws, as nlohmann's functions do; decode_lasting() and decode_tree() catch it.
 void need(bool holds, const char* what) {
@@ -43,11 +44,6 @@ std::vector<T> unpacked(const Json& json) {
   std::vector<T> values(bytes.size() / sizeof(T));
   if (!values.empty()) std::memcpy(values.data(), bytes.data(), values.size() * sizeof(T));
   return values;
-}
-
-template <typename T>
-Json or_null(const std::optional<T>& value) {
-  return value ? Json(*value) : Json();
 }
 
 std::string bytes_of(const Json& json) {
@@ -122,6 +118,7 @@ Status damaged(const char* what, const std::exception& why) {
 std::string encode(const Lasting& lasting) {
   const SceneState& now = lasting.now;
   return bytes_of({{"options", to_json(now.options)},
+                   {"part_sizes", packed(now.options.part_sizes)},
                    {"n", now.n},
                    {"weights", now.weights},
                    {"ids", now.ids},
@@ -145,7 +142,9 @@ Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation
   const Json json = valid(wire::parse_msgpack(bytes));
   Lasting lasting;
   SceneState& now = lasting.now;
-  now.options = valid(read_options(json.at("options")));
+  Json options = json.at("options");
+  options["part_sizes"] = unpacked<double>(json.at("part_sizes"));
+  now.options = valid(read_options(options));
   now.incarnation = incarnation;
   now.n = whole(json.at("n"), wire::kParticlesMax);
   now.weights = json.at("weights").get<bool>();

@@ -94,8 +94,7 @@ wire::Json to_json(const SceneOptions& options) {
           {"axis_hysteresis", options.axis_hysteresis},
           {"cut_tolerance", options.cut_tolerance},
           {"policy", policy_name(options.policy)},
-          {"positions", travel_name(options.positions)},
-          {"part_sizes", options.part_sizes}};
+          {"positions", travel_name(options.positions)}};
 }
 
 }  // namespace rcb::scene

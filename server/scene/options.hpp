@@ -38,7 +38,7 @@ struct SceneOptions {
   std::vector<double> part_sizes;
 };
 
-// As scene.create takes them, and back. Errors: invalid_argument.
+// As scene.create takes them, but for part_sizes, which may be many; and back. Errors: invalid_argument.
 wire::Json to_json(const SceneOptions& options);
 Result<SceneOptions> read_options(const wire::Json& request);
 // The field "method", or `otherwise` if absent; must suit `dims`. Errors: invalid_argument.

@@ -107,7 +107,7 @@ double CostAccount::repartition_seconds() const {
 }
 
 wire::Json CostAccount::to_json() const {
-  const auto or_null = [](const auto& value) { return value ? wire::Json(*value) : wire::Json(); };
+  using wire::or_null;
   return {{"best", best_imbalance_},
           {"lost", lost_seconds_},
           {"since", or_null(since_)},

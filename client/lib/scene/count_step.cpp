@@ -27,6 +27,14 @@ void add_array(wire::Json& described, std::string& bytes, const char* name, cons
   bytes.append(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
 }
 
+std::string fault_frame(std::uint64_t request, wire::Json json, const Status& fault) {
+  json["command"] = "count";
+  json["fault"] = wire::failure_json(fault)["failure"];
+  wire::FrameHeader header;
+  header.request = request;
+  return wire::encode_frame(header, wire::dump_json(json));
+}
+
 }  // namespace
 
 Status CountStep::count(const cuts::Cuts& cuts, const CountedRows& rows, std::optional<std::int64_t> last,
@@ -96,6 +104,49 @@ std::string CountStep::frame(std::uint64_t request, wire::Json json) const {
   return wire::encode_frame(header, wire::dump_json(json)) + bytes;
 }
 
+Result<std::optional<Frame>> CountStep::ask(const CountCall& call, const std::optional<CountedRows>& rows,
+                                            SceneCuts& cuts, const Retry& retry) {
+  static constexpr int kTriesMax = 8;  // others may change the cuts, again and again
+  const std::optional<Frame> send;
+  const auto find_cuts = [&]() -> Status {
+    auto found = SceneCuts::ask(call.session, call.scene, retry);
+    if (found) cuts.known = std::move(*found);
+    return found.status();
+  };
+  if (!cuts.known)
+    if (Status status = find_cuts(); !status) return status;
+  std::optional<int> scale;
+  for (int tries = 0; tries < kTriesMax; ++tries) {
+    const Status counted = rows ? count(*cuts.known, *rows, call.last_step, scale) : Status();
+    if (!counted && !call.of_member) return counted;
+    wire::Json json{{"scene", call.scene},
+                    {"session", call.session.number()},
+                    {"step", call.step},
+                    {"incarnation", call.incarnation},
+                    {"deadline_seconds", retry.seconds_left()}};
+    if (call.step_seconds) json["step_seconds"] = *call.step_seconds;
+    const std::uint64_t request = call.session.next_request();
+    const std::string sent = counted ? frame(request, std::move(json)) : fault_frame(request, std::move(json), counted);
+    auto told = call.session.exchange_frames(
+        request, sent, fmt::format("count of step {} of scene '{}'", call.step, call.scene), retry.deadline());
+    if (!counted) return counted;  // the others have been told
+    if (!told) return told.status();
+    const auto answer = told->json();
+    if (!answer) return answer.status();
+    if (answer->contains("report")) return std::optional(std::move(*told));
+    const auto again = answer->find("again");
+    if (!rows || again == answer->end()) return send;
+    if (*again == "scale") {
+      const auto due = wire::integer_field(*answer, "scale", -kScaleMost, kScaleMost);
+      if (!due) return due.status();
+      scale = static_cast<int>(*due);
+    } else if (Status status = find_cuts(); !status) {
+      return status;
+    }
+  }
+  return send;
+}
+
 bool Scene::State::can_count(const StepRequest& ask) const {
   const bool weighted = has_weights_ || !ask.options.weights.empty();
   return when_needed_ && ask.whole() && !ask.edits() &&
@@ -114,48 +165,13 @@ CountedRows Scene::State::rows_of(const StepRequest& ask) const {
 
 Result<std::optional<Frame>> Scene::State::step_by_count(const StepRequest& ask, std::int64_t step,
                                                          const Retry& retry) {
-  static constexpr int kTriesMax = 8;  // others may change the cuts, again and again
-  const std::optional<Frame> send;
   const bool still = ask.moved == StepRequest::Moved::none && !ask.edits();
-  if (!pushed_ || !(still ? when_needed_ : can_count(ask))) return send;
-  if (still && !(cuts_.known && counted_.holds(last_step_, *cuts_.known))) return send;
+  const bool counts = still ? when_needed_ && cuts_.known && counted_.holds(last_step_, *cuts_.known) : can_count(ask);
+  if (!pushed_ || !counts) return std::optional<Frame>();
   if (still) counted_.nothing_moved();
-  if (!cuts_.known) {
-    auto found = cuts_.ask(session(), name_, retry);
-    if (!found) return found.status();
-    cuts_.known = std::move(*found);
-  }
-  std::optional<int> scale;
-  for (int tries = 0; tries < kTriesMax; ++tries) {
-    if (!still)
-      if (Status status = counted_.count(*cuts_.known, rows_of(ask), last_step_, scale); !status) return status;
-    wire::Json json{{"scene", name_},
-                    {"session", session().number()},
-                    {"step", step},
-                    {"incarnation", incarnation_},
-                    {"deadline_seconds", retry.seconds_left()}};
-    if (ask.options.step_seconds) json["step_seconds"] = *ask.options.step_seconds;
-    const std::uint64_t request = session().next_request();
-    auto frame =
-        session().exchange_frames(request, counted_.frame(request, std::move(json)),
-                                  fmt::format("count of step {} of scene '{}'", step, name_), retry.deadline());
-    if (!frame) return frame.status();
-    const auto answer = frame->json();
-    if (!answer) return answer.status();
-    if (answer->contains("report")) return std::optional(std::move(*frame));
-    const auto again = answer->find("again");
-    if (still || again == answer->end()) return send;
-    if (*again == "scale") {
-      const auto due = wire::integer_field(*answer, "scale", -kScaleMost, kScaleMost);
-      if (!due) return due.status();
-      scale = static_cast<int>(*due);
-      continue;
-    }
-    auto others = cuts_.told_or_asked(*frame, *answer, session(), name_, retry);
-    if (!others) return others.status();
-    cuts_.known = std::move(*others);
-  }
-  return send;
+  const std::optional<CountedRows> rows = still ? std::nullopt : std::optional(rows_of(ask));
+  return counted_.ask({session(), name_, incarnation_, step, last_step_, ask.options.step_seconds, false}, rows, cuts_,
+                      retry);
 }
 
 }  // namespace rcb::client

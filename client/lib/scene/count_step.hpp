@@ -13,6 +13,8 @@
 #include <vector>
 
 #include "client/lib/client.hpp"
+#include "client/lib/scene/scene_cuts.hpp"
+#include "client/lib/session/session.hpp"
 #include "common/cuts/count.hpp"
 #include "common/wire/message.hpp"
 
@@ -27,6 +29,17 @@ struct CountedRows {
   std::span<const double> weights;
   bool weighted = false;  // the scene has weights
   int threads = 1;
+};
+
+// Which step of which scene is counted.
+struct CountCall {
+  Session& session;
+  const std::string& scene;
+  const std::string& incarnation;
+  std::int64_t step = 0;
+  std::optional<std::int64_t> last_step;
+  std::optional<double> step_seconds;
+  bool of_member = false;  // then the others wait, and are told what is wrong with the rows
 };
 
 class CountStep {
@@ -49,8 +62,10 @@ class CountStep {
   // Of the rows counted for this step; none where the parts before aren't known.
   std::optional<std::uint64_t> drifted() const { return by_ ? drifted_ : std::nullopt; }
   std::span<const std::int32_t> parts() const { return part_; }
-  // The request `count`: a frame. json: what else it says.
-  std::string frame(std::uint64_t request, wire::Json json) const;
+  // Sends the count until it is judged: the answer that commits the step, or none if its positions are to be pushed.
+  // rows: none if nothing has moved since the step before. cuts: asked for where they aren't known, or are others.
+  Result<std::optional<Frame>> ask(const CountCall& call, const std::optional<CountedRows>& rows, SceneCuts& cuts,
+                                   const Retry& retry);
   void committed(std::int64_t step) { step_ = step; }
   void forget() { *this = {}; }
 
@@ -60,6 +75,8 @@ class CountStep {
     std::uint64_t hash = 0;
     bool operator==(const Name&) const = default;
   };
+  // The request `count`. json: what else it says.
+  std::string frame(std::uint64_t request, wire::Json json) const;
   static Name name_of(const cuts::Cuts& cuts) { return {cuts.epoch(), cuts.hash()}; }
 
   std::vector<std::int32_t> part_;    // by row

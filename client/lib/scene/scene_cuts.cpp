@@ -52,12 +52,6 @@ Result<cuts::Cuts> SceneCuts::ask(Session& session, const std::string& scene, co
   return json ? read_cuts(*answer, *json) : json.status();
 }
 
-Result<cuts::Cuts> SceneCuts::told_or_asked(const Frame& answer, const wire::Json& json, Session& session,
-                                            const std::string& scene, const Retry& retry) {
-  const auto told = json.find("cuts");
-  return told != json.end() ? read_cuts(answer, *told) : ask(session, scene, retry);
-}
-
 wire::Json SceneCuts::known_json() const {
   if (!known) return wire::Json::object();
   return {{"epoch", known->epoch()}, {"hash", wire::hex64(known->hash())}};
@@ -65,10 +59,11 @@ wire::Json SceneCuts::known_json() const {
 
 Result<cuts::Cuts> SceneCuts::after_step(const Frame& answer, const wire::Json& json, Session& session,
                                          const std::string& scene, const Retry& retry) const {
+  if (const auto told = json.find("cuts"); told != json.end()) return read_cuts(answer, *told);
   const auto report = json.value("report", wire::Json::object());
   const auto epoch = wire::integer_field_or(report, "epoch", 0, kLarge, 0);
-  if (known && epoch && static_cast<std::uint64_t>(*epoch) == known->epoch() && !json.contains("cuts")) return *known;
-  return told_or_asked(answer, json, session, scene, retry);
+  if (known && epoch && static_cast<std::uint64_t>(*epoch) == known->epoch()) return *known;
+  return ask(session, scene, retry);
 }
 
 Result<cuts::Cuts> SceneCuts::current(std::uint64_t epoch, Session& session, const std::string& scene,

@@ -22,10 +22,8 @@ struct SceneCuts {
   // and are newer if another client has repartitioned since.
   Result<cuts::Cuts> after_step(const Frame& answer, const wire::Json& json, Session& session, const std::string& scene,
                                 const Retry& retry) const;
-  // One attempt: those in the answer, where it has some, or those in force.
+  // One attempt: those in force.
   static Result<cuts::Cuts> ask(Session& session, const std::string& scene, const Retry& retry);
-  static Result<cuts::Cuts> told_or_asked(const Frame& answer, const wire::Json& json, Session& session,
-                                          const std::string& scene, const Retry& retry);
   // Those known, or those in force if the ones after the step that began `epoch` aren't known. hold: opens the scene.
   // Errors: also not_found (the scene has no positions yet).
   Result<cuts::Cuts> current(std::uint64_t epoch, Session& session, const std::string& scene, double deadline_seconds,

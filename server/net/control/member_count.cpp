@@ -2,7 +2,6 @@
 #include <utility>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include "server/api/ledger_answers.hpp"
 #include "server/net/control/coordinator.hpp"
@@ -67,30 +66,24 @@ void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
   for (const auto& begin : group.counting->waiting) all->members.push_back({begin->session, 0});
   const scene::CountVerdict verdict = ledger.count(*all);
   if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
-  const Json json = api::verdict_json(verdict);
-  if (std::holds_alternative<scene::CountVerdict::Committed>(verdict.is)) {
-    group.last.reset();
-  }
+  const Json json = api::verdict_json(ledger, verdict);
+  if (std::holds_alternative<scene::CountVerdict::Committed>(verdict.is)) group.last.reset();
   answer_count(group, json);
 }
 
-// The text is made once, for all.
-void MemberGroups::answer_count(Group& group, const Json& json) {
-  const auto counting = std::exchange(group.counting, nullptr);
-  if (counting == nullptr) return;
-  counting->over = true;
-  counting->timer.cancel();
-  for (const auto& begin : counting->waiting)
-    if (begin) begin->connection->send(FrameType::reply, begin->request, json);
-}
+void MemberGroups::answer_count(Group& group, const Json& json) { close_count(group, FrameType::reply, json); }
 
 void MemberGroups::end_count(Group& group, const Status& why) {
+  close_count(group, FrameType::failure, wire::failure_json(why));
+}
+
+void MemberGroups::close_count(Group& group, FrameType type, const Json& json) {
   const auto counting = std::exchange(group.counting, nullptr);
   if (counting == nullptr) return;
   counting->over = true;
   counting->timer.cancel();
   for (const auto& begin : counting->waiting)
-    if (begin) begin->connection->send(FrameType::failure, begin->request, wire::failure_json(why));
+    if (begin) begin->connection->send(type, begin->request, json);
 }
 
 void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {
@@ -100,17 +93,10 @@ void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group
 }
 
 std::string MemberGroups::missing(const std::string& scene, const MemberCount& counting) const {
-  constexpr std::size_t kNamedMax = 8;
-  std::vector<std::string> names;
-  std::size_t more = 0;
-  for (std::size_t seat = 0; seat < counting.waiting.size(); ++seat) {
-    if (counting.tally.has(seat)) continue;
-    if (names.size() < kNamedMax)
-      names.push_back(name(scene, seat));
-    else
-      ++more;
-  }
-  return fmt::format("{}{}", fmt::join(names, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
+  std::vector<std::size_t> missing;
+  for (std::size_t seat = 0; seat < counting.waiting.size(); ++seat)
+    if (!counting.tally.has(seat)) missing.push_back(seat);
+  return names_of(scene, missing);
 }
 
 awaitable<void> MemberGroups::watch_count(std::shared_ptr<Coordinator> self, std::string scene,

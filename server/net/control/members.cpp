@@ -159,10 +159,8 @@ void MemberGroups::leave(const std::string& scene, const Connection* connection,
 }
 
 void MemberGroups::give_back_seat(const std::string& scene, const Connection* connection) {
-  std::optional<std::size_t> member;
-  if (const Group* group = find(scene); group != nullptr)
-    for (std::size_t k = 0; k < group->seats.size(); ++k)
-      if (group->seats[k].connection == connection) member = k;
+  const Group* before = find(scene);
+  const auto member = before == nullptr ? std::nullopt : seat_of(*before, connection);
   leave(scene, connection, "could not open the scene");
   if (Group* group = find(scene); group != nullptr && member)
     group->seats[*member].generation = group->seats[*member].generation_before;
@@ -206,12 +204,18 @@ std::string MemberGroups::name(const std::string& scene, std::size_t member) con
 }
 
 std::string MemberGroups::missing(const MemberPush& step) const {
+  std::vector<std::size_t> missing;
+  for (std::size_t k = 0; k < step.contributions.size(); ++k)
+    if (!step.contributions[k] || !step.contributions[k]->ready()) missing.push_back(k);
+  return names_of(step.scene, missing);
+}
+
+std::string MemberGroups::names_of(const std::string& scene, std::span<const std::size_t> members) const {
   constexpr std::size_t kNamedMax = 8;
   std::vector<std::string> names;
-  for (std::size_t k = 0; k < step.contributions.size(); ++k)
-    if (!step.contributions[k] || !step.contributions[k]->ready()) names.push_back(name(step.scene, k));
-  const std::size_t more = names.size() - std::min(names.size(), kNamedMax);
-  names.resize(names.size() - more);
+  for (const std::size_t member : members.first(std::min(members.size(), kNamedMax)))
+    names.push_back(name(scene, member));
+  const std::size_t more = members.size() - names.size();
   return fmt::format("{}{}", fmt::join(names, ", "), more > 0 ? fmt::format(" and {} more", more) : "");
 }
 

@@ -167,6 +167,7 @@ class MemberGroups {
   static Status send_to(const CountBegin& begin, const wire::Json& json);
   void open_count(const std::string& scene, std::int64_t step, Group& group);
   void decide(Group& group, scene::Ledger& ledger);
+  static void close_count(Group& group, wire::FrameType type, const wire::Json& json);
   // Both end the counting, if there is any.
   static void answer_count(Group& group, const wire::Json& json);
   static void end_count(Group& group, const Status& why);
@@ -178,6 +179,7 @@ class MemberGroups {
   void abort_step_because_of(const std::string& scene, std::size_t member, const std::string& why);
   std::string name(const std::string& scene, std::size_t member) const;
   std::string missing(const MemberPush& step) const;
+  std::string names_of(const std::string& scene, std::span<const std::size_t> members) const;  // of eight, at most
   // Answers a push.begin of the last step. False: this session has not pushed that.
   bool answer_again(const Group& group, const scene::Ledger& ledger, std::size_t member,
                     const ContributionBegin& begin);

@@ -132,6 +132,8 @@ class Session : public std::enable_shared_from_this<Session> {
   awaitable<Status> push_slice(Frame frame);
   // Reads the bulk of a slice into its arrays. If the push is aborted meanwhile, the rest is read and dropped.
   awaitable<Status> receive(const Frame& frame, const std::shared_ptr<OpenPush>& push, Slice& slice);
+  // Reads what follows arrays that are checked. whose: "a slice". Errors: protocol_error.
+  awaitable<Status> check_sum(const Frame& frame, const wire::BulkChecksum& checksum, const char* whose);
   awaitable<void> order_push(std::shared_ptr<OpenPush> push);
 
   // Waits until this request is first in the scene's queue and `ready` holds, or until `overtake` holds, whoever is

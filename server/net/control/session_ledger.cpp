@@ -120,11 +120,7 @@ awaitable<Result<std::vector<wire::Array>>> Session::read_count_arrays(const Fra
     if (Status status = co_await connection_->read_bulk(array.bytes.span()); !status.ok()) co_return status;
     checksum.add(array.bytes.span());
   }
-  if ((frame.header.flags & wire::kFlagBulkChecksum) == 0) co_return arrays;
-  std::array<std::byte, 8> sent{};
-  if (Status status = co_await connection_->read_bulk(sent); !status.ok()) co_return status;
-  if (wire::BulkChecksum::decode(sent) != checksum.value())
-    co_return Status(Code::protocol_error, "the checksum of a count's arrays doesn't match");
+  if (Status status = co_await check_sum(frame, checksum, "a count"); !status.ok()) co_return status;
   co_return arrays;
 }
 
@@ -182,7 +178,7 @@ void Session::answer_count(const Request& request, const scene::Ledger& ledger, 
   if (const auto* refused = std::get_if<Status>(&is)) return fail(request.number, *refused);
   if (const auto* again = std::get_if<scene::CountVerdict::Repeated>(&is))
     return send_later(request, api::repeated(ledger, again->number));
-  connection_->send(FrameType::reply, request.number, api::verdict_json(verdict));
+  connection_->send(FrameType::reply, request.number, api::verdict_json(ledger, verdict));
 }
 
 }  // namespace rcb::net

@@ -187,12 +187,16 @@ awaitable<Status> Session::receive(const Frame& frame, const std::shared_ptr<Ope
     }
     if (single) array.dtype = "<f8";
   }
-  if (!checked) co_return Status();
+  co_return co_await check_sum(frame, checksum, "a slice");
+}
+
+awaitable<Status> Session::check_sum(const Frame& frame, const wire::BulkChecksum& checksum, const char* whose) {
+  if ((frame.header.flags & wire::kFlagBulkChecksum) == 0) co_return Status();
   std::array<std::byte, 8> sent{};
   const Status status = co_await connection_->read_bulk(sent);
   if (!status.ok()) co_return status;
   if (wire::BulkChecksum::decode(sent) != checksum.value())
-    co_return Status(Code::protocol_error, "the checksum of a slice's arrays doesn't match");
+    co_return Status(Code::protocol_error, fmt::format("the checksum of {}'s arrays doesn't match", whose));
   co_return Status();
 }
 

@@ -16,23 +16,13 @@
 
 #include "common/base/status.hpp"
 #include "tests/bench/json.hpp"
+#include "tests/bench/step/step_pusher.hpp"
 
 namespace rcb::bench {
 
 struct StepBenchOptions {
   std::vector<std::string> scenes{"moving", "moving-2d", "moving-shuffled", "moving-small"};
-  std::vector<std::string> variants{"count",
-                                    "count-weighted",
-                                    "send",
-                                    "shared-memory",
-                                    "shared-memory-axes",
-                                    "shared-memory-copy",
-                                    "axes",
-                                    "rows",
-                                    "endpoint",
-                                    "float32",
-                                    "subset",
-                                    "unmoved"};
+  std::vector<std::string> variants = usual_variants();
   std::vector<int> parts{8};
   std::vector<int> ranks{2, 8};
   // Endpoints of running services, which then take turns in the place of one that is started for each of `ranks`.

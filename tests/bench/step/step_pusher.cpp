@@ -22,6 +22,12 @@ void shuffle(Random& random, std::size_t count, const auto& exchange) {
 
 bool is_count(const std::string& variant) { return variant.starts_with("count"); }
 bool by_members(const std::string& variant) { return variant.starts_with("members") || variant == "count-members"; }
+std::vector<std::string> usual_variants() {
+  std::vector<std::string> usual;
+  for (const std::string variant : kStepVariants)
+    if (!by_members(variant) && variant != "connect") usual.push_back(variant);
+  return usual;
+}
 
 MovingPoints::MovingPoints(const SceneKind& kind, std::size_t count, bool shuffled) : dims(kind.dims), n(count) {
   particles::ParticleSet set = make_rows(kind, n, 0, n);
@@ -161,7 +167,7 @@ Result<client::Positions> Pusher::prepare(int phase) {
   return motion_.by_axes(phase);
 }
 
-// The arrays of a solver that moves its particles where they are, and before a step may put them into another order.
+// The arrays of a solver that moves its particles where they are.
 client::Positions Pusher::own_rows(int phase) {
   const std::vector<double>& from = motion_.rows[phase];
   std::copy(from.begin(), from.end(), rows_.begin());

@@ -19,30 +19,19 @@ namespace rcb::bench {
 // endpoint: rows through rank 0. members: a parallel solver's, with the particles of their parts, from shared memory;
 // members-sockets and members-endpoint: the same by these ways. subset: every hundredth particle moved. connect: no
 // step, but the time until a new client has been let in.
-// count: own rows of a scene whose positions travel when needed, which they aren't; count-weighted: with a weight
-// for each particle. send: as shared-memory, of such a
-// scene at the tolerance 0, so that each step is counted, then sends, and new cuts are found.
-inline constexpr std::array kStepVariants{"count",
-                                          "count-weighted",
-                                          "send",
-                                          "shared-memory",
-                                          "shared-memory-axes",
-                                          "shared-memory-copy",
-                                          "axes",
-                                          "rows",
-                                          "endpoint",
-                                          "members",
-                                          "members-sockets",
-                                          "members-endpoint",
-                                          "count-members",
-                                          "float32",
-                                          "subset",
-                                          "unmoved",
-                                          "connect"};
+// count: own rows of a scene whose positions travel when needed, so that none do; count-weighted: with a weight for
+// each particle; count-members: by members. send: as shared-memory, of such a scene at the tolerance 0, so that each
+// step is counted, then sends, and new cuts are found.
+inline constexpr std::array kStepVariants{
+    "count",  "count-weighted", "send",    "shared-memory",   "shared-memory-axes", "shared-memory-copy", "axes",
+    "rows",   "endpoint",       "members", "members-sockets", "members-endpoint",   "count-members",      "float32",
+    "subset", "unmoved",        "connect"};
 
 bool is_count(const std::string& variant);
-// The processes of a solver push together.
+// The processes of a solver step together.
 bool by_members(const std::string& variant);
+// Those of a single client's steps.
+std::vector<std::string> usual_variants();
 
 // Two sets of positions, in turn, so that every particle moves at every step.
 struct MovingPoints {

@@ -40,6 +40,7 @@ Json picture_of(const Ledger& ledger) {
   const auto or_null = [](const auto& value) { return value ? Json(*value) : Json(); };
   const scene::SceneTotals& totals = ledger.totals();
   Json json{{"options", to_json(now.options)},
+            {"part_sizes", now.options.part_sizes},
             {"incarnation", now.incarnation},
             {"n", now.n},
             {"flags", {now.weights, now.ids}},
