@@ -16,7 +16,6 @@ constexpr std::array kEntries{
     Entry{Code::not_found, "not_found"},
     Entry{Code::already_exists, "already_exists"},
     Entry{Code::busy, "busy"},
-    Entry{Code::stale_plan, "stale_plan"},
     Entry{Code::stale_step, "stale_step"},
     Entry{Code::base_lost, "base_lost"},
     Entry{Code::not_finite, "not_finite"},
@@ -32,6 +31,7 @@ constexpr std::array kEntries{
     Entry{Code::usage, "usage"},
     Entry{Code::interrupted, "interrupted"},
     Entry{Code::not_conserved, "not_conserved"},
+    Entry{Code::duplicate_id, "duplicate_id"},
 };
 
 }  // namespace

@@ -18,9 +18,8 @@ enum class Code : std::uint16_t {
   not_found = 2,           // no such scene, file, part, particle
   already_exists = 3,      // a scene of this name, created without --replace
   busy = 4,                // another push is open, the queue is full, the scene is in use
-  stale_plan = 5,          // the layout's version or checksum (the protocol's "plan") differs from the service's
   stale_step = 6,          // the step number goes back, or another session has used it
-  base_lost = 7,           // a push of only some particles names a base step that isn't the scene's last
+  base_lost = 7,           // the ranks hold no particles since the service was started again
   not_finite = 8,          // NaN or infinity in positions or weights
   protocol_error = 9,      // a frame that breaks the protocol; the connection is closed
   too_large = 10,          // over a stated limit
@@ -34,6 +33,7 @@ enum class Code : std::uint16_t {
   usage = 18,              // wrong command line
   interrupted = 19,        // the caller gave up waiting, for instance by Ctrl-C
   not_conserved = 20,      // a step would lose or double particles
+  duplicate_id = 21,       // two particles have the same id
 };
 
 // The name of a code in the protocol and in --json, such as "invalid_argument".

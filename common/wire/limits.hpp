@@ -33,9 +33,6 @@ inline constexpr std::int64_t kParticlesMax = std::int64_t{1} << 48;
 inline constexpr int kScenesMax = 1024;
 inline constexpr std::int64_t kIntegerMax = std::numeric_limits<std::int64_t>::max();
 inline constexpr std::int64_t kStepMax = kIntegerMax - 1;  // so that step + 1 exists
-// Used instead of a rank, for the slices of inserted particles (on no rank yet) and of removed ones.
-inline constexpr int kInsertedSlice = -1;
-inline constexpr int kRemovedSlice = -2;
 inline constexpr double kDeadlineSecondsDefault = 60;
 inline constexpr double kDeadlineSecondsMax = 3600;
 

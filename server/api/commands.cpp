@@ -14,11 +14,10 @@ constexpr std::array<Fields, 1> kScene{"scene"};
 constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims",          "method",
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
                                          "part_sizes", "replace",         "positions"};
-constexpr std::array<Fields, 5> kOpen{"scene", "member", "members", "follow", "generation"};
-constexpr std::array<Fields, 27> kPushBegin{
-    "scene",     "session",      "step",    "attempt",      "n",       "slices",  "order",      "plan",    "moved",
-    "base_step", "dtype",        "weights", "ids",          "changes", "path",    "counts",     "epoch",   "places",
-    "inserted",  "inserted_ids", "removed", "step_seconds", "memory",  "sockets", "cuts_known", "drifted", "refill"};
+constexpr std::array<Fields, 4> kOpen{"scene", "member", "members", "generation"};
+constexpr std::array<Fields, 18> kPushBegin{"scene",    "session", "step",         "attempt",    "n",       "path",
+                                            "dtype",    "weights", "ids",          "counts",     "memory",  "sockets",
+                                            "inserted", "removed", "step_seconds", "cuts_known", "drifted", "refill"};
 constexpr std::array<Fields, 16> kCount{"scene",    "session",         "step",    "incarnation",  "epoch", "hash",
                                         "n",        "id_sum",          "drifted", "step_seconds", "scale", "least",
                                         "greatest", "weights_as_zero", "arrays",  "fault"};
@@ -55,7 +54,6 @@ constexpr std::array kCommands{
     CommandInfo{"owner", root, reads, kOwner},
     CommandInfo{"box", root, reads, kBox},
     CommandInfo{"neighbours", root, reads, kNeighbours},
-    CommandInfo{"plan", ranks, reads, kScene},
     CommandInfo{"assign", ranks, reads, kAssign},
     CommandInfo{"fetch", ranks, reads, kFetch},
     CommandInfo{"quality", ranks, reads, kQuality, !kFiles, kGivesWay},

@@ -15,10 +15,6 @@ using scene::Ledger;
 using scene::SceneState;
 using wire::or_null;
 
-wire::Json plan_json(const SceneState& now) {
-  return {{"version", now.plan_version}, {"checksum", wire::hex64(now.plan_checksum)}};
-}
-
 void put_loads(Answer& answer, const SceneState& now) {
   put_list<std::uint64_t>(answer, answer.json, "counts", now.loads->counts);
   put_list<double>(answer, answer.json, "targets", now.loads->targets);
@@ -90,8 +86,7 @@ Answer describe(const Ledger& ledger, int ranks) {
                {"positions_step", or_null(now.positions_step)},
                {"filled", now.filled},
                {"incarnation", wire::hex64(now.incarnation)},
-               {"epoch", now.epoch},
-               {"plan", plan_json(now)}});
+               {"epoch", now.epoch}});
   for (const char* name : {"part_sizes", "error", "imbalance", "counts", "targets", "hash", "rounds", "reductions"})
     json[name] = nullptr;
   Answer answer = done(std::move(json));
@@ -119,7 +114,7 @@ wire::Json restore_order(const Ledger& ledger) {
                 {"ids", now.ids},
                 {"rounds", now.search_rounds},
                 {"reductions", now.search_reductions}});
-  if (now.id_next) order["id_next"] = *now.id_next;
+  if (now.id_sum) order["id_sum"] = *now.id_sum;
   return order;
 }
 
@@ -144,23 +139,17 @@ wire::Json verdict_json(const Ledger& ledger, const scene::CountVerdict& verdict
   return {{"again", "cuts"}};
 }
 
-wire::Json repeated_to_member(const Ledger& ledger, const scene::MemberShare& share) {
-  wire::Json json{{"report", ledger.last_report()}, {"repeated", true}, {"plan", plan_json(ledger.now())}};
-  if (const auto first = json["report"].find("first_id"); first != json["report"].end())
-    json["first_id"] = first->get<std::int64_t>() + static_cast<std::int64_t>(share.inserted_before);
-  return json;
-}
+wire::Json repeated_to_member(const Ledger& ledger) { return {{"report", ledger.last_report()}, {"repeated", true}}; }
 
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
-  return with_reports(
-      ledger, number, number + 1, [plan = plan_json(ledger.now())](scene::FoundReports found, Answer& answer) {
-        if (found.reports.empty())
-          answer.status =
-              Status(Code::io_error, fmt::format("the step is committed, but its report was lost: {}", found.loss),
-                     "go on with the next step");
-        else
-          answer.json = {{"plan", plan}, {"repeated", true}, {"report", std::move(found.reports.front())}};
-      });
+  return with_reports(ledger, number, number + 1, [](scene::FoundReports found, Answer& answer) {
+    if (found.reports.empty())
+      answer.status =
+          Status(Code::io_error, fmt::format("the step is committed, but its report was lost: {}", found.loss),
+                 "go on with the next step");
+    else
+      answer.json = {{"repeated", true}, {"report", std::move(found.reports.front())}};
+  });
 }
 
 }  // namespace rcb::api

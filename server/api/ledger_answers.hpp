@@ -13,7 +13,7 @@ Answer describe(const scene::Ledger& ledger, int ranks);
 // request.
 Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int ranks);
 // To a member of the last step that pushes or counts it again.
-wire::Json repeated_to_member(const scene::Ledger& ledger, const scene::MemberShare& share);
+wire::Json repeated_to_member(const scene::Ledger& ledger);
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 

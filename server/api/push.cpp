@@ -2,7 +2,6 @@
 
 #include <cmath>
 #include <limits>
-#include <numeric>
 #include <utility>
 
 #include <fmt/format.h>
@@ -14,21 +13,22 @@ namespace rcb::api {
 
 namespace {
 
+// By rank, adding up to the block's rows.
 Status read_counts(wire::FieldReader& fields, int ranks, Push& push) {
-  const std::size_t slices = push.by_id ? 1 : static_cast<std::size_t>(ranks);
   const std::vector<double> counts = fields.numbers("counts", static_cast<std::size_t>(ranks));
   if (!fields.ok()) return fields.status();
-  if (counts.size() != slices && (push.moved == Moved::some || !counts.empty()))
-    return {Code::invalid_argument,
-            fmt::format("field 'counts': expected {} numbers of particles, got {}", slices, counts.size()),
-            "one number for each rank; in order \"id\" a single one"};
+  if (counts.empty() && push.way != Way::sockets) return {};
+  const Status odd(
+      Code::invalid_argument,
+      fmt::format("field 'counts': expected {} whole numbers, how many of the {} rows go to each rank", ranks, push.n));
+  if (counts.size() != static_cast<std::size_t>(ranks) || !push.to_ranks()) return odd;
+  std::uint64_t left = push.n;
   for (const double count : counts) {
-    if (!(count >= 0 && count <= static_cast<double>(push.n)) || count != std::floor(count))
-      return {Code::invalid_argument,
-              fmt::format("field 'counts': {} isn't a number of the push's {} particles", count, push.n)};
+    if (!(count >= 0 && count <= static_cast<double>(left)) || count != std::floor(count)) return odd;
     push.counts.push_back(static_cast<std::uint64_t>(count));
+    left -= push.counts.back();
   }
-  return {};
+  return left == 0 ? Status() : odd;
 }
 
 // Errors: invalid_argument.
@@ -39,8 +39,8 @@ Status read_sockets(wire::FieldReader& fields, int ranks, Push& push) {
       return {Code::invalid_argument, "field 'sockets': expected a list of ranks, ascending"};
     push.by_socket.push_back(static_cast<int>(rank));
   }
-  if (push.by_id && !push.by_socket.empty())
-    return {Code::invalid_argument, "field 'sockets': slices for ranks are in order \"plan\""};
+  if (push.counts.empty() && !push.by_socket.empty())
+    return {Code::invalid_argument, "field 'sockets': the push must say in 'counts' how many rows go to each rank"};
   return fields.status();
 }
 
@@ -59,8 +59,6 @@ Status read_cuts_known(const wire::Json& request, Push& push) {
 }
 
 }  // namespace
-
-const char* name_of(Moved moved) { return moved == Moved::all ? "all" : moved == Moved::some ? "some" : "none"; }
 
 // Which arrays must be there is checked with what is known of the scene; that they lie within the memory, by each rank.
 Result<std::vector<SharedArray>> read_shared(const wire::Json& request) {
@@ -95,59 +93,29 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
   return id;
 }
 
-Result<PlanId> read_plan(const wire::Json& request) {
-  const auto found = request.find("plan");
-  if (found == request.end() || !found->is_object())
-    return Status(Code::invalid_argument, "field 'plan': expected an object with 'version' and 'checksum'");
-  wire::FieldReader fields(*found);
-  const std::int64_t version = fields.integer("version", 0, wire::kIntegerMax);
-  const std::string text = fields.text("checksum", 16);
-  if (!fields.ok()) return fields.status();
-  const auto checksum = wire::parse_hex64(text);
-  if (!checksum.ok()) return checksum.status();
-  return PlanId{static_cast<std::uint64_t>(version), *checksum};
-}
-
-std::uint64_t Push::moving() const {
-  if (moved == Moved::all) return n;
-  return moved == Moved::some ? std::accumulate(counts.begin(), counts.end(), std::uint64_t{0}) : 0;
-}
-
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   wire::FieldReader fields(request);
   Push push{.id = std::move(id)};
   push.n = fields.particles("n");
-  push.slices = static_cast<std::uint64_t>(fields.integer_or("slices", 0, ranks + 2, 0));
-  push.by_id = fields.word("order", {"plan", "id"}) == "id";
   const std::string path = fields.word("path", {"gateway", "direct", "shared"});
   push.way = path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
   push.weights = fields.flag("weights");
   push.ids = fields.flag("ids");
-  push.changes = fields.flag("changes");
   push.refill = fields.flag("refill");
   push.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
-  const std::string moved = fields.word("moved", {"all", "some", "none"});
-  push.moved = moved == "all" ? Moved::all : moved == "some" ? Moved::some : Moved::none;
   push.inserted = fields.particles("inserted");
   push.removed = fields.particles("removed");
-  push.inserted_ids = fields.flag("inserted_ids") && push.inserted > 0;
-  if (fields.has("base_step")) push.base_step = fields.integer("base_step", 0, wire::kStepMax);
   if (fields.has("drifted")) push.drifted = fields.particles("drifted");
   if (fields.has("step_seconds"))
     push.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);
   if (!fields.ok()) return fields.status();
   if (Status status = read_cuts_known(request, push); !status.ok()) return status;
   if (Status status = read_counts(fields, ranks, push); !status.ok()) return status;
-  if (push.from_memory()) {
-    auto shared = read_shared(request);
-    if (!shared.ok()) return shared.status();
-    push.shared = std::move(*shared);
-    if (Status status = read_sockets(fields, ranks, push); !status.ok()) return status;
-  }
-  if (push.by_id || !fields.has("plan")) return push;
-  const auto plan = read_plan(request);
-  if (!plan.ok()) return plan.status();
-  push.plan = *plan;
+  if (!push.from_memory()) return push;
+  auto shared = read_shared(request);
+  if (!shared.ok()) return shared.status();
+  push.shared = std::move(*shared);
+  if (Status status = read_sockets(fields, ranks, push); !status.ok()) return status;
   return push;
 }
 

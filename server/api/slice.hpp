@@ -1,4 +1,4 @@
-// Slice: the particles of a push that go to one rank, as the client sent them, or the memory in which they are.
+// Slice: rows of a block as a rank gets them: the arrays that a client has sent, or the memory in which they are.
 #pragma once
 
 #include <cstdint>
@@ -19,16 +19,16 @@ struct SharedColumn {
 };
 
 struct Slice {
-  int rank = 0;                          // or kInsertedSlice, kRemovedSlice
-  std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
-  std::vector<wire::Array> arrays = {};  // x y z (w) (id), or x y z slot
-  particles::BlockRanges ranges = {};    // of the positions, if they were taken as the arrays arrived
   int member = 0;                        // of a parallel solver: the one that sent it
+  std::uint64_t count = 0;               // from shared memory: of the array "row", if there is one
+  std::vector<wire::Array> arrays = {};  // x y z (w) (id)
+  particles::BlockRanges ranges = {};    // of the positions, if they were taken as the arrays arrived
+  bool divided = false;                  // came through the endpoint to rank 0, which deals its rows out to all ranks
+  std::uint64_t first_row = 0;           // number of the first of these rows in the block
   // Instead of arrays, if the client shares memory:
   std::vector<SharedColumn> shared = {};
-  std::uint64_t rows = 0;       // of each array but "row"
-  std::uint64_t first_row = 0;  // in the array "row": the first for this rank
-  bool is_float32 = false;      // positions
+  std::uint64_t rows = 0;   // of each array but "row"
+  bool is_float32 = false;  // positions
 };
 
 }  // namespace rcb::api

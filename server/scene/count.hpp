@@ -14,12 +14,6 @@
 
 namespace rcb::scene {
 
-// What a member of a parallel solver needs to be told again of a step.
-struct MemberShare {
-  std::uint64_t session = 0;          // session_key()
-  std::uint64_t inserted_before = 0;  // by members of lower numbers
-};
-
 // XXH3-64 of a session's name, which takes less memory than the text.
 std::uint64_t session_key(const std::string& session);
 
@@ -44,8 +38,9 @@ struct CountRecord {
   std::vector<std::int32_t> parts;       // that have particles, ascending
   std::vector<std::uint64_t> counts;     // of these
   std::optional<WeightCount> weights;
-  std::uint64_t bytes = 0;           // of its frame
-  std::vector<MemberShare> members;  // of all members together: of each
+  std::uint64_t bytes = 0;              // of its frame
+  std::vector<std::uint64_t> sessions;  // of all members together: the key of each one's
+  std::uint64_t strangers = 0;          // of all members together: rows outside the parts of their member
 };
 
 // The JSON of a request `count` and its arrays. Errors: invalid_argument, whatever is wrong with the record by itself.

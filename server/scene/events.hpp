@@ -19,16 +19,13 @@ namespace rcb::scene {
 struct Held {
   std::uint64_t n = 0;
   bool weights = false;
-  bool ids = false;                                     // ids aren't 0..n-1
+  bool ids = false;                                     // given by the solver; else 0..n-1
   std::uint64_t epoch = 0;                              // 0: no cuts yet
   std::uint64_t hash = 0;                               // of the cuts
   std::shared_ptr<const cuts::CutTree> tree;            // null: no cuts yet
   std::shared_ptr<const partition::LoadSummary> loads;  // null: no cuts yet
-  std::uint64_t plan_version = 0;
-  std::uint64_t plan_checksum = 0;
-  std::vector<std::uint64_t> rank_counts;  // particles on each rank
-  std::optional<std::uint64_t> id_next;    // above every id ever used; none: not looked for yet
-  std::uint64_t search_rounds = 0;         // of the search for the current cuts
+  std::optional<std::uint64_t> id_sum;                  // of mix64(id), mod 2^64; none: not known
+  std::uint64_t search_rounds = 0;                      // of the search for the current cuts
   std::uint64_t search_reductions = 0;
 };
 
@@ -41,7 +38,7 @@ struct Stepped {
   StepReport report;
   Held held;
   std::string session;                   // that pushed
-  std::vector<MemberShare> members;      // if members pushed together: of each
+  std::vector<std::uint64_t> sessions;   // if members pushed together: the key of each one's
   std::optional<double> step_seconds;    // as the push said
   std::optional<std::uint64_t> drifted;  // since the step before, as the push said
   bool wasted = false;                   // new cuts were searched, and not adopted

@@ -129,7 +129,6 @@ std::string encode(const Lasting& lasting) {
                    {"reductions", now.search_reductions},
                    {"step", or_null(now.step)},
                    {"id_sum", or_null(now.id_sum)},
-                   {"id_next", or_null(now.id_next)},
                    {"totals", totals_json(lasting.totals)},
                    {"costs", lasting.costs.to_json()},
                    {"not_adopted", or_null(lasting.error_when_not_adopted)},
@@ -157,12 +156,11 @@ Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation
   if (const Json& step = json.at("step"); !step.is_null())
     now.step = static_cast<std::int64_t>(whole(step, wire::kStepMax));
   if (const Json& sum = json.at("id_sum"); !sum.is_null()) now.id_sum = whole(sum);
-  if (const Json& next = json.at("id_next"); !next.is_null()) now.id_next = whole(next);
   lasting.totals = totals_from(json.at("totals"));
   lasting.costs = CostAccount::from_json(json.at("costs"));
   if (const Json& error = json.at("not_adopted"); !error.is_null()) lasting.error_when_not_adopted = finite_from(error);
   lasting.last_session = whole(json.at("last_session"));
-  lasting.last_members = unpacked<MemberShare>(json.at("last_members"));
+  lasting.last_members = unpacked<std::uint64_t>(json.at("last_members"));
   lasting.last_report = json.at("last_report");
   const bool stepped = now.step.has_value();
   need((now.loads != nullptr) == stepped && (now.epoch > 0) == stepped && (lasting.totals.steps > 0) == stepped &&

@@ -92,12 +92,11 @@ const StepReport& Ledger::take(Stepped stepped) {
     lasting_.error_when_not_adopted = report.error_before;
     lasting_.costs.start_again(report.imbalance);
   }
-  if (!now_.step || report.inserted > 0 || report.removed > 0) now_.id_sum.reset();
   static_cast<Held&>(now_) = std::move(stepped.held);
   now_.positions_step = report.step;
   now_.filled = true;
   wants_positions_ = false;
-  remember(report, stepped.session, std::move(stepped.members));
+  remember(report, stepped.session, std::move(stepped.sessions));
   return history_->last();
 }
 
@@ -122,7 +121,7 @@ void Ledger::take(const Asked& asked) {
   asked_ = true;
 }
 
-void Ledger::remember(const StepReport& report, const std::string& session, std::vector<MemberShare> members) {
+void Ledger::remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> members) {
   now_.step = report.step;
   recent_.push_back({report.step, session_key(session)});
   if (recent_.size() > kRememberedSteps) recent_.pop_front();
@@ -144,9 +143,8 @@ std::optional<std::uint64_t> Ledger::repeated(const std::string& session, std::i
   return history_->total() - static_cast<std::uint64_t>(recent_.end() - found);
 }
 
-const MemberShare* Ledger::share_in_last(const std::string& session, std::int64_t step) const {
-  const auto found = std::ranges::find(lasting_.last_members, session_key(session), &MemberShare::session);
-  return step == now_.step && found != lasting_.last_members.end() ? &*found : nullptr;
+bool Ledger::was_in_last(const std::string& session, std::int64_t step) const {
+  return step == now_.step && std::ranges::count(lasting_.last_members, session_key(session)) > 0;
 }
 
 Status Ledger::check_seat(const CountRecord& record) const {
@@ -161,7 +159,7 @@ Status Ledger::check(const CountRecord& record) const {
   if (Status status = check_seat(record); !status.ok() || !now_.step) return status;
   if (record.n != now_.n)
     return {Code::not_conserved, fmt::format("{} particles counted, scene '{}' has {}", record.n, name_, now_.n),
-            "count all particles once; where some are inserted or removed, push their positions"};
+            "count all particles once; where some come or go, push their positions"};
   if (now_.id_sum && record.id_sum && *record.id_sum != *now_.id_sum)
     return {Code::not_conserved,
             fmt::format("the ids counted have the sum {}, those of the last step had {}", wire::hex64(*record.id_sum),
@@ -220,7 +218,8 @@ CountVerdict Ledger::commit(const CountRecord& record, partition::LoadSummary lo
   if (record.step_seconds) lasting_.costs.computed(*record.step_seconds, now_.loads->imbalance);
   now_.loads = std::make_shared<const partition::LoadSummary>(std::move(loads));
   if (record.id_sum) now_.id_sum = record.id_sum;
-  remember(report, record.session, record.members);
+  report.strangers = record.strangers;
+  remember(report, record.session, record.sessions);
   return {std::move(done)};
 }
 

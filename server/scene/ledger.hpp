@@ -40,7 +40,6 @@ struct SceneState : Held {
   std::optional<std::int64_t> step;            // the last one; none: no positions yet
   std::optional<std::int64_t> positions_step;  // whose positions the ranks hold; none: nobody can say
   bool filled = false;                         // the ranks hold its particles, of whatever step
-  std::optional<std::uint64_t> id_sum;         // of mix64(id), mod 2^64; none: not known
 };
 
 // A ledger without its history.
@@ -50,7 +49,7 @@ struct Lasting {
   CostAccount costs;
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
   std::uint64_t last_session = 0;                // key of the session that made the last step
-  std::vector<MemberShare> last_members;         // likewise, of members
+  std::vector<std::uint64_t> last_members;       // likewise, of each member
   wire::Json last_report;                        // null: no step yet
 };
 
@@ -107,8 +106,8 @@ class Ledger {
   // The number, in the history, of a step that this session has committed; nothing if it has not.
   std::optional<std::uint64_t> repeated(const std::string& session, std::int64_t step) const;
 
-  // What this session, of a member, had in the last step, if that is this one; null if it isn't.
-  const MemberShare* share_in_last(const std::string& session, std::int64_t step) const;
+  // Whether the last step is this one, and this session was a member's in it.
+  bool was_in_last(const std::string& session, std::int64_t step) const;
   const wire::Json& last_report() const { return lasting_.last_report; }
 
   // No later service knows the scene from here on. Returns what removes its files, for any thread.
@@ -125,7 +124,7 @@ class Ledger {
   };
   Status check(const CountRecord& record) const;
   CountVerdict commit(const CountRecord& record, partition::LoadSummary loads, const Decision& decision);
-  void remember(const StepReport& report, const std::string& session, std::vector<MemberShare> members);
+  void remember(const StepReport& report, const std::string& session, std::vector<std::uint64_t> members);
   // Puts cuts and state into the journal.
   void keep();
 

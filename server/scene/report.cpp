@@ -19,7 +19,7 @@ const char* name_of(Way way) {
 }
 
 std::vector<std::string> Skips::names() const {
-  constexpr const char* kNames[] = {"dimension", "weights", "ids",           "double precision", "motion",
+  constexpr const char* kNames[] = {"dimension", "weights", "ids",           "double precision",
                                     "exchange",  "search",  "far from cuts", "positions"};
   std::vector<std::string> names;
   for (unsigned k = 0; k < std::size(kNames); ++k)
@@ -88,7 +88,6 @@ wire::Json to_json(const StepReport& report) {
                {"positions_step", report.positions_step ? wire::Json(*report.positions_step) : wire::Json()},
                {"strangers", report.strangers}});
   if (!report.drifted_known) json["drifted"] = nullptr;
-  if (report.first_id) json["first_id"] = *report.first_id;
   if (report.weights_as_zero > 0) json["weights_as_zero"] = report.weights_as_zero;
   return json;
 }

@@ -30,7 +30,6 @@ enum class Skip : std::uint8_t {
   weights,
   ids,
   double_precision,
-  motion,
   exchange,
   search,
   far_from_cuts,
@@ -76,8 +75,7 @@ struct StepReport : StepCounts {
   int axes_flipped = 0;
   std::uint64_t inserted = 0;
   std::uint64_t removed = 0;
-  std::optional<std::int64_t> first_id;  // of the inserted particles, if the service chose their ids
-  std::uint64_t weights_as_zero = 0;     // particles whose weight is too far below the greatest one to count
+  std::uint64_t weights_as_zero = 0;  // particles whose weight is too far below the greatest one to count
   Skips skipped;
   Way way = Way::endpoint;
   std::optional<std::int64_t> positions_step;  // the step whose positions the ranks hold; none: they hold none
