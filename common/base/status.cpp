@@ -17,7 +17,6 @@ constexpr std::array kEntries{
     Entry{Code::already_exists, "already_exists"},
     Entry{Code::busy, "busy"},
     Entry{Code::stale_step, "stale_step"},
-    Entry{Code::base_lost, "base_lost"},
     Entry{Code::not_finite, "not_finite"},
     Entry{Code::protocol_error, "protocol_error"},
     Entry{Code::too_large, "too_large"},

@@ -19,7 +19,6 @@ enum class Code : std::uint16_t {
   already_exists = 3,      // a scene of this name, created without --replace
   busy = 4,                // another push is open, the queue is full, the scene is in use
   stale_step = 6,          // the step number goes back, or another session has used it
-  base_lost = 7,           // the ranks hold no particles since the service was started again
   not_finite = 8,          // NaN or infinity in positions or weights
   protocol_error = 9,      // a frame that breaks the protocol; the connection is closed
   too_large = 10,          // over a stated limit

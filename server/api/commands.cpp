@@ -15,9 +15,9 @@ constexpr std::array<Fields, 12> kCreate{"scene",      "parts",           "dims"
                                          "tolerance",  "axis_hysteresis", "cut_tolerance", "policy",
                                          "part_sizes", "replace",         "positions"};
 constexpr std::array<Fields, 4> kOpen{"scene", "member", "members", "generation"};
-constexpr std::array<Fields, 18> kPushBegin{"scene",    "session", "step",         "attempt",    "n",       "path",
-                                            "dtype",    "weights", "ids",          "counts",     "memory",  "sockets",
-                                            "inserted", "removed", "step_seconds", "cuts_known", "drifted", "refill"};
+constexpr std::array<Fields, 18> kPushBegin{
+    "scene",  "session", "step",    "attempt",  "n",       "path",         "dtype",      "weights", "ids",
+    "counts", "memory",  "sockets", "inserted", "removed", "step_seconds", "cuts_known", "drifted", "incarnation"};
 constexpr std::array<Fields, 16> kCount{"scene",    "session",         "step",    "incarnation",  "epoch", "hash",
                                         "n",        "id_sum",          "drifted", "step_seconds", "scale", "least",
                                         "greatest", "weights_as_zero", "arrays",  "fault"};

@@ -101,10 +101,14 @@ Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   push.way = path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
   push.weights = fields.flag("weights");
   push.ids = fields.flag("ids");
-  push.refill = fields.flag("refill");
   push.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
   push.inserted = fields.particles("inserted");
   push.removed = fields.particles("removed");
+  if (fields.has("incarnation")) {
+    const auto incarnation = wire::parse_hex64(fields.text("incarnation", 16));
+    fields.fail(incarnation.status());
+    if (incarnation.ok()) push.incarnation = *incarnation;
+  }
   if (fields.has("drifted")) push.drifted = fields.particles("drifted");
   if (fields.has("step_seconds"))
     push.step_seconds = fields.number_or("step_seconds", 0, std::numeric_limits<double>::max(), 0);

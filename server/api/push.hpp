@@ -56,14 +56,12 @@ struct Push {
   std::vector<std::uint64_t> counts;  // by rank, where the client says which rows are whose; else empty
   bool weights = false;
   bool ids = false;
-  // No step, but the particles of the last one, at any positions: for ranks that hold none, since they were started
-  // again.
-  bool refill = false;
-  bool is_float32 = false;               // positions, as sent
-  std::uint64_t inserted = 0;            // of the rows: particles that were not there before the step
-  std::uint64_t removed = 0;             // particles that are no more
-  std::optional<double> step_seconds;    // the solver's computing time since its last push
-  std::optional<std::uint64_t> drifted;  // since the step before, as the client has counted
+  bool is_float32 = false;                   // positions, as sent
+  std::uint64_t inserted = 0;                // of the rows: particles that were not there before the step
+  std::uint64_t removed = 0;                 // particles that are no more
+  std::optional<double> step_seconds;        // the solver's computing time since its last push
+  std::optional<std::uint64_t> incarnation;  // of the scene that is meant
+  std::optional<std::uint64_t> drifted;      // since the step before, as the client has counted
   std::optional<CutsId> cuts_known;  // that the client has: the answer is to bring those after the step if they differ
 
   bool to_ranks() const { return way != Way::endpoint; }  // no positions come through the endpoint

@@ -49,11 +49,6 @@ struct Rebalanced {
   Held held;
 };
 
-// The ranks, which held none, were brought the particles of the last step, at positions that may be later ones.
-struct Refilled {
-  Held held;
-};
-
 struct Dropped {};
 
 // A query was answered for which the ranks passed over the particles.
@@ -63,7 +58,7 @@ struct Asked {
 
 struct Change {
   std::string scene;
-  std::variant<Created, Stepped, Rebalanced, Refilled, Dropped, Asked> event;
+  std::variant<Created, Stepped, Rebalanced, Dropped, Asked> event;
 };
 
 }  // namespace rcb::scene

@@ -108,14 +108,6 @@ void Ledger::take(Rebalanced rebalanced) {
   keep();
 }
 
-// The loads stay those of the last step.
-void Ledger::take(Refilled refilled) {
-  refilled.held.loads = now_.loads;
-  static_cast<Held&>(now_) = std::move(refilled.held);
-  now_.filled = true;
-  keep();
-}
-
 void Ledger::take(const Asked& asked) {
   ++totals_.asked[asked.command];
   asked_ = true;
@@ -247,7 +239,6 @@ const StepReport* Ledgers::take(Change change, std::uint64_t incarnation) {
   } else if (Ledger* ledger = find(change.scene)) {
     if (auto* stepped = std::get_if<Stepped>(&change.event)) return &ledger->take(std::move(*stepped));
     if (auto* rebalanced = std::get_if<Rebalanced>(&change.event)) ledger->take(std::move(*rebalanced));
-    if (auto* refilled = std::get_if<Refilled>(&change.event)) ledger->take(std::move(*refilled));
     if (const auto* asked = std::get_if<Asked>(&change.event)) ledger->take(*asked);
   }
   return nullptr;

@@ -96,7 +96,6 @@ class Ledger {
   DecisionTerms terms(std::optional<double> step_seconds) const;
   const StepReport& take(Stepped stepped);  // returns the report as it is in the history
   void take(Rebalanced rebalanced);
-  void take(Refilled refilled);
   void take(const Asked& asked);
 
   CountVerdict count(const CountRecord& record);

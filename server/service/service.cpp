@@ -36,8 +36,8 @@ struct Service::State {
 Service::Service(comm::Comm& comm, const Clock& clock, ServiceOptions options)
     : state_(new State{comm, clock, std::move(options)}) {
   if (!state_->options.roots) state_->options.roots = std::make_shared<const io::Roots>();
-  for (const auto table : {scene_commands(), push_commands(), member_commands(), query_commands(), paged_commands(),
-                           quality_commands(), halo_commands(), rebalance_commands(), file_commands()})
+  for (const auto table : {scene_commands(), push_commands(), query_commands(), paged_commands(), quality_commands(),
+                           halo_commands(), rebalance_commands(), file_commands()})
     for (const Command& command : table) state_->commands.emplace(command.name, command);
 }
 
@@ -50,18 +50,10 @@ Response Service::execute(const wire::Json& request, std::vector<PushSlice> slic
   if (command == state_->commands.end())
     return failed({Code::unsupported, fmt::format("unknown command '{}'", name.value()),
                    "the service may be older than the client: see 'status' for its version"});
-  Context context{state_->comm,
-                  state_->clock,
-                  state_->scenes,
-                  std::move(slices),
-                  terms.received_seconds,
-                  state_->spares,
-                  state_->options.no_skip,
-                  state_->options.roots,
-                  state_->files,
-                  state_->options.bulk_bytes_max,
-                  terms,
-                  state_->clock.seconds()};
+  Context context{
+      state_->comm,   state_->clock,           state_->scenes,        std::move(slices), terms.received_seconds,
+      state_->spares, state_->options.no_skip, state_->options.roots, state_->files,     state_->options.bulk_bytes_max,
+      terms,          state_->clock.seconds()};
   // Before any work: it may have stood in the queue for long.
   if (command->second.computes)
     if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));

@@ -32,7 +32,7 @@ struct ServiceOptions {
   NoSkip no_skip = {};  // the same on all ranks
   // Folders for clients' files; null: none. Shared with the thread that reads and writes them.
   std::shared_ptr<const io::Roots> roots = {};
-  std::uint64_t bulk_bytes_max = 0;  // of the points that `load` reads; 0: no limit
+  std::uint64_t bulk_bytes_max = 0;     // of the points that `load` reads; 0: no limit
   SideThread::Start start_thread = {};  // for tests: starts the thread for clients' files
 };
 

@@ -120,12 +120,6 @@ Result<particles::ParticleSet> particles_of(io::Points points, const SliceTotals
   return set;
 }
 
-bool ids_are_rows(comm::Comm& comm, const particles::ParticleSet& set, std::uint64_t first_row) {
-  bool rows = true;
-  for (std::size_t i = 0; i < set.count() && rows; ++i) rows = set.id[i] == static_cast<particles::Id>(first_row + i);
-  return comm::agree(comm, rows);
-}
-
 // Reads this rank's slice. Collective. Errors: those of finish().
 Result<io::Points> read_slice(Context& context, const LoadRequest& load) {
   FileWork work(context.files);
@@ -172,14 +166,12 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
   if (Status status = agree_status(comm, particles.status()); !status.ok()) return failed(std::move(status));
   staged.arrays = std::move(particles).value();
   if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
-  if (Status status = check_values(comm, staged.arrays.view(), true, slices.first_row); !status.ok())
-    return failed(std::move(status));
-  if (slices.ids) {
-    if (const auto twin = duplicate_id(comm, staged.arrays.id.span()))
-      return failed({Code::invalid_argument, fmt::format("{}: id {} occurs more than once", load->path, *twin),
-                     "ids must be distinct"});
-    staged.ids = !ids_are_rows(comm, staged.arrays, slices.first_row);
-  }
+  if (Status status = check_values(comm, staged.arrays.view(), slices.ids); !status.ok()) return failed(status);
+  if (slices.ids)
+    if (Status status = check_distinct(comm, 0, {}, staged.arrays.id.span(), staged.n, staged.ids); !status.ok())
+      return failed({status.code(), fmt::format("{}: {}", load->path, status.message()), status.hint()});
+  staged.sums.id_sum = sum_ids(staged.arrays.id.span(), 0);
+  comm.all_sum({&staged.sums.id_sum, 1});
   Status room = agree_room_to_partition(comm, staged.arrays.count(), scene.options.parts);
   if (!room.ok()) return failed(std::move(room));
   // Last look at the deadline: from here on the command runs to its end, since the commit can't be stopped halfway.
@@ -190,10 +182,8 @@ Response load(Context& context, Scene& scene, const wire::Json& request) {
   push.id.step = load->step;
   push.n = staged.n;
   push.way = api::Way::file;
-  scene::Stepped stepped = commit(context, scene, staged, push, nullptr);
-  Response response =
-      done({{"report", to_json(stepped.report)},
-            {"plan", {{"version", scene.plan_version}, {"checksum", wire::hex64(scene.plan_checksum)}}}});
+  scene::Stepped stepped = commit(context, scene, staged, push);
+  Response response = done({{"report", to_json(stepped.report)}});
   if (context.root()) response.change = {scene.name, std::move(stepped)};
   return response;
 }

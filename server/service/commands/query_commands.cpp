@@ -111,28 +111,10 @@ Response fetch(Context& context, Scene& s, const wire::Json&) {
   return response;
 }
 
-Response plan(Context& context, Scene& s, const wire::Json&) {
-  if (Status room = check_room(context, s, 12); !room.ok()) return failed(std::move(room));
-  const std::uint64_t held = s.part.size();
-  const auto held_by_rank = gather_values<std::uint64_t>(context.comm, {&held, 1});
-  auto ids = gather_values<particles::Id>(context.comm, s.particles.id.span());
-  if (Status status = context.check_time(); !status.ok()) return failed(std::move(status));
-  auto parts = gather_values<std::int32_t>(context.comm, s.part.span());
-  Response response = done({{"counts", std::vector<std::uint64_t>(held_by_rank.begin(), held_by_rank.end())},
-                            {"plan", {{"version", s.plan_version}, {"checksum", wire::hex64(s.plan_checksum)}}},
-                            {"parts", s.options.parts},
-                            {"ranks", context.comm.size()}});
-  const std::uint64_t count = ids.size();
-  response.arrays.push_back(make_array("id", "<i8", count, ids.release_as<std::byte>()));
-  response.arrays.push_back(make_array("part", "<i4", count, parts.release_as<std::byte>()));
-  return response;
-}
-
 constexpr Command kQueryCommands[] = {{"owner", owner, Needs::cuts},
                                       {"box", box, Needs::cuts},
                                       {"assign", assign, Needs::positions, true},
-                                      {"fetch", fetch, Needs::positions, true},
-                                      {"plan", plan, Needs::positions, true}};
+                                      {"fetch", fetch, Needs::positions, true}};
 
 }  // namespace
 

@@ -11,7 +11,7 @@
 #include "server/service/commands/quality_json.hpp"
 #include "server/service/context/collective.hpp"
 #include "server/service/context/context.hpp"
-#include "server/service/step/migration.hpp"
+#include "server/service/step/exchange.hpp"
 #include "server/service/step/step.hpp"
 
 namespace rcb::service {
@@ -42,6 +42,13 @@ Result<RebalanceRequest> read_request(const wire::Json& request, const Scene& sc
   wanted.options.parts = parts;
   wanted.options.method = method.value();
   return wanted;
+}
+
+std::uint64_t count_differences(std::span<const std::int32_t> a, std::span<const std::int32_t> b) {
+  RCB_CHECK(a.size() == b.size(), "assignments of different length");
+  std::uint64_t count = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) count += static_cast<std::uint64_t>(a[i] != b[i]);
+  return count;
 }
 
 // Number of particles that the new parts would put on another rank. Collective.
@@ -102,8 +109,8 @@ Response rebalance(Context& context, Scene& scene, const wire::Json& request) {
     scene.options = options;
     scene.part = std::move(found->part);
     adopt(scene, {std::move(found->tree), found->rounds, found->reductions}, std::move(loads));
-    migrate(context.comm, scene, false);
-    if (context.root()) response.change = {scene.name, scene::Rebalanced{options, held_of(context, scene)}};
+    send_strangers(context.comm, scene, false);
+    if (context.root()) response.change = {scene.name, scene::Rebalanced{options, held_of(scene)}};
   }
   response.json["epoch"] = scene.epoch;
   response.json["seconds"] = context.clock.seconds() - start;

@@ -63,7 +63,7 @@ Response create(Context& context, const wire::Json& request) {
   if (exists) context.spares.push_back({name, {}});
   Scene& made = context.scenes.insert_or_assign(name, Scene::create(name, std::move(options).value())).first->second;
   Response response = done(wire::Json::object());
-  if (context.root()) response.change = {name, scene::Created{made.options, held_of(context, made)}};
+  if (context.root()) response.change = {name, scene::Created{made.options, held_of(made)}};
   return response;
 }
 
@@ -103,7 +103,7 @@ Response restore(Context& context, const wire::Json& request) {
     if (!tree.ok()) return failed(tree.status());
     scene.tree = std::move(*tree);
   }
-  if (const auto next = request.find("id_next"); next != request.end()) scene.id_next = next->get<std::uint64_t>();
+  if (const auto sum = request.find("id_sum"); sum != request.end()) scene.id_sum = sum->get<std::uint64_t>();
   context.scenes.insert_or_assign(name, std::move(scene));
   return done(wire::Json::object());
 }

@@ -36,17 +36,14 @@ Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what
   return agree_status(comm, room_for(comm, bytes, what));
 }
 
-Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered) {
-  return agree_status(comm, room_to_partition(comm, particles, parts, answered, 0));
+Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts) {
+  return agree_status(comm, room_to_partition(comm, particles, parts, 0));
 }
 
-Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered,
-                         std::uint64_t to_be_freed) {
+Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t to_be_freed) {
   constexpr std::uint64_t kBytesOfParticle = 64;  // where it is searched, changes part, leaves and arrives
   constexpr std::uint64_t kBytesOfPart = 1024;    // of the widest level of the tree
-  constexpr std::uint64_t kBytesAnswered = 24;    // an id and a part, as they come and as they go
-  const std::uint64_t bytes = particles * kBytesOfParticle + static_cast<std::uint64_t>(parts) * kBytesOfPart +
-                              (comm.rank() == 0 ? answered * kBytesAnswered : 0);
+  const std::uint64_t bytes = particles * kBytesOfParticle + static_cast<std::uint64_t>(parts) * kBytesOfPart;
   return room_for(comm, bytes - std::min(bytes, to_be_freed),
                   fmt::format("a partition of {} particles into {} parts", particles, parts));
 }
@@ -97,7 +94,9 @@ void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part) {
   put_in_order(part, order, spare);
 }
 
-std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids) {
+std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids,
+                                          std::uint64_t& greatest) {
+  comm.all_max({&greatest, 1});
   const auto ranks = static_cast<std::uint64_t>(comm.size());
   std::vector<Buffer<particles::Id>> to(ranks);
   for (const particles::Id id : ids) to[mix64(static_cast<std::uint64_t>(id)) % ranks].push_back(id);

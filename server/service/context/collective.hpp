@@ -29,12 +29,10 @@ Status agree_room(comm::Comm& comm, std::uint64_t bytes, const std::string& what
 // The same of this rank alone. Local.
 Status room_for(const comm::Comm& comm, std::uint64_t bytes, const std::string& what);
 
-// Likewise for what a partition of this rank's particles and its migration take, and the answer, which rank 0 gathers:
-// `answered` particles.
-Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered = 0);
+// Likewise for what a partition of this rank's particles and its migration take.
+Status agree_room_to_partition(comm::Comm& comm, std::uint64_t particles, int parts);
 // The same of this rank alone, which will have freed `to_be_freed` bytes by then. Local.
-Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t answered,
-                         std::uint64_t to_be_freed);
+Status room_to_partition(const comm::Comm& comm, std::uint64_t particles, int parts, std::uint64_t to_be_freed);
 
 // The k-th entry is the index of the particle with the k-th smallest id. Ids come in a few ascending runs (one from
 // each rank), so the runs are merged in pairs. Local.
@@ -60,7 +58,9 @@ void put_in_order(Buffer<T>& values, const Buffer<Slot>& order, Buffer<std::byte
 // Puts particles and their parts in ascending id. Local.
 void sort_by_id(particles::ParticleSet& particles, Buffer<std::int32_t>& part);
 
-// The smallest id that occurs more than once on all ranks together; nothing if all are distinct. Collective.
-std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids);
+// The smallest id that occurs more than once on all ranks together; nothing if all are distinct. `greatest` becomes
+// that of all ranks. Collective.
+std::optional<particles::Id> duplicate_id(comm::Comm& comm, std::span<const particles::Id> ids,
+                                          std::uint64_t& greatest);
 
 }  // namespace rcb::service

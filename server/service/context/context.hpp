@@ -67,7 +67,6 @@ struct Command {
 // One table for each family of commands; service.cpp joins them.
 std::span<const Command> scene_commands();
 std::span<const Command> push_commands();
-std::span<const Command> member_commands();
 std::span<const Command> query_commands();
 std::span<const Command> paged_commands();
 std::span<const Command> quality_commands();

@@ -11,29 +11,35 @@
 namespace rcb::service {
 namespace {
 
-Status check_changes(const Scene& scene, const api::Push& push) {
-  if (push.moved != Moved::all && !push.base_step)
-    return {Code::invalid_argument, "a push of few particles names no 'base_step'",
-            "name the step that the others' positions are those of"};
-  if (push.base_step && scene.step != push.base_step)
-    return {Code::base_lost,
-            scene.step ? fmt::format("the push builds on step {}, the last step of scene '{}' is {}", *push.base_step,
-                                     scene.name, *scene.step)
-                       : fmt::format("the push builds on step {}, scene '{}' has no positions yet", *push.base_step,
-                                     scene.name),
-            "push all particles"};
-  if (!scene.pushed && push.edits())
-    return {Code::invalid_argument,
-            fmt::format("scene '{}' has no particles yet to insert others beside or to remove", scene.name),
-            "push a first step with all of them"};
-  if (push.moved != Moved::all && push.weights)
-    return {Code::invalid_argument, "weights are replaced all together", "push all particles with their weights"};
-  if (push.removed > scene.n)
-    return {Code::invalid_argument,
-            fmt::format("{} particles are to be removed, scene '{}' has {}", push.removed, scene.name, scene.n)};
-  if (scene.n + push.inserted - push.removed > static_cast<std::uint64_t>(wire::kParticlesMax))
-    return {Code::too_large,
-            fmt::format("scene '{}' would have more than {} particles", scene.name, wire::kParticlesMax)};
+Result<Block> read_block(const wire::Json& json, int ranks) {
+  wire::FieldReader fields(json);
+  Block block;
+  block.member = static_cast<int>(fields.integer_or("member", 0, wire::kSessionsMax, 0));
+  block.n = fields.particles("n");
+  const std::string path = fields.word("path", {"gateway", "direct", "shared"});
+  block.way = path == "direct" ? api::Way::sockets : path == "shared" ? api::Way::shared_memory : api::Way::endpoint;
+  block.is_float32 = fields.word("dtype", {"<f8", "<f4"}) == "<f4";
+  for (const double count : fields.numbers("counts", static_cast<std::size_t>(ranks)))
+    block.counts.push_back(static_cast<std::uint64_t>(count));
+  if (!fields.ok()) return fields.status();
+  if (!block.counts.empty() && block.counts.size() != static_cast<std::size_t>(ranks))
+    return Status(Code::invalid_argument, "a block's counts aren't those of all ranks");
+  return block;
+}
+
+Status check_conserved(const Scene& scene, const PushRequest& push) {
+  if (push.removed > scene.n || push.n != scene.n - push.removed + push.inserted) {
+    const std::string change = push.inserted == 0 && push.removed == 0
+                                   ? ""
+                                   : fmt::format(", of which {} go and {} come", push.removed, push.inserted);
+    return {Code::not_conserved,
+            fmt::format("{} particles pushed, scene '{}' has {}{}", push.n, scene.name, scene.n, change),
+            "push all particles once; say how many come ('inserted') and go ('removed'), or create the scene anew with "
+            "replace"};
+  }
+  if ((push.inserted > 0 || push.removed > 0) && !push.ids && push.n > 0)
+    return {Code::invalid_argument, "particles come or go, and the push gives no ids",
+            "without ids a row is its particle; give ids to all of them"};
   return {};
 }
 
@@ -43,59 +49,44 @@ Result<PushRequest> read_order(const wire::Json& request, int ranks) {
   wire::FieldReader fields(request);
   api::PushId id{.scene = fields.text("scene", 64), .session = fields.text("session", 64)};
   id.step = fields.integer("step", 0, wire::kStepMax);
+  PushRequest order;
+  order.members = static_cast<int>(fields.integer_or("members", 0, wire::kSessionsMax, 0));
   if (!fields.ok()) return fields.status();
   auto push = api::read_push(request, std::move(id), ranks);
   if (!push.ok()) return push.status();
-  PushRequest order{std::move(*push), request.contains("staged"), {}, {}};
+  static_cast<api::Push&>(order) = std::move(*push);
   if (const auto terms = request.find("terms"); terms != request.end()) order.terms = scene::read_terms(*terms);
+  order.way = scene::way_from_name(request.value("way", ""));
+  const auto blocks = request.find("blocks");
+  std::uint64_t n = 0;
+  if (blocks != request.end() && blocks->is_array())
+    for (const wire::Json& one : *blocks) {
+      auto block = read_block(one, ranks);
+      if (!block.ok()) return block.status();
+      n += block->n;
+      order.blocks.push_back(*block);
+    }
+  if (n != order.n)
+    return Status(Code::invalid_argument, fmt::format("the blocks have {} rows, the push has {}", n, order.n));
   return order;
 }
 
-// A push that brings the particles of the last step to ranks that were started anew.
-static Status check_refill(const Scene& scene, const PushRequest& push) {
-  if (scene.pushed || scene.epoch == 0)
-    return {Code::invalid_argument, fmt::format("scene '{}' lacks no particles", scene.name), "push a step"};
-  const auto with = [](bool there) { return there ? "with" : "without"; };
-  const bool ids = push.ids || push.members() > 0 || push.n == 0 || !scene.ids;
-  if (push.n != scene.n || push.weights != scene.particles.has_weights || !ids)
-    return {Code::invalid_argument,
-            fmt::format("{} particles {} weights, {} ids are brought, scene '{}' has {} {} weights, {} ids", push.n,
-                        with(push.weights), with(push.ids), scene.name, scene.n, with(scene.particles.has_weights),
-                        with(scene.ids)),
-            "bring all particles of the last step"};
-  if (push.moved != Moved::all || push.edits() || (push.from_memory() && !push.by_id) ||
-      (!push.by_id && push.plan.version != 0))
-    return {Code::invalid_argument,
-            "particles that the ranks lack are brought as in a first push: all, none inserted "
-            "or removed, and from shared memory in order \"id\""};
-  return {};
-}
-
 Status check_request(const Scene& scene, const PushRequest& push) {
-  if (push.refill) return check_refill(scene, push);
-  if (!scene.pushed && scene.epoch > 0)
-    return {Code::base_lost,
-            fmt::format("the ranks hold no particles of scene '{}' since the service was started", scene.name),
-            "bring all of them first: push.begin with \"refill\""};
   if (scene.step && push.id.step <= *scene.step) return scene::stale_step(scene.name, push.id.step, *scene.step);
-  if (scene.pushed && push.n != scene.n)
-    return {Code::invalid_argument, fmt::format("{} particles pushed, scene '{}' has {}", push.n, scene.name, scene.n),
-            "push all of the scene's particles, or create a scene anew with --replace"};
-  if (Status status = check_changes(scene, push); !status.ok()) return status;
-  if (scene.pushed && push.ids) return {Code::invalid_argument, "ids may come with a scene's first push alone"};
-  if (scene.pushed && push.weights && !scene.particles.has_weights)
-    return {Code::invalid_argument, fmt::format("scene '{}' has no weights", scene.name),
-            "weights must be there from the first push on"};
-  if (scene.pushed && !push.by_id && push.moved != Moved::none &&
-      (push.plan.version != scene.plan_version || push.plan.checksum != scene.plan_checksum))
-    return {
-        Code::stale_plan,
-        fmt::format("push has plan version {}, scene '{}' is at {}", push.plan.version, scene.name, scene.plan_version),
-        "fetch the plan and push again"};
-  if (!scene.pushed && !push.by_id && push.plan.version != 0)
-    return {Code::stale_plan,
-            fmt::format("push has plan version {}, but scene '{}' has no positions yet", push.plan.version, scene.name),
-            "the first push goes by blocks of rows, plan version 0"};
+  if (scene.epoch == 0) return {};
+  if (Status status = check_conserved(scene, push); !status.ok() || push.n == 0) return status;
+  if (scene.n == 0) return {};  // as at a first push
+  if (scene.ids && !push.ids)
+    return {Code::invalid_argument, fmt::format("scene '{}' has ids, and the push gives none", scene.name),
+            "give the id of each row"};
+  if (push.weights != scene.particles.has_weights && (push.weights || !push.of_held(scene)))
+    return {Code::invalid_argument,
+            fmt::format("the push has {}weights, scene '{}' has {}", push.weights ? "" : "no ", scene.name,
+                        push.weights ? "none" : "some"),
+            "weights are there from the first push on, or never"};
+  if (push.of_held(scene) && push.ids)
+    return {Code::unsupported, "rows with ids can't be found by the particles that the ranks hold",
+            "say in 'row' and 'counts' which rows each rank is to take"};
   return {};
 }
 

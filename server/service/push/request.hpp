@@ -11,21 +11,32 @@
 
 namespace rcb::service {
 
-using api::Moved;
+// What all ranks know of a block of the step.
+struct Block {
+  int member = 0;
+  std::uint64_t n = 0;
+  api::Way way = api::Way::endpoint;
+  bool is_float32 = false;
+  std::vector<std::uint64_t> counts;  // by rank, if its client has said which rows are whose
+};
 
 struct PushRequest : api::Push {
-  bool staged = false;          // the ranks received their slices directly
-  scene::DecisionTerms terms;   // of rank 0's ledger
-  std::vector<Moved> moved_by;  // by member of a parallel solver; empty: a single client pushes
+  scene::DecisionTerms terms;  // of rank 0's ledger
+  int members = 0;             // of a parallel solver; 0: a single client pushes
+  std::vector<Block> blocks;   // those that have rows, by ascending member
 
-  int members() const { return static_cast<int>(moved_by.size()); }
+  // The rows are those of the particles that the ranks hold, in shared memory.
+  bool of_held(const Scene& scene) const {
+    return scene.pushed && scene.n > 0 && blocks.size() == 1 && blocks.front().way == api::Way::shared_memory &&
+           blocks.front().counts.empty();
+  }
 };
 
 // Local. Errors: invalid_argument.
 Result<PushRequest> read_order(const wire::Json& request, int ranks);
 
-// Checks step, base step, number of particles and layout. Local, with the same result on every rank. Errors:
-// stale_step, stale_plan, base_lost, invalid_argument, too_large.
+// Checks step, number of particles, ids and weights. Local, with the same result on every rank. Errors: stale_step,
+// not_conserved, invalid_argument, unsupported.
 Status check_request(const Scene& scene, const PushRequest& push);
 
 }  // namespace rcb::service

@@ -23,7 +23,7 @@ using particles::Range;
 constexpr std::size_t kPending = 2048;  // particles classified by the tree at a time; their copies fit in the cache
 
 // The positions of a block of particles, by axis.
-struct Block {
+struct Chunk {
   std::array<const double*, 3> x;
   std::size_t size;
 
@@ -36,12 +36,12 @@ class Pending {
   Pending(const Scene& scene, const particles::ParticleView& view, Scan& scan)
       : scene_(scene), view_(view), scan_(scan) {}
 
-  // i: the particle's index in the view; k: in its block.
-  void add(const Block& block, std::size_t k, std::size_t i, std::size_t slot) {
+  // k: the particle's index in its block.
+  void add(const Chunk& block, std::size_t k, std::size_t slot) {
     if (slot_.empty()) reserve();
     slot_.push_back(slot);
     for (std::size_t a = 0; a < static_cast<std::size_t>(view_.dims); ++a) position_[a].push_back(block.x[a][k]);
-    id_.push_back(view_.id[i]);
+    id_.push_back(view_.id[slot]);
     if (slot_.size() == kPending) flush();
   }
 
@@ -93,60 +93,37 @@ class Pass {
   // read(begin, size): the positions of the block of particles that begins there.
   template <typename Read>
   void run_blocks(const Read& read) {
-    ranges_known_ = scan_.ranges.known();
     for (std::size_t a = 0; a < axes(); ++a) scan_.ranges.of[a].resize(particles::blocks_of(view_.count));
     for (std::size_t begin = 0; begin < view_.count; begin += kBlock) {
-      const Block block{read(begin, size_at(begin)), size_at(begin)};
+      const Chunk block{read(begin, size_at(begin)), size_at(begin)};
       if (stays(block, begin)) continue;
       for (std::uint64_t bits = outside(block, part_ + begin); bits != 0; bits &= bits - 1) {
         const auto k = static_cast<std::size_t>(std::countr_zero(bits));
-        pending_.add(block, k, begin + k, begin + k);
+        pending_.add(block, k, begin + k);
       }
     }
     pending_.flush();
-  }
-
-  void run_each(std::span<const std::uint64_t> slots) {
-    std::array<std::int32_t, kBlock> part;
-    for (std::size_t begin = 0; begin < view_.count; begin += kBlock) {
-      for (std::size_t k = 0; k < size_at(begin); ++k) part[k] = part_[slots[begin + k]];
-      const Block block{in_view(begin), size_at(begin)};
-      for (std::uint64_t bits = outside(block, part.data()); bits != 0; bits &= bits - 1) {
-        const auto k = static_cast<std::size_t>(std::countr_zero(bits));
-        pending_.add(block, k, begin + k, slots[begin + k]);
-      }
-    }
-    pending_.flush();
-  }
-
-  std::array<const double*, 3> in_view(std::size_t begin) const {
-    std::array<const double*, 3> x{};
-    for (std::size_t a = 0; a < axes(); ++a) x[a] = view_.position[a] + begin;
-    return x;
   }
 
  private:
   std::size_t axes() const { return static_cast<std::size_t>(view_.dims); }
   std::size_t size_at(std::size_t begin) const { return std::min(kBlock, view_.count - begin); }
 
-  // True if the block is of one part and strictly within its region. Fills in the block's ranges if they aren't known.
-  bool stays(const Block& block, std::size_t begin) {
+  // True if the block is of one part and strictly within its region. Fills in the block's ranges.
+  bool stays(const Chunk& block, std::size_t begin) {
     const std::int32_t* const part = part_ + begin;
     std::int32_t other = 0;
     for (std::size_t i = 0; i < block.size; ++i) other |= part[i] ^ part[0];
     bool inside = other == 0;
     for (std::size_t a = 0; a < axes(); ++a) {
       Range& range = scan_.ranges.of[a][begin / kBlock];
-      if (other != 0)
-        range = Range::everything();
-      else if (!ranges_known_)
-        range = particles::range_of(block.axis(a));
+      range = other != 0 ? Range::everything() : particles::range_of(block.axis(a));
       inside = inside && regions_.hold(a, part[0], range);
     }
     return inside;
   }
 
-  std::uint64_t outside(const Block& block, const std::int32_t* part) const {
+  std::uint64_t outside(const Chunk& block, const std::int32_t* part) const {
     std::uint64_t bits = 0;
     for (std::size_t a = 0; a < axes(); ++a) bits |= regions_.outside(a, block.axis(a), part);
     return bits;
@@ -157,7 +134,6 @@ class Pass {
   const particles::ParticleView& view_;
   Scan& scan_;
   Pending pending_;
-  bool ranges_known_ = false;
 };
 
 // Staged positions of this many bytes aren't in the cache any more when they are next read. They are written past it,
@@ -196,25 +172,14 @@ void refresh_regions(Scene& scene, int rank, int ranks) {
 
 }  // namespace
 
-Scan scan_positions(Scene& scene, const particles::ParticleView& view, particles::BlockRanges ranges, int rank,
-                    int ranks) {
-  Scan scan{.ranges = std::move(ranges)};
-  if (view.count == 0) return scan;
-  refresh_regions(scene, rank, ranks);
-  Pass pass(scene, view, scan);
-  pass.run_blocks([&pass](std::size_t begin, std::size_t) { return pass.in_view(begin); });
-  if (view.weight != nullptr) scan.fault |= bad_weights(view.weight, view.count);
-  return scan;
-}
-
-Scan scan_shared(Scene& scene, const SharedSource& source, std::span<const particles::Id> rows,
-                 particles::ParticleSet& staged, int rank, int ranks) {
+Scan scan_shared(Scene& scene, const SharedSource& source, particles::ParticleSet& staged, int rank, int ranks) {
   constexpr std::size_t kBlocksAhead = 2;
   Scan scan;
   particles::ParticleView view = staged.view();
   view.count = scene.particles.count();
   view.id = scene.particles.id.data();
   if (view.count == 0) return scan;
+  const std::span<const particles::Id> rows = scene.particles.id.span();
   refresh_regions(scene, rank, ranks);
   const auto dims = static_cast<std::size_t>(view.dims);
   const bool streams = view.count * dims * sizeof(double) >= kStreamedBytesMin;
@@ -234,54 +199,6 @@ Scan scan_shared(Scene& scene, const SharedSource& source, std::span<const parti
   if (streams) finish_streams();
   if (view.weight != nullptr) scan.fault |= bad_weights(view.weight, view.count);
   return scan;
-}
-
-Scan scan_subset(Scene& scene, const particles::ParticleView& view, std::span<const std::uint64_t> slots, int rank,
-                 int ranks) {
-  Scan scan;
-  if (slots.empty()) return scan;
-  refresh_regions(scene, rank, ranks);
-  Pass(scene, view, scan).run_each(slots);
-  return scan;
-}
-
-std::vector<std::uint64_t> count_changes(const Scene& scene, const Drift& drift) {
-  std::vector<std::uint64_t> change(static_cast<std::size_t>(scene.options.parts), 0);
-  for (std::size_t k = 0; k < drift.count(); ++k) {
-    --change[static_cast<std::size_t>(scene.part[drift.slot[k]])];
-    ++change[static_cast<std::size_t>(drift.part[k])];
-  }
-  return change;
-}
-
-StepSums sum_scans(comm::Comm& comm, const Scene& scene, const Scan& scan, bool fault) {
-  const int ranks = comm.size();
-  const auto across = static_cast<std::size_t>(ranks);
-  const std::size_t pairs = ranks <= StepSums::kRanksMax ? across * across : 0;
-  const bool counts = scene.options.parts <= StepSums::kPartsMax && !scene.particles.has_weights;
-  std::vector<std::uint64_t> cells(3 + pairs, 0);
-  cells[0] = fault ? 1 : 0;
-  if (!fault) {
-    cells[1] = scan.drift.count();
-    for (const std::int32_t part : scan.drift.part) {
-      const auto to = static_cast<std::size_t>(layout::rank_of_part(part, scene.options.parts, ranks));
-      if (to == static_cast<std::size_t>(comm.rank())) continue;
-      ++cells[2];
-      if (pairs > 0) ++cells[3 + static_cast<std::size_t>(comm.rank()) * across + to];
-    }
-  }
-  if (counts && !fault) {
-    const auto change = count_changes(scene, scan.drift);
-    cells.insert(cells.end(), change.begin(), change.end());
-  } else if (counts) {
-    cells.resize(cells.size() + static_cast<std::size_t>(scene.options.parts), 0);
-  }
-  comm.all_sum(cells);
-  StepSums sums{cells[0], cells[1], cells[2], {}, {}};
-  const auto matrix = cells.begin() + 3;
-  sums.from_to.assign(matrix, matrix + static_cast<std::ptrdiff_t>(pairs));
-  sums.count_change.assign(matrix + static_cast<std::ptrdiff_t>(pairs), cells.end());
-  return sums;
 }
 
 }  // namespace rcb::service

@@ -87,6 +87,10 @@ void SharedSource::weights(std::uint64_t first_row, std::uint64_t count, double*
   read_range<read_f8>(weight_.first + first_row * weight_.stride, weight_.stride, count, to);
 }
 
+void SharedSource::ids(std::span<const particles::Id> rows, particles::Id* to) const {
+  read_rows<read_i8>(id_.first, id_.stride, rows, to);
+}
+
 void SharedSource::ids(std::uint64_t first_row, std::uint64_t count, particles::Id* to) const {
   read_range<read_i8>(id_.first + first_row * id_.stride, id_.stride, count, to);
 }

@@ -28,6 +28,7 @@ class SharedSource {
   void positions(std::size_t axis, std::uint64_t first_row, std::uint64_t count, double* to) const;
   void weights(std::span<const particles::Id> rows, double* to) const;
   void weights(std::uint64_t first_row, std::uint64_t count, double* to) const;
+  void ids(std::span<const particles::Id> rows, particles::Id* to) const;
   void ids(std::uint64_t first_row, std::uint64_t count, particles::Id* to) const;
   // The slice's share of the array "row": the rows of this rank's particles. Errors: invalid_argument (there is no such
   // row).

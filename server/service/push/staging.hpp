@@ -1,49 +1,71 @@
-// Room `push`: turns received slices into checked particles on the ranks that hold them. A failure here changes
-// nothing.
+// Room `push`: turns the blocks of a step into checked particles. A failure here changes nothing.
 //
-// Prepare: brings the particles of a push to the ranks that hold them and checks them. They are kept beside the scene's
-// particles, not yet in the scene.
+// Prepare: reads the blocks, finds the part of every row under the cuts in force, and checks all of it. The particles
+// are kept beside the scene's, not yet in the scene.
 #pragma once
 
-#include <optional>
-#include <string>
+#include <cstdint>
+#include <vector>
 
 #include "server/service/context/context.hpp"
-#include "server/service/push/edits.hpp"
+#include "server/service/push/blocks.hpp"
 #include "server/service/push/request.hpp"
 #include "server/service/push/scan.hpp"
-#include "server/service/push/subset.hpp"
 
 namespace rcb::service {
 
+// Sums over all ranks.
+struct StepSums {
+  static constexpr int kPartsMax = 1024;  // with more parts, counts aren't part of this reduction
+  static constexpr int kRanksMax = 16;    // with more ranks, from_to isn't part of this reduction
+
+  std::uint64_t faults = 0;            // ranks with a fault
+  std::uint64_t rows = 0;              // read
+  std::uint64_t drifted = 0;           // particles that left the part in which the ranks held them
+  std::uint64_t strangers = 0;         // rows outside their member's parts
+  std::uint64_t id_sum = 0;            // of a new set: of mix64(id)
+  std::uint64_t keyed_sum = 0;         // likewise, of mix64(id + key)
+  std::uint64_t exported = 0;          // particles whose part another rank owns
+  std::vector<std::uint64_t> from_to;  // [from][to]: of these; empty above kRanksMax
+  // By part: how many particles a new set has, or else by how many there are more, mod 2^64; empty above kPartsMax,
+  // with weights and without cuts.
+  std::vector<std::uint64_t> counts;
+};
+
 struct Staged {
   std::uint64_t n = 0;
-  bool ids = false;                    // ids aren't 0..n-1
-  particles::ParticleSet arrays;       // this rank's; ids only at a first push, weights only if sent
-  std::optional<SharedSource> source;  // of positions that the scan is to read
-  Buffer<particles::Id> rows;          // in `source`, of this rank's particles; empty: their ids
-  bool joined = false;                 // the positions were joined from members' slices, in memory of the scene's
-  Subset subset;                       // Moved::some: the slots of `arrays`, which then have ids
-  Edits edits;
+  bool ids = false;   // they aren't 0..n-1
+  bool held = false;  // `arrays` are new values of the particles that the rank holds; else a new set of them
+  particles::ParticleSet arrays;       // this rank's; of held particles without ids, weights only if sent
+  Buffer<std::int32_t> part;           // of a new set, under the cuts in force; empty without cuts
+  Scan scan;                           // of held particles
+  std::vector<std::uint64_t> exports;  // slots, ascending, of particles whose part another rank owns
+  StepSums sums;
   std::uint64_t bytes = 0;  // of all arrays, as received
   double seconds = 0;       // time to receive and stage
-  Scan scan;                // unset at a scene's first push
-  StepSums sums;
+  bool took_slice = false;  // the arrays are those that the listener received
 
-  // The ranges of the blocks' positions; nullptr if no scan has read all positions.
+  // The ranges of the blocks' positions; nullptr if they aren't known.
   const particles::BlockRanges* ranges() const { return scan.ranges.known() ? &scan.ranges : nullptr; }
 };
 
-// Number of particles that the rank holds before a push of n particles: those of its parts or, at a first push, of its
-// block of rows. Local.
-std::uint64_t held_by(const Scene& scene, std::uint64_t n, int rank, int ranks);
+// Number of particles that a rank holds. Local.
+std::uint64_t held_by(const Scene& scene, int rank, int ranks);
 
-// Collective. Leaves the scene as it was, except for what it caches (regions, index of ids, next id). Errors: faults of
-// the push, the same on every rank. If the ranks received their slices directly, a step after the first costs one scan
-// and one reduction.
+// Collective. Leaves the scene as it was, except for what it caches (regions, spare memory). Errors: faults of the
+// push, the same on every rank: those of check_request() and read_blocks(), not_finite, invalid_argument,
+// not_conserved, duplicate_id, too_large.
 Result<Staged> prepare(Context& context, Scene& scene, const PushRequest& push);
 
 // Gives the memory that the commit swapped out to the next push, so that a step touches no fresh memory. Local.
-void give_back(Context& context, Scene& scene, const PushRequest& push, Staged& staged);
+void give_back(Context& context, Scene& scene, Staged& staged);
+
+// The sum of mix64(id + key). Local.
+std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key);
+
+// The smallest id that several of these have, on all ranks together: duplicate_id, naming the members that push it, by
+// runs. Sets `other` to whether they aren't 0..n-1. Collective.
+Status check_distinct(comm::Comm& comm, int members, const std::vector<Run>& runs, std::span<const particles::Id> ids,
+                      std::uint64_t n, bool& other);
 
 }  // namespace rcb::service

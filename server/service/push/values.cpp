@@ -50,14 +50,14 @@ std::optional<ValueFault> first_fault(const particles::ParticleView& view) {
   return std::nullopt;
 }
 
-Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row) {
+Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool has_ids) {
   std::uint64_t least = kNone;
   std::optional<ValueFault> fault;
   if (suspicious(view))
     for (std::size_t i = 0; i < view.count; ++i) {
       auto found = fault_of(view, i);
       if (!found) continue;
-      const std::uint64_t name = first ? first_row + i : static_cast<std::uint64_t>(view.id[i]);
+      const std::uint64_t name = std::min(static_cast<std::uint64_t>(view.id[i]), kNone - 1);  // below 0: the last
       if (name < least) least = name, fault = std::move(found);
     }
   std::uint64_t global_least = least;
@@ -66,8 +66,7 @@ Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool 
   Status mine;
   if (least == global_least)
     mine = {fault->code,
-            first ? fmt::format("particle {} (index, from 0): {}", least, fault->text)
-                  : fmt::format("particle {}: {}", least, fault->text),
+            fmt::format("particle {}{}: {}", view.id[fault->particle], has_ids ? "" : " (index, from 0)", fault->text),
             kGoodValues};
   return agree_status(comm, mine);
 }

@@ -16,8 +16,8 @@ using particles::ValueFault;
 // The fault of the first particle that has one. Local.
 std::optional<ValueFault> first_fault(const particles::ParticleView& view);
 
-// Collective. Checks that positions and weights are finite, weights >= 0 and ids >= 0. The error names the first
-// offender: at a first push by its row (`first_row` is this rank's first row), later by its id.
-Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool first, std::uint64_t first_row);
+// Collective. Checks that positions and weights are finite, weights >= 0 and ids >= 0. The error names the offender
+// with the smallest id. has_ids: ids were given; else they are rows.
+Status check_values(comm::Comm& comm, const particles::ParticleView& view, bool has_ids);
 
 }  // namespace rcb::service

@@ -5,20 +5,17 @@
 //
 // Invariants
 // 1. Everything but `particles` and `part` is the same on all ranks.
-// 2. After every order this rank holds exactly the particles of its parts, in the layout's order, and part[i] is the
-//    part of particle i under `tree`.
+// 2. After every order this rank holds exactly the particles of its parts, in any order, and part[i] is the part of
+//    particle i under `tree`.
 // 3. `step` is that of the positions held; later steps may have been counted only. `loads` are those of these
 // positions.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
-
-#include <boost/unordered/unordered_flat_map.hpp>
 
 #include "common/base/buffer.hpp"
 #include "common/cuts/cuts.hpp"
@@ -32,19 +29,22 @@ namespace rcb::service {
 using scene::SceneOptions;
 using scene::StepReport;
 
-// The slot of each id that this rank holds. Built when it is first needed, then updated with the particles.
-struct IdIndex {
-  boost::unordered_flat_map<particles::Id, std::uint64_t> slot;
-  std::optional<std::uint64_t> plan_version;  // the version of the layout that it describes
+// Another sum of the ids, with a key that no client knows: whoever pushes other ids, or one twice, can't make it come
+// out right. none: not drawn yet.
+struct IdKey {
+  std::optional<std::uint64_t> key;
+  std::uint64_t sum = 0;  // of mix64(id + key), all ranks
 };
 
 struct Scene {
   std::string name;
   SceneOptions options;
 
-  bool pushed = false;     // a first push was committed
-  bool ids = false;        // ids aren't 0..n-1
+  bool pushed = false;  // a first push was committed
+  bool ids = false;     // given by the solver; else 0..n-1
   std::uint64_t n = 0;
+  std::optional<std::uint64_t> id_sum;  // of mix64(id), all ranks; none: not known
+  IdKey key;
   particles::ParticleSet particles;
   Buffer<std::int32_t> part;
 
@@ -63,13 +63,7 @@ struct Scene {
   std::uint64_t search_rounds = 0;  // of the search for the current partition
   std::uint64_t search_reductions = 0;
 
-  std::uint64_t plan_version = 0;
-  std::uint64_t plan_checksum = 0;
-
-  std::array<Buffer<double>, 3> spare;  // memory for the next push from shared memory
-
-  IdIndex index;
-  std::optional<std::uint64_t> id_next;  // above every id ever used; set at the first insertion or removal
+  std::vector<Buffer<std::byte>> spare;  // memory for the next push, array by array
 
   std::optional<std::int64_t> step;
   std::optional<cuts::Cuts> known_cuts;  // those of snapshot()

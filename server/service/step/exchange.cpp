@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <limits>
-#include <new>
 #include <numeric>
 #include <utility>
 
@@ -13,6 +11,17 @@
 
 namespace rcb::service {
 namespace {
+
+// The local particles whose part another rank owns.
+struct Exports {
+  std::vector<std::uint64_t> counts;  // by destination rank
+  std::vector<std::uint64_t> slots;   // ascending
+};
+
+struct Arrivals {
+  particles::ParticleSet particles;
+  Buffer<std::int32_t> part;
+};
 
 // Calls apply(scene's array, arrivals' array) for every array of particle data.
 template <typename Apply>
@@ -217,58 +226,108 @@ void change_all(comm::Comm& comm, Scene& scene, Exports exports, std::span<const
   change(scene.part);
 }
 
-// Updates the index of ids, if it is current, for an edit that raises the layout's version by one.
-void keep_index(Scene& scene, const layout::SlotEdit& edit, const Exports& exports, const Arrivals& arrivals) {
-  IdIndex& index = scene.index;
-  if (index.plan_version != scene.plan_version) return;
-  try {
-    for (const std::uint64_t slot : exports.slots) index.slot.erase(scene.particles.id[slot]);
-    for (const layout::SlotMove& move : edit.moves)
-      index.slot[move.arrival ? arrivals.particles.id[move.from] : scene.particles.id[move.from]] = move.to;
-    index.plan_version = scene.plan_version + 1;
-  } catch (const std::bad_alloc&) {
-    index = {};  // who needs it makes it anew, and is told if there is no memory for it
+// What a rank does with its arrays when few particles leave and arrive.
+struct SlotMove {
+  std::uint64_t to;
+  std::uint64_t from;  // number of the arrival, else a slot behind the new end
+  bool arrival;
+};
+
+// No slot that a particle comes from is one that another goes to, so the order of moves doesn't matter. leaving:
+// ascending. Work in proportion to what leaves and arrives.
+std::vector<SlotMove> moves_of(std::uint64_t count, std::span<const std::uint64_t> leaving, std::uint64_t arrivals) {
+  const std::uint64_t new_count = count - leaving.size() + arrivals;
+  std::vector<SlotMove> moves;
+  moves.reserve(std::max<std::size_t>(arrivals, leaving.size()));
+  const std::uint64_t into_holes = std::min<std::uint64_t>(arrivals, leaving.size());
+  for (std::uint64_t i = 0; i < into_holes; ++i) moves.push_back({leaving[i], i, true});
+  for (std::uint64_t i = into_holes; i < arrivals; ++i) moves.push_back({count + i - into_holes, i, true});
+  // Fewer arrivals than exports: particles in slots behind the new end move into the holes that are left.
+  auto gone = std::lower_bound(leaving.begin(), leaving.end(), new_count);
+  std::size_t hole = into_holes;
+  for (std::uint64_t slot = new_count; slot < count; ++slot) {
+    if (gone != leaving.end() && *gone == slot)
+      ++gone;
+    else
+      moves.push_back({leaving[hole++], slot, false});
   }
+  return moves;
+}
+
+// Arrivals fill free slots, the other particles keep theirs. Local.
+void fill_holes(Scene& scene, std::span<const std::uint64_t> leaving, Arrivals& arrivals) {
+  const std::size_t count = scene.part.size();
+  const std::size_t new_count = count - leaving.size() + arrivals.part.size();
+  const std::vector<SlotMove> moves = moves_of(count, leaving, arrivals.part.size());
+  for_each_array(scene, arrivals, [&](auto& mine, auto& theirs) {
+    mine.resize(std::max(count, new_count));
+    for (const SlotMove& move : moves) mine[move.to] = move.arrival ? theirs[move.from] : mine[move.from];
+    mine.resize(new_count);
+  });
+}
+
+// from: by rank, how many particles arrive from it; changed: exports, all ranks together. Collective.
+void exchange_particles(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
+                        std::uint64_t changed, bool full, const ExchangeLimits& limits) {
+  if (!full) {
+    Arrivals arrivals = receive_apart(comm, scene, exports, from, changed <= limits.few, limits);
+    fill_holes(scene, exports.slots, arrivals);
+    return;
+  }
+  const std::uint64_t slots = std::accumulate(from.begin(), from.end(), std::uint64_t{scene.part.size()});
+  if (slots <= limits.narrow_slots)
+    change_all<std::uint32_t>(comm, scene, std::move(exports), from, limits);
+  else
+    change_all<std::uint64_t>(comm, scene, std::move(exports), from, limits);
+}
+
+Exports exports_of(const comm::Comm& comm, const Scene& scene, std::vector<std::uint64_t> slots) {
+  Exports exports{std::vector<std::uint64_t>(static_cast<std::size_t>(comm.size()), 0), std::move(slots)};
+  for (const std::uint64_t slot : exports.slots)
+    ++exports
+          .counts[static_cast<std::size_t>(layout::rank_of_part(scene.part[slot], scene.options.parts, comm.size()))];
+  return exports;
+}
+
+// Collective.
+std::uint64_t send(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots, bool first,
+                   const ExchangeLimits& limits) {
+  std::uint64_t changed = slots.size();
+  comm.all_sum({&changed, 1});
+  if (changed == 0 && !first) return 0;
+  Exports exports = exports_of(comm, scene, std::move(slots));
+  std::vector<std::uint64_t> from(exports.counts.size());
+  if (changed > 0) comm::exchange_counts(comm, exports.counts, from);
+  exchange_particles(comm, scene, std::move(exports), from, changed, first || is_full_change(changed, scene.n), limits);
+  return changed;
 }
 
 }  // namespace
 
-void count_by_rank(const comm::Comm& comm, const Scene& scene, Exports& exports) {
-  exports.counts.assign(static_cast<std::size_t>(comm.size()), 0);
-  for (const std::uint64_t slot : exports.slots)
-    ++exports
-          .counts[static_cast<std::size_t>(layout::rank_of_part(scene.part[slot], scene.options.parts, comm.size()))];
+std::uint64_t send_strangers(comm::Comm& comm, Scene& scene, bool first, const ExchangeLimits& limits) {
+  const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
+  std::vector<std::uint64_t> slots;
+  for (std::size_t i = 0; i < scene.part.size(); ++i)
+    if (!own.has(scene.part[i])) slots.push_back(i);
+  return send(comm, scene, std::move(slots), first, limits);
 }
 
-std::uint64_t fill_holes(Scene& scene, int rank, const Exports& exports, Arrivals& arrivals,
-                         const layout::SlotEdit& edit) {
-  keep_index(scene, edit, exports, arrivals);
-  const std::uint64_t gain = layout::checksum_change(edit, rank, scene.particles.id.span(), exports.slots,
-                                                     std::as_const(arrivals.particles.id).span());
-  for_each_array(scene, arrivals,
-                 [&edit](auto& mine, auto& theirs) { layout::apply_edit(edit, mine, std::as_const(theirs).span()); });
-  return gain;
+std::uint64_t send_strangers_among(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots) {
+  const layout::PartRange own = layout::parts_of_rank(comm.rank(), scene.options.parts, comm.size());
+  std::erase_if(slots, [&](std::uint64_t slot) { return own.has(scene.part[slot]); });
+  return send(comm, scene, std::move(slots), false, {});
 }
 
-void exchange_particles(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
-                        std::uint64_t changed, bool full, const ExchangeLimits& limits) {
-  std::uint64_t checksum = 0;
-  if (full) {
-    const std::uint64_t slots = std::accumulate(from.begin(), from.end(), std::uint64_t{scene.part.size()});
-    if (slots <= limits.narrow_slots)
-      change_all<std::uint32_t>(comm, scene, std::move(exports), from, limits);
-    else
-      change_all<std::uint64_t>(comm, scene, std::move(exports), from, limits);
-    checksum = layout::checksum_of_rank(comm.rank(), scene.particles.id.span());
-  } else {
-    Arrivals arrivals = receive_apart(comm, scene, exports, from, changed <= limits.few, limits);
-    sort_by_id(arrivals.particles, arrivals.part);
-    checksum = fill_holes(scene, comm.rank(), exports, arrivals,
-                          layout::edit_of_rank(scene.part.size(), exports.slots, arrivals.part.size()));
-  }
-  comm.all_sum({&checksum, 1});
-  scene.plan_checksum = full ? checksum : scene.plan_checksum + checksum;
-  ++scene.plan_version;
+void send_exports(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots, std::uint64_t changed,
+                  std::span<const std::uint64_t> from_to) {
+  Exports exports = exports_of(comm, scene, std::move(slots));
+  const auto ranks = static_cast<std::size_t>(comm.size());
+  std::vector<std::uint64_t> from(ranks);
+  if (from_to.empty())
+    comm::exchange_counts(comm, exports.counts, from);
+  else
+    for (std::size_t r = 0; r < ranks; ++r) from[r] = from_to[r * ranks + static_cast<std::size_t>(comm.rank())];
+  exchange_particles(comm, scene, std::move(exports), from, changed, is_full_change(changed, scene.n), {});
 }
 
 }  // namespace rcb::service

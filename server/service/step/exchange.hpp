@@ -1,9 +1,12 @@
-// Exchange: moves the particles that change their rank to their new ranks, and updates the layout.
+// Exchange: moves the particles whose part another rank owns to that rank.
 //
 // Invariants
 // 1. Every particle travels once, straight to the rank that owns its part: array after array if there are many, in one
 //    exchange if there are few.
-// 2. Memory of a rank for a full change, besides its particles (before or after it, whichever are more): 12 bytes for
+// 2. After a full change a rank holds its particles in ascending id. After another one those that stay keep their
+// slots;
+//    the others fill what is free.
+// 3. Memory of a rank for a full change, besides its particles (before or after it, whichever are more): 12 bytes for
 //    each of them, 8 for each arriving and 4 for each leaving particle, if slots fit in 32 bits; and
 //    ExchangeLimits::round_bytes for what is being sent. The given list of exports is freed first.
 #pragma once
@@ -12,24 +15,9 @@
 #include <span>
 #include <vector>
 
-#include "common/layout/layout.hpp"
 #include "server/service/context/context.hpp"
 
 namespace rcb::service {
-
-// Exports: the local particles whose part another rank owns.
-struct Exports {
-  std::vector<std::uint64_t> counts;  // by destination rank
-  std::vector<std::uint64_t> slots;   // ascending
-};
-
-// Fills in exports.counts from exports.slots. Local.
-void count_by_rank(const comm::Comm& comm, const Scene& scene, Exports& exports);
-
-struct Arrivals {
-  particles::ParticleSet particles;
-  Buffer<std::int32_t> part;
-};
 
 struct ExchangeLimits {
   std::uint64_t few = 100'000;                           // up to this many exports in all go in one exchange
@@ -37,16 +25,18 @@ struct ExchangeLimits {
   std::uint64_t narrow_slots = std::uint64_t{1} << 32U;  // with at most this many slots, 32-bit slot numbers are used
 };
 
-// Exchanges the exports and updates the layout. Collective.
-//   from     by rank: number of particles that arrive from it
-//   changed  number of exports, all ranks together
-//   full     a full change (ascending ids on every rank): layout::is_full_change(), or the first partition
-void exchange_particles(comm::Comm& comm, Scene& scene, Exports exports, std::span<const std::uint64_t> from,
-                        std::uint64_t changed, bool full, const ExchangeLimits& limits = {});
+// Whether so many change rank that all ranks go back to ascending id.
+inline bool is_full_change(std::uint64_t changed, std::uint64_t count) { return changed > count / 16; }
 
-// A small change: arrivals fill free slots, the other particles keep theirs. Returns the change of the layout's
-// checksum. Local.
-std::uint64_t fill_holes(Scene& scene, int rank, const Exports& exports, Arrivals& arrivals,
-                         const layout::SlotEdit& edit);
+// Sends each local particle whose part another rank owns. scene.part has the new parts, scene.options.parts their
+// number. Returns on every rank how many have gone in all. first: a full change, however few they are. Collective.
+std::uint64_t send_strangers(comm::Comm& comm, Scene& scene, bool first, const ExchangeLimits& limits = {});
+
+// The same where only these can be such, in ascending slots. Work in proportion to their number. Collective.
+std::uint64_t send_strangers_among(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots);
+
+// The same where these are such. changed: of all ranks, above 0; from_to: [from][to] how many, or empty. Collective.
+void send_exports(comm::Comm& comm, Scene& scene, std::vector<std::uint64_t> slots, std::uint64_t changed,
+                  std::span<const std::uint64_t> from_to);
 
 }  // namespace rcb::service

@@ -1,0 +1,255 @@
+#include "server/service/push/blocks.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+#include <string>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "common/base/axis_names.hpp"
+#include "common/layout/layout.hpp"
+#include "server/service/context/collective.hpp"
+#include "server/service/push/shared_source.hpp"
+
+namespace rcb::service {
+namespace {
+
+// Which rows of a block each rank is dealt: evenly, to the ranks that own parts of the block's member.
+class Deal {
+ public:
+  Deal(const Block& block, int members, int ranks) : n_(block.n) {
+    const int of = std::max(members, 1);
+    first_ = block.member * ranks / of;
+    last_ = std::max((block.member + 1) * ranks / of, first_ + 1);
+  }
+  std::uint64_t begin(int rank) const {
+    return layout::row_begin(std::clamp(rank, first_, last_) - first_, n_, last_ - first_);
+  }
+  std::uint64_t count(int rank) const { return begin(rank + 1) - begin(rank); }
+
+ private:
+  std::uint64_t n_;
+  int first_ = 0;  // rank
+  int last_ = 1;
+};
+
+class Reader {
+ public:
+  Reader(Context& context, Scene& scene, const PushRequest& push)
+      : context_(context), comm_(context.comm), scene_(scene), push_(push) {
+    set().dims = scene.options.dims;
+    set().has_weights = push.weights;
+  }
+
+  Result<Arrived> read() {
+    Status ready = find_slices();
+    if (ready.ok() && !takes_slice()) ready = make_room();
+    if (Status status = agree_status(comm_, ready); !status.ok()) return status;
+    for (const Block& block : push_.blocks) {
+      const std::uint64_t begin = at_;
+      if (block.way == api::Way::endpoint)
+        deal(block);
+      else if (PushSlice* slice = slice_of(block.member))
+        ready = take(*slice, std::move(ready));
+      if (at_ > begin) arrived_.runs.push_back({block.member, begin, at_ - begin});
+    }
+    if (Status status = agree_status(comm_, ready); !status.ok()) return status;
+    context_.slices.clear();
+    return std::move(arrived_);
+  }
+
+ private:
+  particles::ParticleSet& set() { return arrived_.set; }
+  std::size_t dims() { return static_cast<std::size_t>(set().dims); }
+  bool counted_by_memory(const PushSlice& slice) const {
+    return !slice.shared.empty() && slice.shared.back().where.name == "row";
+  }
+
+  PushSlice* slice_of(int member) {
+    const auto found = std::ranges::find_if(
+        context_.slices, [member](const PushSlice& slice) { return slice.member == member && !slice.divided; });
+    return found == context_.slices.end() ? nullptr : &*found;
+  }
+
+  // On rank 0, of a block that came through the endpoint.
+  PushSlice* divided_slice(int member) {
+    const auto found = std::ranges::find_if(
+        context_.slices, [member](const PushSlice& slice) { return slice.member == member && slice.divided; });
+    return found == context_.slices.end() ? nullptr : &*found;
+  }
+
+  // How many rows a slice that is read here brings.
+  std::uint64_t count_of(const PushSlice& slice) const {
+    if (slice.shared.empty() || counted_by_memory(slice)) return slice.count;
+    return layout::row_begin(comm_.rank() + 1, slice.rows, comm_.size()) -
+           layout::row_begin(comm_.rank(), slice.rows, comm_.size());
+  }
+
+  // Adds up what comes, and checks the arrays that came.
+  Status find_slices() {
+    for (const Block& block : push_.blocks) {
+      if (block.way != api::Way::endpoint) continue;
+      count_ += Deal(block, push_.members, comm_.size()).count(comm_.rank());
+      if (const PushSlice* whole = divided_slice(block.member); context_.root() && (!whole || whole->count != block.n))
+        return {Code::internal, fmt::format("the rows of member {} are missing", block.member)};
+    }
+    for (const Block& block : push_.blocks) {
+      if (block.way == api::Way::endpoint) continue;
+      const PushSlice* slice = slice_of(block.member);
+      const bool memory = slice != nullptr && !slice->shared.empty() && block.counts.empty();
+      const std::uint64_t come = slice == nullptr ? 0 : memory ? slice->rows : slice->count;
+      const std::uint64_t wanted =
+          block.counts.empty() ? block.n : block.counts[static_cast<std::size_t>(comm_.rank())];
+      if (come != wanted)
+        return {Code::aborted,
+                fmt::format("{} rows of a block have come to rank {}, not {}", come, comm_.rank(), wanted),
+                "push the step again"};
+      if (slice != nullptr) count_ += count_of(*slice);
+    }
+    for (const PushSlice& slice : context_.slices)
+      if (slice.shared.empty())
+        if (Status status = check_arrays(slice); !status.ok()) return status;
+    return {};
+  }
+
+  Status check_arrays(const PushSlice& slice) const {
+    std::vector<std::pair<std::string, std::string>> types;
+    for (std::size_t a = 0; a < static_cast<std::size_t>(scene_.options.dims); ++a)
+      types.emplace_back(kAxisNames[a], "<f8");
+    if (push_.weights) types.emplace_back("w", "<f8");
+    if (push_.ids) types.emplace_back("id", "<i8");
+    bool match = slice.arrays.size() == types.size();
+    for (std::size_t a = 0; match && a < types.size(); ++a)
+      match = slice.arrays[a].name == types[a].first && slice.arrays[a].dtype == types[a].second &&
+              slice.arrays[a].bytes.size() == slice.count * 8;
+    if (match) return {};
+    return {Code::invalid_argument,
+            fmt::format("the rows of member {} must have {} axes{}{}", slice.member, scene_.options.dims,
+                        push_.weights ? ", weights" : "", push_.ids ? ", ids" : "")};
+  }
+
+  // Whether all rows here are those of one slice that this rank has received: its memory is used as it is.
+  bool takes_slice() const {
+    return context_.slices.size() == 1 && context_.slices.front().shared.empty() && !context_.slices.front().divided &&
+           context_.slices.front().count == count_;
+  }
+
+  Status make_room() {
+    for (std::size_t k = 0; k < scene_.spare.size(); ++k) {
+      Buffer<std::byte>& spare = scene_.spare[k];
+      if (k < dims())
+        set().position[k] = spare.release_as<double>();
+      else if (k == dims() && push_.weights)
+        set().weight = spare.release_as<double>();
+      else if (set().id.capacity() == 0)
+        set().id = spare.release_as<particles::Id>();
+    }
+    scene_.spare.clear();
+    bool fits = set().id.try_reserve(count_) && (!push_.weights || set().weight.try_reserve(count_));
+    for (std::size_t a = 0; a < dims(); ++a) fits = fits && set().position[a].try_reserve(count_);
+    if (!fits) return {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm_.rank(), count_)};
+    set().resize(count_);
+    return {};
+  }
+
+  // Calls visit(index of the slice's array, where it goes) for each array that rows bring.
+  template <typename Visit>
+  void for_each_array(const Visit& visit) {
+    std::size_t array = 0;
+    for (std::size_t a = 0; a < dims(); ++a) visit(array++, set().position[a]);
+    if (push_.weights) visit(array++, set().weight);
+    if (push_.ids) visit(array, set().id);
+  }
+
+  void number_rows(std::uint64_t first_row, std::uint64_t count) {
+    if (push_.ids) return;
+    std::iota(set().id.begin() + at_, set().id.begin() + at_ + count, static_cast<particles::Id>(first_row));
+  }
+
+  // Collective.
+  void deal(const Block& block) {
+    const Deal deal(block, push_.members, comm_.size());
+    const std::uint64_t mine = deal.count(comm_.rank());
+    PushSlice* const whole = divided_slice(block.member);
+    for_each_array([&](std::size_t array, auto& to) {
+      std::vector<std::span<const std::byte>> pieces;
+      for (int r = 0; whole != nullptr && r < comm_.size(); ++r)
+        pieces.push_back(whole->arrays[array].bytes.span().subspan(8 * deal.begin(r), 8 * deal.count(r)));
+      comm_.scatter(pieces, 0, std::as_writable_bytes(to.span().subspan(at_, mine)));
+      if (whole != nullptr) whole->arrays[array].bytes.release();  // it is free for the next array
+    });
+    number_rows(deal.begin(comm_.rank()), mine);
+    at_ += mine;
+  }
+
+  // Local. Reads nothing more if `before` is an error, since what failed there may be wrong here.
+  Status take(PushSlice& slice, Status before) {
+    const std::uint64_t count = count_of(slice);
+    if (before.ok() && !slice.shared.empty()) {
+      before = read_shared(slice, count);
+    } else if (before.ok() && takes_slice()) {
+      arrived_.took_slice = true;
+      for_each_array([&](std::size_t array, auto& to) {
+        using T = std::remove_reference_t<decltype(to[0])>;
+        to = slice.arrays[array].bytes.template release_as<T>();
+      });
+      if (!push_.ids) set().id.resize(count);
+      number_rows(slice.first_row, count);
+    } else if (before.ok()) {
+      Spare spare{scene_.name, {}};
+      for_each_array([&](std::size_t array, auto& to) {
+        Buffer<std::byte>& from = slice.arrays[array].bytes;
+        if (count > 0) std::memcpy(to.data() + at_, from.data(), from.size());
+        spare.buffers.push_back(std::move(from));
+      });
+      number_rows(slice.first_row, count);
+      context_.spares.push_back(std::move(spare));
+    }
+    at_ += count;
+    return before;
+  }
+
+  Status read_shared(const PushSlice& slice, std::uint64_t count) {
+    auto source = SharedSource::open(slice, set().dims);
+    if (!source.ok()) return source.status();
+    particles::Id* const ids = set().id.data() + at_;
+    if (!counted_by_memory(slice)) {
+      const std::uint64_t first = layout::row_begin(comm_.rank(), slice.rows, comm_.size());
+      for (std::size_t a = 0; a < dims(); ++a) source->positions(a, first, count, set().position[a].data() + at_);
+      if (push_.weights) source->weights(first, count, set().weight.data() + at_);
+      if (push_.ids) source->ids(first, count, ids);
+      number_rows(first, count);
+      return {};
+    }
+    Buffer<particles::Id> rows;
+    if (!rows.try_reserve(count))
+      return {Code::too_large, fmt::format("rank {} has no memory for a list of {} rows", comm_.rank(), count)};
+    rows.resize(count);
+    if (Status listed = source->rows(rows.data()); !listed.ok()) return listed;
+    for (std::size_t a = 0; a < dims(); ++a) source->positions(a, rows.span(), set().position[a].data() + at_);
+    if (push_.weights) source->weights(rows.span(), set().weight.data() + at_);
+    if (push_.ids)
+      source->ids(rows.span(), ids);
+    else
+      std::ranges::copy(rows, ids);
+    return {};
+  }
+
+  Context& context_;
+  comm::Comm& comm_;
+  Scene& scene_;
+  const PushRequest& push_;
+  Arrived arrived_;
+  std::uint64_t count_ = 0;  // of this rank's rows
+  std::uint64_t at_ = 0;     // those read so far
+};
+
+}  // namespace
+
+Result<Arrived> read_blocks(Context& context, Scene& scene, const PushRequest& push) {
+  return Reader(context, scene, push).read();
+}
+
+}  // namespace rcb::service
