@@ -220,13 +220,6 @@ std::uint64_t bytes_of(const Scene& scene, const PushRequest& push) {
 
 }  // namespace
 
-std::uint64_t held_by(const Scene& scene, int rank, int ranks) {
-  std::uint64_t held = 0;
-  const auto [begin, end] = layout::parts_of_rank(rank, scene.options.parts, ranks);
-  for (int p = begin; p < end; ++p) held += scene.loads.counts[static_cast<std::size_t>(p)];
-  return held;
-}
-
 std::uint64_t sum_ids(std::span<const particles::Id> ids, std::uint64_t key) {
   std::uint64_t sum = 0;
   for (const particles::Id id : ids) sum += mix64(static_cast<std::uint64_t>(id) + key);

@@ -49,9 +49,6 @@ struct Staged {
   const particles::BlockRanges* ranges() const { return scan.ranges.known() ? &scan.ranges : nullptr; }
 };
 
-// Number of particles that a rank holds. Local.
-std::uint64_t held_by(const Scene& scene, int rank, int ranks);
-
 // Collective. Leaves the scene as it was, except for what it caches (regions, spare memory). Errors: faults of the
 // push, the same on every rank: those of check_request() and read_blocks(), not_finite, invalid_argument,
 // not_conserved, duplicate_id, too_large.
