@@ -129,17 +129,20 @@ Answer answer_from(const Ledger& ledger, const wire::Json& request, int ranks) {
   return command == "error" ? error(ledger) : counts(ledger);
 }
 
-wire::Json verdict_json(const Ledger& ledger, const scene::CountVerdict& verdict) {
+std::string verdict_text(const Ledger& ledger, const scene::CountVerdict& verdict) {
   using scene::CountVerdict;
-  if (const auto* send = std::get_if<CountVerdict::Send>(&verdict.is)) return {{"send", send->why}};
+  if (const auto* send = std::get_if<CountVerdict::Send>(&verdict.is)) return wire::dump_json({{"send", send->why}});
   if (const auto* other = std::get_if<CountVerdict::OtherScale>(&verdict.is))
-    return {{"again", "scale"}, {"scale", other->exponent}};
+    return fmt::format(R"({{"again":"scale","scale":{}}})", other->exponent);
   if (const auto* done = std::get_if<CountVerdict::Committed>(&verdict.is))
-    return {{"report", ledger.last_report()}, {"previous_step", or_null(done->previous_step)}};
-  return {{"again", "cuts"}};
+    return fmt::format(R"({{"previous_step":{},"report":{}}})",
+                       done->previous_step ? std::to_string(*done->previous_step) : "null", ledger.last_report());
+  return R"({"again":"cuts"})";
 }
 
-wire::Json repeated_to_member(const Ledger& ledger) { return {{"report", ledger.last_report()}, {"repeated", true}}; }
+std::string repeated_to_member(const Ledger& ledger) {
+  return fmt::format(R"({{"repeated":true,"report":{}}})", ledger.last_report());
+}
 
 Answer repeated(const Ledger& ledger, std::uint64_t number) {
   return with_reports(ledger, number, number + 1, [](scene::FoundReports found, Answer& answer) {

@@ -1,6 +1,8 @@
 // Answers that rank 0 gives from a scene's ledger alone, without its ranks.
 #pragma once
 
+#include <string>
+
 #include "common/wire/message.hpp"
 #include "server/api/answer.hpp"
 #include "server/scene/ledger.hpp"
@@ -13,14 +15,14 @@ Answer describe(const scene::Ledger& ledger, int ranks);
 // request.
 Answer answer_from(const scene::Ledger& ledger, const wire::Json& request, int ranks);
 // To a member of the last step that pushes or counts it again.
-wire::Json repeated_to_member(const scene::Ledger& ledger);
+std::string repeated_to_member(const scene::Ledger& ledger);
 // The report of a committed step, for whoever pushes or counts it again. number: in the history.
 Answer repeated(const scene::Ledger& ledger, std::uint64_t number);
 
 // What has the ranks take up a scene of an earlier service. The cuts, if any, go with it: cut_arrays().
 wire::Json restore_order(const scene::Ledger& ledger);
 
-// What a count is answered, unless it is refused or repeated.
-wire::Json verdict_json(const scene::Ledger& ledger, const scene::CountVerdict& verdict);
+// What a count is answered, as JSON, unless it is refused or repeated.
+std::string verdict_text(const scene::Ledger& ledger, const scene::CountVerdict& verdict);
 
 }  // namespace rcb::api

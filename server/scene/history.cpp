@@ -39,10 +39,10 @@ void History::note_loss(const std::string& why) {
   if (std::exchange(loss_, why) != why) spdlog::warn("older step reports of scene '{}' will be lost: {}", scene_, why);
 }
 
-void History::add(StepReport report, const wire::Json& json, Journal* journal) {
+void History::add(StepReport report, std::string_view json, Journal* journal) {
   if (journal == nullptr)
     loss_ = "the service has no data directory for them";
-  else if (const Status kept = journal->append(total_, wire::dump_json(json)); !kept.ok())
+  else if (const Status kept = journal->append(total_, json); !kept.ok())
     note_loss(kept.message());
   recent_.push_back(std::move(report));
   ++total_;

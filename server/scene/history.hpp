@@ -69,7 +69,7 @@ class History {
   History& operator=(const History&) = delete;
 
   // journal: null where nothing lasts. json: the report as it is told to clients.
-  void add(StepReport report, const wire::Json& json, Journal* journal);
+  void add(StepReport report, std::string_view json, Journal* journal);
   const StepReport& last() const { return recent_.back(); }  // just added
   std::uint64_t total() const { return total_; }
   // Whether none of the reports from this one on has left the memory.

@@ -1,6 +1,8 @@
 #include "server/scene/lasting.hpp"
 
+#include <cmath>
 #include <cstring>
+#include <iterator>
 #include <numeric>
 #include <stdexcept>
 #include <utility>
@@ -77,33 +79,38 @@ std::shared_ptr<const partition::LoadSummary> loads_from(const Json& json, const
       std::move(counts), std::move(loads), scale.get<int>(), whole(json.at("as_zero"), now.n), now.options.part_sizes));
 }
 
+// Of the numbers, in order.
+constexpr std::uint64_t StepCounts::*kCounts[] = {&StepCounts::bytes,    &StepCounts::drifted,   &StepCounts::moved,
+                                                  &StepCounts::migrated, &StepCounts::scanned,   &StepCounts::searched,
+                                                  &StepCounts::rounds,   &StepCounts::reductions};
+constexpr double StepSeconds::*kSeconds[] = {&StepSeconds::receive, &StepSeconds::exchange, &StepSeconds::search,
+                                             &StepSeconds::migrate, &StepSeconds::total};
+
 Json totals_json(const SceneTotals& totals) {
-  Json json = to_json(static_cast<const StepCounts&>(totals));
-  json.update({{"steps", totals.steps},
-               {"repartitions", totals.repartitions},
-               {"skipped", totals.skipped},
-               {"asked", totals.asked}});
+  std::vector<std::uint64_t> counts{totals.steps, totals.repartitions};
+  for (const auto of : kCounts) counts.push_back(totals.*of);
+  std::vector<double> seconds;
+  for (const auto of : kSeconds) seconds.push_back(totals.seconds.*of);
+  Json json = Json::object();
+  json["counts"] = packed(counts);
+  json["seconds"] = packed(seconds);
+  json["skipped"] = totals.skipped;
+  json["asked"] = totals.asked;
   return json;
 }
 
 SceneTotals totals_from(const Json& json) {
   SceneTotals totals;
-  for (const auto& [name, into] :
-       std::initializer_list<std::pair<const char*, std::uint64_t*>>{{"bytes", &totals.bytes},
-                                                                     {"drifted", &totals.drifted},
-                                                                     {"moved", &totals.moved},
-                                                                     {"migrated", &totals.migrated},
-                                                                     {"scanned", &totals.scanned},
-                                                                     {"searched", &totals.searched},
-                                                                     {"rounds", &totals.rounds},
-                                                                     {"reductions", &totals.reductions},
-                                                                     {"steps", &totals.steps},
-                                                                     {"repartitions", &totals.repartitions}})
-    *into = whole(json.at(name));
-  const Json& seconds = json.at("seconds");
-  totals.seconds = {seconds.at("receive").get<double>(), seconds.at("exchange").get<double>(),
-                    seconds.at("search").get<double>(), seconds.at("migrate").get<double>(),
-                    seconds.at("total").get<double>()};
+  const auto counts = unpacked<std::uint64_t>(json.at("counts"));
+  const auto seconds = unpacked<double>(json.at("seconds"));
+  need(counts.size() == 2 + std::size(kCounts) && seconds.size() == std::size(kSeconds), "all totals");
+  totals.steps = counts[0];
+  totals.repartitions = counts[1];
+  for (std::size_t k = 0; k < std::size(kCounts); ++k) totals.*kCounts[k] = counts[2 + k];
+  for (std::size_t k = 0; k < std::size(kSeconds); ++k) {
+    need(std::isfinite(seconds[k]), "finite seconds");
+    totals.seconds.*kSeconds[k] = seconds[k];
+  }
   for (const auto& [name, into] : {std::pair{"skipped", &totals.skipped}, {"asked", &totals.asked}})
     for (const auto& [of, count] : json.at(name).get_ref<const Json::object_t&>()) (*into)[of] = whole(count);
   return totals;
@@ -115,8 +122,7 @@ Status damaged(const char* what, const std::exception& why) {
 
 }  // namespace
 
-std::string encode(const Lasting& lasting) {
-  const SceneState& now = lasting.now;
+std::string encode_frame(const SceneState& now) {
   return bytes_of({{"options", to_json(now.options)},
                    {"part_sizes", packed(now.options.part_sizes)},
                    {"n", now.n},
@@ -124,35 +130,46 @@ std::string encode(const Lasting& lasting) {
                    {"ids", now.ids},
                    {"epoch", now.epoch},
                    {"hash", now.hash},
-                   {"loads", loads_json(now.loads.get())},
                    {"rounds", now.search_rounds},
-                   {"reductions", now.search_reductions},
-                   {"step", or_null(now.step)},
-                   {"id_sum", or_null(now.id_sum)},
-                   {"totals", totals_json(lasting.totals)},
-                   {"costs", lasting.costs.to_json()},
-                   {"not_adopted", or_null(lasting.error_when_not_adopted)},
-                   {"last_session", lasting.last_session},
-                   {"last_members", packed(lasting.last_members)},
-                   {"last_report", lasting.last_report}});
+                   {"reductions", now.search_reductions}});
+}
+
+// Field by field, since a list of all would be copied: it is done at each step.
+std::string encode(const Lasting& lasting, const std::string& frame) {
+  const SceneState& now = lasting.now;
+  Json json = Json::object();
+  json["frame"] = Json::binary(std::vector<std::uint8_t>(frame.begin(), frame.end()));
+  json["loads"] = loads_json(now.loads.get());
+  json["step"] = or_null(now.step);
+  json["id_sum"] = or_null(now.id_sum);
+  json["totals"] = totals_json(lasting.totals);
+  json["costs"] = lasting.costs.to_json();
+  json["not_adopted"] = or_null(lasting.error_when_not_adopted);
+  json["last_session"] = lasting.last_session;
+  json["last_members"] = packed(lasting.last_members);
+  json["last_report"] = lasting.last_report;
+  return bytes_of(json);
 }
 
 Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation) try {
   const Json json = valid(wire::parse_msgpack(bytes));
   Lasting lasting;
   SceneState& now = lasting.now;
-  Json options = json.at("options");
-  options["part_sizes"] = unpacked<double>(json.at("part_sizes"));
+  const auto& frame_bytes = json.at("frame").get_binary();
+  const Json frame =
+      valid(wire::parse_msgpack({reinterpret_cast<const char*>(frame_bytes.data()), frame_bytes.size()}));
+  Json options = frame.at("options");
+  options["part_sizes"] = unpacked<double>(frame.at("part_sizes"));
   now.options = valid(read_options(options));
   now.incarnation = incarnation;
-  now.n = whole(json.at("n"), wire::kParticlesMax);
-  now.weights = json.at("weights").get<bool>();
-  now.ids = json.at("ids").get<bool>();
-  now.epoch = whole(json.at("epoch"));
-  now.hash = whole(json.at("hash"));
+  now.n = whole(frame.at("n"), wire::kParticlesMax);
+  now.weights = frame.at("weights").get<bool>();
+  now.ids = frame.at("ids").get<bool>();
+  now.epoch = whole(frame.at("epoch"));
+  now.hash = whole(frame.at("hash"));
+  now.search_rounds = whole(frame.at("rounds"));
+  now.search_reductions = whole(frame.at("reductions"));
   now.loads = loads_from(json.at("loads"), now);
-  now.search_rounds = whole(json.at("rounds"));
-  now.search_reductions = whole(json.at("reductions"));
   if (const Json& step = json.at("step"); !step.is_null())
     now.step = static_cast<std::int64_t>(whole(step, wire::kStepMax));
   if (const Json& sum = json.at("id_sum"); !sum.is_null()) now.id_sum = whole(sum);
@@ -161,10 +178,11 @@ Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation
   if (const Json& error = json.at("not_adopted"); !error.is_null()) lasting.error_when_not_adopted = finite_from(error);
   lasting.last_session = whole(json.at("last_session"));
   lasting.last_members = unpacked<std::uint64_t>(json.at("last_members"));
-  lasting.last_report = json.at("last_report");
+  lasting.last_report = json.at("last_report").get<std::string>();
+  if (!lasting.last_report.empty()) need(valid(wire::parse_json(lasting.last_report)).is_object(), "a report");
   const bool stepped = now.step.has_value();
   need((now.loads != nullptr) == stepped && (now.epoch > 0) == stepped && (lasting.totals.steps > 0) == stepped &&
-           lasting.last_report.is_object() == stepped,
+           !lasting.last_report.empty() == stepped,
        "all that a step leaves, or nothing of it");
   return lasting;
 } catch (const std::exception& why) {

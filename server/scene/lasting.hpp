@@ -12,7 +12,9 @@
 
 namespace rcb::scene {
 
-std::string encode(const Lasting& lasting);
+// What seldom changes; the rest is written with it at each step.
+std::string encode_frame(const SceneState& now);
+std::string encode(const Lasting& lasting, const std::string& frame);
 // incarnation: of the folder. Errors: io_error.
 Result<Lasting> decode_lasting(std::string_view bytes, std::uint64_t incarnation);
 

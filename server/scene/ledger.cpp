@@ -46,7 +46,8 @@ void Ledger::keep() {
   const bool new_cuts = now_.tree && now_.hash != kept_hash_;
   if (new_cuts) kept = journal_->put_cuts(encode(*now_.tree));
   const bool put = new_cuts && kept.ok();
-  if (kept.ok()) kept = journal_->put_state(encode(lasting_));
+  if (frame_.empty()) frame_ = encode_frame(now_);
+  if (kept.ok()) kept = journal_->put_state(encode(lasting_, frame_));
   if (put && kept.ok())
     kept_hash_ = now_.hash;
   else if (put)
@@ -93,6 +94,7 @@ const StepReport& Ledger::take(Stepped stepped) {
     lasting_.costs.start_again(report.imbalance);
   }
   static_cast<Held&>(now_) = std::move(stepped.held);
+  frame_.clear();
   now_.positions_step = report.step;
   now_.filled = true;
   wants_positions_ = false;
@@ -103,6 +105,7 @@ const StepReport& Ledger::take(Stepped stepped) {
 void Ledger::take(Rebalanced rebalanced) {
   now_.options = std::move(rebalanced.options);
   static_cast<Held&>(now_) = std::move(rebalanced.held);
+  frame_.clear();
   lasting_.error_when_not_adopted.reset();
   lasting_.costs.start_again(now_.loads->imbalance);
   keep();
@@ -124,7 +127,7 @@ void Ledger::remember(const StepReport& report, const std::string& session, std:
   if (!std::exchange(asked_, false)) ++totals_.skipped["questions"];
   lasting_.last_session = recent_.back().session;
   lasting_.last_members = std::move(members);
-  lasting_.last_report = to_json(report);
+  lasting_.last_report = wire::dump_json(to_json(report));
   keep();
   history_->add(report, lasting_.last_report, journal_.get());
 }
@@ -295,7 +298,7 @@ Status Ledgers::restore_one(const SceneFolder& folder) {
     if (const Status cut = journal->keep_below(steps); !cut.ok()) return cut;
     // The service died between the state and the report.
     if (steps > 0 && journal->next_report() < steps)
-      if (const Status added = journal->append(steps - 1, wire::dump_json(lasting->last_report)); !added.ok())
+      if (const Status added = journal->append(steps - 1, lasting->last_report); !added.ok())
         spdlog::warn("{}", added.message());
     if (Ledger* other = find(folder.name)) {
       if (other->now().incarnation > folder.incarnation) return journal->remove();

@@ -50,7 +50,7 @@ struct Lasting {
   std::optional<double> error_when_not_adopted;  // error_before of the last wasted search
   std::uint64_t last_session = 0;                // key of the session that made the last step
   std::vector<std::uint64_t> last_members;       // likewise, of each member
-  wire::Json last_report;                        // null: no step yet
+  std::string last_report;                       // as JSON; empty: no step yet
 };
 
 // What a count leads to.
@@ -107,7 +107,7 @@ class Ledger {
 
   // Whether the last step is this one, and this session was a member's in it.
   bool was_in_last(const std::string& session, std::int64_t step) const;
-  const wire::Json& last_report() const { return lasting_.last_report; }
+  const std::string& last_report() const { return lasting_.last_report; }
 
   // No later service knows the scene from here on. Returns what removes its files, for any thread.
   std::function<void()> drop();
@@ -135,6 +135,7 @@ class Ledger {
   std::unique_ptr<History> history_;
   std::uint64_t kept_hash_ = 0;        // of the cuts in the journal
   bool keeps_ = true;                  // the journal has taken the last state
+  std::string frame_;                  // encode_frame(now_); empty: it has changed
   std::deque<RememberedStep> recent_;  // ascending
   bool asked_ = false;                 // a query as in SceneTotals::asked came since the last step
   bool wants_positions_ = false;

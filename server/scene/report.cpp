@@ -56,43 +56,45 @@ StepCounts& StepCounts::operator+=(const StepCounts& other) {
 }
 
 wire::Json to_json(const StepCounts& counts) {
-  const StepSeconds& seconds = counts.seconds;
-  return {{"bytes", counts.bytes},
-          {"drifted", counts.drifted},
-          {"moved", counts.moved},
-          {"migrated", counts.migrated},
-          {"scanned", counts.scanned},
-          {"searched", counts.searched},
-          {"rounds", counts.rounds},
-          {"reductions", counts.reductions},
-          {"seconds",
-           {{"receive", seconds.receive},
-            {"exchange", seconds.exchange},
-            {"search", seconds.search},
-            {"migrate", seconds.migrate},
-            {"total", seconds.total}}}};
+  wire::Json json = wire::Json::object();
+  json["bytes"] = counts.bytes;
+  json["drifted"] = counts.drifted;
+  json["moved"] = counts.moved;
+  json["migrated"] = counts.migrated;
+  json["scanned"] = counts.scanned;
+  json["searched"] = counts.searched;
+  json["rounds"] = counts.rounds;
+  json["reductions"] = counts.reductions;
+  wire::Json& seconds = json["seconds"];
+  seconds["receive"] = counts.seconds.receive;
+  seconds["exchange"] = counts.seconds.exchange;
+  seconds["search"] = counts.seconds.search;
+  seconds["migrate"] = counts.seconds.migrate;
+  seconds["total"] = counts.seconds.total;
+  return json;
 }
 
+// Field by field, since a list of all would be copied: it is done at each step.
 wire::Json to_json(const StepReport& report) {
   wire::Json json = to_json(static_cast<const StepCounts&>(report));
-  json.update({{"scene", report.scene},
-               {"step", report.step},
-               {"epoch", report.epoch},
-               {"n", report.n},
-               {"parts", report.parts},
-               {"error_before", report.error_before ? wire::Json(*report.error_before) : wire::Json(nullptr)},
-               {"error", report.error},
-               {"imbalance", report.imbalance},
-               {"repartitioned", report.repartitioned},
-               {"reason", report.reason},
-               {"axes_flipped", report.axes_flipped},
-               {"inserted", report.inserted},
-               {"removed", report.removed},
-               {"skipped", report.skipped.names()},
-               {"way", name_of(report.way)},
-               {"sent", report.sent()},
-               {"positions_step", report.positions_step ? wire::Json(*report.positions_step) : wire::Json()},
-               {"strangers", report.strangers}});
+  json["scene"] = report.scene;
+  json["step"] = report.step;
+  json["epoch"] = report.epoch;
+  json["n"] = report.n;
+  json["parts"] = report.parts;
+  json["error_before"] = wire::or_null(report.error_before);
+  json["error"] = report.error;
+  json["imbalance"] = report.imbalance;
+  json["repartitioned"] = report.repartitioned;
+  json["reason"] = report.reason;
+  json["axes_flipped"] = report.axes_flipped;
+  json["inserted"] = report.inserted;
+  json["removed"] = report.removed;
+  json["skipped"] = report.skipped.names();
+  json["way"] = name_of(report.way);
+  json["sent"] = report.sent();
+  json["positions_step"] = wire::or_null(report.positions_step);
+  json["strangers"] = report.strangers;
   if (!report.drifted_known) json["drifted"] = nullptr;
   if (report.weights_as_zero > 0) json["weights_as_zero"] = report.weights_as_zero;
   return json;
