@@ -92,6 +92,13 @@ Status check_identity(comm::Comm& comm, const Scene& scene, const PushRequest& p
   return check_distinct(comm, push.members, runs, staged.arrays.id.span(), push.n, staged.ids);
 }
 
+// What is wrong with values of which a pass has found that some are. Collective.
+Status fault_in(comm::Comm& comm, const particles::ParticleView& view, bool has_ids) {
+  Status fault = check_values(comm, view, has_ids);
+  RCB_CHECK(!fault.ok(), "the pass found a fault that isn't there");
+  return fault;
+}
+
 // The parts of this rank's rows under the cuts in force, and what follows from them. Local. Returns false where a value
 // is at fault.
 bool find_parts(const comm::Comm& comm, Scene& scene, const PushRequest& push, const std::vector<Run>& runs,
@@ -148,7 +155,7 @@ Status prepare_new(Context& context, Scene& scene, const PushRequest& push, Stag
   add_up(comm, staged.exports, rank_of, sums);
   if (sums.faults > 0) {
     if (Status status = agree_status(comm, room); !status.ok()) return status;
-    return check_values(comm, staged.arrays.view(), push.ids);
+    return fault_in(comm, staged.arrays.view(), push.ids);
   }
   if (Status status = check_identity(comm, scene, push, arrived->runs, staged); !status.ok()) return status;
   return agree_room_to_migrate(comm, staged.n, sums);
@@ -207,7 +214,7 @@ Status prepare_held(Context& context, Scene& scene, const PushRequest& push, Sta
   particles::ParticleView view = staged.arrays.view();
   view.count = scene.particles.count();
   view.id = scene.particles.id.data();
-  return check_values(comm, view, push.ids);
+  return fault_in(comm, view, push.ids);
 }
 
 // Bytes of all arrays as received.
