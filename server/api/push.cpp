@@ -96,7 +96,7 @@ Result<PushId> read_push_id(const wire::Json& request, const std::string& sessio
 Result<Push> read_push(const wire::Json& request, PushId id, int ranks) {
   wire::FieldReader fields(request);
   Push push{.id = std::move(id)};
-  push.n = fields.particles("n");
+  push.n = static_cast<std::uint64_t>(fields.integer("n", 0, wire::kParticlesMax));
   const std::string path = fields.word("path", {"gateway", "direct", "shared"});
   push.way = path == "direct" ? Way::sockets : path == "shared" ? Way::shared_memory : Way::endpoint;
   push.weights = fields.flag("weights");

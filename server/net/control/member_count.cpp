@@ -31,9 +31,8 @@ Status MemberGroups::count(CountBegin begin) {
   if (!begin.fault.ok()) return begin.fault;
   if (const Status fits = ledger->check_seat(*begin.record); !fits.ok()) {
     // A seat that repeats a step of which the others have the answer.
-    const auto* share = ledger->share_in_last(begin.record->session, begin.step);
-    if (fits.code() != Code::stale_step || share == nullptr) return fits;
-    return send_to(begin, api::repeated_to_member(*ledger, *share));
+    if (fits.code() != Code::stale_step || !ledger->was_in_last(begin.record->session, begin.step)) return fits;
+    return send_to(begin, api::repeated_to_member(*ledger));
   }
   const auto open = coordinator_.gate(begin.scene).push;
   if (open && open->round) return send_to(begin, {{"send", "other members push this step"}});
@@ -60,15 +59,13 @@ Status MemberGroups::send_to(const CountBegin& begin, const Json& json) {
 }
 
 void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
-  auto all = group.counting->tally.sum();
+  auto all = group.counting->tally.sum(ledger.now().options.parts);
   if (!all.ok()) return end_count(group, all.status());
   all->session = kMembersSession;
-  for (const auto& begin : group.counting->waiting) all->members.push_back({begin->session, 0});
+  for (const auto& begin : group.counting->waiting) all->sessions.push_back(begin->session);
   const scene::CountVerdict verdict = ledger.count(*all);
   if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
-  const Json json = api::verdict_json(ledger, verdict);
-  if (std::holds_alternative<scene::CountVerdict::Committed>(verdict.is)) group.last.reset();
-  answer_count(group, json);
+  answer_count(group, api::verdict_json(ledger, verdict));
 }
 
 void MemberGroups::answer_count(Group& group, const Json& json) { close_count(group, FrameType::reply, json); }
