@@ -15,12 +15,6 @@ namespace rcb::net {
 using wire::FrameType;
 using wire::Json;
 
-namespace {
-
-const char* as(bool refill) { return refill ? " (refill)" : ""; }
-
-}  // namespace
-
 Status MemberGroups::begin(ContributionBegin begin) {
   const std::string& scene = begin.id.scene;
   Group* group = find(scene);
@@ -32,7 +26,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   const std::size_t member = *seat;
   const scene::Ledger* ledger = coordinator_.scenes().find(scene);
   if (ledger == nullptr) return coordinator_.unknown_scene(scene);
-  if (!wire::is_true(begin.json, "refill") && ledger->was_in_last(begin.id.session, begin.id.step)) {
+  if (ledger->was_in_last(begin.id.session, begin.id.step)) {
     if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);
     begin.connection->send(FrameType::reply, begin.request, api::repeated_to_member(*ledger));
     return {};
@@ -43,10 +37,9 @@ Status MemberGroups::begin(ContributionBegin begin) {
   if (!terms.ok()) return terms.status();
   const auto open = coordinator_.gate(scene).push;
   std::shared_ptr<MemberPush> step = open ? open->round : nullptr;
-  if (step && (step->step != begin.id.step || step->refill != terms->refill))
+  if (step && step->step != begin.id.step)
     return {Code::invalid_argument,
-            fmt::format("member {} pushes step {}{}, the others push step {}{}", member, begin.id.step,
-                        as(terms->refill), step->step, as(step->refill)),
+            fmt::format("member {} pushes step {}, the others push step {}", member, begin.id.step, step->step),
             "all members push the same step"};
   if (const auto older = step ? step->contributions[member] : nullptr) {
     const PushId& id = older->slices.terms().id;
@@ -55,7 +48,6 @@ Status MemberGroups::begin(ContributionBegin begin) {
     withdraw(*older);
   }
   if (!step) step = open_step(scene, begin.id.step, *group);
-  step->refill = terms->refill;
   answer_count(*group, {{"send", fmt::format("{} pushes this step", name(scene, member))}});
   auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
   contribution->connection = std::move(begin.connection);
@@ -108,7 +100,8 @@ Status MemberGroups::check_together(const MemberPush& step) const {
               "all members push weights, or none does"};
     with_rows = contribution.get();
   }
-  return check_conserved(step.scene, coordinator_.scenes().find(step.scene)->now(), n, inserted, removed);
+  const scene::SceneState& scene = coordinator_.scenes().find(step.scene)->now();
+  return scene.step ? api::check_conserved(step.scene, scene.n, n, inserted, removed) : Status();
 }
 
 std::shared_ptr<MemberPush> MemberGroups::open_step(const std::string& scene, std::int64_t step, const Group& group) {

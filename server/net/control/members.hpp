@@ -53,7 +53,6 @@ struct MemberPush {
   Timer timer;                                           // until the next notice to waiting members
   TimePoint started = now();
   TimePoint end = TimePoint::max();
-  bool refill = false;  // no step: it brings ranks that hold none the particles of the last one
   bool ordered = false;
   bool over = false;  // every contribution is answered
 

@@ -15,30 +15,27 @@ Json block_json(const OpenPush& push) {
              {"n", terms.n},
              {"path", terms.from_memory() ? "shared"
                       : terms.to_ranks()  ? "direct"
-                                          : "gateway"}};
+                                          : "gateway"},
+             {"dtype", terms.is_float32 ? "<f4" : "<f8"}};
   if (!terms.counts.empty()) block["counts"] = terms.counts;
   if (push.number != 0) block["number"] = push.number;
   if (terms.from_memory())
-    block.update({{"session", terms.id.session},
-                  {"memory", push.begin.at("memory")},
-                  {"dtype", terms.is_float32 ? "<f4" : "<f8"},
-                  {"sockets", terms.by_socket}});
+    block.update({{"session", terms.id.session}, {"memory", push.begin.at("memory")}, {"sockets", terms.by_socket}});
   return block;
 }
 
 // What all pushes say together, but for those without rows.
 class Together {
  public:
-  explicit Together(const scene::SceneState& scene) : known_(scene.step.has_value()) {
+  explicit Together(const scene::SceneState& scene) : first_(!scene.step), known_(scene.step && scene.n > 0) {
     all_.ids = scene.ids;
     all_.weights = scene.weights;
   }
 
   void add(const PushTerms& terms) {
     all_.n += terms.n;
-    all_.inserted += terms.inserted;
-    all_.removed += terms.removed;
-    all_.refill = terms.refill;
+    if (!first_) all_.inserted += terms.inserted;
+    if (!first_) all_.removed += terms.removed;
     if (terms.step_seconds) all_.step_seconds = std::max(*terms.step_seconds, all_.step_seconds.value_or(0));
     if (terms.cuts_known && all_.cuts_known.value_or(*terms.cuts_known) != *terms.cuts_known)
       all_.cuts_known.emplace();  // no cuts are those that all of them know
@@ -56,10 +53,8 @@ class Together {
     Json json{{"n", all_.n},
               {"weights", all_.weights},
               {"ids", all_.ids},
-              {"refill", all_.refill},
               {"inserted", all_.inserted},
               {"removed", all_.removed},
-              {"dtype", all_.is_float32 ? "<f4" : "<f8"},
               {"way", name_of(all_.way)}};
     if (all_.drifted) json["drifted"] = *all_.drifted;
     if (all_.step_seconds) json["step_seconds"] = *all_.step_seconds;
@@ -73,7 +68,6 @@ class Together {
     const bool first = rows_++ == 0;
     all_.ids = terms.ids;
     all_.weights = terms.weights;
-    all_.is_float32 = terms.is_float32 && (first || all_.is_float32);
     if (!terms.drifted || (!first && !all_.drifted))
       all_.drifted.reset();
     else
@@ -85,7 +79,8 @@ class Together {
           terms.way == api::Way::sockets || all_.way == api::Way::sockets ? api::Way::sockets : api::Way::endpoint;
   }
 
-  bool known_;
+  bool first_;    // nothing came or went before it
+  bool known_;    // whether there are weights
   int rows_ = 0;  // pushes that have some
   PushTerms all_;
 };

@@ -18,8 +18,8 @@ struct PushOrder {
 //
 // The request has the fields of push.begin of all blocks together, and "way" (as in a report), "members", "terms" (of
 // the decision), and "blocks":
-// {"member", "n", "path"} of each that has rows; besides, with the path "direct", "counts" and the "number" under which
-// the ranks have them (DataPort); with "shared", "session", "memory", "dtype", perhaps "counts", and "sockets" and
+// {"member", "n", "path", "dtype"} of each that has rows; besides, with the path "direct", "counts" and the "number"
+// under which the ranks have them (DataPort); with "shared", "session", "memory", perhaps "counts", and "sockets" and
 // "number" of the ranks that have them by socket. Rows by the path "gateway" are in the options' slices.
 PushOrder order_of(std::span<const std::shared_ptr<OpenPush>> pushes, std::size_t members, const scene::Ledger& ledger);
 

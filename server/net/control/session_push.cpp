@@ -60,8 +60,7 @@ awaitable<void> Session::push_begin(Request& request) {
     SceneGate& now_at = coordinator_->gate(id->scene);  // the abort may have erased the gate
     status = co_await wait_turn(request, id->scene, [&now_at] { return now_at.changes_unfinished == 0; });
   }
-  const bool step = status.ok() && !wire::is_true(request.json, "refill");
-  if (const scene::Ledger* ledger = step ? coordinator_->scenes().find(id->scene) : nullptr)
+  if (const scene::Ledger* ledger = status.ok() ? coordinator_->scenes().find(id->scene) : nullptr)
     if (const auto number = ledger->repeated(id->session, id->step)) {
       coordinator_->wake_queue(id->scene);
       refuse_slices(request.command, request.json);

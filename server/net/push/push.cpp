@@ -33,36 +33,24 @@ Status wrong(std::string what, std::string hint) { return {Code::invalid_argumen
 
 Status check_step(const PushTerms& terms, const scene::SceneState& scene) {
   const PushId& id = terms.id;
-  const bool lacking = scene.step && !scene.filled;
-  if (terms.refill)
-    return lacking && id.step == scene.step
-               ? Status()
-               : Status(Code::stale_step,
-                        fmt::format("the ranks don't lack the particles of step {} of scene '{}'", id.step, id.scene),
-                        "ask scene.show, and push a step");
+  if (terms.incarnation && *terms.incarnation != scene.incarnation) return scene::made_anew(id.scene);
   if (scene.step && id.step <= *scene.step) return scene::stale_step(id.scene, id.step, *scene.step);
-  if (lacking)
-    return {Code::base_lost,
-            fmt::format("the ranks hold no particles of scene '{}' since the service was started", id.scene),
-            "bring all of them first: push.begin with \"refill\""};
   return {};
 }
 
 // Whether the ranks read from shared memory those rows whose particles they hold.
 bool by_held(const PushTerms& terms, const scene::SceneState& scene) {
-  return terms.by_held() && scene.step && !terms.refill;
+  return terms.by_held() && scene.filled && scene.n > 0;
 }
 
 // Checks which arrays come besides the positions.
 Status check_arrays(const PushTerms& terms, const scene::SceneState& scene, std::size_t members) {
   const std::string with_ids = "say \"ids\" and send the array id";
-  const bool edits = terms.inserted > 0 || terms.removed > 0;
-  if (edits && (!scene.step || terms.refill))
-    return wrong("particles come and go after the first step alone, in no refill", "push all particles");
   if (terms.n == 0) return {};
   if (!terms.ids && members > 1) return wrong("the push of a member has no ids", with_ids);
-  if (!terms.ids && edits) return wrong("particles come or go, and the push has no ids", with_ids);
-  if (!scene.step) return {};
+  if (!scene.step || scene.n == 0) return {};
+  if (!terms.ids && (terms.inserted > 0 || terms.removed > 0))
+    return wrong("particles come or go, and the push has no ids", with_ids);
   if (!terms.ids && scene.ids)
     return wrong(fmt::format("scene '{}' has ids of its own, and the push has none", terms.id.scene), with_ids);
   if (terms.weights == scene.weights) return {};
@@ -99,15 +87,6 @@ Status check_shared(const PushTerms& terms, const scene::SceneState& scene, std:
 
 }  // namespace
 
-Status check_conserved(const std::string& name, const scene::SceneState& scene, std::uint64_t n, std::uint64_t inserted,
-                       std::uint64_t removed) {
-  if (!scene.step || n + removed == scene.n + inserted) return {};
-  const std::string edits =
-      inserted + removed > 0 ? fmt::format(", {} were inserted and {} removed", inserted, removed) : "";
-  return {Code::not_conserved, fmt::format("the push has {} particles, scene '{}' had {}{}", n, name, scene.n, edits),
-          "push all particles, each once; 'inserted' and 'removed' say how many came and went"};
-}
-
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
                                   int ranks, std::uint64_t bytes_max, std::size_t members) {
   auto push = api::read_push(request, id, ranks);
@@ -117,8 +96,9 @@ Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, c
   if (Status arrays = check_arrays(terms, scene, members); !arrays.ok()) return arrays;
   if (terms.from_memory() && terms.n > 0)
     if (Status shared = check_shared(terms, scene, members); !shared.ok()) return shared;
-  if (members == 0)
-    if (Status all = check_conserved(id.scene, scene, terms.n, terms.inserted, terms.removed); !all.ok()) return all;
+  if (members == 0 && scene.step)
+    if (Status all = api::check_conserved(id.scene, scene.n, terms.n, terms.inserted, terms.removed); !all.ok())
+      return all;
   if (terms.bytes() > bytes_max)
     return Status(Code::too_large, fmt::format("the push has {} bytes, at most {} are taken", terms.bytes(), bytes_max),
                   "start the service with a larger --bulk-bytes, or on a larger machine");

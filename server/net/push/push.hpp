@@ -34,13 +34,9 @@ struct PushTerms : api::Push {
 };
 
 // Reads a push.begin and checks it against what is known of its scene. members: that push the scene together; 0: one
-// client alone. Errors: invalid_argument, stale_step, base_lost, not_conserved, too_large, unsupported.
+// client alone. Errors: invalid_argument, not_found, stale_step, not_conserved, too_large, unsupported.
 Result<PushTerms> read_push_terms(const wire::Json& request, const PushId& id, const scene::SceneState& scene,
                                   int ranks, std::uint64_t bytes_max, std::size_t members = 0);
-
-// Whether a step's particles are as many as those of the last step, but for what came and went. Errors: not_conserved.
-Status check_conserved(const std::string& name, const scene::SceneState& scene, std::uint64_t n, std::uint64_t inserted,
-                       std::uint64_t removed);
 
 // Whether slices for the ranks may follow this push.begin on connections of their own, though it was refused.
 bool may_bring_slices(const wire::Json& request);
