@@ -170,8 +170,9 @@ void Coordinator::take_change(Answer& answer) {
   const scene::Ledger* ledger = scenes_.find(answer.change->scene);
   const Json previous_step = ledger == nullptr ? Json() : wire::or_null(ledger->now().step);
   const bool creates = std::holds_alternative<scene::Created>(answer.change->event);
-  if (scenes_.take(*std::move(answer.change), creates ? new_incarnation() : 0) == nullptr) return;
-  answer.json["report"] = ledger->last_report();
+  const scene::StepReport* report = scenes_.take(*std::move(answer.change), creates ? new_incarnation() : 0);
+  if (report == nullptr) return;
+  answer.json["report"] = to_json(*report);
   if (answer.json.contains("previous_step")) answer.json["previous_step"] = previous_step;
 }
 

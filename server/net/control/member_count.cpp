@@ -10,7 +10,6 @@
 namespace rcb::net {
 
 using wire::FrameType;
-using wire::Json;
 
 namespace {
 
@@ -35,7 +34,7 @@ Status MemberGroups::count(CountBegin begin) {
     return send_to(begin, api::repeated_to_member(*ledger));
   }
   const auto open = coordinator_.gate(begin.scene).push;
-  if (open && open->round) return send_to(begin, {{"send", "other members push this step"}});
+  if (open && open->round) return send_to(begin, R"({"send":"other members push this step"})");
   if (group->counting && group->counting->tally.step() != begin.step)
     return {Code::invalid_argument,
             fmt::format("member {} counts step {}, the others count step {}", *seat, begin.step,
@@ -53,8 +52,8 @@ Status MemberGroups::count(CountBegin begin) {
   return {};
 }
 
-Status MemberGroups::send_to(const CountBegin& begin, const Json& json) {
-  begin.connection->send(FrameType::reply, begin.request, json);
+Status MemberGroups::send_to(const CountBegin& begin, const std::string& json) {
+  begin.connection->send_text(FrameType::reply, begin.request, json);
   return {};
 }
 
@@ -65,22 +64,22 @@ void MemberGroups::decide(Group& group, scene::Ledger& ledger) {
   for (const auto& begin : group.counting->waiting) all->sessions.push_back(begin->session);
   const scene::CountVerdict verdict = ledger.count(*all);
   if (const auto* refused = std::get_if<Status>(&verdict.is)) return end_count(group, *refused);
-  answer_count(group, api::verdict_json(ledger, verdict));
+  answer_count(group, api::verdict_text(ledger, verdict));
 }
 
-void MemberGroups::answer_count(Group& group, const Json& json) { close_count(group, FrameType::reply, json); }
+void MemberGroups::answer_count(Group& group, const std::string& json) { close_count(group, FrameType::reply, json); }
 
 void MemberGroups::end_count(Group& group, const Status& why) {
-  close_count(group, FrameType::failure, wire::failure_json(why));
+  close_count(group, FrameType::failure, wire::dump_json(wire::failure_json(why)));
 }
 
-void MemberGroups::close_count(Group& group, FrameType type, const Json& json) {
+void MemberGroups::close_count(Group& group, FrameType type, const std::string& json) {
   const auto counting = std::exchange(group.counting, nullptr);
   if (counting == nullptr) return;
   counting->over = true;
   counting->timer.cancel();
   for (const auto& begin : counting->waiting)
-    if (begin) begin->connection->send(type, begin->request, json);
+    if (begin) begin->connection->send_text(type, begin->request, json);
 }
 
 void MemberGroups::open_count(const std::string& scene, std::int64_t step, Group& group) {

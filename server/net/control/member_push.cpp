@@ -28,7 +28,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
   if (ledger == nullptr) return coordinator_.unknown_scene(scene);
   if (ledger->was_in_last(begin.id.session, begin.id.step)) {
     if (may_bring_slices(begin.json)) coordinator_.refuse_directly(begin.id);
-    begin.connection->send(FrameType::reply, begin.request, api::repeated_to_member(*ledger));
+    begin.connection->send_text(FrameType::reply, begin.request, api::repeated_to_member(*ledger));
     return {};
   }
   const ControlOptions& options = coordinator_.options();
@@ -48,7 +48,7 @@ Status MemberGroups::begin(ContributionBegin begin) {
     withdraw(*older);
   }
   if (!step) step = open_step(scene, begin.id.step, *group);
-  answer_count(*group, {{"send", fmt::format("{} pushes this step", name(scene, member))}});
+  answer_count(*group, wire::dump_json({{"send", fmt::format("{} pushes this step", name(scene, member))}}));
   auto contribution = std::make_shared<OpenPush>(coordinator_.context(), std::move(*terms));
   contribution->connection = std::move(begin.connection);
   contribution->client = std::move(begin.client);

@@ -145,12 +145,13 @@ class MemberGroups {
   };
 
   static std::optional<std::size_t> seat_of(const Group& group, const Connection* connection);
-  static Status send_to(const CountBegin& begin, const wire::Json& json);
+  // json: its text.
+  static Status send_to(const CountBegin& begin, const std::string& json);
   void open_count(const std::string& scene, std::int64_t step, Group& group);
   void decide(Group& group, scene::Ledger& ledger);
-  static void close_count(Group& group, wire::FrameType type, const wire::Json& json);
+  static void close_count(Group& group, wire::FrameType type, const std::string& json);
   // Both end the counting, if there is any.
-  static void answer_count(Group& group, const wire::Json& json);
+  static void answer_count(Group& group, const std::string& json);
   static void end_count(Group& group, const Status& why);
   std::string missing(const std::string& scene, const MemberCount& counting) const;
   awaitable<void> watch_count(std::shared_ptr<Coordinator> self, std::string scene,
