@@ -60,7 +60,6 @@ TEST(NoSkip, ChangesNoAnswer) {
           const Json& plain_report = skipping.json["report"];
           const Json& busy_report = forced.json["report"];
           EXPECT_EQ(outcome(plain_report), outcome(busy_report));
-          EXPECT_EQ(skipping.json["plan"], forced.json["plan"]);
           EXPECT_FALSE(skips(busy_report, "search"));
           EXPECT_FALSE(skips(busy_report, "exchange"));
           EXPECT_GT(busy_report["reductions"], 0);
