@@ -239,27 +239,20 @@ class Driver {
   }
 
   // By one client, all rows in order, by `path`; rows with ids can't be found by the particles held, and are listed.
-  Response push(const Particles& particles, std::int64_t step, const std::string& session = "s",
-                const Json& more = Json::object()) {
-    return push(particles, {all_rows(particles, path == Path::held && !particles.ids.empty() ? Path::listed : path)},
-                step, !particles.ids.empty(), 0, {{"session", session}}, more);
+  Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
+    const Path way = path == Path::held && !particles.ids.empty() ? Path::listed : path;
+    return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 0, {{"session", session}});
   }
 
-  // By members; 0: one client that is none. more: fields of the order.
-  template <typename... More>
+  // By members; 0: by one client that is none. more: fields of the order.
   Response push(const Particles& particles, std::vector<Block> blocks, std::int64_t step, bool ids, int members,
-                const More&... more) {
-    Json request{{"command", "push"},
-                 {"scene", scene_},
-                 {"session", "s"},
-                 {"step", step},
-                 {"attempt", 0},
-                 {"members", members},
-                 {"step_seconds", step_seconds},
-                 {"cuts_known", cuts_known}};
+                const Json& more = Json::object()) {
+    Json request{{"command", "push"}, {"scene", scene_},         {"session", "s"},
+                 {"step", step},      {"members", members},      {"step_seconds", step_seconds},
+                 {"attempt", 0},      {"cuts_known", cuts_known}};
     std::vector<PushSlice> slices;
     Blocks(comm_, particles, std::move(blocks), ids).put(request, slices);
-    (request.update(more), ...);
+    request.update(more);
     return service_.execute(request, std::move(slices));
   }
 

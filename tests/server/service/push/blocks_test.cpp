@@ -1,7 +1,7 @@
 // Blocks that don't fit are refused, by whichever way they come: all ranks say the same, and the scene stays as it was.
 #include "server/service/push/blocks.hpp"
 
-#include <limits>
+#include <cmath>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -107,7 +107,6 @@ TEST(Blocks, ARowListedTwiceIsATwin) {
 
 // Wherever in a vector's lanes it is, and whichever rank reads it.
 TEST(Blocks, NoBadValueHides) {
-  constexpr double kEndless = std::numeric_limits<double>::infinity();
   on_ranks({1, 3}, [](comm::Comm& comm) {
     for (const Path path : {Path::gateway, Path::direct, Path::listed, Path::held}) {
       Refusing scene(comm, {{"parts", 4}, {"tolerance", 0.3}});
@@ -117,7 +116,7 @@ TEST(Blocks, NoBadValueHides) {
       scene.taken(particles, dealt(comm, particles, path), 0, false, 0);
       for (const std::size_t row : {0U, 1U, 3U, 4U, 7U, 8U, 63U, 64U, 127U, 199U})
         for (std::size_t a = 0; a < 4; ++a)
-          for (const double bad : {std::nan(""), kEndless, -kEndless, -1.0}) {
+          for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, -1.0}) {
             if (bad == -1.0 && a < 3) continue;
             Particles pushed = particles;
             (a < 3 ? pushed.position[a] : pushed.weights)[row] = bad;

@@ -30,10 +30,11 @@ inline void add_particles(Particles& particles, std::size_t count, bool ids, boo
 // Keeps these rows, in this order.
 inline void keep_rows(Particles& particles, const std::vector<std::size_t>& rows) {
   const auto keep = [&rows](auto& values) {
+    if (values.empty()) return;
     auto kept = values;
     kept.clear();
     for (const std::size_t row : rows) kept.push_back(values[row]);
-    if (!values.empty()) values = std::move(kept);
+    values = std::move(kept);
   };
   for (auto& axis : particles.position) keep(axis);
   keep(particles.weights);

@@ -161,11 +161,13 @@ void check_work(const Story& story, const Telling& telling, const Particles& par
   const bool first = report["step"] == 0, new_cuts = report["repartitioned"];
   const bool held = !first && telling.blocks[0].path == Path::held && particles.count() > 0;
   std::uint64_t drifted = 0, strangers = 0;
-  for (const auto& [id, part] : after) drifted += held && before.at(id) != part ? 1 : 0;
+  for (const auto& [id, part] : after)
+    if (held && before.at(id) != part) ++drifted;
   for (const Block& block : telling.blocks)
-    for (const std::size_t row : block.rows)
-      strangers += telling.members > 1 &&
-                   layout::rank_of_part(after.at(id_of(particles, row)), story.parts, telling.members) != block.member;
+    for (const std::size_t row : block.rows) {
+      const std::int32_t part = after.at(id_of(particles, row));
+      if (telling.members > 1 && layout::rank_of_part(part, story.parts, telling.members) != block.member) ++strangers;
+    }
   if (first || (held && !new_cuts)) {
     EXPECT_EQ(report["drifted"], drifted);
   }
