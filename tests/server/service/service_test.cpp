@@ -102,7 +102,7 @@ TEST(Service, ARefusedPushChangesNothing) {
     const Response works = driver.push(good, 5);
     if (comm.rank() != 0) return;
     EXPECT_EQ(not_finite.status.code(), Code::not_finite);
-    EXPECT_NE(not_finite.status.message().find("particle 12: x is inf"), std::string::npos)
+    EXPECT_NE(not_finite.status.message().find("particle 12 (index, from 0): x is inf"), std::string::npos)
         << not_finite.status.message();
     EXPECT_EQ(stale.status.code(), Code::stale_step);
     EXPECT_NE(stale.status.message().find('4'), std::string::npos);
@@ -126,7 +126,7 @@ TEST(Service, AnyWeightBelowZeroIsRefusedAtALaterPushToo) {
     const Response refused = driver.push(particles, 1);
     if (comm.rank() != 0) return;
     EXPECT_EQ(refused.status.code(), Code::invalid_argument);
-    EXPECT_NE(refused.status.message().find("particle 31: weight is -1e-300"), std::string::npos)
+    EXPECT_NE(refused.status.message().find("particle 31 (index, from 0): weight is -1e-300"), std::string::npos)
         << refused.status.message();
   });
 }

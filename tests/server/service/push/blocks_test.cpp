@@ -227,7 +227,7 @@ TEST(Blocks, OfAnEmptySceneMayBeAny) {
     check_particles(fetched, rows);
     for (const Json& report : {first, others}) {
       EXPECT_EQ(report.value("repartitioned", false), true) << report;
-      EXPECT_EQ(report.value("reason", ""), "the scene had no particles before");
+      EXPECT_TRUE(report.value("reason", "").starts_with("the scene had no particles before")) << report;
     }
     EXPECT_EQ(gone.value("n", 1), 0);
     EXPECT_EQ(gone.value("way", ""), "endpoint");
@@ -268,8 +268,9 @@ TEST(Blocks, AreComparedWithTheOrder) {
         refused(path, step, "no memory", [](auto& slices) { slices[0].shared[0].memory.reset(); });
         refused(path, step, "beyond the memory", [](auto& slices) { slices[0].shared[1].where.stride = 1 << 12; });
       }
-      refused(Path::listed, step, "rows that aren't there",
-              [](auto& slices) { slices[0].shared.back().where = slices[0].shared[0].where; });  // bits of positions
+      refused(Path::listed, step, "rows that aren't there", [](auto& slices) {
+        slices[0].shared.back().where.offset = slices[0].shared[0].where.offset;  // bits of positions
+      });
       const Response works = driver.push(particles, step);
       EXPECT_TRUE(works.status.ok()) << works.status.message();
     }

@@ -59,6 +59,7 @@ inline std::vector<Block> dealt(const comm::Comm& comm, const Particles& particl
   Random random(seed);
   Block block = all_rows(particles, path);
   if (path == Path::direct || path == Path::listed) to_random_ranks(block, comm.size(), random);
+  if (path == Path::direct && particles.ids.empty()) std::ranges::sort(block.ranks);  // rows are their ids
   return {block};
 }
 
