@@ -79,6 +79,26 @@ TEST(Blocks, TwinsAreNamedAndWhoPushesThem) {
   });
 }
 
+// Whoever knows the sum that clients compare can choose ids for it. Twins would be the end of a search.
+TEST(Blocks, TwinsMadeForTheSumOfIdsAreFound) {
+  on_ranks([](comm::Comm& comm) {
+    for (const Path path : kAnyRankPaths) {
+      Refusing scene(comm, {{"parts", 4}, {"dims", 2}, {"tolerance", 0}});
+      const Particles particles = with_ids(6, 60, 2);
+      const Particles twins = with_twins_of_the_same_sum(particles);
+      std::uint64_t sums[2] = {0, 0};
+      for (std::size_t row = 0; row < 60; ++row) {
+        sums[0] += mix64(static_cast<std::uint64_t>(particles.ids[row]));
+        sums[1] += mix64(static_cast<std::uint64_t>(twins.ids[row]));
+      }
+      EXPECT_EQ(sums[0], sums[1]);
+      scene.taken(particles, dealt(comm, particles, path), 0, true, 0);
+      scene.refused(Code::not_conserved, {}, twins, dealt(comm, twins, path), 1, true, 0);
+      scene.taken(particles, dealt(comm, particles, path), 1, true, 0, flow(0, 0));
+    }
+  });
+}
+
 TEST(Blocks, ARowListedTwiceIsATwin) {
   on_ranks([](comm::Comm& comm) {
     OwnDriver driver(comm, "t", {{"parts", 3}, {"dims", 2}});
@@ -233,6 +253,28 @@ TEST(Blocks, OfAnEmptySceneMayBeAny) {
     EXPECT_EQ(gone.value("way", ""), "endpoint");
     EXPECT_FALSE(shown.json["ids"]);
     EXPECT_FALSE(shown.json["weights"]);
+  });
+}
+
+// Memory that came over a socket goes back to the listener; other memory stays for the next push.
+TEST(Blocks, GiveTheirMemoryBack) {
+  on_ranks([](comm::Comm& comm) {
+    OwnDriver driver(comm, "g", {{"parts", 4}, {"dims", 2}, {"tolerance", "inf"}});
+    Particles particles = with_ids(6, 400, 2);
+    driver.push(particles, dealt(comm, particles, Path::gateway), 0, true, 0);
+    driver.service.take_spares();
+    for (std::int64_t step = 1; step < 9; ++step) {
+      const bool direct = step % 2 == 0;
+      const std::size_t members = step % 4 < 2 ? 1 : 2;
+      auto blocks = shares(comm, particles, members, direct ? Path::direct : Path::gateway);
+      for (Block& block : blocks) block.ranks.clear();
+      const Response pushed = driver.push(particles, blocks, step, true, static_cast<int>(members));
+      EXPECT_TRUE(comm.rank() != 0 || pushed.status.ok()) << pushed.status.message();
+      std::size_t buffers = 0;
+      for (const service::Spare& spare : driver.service.take_spares()) buffers += spare.buffers.size();
+      EXPECT_EQ(buffers > 0, direct) << "step " << step;
+      EXPECT_LE(buffers, 3 * members);
+    }
   });
 }
 

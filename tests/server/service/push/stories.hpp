@@ -47,6 +47,30 @@ inline Particles with_ids(std::uint64_t seed, std::size_t n, int dims) {
   return particles;
 }
 
+// The id whose mix64() this is.
+inline std::uint64_t unmix64(std::uint64_t value) {
+  const auto inverse = [](std::uint64_t odd) {
+    std::uint64_t found = odd;
+    for (int k = 0; k < 6; ++k) found *= 2 - odd * found;
+    return found;
+  };
+  const auto unshift = [](std::uint64_t x, unsigned by) { return x ^ (x >> by) ^ (x >> 2 * by); };
+  value = unshift(value, 31) * inverse(0x94D049BB133111EBU);
+  value = unshift(value, 27) * inverse(0xBF58476D1CE4E5B9U);
+  return unshift(value, 30) - 0x9E3779B97F4A7C15U;
+}
+
+// Gives one particle the id of the first, and another an id with which the sum over all of mix64(id) stays.
+inline Particles with_twins_of_the_same_sum(Particles particles) {
+  const auto mixed = [&particles](std::size_t row) { return mix64(static_cast<std::uint64_t>(particles.ids[row])); };
+  std::uint64_t third = ~std::uint64_t{0};
+  std::size_t row = 1;
+  for (; third >> 63U != 0; ++row) third = unmix64(mixed(row) + mixed(2 * row) - mixed(0));
+  particles.ids[2 * (row - 1)] = static_cast<std::int64_t>(third);
+  particles.ids[row - 1] = particles.ids[0];
+  return particles;
+}
+
 inline void to_random_ranks(Block& block, int ranks, Random& random) {
   const bool all_to_one = random.below(5) == 0;
   const auto any = [&] { return static_cast<int>(random.below(static_cast<std::uint64_t>(ranks))); };

@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-#include "tests/server/service/driver.hpp"
+#include "tests/server/service/push/stories.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/self_comm.hpp"
 #include "tests/support/simulated_storage.hpp"
@@ -239,6 +239,7 @@ TEST(RestoredScene, TakesItsParticlesWholeAndOnce) {
     Particles other = scene.particles;
     other.ids[0] = 1;
     refused("another particle", other, Code::not_conserved);
+    refused("twins of the same sum", with_twins_of_the_same_sum(scene.particles), Code::duplicate_id);
     Particles lost = scene.particles;
     lost.position[1][7] = std::numeric_limits<double>::quiet_NaN();
     refused("no number", lost, Code::not_finite);
