@@ -45,7 +45,7 @@ class Reader {
 
   Result<Arrived> read() {
     Status ready = find_slices();
-    if (ready.ok() && !takes_slice()) ready = make_room();
+    if (ready.ok()) ready = make_room();
     if (Status status = agree_status(comm_, ready); !status.ok()) return status;
     for (const Block& block : push_.blocks) {
       const std::uint64_t begin = at_;
@@ -137,6 +137,8 @@ class Reader {
   }
 
   Status make_room() {
+    const Status full(Code::too_large, fmt::format("rank {} has no memory for {} particles", comm_.rank(), count_));
+    if (takes_slice()) return push_.ids || set().id.try_reserve(count_) ? Status() : full;
     for (std::size_t k = 0; k < scene_.spare.size(); ++k) {
       Buffer<std::byte>& spare = scene_.spare[k];
       if (k < dims())
@@ -149,7 +151,7 @@ class Reader {
     scene_.spare.clear();
     bool fits = set().id.try_reserve(count_) && (!push_.weights || set().weight.try_reserve(count_));
     for (std::size_t a = 0; a < dims(); ++a) fits = fits && set().position[a].try_reserve(count_);
-    if (!fits) return {Code::too_large, fmt::format("rank {} has no memory for {} particles", comm_.rank(), count_)};
+    if (!fits) return full;
     set().resize(count_);
     return {};
   }

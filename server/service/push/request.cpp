@@ -37,7 +37,7 @@ Status check_conserved(const Scene& scene, const PushRequest& push) {
             "push all particles once; say how many come ('inserted') and go ('removed'), or create the scene anew with "
             "replace"};
   }
-  if ((push.inserted > 0 || push.removed > 0) && !push.ids && push.n > 0)
+  if ((push.inserted > 0 || push.removed > 0) && !push.ids && push.n > 0 && scene.n > 0)
     return {Code::invalid_argument, "particles come or go, and the push gives no ids",
             "without ids a row is its particle; give ids to all of them"};
   return {};

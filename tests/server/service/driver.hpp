@@ -1,16 +1,22 @@
-// A client of the service without sockets: holds the plan as a solver's library would, and pushes by it.
+// Clients of the service without sockets: what they push, as the socket side gives it to the ranks.
 #pragma once
 
+#include <algorithm>
 #include <cstring>
 #include <map>
+#include <memory>
 #include <mutex>
+#include <numeric>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
 
+#include "common/base/axis_names.hpp"
 #include "common/base/clock.hpp"
 #include "common/base/random.hpp"
+#include "common/files/shared_memory.hpp"
 #include "common/layout/layout.hpp"
 #include "tests/server/service/service_with_ledgers.hpp"
 
@@ -43,6 +49,177 @@ inline void drift(Particles& particles, std::uint64_t seed, double width) {
     for (double& value : axis) value += random.uniform(-width, width);
 }
 
+inline std::int64_t id_of(const Particles& particles, std::size_t row) {
+  return particles.ids.empty() ? static_cast<std::int64_t>(row) : particles.ids[row];
+}
+
+template <typename T>
+std::vector<T> values_of(const Response& response, const std::string& name) {
+  const wire::Array* array = wire::find_array(response.arrays, name);
+  if (array == nullptr) return {};
+  std::uint64_t shaped = 1;
+  for (const std::uint64_t length : array->shape) shaped *= length;
+  EXPECT_EQ(shaped * sizeof(T), array->bytes.size()) << name;
+  std::vector<T> values(array->bytes.size() / sizeof(T));
+  if (!values.empty()) std::memcpy(values.data(), array->bytes.data(), array->bytes.size());
+  return values;
+}
+
+// How a block's rows come to the ranks: through the endpoint, over their sockets, from memory that they read by a list
+// of rows, or from memory of which each reads the rows of the particles that it holds (a first time: an even share).
+enum class Path { gateway, direct, listed, held };
+
+// The rows of one client, or of one member.
+struct Block {
+  int member = 0;
+  std::vector<std::size_t> rows;  // of the particles
+  Path path = Path::gateway;
+  std::vector<int> ranks;  // by row, to whom it goes; empty: an even share to each
+  bool is_float32 = false;
+};
+
+inline Block all_rows(const Particles& particles, Path path = Path::gateway) {
+  Block block{.path = path};
+  for (std::size_t row = 0; row < particles.count(); ++row) block.rows.push_back(row);
+  return block;
+}
+
+// What the socket side makes of blocks: the fields of an order, and this rank's slices.
+class Blocks {
+ public:
+  // ids: the rows have ids. Without, those of a block must be all, in order.
+  Blocks(const comm::Comm& comm, const Particles& particles, std::vector<Block> blocks, bool ids)
+      : comm_(comm), particles_(particles), blocks_(std::move(blocks)), ids_(ids) {}
+
+  void put(Json& request, std::vector<PushSlice>& slices) const {
+    std::uint64_t n = 0;
+    bool memory = true, sockets = false, float32 = true;
+    request["blocks"] = Json::array();
+    for (const Block& block : blocks_) {
+      if (block.rows.empty()) continue;
+      n += block.rows.size();
+      memory = memory && (block.path == Path::listed || block.path == Path::held);
+      sockets = sockets || block.path == Path::direct;
+      float32 = float32 && block.is_float32;
+      request["blocks"].push_back(order_of(block, slices));
+    }
+    request.update({{"n", n},
+                    {"ids", ids_ && n > 0},
+                    {"weights", !particles_.weights.empty()},
+                    {"dtype", float32 && n > 0 ? "<f4" : "<f8"},
+                    {"way", sockets           ? "sockets"
+                            : memory && n > 0 ? "shared-memory"
+                                              : "endpoint"}});
+  }
+
+ private:
+  Json order_of(const Block& block, std::vector<PushSlice>& slices) const {
+    Json order{{"member", block.member}, {"n", block.rows.size()}, {"dtype", block.is_float32 ? "<f4" : "<f8"}};
+    if (block.path == Path::gateway) {
+      order["path"] = "gateway";
+      if (comm_.rank() == 0) slices.push_back(received(block, block.rows));
+      if (comm_.rank() == 0) slices.back().divided = true;
+      return order;
+    }
+    std::vector<std::vector<std::size_t>> of_rank(static_cast<std::size_t>(comm_.size()));  // entries of block.rows
+    for (std::size_t k = 0; k < block.rows.size(); ++k) of_rank[rank_of(block, k)].push_back(k);
+    std::vector<std::uint64_t> counts;
+    for (const auto& entries : of_rank) counts.push_back(entries.size());
+    const auto rank = static_cast<std::size_t>(comm_.rank());
+    const std::uint64_t first = std::accumulate(counts.begin(), counts.begin() + comm_.rank(), std::uint64_t{0});
+    if (block.path != Path::held) order["counts"] = counts;
+    if (block.path == Path::direct) {
+      order.update({{"path", "direct"}, {"number", 1}});
+      std::vector<std::size_t> rows;
+      for (const std::size_t k : of_rank[rank]) rows.push_back(block.rows[k]);
+      if (rows.empty()) return order;
+      slices.push_back(received(block, rows));
+      slices.back().first_row = first;
+      return order;
+    }
+    order.update({{"path", "shared"}, {"session", "s"}, {"memory", Json::array()}});
+    PushSlice slice = shared(block, of_rank);
+    for (const api::SharedColumn& column : slice.shared)
+      order["memory"].push_back({{"name", column.where.name},
+                                 {"memory", column.where.memory},
+                                 {"offset", column.where.offset},
+                                 {"stride", column.where.stride}});
+    slice.count = block.path == Path::listed ? counts[rank] : 0;
+    slice.first_row = block.path == Path::listed ? first : 0;
+    slices.push_back(std::move(slice));
+    return order;
+  }
+
+  std::size_t rank_of(const Block& block, std::size_t k) const {
+    if (!block.ranks.empty()) return static_cast<std::size_t>(block.ranks[k]);
+    int rank = 0;
+    while (layout::row_begin(rank + 1, block.rows.size(), comm_.size()) <= k) ++rank;
+    return static_cast<std::size_t>(rank);
+  }
+
+  std::vector<double> doubles(const Block& block, const std::vector<double>& of) const {
+    std::vector<double> own;
+    for (const std::size_t row : block.rows) own.push_back(of[row]);
+    return own;
+  }
+
+  // As the connections give them: float32 is widened as it arrives.
+  PushSlice received(const Block& block, const std::vector<std::size_t>& rows) const {
+    PushSlice slice{.member = block.member, .count = rows.size(), .is_float32 = block.is_float32};
+    const auto add = [&](const char* name, const char* dtype, const auto& value_of) {
+      wire::Array array{name, dtype, {rows.size()}, Buffer<std::byte>(rows.size() * 8)};
+      for (std::size_t k = 0; k < rows.size(); ++k) {
+        const auto value = value_of(rows[k]);
+        std::memcpy(array.bytes.data() + 8 * k, &value, 8);
+      }
+      slice.arrays.push_back(std::move(array));
+    };
+    for (std::size_t a = 0; a < particles_.position.size(); ++a)
+      add(kAxisNames[a], "<f8", [&](std::size_t row) { return particles_.position[a][row]; });
+    if (!particles_.weights.empty()) add("w", "<f8", [&](std::size_t row) { return particles_.weights[row]; });
+    if (ids_) add("id", "<i8", [&](std::size_t row) { return id_of(particles_, row); });
+    return slice;
+  }
+
+  // Columns with gaps between the rows, in which lie numbers that must not be read. Each rank has memory of its own.
+  PushSlice shared(const Block& block, const std::vector<std::vector<std::size_t>>& of_rank) const {
+    PushSlice slice{.member = block.member, .rows = block.rows.size(), .is_float32 = block.is_float32};
+    std::vector<std::byte> bytes;
+    const auto add = [&](const char* name, const auto& values) {
+      const std::uint64_t width = sizeof(values[0]), stride = 2 * width;
+      slice.shared.push_back({{name, 1, bytes.size(), stride}, nullptr});
+      bytes.resize(bytes.size() + (values.size() * stride + 7) / 8 * 8, std::byte{0xFF});
+      for (std::size_t k = 0; k < values.size(); ++k)
+        std::memcpy(bytes.data() + slice.shared.back().where.offset + k * stride, &values[k], width);
+    };
+    for (std::size_t a = 0; a < particles_.position.size(); ++a) {
+      const std::vector<double> wide = doubles(block, particles_.position[a]);
+      if (block.is_float32)
+        add(kAxisNames[a], std::vector<float>(wide.begin(), wide.end()));
+      else
+        add(kAxisNames[a], wide);
+    }
+    if (!particles_.weights.empty()) add("w", doubles(block, particles_.weights));
+    std::vector<std::int64_t> ids;
+    for (const std::size_t row : block.rows) ids.push_back(id_of(particles_, row));
+    if (ids_) add("id", ids);
+    std::vector<std::uint64_t> listed;
+    for (const auto& entries : of_rank) listed.insert(listed.end(), entries.begin(), entries.end());
+    if (block.path == Path::listed) add("row", listed);
+    auto made = SharedMemory::create(std::max<std::size_t>(bytes.size(), 1));
+    EXPECT_TRUE(made.ok()) << made.status().message();
+    std::ranges::copy(bytes, made->writable().begin());
+    const auto memory = std::make_shared<const SharedMemory>(std::move(*made));
+    for (api::SharedColumn& column : slice.shared) column.memory = memory;
+    return slice;
+  }
+
+  const comm::Comm& comm_;
+  const Particles& particles_;
+  std::vector<Block> blocks_;
+  bool ids_;
+};
+
 // Every rank makes one over its own Service; all do the same.
 class Driver {
  public:
@@ -61,179 +238,32 @@ class Driver {
     return service_.execute(arguments);
   }
 
-  // In the plan's order; the plan follows from the answer's changes (which all ranks are told, for the test's sake).
+  // By one client, all rows in order, by `path`; rows with ids can't be found by the particles held, and are listed.
   Response push(const Particles& particles, std::int64_t step, const std::string& session = "s") {
-    if (first_) plan_ = layout::Layout::blocks(particles.count(), comm_.size(), particles.ids);
-    std::vector<PushSlice> slices;
-    Json request = begin(particles, step, session, "plan");
-    if (directly) {
-      slices.push_back(slice_of(particles, comm_.rank()));
-      request["staged"] = 1;
-    } else if (comm_.rank() == 0) {
-      for (int r = 0; r < comm_.size(); ++r) slices.push_back(slice_of(particles, r));
-    }
-    request["plan"] = {{"version", plan_.version()}, {"checksum", wire::hex64(plan_.checksum())}};
-    Response response = service_.execute(request, std::move(slices));
-    follow(particles, response);
-    return response;
+    const Path way = path == Path::held && !particles.ids.empty() ? Path::listed : path;
+    return push(particles, {all_rows(particles, way)}, step, !particles.ids.empty(), 0, {{"session", session}});
   }
 
-  // Brings the particles of the last step to a service that lacks them.
-  Response refill(const Particles& particles, std::int64_t step, const std::string& order = "plan",
-                  const Json& more = Json::object()) {
-    const int slices_due = order == "id" ? 1 : comm_.size();
-    first_ = true;
-    plan_ = layout::Layout::blocks(particles.count(), slices_due, particles.ids);
-    Json request = begin(particles, step, "s", order);
-    request["refill"] = true;
+  // By members; 0: by one client that is none. more: fields of the order.
+  Response push(const Particles& particles, std::vector<Block> blocks, std::int64_t step, bool ids, int members,
+                const Json& more = Json::object()) {
+    Json request{{"command", "push"}, {"scene", scene_},         {"session", "s"},
+                 {"step", step},      {"members", members},      {"step_seconds", step_seconds},
+                 {"attempt", 0},      {"cuts_known", cuts_known}};
     std::vector<PushSlice> slices;
-    for (int r = 0; r < slices_due && comm_.rank() == 0; ++r) slices.push_back(slice_of(particles, r));
-    request["plan"] = {{"version", plan_.version()}, {"checksum", wire::hex64(plan_.checksum())}};
+    Blocks(comm_, particles, std::move(blocks), ids).put(request, slices);
     request.update(more);
-    Response response = service_.execute(request, std::move(slices));
-    std::uint64_t done = comm_.rank() == 0 && response.status.ok() ? 1 : 0;
-    comm_.all_max({&done, 1});
-    if (done == 1) fetch_plan(particles);
-    if (done == 1 && comm_.rank() == 0) {
-      EXPECT_EQ(response.json["plan"]["checksum"].get<std::string>(), wire::hex64(plan_.checksum()));
-    }
-    return response;
+    return service_.execute(request, std::move(slices));
   }
 
-  // Takes the plan from the service, as after a rebalance.
-  void fetch_plan(const Particles& particles) {
-    Response told = ask("plan");
-    if (comm_.rank() == 0) {
-      auto numbers = told.json["counts"].get<std::vector<std::uint64_t>>();
-      numbers.push_back(told.json["plan"]["version"].get<std::uint64_t>());
-      told.arrays.push_back(api::make_array<std::uint64_t>("numbers", "<u8", numbers));
-    }
-    const auto ids = everywhere<std::int64_t>(told, 0);
-    auto counts = everywhere<std::uint64_t>(told, 2);
-    const std::uint64_t version = counts.back();
-    counts.pop_back();
-    plan_ = layout::Layout::full(counts, ids, particles.ids, version).value();
-    rank_of_row_.resize(particles.count());
-    for (std::size_t row = 0; row < rank_of_row_.size(); ++row) rank_of_row_[row] = plan_.rank_of_row(row);
-    first_ = false;
-  }
-
-  // As a simple client does: one slice in ascending id.
-  Response push_by_id(const Particles& particles, std::int64_t step, const std::string& session = "s") {
-    std::vector<PushSlice> slices;
-    if (comm_.rank() == 0) {
-      const layout::Layout whole = layout::Layout::blocks(particles.count(), 1, particles.ids);
-      slices.push_back(slice_by_rows(particles, 0, whole.rows(0)));
-    }
-    Response response = service_.execute(begin(particles, step, session, "id"), std::move(slices));
-    return response;
-  }
-
-  const layout::Layout& plan() const { return plan_; }
-
-  bool directly = false;  // pushes go straight to the ranks
-  Json step_seconds;      // said with every push; null: nothing
-  Json cuts_known;        // likewise
+  Path path = Path::gateway;
+  Json step_seconds;  // said with every push; null: nothing
+  Json cuts_known;    // likewise
 
  private:
-  Json begin(const Particles& particles, std::int64_t step, const std::string& session,
-             const std::string& order) const {
-    return {{"command", "push"},
-            {"scene", scene_},
-            {"session", session},
-            {"step", step},
-            {"attempt", 0},
-            {"n", particles.count()},
-            {"order", order},
-            {"weights", !particles.weights.empty()},
-            {"ids", first_ && !particles.ids.empty()},
-            {"changes", true},
-            {"step_seconds", step_seconds},
-            {"cuts_known", cuts_known}};
-  }
-
-  PushSlice slice_of(const Particles& particles, int rank) const {
-    std::vector<std::uint64_t> rows(plan_.rows(rank).begin(), plan_.rows(rank).end());
-    std::erase_if(rows, [&](std::uint64_t row) { return row >= particles.count(); });  // a push of too few
-    return slice_by_rows(particles, rank, rows);
-  }
-
-  PushSlice slice_by_rows(const Particles& particles, int rank, std::span<const std::uint64_t> rows) const {
-    PushSlice slice{rank, rows.size(), {}};
-    const auto add = [&](const char* name, const char* dtype, const auto& values) {
-      wire::Array array{name, dtype, {rows.size()}, Buffer<std::byte>(rows.size() * 8)};
-      for (std::size_t k = 0; k < rows.size(); ++k) std::memcpy(array.bytes.data() + 8 * k, &values[rows[k]], 8);
-      slice.arrays.push_back(std::move(array));
-    };
-    constexpr const char* kNames[] = {"x", "y", "z"};
-    for (std::size_t a = 0; a < particles.position.size(); ++a) add(kNames[a], "<f8", particles.position[a]);
-    if (!particles.weights.empty()) add("w", "<f8", particles.weights);
-    if (first_ && !particles.ids.empty()) add("id", "<i8", particles.ids);
-    return slice;
-  }
-
-  template <typename T>
-  std::vector<T> everywhere(const Response& response, std::size_t array) {
-    std::uint64_t bytes = comm_.rank() == 0 && response.arrays.size() > array ? response.arrays[array].bytes.size() : 0;
-    comm_.all_max({&bytes, 1});
-    std::vector<T> values(bytes / sizeof(T));
-    if (comm_.rank() == 0 && bytes > 0) std::memcpy(values.data(), response.arrays[array].bytes.data(), bytes);
-    comm_.broadcast(std::as_writable_bytes(std::span(values)), 0);
-    return values;
-  }
-
-  void follow(const Particles& particles, const Response& response) {
-    std::uint64_t committed = comm_.rank() == 0 && response.status.ok() && !response.json.contains("repeated") ? 1 : 0;
-    comm_.all_max({&committed, 1});
-    if (committed == 0) return;
-    const auto ids = everywhere<std::int64_t>(response, 0);
-    const auto parts = everywhere<std::int32_t>(response, 1);
-    std::uint64_t part_count = 0;
-    const Response shown = ask("counts");
-    if (comm_.rank() == 0) part_count = shown.json["counts"].size();
-    comm_.all_max({&part_count, 1});
-    if (first_) rank_of_row_ = block_ranks(particles.count());
-    std::vector<std::uint64_t> rows;
-    std::vector<std::int32_t> ranks;
-    for (std::size_t k = 0; k < ids.size(); ++k) {
-      const std::uint64_t row = row_of(particles, ids[k]);
-      const int rank = layout::rank_of_part(parts[k], static_cast<int>(part_count), comm_.size());
-      if (rank_of_row_[row] == rank) continue;
-      rank_of_row_[row] = rank;
-      rows.push_back(row);
-      ranks.push_back(rank);
-    }
-    const Status applied = plan_.apply(rows, ranks, first_);
-    EXPECT_TRUE(applied.ok()) << applied.message();
-    first_ = false;
-    if (comm_.rank() == 0) {
-      EXPECT_EQ(response.json["plan"]["version"].get<std::uint64_t>(), plan_.version());
-      EXPECT_EQ(response.json["plan"]["checksum"].get<std::string>(), wire::hex64(plan_.checksum()));
-    }
-  }
-
-  std::vector<int> block_ranks(std::uint64_t n) const {
-    std::vector<int> ranks(n);
-    for (int r = 0; r < comm_.size(); ++r)
-      for (std::uint64_t i = layout::row_begin(r, n, comm_.size()); i < layout::row_begin(r + 1, n, comm_.size()); ++i)
-        ranks[i] = r;
-    return ranks;
-  }
-
-  static std::uint64_t row_of(const Particles& particles, std::int64_t id) {
-    if (particles.ids.empty()) return static_cast<std::uint64_t>(id);
-    for (std::size_t row = 0; row < particles.ids.size(); ++row)
-      if (particles.ids[row] == id) return row;
-    ADD_FAILURE() << "unknown id " << id;
-    return 0;
-  }
-
   comm::Comm& comm_;
   Service& service_;
   std::string scene_;
-  layout::Layout plan_ = layout::Layout::blocks(0, 1, {});
-  std::vector<int> rank_of_row_;
-  bool first_ = true;
 };
 
 // One with a service of its own, on which its scene is made.

@@ -70,7 +70,7 @@ class Service {
     const std::string scene = request.value("scene", "");
     const api::CommandInfo* info = api::find_command(command);
     if (info != nullptr && info->runs_on == api::RunsOn::ledger) return root() ? answer(scene, request) : Response();
-    if (command.starts_with("push") && !request.contains("refill")) {
+    if (command == "push") {
       if (const auto number = repeated(scene, request))
         return root() ? complete(api::repeated(*ledgers_.find(scene), *number)) : Response();
       add_terms(scene, request);

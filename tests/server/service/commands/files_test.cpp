@@ -175,7 +175,7 @@ TEST_F(FilesTest, PartsOfManyPiecesAreWhole) {
     Driver driver(comm, service, "s");
     constexpr std::size_t kCount = 300'000;
     driver.create({{"parts", 3}});
-    driver.push_by_id(random_particles(5, kCount, 3), 0);
+    driver.push(random_particles(5, kCount, 3), 0);
     const Response written = driver.ask("write_parts", {{"directory", at("root/parts")}});
     if (comm.rank() != 0) return;
     ASSERT_TRUE(written.status.ok()) << written.status.message();

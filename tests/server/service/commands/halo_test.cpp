@@ -19,18 +19,6 @@ namespace {
 
 constexpr double kEndless = std::numeric_limits<double>::infinity();
 
-template <typename T>
-std::vector<T> values_of(const Response& response, const std::string& name) {
-  const wire::Array* array = wire::find_array(response.arrays, name);
-  if (array == nullptr) return {};
-  std::uint64_t shaped = 1;
-  for (const std::uint64_t length : array->shape) shaped *= length;
-  EXPECT_EQ(shaped * sizeof(T), array->bytes.size()) << name;
-  std::vector<T> values(array->bytes.size() / sizeof(T));
-  if (!values.empty()) std::memcpy(values.data(), array->bytes.data(), array->bytes.size());
-  return values;
-}
-
 using Bounds = std::vector<std::array<double, 2>>;  // by axis
 
 struct Question {
@@ -236,7 +224,7 @@ TEST(Halo, OfEverybodyForEverybody) {
   static constexpr std::size_t kCount = 5000;
   on_ranks({1, 3}, [](comm::Comm& comm) {
     OwnDriver driver(comm, "all", {{"parts", kParts}});
-    driver.push_by_id(random_particles(3, kCount, 3), 0);
+    driver.push(random_particles(3, kCount, 3), 0);
     const Response answer = driver.ask("halo", {{"width", 9}, {"lists", true}});
     const Response assigned = driver.ask("assign");
     if (comm.rank() != 0) return;
@@ -266,7 +254,7 @@ TEST(Halo, OfEverybodyForEverybody) {
 TEST(Halo, WrongQuestionsAreRefused) {
   on_ranks([](comm::Comm& comm) {
     OwnDriver driver(comm, "w", {{"parts", 2}, {"dims", 2}});
-    driver.push_by_id(random_particles(3, 20, 2), 0);
+    driver.push(random_particles(3, 20, 2), 0);
     const auto corners = [](Json lo, Json hi) { return Json{{"lo", std::move(lo)}, {"hi", std::move(hi)}}; };
     const Json good{{"width", 0.1}, {"lo", {0, 0}}, {"hi", {1, 1}}};
     std::vector<Json> wrong;
@@ -307,7 +295,7 @@ TEST(Box, TouchesPartsAcrossPeriodicBorders) {
     line.dims = 1;
     line.position.emplace_back();
     for (int i = 0; i < 80; ++i) line.position[0].push_back(i / 80.0);
-    driver.push_by_id(line, 0);
+    driver.push(line, 0);
     const auto parts = [&](double lo, double hi, const Json& periodic) {
       const Response answer = driver.ask("box", {{"lo", {lo}}, {"hi", {hi}}, {"periodic", periodic}});
       return comm.rank() == 0 ? answer.json.value("parts", Json(answer.status.message())) : Json();
@@ -329,10 +317,10 @@ TEST(Box, TouchesPartsAcrossPeriodicBorders) {
 TEST(Cuts, TellTheNarrowestRegion) {
   on_ranks([](comm::Comm& comm) {
     OwnDriver driver(comm, "n", {{"parts", 7}, {"dims", 2}});
-    driver.push_by_id(random_particles(11, 300, 2), 0);
+    driver.push(random_particles(11, 300, 2), 0);
     const Response cuts = driver.ask("cuts"), quality = driver.ask("quality");
     OwnDriver whole(comm, "whole", {{"parts", 1}});
-    whole.push_by_id(random_particles(11, 9, 3), 0);
+    whole.push(random_particles(11, 9, 3), 0);
     const Response none = whole.ask("cuts");
     if (comm.rank() != 0) return;
     double least = kEndless;
@@ -358,7 +346,7 @@ TEST(Cuts, AsArraysAreThoseOfTheJson) {
         for (int p = 0; p < parts; ++p) shares.push_back(1 + p % 3);
         if (sizes) options["part_sizes"] = shares;
         OwnDriver driver(comm, "a", options);
-        driver.push_by_id(random_particles(7, 20, 3), 0);
+        driver.push(random_particles(7, 20, 3), 0);
         const Response json = driver.ask("cuts"), arrays = driver.ask("cuts", {{"list", "arrays"}});
         const Response paged = driver.ask("cuts", {{"list", "arrays"}, {"count", 1}});
         if (comm.rank() != 0) continue;

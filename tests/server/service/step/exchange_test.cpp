@@ -1,5 +1,5 @@
 // Handing particles over: whatever the rounds and the width of slots, every particle is once on the rank of its part,
-// in the plan's order; and what that takes stays within its bound.
+// in ascending id if many change; and what that takes stays within its bound.
 #include "server/service/step/exchange.hpp"
 
 #include <algorithm>
@@ -50,29 +50,16 @@ Scene make_scene(const comm::Comm& comm, std::uint64_t n, int dims, int parts, b
       scene.particles.position[a].push_back(coordinate(id, a));
     if (weighted) scene.particles.weight.push_back(coordinate(id, 3));
   }
-  scene.plan_checksum = layout::checksum_of_rank(comm.rank(), std::as_const(scene.particles.id).span());
   return scene;
 }
 
-struct Leaving {
-  Exports exports;
-  std::vector<std::uint64_t> from;
-  std::uint64_t changed = 0;
-};
-
-// The particles get the parts that they have after.
-Leaving change_parts(comm::Comm& comm, Scene& scene, std::uint64_t few) {
-  Leaving leaving;
+// The particles get the parts that they have after. Returns the slots of those that leave.
+std::vector<std::uint64_t> change_parts(const comm::Comm& comm, Scene& scene, std::uint64_t few) {
+  std::vector<std::uint64_t> leaving;
   for (std::size_t i = 0; i < scene.part.size(); ++i) {
     scene.part[i] = part_of(scene.particles.id[i], 1, scene.options.parts, few);
-    if (layout::rank_of_part(scene.part[i], scene.options.parts, comm.size()) != comm.rank())
-      leaving.exports.slots.push_back(i);
+    if (layout::rank_of_part(scene.part[i], scene.options.parts, comm.size()) != comm.rank()) leaving.push_back(i);
   }
-  count_by_rank(comm, scene, leaving.exports);
-  leaving.from.resize(leaving.exports.counts.size());
-  comm::exchange_counts(comm, leaving.exports.counts, leaving.from);
-  leaving.changed = leaving.exports.slots.size();
-  comm.all_sum({&leaving.changed, 1});
   return leaving;
 }
 
@@ -96,14 +83,10 @@ void expect_after(comm::Comm& comm, const Scene& scene, std::uint64_t few, bool 
   EXPECT_TRUE(!full || std::is_sorted(scene.particles.id.begin(), scene.particles.id.end()));
   std::uint64_t expected = 0;
   for (std::uint64_t i = 0; i < scene.n; ++i) expected += mix64(i * 3);
-  std::uint64_t checksum = layout::checksum_of_rank(comm.rank(), scene.particles.id.span());
   comm.all_sum({&held, 1});
   comm.all_sum({&ids, 1});
-  comm.all_sum({&checksum, 1});
   EXPECT_EQ(held, scene.n);
   EXPECT_EQ(ids, expected);
-  EXPECT_EQ(scene.plan_checksum, checksum);
-  EXPECT_EQ(scene.plan_version, 1U);
 }
 
 TEST(Exchange_, every_way_ends_with_each_particle_on_the_rank_of_its_part) {
@@ -116,26 +99,48 @@ TEST(Exchange_, every_way_ends_with_each_particle_on_the_rank_of_its_part) {
         for (const int dims : {1, 3})
           for (const int parts : {2, 9}) {  // 2: ranks without a part
             Scene scene = make_scene(comm, 700, dims, parts, dims == 1);
-            comm.all_sum({&scene.plan_checksum, 1});
-            Leaving leaving = change_parts(comm, scene, few);
-            const bool full = layout::is_full_change(leaving.changed, scene.n);
-            exchange_particles(comm, scene, std::move(leaving.exports), leaving.from, leaving.changed, full, limits);
-            expect_after(comm, scene, few, full);
+            change_parts(comm, scene, few);
+            const std::uint64_t changed = send_strangers(comm, scene, false, limits);
+            expect_after(comm, scene, few, changed > 0 && is_full_change(changed, scene.n));
           }
+  });
+}
+
+TEST(Exchange_, only_those_that_may_leave_are_looked_at) {
+  on_ranks([](comm::Comm& comm) {
+    const auto ranks = static_cast<std::size_t>(comm.size());
+    for (const std::uint64_t few : {std::uint64_t{1}, std::uint64_t{40}})
+      for (const bool known : {false, true}) {
+        Scene touched = make_scene(comm, 700, 2, 9, true), exported = make_scene(comm, 700, 2, 9, true);
+        std::vector<std::uint64_t> some;
+        for (std::size_t i = 0; i < touched.part.size(); ++i)
+          if (part_of(touched.particles.id[i], 1, 9, few) != touched.part[i] || i % 5 == 0) some.push_back(i);
+        std::vector<std::uint64_t> from_to(known ? ranks * ranks : 0);
+        std::uint64_t leaving = change_parts(comm, touched, few).size();
+        const std::vector<std::uint64_t> slots = change_parts(comm, exported, few);
+        for (const std::uint64_t slot : slots)
+          if (known)
+            ++from_to[static_cast<std::size_t>(comm.rank()) * ranks +
+                      static_cast<std::size_t>(layout::rank_of_part(exported.part[slot], 9, comm.size()))];
+        comm.all_sum(from_to);
+        comm.all_sum({&leaving, 1});
+        EXPECT_EQ(send_strangers_among(comm, touched, some), leaving);
+        if (leaving > 0) send_exports(comm, exported, slots, leaving, from_to);
+        for (const Scene* scene : {&touched, &exported})
+          expect_after(comm, *scene, few, leaving > 0 && is_full_change(leaving, 700));
+      }
   });
 }
 
 TEST(Exchange_, a_first_partition_that_moves_nothing_still_sorts) {
   on_ranks([](comm::Comm& comm) {
     Scene scene = make_scene(comm, 500, 2, 8, false);
-    for (std::size_t i = 0; i < scene.part.size(); ++i) scene.part[i] = part_of(scene.particles.id[i], 0, 8, 1);
     std::reverse(scene.part.begin(), scene.part.end());
     std::reverse(scene.particles.id.begin(), scene.particles.id.end());
     for (std::size_t a = 0; a < 2; ++a)
       std::reverse(scene.particles.position[a].begin(), scene.particles.position[a].end());
-    Leaving leaving = change_parts(comm, scene, 1U << 30U);
-    EXPECT_EQ(leaving.changed, 0U);
-    exchange_particles(comm, scene, std::move(leaving.exports), leaving.from, 0, true);
+    change_parts(comm, scene, 1U << 30U);
+    EXPECT_EQ(send_strangers(comm, scene, true), 0U);
     expect_after(comm, scene, 1U << 30U, true);
   });
 }
@@ -173,27 +178,30 @@ TEST(Exchange_, its_memory_is_bounded) {
     on_ranks({ranks}, [&](comm::Comm& comm) {
       static std::atomic<std::uint64_t> most;
       Scene scene = make_scene(comm, kCount, 3, 8, false);
-      Leaving leaving = change_parts(comm, scene, 1);
+      const std::vector<std::uint64_t> slots = change_parts(comm, scene, 1);
+      std::vector<std::uint64_t> to(static_cast<std::size_t>(ranks)), from(to.size());
+      for (const std::uint64_t slot : slots)
+        ++to[static_cast<std::size_t>(layout::rank_of_part(scene.part[slot], 8, ranks))];
+      comm::exchange_counts(comm, to, from);
       for (auto& axis : scene.particles.position) axis.shrink();
       scene.particles.id.shrink();
       scene.part.shrink();
-      leaving.exports.slots.shrink_to_fit();
       const std::uint64_t before = scene.particles.count();
-      const std::uint64_t leaves = leaving.exports.slots.size();
-      const std::uint64_t arrives = std::accumulate(leaving.from.begin(), leaving.from.end(), std::uint64_t{0});
-      // Invariant 2 of exchange.hpp, and beside it some kilobytes of the comm's own.
+      const std::uint64_t leaves = slots.size();
+      const std::uint64_t arrives = std::accumulate(from.begin(), from.end(), std::uint64_t{0});
+      // Invariant 3 of exchange.hpp, the list of those that leave as it grows, and some kilobytes of the comm's own.
       std::uint64_t bound =
           12 * std::max(before, before - leaves + arrives) + 8 * arrives + 4 * leaves + kLimits.round_bytes + 64 * 1024;
-      bound += 36 * (arrives > leaves ? arrives - leaves : 0);
+      bound += 36 * (arrives > leaves ? arrives - leaves : 0) + 24 * leaves;
       comm.all_sum({&bound, 1});
       comm.barrier();
-      const std::uint64_t start = allocated() - 8 * leaving.changed;  // without the lists, which go first
+      const std::uint64_t start = allocated();
       most = start;
       comm.barrier();
       WatchingComm watching(comm, most);
-      exchange_particles(watching, scene, std::move(leaving.exports), leaving.from, leaving.changed, true, kLimits);
+      send_strangers(watching, scene, true, kLimits);
       expect_after(comm, scene, 1, true);
-      EXPECT_LE(most - start, bound) << comm.size() << " ranks, " << leaving.changed << " change";
+      EXPECT_LE(most - start, bound) << comm.size() << " ranks";
       comm.barrier();
     });
 }

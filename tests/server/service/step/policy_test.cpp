@@ -74,7 +74,7 @@ TEST(ServicePolicy, WhatAFirstPushAndARebalanceDoToTheSum) {
     std::vector<std::string> reasons;
     const auto push = [&](double step_seconds) {
       driver.step_seconds = step_seconds;
-      const Response pushed = driver.push_by_id(particles, std::ssize(reasons));
+      const Response pushed = driver.push(particles, std::ssize(reasons));
       reasons.push_back(comm.rank() == 0 ? pushed.json["report"]["reason"].get<std::string>() : "");
       drift(particles, 77 + reasons.size(), 0.05);
     };
@@ -159,7 +159,7 @@ TEST(ServicePolicy, NewCutsMakeAVainSearchForgotten) {
     line.position = {{0, 1, 2}};
     const auto push = [&](std::vector<double> weights, int step) {
       line.weights = std::move(weights);
-      const Response pushed = driver.push_by_id(line, step);
+      const Response pushed = driver.push(line, step);
       return comm.rank() == 0 ? pushed.json["report"] : Json();
     };
     push({10, 1, 1}, 0);

@@ -1,10 +1,10 @@
-// A service that takes up the scenes of an earlier one: it knows them but for their particles, and once these are
-// brought again it goes on as if it had never ended.
+// A service that takes up the scenes of an earlier one: it knows them but for their particles, which the next step
+// brings, and goes on as if it had never ended.
 #include <memory>
 
 #include <gtest/gtest.h>
 
-#include "tests/server/service/driver.hpp"
+#include "tests/server/service/push/stories.hpp"
 #include "tests/support/on_ranks.hpp"
 #include "tests/support/self_comm.hpp"
 #include "tests/support/simulated_storage.hpp"
@@ -37,7 +37,7 @@ struct Lasting {
 
 // What doesn't depend on which service answers, of any number of ranks. How many looked at what may differ.
 Json comparable_report(Json report) {
-  for (const char* name : {"seconds", "migrated", "skipped", "searched", "rounds", "reductions", "drifted"})
+  for (const char* name : {"seconds", "migrated", "skipped", "searched", "rounds", "reductions", "drifted", "way"})
     report.erase(name);
   return report;
 }
@@ -65,10 +65,7 @@ void step_both(comm::Comm& comm, Driver& one, Driver& other, Particles& particle
     const Response left = one.push(particles, step);
     const Response right = other.push(particles, step);
     if (step == 3)
-      for (Driver* driver : {&one, &other}) {
-        driver->ask("rebalance", {{"parts", 8}, {"tolerance", 0.1}});
-        driver->fetch_plan(particles);
-      }
+      for (Driver* driver : {&one, &other}) driver->ask("rebalance", {{"parts", 8}, {"tolerance", 0.1}});
     if (comm.rank() != 0) continue;
     EXPECT_TRUE(left.status.ok()) << left.status.message();
     EXPECT_TRUE(right.status.ok()) << right.status.message();
@@ -87,10 +84,10 @@ void expect_same(comm::Comm& comm, Driver& one, Driver& other, const std::string
     EXPECT_TRUE(std::ranges::equal(left.arrays[a].bytes.span(), right.arrays[a].bytes.span())) << command;
 }
 
-class Restored : public ::testing::TestWithParam<std::tuple<Brought, int, const char*>> {};
+class Restored : public ::testing::TestWithParam<std::tuple<Brought, int, Path>> {};
 
 TEST_P(Restored, GoesOnAsIfTheServiceHadNeverEnded) {
-  const auto& [kind, dims, order] = GetParam();
+  const auto& [kind, dims, path] = GetParam();
   on_ranks([&](comm::Comm& comm) {
     Particles particles = particles_of(kind, dims);
     Json options = kOptions;
@@ -112,10 +109,7 @@ TEST_P(Restored, GoesOnAsIfTheServiceHadNeverEnded) {
     }
     expect_same(comm, lasting.driver, after.driver, "counts", Json::object());
     expect_same(comm, lasting.driver, after.driver, "history", Json::object());
-    Particles later = particles;  // any positions will do
-    drift(later, 99, 0.01);
-    const Response refilled = after.driver.refill(later, 5, order);
-    EXPECT_TRUE(comm.rank() != 0 || refilled.status.ok()) << refilled.status.message();
+    after.driver.path = path;
     step_both(comm, lasting.driver, after.driver, particles, 6, 14);
     expect_same(comm, lasting.driver, after.driver, "fetch", Json::object());
     expect_same(comm, lasting.driver, after.driver, "assign", {{"checksum", true}});
@@ -127,7 +121,8 @@ TEST_P(Restored, GoesOnAsIfTheServiceHadNeverEnded) {
 
 INSTANTIATE_TEST_SUITE_P(Scenes, Restored,
                          ::testing::Combine(::testing::Values(Brought::plain, Brought::weights, Brought::ids),
-                                            ::testing::Values(2, 3), ::testing::Values("plan", "id")));
+                                            ::testing::Values(2, 3),
+                                            ::testing::Values(Path::gateway, Path::direct, Path::listed, Path::held)));
 
 TEST(RestoredScene, GoesOnWithAnotherNumberOfRanks) {
   if (!ranks_are_threads()) GTEST_SKIP() << "one rank's service beside that of all";
@@ -144,12 +139,10 @@ TEST(RestoredScene, GoesOnWithAnotherNumberOfRanks) {
     const scene::Restored restored = one.service.restore();
     if (comm.rank() == 0) {
       EXPECT_EQ(restored.scenes, 1U);
-      EXPECT_TRUE(one.driver.refill(particles, 5).status.ok());
     }
     Particles same = particles;
     Lasting again(comm, copy_of(*(comm.rank() == 0 ? one : many).storage));
     again.service.restore();
-    again.driver.refill(particles, 5);
     step_both(comm, lasting.driver, again.driver, particles, 6, 12);
     if (comm.rank() != 0) return;
     for (int step = 6; step < 12; ++step) {
@@ -193,7 +186,7 @@ TEST(RestoredScene, TellsOfItsCutsAndStepsBeforeItsParticlesCome) {
         EXPECT_EQ(told.json, known) << command << ": " << told.status.message();
       }
     }
-    for (const char* command : {"assign", "fetch", "plan", "quality", "halo", "compare", "rebalance"}) {
+    for (const char* command : {"assign", "fetch", "quality", "halo", "compare", "rebalance"}) {
       const Response told = driver.ask(command, Lacking::kQuestion);
       if (comm.rank() != 0) continue;
       EXPECT_EQ(told.status.code(), Code::not_found) << command;
@@ -208,15 +201,9 @@ TEST(RestoredScene, TellsOfItsCutsAndStepsBeforeItsParticlesCome) {
   });
 }
 
-TEST(RestoredScene, TakesNoStepBeforeItsParticlesCome) {
+TEST(RestoredScene, AnswersThePushOfItsLastStepAgain) {
   on_ranks([](comm::Comm& comm) {
     Lacking scene(comm);
-    for (const Response& pushed :
-         {scene.after->driver.push(scene.particles, 2, "t"), scene.after->driver.push_by_id(scene.particles, 2, "t")})
-      if (comm.rank() == 0) {
-        EXPECT_EQ(pushed.status.code(), Code::base_lost) << pushed.status.message();
-        EXPECT_NE(pushed.status.hint().find("refill"), std::string::npos);
-      }
     const Response again = scene.after->driver.push(scene.particles, 1);  // its answer was lost
     if (comm.rank() == 0) {
       EXPECT_EQ(again.json["repeated"], true);
@@ -228,22 +215,18 @@ TEST(RestoredScene, TakesItsParticlesWholeAndOnce) {
   on_ranks([](comm::Comm& comm) {
     Lacking scene(comm);
     Driver& driver = scene.after->driver;
-    const auto refused = [&](const char* why, const Particles& particles, const Json& more = Json::object(),
-                             Code code = Code::invalid_argument) {
-      const Response refilled = driver.refill(particles, 1, "plan", more);
-      if (comm.rank() == 0) {
-        EXPECT_EQ(refilled.status.code(), code) << why;
-      }
+    const auto refused = [&](const char* why, const Particles& particles, Code code = Code::invalid_argument) {
+      const Response pushed = driver.push(particles, 2);
       const Response shown = driver.ask("scene.show");
-      if (comm.rank() == 0) {
-        EXPECT_EQ(shown.json["filled"], false) << why;
-      }
+      if (comm.rank() != 0) return;
+      EXPECT_EQ(pushed.status.code(), code) << why << ": " << pushed.status.message();
+      EXPECT_EQ(shown.json["filled"], false) << why;
     };
     Particles fewer = scene.particles;
     for (auto& axis : fewer.position) axis.pop_back();
     fewer.weights.pop_back();
     fewer.ids.pop_back();
-    refused("fewer", fewer);
+    refused("fewer", fewer, Code::not_conserved);
     Particles light = scene.particles;
     light.weights.clear();
     refused("no weights", light);
@@ -252,30 +235,23 @@ TEST(RestoredScene, TakesItsParticlesWholeAndOnce) {
     refused("no ids", nameless);
     Particles twins = scene.particles;
     twins.ids[0] = twins.ids[1];
-    refused("an id twice", twins);
+    refused("an id twice", twins, Code::not_conserved);
+    Particles other = scene.particles;
+    other.ids[0] = 1;
+    refused("another particle", other, Code::not_conserved);
+    refused("twins of the same sum", with_twins_of_the_same_sum(scene.particles), Code::duplicate_id);
     Particles lost = scene.particles;
     lost.position[1][7] = std::numeric_limits<double>::quiet_NaN();
-    refused("no number", lost, Json::object(), Code::not_finite);
-    refused("none of them", scene.particles, {{"moved", "none"}});
-    refused("some", scene.particles, {{"removed", 1}});
+    refused("no number", lost, Code::not_finite);
 
-    const Response refilled = driver.refill(scene.particles, 1);
-    if (comm.rank() == 0) {
-      EXPECT_TRUE(refilled.status.ok()) << refilled.status.message();
-    }
+    const Response pushed = driver.push(scene.particles, 2);
     const Response shown = driver.ask("scene.show");
-    if (comm.rank() == 0) {
-      EXPECT_EQ(shown.json["filled"], true);
-      EXPECT_GT(shown.json["rounds"], 0) << "of the search for its cuts";
-    }
     const Response history = driver.ask("history");
-    if (comm.rank() == 0) {
-      EXPECT_EQ(history.json["total"], 2) << "it is no step";
-    }
-    const Response twice = driver.refill(scene.particles, 1);
-    if (comm.rank() == 0) {
-      EXPECT_EQ(twice.status.code(), Code::invalid_argument);
-    }
+    if (comm.rank() != 0) return;
+    ASSERT_TRUE(pushed.status.ok()) << pushed.status.message();
+    EXPECT_TRUE(pushed.json["report"]["drifted"].is_null()) << "nobody knows";
+    EXPECT_EQ(shown.json["filled"], true);
+    EXPECT_EQ(history.json["total"], 3);
   });
 }
 
@@ -286,10 +262,6 @@ TEST(RestoredScene, ThatHasNeverBeenPushedIsOneStill) {
     Lasting after(comm, copy_of(*before->storage));
     after.service.restore();
     const Particles particles = particles_of(Brought::plain, 2);
-    const Response refilled = after.driver.refill(particles, 0);
-    if (comm.rank() == 0) {
-      EXPECT_EQ(refilled.status.code(), Code::invalid_argument);
-    }
     const Response pushed = after.driver.push(particles, 0);
     if (comm.rank() != 0) return;
     ASSERT_TRUE(pushed.status.ok()) << pushed.status.message();
