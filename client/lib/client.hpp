@@ -152,14 +152,14 @@ struct SeatOptions {
 struct StepOptions {
   std::optional<std::int64_t> step{};  // default: the last step + 1; 0 for the first
   // [count], distinct, >= 0, in any order: whose positions the rows are. Empty: row k is the particle k, which one seat
-  // alone can say, and only while the scene has no ids. A scene has them from the first step on that brings some.
+  // alone can say, and only while the scene's ids are 0..n-1.
   std::span<const std::int64_t> ids{};
   // [count]; empty: the scene has none, or those given last for these rows. Whether a scene has weights is decided by
   // its first step.
   std::span<const double> weights{};
-  // How many particles have come since the last step, and how many of the last step are gone. With several seats each
-  // says it of its own rows: particles that only go from one seat to another are neither. A step with other particles
-  // than it says is refused (not_conserved).
+  // How many particles have come since the last step, and how many of the last step are gone; then ids are required.
+  // With several seats each says it of its own rows: particles that only go from one seat to another are neither. A
+  // step with other particles than it says is refused (not_conserved).
   std::uint64_t inserted = 0, removed = 0;
   // Computing time of the solver since its last step, here; the policy "cost" decides by that of the slowest seat.
   std::optional<double> step_seconds{};
@@ -248,9 +248,7 @@ class Scene {
   // - the same content again: it returns the answer to that step;
   // - other content: it becomes the step after that one. But if that step was the first, or particles came or went with
   //   it, the error is stale_step: push its content again first.
-  // Waits until the deadline for a lost service or connection. A service that was started again gets all particles
-  // anew. Errors also: base_lost, if it needs their weights for this and they are given neither now nor earlier;
-  // duplicate_id.
+  // Waits until the deadline for a lost service or connection. Errors also: not_conserved, duplicate_id.
   Result<StepResult> step(const Positions& positions, const StepOptions& options = {});
   // Arrays for `count` positions, for a solver that computes in them: [count][dims] in C order, or an array [count] for
   // each axis. Where the service is on this host its ranks read them there, so that a step with them copies nothing. A
