@@ -262,7 +262,7 @@ TEST(CountedStep, AWrongValueIsRefusedBeforeAnythingIsSent) {
   of.xy[2 * 31 + 1] = std::numeric_limits<double>::quiet_NaN();
   const auto refused = of.scene->step(positions);
   EXPECT_EQ(refused.status().code(), Code::not_finite);
-  EXPECT_EQ(refused.status().message(), "particle 31: y is nan");
+  EXPECT_EQ(refused.status().message(), "particle 31 (index, from 0): y is nan");
   ASSERT_TRUE(of.step(1).ok());
   of.end();
   EXPECT_EQ(of.fake.counted.size(), 1U);
