@@ -295,7 +295,9 @@ Status CountPass::fault(std::size_t first, std::size_t count) const {
     const particles::Id id = options_.ids.empty() ? static_cast<particles::Id>(i) : options_.ids[i];
     const double weight = options_.weights.empty() ? 1 : options_.weights[i];
     if (const auto found = particles::fault_of(positions_.point(i), positions_.dims, weight, id))
-      return {found->code, fmt::format("particle {}: {}", id, found->text), particles::kGoodValues};
+      return {found->code,
+              fmt::format("particle {}{}: {}", id, options_.ids.empty() ? " (index, from 0)" : "", found->text),
+              particles::kGoodValues};
   }
   return {};
 }

@@ -194,8 +194,9 @@ class CountTrial {
     if (!options.ids.empty()) options.ids = ids;
     const auto found = count(cuts, Positions::rows(xyz.data(), positions.count, positions.dims), options, part);
     ASSERT_FALSE(found.ok()) << what;
-    EXPECT_EQ(found.status().message(),
-              fmt::format("particle {}: {}", options.ids.empty() ? static_cast<Id>(first) : ids[first], what));
+    EXPECT_EQ(found.status().message(), options.ids.empty()
+                                            ? fmt::format("particle {} (index, from 0): {}", first, what)
+                                            : fmt::format("particle {}: {}", ids[first], what));
     const bool finite = what.find("nan") == std::string::npos && what.find("inf") == std::string::npos;
     EXPECT_EQ(found.status().code(), finite ? Code::invalid_argument : Code::not_finite);
   }
