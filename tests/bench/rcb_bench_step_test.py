@@ -13,8 +13,10 @@ SCRIPT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "step", "encry
 
 
 class Step(unittest.TestCase):
-    FLOORS = {"count": ["read", "round_trip"], "count-weighted": ["read", "round_trip"], "send": ["read", "floor", "memory"],
-              "rows": ["read", "floor", "memory"], "unmoved": ["floor", "memory"]}
+    COUNTED, SENT = ["read", "round_trip"], ["read", "floor", "memory"]
+    FLOORS = {"count": COUNTED, "count-permuted": COUNTED, "count-weighted": COUNTED, "count-members": COUNTED, "send": SENT,
+              "every-step": SENT, "sockets": SENT, "endpoint": SENT, "every-step-members": SENT, "connect": ["floor", "memory"]}
+    EACH = {"every-step": 24, "sockets": 32, "endpoint": 24, "every-step-members": 32}  # bytes that a particle sends
 
     @classmethod
     def setUpClass(cls):
@@ -56,13 +58,13 @@ class Encryption(unittest.TestCase):
     def test_services_take_turns(self):
         with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:  # /tmp is each machine's own
             path = os.path.join(folder, "result.json")
-            done = subprocess.run([SCRIPT, "--build", os.path.dirname(BIN), "--repeats", "3", "--variants", "rows,connect",
+            done = subprocess.run([SCRIPT, "--build", os.path.dirname(BIN), "--repeats", "3", "--variants", "sockets,connect",
                                    "--points", "1500", "--json", path], capture_output=True, text=True, timeout=200)
             self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
             with open(path) as file:
                 rows = json.load(file)["rows"]
         self.assertEqual([(row["variant"], os.path.basename(row["service"])) for row in rows],
-                         [("rows", "encrypted"), ("rows", "plain"), ("connect", "encrypted"), ("connect", "plain")])
+                         [("sockets", "encrypted"), ("sockets", "plain"), ("connect", "encrypted"), ("connect", "plain")])
         for row in rows:
             self.assertEqual((row["n"], row["ranks"]), (1500, 2))
             self.assertGreater(row["seconds"], 0)

@@ -37,7 +37,7 @@ class Player {
   Status open(const std::string& endpoint, const std::string& name, int parts) {
     client::ConnectOptions options;
     options.endpoint = endpoint;
-    options.path = client::Path::direct;
+    options.path = client::Path::shared;
     auto client = client::Client::connect(options);
     if (!client.ok()) return client.status();
     client_.emplace(std::move(*client));
@@ -50,11 +50,9 @@ class Player {
   Result<double> turn(int phase, client::StepReport& report) {
     if (first_)
       if (Status status = make_scene(); !status.ok()) return status;
-    const bool first = !scene_->last_step();
-    const client::StepOptions options = points_.options(first);
     const SteadyClock clock;
     const double start = clock.seconds();
-    auto result = scene_->step(points_.at(first_ ? 0 : phase), options);
+    auto result = scene_->step(points_.at(first_ ? 0 : phase), points_.options());
     if (!result.ok()) return result.status();
     if (!asks_.empty()) {
       const auto reply = client_->call(asks_, scene_json());
