@@ -17,11 +17,11 @@ constexpr std::size_t kSummedBytes = 32;  // of the header
 const std::map<std::string, std::uint64_t> kDtypes{{"<f8", 8}, {"<f4", 4}, {"<i8", 8}, {"<i4", 4}, {"<u8", 8}};
 
 const std::map<int, const char*> kCodes{
-    {1, "invalid_argument"}, {2, "not_found"},       {3, "already_exists"}, {4, "busy"},
-    {6, "stale_step"},       {7, "base_lost"},       {8, "not_finite"},     {9, "protocol_error"},
-    {10, "too_large"},       {11, "not_authorised"}, {12, "unavailable"},   {13, "deadline_exceeded"},
-    {14, "aborted"},         {15, "io_error"},       {16, "unsupported"},   {17, "internal"},
-    {20, "not_conserved"},   {21, "duplicate_id"}};
+    {1, "invalid_argument"}, {2, "not_found"},    {3, "already_exists"},     {4, "busy"},
+    {6, "stale_step"},       {8, "not_finite"},   {9, "protocol_error"},     {10, "too_large"},
+    {11, "not_authorised"},  {12, "unavailable"}, {13, "deadline_exceeded"}, {14, "aborted"},
+    {15, "io_error"},        {16, "unsupported"}, {17, "internal"},          {20, "not_conserved"},
+    {21, "duplicate_id"}};
 const std::map<std::string, int> kExits{{"unavailable", 3}, {"not_authorised", 4}, {"deadline_exceeded", 5}};  // else 1
 
 void need(bool holds, const std::string& what) {

@@ -2,11 +2,27 @@
 
 #include <algorithm>
 #include <iterator>
+#include <numeric>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 namespace rcb::cli {
+namespace {
+
+// With the rows of those that stay in the same order in every frame, so that a step can tell how many crossed a cut.
+io::Points by_id(const io::Points& frame) {
+  io::Points sorted = frame;
+  const std::vector<std::size_t> order = rows_by_id(frame);
+  for (std::size_t row = 0; row < order.size(); ++row) {
+    sorted.id[row] = frame.id[order[row]];
+    for (std::size_t a = 0; a < frame.position.size(); ++a) sorted.position[a][row] = frame.position[a][order[row]];
+    if (!frame.weight.empty()) sorted.weight[row] = frame.weight[order[row]];
+  }
+  return sorted;
+}
+
+}  // namespace
 Status no_points(const std::string& file, const std::string& scene) {
   return {Code::invalid_argument, fmt::format("{}: holds no points, and scene '{}' has none yet", file, scene),
           "push a file that holds some; was this one written to its end?"};
@@ -18,34 +34,31 @@ Status check_not_held(const Json& shown, const std::string& scene, const std::st
   return {Code::busy, fmt::format("scene '{}' is held open by {}", scene, fmt::join(holders, ", ")), hint};
 }
 
-FramePusher::FramePusher(client::Scene scene, std::uint64_t count, std::vector<std::int64_t> ids)
-    : scene_(std::move(scene)), has_particles_(true), own_ids_(!ids.empty()), count_(count), ids_(std::move(ids)) {}
-
 Result<client::StepResult> FramePusher::push(const io::Points& frame, client::StepOptions step) {
-  const bool ids = !frame.id.empty() || (own_ids_ && frame.count == 0);
-  if (has_particles_ && ids != own_ids_)
-    return Status(Code::invalid_argument,
-                  own_ids_ ? "no ids, which the scene's particles have" : "ids, which the scene's particles don't have",
-                  "take the same columns in every frame");
-  if (has_particles_ && !ids && frame.count != count_)
-    return Status(Code::invalid_argument, fmt::format("{} rows, and the step before had {}", frame.count, count_),
-                  "where particles come and go, a column of ids has to say which: id x y z");
-  std::vector<std::int64_t> sorted = frame.id, stay;
-  std::ranges::sort(sorted);
-  if (has_particles_) {
-    std::ranges::set_intersection(sorted, ids_, std::back_inserter(stay));
-    step.inserted = sorted.size() - stay.size();
-    step.removed = ids_.size() - stay.size();
+  if (frame.id.empty() && frame.count > 0 && !ids_.empty()) {
+    if (static_cast<std::size_t>(ids_.back()) >= ids_.size())
+      return Status(Code::invalid_argument, "no ids, which the scene's particles have",
+                    "take the same columns in every frame");
+    if (frame.count != ids_.size())
+      return Status(Code::invalid_argument,
+                    fmt::format("{} rows, and the step before had {}", frame.count, ids_.size()),
+                    "where particles come and go, a column of ids has to say which: id x y z");
   }
-  step.weights = frame.weight;
-  step.ids = frame.id;
-  const CompactPositions sent(frame);
+  const io::Points sorted = frame.id.empty() ? io::Points{} : by_id(frame);
+  const io::Points& rows = frame.id.empty() ? frame : sorted;
+  std::vector<std::int64_t> ids = rows.id, stay;
+  if (ids.empty()) {
+    ids.resize(frame.count);
+    std::iota(ids.begin(), ids.end(), 0);
+  }
+  std::ranges::set_intersection(ids, ids_, std::back_inserter(stay));
+  step.inserted = ids.size() - stay.size();
+  step.removed = ids_.size() - stay.size();
+  step.weights = rows.weight;
+  step.ids = rows.id;
+  const CompactPositions sent(rows);
   auto result = scene_.step(sent.positions(), step);
-  if (!result) return result;
-  has_particles_ = true;
-  own_ids_ = ids;
-  count_ = frame.count;
-  ids_ = std::move(sorted);
+  if (result) ids_ = std::move(ids);
   return result;
 }
 

@@ -42,23 +42,17 @@ Status check_not_held(const Json& shown, const std::string& scene, const std::st
 
 class FramePusher {
  public:
-  // A scene without particles.
-  explicit FramePusher(client::Scene scene) : scene_(std::move(scene)) {}
-  // A scene that has particles: count of them, with these ids, ascending; empty: they have none of their own.
-  FramePusher(client::Scene scene, std::uint64_t count, std::vector<std::int64_t> ids);
+  // ids: of the particles that the scene has, ascending.
+  FramePusher(client::Scene scene, std::vector<std::int64_t> ids) : scene_(std::move(scene)), ids_(std::move(ids)) {}
 
   // Says to the service how many particles came and went, as the ids tell. Errors: the service's; invalid_argument, if
   // particles came or went, and there are no ids.
   Result<client::StepResult> push(const io::Points& frame, client::StepOptions step);
-  bool has_particles() const { return has_particles_; }
   std::optional<std::int64_t> last_step() const { return scene_.last_step(); }
 
  private:
   client::Scene scene_;
-  bool has_particles_ = false;
-  bool own_ids_ = false;  // the particles have ids of their own
-  std::uint64_t count_ = 0;
-  std::vector<std::int64_t> ids_;  // ascending
+  std::vector<std::int64_t> ids_;  // ascending; the rows' numbers, if the solver gives none
 };
 
 }  // namespace rcb::cli
