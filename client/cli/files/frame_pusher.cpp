@@ -52,8 +52,10 @@ Result<client::StepResult> FramePusher::push(const io::Points& frame, client::St
     std::iota(ids.begin(), ids.end(), 0);
   }
   std::ranges::set_intersection(ids, ids_, std::back_inserter(stay));
-  step.inserted = ids.size() - stay.size();
-  step.removed = ids_.size() - stay.size();
+  if (scene_.last_step()) {
+    step.inserted = ids.size() - stay.size();
+    step.removed = ids_.size() - stay.size();
+  }
   step.weights = rows.weight;
   step.ids = rows.id;
   const CompactPositions sent(rows);
