@@ -1,4 +1,6 @@
 // push: one step from a file.
+#include <numeric>
+
 #include <fmt/format.h>
 
 #include "client/cli/app.hpp"
@@ -46,6 +48,16 @@ Result<io::Points> read_for_scene(const FileOptions& file, int dims, const std::
           : fmt::format("create the scene with --dims {}, or give a file with more columns", points->dims));
 }
 
+// A file without ids counts its rows.
+std::vector<std::int64_t> ids_of(const io::Points& points, const PushOptions& options) {
+  std::vector<std::int64_t> ids = points.id;
+  if (ids.empty() && options.inserted + options.removed > 0) {
+    ids.resize(points.count);
+    std::iota(ids.begin(), ids.end(), 0);
+  }
+  return ids;
+}
+
 Status push(const PushOptions& options, const Context& context) {
   auto client = connect(context);
   if (!client) return client.status();
@@ -71,7 +83,8 @@ Status push(const PushOptions& options, const Context& context) {
   if (!scene) return scene.status();
   client::StepOptions step;
   step.step = options.step;
-  step.ids = points->id;
+  const auto ids = ids_of(*points, options);
+  step.ids = ids;
   step.weights = points->weight;
   step.inserted = options.inserted;
   step.removed = options.removed;
@@ -79,6 +92,9 @@ Status push(const PushOptions& options, const Context& context) {
   const CompactPositions sent(*points);
   auto result = scene->step(sent.positions(), step);
   progress.clear();
+  if (result.status().code() == Code::not_conserved)
+    return {Code::not_conserved, result.status().message(),
+            "say with --inserted N and --removed M how many came and went, or create the scene anew with --replace"};
   if (!result) return result.status();
   const Json report = Json::parse(result->report.json);
   note_empty_parts(result->report.n, result->report.parts);

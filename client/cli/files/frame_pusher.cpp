@@ -23,6 +23,7 @@ io::Points by_id(const io::Points& frame) {
 }
 
 }  // namespace
+
 Status no_points(const std::string& file, const std::string& scene) {
   return {Code::invalid_argument, fmt::format("{}: holds no points, and scene '{}' has none yet", file, scene),
           "push a file that holds some; was this one written to its end?"};
