@@ -134,8 +134,7 @@ def reports(frames, parts, ranks, tolerance=0.1, hysteresis=1.2, method="rcb"):
             report["repartitioned"] = True
             epoch += 1
         else:
-            old = part
-            part = tree.assign(points)
+            old, part = part, tree.assign(points)
             report["drifted"] = int((part != old).sum())
             before = error_of(np.bincount(part, minlength=parts), n)
             report["error_before"] = before
@@ -143,11 +142,11 @@ def reports(frames, parts, ranks, tolerance=0.1, hysteresis=1.2, method="rcb"):
                 new_tree, new_part = partition(points, parts, method, previous=tree, hysteresis=hysteresis)
                 report["repartitioned"] = True
                 report["moved"] = int((new_part != part).sum())
+                report["migrated"] = int((rank_of(new_part, parts, ranks) != rank_of(part, parts, ranks)).sum())
                 report["axes_flipped"] = sum(1 for node, (axes, _) in new_tree.cuts.items()
                                              if node in tree.cuts and tree.cuts[node][0][0] != axes[0])
                 tree, part = new_tree, new_part
                 epoch += 1
-            report["migrated"] = int((rank_of(part, parts, ranks) != rank_of(old, parts, ranks)).sum())
         counts = np.bincount(part, minlength=parts)
         report["error"] = error_of(counts, n)
         report["imbalance"] = imbalance_of(counts, n)
