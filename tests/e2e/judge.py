@@ -32,6 +32,22 @@ class Tree:
     def __init__(self, dims, parts, cuts):
         self.dims, self.parts, self.cuts = dims, parts, cuts
 
+    @staticmethod
+    def of_arrays(arrays, dims):
+        """From the arrays of cuts, whose nodes are in preorder."""
+        found = {}
+
+        def walk(node, a, b):
+            if b - a == 1:
+                return
+            m, last = a + (b - a + 1) // 2, int(arrays["id"][node])
+            found[a, b] = (arrays["axes"][node].tolist(), [*arrays["at"][node], last] if last >= 0 else None)
+            walk(node + 1, a, m)
+            walk(node + m - a, m, b)
+
+        walk(0, 0, len(arrays["id"]) + 1)
+        return Tree(dims, len(arrays["id"]) + 1, found)
+
     def assign(self, points, ids=None):
         points = np.asarray(points, dtype=float).reshape(-1, self.dims) + 0.0
         ids = np.arange(len(points)) if ids is None else np.asarray(ids)

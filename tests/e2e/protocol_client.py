@@ -55,7 +55,7 @@ def arrays_of(document, bulk):
     arrays, at = {}, 0
     for spec in document.get("arrays", ()):
         size = int(np.prod(spec["shape"])) * np.dtype(spec["dtype"]).itemsize
-        arrays[spec["name"]] = np.frombuffer(bulk[at: at + size], spec["dtype"])
+        arrays[spec["name"]] = np.frombuffer(bulk[at: at + size], spec["dtype"]).reshape(spec["shape"])
         at += size
     assert at == len(bulk), (document.get("arrays"), len(bulk))
     return arrays

@@ -41,6 +41,7 @@ class PushClient(Sharer):
         """The push of a block: its begin; its slices, each with its socket. A rank's slice comes in frames of `each` rows,
         over its connection also by way of memory, where `sockets` has it."""
         way, n = way or self.way, len(block.points)
+        each = each or n + 1
         self.attempts += 1
         self.push_id = {"scene": scene, "session": self.session, "step": number, "attempt": self.attempts}
         begin = {"command": "push.begin", **self.push_id, "n": n, "path": way, "dtype": block.dtype,
@@ -54,9 +55,9 @@ class PushClient(Sharer):
             begin["counts"] = [len(rows) for rows in deal]
             if way == "shared":
                 begin |= {"memory": self.laid_out(block, np.concatenate(deal)), "sockets": list(sockets)}
-            slices = [(self.links[rank].socket, rows[first: first + (each or n)], {"rank": rank, "first": first})
+            slices = [(self.links[rank].socket, rows[first: first + each], {"rank": rank, "first": first})
                       for rank, rows in enumerate(deal) if way == "direct" or rank in sockets
-                      for first in range(0, len(rows), each or n)]
+                      for first in range(0, len(rows), each)]
         self.number += 1
         self.begun = self.number
         return frame(REQUEST, self.number, begin | more), [(link, self.slice(block, *of)) for link, *of in slices]
