@@ -101,21 +101,28 @@ class Blocks(Refusals, ServiceTest):
                 before = before or self.check(way, Block(points))
             self.assertFalse(self.state(way)[0]["ids"])
 
-    def test_ids_and_weights_that_come_later_or_stay_away(self):
+    def test_ids_and_weights_that_come_or_stay_away(self):
         points, ids, ones = np.random.default_rng(5).random((300, 3)), np.arange(300)[::-1], np.ones(300)
         for way in WAYS:
             client = self.pusher(way)
             client.ask("scene.create", scene="later", parts=5, replace=True)
             client.push_block("later", 0, Block(points))
             self.refused("invalid_argument", client.push_block, "later", 1, Block(points, weights=ones))
-            client.push_block("later", 1, Block(points, ids))
-            self.check("later", Block(points, ids))
-            self.assertIn("ids", self.refused("invalid_argument", client.push_block, "later", 2, Block(points)))
+            for step, block in enumerate((Block(points, ids), Block(points + 1), Block(points[1:], ids[1:])), 1):
+                client.push_block("later", step, block, removed=300 - len(block.points))  # all but the last are 0..n-1
+                self.check("later", block)
+                self.assertFalse(self.state("later")[0]["ids"])
+            client.push_block("later", 4, Block(points[2:], ids[1:-1]), removed=1)
+            self.assertTrue(self.state("later")[0]["ids"])
+            self.assertIn("ids", self.refused("invalid_argument", client.push_block, "later", 5, Block(points[2:])))
             client.ask("scene.create", scene="later", parts=5, replace=True)
             client.push_block("later", 0, Block(points, weights=ones))
             self.assertIn("weights", self.refused("invalid_argument", client.push_block, "later", 1, Block(points)))
             client.push_block("later", 1, Block(points, weights=ones * 3))
             self.check("later", Block(points, weights=ones * 3))
+            incarnation = client.ask("scene.show", scene="later")[0]["incarnation"]
+            client.push_block("later", 2, Block(points, weights=ones), incarnation=incarnation)
+            self.refused("not_found", client.push_block, "later", 3, Block(points, weights=ones), incarnation="0" * 16)
 
     def test_what_is_refused_changes_nothing(self):
         points, ids = np.random.default_rng(5).random((300, 3)), np.arange(300)
