@@ -175,7 +175,7 @@ class Blocks(Refusals, ServiceTest):
             before = [str(x) for x in self.state(scene)]
             for left in (0, 1):  # all but so many of its frames, and a byte; by memory the begin alone
                 client = self.pusher(way)
-                begin, slices = client.frames(scene, 1, Block(points + 1, ids), sockets=[1, 2])
+                begin, slices = client.frames(scene, 1, Block(points + 1, ids), by_socket=[1, 2])
                 for link, data in [(client.socket, begin), *slices][:-1 - left]:
                     link.sendall(data)
                 if slices:

@@ -37,9 +37,9 @@ class PushClient(Sharer):
         if way != "gateway":
             self.link_ranks()
 
-    def frames(self, scene, number, block, way=None, deal=None, sockets=(), each=None, **more):
+    def frames(self, scene, number, block, way=None, deal=None, by_socket=(), each=None, **more):
         """The push of a block: its begin; its slices, each with its socket. A rank's slice comes in frames of `each` rows,
-        over its connection also by way of memory, where `sockets` has it."""
+        over its connection also by way of memory, where `by_socket` has it."""
         way, n = way or self.way, len(block.points)
         each = each or n + 1
         self.attempts += 1
@@ -54,9 +54,9 @@ class PushClient(Sharer):
             deal = np.array_split(np.arange(n), len(self.links)) if deal is None else deal
             begin["counts"] = [len(rows) for rows in deal]
             if way == "shared":
-                begin |= {"memory": self.laid_out(block, np.concatenate(deal)), "sockets": list(sockets)}
+                begin |= {"memory": self.laid_out(block, np.concatenate(deal)), "sockets": list(by_socket)}
             slices = [(self.links[rank].socket, rows[first: first + each], {"rank": rank, "first": first})
-                      for rank, rows in enumerate(deal) if way == "direct" or rank in sockets
+                      for rank, rows in enumerate(deal) if way == "direct" or rank in by_socket
                       for first in range(0, len(rows), each)]
         self.number += 1
         self.begun = self.number

@@ -150,7 +150,7 @@ class SharedMemory(Refusals, ServiceTest):
             for step, sockets in enumerate(((), (1,), (0, 2), (0, 1, 2), ())):
                 block = Block(self.walk[step], ids)
                 deal = np.split(rng.permutation(n), np.sort(rng.integers(0, n + 1, 2)))
-                begin, slices = client.frames("listed", step, block, deal=deal, sockets=sockets, each=400)
+                begin, slices = client.frames("listed", step, block, deal=deal, by_socket=sockets, each=400)
                 for rank in sockets:  # those that get slices don't read the memory
                     np.frombuffer(client.area, "<f8", n)[deal[rank]] = np.nan
                 client.write(begin)
@@ -178,7 +178,7 @@ class SharedMemory(Refusals, ServiceTest):
             twice[5] = 6  # so that a particle would be there twice, and another would not
             self.refused("not_conserved", client.push_block, "listed", 9, block, deal=np.array_split(twice, 3))
             # Rows of a rank that reads the memory are dropped where they come; those of another are missed at the deadline.
-            self.refused("deadline_exceeded", self.push_without, client, block, deadline_seconds=1, sockets=[1, 2])
+            self.refused("deadline_exceeded", self.push_without, client, block, deadline_seconds=1, by_socket=[1, 2])
             self.assertEqual(client.ask("scene.show", scene="listed")[0], before)
             self.assertEqual(client.push_block("listed", 9, block)[0]["report"]["step"], 9)
 
