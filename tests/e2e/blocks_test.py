@@ -76,6 +76,7 @@ class Blocks(Refusals, ServiceTest):
             width = int(block.dtype[2]) * block.points.shape[1] + 8 + (0 if block.weights is None else 8)
             self.assertEqual((report["scanned"], report["bytes"]), (len(order), width * len(order)))
             self.assertEqual("double precision" in report["skipped"], block.dtype == "<f4")
+            report["skipped"] = [skip for skip in report["skipped"] if skip != "exchange"]  # by who got which rows
             reports.append({name: value for name, value in report.items() if name not in DIFFERING})
             states.append(self.check(f"{way}-{seed}", mine))
         for report, state in zip(reports[1:], states[1:]):
@@ -137,8 +138,8 @@ class Blocks(Refusals, ServiceTest):
             before = [str(x) for x in self.state(scene)]
             for code, words, block, more in (
                     ("not_conserved", ("299", "300"), fewer, {}),
-                    ("not_conserved", ("300", "301"), Block(points, ids), {"inserted": 1}),
-                    ("not_conserved", ("299", "298"), fewer, {"removed": 2}),
+                    ("not_conserved", ("300", "1 come"), Block(points, ids), {"inserted": 1}),
+                    ("not_conserved", ("299", "300", "2 go"), fewer, {"removed": 2}),
                     ("not_conserved", ("300",), Block(points, ids), {"removed": 301}),
                     ("not_conserved", (), Block(points, ids + 1), {}),
                     ("not_conserved", ("0 ", "300"), Block(points[:0], ids[:0]), {}),
@@ -146,22 +147,21 @@ class Blocks(Refusals, ServiceTest):
                     ("duplicate_id", ("id 7 occurs",), Block(points, twin), {"inserted": 1, "removed": 1}),
                     ("invalid_argument", ("-2",), Block(points, negative), {"inserted": 1, "removed": 1}),
                     ("not_finite", ("17",), Block(nan, ids), {}),
-                    ("stale_step", ("4",), Block(points, ids), {"session": "0" * 16}),
                     ("invalid_argument", ("weights",), Block(points, ids, points[:, 0]), {}),
                     ("invalid_argument", ("counts",), Block(points, ids), {"counts": [300, 0]}),
                     ("invalid_argument", ("counts",), Block(points, ids), {"counts": [300, 1, 0]}),
                     ("invalid_argument", ("counts",), Block(points, ids), {"counts": [300.5, -0.5, 0]})):
                 if "counts" in more and way == "gateway":
                     continue
-                number = 3 if code == "stale_step" else 5
                 with self.subTest(way=way, code=code, words=words, more=more):
-                    said = self.refused(code, client.push_block, scene, number, block, **more)
+                    said = self.refused(code, client.push_block, scene, 5, block, **more)
                     for word in words:
                         self.assertIn(word, said)
                     self.assertEqual([str(x) for x in self.state(scene)], before)
                 if client.links:  # rows of a push that was refused at its begin may be on their way
                     client.close()
                     client = self.pusher(way)
+            self.assertIn("4", self.refused("stale_step", self.pusher(way).push_block, scene, 4, Block(points, ids)))
             client.push_block(scene, 5, Block(points[2:], ids[2:]), removed=2)
             self.assertTrue(client.push_block(scene, 5, Block(points, ids))[0]["repeated"])
             self.check(scene, Block(points[2:], ids[2:]))

@@ -69,17 +69,16 @@ class PushClient(Sharer):
 
     def laid_out(self, block, rows):
         """Where in the memory the block is, column after column, and the list of rows."""
-        arrays, bulk = block.arrays()
-        bulk += rows.astype("<u8").tobytes()
-        if len(bulk) > len(self.area):
-            self.area = self.memory(2 * len(bulk))
-        self.area[: len(bulk)] = bulk
-        offset, memory = 0, []
-        for array in [*arrays, {"name": "row", "dtype": "<u8"}]:
-            width = np.dtype(array["dtype"]).itemsize
-            memory.append({"name": array["name"], "number": self.memories, "offset": offset, "stride": width})
-            offset += width * len(block.points)
-        return memory
+        memory, columns = [], b""
+        for name, values in (block.columns() | {"row": rows}).items():
+            dtype = block.dtype if name in "xyz" else {"w": "<f8", "id": "<i8", "row": "<u8"}[name]
+            columns += bytes(-len(columns) % 8)
+            memory.append({"name": name, "offset": len(columns), "stride": np.dtype(dtype).itemsize})
+            columns += values.astype(dtype).tobytes()
+        if len(columns) >= len(self.area):
+            self.area = self.memory(2 * len(columns) + 8)
+        self.area[: len(columns)] = columns
+        return [array | {"number": self.memories} for array in memory]
 
     def push_block(self, scene, number, block, **more):
         """(answer, its arrays)."""

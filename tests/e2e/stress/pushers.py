@@ -8,7 +8,7 @@ from protocol_client import Refused, reframed
 from push_client import WAYS, Block, PushClient
 
 SAME = ("step", "epoch", "n", "error_before", "error", "imbalance", "repartitioned", "reason", "axes_flipped", "moved",
-        "migrated", "inserted", "removed", "scanned", "skipped")
+        "migrated", "inserted", "removed", "scanned")
 TURNS = 40  # then other scenes
 
 # What a field of a push may say that isn't so.
