@@ -130,7 +130,7 @@ class SharedMemory(Refusals, ServiceTest):
             client.step("own", 0, both[:, :3], own, ids=True)
             answer, bulk = client.ask("fetch", scene="own")
             self.assertEqual(arrays_of(answer, bulk)["id"].tolist(), (np.arange(n) * 3).tolist())
-            self.refused("unsupported", client.step, "own", 1, both[:, :3], where[:3])
+            self.refused("invalid_argument", client.step, "own", 1, both[:, :3], where[:3])
             for more in ({"inserted": 1}, {"removed": 1}, {"ids": True}):
                 arrays = where[:3] + (own[3:] if "ids" in more else [])
                 self.assertIn(self.refused_code(client.step, "weighted", 9, both[:, :3], arrays, **more),
@@ -162,7 +162,7 @@ class SharedMemory(Refusals, ServiceTest):
                 self.assertEqual(self.assign("listed"), self.assign("listed-by-hand"))
             before = client.ask("scene.show", scene="listed")[0]
             counts = [1000] * 3
-            for more in ({"counts": counts[1:]}, {"counts": []}, {"counts": [999, 1000, 1000]}, {"counts": [n] * 3},
+            for more in ({"counts": counts[1:]}, {"counts": [999, 1000, 1000]}, {"counts": [n] * 3},
                          {"sockets": [3]}, {"sockets": [-1]}, {"sockets": [1, 1]}, {"sockets": [1, 0]}, {"sockets": "1"},
                          {"sockets": 1}, {"sockets": [1.5]}, {"sockets": [None]}, {"sockets": [0] * 4}):
                 self.assertIn(next(iter(more)), self.refused("invalid_argument", client.push_block, "listed", 9, block, **more))
